@@ -1,0 +1,1 @@
+//! Robots behind one trait: torque or position, and the transformer between them.

@@ -1,0 +1,28 @@
+//! The trait of everything that commands a robot.
+
+use crate::measurement::Measurement;
+use crate::signal::Observable;
+use opspace_model::{Data, Model};
+
+/// What a controller's numbers mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandKind {
+    /// Joint torques, Nm (forces of prismatic joints, N), gravity included as the task asks.
+    Torque,
+    /// Joint positions, rad or m.
+    Position,
+}
+
+/// Measurements in, commands out. Never knows which robot it drives.
+pub trait Controller: Observable + Send {
+    /// What [`update`](Self::update) writes.
+    fn command_kind(&self) -> CommandKind;
+
+    /// Takes the robot's present state as the start: references begin here. `data` is up to date with
+    /// `measurement`. May allocate.
+    fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement);
+
+    /// The command of this tick, into `command` (n). `data` is up to date with `measurement`
+    /// ([`opspace_model::update`]). Allocates, locks, logs and formats nothing.
+    fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]);
+}

@@ -1,0 +1,1 @@
+//! Robot and task files, experiments assembled from them, suites, metrics and reports.

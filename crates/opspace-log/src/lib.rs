@@ -1,0 +1,1 @@
+//! Recording runs to MCAP and replaying them.

@@ -1,0 +1,1 @@
+//! A simulated arm: rigid bodies, actuators, multirate servo, sensors and surroundings.

@@ -1,0 +1,1 @@
+//! The opspace command line, and one crate that re-exports the rest.
