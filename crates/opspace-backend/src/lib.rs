@@ -1,1 +1,33 @@
 //! Robots behind one trait: torque or position, and the transformer between them.
+//!
+//! A [`Robot`] adapter is a [`PositionRobot`] or a [`TorqueRobot`]; a [`Backend`] makes either one take
+//! torques; the [`ControlLoop`] runs a controller on a backend and never knows which it is.
+
+pub mod backend;
+pub mod control_loop;
+pub mod estimator;
+pub mod fault;
+pub mod friction;
+pub mod interface;
+pub mod parameters;
+pub mod position;
+pub mod robot;
+pub mod sensing;
+pub mod servo;
+pub mod supervisor;
+pub mod torque;
+pub mod transformer;
+
+pub use backend::{Backend, Command};
+pub use control_loop::{ControlLoop, Ending, Phase, SERVO, Sink, TICK, TRUTH};
+pub use estimator::{EstimatorParameters, VelocityEstimator};
+pub use fault::Fault;
+pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
+pub use interface::{Facts, ForceSensor, GravityBy, InterfaceParameters, Measured};
+pub use parameters::{JointParameters, ProfileParameters, RotorParameters, SafetyParameters};
+pub use position::PositionBackend;
+pub use robot::{PositionRobot, Robot, Sample, TorqueRobot, Trace, Traces};
+pub use sensing::Sensing;
+pub use servo::{CascadedServo, ServoParameters};
+pub use torque::TorqueBackend;
+pub use transformer::{PaperTransformer, Transformer, TransformerKind};

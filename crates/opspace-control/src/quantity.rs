@@ -70,11 +70,27 @@ impl Positive {
     }
 }
 
+impl From<Positive> for NonNegative {
+    fn from(value: Positive) -> Self {
+        Self(value.0)
+    }
+}
+
 impl NonNegative {
     /// The number.
     #[must_use]
     pub const fn get(self) -> f64 {
         self.0
+    }
+
+    /// For defaults in code.
+    ///
+    /// # Panics
+    /// If `value` is below zero (at compile time in a `const`).
+    #[must_use]
+    pub const fn literal(value: f64) -> Self {
+        assert!(value >= 0.0);
+        Self(value)
     }
 }
 

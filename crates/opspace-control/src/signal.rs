@@ -2,13 +2,15 @@
 //!
 //! The layout of a row is fixed before the run, so that sampling only copies numbers.
 
+use std::borrow::Cow;
+
 /// One named quantity of a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signal {
     /// Name, with the quantity's owner before a dot where it has one: `q`, `hand.position`.
     pub name: String,
     /// SI unit (`rad`, `m`, `Nm`, `N`, `s`, `1`), mixed ones separated by a comma.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// What each element is: joint names, axes; one label an element.
     pub elements: Vec<String>,
 }
@@ -16,14 +18,18 @@ pub struct Signal {
 impl Signal {
     /// A signal with one element a label.
     #[must_use]
-    pub fn new<S: AsRef<str>>(name: impl Into<String>, unit: &'static str, elements: &[S]) -> Self {
+    pub fn new<S: AsRef<str>>(
+        name: impl Into<String>,
+        unit: impl Into<Cow<'static, str>>,
+        elements: &[S],
+    ) -> Self {
         let elements = elements.iter().map(|e| e.as_ref().to_owned()).collect();
-        Self { name: name.into(), unit, elements }
+        Self { name: name.into(), unit: unit.into(), elements }
     }
 
     /// A single number.
     #[must_use]
-    pub fn scalar(name: impl Into<String>, unit: &'static str) -> Self {
+    pub fn scalar(name: impl Into<String>, unit: impl Into<Cow<'static, str>>) -> Self {
         Self::new(name, unit, &["value"])
     }
 

@@ -1,1 +1,59 @@
-//! Recording runs to MCAP and replaying them.
+//! Recording runs to MCAP and reading them back.
+//!
+//! The control thread pushes rows of numbers into a ring and nothing else; a thread of its own writes them
+//! ([`record`]). A log opens in Foxglove and PlotJuggler, and [`Recording`] reads it back bit for bit, or
+//! what is good of it if it is damaged.
+//!
+//! ```
+//! use opspace_control::{Layout, Signal};
+//! use opspace_log::{Attachment, Channel, Header, Pace, Recording, record};
+//! use std::io::Cursor;
+//!
+//! // Write: to memory here; a `File` does as well.
+//! let layout = Layout {
+//!     channel: "tick".to_owned(),
+//!     signals: vec![Signal::new("q", "rad", &["shoulder", "elbow"]), Signal::scalar("hand.force", "N")],
+//! };
+//! let header = Header {
+//!     attachments: vec![Attachment::new("task.toml", "application/toml", "seed = 1")],
+//!     ..Header::default()
+//! };
+//! let channels = vec![Channel { layout, rate_hz: 1000.0 }];
+//! let (mut recorder, writer) = record(Cursor::new(Vec::new()), header, channels, Pace::Simulated)?;
+//! for k in 0..100 {
+//!     let t = f64::from(k) * 1e-3;
+//!     recorder.wait_for_room();
+//!     recorder.push(0, t, &[t.sin(), t.cos(), 0.0]);
+//! }
+//! drop(recorder);
+//! let (written, sink) = writer.finish()?;
+//! assert_eq!((written.records, written.dropped), (100, 0));
+//!
+//! // Read.
+//! let recording = Recording::from_bytes(sink.get_ref())?;
+//! assert!(recording.damage.is_none());
+//! assert_eq!(recording.attachments[0].data, b"seed = 1");
+//! let tick = recording.channel("tick").expect("was recorded");
+//! let q = tick.signal("q").expect("was recorded");
+//! assert_eq!(q.elements(), ["shoulder", "elbow"]);
+//! assert_eq!(q.row(10), [tick.time_s[10].sin(), tick.time_s[10].cos()]);
+//! # Ok::<(), opspace_log::LogError>(())
+//! ```
+
+#![forbid(unsafe_code)]
+
+pub mod error;
+mod file;
+pub mod header;
+pub mod recorder;
+pub mod recording;
+mod records;
+pub mod replay;
+mod schema;
+mod viewer;
+
+pub use error::{Damage, LogError};
+pub use header::{Attachment, Channel, GAPS, Header, LOG, TIME_ZERO_NS};
+pub use recorder::{Pace, Recorder, Writer, Written, record};
+pub use recording::{ChannelData, Column, Recording};
+pub use replay::{Comparer, Difference, ReplayRobot};

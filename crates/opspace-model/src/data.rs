@@ -1,5 +1,6 @@
 //! What the algorithms compute: allocated once, written every tick.
 
+use crate::coriolis::CoriolisFactor;
 use crate::model::Model;
 use crate::spatial::{Force, Inertia, Motion, Placement};
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -25,6 +26,8 @@ pub struct Data {
     pub mass_matrix: DMatrix<f64>,
     /// L of M = L Lᵀ, lower triangle (n × n). By [`update`](crate::update).
     pub mass_matrix_factor: DMatrix<f64>,
+    /// C(q, q̇) of Christoffel's symbols (n × n), Nms/rad. By [`coriolis`](crate::coriolis()).
+    pub coriolis_matrix: DMatrix<f64>,
     /// C(q, q̇) q̇ + g(q), Nm (n). By [`bias`](crate::bias).
     pub bias: DVector<f64>,
     /// g(q), Nm (n). By [`gravity`](crate::gravity).
@@ -37,6 +40,7 @@ pub struct Data {
     pub(crate) acceleration: Vec<Motion>,
     pub(crate) force: Vec<Force>,
     pub(crate) composite: Vec<Inertia>,
+    pub(crate) coriolis_factor: Vec<CoriolisFactor>,
     pub(crate) articulated: Vec<ArticulatedInertia>,
     pub(crate) column: Vec<ArticulatedColumn>,
 }
@@ -74,6 +78,7 @@ impl Data {
             bias_acceleration: vec![Motion::zero(); n],
             mass_matrix: DMatrix::zeros(n, n),
             mass_matrix_factor: DMatrix::zeros(n, n),
+            coriolis_matrix: DMatrix::zeros(n, n),
             bias: zero.clone(),
             gravity: zero.clone(),
             torque: zero.clone(),
@@ -81,6 +86,7 @@ impl Data {
             acceleration: vec![Motion::zero(); n],
             force: vec![Force::zero(); n],
             composite: vec![Inertia::zero(); n],
+            coriolis_factor: vec![CoriolisFactor::zero(); n],
             articulated: vec![ArticulatedInertia { linear: block, coupling: block, angular: block }; n],
             column: vec![ArticulatedColumn { force: Force::zero(), inverse_inertia: 0.0, torque: 0.0 }; n],
         }

@@ -11,6 +11,7 @@
 
 pub mod aba;
 pub mod cholesky;
+pub mod coriolis;
 pub mod crba;
 pub mod data;
 pub mod energy;
@@ -19,10 +20,13 @@ pub mod kinematics;
 pub mod model;
 pub mod operational_space;
 pub mod rnea;
+pub mod samples;
 pub mod spatial;
+pub mod urdf;
 
 pub use aba::aba;
 pub use cholesky::{cholesky, cholesky_solve};
+pub use coriolis::coriolis;
 pub use crba::crba;
 pub use data::Data;
 pub use energy::{center_of_mass, kinetic_energy, potential_energy};
@@ -32,6 +36,7 @@ pub use model::{Frame, FrameId, Joint, JointKind, Limits, Model, UnknownFrame, U
 pub use operational_space::OperationalSpace;
 pub use rnea::{bias, gravity, rnea};
 pub use spatial::{Force, Inertia, Motion, Placement};
+pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 
 /// Everything a controller needs of a state, once a tick: kinematics, M and its factor, bias and gravity.
 ///

@@ -1,0 +1,51 @@
+//! Joint velocity from positions: finite difference at the interface rate, then a first-order low-pass.
+//!
+//! This is the paper's estimate (§III: "estimated with the available data and then filtered with a low
+//! pass filter").
+
+use nalgebra::DVector;
+use opspace_control::quantity::Positive;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+
+/// How velocity is estimated.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EstimatorParameters {
+    /// Cut-off of the low-pass on the finite difference, Hz.
+    pub velocity_filter_hz: Positive,
+}
+
+/// `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`, for n joints.
+#[derive(Clone, Debug)]
+pub struct VelocityEstimator {
+    period_s: f64,
+    gain: f64,
+    last: Option<DVector<f64>>,
+    velocity: DVector<f64>,
+}
+
+impl VelocityEstimator {
+    /// At rest; `period_s` between two positions.
+    #[must_use]
+    pub fn new(n: usize, parameters: &EstimatorParameters, period_s: f64) -> Self {
+        let gain = 1.0 - (-TAU * parameters.velocity_filter_hz.get() * period_s).exp();
+        Self { period_s, gain, last: None, velocity: DVector::zeros(n) }
+    }
+
+    /// The velocity (rad/s or m/s) with the new positions `q` (n; rad or m). The first call allocates.
+    pub fn update(&mut self, q: &DVector<f64>) -> &DVector<f64> {
+        match &mut self.last {
+            None => self.last = Some(q.clone()),
+            Some(last) => {
+                for i in 0..q.len() {
+                    let difference = (q[i] - last[i]) / self.period_s;
+                    self.velocity[i] += self.gain * (difference - self.velocity[i]);
+                }
+                last.copy_from(q);
+            }
+        }
+        &self.velocity
+    }
+}

@@ -1,0 +1,120 @@
+//! Why a run stops: one named cause, latched.
+
+use thiserror::Error;
+
+/// The cause of a stop. Joints are given by their index; [`describe`](Fault::describe) names them.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Fault {
+    /// A measured value is not a finite number.
+    #[error("joint {joint}: the measured position or torque is not a finite number")]
+    MeasurementNotFinite {
+        /// Joint index.
+        joint: usize,
+    },
+    /// A force sensor gave no finite number.
+    #[error("force sensor {sensor}: the reading is not a finite number")]
+    SensorNotFinite {
+        /// Sensor index.
+        sensor: usize,
+    },
+    /// The controller's command is not a finite number.
+    #[error("joint {joint}: the controller's command is not a finite number")]
+    CommandNotFinite {
+        /// Joint index.
+        joint: usize,
+    },
+    /// The robot's clock stood still or went back.
+    #[error("the robot's clock went from {before_s} s to {now_s} s")]
+    Clock {
+        /// The tick before, s.
+        before_s: f64,
+        /// This tick, s.
+        now_s: f64,
+    },
+    /// A joint is outside its limits.
+    #[error("joint {joint}: position {q} is outside its limits {lower} to {upper}")]
+    JointLimit {
+        /// Joint index.
+        joint: usize,
+        /// Measured, rad or m.
+        q: f64,
+        /// Lower limit, rad or m.
+        lower: f64,
+        /// Upper limit, rad or m.
+        upper: f64,
+    },
+    /// A joint moves faster than it may.
+    #[error("joint {joint}: speed {dq} is above its limit {limit}")]
+    Speed {
+        /// Joint index.
+        joint: usize,
+        /// Estimated, rad/s or m/s.
+        dq: f64,
+        /// Limit, rad/s or m/s.
+        limit: f64,
+    },
+    /// A joint is further from its set-point than full torque and full speed explain.
+    #[error("joint {joint}: {error} away from its set-point, limit {limit}")]
+    FollowingError {
+        /// Joint index.
+        joint: usize,
+        /// Distance, rad or m.
+        error: f64,
+        /// Limit, rad or m.
+        limit: f64,
+    },
+    /// The mass matrix can't be factored.
+    #[error("the mass matrix is not positive definite at the measured position")]
+    MassMatrix,
+    /// The robot takes other commands than this controller gives.
+    #[error("this robot does not take the commands that this controller gives")]
+    WrongCommand,
+    /// A simulated state left the range of numbers.
+    #[error("the simulation diverged")]
+    Diverged,
+    /// A log that is replayed has no further tick.
+    #[error("the log ends here")]
+    EndOfLog,
+}
+
+impl Fault {
+    /// Its number in a log; 0 is none.
+    #[must_use]
+    pub fn code(&self) -> u32 {
+        match self {
+            Self::MeasurementNotFinite { .. } => 1,
+            Self::SensorNotFinite { .. } => 2,
+            Self::CommandNotFinite { .. } => 3,
+            Self::Clock { .. } => 4,
+            Self::JointLimit { .. } => 5,
+            Self::Speed { .. } => 6,
+            Self::FollowingError { .. } => 7,
+            Self::MassMatrix => 8,
+            Self::WrongCommand => 9,
+            Self::Diverged => 10,
+            Self::EndOfLog => 11,
+        }
+    }
+
+    /// The fault of that code, if it is one that a robot itself reports when it is read.
+    #[must_use]
+    pub fn of_robot(code: f64) -> Option<Self> {
+        (code == f64::from(Self::Diverged.code())).then_some(Self::Diverged)
+    }
+
+    /// The cause in words, with the joint's name. Allocates: not for the loop.
+    #[must_use]
+    pub fn describe(&self, model: &opspace_model::Model) -> String {
+        let text = self.to_string();
+        let joint = match *self {
+            Self::MeasurementNotFinite { joint }
+            | Self::CommandNotFinite { joint }
+            | Self::JointLimit { joint, .. }
+            | Self::Speed { joint, .. }
+            | Self::FollowingError { joint, .. } => joint,
+            _ => return text,
+        };
+        text.replacen(&format!("joint {joint}"), &format!("joint '{}'", model.joints()[joint].name), 1)
+    }
+}

@@ -1,0 +1,112 @@
+//! What is believed of a robot's drives: the parts of robot.toml that describe joints and profiles.
+
+use crate::estimator::EstimatorParameters;
+use crate::friction::FrictionParameters;
+use crate::servo::ServoParameters;
+use crate::transformer::TransformerKind;
+use opspace_control::quantity::{Count, NonNegative, Positive};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+/// One joint's drive.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointParameters {
+    /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
+    pub torque_limit_nm: Positive,
+    /// The motor's rotor and encoder.
+    pub rotor: RotorParameters,
+    /// Friction at the joint.
+    pub friction: FrictionParameters,
+}
+
+/// The motor's side of a joint.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RotorParameters {
+    /// Inertia of all that turns at motor speed, kg m².
+    pub inertia_kg_m2: NonNegative,
+    /// Motor turns per joint turn.
+    pub gear_ratio: Positive,
+    /// Encoder counts per motor turn.
+    pub encoder_counts_per_turn: Count,
+}
+
+impl RotorParameters {
+    /// Inertia felt at the joint: the gear ratio squared times the rotor's, kg m².
+    #[must_use]
+    pub fn reflected_inertia(&self) -> f64 {
+        self.gear_ratio.get().powi(2) * self.inertia_kg_m2.get()
+    }
+
+    /// One encoder count at the joint, rad.
+    #[must_use]
+    pub fn resolution_rad(&self) -> f64 {
+        TAU / (f64::from(self.encoder_counts_per_turn.get()) * self.gear_ratio.get())
+    }
+}
+
+/// How a robot is driven: rates, servo gains and what is made of them. A robot may have several profiles.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileParameters {
+    /// Rate at which the drives close their loops, Hz.
+    pub servo_hz: Positive,
+    /// Servo ticks per interface tick: set-points are taken and positions given at `servo_hz / ratio`.
+    pub ratio: Count,
+    /// Servo ticks from the interface tick at which a command is written until it acts; at most `ratio`.
+    #[serde(default)]
+    pub delay_servo_ticks: u32,
+    /// What turns torques into positions.
+    #[serde(default)]
+    pub transformer: TransformerKind,
+    /// How joint velocity is estimated at the interface.
+    pub estimator: EstimatorParameters,
+    /// The position servo of each joint, by joint name.
+    pub servo: BTreeMap<String, ServoParameters>,
+}
+
+impl ProfileParameters {
+    /// Time between two servo ticks, s.
+    #[must_use]
+    pub fn servo_period_s(&self) -> f64 {
+        1.0 / self.servo_hz.get()
+    }
+
+    /// Time between two interface ticks, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        f64::from(self.ratio.get()) / self.servo_hz.get()
+    }
+}
+
+/// What makes a run safe.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SafetyParameters {
+    /// Time over which the task's torque comes in from holding still, s.
+    #[serde(default = "default_ramp")]
+    pub torque_ramp_s: NonNegative,
+    /// Time at rest before the start over which force sensors are tared, s.
+    #[serde(default = "default_ramp")]
+    pub tare_s: NonNegative,
+    /// How far beyond the URDF's joint limits a measured position is a fault, rad (m).
+    #[serde(default)]
+    pub limit_margin_rad: NonNegative,
+}
+
+impl Default for SafetyParameters {
+    fn default() -> Self {
+        Self {
+            torque_ramp_s: default_ramp(),
+            tare_s: default_ramp(),
+            limit_margin_rad: NonNegative::default(),
+        }
+    }
+}
+
+const fn default_ramp() -> NonNegative {
+    NonNegative::literal(0.2)
+}

@@ -1,0 +1,182 @@
+//! The backend of position robots: torques pass through the transformer.
+
+use crate::backend::{Backend, Command, check_finite};
+use crate::fault::Fault;
+use crate::interface::GravityBy;
+use crate::robot::{PositionRobot, Trace, Traces};
+use crate::sensing::Sensing;
+use crate::servo::ServoParameters;
+use crate::transformer::Transformer;
+use nalgebra::DVector;
+use opspace_control::{Observable, Row, Signal};
+use opspace_model::{Data, Model};
+
+/// A position robot behind a transformer.
+pub struct PositionBackend<R> {
+    robot: R,
+    sensing: Sensing,
+    transformer: Box<dyn Transformer>,
+    joints: Vec<String>,
+    /// Furthest that a set-point may be from the measured position, by joint.
+    reach: DVector<f64>,
+    /// What a joint can move within a period at full speed.
+    step: DVector<f64>,
+    q_desired: DVector<f64>,
+    speed: DVector<f64>,
+    clamped: DVector<f64>,
+    commanded: bool,
+}
+
+impl<R: PositionRobot> PositionBackend<R> {
+    /// For a robot whose joints have these servos and torque limits (Nm, N).
+    ///
+    /// # Panics
+    /// If there is not one servo and one limit a joint.
+    #[must_use]
+    pub fn new(
+        robot: R,
+        model: &Model,
+        sensing: Sensing,
+        transformer: Box<dyn Transformer>,
+        servos: &[ServoParameters],
+        torque_limits: &[f64],
+    ) -> Self {
+        let n = model.n();
+        assert!(servos.len() == n && torque_limits.len() == n, "one servo and one limit a joint");
+        // Equation (9) solved for the distance at which the servo gives full torque at full speed.
+        let reach = DVector::from_fn(n, |i, _| {
+            let servo = servos[i].cascade();
+            let velocity = model.joints()[i].limits.velocity;
+            (torque_limits[i] / servo.kv_nms_per_rad.get() + velocity) / servo.kp_per_s.get()
+        });
+        let period_s = sensing.facts().period_s;
+        let step = DVector::from_fn(n, |i, _| model.joints()[i].limits.velocity * period_s);
+        Self {
+            robot,
+            sensing,
+            transformer,
+            joints: model.joints().iter().map(|j| j.name.clone()).collect(),
+            reach,
+            step,
+            q_desired: DVector::from_element(n, f64::NAN),
+            speed: DVector::zeros(n),
+            clamped: DVector::zeros(n),
+            commanded: false,
+        }
+    }
+
+    /// The robot itself.
+    pub fn robot(&self) -> &R {
+        &self.robot
+    }
+
+    /// A joint further from its set-point than full torque and full speed explain was stopped by
+    /// something, or the set-point jumped.
+    fn check_following(&self) -> Result<(), Fault> {
+        let q = &self.sensing.measurement().q;
+        for joint in 0..q.len() {
+            let error = (self.q_desired[joint] - q[joint]).abs();
+            let limit = self.reach[joint] + self.step[joint];
+            if error > limit {
+                return Err(Fault::FollowingError { joint, error, limit });
+            }
+        }
+        Ok(())
+    }
+
+    /// Set-points for `tau`, no further from the measured position than full torque at full speed asks.
+    fn transform(&mut self, data: &Data, tau: &[f64]) {
+        let measurement = self.sensing.measurement();
+        self.transformer.transform(data, measurement, tau, self.q_desired.as_mut_slice());
+        for (i, qd) in self.q_desired.iter_mut().enumerate() {
+            let (q, reach) = (measurement.q[i], self.reach[i]);
+            let allowed = qd.clamp(q - reach, q + reach);
+            self.clamped[i] = f64::from(u8::from(allowed != *qd));
+            *qd = allowed;
+        }
+    }
+}
+
+impl<R: PositionRobot> Backend for PositionBackend<R> {
+    fn read(&mut self) -> Result<(), Fault> {
+        self.robot.read(self.sensing.sample_mut())
+    }
+
+    fn sensing(&self) -> &Sensing {
+        &self.sensing
+    }
+
+    fn sensing_mut(&mut self) -> &mut Sensing {
+        &mut self.sensing
+    }
+
+    fn command(&mut self, data: &Data, command: Command<'_>) -> Result<(), Fault> {
+        if self.commanded {
+            self.check_following()?;
+        }
+        // The first set-point has nothing before it: its speed counts from where the robot stands.
+        let n = self.q_desired.len();
+        for i in 0..n {
+            let before = if self.commanded { self.q_desired[i] } else { self.sensing.measurement().q[i] };
+            self.speed[i] = before;
+        }
+        match command {
+            Command::Torque(tau) => {
+                check_finite(tau)?;
+                self.transform(data, tau);
+            }
+            Command::Position(q_desired) => {
+                check_finite(q_desired)?;
+                self.q_desired.copy_from_slice(q_desired);
+                self.check_following()?;
+            }
+        }
+        let period_s = self.sensing.facts().period_s;
+        for i in 0..n {
+            self.speed[i] = (self.q_desired[i] - self.speed[i]) / period_s;
+        }
+        self.commanded = true;
+        self.robot.set_positions(self.q_desired.as_slice())
+    }
+
+    fn stop(&mut self, data: &Data) {
+        // One last set-point that carries the weight and brakes, then frozen: the stiff servo stops
+        // the arm within tens of milliseconds. A state that can't be read leaves the last one.
+        let readable = self.sensing.measurement().q.iter().all(|q| q.is_finite());
+        if !readable || data.q.iter().any(|q| !q.is_finite()) {
+            return;
+        }
+        match self.sensing.facts().gravity_by {
+            GravityBy::Controller => self.transform(data, data.gravity.as_slice()),
+            GravityBy::Robot => self.q_desired.copy_from(&self.sensing.measurement().q),
+        }
+        if check_finite(self.q_desired.as_slice()).is_ok() {
+            // A robot that refuses keeps its last set-point: on_missed_cycle says what that means.
+            let _ = self.robot.set_positions(self.q_desired.as_slice());
+        }
+    }
+
+    fn traces(&self) -> Option<Traces> {
+        self.robot.traces()
+    }
+
+    fn visit_traces(&self, visit: &mut dyn FnMut(Trace<'_>)) {
+        self.robot.visit_traces(visit);
+    }
+}
+
+impl<R: PositionRobot> Observable for PositionBackend<R> {
+    fn signals(&self) -> Vec<Signal> {
+        vec![
+            Signal::new("q_desired", "rad", &self.joints),
+            Signal::new("set_point_speed", "rad/s", &self.joints),
+            Signal::new("set_point_clamped", "1", &self.joints),
+        ]
+    }
+
+    fn sample(&self, row: &mut Row<'_>) {
+        row.put(self.q_desired.as_slice());
+        row.put(self.speed.as_slice());
+        row.put(self.clamped.as_slice());
+    }
+}

@@ -1,0 +1,142 @@
+//! From a raw sample to the measurement that controller and transformer share.
+
+use crate::estimator::{EstimatorParameters, VelocityEstimator};
+use crate::fault::Fault;
+use crate::interface::Facts;
+use crate::parameters::SafetyParameters;
+use crate::robot::Sample;
+use crate::supervisor::Supervisor;
+use opspace_control::{Measurement, Row, Signal};
+use opspace_model::{Data, Force, Model, frame_placement, update};
+
+const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
+
+/// The part that every backend has: velocity estimate, model update, force sensors tared and turned into
+/// world axes, and the checks of each.
+pub struct Sensing {
+    facts: Facts,
+    estimator: VelocityEstimator,
+    supervisor: Supervisor,
+    sample: Sample,
+    measurement: Measurement,
+    tare: Vec<Force>,
+    tare_count: f64,
+    start_s: Option<f64>,
+}
+
+impl Sensing {
+    /// For a robot that declares `facts`.
+    #[must_use]
+    pub fn new(
+        model: &Model,
+        facts: Facts,
+        estimator: &EstimatorParameters,
+        safety: &SafetyParameters,
+    ) -> Self {
+        let n = model.n();
+        Self {
+            estimator: VelocityEstimator::new(n, estimator, facts.period_s),
+            supervisor: Supervisor::new(model, safety),
+            sample: Sample::new(n, &facts),
+            measurement: Measurement::new(n, facts.sensors.len(), facts.motor_torque),
+            tare: vec![Force::zero(); facts.sensors.len()],
+            tare_count: 0.0,
+            start_s: None,
+            facts,
+        }
+    }
+
+    /// What the robot declares.
+    #[must_use]
+    pub fn facts(&self) -> &Facts {
+        &self.facts
+    }
+
+    /// Where the robot is to be read into.
+    pub fn sample_mut(&mut self) -> &mut Sample {
+        &mut self.sample
+    }
+
+    /// The robot's clock at the last sample, s.
+    #[must_use]
+    pub fn clock_s(&self) -> f64 {
+        self.sample.time_s
+    }
+
+    /// The measurement of the last [`observe`](Self::observe).
+    #[must_use]
+    pub fn measurement(&self) -> &Measurement {
+        &self.measurement
+    }
+
+    /// Takes the present reading of the force sensors as one of those at rest.
+    pub fn tare(&mut self) {
+        self.tare_count += 1.0;
+        for (tare, raw) in self.tare.iter_mut().zip(&self.sample.wrenches) {
+            *tare += (*raw - *tare) * (1.0 / self.tare_count);
+        }
+    }
+
+    /// Lets time begin at the present sample.
+    pub fn begin(&mut self) {
+        self.start_s = Some(self.sample.time_s);
+        self.measurement.time_s = 0.0;
+    }
+
+    /// Turns the sample into a measurement and brings `data` up to date with it.
+    ///
+    /// # Errors
+    /// What the [`Supervisor`] finds, or a mass matrix that can't be factored.
+    pub fn observe(&mut self, model: &Model, data: &mut Data) -> Result<(), Fault> {
+        self.supervisor.check_sample(&self.sample)?;
+        let sample = &self.sample;
+        let measurement = &mut self.measurement;
+        measurement.time_s = self.start_s.map_or(0.0, |start| sample.time_s - start);
+        measurement.q.copy_from(&sample.q);
+        measurement.dq.copy_from(self.estimator.update(&sample.q));
+        if let (Some(to), Some(from)) = (&mut measurement.motor_torque, &sample.motor_torque) {
+            to.copy_from(from);
+        }
+        if !update(model, data, measurement.q.as_slice(), measurement.dq.as_slice()) {
+            return Err(Fault::MassMatrix);
+        }
+        for (s, sensor) in self.facts.sensors.iter().enumerate() {
+            let axes = frame_placement(model, data, sensor.frame).rotation;
+            let tared = sample.wrenches[s] - self.tare[s];
+            measurement.wrenches[s] = Force { linear: axes * tared.linear, angular: axes * tared.angular };
+        }
+        self.supervisor.check_state(measurement)
+    }
+
+    /// What [`sample_row`](Self::sample_row) puts: first what the robot reported, then what was made of it.
+    #[must_use]
+    pub fn signals(&self, joints: &[String]) -> Vec<Signal> {
+        let mut signals = vec![Signal::new("q", "rad", joints)];
+        if self.facts.motor_torque {
+            signals.push(Signal::new("motor_torque", "Nm", joints));
+        }
+        for sensor in &self.facts.sensors {
+            signals.push(Signal::new(format!("{}.raw", sensor.name), "N,Nm", &WRENCH));
+        }
+        signals.push(Signal::new("dq", "rad/s", joints));
+        for sensor in &self.facts.sensors {
+            signals.push(Signal::new(format!("{}.wrench", sensor.name), "N,Nm", &WRENCH));
+        }
+        signals
+    }
+
+    /// Puts the raw sample and the measurement.
+    pub fn sample_row(&self, row: &mut Row<'_>) {
+        let put_wrench = |row: &mut Row<'_>, w: &Force| {
+            row.put(w.linear.as_slice());
+            row.put(w.angular.as_slice());
+        };
+        row.put(self.sample.q.as_slice());
+        if let Some(torque) = &self.sample.motor_torque {
+            row.put(torque.as_slice());
+        }
+        self.sample.wrenches.iter().for_each(|w| put_wrench(row, w));
+        row.put(self.measurement.dq.as_slice());
+        self.measurement.wrenches.iter().for_each(|w| put_wrench(row, w));
+    }
+}

@@ -1,0 +1,214 @@
+//! The six axes of a Cartesian task: what each does, in which directions they lie, and values that may
+//! differ between them.
+
+use crate::orientation;
+use nalgebra::Matrix3;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::Deserialize;
+use serde::de::{Deserializer, Error, IntoDeserializer, MapAccess, SeqAccess, Visitor};
+use std::borrow::Cow;
+use std::fmt;
+use std::marker::PhantomData;
+
+/// The names of the axes: three directions, then the rotations about them.
+pub const AXIS_NAMES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
+
+/// One of [`AXIS_NAMES`], as a key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Axis {
+    X,
+    Y,
+    Z,
+    Rx,
+    Ry,
+    Rz,
+}
+
+/// What a task does with an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum AxisMode {
+    /// Follows the reference.
+    Motion,
+    /// Gives way: belongs to the task, which holds it to a force (zero, if no force is set) and not to a
+    /// place; lower tasks can't use it.
+    Compliant,
+    /// Not in the task: lower tasks may use it.
+    #[default]
+    Free,
+}
+
+/// The mode of each axis. An axis that is left out is free.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Axes {
+    /// Along the first task axis.
+    #[serde(default)]
+    pub x: AxisMode,
+    /// Along the second task axis.
+    #[serde(default)]
+    pub y: AxisMode,
+    /// Along the third task axis.
+    #[serde(default)]
+    pub z: AxisMode,
+    /// About the first task axis.
+    #[serde(default)]
+    pub rx: AxisMode,
+    /// About the second task axis.
+    #[serde(default)]
+    pub ry: AxisMode,
+    /// About the third task axis.
+    #[serde(default)]
+    pub rz: AxisMode,
+}
+
+impl Axes {
+    /// In the order of [`AXIS_NAMES`].
+    #[must_use]
+    pub fn modes(&self) -> [AxisMode; 6] {
+        [self.x, self.y, self.z, self.rx, self.ry, self.rz]
+    }
+
+    /// Which axes have that mode, in the order of [`AXIS_NAMES`].
+    #[must_use]
+    pub fn with_mode(&self, mode: AxisMode) -> [bool; 6] {
+        self.modes().map(|m| m == mode)
+    }
+
+    /// Which axes belong to the task: those that are not free.
+    #[must_use]
+    pub fn in_task(&self) -> [bool; 6] {
+        self.modes().map(|m| m != AxisMode::Free)
+    }
+}
+
+/// The directions of a task's axes: they stand still in the world.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+pub enum AxesIn {
+    /// The world's own.
+    #[default]
+    #[serde(rename = "world")]
+    World,
+    /// Turned against the world's by roll, pitch and yaw (fixed axes, in that order), rad.
+    #[serde(rename = "rpy_rad")]
+    RpyRad([f64; 3]),
+}
+
+impl AxesIn {
+    /// The task's axes in world coordinates, one a column.
+    #[must_use]
+    pub fn rotation(&self) -> Matrix3<f64> {
+        match self {
+            Self::World => Matrix3::identity(),
+            Self::RpyRad(rpy) => orientation::from_rpy(*rpy),
+        }
+    }
+}
+
+/// One value for all axes, or one for each: in a file a number, `[x, y, z]`, `[x, y, z, rx, ry, rz]`, or a
+/// table `{ x = 1.0, rz = 2.0 }`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PerAxis<T> {
+    /// The same everywhere.
+    All(T),
+    /// In the order of [`AXIS_NAMES`]; `None` where nothing was given.
+    Each([Option<T>; 6]),
+}
+
+impl<T: Copy> PerAxis<T> {
+    /// The value of an axis, by its place in [`AXIS_NAMES`].
+    ///
+    /// # Panics
+    /// If `axis` is more than 5.
+    #[must_use]
+    pub fn get(&self, axis: usize) -> Option<T> {
+        match self {
+            Self::All(value) => Some(*value),
+            Self::Each(values) => values[axis],
+        }
+    }
+
+    /// The axes that were given a value of their own.
+    pub(crate) fn named(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..6).filter(|&axis| matches!(self, Self::Each(values) if values[axis].is_some()))
+    }
+}
+
+impl<'de, T: Deserialize<'de> + Copy> Deserialize<'de> for PerAxis<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(PerAxisVisitor(PhantomData))
+    }
+}
+
+struct PerAxisVisitor<T>(PhantomData<T>);
+
+impl<'de, T: Deserialize<'de> + Copy> Visitor<'de> for PerAxisVisitor<T> {
+    type Value = PerAxis<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, [x, y, z], [x, y, z, rx, ry, rz], or a table such as { x = 1.0, rz = 2.0 }")
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Self::Value, E> {
+        T::deserialize(value.into_deserializer()).map(PerAxis::All)
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Self::Value, E> {
+        T::deserialize(value.into_deserializer()).map(PerAxis::All)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Self::Value, E> {
+        T::deserialize(value.into_deserializer()).map(PerAxis::All)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+        let mut values = [None; 6];
+        let mut count = 0;
+        while let Some(value) = list.next_element()? {
+            if let Some(slot) = values.get_mut(count) {
+                *slot = Some(value);
+            }
+            count += 1;
+        }
+        if count == 3 || count == 6 {
+            Ok(PerAxis::Each(values))
+        } else {
+            Err(A::Error::invalid_length(count, &"3 numbers [x, y, z] or 6 [x, y, z, rx, ry, rz]"))
+        }
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let mut values = [None; 6];
+        while let Some((axis, value)) = map.next_entry::<Axis, T>()? {
+            values[axis as usize] = Some(value);
+        }
+        Ok(PerAxis::Each(values))
+    }
+}
+
+impl<T: JsonSchema> JsonSchema for PerAxis<T> {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        format!("PerAxis_{}", T::schema_name()).into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let each = generator.subschema_for::<T>();
+        json_schema!({
+            "anyOf": [
+                each,
+                { "type": "array", "items": each, "minItems": 3, "maxItems": 3 },
+                { "type": "array", "items": each, "minItems": 6, "maxItems": 6 },
+                {
+                    "type": "object",
+                    "properties": { "x": each, "y": each, "z": each, "rx": each, "ry": each, "rz": each },
+                    "additionalProperties": false,
+                },
+            ]
+        })
+    }
+}

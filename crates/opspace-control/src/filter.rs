@@ -1,0 +1,55 @@
+//! A first-order low-pass.
+
+use std::f64::consts::TAU;
+
+/// y += a (x − y) with a = 1 − exp(−2π f T): the exact response of a first-order low-pass to an input
+/// held over each period.
+#[derive(Clone, Debug)]
+pub struct LowPass<const N: usize> {
+    share: f64,
+    state: [f64; N],
+}
+
+impl<const N: usize> LowPass<N> {
+    /// With its −3 dB point at `cutoff_hz`, sampled every `period_s`, at zero.
+    #[must_use]
+    pub fn new(cutoff_hz: f64, period_s: f64) -> Self {
+        Self { share: -(-TAU * cutoff_hz * period_s).exp_m1(), state: [0.0; N] }
+    }
+
+    /// Settled on `input`.
+    pub fn reset(&mut self, input: &[f64; N]) {
+        self.state = *input;
+    }
+
+    /// The output after one more period.
+    pub fn update(&mut self, input: &[f64; N]) -> &[f64; N] {
+        for (y, x) in self.state.iter_mut().zip(input) {
+            *y += self.share * (x - *y);
+        }
+        &self.state
+    }
+
+    /// The last output.
+    #[must_use]
+    pub fn output(&self) -> &[f64; N] {
+        &self.state
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The step response after k periods against 1 − exp(−2π f k T), the continuous filter's.
+    #[test]
+    fn a_step_rises_like_the_continuous_filter() {
+        let (cutoff_hz, period_s) = (100.0, 1e-3);
+        let mut filter = LowPass::<1>::new(cutoff_hz, period_s);
+        for k in 1..=20 {
+            let [y] = *filter.update(&[1.0]);
+            let exact = 1.0 - (-TAU * cutoff_hz * period_s * f64::from(k)).exp();
+            assert!((y - exact).abs() < 16.0 * f64::EPSILON, "after {k} periods: {y} against {exact}");
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! The baseline without torques: inverse kinematics, streamed as joint positions.
+//!
+//! ```text
+//! q̇_ref = J⁺ (ẋ_d + 20 (x_d − x(q_ref))) + (I − J⁺ J) 2 (q_0 − q_ref)
+//! ```
+//!
+//! integrated at the robot's period, never corrected by the measured position: the robot's own servo
+//! closes the loop. Stiff by nature: a compliant axis holds its reference. With a [`ServoLead`], what
+//! the servo lags behind is added: q_ref + q̇_ref/kp + g/(kp kv).
+//!
+//! J⁺ is the dynamically consistent inverse of an arm whose mass matrix is the identity, damped near
+//! singularities as the torque controller's is.
+
+use crate::controller::{CommandKind, Controller};
+use crate::error::{ControlError, Reason};
+use crate::hierarchy::{Nullspace, ProjectedTask};
+use crate::joint::JointTask;
+use crate::measurement::Measurement;
+use crate::signal::{Observable, Row, Signal};
+use crate::task::{Levels, RobotFacts, Stack};
+use nalgebra::{DVector, Vector6};
+use opspace_model::{Data, Model, frame_placement, gravity, kinematics};
+
+/// How fast the error of a reference is worked off, 1/s.
+pub const ERROR_GAIN_PER_S: f64 = 20.0;
+
+/// How fast the posture is returned to where the tasks leave freedom, 1/s.
+pub const POSTURE_GAIN_PER_S: f64 = 2.0;
+
+/// What of the joints' position servos can be led: one number a joint each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServoLead {
+    /// Gain kp of the position loop, 1/s: the servo lags q̇/kp behind.
+    pub kp_per_s: Vec<f64>,
+    /// Stiffness kp kv of the servo, Nm/rad: it sags by g over it.
+    pub stiffness_nm_per_rad: Vec<f64>,
+}
+
+/// References to joint positions.
+#[derive(Clone, Debug)]
+pub struct InverseKinematicsController {
+    levels: Levels,
+    projected: Vec<ProjectedTask>,
+    nullspace: Nullspace,
+    lead: Option<ServoLead>,
+    gravity_by_robot: bool,
+    period_s: f64,
+    /// Of the reference posture, with the identity in place of M's factor.
+    data: Data,
+    q: DVector<f64>,
+    dq: DVector<f64>,
+    scratch: DVector<f64>,
+    own_signals: Vec<Signal>,
+}
+
+impl InverseKinematicsController {
+    /// The tasks of `stack` for a robot, with a lead against its servos' lag if one is given.
+    ///
+    /// # Errors
+    /// As for the torque controller; a stack without a motion to follow; a lead of another length than
+    /// the number of joints.
+    pub fn new(
+        model: &Model,
+        stack: &Stack<'_>,
+        robot: &RobotFacts,
+        lead: Option<ServoLead>,
+    ) -> Result<Self, ControlError> {
+        let levels = Levels::new(model, stack, robot)?;
+        let n = model.n();
+        if levels.cartesian.is_empty() && !matches!(levels.joint, Some(JointTask::Tracking(_))) {
+            return Err(ControlError::new("priority", Reason::NoMotion));
+        }
+        if let Some(lead) = &lead {
+            for (key, list) in
+                [("kp_per_s", &lead.kp_per_s), ("stiffness_nm_per_rad", &lead.stiffness_nm_per_rad)]
+            {
+                if list.len() != n {
+                    return Err(ControlError::new(key, Reason::JointCount { given: list.len(), joints: n }));
+                }
+            }
+        }
+        let mut data = Data::new(model);
+        data.mass_matrix_factor.fill_with_identity();
+        let joints: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
+        let mut own_signals =
+            vec![Signal::new("ik.q", "rad", &joints), Signal::new("ik.dq", "rad/s", &joints)];
+        own_signals.extend(levels.joint.iter().flat_map(|task| task.signals(model)));
+        Ok(Self {
+            projected: vec![ProjectedTask::new(n); levels.cartesian.len()],
+            nullspace: Nullspace::new(n),
+            lead,
+            gravity_by_robot: robot.gravity_by_robot,
+            period_s: robot.period_s,
+            data,
+            q: DVector::zeros(n),
+            dq: DVector::zeros(n),
+            scratch: DVector::zeros(n),
+            own_signals,
+            levels,
+        })
+    }
+
+    /// q̇_ref at q_ref and the targets that the tasks saw last.
+    fn solve(&mut self, model: &Model) {
+        self.dq.fill(0.0);
+        self.nullspace.reset();
+        for (task, projected) in self.levels.cartesian.iter_mut().zip(&mut self.projected) {
+            task.update_jacobian(model, &self.data);
+            let rows = task.axes.rows();
+            projected.update(&self.data, &self.nullspace, &task.jacobian, rows, task.singularity_threshold);
+            let mut in_task = [false; 6];
+            for &axis in task.axes.axes() {
+                in_task[axis] = true;
+            }
+            let error = task.error_at(&frame_placement(model, &self.data, task.axes.frame), in_task);
+            let velocity = task.axes.of_motion(&task.target.velocity) + error * ERROR_GAIN_PER_S;
+            let mut wanted = Vector6::zeros();
+            for (row, &axis) in task.axes.axes().iter().enumerate() {
+                let caused: f64 = task.jacobian.row(row).iter().zip(self.dq.iter()).map(|(j, v)| j * v).sum();
+                wanted[row] = velocity[axis] * task.axes.scale[axis] - caused;
+            }
+            let inverse = &projected.space.dynamically_consistent_inverse;
+            for (row, column) in inverse.column_iter().enumerate().take(rows) {
+                self.dq.axpy(wanted[row], &column, 1.0);
+            }
+            self.nullspace.narrow(&projected.space);
+        }
+        match &self.levels.joint {
+            Some(JointTask::Posture(task)) => {
+                for ((v, q0), q) in self.scratch.iter_mut().zip(&task.posture).zip(&self.q) {
+                    *v = POSTURE_GAIN_PER_S * (q0 - q);
+                }
+            }
+            Some(JointTask::Tracking(task)) => {
+                for (i, v) in self.scratch.iter_mut().enumerate() {
+                    *v = task.reference_velocity[i] + ERROR_GAIN_PER_S * (task.reference[i] - self.q[i]);
+                }
+            }
+            Some(JointTask::Damping(_)) | None => return,
+        }
+        self.nullspace.add_velocity(self.scratch.as_slice(), self.dq.as_mut_slice());
+    }
+
+    /// q_ref with what the servo needs to be led by.
+    fn stream(&self, command: &mut [f64]) {
+        for (i, out) in command.iter_mut().enumerate() {
+            *out = self.q[i];
+            if let Some(lead) = &self.lead {
+                *out += self.dq[i] / lead.kp_per_s[i];
+                if !self.gravity_by_robot {
+                    *out += self.data.gravity[i] / lead.stiffness_nm_per_rad[i];
+                }
+            }
+        }
+    }
+}
+
+impl Controller for InverseKinematicsController {
+    fn command_kind(&self) -> CommandKind {
+        CommandKind::Position
+    }
+
+    fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.q.copy_from(&measurement.q);
+        self.dq.fill(0.0);
+        for task in &mut self.levels.cartesian {
+            task.start(model, data, measurement);
+        }
+        if let Some(task) = &mut self.levels.joint {
+            task.start(&measurement.q);
+        }
+    }
+
+    fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
+        for task in &mut self.levels.cartesian {
+            task.observe(model, data, measurement.time_s);
+        }
+        if let Some(JointTask::Tracking(task)) = &mut self.levels.joint {
+            task.observe(&measurement.q, measurement.time_s);
+            // With nothing above it there is nothing to solve, and no integration to drift.
+            if self.levels.cartesian.is_empty() {
+                self.q.copy_from(&task.reference);
+                self.dq.copy_from(&task.reference_velocity);
+            }
+        }
+        kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
+        if !self.levels.cartesian.is_empty() {
+            self.solve(model);
+        }
+        if self.lead.is_some() {
+            gravity(model, &mut self.data);
+        }
+        self.stream(command);
+        if !self.levels.cartesian.is_empty() {
+            self.q.axpy(self.period_s, &self.dq, 1.0);
+        }
+    }
+}
+
+impl Observable for InverseKinematicsController {
+    fn signals(&self) -> Vec<Signal> {
+        let motion = self.levels.cartesian.iter().flat_map(|task| task.motion_signals());
+        motion.chain(self.own_signals.iter().cloned()).collect()
+    }
+
+    fn sample(&self, row: &mut Row<'_>) {
+        for task in &self.levels.cartesian {
+            task.sample_motion(row);
+        }
+        row.put(self.q.as_slice());
+        row.put(self.dq.as_slice());
+        if let Some(task) = &self.levels.joint {
+            task.sample(row);
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Orientations: the logarithm and exponential of SO(3), and errors of which only some axes count.
+
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+
+/// The rotation vector (rad) of a rotation: its axis times its angle, the angle at most π.
+///
+/// Through the quaternion's arctangent, so that neither end of [0, π] loses digits.
+#[must_use]
+pub fn log(rotation: &Matrix3<f64>) -> Vector3<f64> {
+    log_quaternion(&quaternion(rotation))
+}
+
+/// The rotation about `vector` by its length, rad.
+#[must_use]
+pub fn exp(vector: &Vector3<f64>) -> Matrix3<f64> {
+    *UnitQuaternion::from_scaled_axis(*vector).to_rotation_matrix().matrix()
+}
+
+/// The rotation by fixed-axis roll, pitch, yaw, rad (as in URDF).
+#[must_use]
+pub fn from_rpy(rpy: [f64; 3]) -> Matrix3<f64> {
+    *Rotation3::from_euler_angles(rpy[0], rpy[1], rpy[2]).matrix()
+}
+
+/// The unit quaternion of a rotation, its scalar part not negative.
+#[must_use]
+pub fn quaternion(rotation: &Matrix3<f64>) -> Quaternion<f64> {
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation)).into_inner();
+    if q.w < 0.0 { -q } else { q }
+}
+
+fn log_quaternion(q: &Quaternion<f64>) -> Vector3<f64> {
+    let (w, v) = if q.w < 0.0 { (-q.w, -q.imag()) } else { (q.w, q.imag()) };
+    let norm = v.norm();
+    // At norm = 0 the ratio has the limit 2: v may still hold what is too small to square.
+    if norm > 0.0 { v * (2.0 * norm.atan2(w) / norm) } else { v * 2.0 }
+}
+
+/// The part of a rotation vector (rad) that counts if only the axes in `counted` do.
+///
+/// All three: the logarithm. Two: `rotation` is split into a turn about the third axis followed by a
+/// swing about an axis across it, and the swing is the error: it doesn't change when the frame turns
+/// about the axis that doesn't count. One: the angle of the turn about it. Other components are zero.
+#[must_use]
+pub fn log_about(rotation: &Matrix3<f64>, counted: [bool; 3]) -> Vector3<f64> {
+    let q = quaternion(rotation);
+    let differs = |i: usize, j: usize| counted[i] != counted[j % 3];
+    let Some(split) = (0..3).find(|&i| differs(i, i + 1) && differs(i, i + 2)) else {
+        return if counted[0] { log_quaternion(&q) } else { Vector3::zeros() };
+    };
+    let turn = Quaternion::from_parts(q.w, Vector3::ith(split, q.imag()[split]));
+    if counted[split] {
+        return log_quaternion(&turn);
+    }
+    let norm = turn.norm();
+    // A swing by π has no turn to split off.
+    let swing = if norm > 0.0 { q * turn.conjugate() / norm } else { q };
+    let mut error = log_quaternion(&swing);
+    error[split] = 0.0;
+    error
+}
+
+/// Angular velocity (rad/s) and acceleration (rad/s²), in the axes of φ, of exp(φ) as φ moves.
+///
+/// ```text
+/// ω = φ̇ + B φ × φ̇ + C φ × (φ × φ̇)      B = (1 − cos θ)/θ²,  C = (θ − sin θ)/θ³,  θ = |φ|
+/// ```
+///
+/// (the left Jacobian of SO(3); Chirikjian, *Stochastic Models, Information Theory, and Lie Groups* 2,
+/// §10.6), and its time derivative.
+#[must_use]
+pub fn rotation_vector_rates(
+    phi: &Vector3<f64>,
+    dphi: &Vector3<f64>,
+    ddphi: &Vector3<f64>,
+) -> (Vector3<f64>, Vector3<f64>) {
+    let [b, c, b_slope, c_slope] = left_jacobian_coefficients(phi.norm());
+    let along = phi.dot(dphi);
+    let once = phi.cross(dphi);
+    let twice = phi.cross(&once);
+    let omega = dphi + once * b + twice * c;
+    let alpha = ddphi
+        + once * (b_slope * along)
+        + phi.cross(ddphi) * b
+        + twice * (c_slope * along)
+        + (dphi.cross(&once) + phi.cross(&phi.cross(ddphi))) * c;
+    (omega, alpha)
+}
+
+/// B, C, (dB/dθ)/θ and (dC/dθ)/θ.
+fn left_jacobian_coefficients(theta: f64) -> [f64; 4] {
+    let squared = theta * theta;
+    // Below, the closed forms cancel to fewer digits than these series, whose next terms are under 1e-12.
+    if theta < 0.2 {
+        let series = |a: [f64; 4]| a[0] + squared * (a[1] + squared * (a[2] + squared * a[3]));
+        return [
+            series([1.0 / 2.0, -1.0 / 24.0, 1.0 / 720.0, -1.0 / 40_320.0]),
+            series([1.0 / 6.0, -1.0 / 120.0, 1.0 / 5_040.0, -1.0 / 362_880.0]),
+            series([-1.0 / 12.0, 1.0 / 180.0, -1.0 / 6_720.0, 1.0 / 453_600.0]),
+            series([-1.0 / 60.0, 1.0 / 1_260.0, -1.0 / 60_480.0, 1.0 / 4_989_600.0]),
+        ];
+    }
+    let (sin, cos) = theta.sin_cos();
+    [
+        (1.0 - cos) / squared,
+        (theta - sin) / (squared * theta),
+        (theta * sin - 2.0 * (1.0 - cos)) / (squared * squared),
+        (3.0 * sin - 2.0 * theta - theta * cos) / (squared * squared * theta),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn axis() -> Vector3<f64> {
+        Vector3::new(0.48, -0.6, 0.64)
+    }
+
+    /// log against the vector from which nalgebra's exponential (Rodrigues' formula) built the matrix.
+    #[test]
+    fn log_undoes_rodrigues_from_zero_to_pi() {
+        for angle in [0.0, 1e-200, 1e-12, 1e-7, 1e-3, 0.5, 2.0, 3.0, PI - 1e-3, PI - 1e-7, PI - 1e-9] {
+            let vector = axis() * angle;
+            let rotation = *Rotation3::new(vector).matrix();
+            let error = (log(&rotation) - vector).norm();
+            assert!(error < 4e-15 * (1.0 + angle), "angle {angle}: off by {error}");
+        }
+    }
+
+    /// At π either sign of the axis is right: the length and the line are compared.
+    #[test]
+    fn log_of_half_a_turn_is_pi_about_the_axis() {
+        for axis in [axis(), Vector3::x(), Vector3::y(), Vector3::z()] {
+            let rotation = axis * axis.transpose() * 2.0 - Matrix3::identity();
+            let vector = log(&rotation);
+            assert!((vector.norm() - PI).abs() < 1e-14);
+            assert!(vector.cross(&axis).norm() < 1e-14, "{vector} is not along {axis}");
+        }
+    }
+
+    /// Swing and turn, put together again, against the rotation they were split from; and the swing of
+    /// the same rotation after a further turn of the frame about the axis that doesn't count.
+    #[test]
+    fn an_error_ignores_the_turn_about_an_axis_that_does_not_count() {
+        let rotation = exp(&Vector3::new(0.7, -0.4, 1.1));
+        for free in 0..3 {
+            let mut counted = [true; 3];
+            counted[free] = false;
+            let swing = log_about(&rotation, counted);
+            assert!(swing[free] == 0.0);
+            let turn = exp(&swing).transpose() * rotation;
+            let mut only = [false; 3];
+            only[free] = true;
+            let left = exp(&log_about(&rotation, only)) - turn;
+            assert!(left.norm() < 1e-14, "axis {free}: {left}");
+            for angle in [0.5, -2.5] {
+                let turned = rotation * exp(&Vector3::ith(free, angle));
+                assert!((log_about(&turned, counted) - swing).norm() < 1e-14);
+            }
+        }
+        assert!(log_about(&rotation, [true; 3]) == log(&rotation));
+    }
+
+    /// ω and ω̇ against central differences of the matrix exp(φ(t)), on both sides of the series' end.
+    #[test]
+    fn rates_of_a_rotation_vector_match_differences_of_its_exponential() {
+        let path = |size: f64, t: f64| {
+            [
+                Vector3::new((1.3 * t).sin(), (0.7 * t).cos(), 0.4 * t * t) * size,
+                Vector3::new(1.3 * (1.3 * t).cos(), -0.7 * (0.7 * t).sin(), 0.8 * t) * size,
+                Vector3::new(-1.69 * (1.3 * t).sin(), -0.49 * (0.7 * t).cos(), 0.8) * size,
+            ]
+        };
+        let omega_at = |size: f64, t: f64| {
+            let [phi, dphi, ddphi] = path(size, t);
+            rotation_vector_rates(&phi, &dphi, &ddphi)
+        };
+        let h = 1e-5;
+        for size in [1e-6, 0.1, 0.15, 0.2, 0.3, 1.0, 2.0] {
+            for t in [0.1, 0.6, 1.1] {
+                let (omega, alpha) = omega_at(size, t);
+                let difference = exp(&path(size, t + h)[0]) * exp(&path(size, t - h)[0]).transpose();
+                let numeric = log(&difference) / (2.0 * h);
+                assert!((omega - numeric).norm() < 1e-9 * (1.0 + size), "size {size}, t {t}");
+                let numeric = (omega_at(size, t + h).0 - omega_at(size, t - h).0) / (2.0 * h);
+                assert!((alpha - numeric).norm() < 1e-9 * (1.0 + size), "size {size}, t {t}");
+            }
+        }
+    }
+
+    #[test]
+    fn series_and_closed_forms_meet() {
+        let below = left_jacobian_coefficients(0.2 - 1e-13);
+        let above = left_jacobian_coefficients(0.2);
+        for (b, a) in below.iter().zip(above) {
+            assert!((b - a).abs() < 1e-12, "{b} against {a}");
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Which tasks an arm can carry out at all: the rank of their axes, sampled, and the arm's reach.
+
+use crate::task_axes::TaskAxes;
+use nalgebra::{DMatrix, Matrix6xX};
+use opspace_model::{Data, FrameId, JointKind, Limits, Model, frame_jacobian, kinematics};
+use std::f64::consts::PI;
+
+/// Singular values below this share of the largest don't count: far above rounding, far below what an arm
+/// that can move along an axis shows at its best.
+const RANK_TOLERANCE: f64 = 1e-6;
+
+/// Configurations tried. A rank deficiency is either nowhere (one generic sample shows full rank) or
+/// everywhere.
+const SAMPLES: usize = 64;
+
+/// The highest rank of the tasks' axes, taken together, over configurations spread within the joint limits.
+#[must_use]
+pub fn sampled_rank(model: &Model, tasks: &[&TaskAxes]) -> usize {
+    let n = model.n();
+    let rows: usize = tasks.iter().map(|t| t.rows()).sum();
+    let full = rows.min(n);
+    let mut data = Data::new(model);
+    let mut world = Matrix6xX::zeros(n);
+    let mut selected = Matrix6xX::zeros(n);
+    let mut stacked = DMatrix::zeros(rows, n);
+    let rest = vec![0.0; n];
+    let mut best = 0;
+    for sample in 0..SAMPLES {
+        kinematics(model, &mut data, &configuration(model, sample), &rest);
+        let mut first = 0;
+        for task in tasks {
+            frame_jacobian(model, &data, task.frame, &mut world);
+            task.select(&world, &mut selected);
+            stacked.rows_mut(first, task.rows()).copy_from(&selected.rows(0, task.rows()));
+            first += task.rows();
+        }
+        best = best.max(rank(&stacked));
+        if best == full {
+            break;
+        }
+    }
+    best
+}
+
+fn rank(matrix: &DMatrix<f64>) -> usize {
+    if matrix.is_empty() {
+        return 0;
+    }
+    let values = matrix.singular_values();
+    let floor = RANK_TOLERANCE * values.max();
+    values.iter().filter(|&&v| v > floor).count()
+}
+
+/// The `sample`-th of a sequence that fills the space between the joint limits evenly (Roberts'
+/// generalised golden ratio).
+fn configuration(model: &Model, sample: usize) -> Vec<f64> {
+    let n = model.n();
+    // The root of x^(n+1) = x + 1.
+    let ratio = (0..64).fold(2.0_f64, |x, _| (1.0 + x).powf(1.0 / (n as f64 + 1.0)));
+    (model.joints().iter().enumerate())
+        .map(|(i, joint)| {
+            let (lower, upper) = range(joint.kind, &joint.limits);
+            let step = ratio.powi(-(i as i32 + 1));
+            let u = (0.5 + step * (sample as f64 + 1.0)).fract();
+            lower + (upper - lower) * u
+        })
+        .collect()
+}
+
+/// The limits of a joint; half a turn, or a metre, either way where it has none.
+fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
+    let far = if kind == JointKind::Prismatic { 1.0 } else { PI };
+    let limited = kind != JointKind::Continuous;
+    let or_far = |limit: f64, far: f64| if limited && limit.is_finite() { limit } else { far };
+    (or_far(limits.lower, -far), or_far(limits.upper, far))
+}
+
+/// How far a frame can be from the first joint that moves it, m: the distances from joint to joint added
+/// up, with the strokes of prismatic joints. 1 m if that is nothing.
+#[must_use]
+pub fn reach(model: &Model, frame: FrameId) -> f64 {
+    let mut sum = model.frame_info(frame).placement.translation.norm();
+    for i in model.support(frame) {
+        let joint = &model.joints()[i];
+        if joint.parent.is_some() {
+            sum += joint.origin.translation.norm();
+        }
+        if joint.kind == JointKind::Prismatic {
+            let (lower, upper) = range(joint.kind, &joint.limits);
+            sum += lower.abs().max(upper.abs());
+        }
+    }
+    if sum > 0.0 { sum } else { 1.0 }
+}

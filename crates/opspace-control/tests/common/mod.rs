@@ -1,0 +1,238 @@
+//! Arms, states and stacks for the tests.
+
+#![allow(dead_code, reason = "each test uses some of it")]
+
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
+use opspace_control::{Compensation, ControlError, Measurement, RobotFacts, Stack, TaskParameters};
+use opspace_model::model::z_onto;
+use opspace_model::{Data, Frame, Inertia, Joint, JointKind, Limits, Model, Placement};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// A revolute joint as a URDF would give it: axis and inertia in axes parallel to the world's at q = 0.
+pub struct Link {
+    pub name: &'static str,
+    pub axis: [f64; 3],
+    pub origin: [f64; 3],
+    pub mass: f64,
+    pub com: [f64; 3],
+    pub inertia: [f64; 3],
+    pub limits: [f64; 2],
+    pub rotor: f64,
+}
+
+/// A serial arm from its links; all lengths multiplied by `length`. Frames: one a link, named
+/// after it, and those in `frames` (name, link, place).
+pub fn arm(links: &[Link], frames: &[(&str, usize, [f64; 3])], length: f64) -> Model {
+    let body = |i: usize| z_onto(&Unit::new_normalize(Vector3::from(links[i].axis)));
+    let joints = (links.iter().enumerate())
+        .map(|(i, link)| {
+            let before = if i == 0 { Matrix3::identity() } else { body(i - 1) };
+            let inertia = Matrix3::from_diagonal(&Vector3::from(link.inertia)) * (length * length);
+            Joint {
+                name: link.name.to_owned(),
+                kind: JointKind::Revolute,
+                parent: i.checked_sub(1),
+                origin: Placement {
+                    rotation: before.transpose() * body(i),
+                    translation: before.transpose() * Vector3::from(link.origin) * length,
+                },
+                inertia: Inertia {
+                    mass: link.mass,
+                    com: body(i).transpose() * Vector3::from(link.com) * length,
+                    rotational: body(i).transpose() * inertia * body(i),
+                },
+                limits: Limits {
+                    lower: link.limits[0],
+                    upper: link.limits[1],
+                    velocity: f64::INFINITY,
+                    effort: f64::INFINITY,
+                },
+                rotor_inertia: link.rotor * length * length,
+            }
+        })
+        .collect();
+    let own = (0..links.len()).map(|i| (links[i].name, i, [0.0; 3]));
+    let all = own.chain(frames.iter().copied());
+    let frames = all
+        .map(|(name, i, place)| Frame {
+            name: name.to_owned(),
+            joint: Some(i),
+            placement: Placement {
+                rotation: body(i).transpose(),
+                translation: body(i).transpose() * Vector3::from(place) * length,
+            },
+        })
+        .collect();
+    Model::new("arm".to_owned(), joints, frames).with_gravity(Vector3::new(0.0, 0.0, -9.81 * length))
+}
+
+/// Start posture of the four-joint arm.
+pub const Q0: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
+
+/// A four-joint arm of human proportions: shoulder pitch, roll, yaw and elbow.
+pub fn four_joints() -> Model {
+    four_joints_in(1.0)
+}
+
+/// The same with a metre of `length` units.
+pub fn four_joints_in(length: f64) -> Model {
+    let (pitch, roll, yaw) = ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
+    let link = |name, axis, origin, mass, com, inertia, limits: [f64; 2], rotor| Link {
+        name,
+        axis,
+        origin,
+        mass,
+        com,
+        inertia,
+        limits: limits.map(f64::to_radians),
+        rotor,
+    };
+    let small = [6e-4; 3];
+    let links = [
+        link("shoulder_pitch", pitch, [0.0; 3], 0.55, [0.0, 0.02, 0.0], small, [-180.0, 60.0], 0.230),
+        link("shoulder_roll", roll, [0.0; 3], 0.55, [0.0, 0.0, -0.01], small, [-110.0, 10.0], 0.230),
+        link(
+            "shoulder_yaw",
+            yaw,
+            [0.0; 3],
+            1.25,
+            [0.0, 0.0, -0.13],
+            [6e-3, 6e-3, 1.2e-3],
+            [-90.0, 90.0],
+            0.09,
+        ),
+        link(
+            "elbow",
+            pitch,
+            [0.0, 0.0, -0.235],
+            1.45,
+            [0.005, 0.0, -0.125],
+            [8e-3, 8e-3, 1.3e-3],
+            [-130.0, 0.0],
+            0.09,
+        ),
+    ];
+    arm(&links, &[("hand", 3, [0.0, 0.0, -0.275]), ("wrist", 3, [0.0, 0.01, -0.245])], length)
+}
+
+/// A seven-joint arm with offsets everywhere, so that no term is zero by symmetry.
+pub fn seven_joints() -> Model {
+    seven_joints_in(1.0)
+}
+
+/// The same with a metre of `length` units.
+pub fn seven_joints_in(length: f64) -> Model {
+    let names = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
+    let axes = [
+        [0.0, 0.0, 1.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.0, -1.0, 0.0],
+        [0.1, 0.0, 1.0],
+        [0.0, 1.0, 0.2],
+        [1.0, 0.0, 0.0],
+    ];
+    let links: Vec<Link> = (0..7)
+        .map(|i| {
+            let k = i as f64;
+            Link {
+                name: names[i],
+                axis: axes[i],
+                origin: [0.02 + 0.01 * k, -0.015 * (k - 3.0), 0.2 - 0.015 * k],
+                mass: 3.0 - 0.35 * k,
+                com: [0.01 * (k - 2.0), 0.02, 0.08 - 0.01 * k],
+                inertia: [0.02 - 0.002 * k, 0.021 - 0.002 * k, 0.01],
+                limits: [-2.5, 2.5],
+                rotor: 0.05,
+            }
+        })
+        .collect();
+    arm(&links, &[("hand", 6, [0.05, 0.02, 0.1]), ("upper", 3, [0.03, 0.05, 0.04])], length)
+}
+
+/// A stack as a task file holds it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct File {
+    pub priority: Vec<String>,
+    #[serde(default)]
+    pub compensation: Compensation,
+    pub task: BTreeMap<String, TaskParameters>,
+}
+
+impl File {
+    pub fn read(text: &str) -> Self {
+        toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    pub fn stack(&self) -> Stack<'_> {
+        Stack { priority: &self.priority, task: &self.task, compensation: self.compensation }
+    }
+}
+
+/// A robot with one sensor at its frame `sensor`, at 1 kHz.
+pub fn facts(model: &Model, sensor: &str) -> RobotFacts {
+    let frame = model.frame(sensor).expect("the sensor's frame exists");
+    RobotFacts { period_s: 1e-3, sensors: vec![("wrist".to_owned(), frame)], gravity_by_robot: false }
+}
+
+/// `data` and `measurement` at a state.
+pub fn at_state(model: &Model, q: &[f64], dq: &[f64], time_s: f64) -> (Data, Measurement) {
+    let mut data = Data::new(model);
+    assert!(opspace_model::update(model, &mut data, q, dq), "the mass matrix is positive definite");
+    let mut measurement = Measurement::new(model.n(), 1, false);
+    measurement.q.copy_from_slice(q);
+    measurement.dq.copy_from_slice(dq);
+    measurement.time_s = time_s;
+    (data, measurement)
+}
+
+/// Numbers that look random, the same ones every time, in [-1, 1].
+pub struct Numbers(u64);
+
+impl Numbers {
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
+    }
+
+    pub fn next(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    pub fn vector(&mut self, n: usize, size: f64) -> Vec<f64> {
+        (0..n).map(|_| size * self.next()).collect()
+    }
+}
+
+/// J of a frame, freshly allocated.
+pub fn jacobian(model: &Model, data: &Data, frame: &str) -> DMatrix<f64> {
+    let mut j = Matrix6xX::zeros(model.n());
+    opspace_model::frame_jacobian(model, data, model.frame(frame).expect("frame"), &mut j);
+    DMatrix::from_fn(6, model.n(), |r, c| j[(r, c)])
+}
+
+/// Joint accelerations under torques, by the articulated-body algorithm.
+pub fn accelerations(model: &Model, data: &Data, tau: &[f64]) -> DVector<f64> {
+    let mut data = data.clone();
+    opspace_model::aba(model, &mut data, tau);
+    data.ddq
+}
+
+/// Linear and angular acceleration of a frame under torques, world axes.
+pub fn frame_acceleration(model: &Model, data: &Data, frame: &str, tau: &[f64]) -> DVector<f64> {
+    let bias = opspace_model::frame_bias_acceleration(model, data, model.frame(frame).expect("frame"));
+    let caused = jacobian(model, data, frame) * accelerations(model, data, tau);
+    let bias: Vec<f64> = bias.linear.iter().chain(bias.angular.iter()).copied().collect();
+    caused + DVector::from_vec(bias)
+}
+
+/// The error of building the torque controller of a file for a model with a sensor at `hand`.
+pub fn build_error(model: &Model, text: &str) -> ControlError {
+    let file = File::read(text);
+    opspace_control::OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand"))
+        .expect_err("the stack is wrong")
+}

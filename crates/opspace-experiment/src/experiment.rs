@@ -1,0 +1,419 @@
+//! A task on a robot: everything put together from the two files.
+
+use crate::files::Files;
+use crate::overrides::split;
+use crate::robot::{Robot, choices};
+use crate::source::FileError;
+use crate::task::Task;
+use opspace_backend::{
+    Backend, ControlLoop, Ending, Facts, FrictionCompensation, GravityBy, PaperTransformer, PositionBackend,
+    PositionRobot, ProfileParameters, Sensing, Sink, TorqueBackend, TorqueRobot, Transformer,
+    TransformerKind,
+};
+use opspace_control::{
+    CommandKind, ControlError, Controller, InverseKinematicsController, OperationalSpaceController, Reason,
+    RobotFacts, ServoLead, Stack,
+};
+use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// Which kind of robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum BackendKind {
+    /// A position robot, through the transformer where the controller gives torques.
+    Position,
+    /// A torque robot.
+    Torque,
+}
+
+impl BackendKind {
+    /// Its name in files, tables and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position",
+            Self::Torque => "torque",
+        }
+    }
+}
+
+/// Which controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ControllerKind {
+    /// Operational-space control: torques.
+    Osc,
+    /// Inverse kinematics: positions.
+    Ik,
+    /// Inverse kinematics with velocity lead and gravity sag made up for.
+    IkLead,
+}
+
+impl ControllerKind {
+    /// Its name in files, tables and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Osc => "osc",
+            Self::Ik => "ik",
+            Self::IkLead => "ik-lead",
+        }
+    }
+}
+
+/// What is chosen beside the two files.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Choice {
+    /// Which kind of robot.
+    pub backend: BackendKind,
+    /// Which controller.
+    pub controller: ControllerKind,
+    /// Another transformer than the profile's.
+    pub transformer: Option<TransformerKind>,
+    /// Another profile than the robot's default.
+    pub profile: Option<String>,
+    /// Another seed than the task's.
+    pub seed: Option<u64>,
+    /// Another duration than the task's, s.
+    pub duration_s: Option<f64>,
+}
+
+impl Default for Choice {
+    fn default() -> Self {
+        Self {
+            backend: BackendKind::Position,
+            controller: ControllerKind::Osc,
+            transformer: None,
+            profile: None,
+            seed: None,
+            duration_s: None,
+        }
+    }
+}
+
+/// A task on a robot, checked: every part of it can be built.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    robot: Robot,
+    task: Task,
+    choice: Choice,
+    settings: Vec<String>,
+    profile_name: String,
+    profile: ProfileParameters,
+}
+
+impl Experiment {
+    /// Reads the task and its robot (or another one) and puts them together. Of `settings`, those that begin
+    /// with `robot.` go to the robot file, the others to the task file.
+    ///
+    /// # Errors
+    /// What is wrong in either file, or between them, with its place.
+    pub fn load(
+        files: Files,
+        task: &Path,
+        robot: Option<&Path>,
+        choice: Choice,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
+        let (robot_settings, task_settings) = split(settings, "robot");
+        let task = Task::load(files, task, &task_settings)?;
+        let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
+        let robot = Robot::load(files, &robot_path, &robot_settings)?;
+        Self::new(robot, task, choice, settings.to_vec())
+    }
+
+    /// Puts a task on a robot. `settings` are only told of, not applied.
+    ///
+    /// # Errors
+    /// What is wrong between the two, with its place.
+    pub fn new(robot: Robot, task: Task, choice: Choice, settings: Vec<String>) -> Result<Self, FileError> {
+        let (name, profile) = robot.profile(choice.profile.as_deref())?;
+        let (profile_name, profile) = (name.to_owned(), profile.clone());
+        let experiment = Self { robot, task, choice, settings, profile_name, profile };
+        experiment.check_choice()?;
+        experiment.start()?;
+        experiment.controller()?;
+        if experiment.robot.file.simulated.is_some() {
+            experiment.simulated_arm()?;
+        }
+        Ok(experiment)
+    }
+
+    /// The robot.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The task.
+    #[must_use]
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// What was chosen beside the files.
+    #[must_use]
+    pub fn choice(&self) -> &Choice {
+        &self.choice
+    }
+
+    /// The settings that were applied to the files.
+    #[must_use]
+    pub fn settings(&self) -> &[String] {
+        &self.settings
+    }
+
+    /// The profile in use.
+    #[must_use]
+    pub fn profile(&self) -> (&str, &ProfileParameters) {
+        (&self.profile_name, &self.profile)
+    }
+
+    /// The transformer in use; `None` where torques or positions pass as they are.
+    #[must_use]
+    pub fn transformer_kind(&self) -> Option<TransformerKind> {
+        let used =
+            self.choice.backend == BackendKind::Position && self.choice.controller == ControllerKind::Osc;
+        used.then(|| self.choice.transformer.unwrap_or(self.profile.transformer))
+    }
+
+    /// The seed in use.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.choice.seed.unwrap_or(self.task.file.seed)
+    }
+
+    /// How long the controller runs, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.choice.duration_s.unwrap_or(self.task.file.duration_s.get())
+    }
+
+    /// The controller, about to start.
+    ///
+    /// # Errors
+    /// What in the task doesn't fit the robot.
+    pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
+        let file = &self.task.file;
+        let stack = Stack { priority: &file.priority, task: &file.task, compensation: file.compensation };
+        let facts = RobotFacts {
+            period_s: self.profile.period_s(),
+            sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
+            gravity_by_robot: self.gravity_by() == GravityBy::Robot,
+        };
+        let model = &self.robot.model;
+        let controller: Box<dyn Controller> = match self.choice.controller {
+            ControllerKind::Osc => Box::new(
+                OperationalSpaceController::new(model, &stack, &facts).map_err(|e| self.control_error(&e))?,
+            ),
+            ControllerKind::Ik | ControllerKind::IkLead => {
+                let lead = (self.choice.controller == ControllerKind::IkLead).then(|| self.servo_lead());
+                let ik = InverseKinematicsController::new(model, &stack, &facts, lead);
+                Box::new(ik.map_err(|e| self.control_error(&e))?)
+            }
+        };
+        Ok(controller)
+    }
+
+    /// The simulated robot of the chosen kind, at rest at its start.
+    ///
+    /// # Errors
+    /// A robot file without `[simulated]`, or parameters that contradict each other.
+    pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
+        let Some(simulated) = self.robot.file.simulated.clone() else {
+            let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
+            let message = "this robot has no [simulated] section, so it can't be simulated";
+            return Err(FileError::of_file(self.robot.source.name(), message, Some(help)));
+        };
+        let setup = Setup {
+            model: self.robot.model.clone(),
+            joints: self.robot.joints(),
+            servos: self.robot.servos(&self.profile),
+            profile: self.profile.clone(),
+            interface: self.robot.file.interface.clone(),
+            simulated,
+            command: self.command_kind(),
+            sensors: self.robot.sensors.clone(),
+            surroundings: self.task.file.surroundings.clone().into_iter().collect(),
+            start: self.start()?,
+            rest_s: self.robot.file.safety.tare_s.get(),
+            seed: self.seed(),
+        };
+        SimulatedArm::new(setup).map_err(|e| self.simulation_error(&e))
+    }
+
+    /// The simulated robot behind its backend.
+    ///
+    /// # Errors
+    /// As [`simulated_arm`](Self::simulated_arm).
+    pub fn simulated_backend(&self) -> Result<Box<dyn Backend>, FileError> {
+        let arm = self.simulated_arm()?;
+        Ok(self.backend(arm))
+    }
+
+    /// Any robot that can be either kind, behind the backend of the chosen one.
+    #[must_use]
+    pub fn backend<R: PositionRobot + TorqueRobot + 'static>(&self, robot: R) -> Box<dyn Backend> {
+        let model = &self.robot.model;
+        let facts: Facts = robot.facts().clone();
+        let sensing = Sensing::new(model, facts, &self.profile.estimator, &self.robot.file.safety);
+        match self.choice.backend {
+            BackendKind::Torque => Box::new(TorqueBackend::new(robot, sensing)),
+            BackendKind::Position => {
+                let servos = self.robot.servos(&self.profile);
+                let limits = self.robot.torque_limits();
+                let transformer: Box<dyn Transformer> =
+                    match self.choice.transformer.unwrap_or(self.profile.transformer) {
+                        TransformerKind::Paper => Box::new(PaperTransformer::new(&servos)),
+                    };
+                Box::new(PositionBackend::new(robot, model, sensing, transformer, &servos, &limits))
+            }
+        }
+    }
+
+    /// The loop of a controller on a backend of this experiment.
+    #[must_use]
+    pub fn control_loop<'a>(
+        &'a self,
+        backend: &'a mut dyn Backend,
+        controller: &'a mut dyn Controller,
+    ) -> ControlLoop<'a> {
+        let joints = self.robot.joints();
+        let friction = FrictionCompensation::new(
+            joints.iter().map(|j| &j.friction),
+            &self.task.file.friction_compensation,
+        );
+        ControlLoop::new(
+            &self.robot.model,
+            backend,
+            controller,
+            friction,
+            &self.robot.torque_limits(),
+            self.robot.file.safety.clone(),
+        )
+    }
+
+    /// Runs the experiment in simulation, into a sink.
+    ///
+    /// # Errors
+    /// As [`simulated_arm`](Self::simulated_arm).
+    pub fn simulate(&self, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<Ending, FileError> {
+        let mut backend = self.simulated_backend()?;
+        let mut controller = self.controller()?;
+        let ending =
+            self.control_loop(&mut *backend, &mut *controller).run(self.duration_s(), interrupt, sink);
+        Ok(ending)
+    }
+
+    /// What the chosen robot takes.
+    #[must_use]
+    pub fn command_kind(&self) -> CommandKind {
+        match self.choice.backend {
+            BackendKind::Position => CommandKind::Position,
+            BackendKind::Torque => CommandKind::Torque,
+        }
+    }
+
+    fn gravity_by(&self) -> GravityBy {
+        self.robot.file.interface.gravity_by
+    }
+
+    fn servo_lead(&self) -> ServoLead {
+        let servos = self.robot.servos(&self.profile);
+        let gains = || servos.iter().map(|s| *s.cascade());
+        ServoLead {
+            kp_per_s: gains().map(|s| s.kp_per_s.get()).collect(),
+            stiffness_nm_per_rad: gains().map(|s| s.kp_per_s.get() * s.kv_nms_per_rad.get()).collect(),
+        }
+    }
+
+    fn check_choice(&self) -> Result<(), FileError> {
+        let torque = self.choice.backend == BackendKind::Torque;
+        if torque && self.choice.controller != ControllerKind::Osc {
+            let message = format!(
+                "controller '{}' commands positions, which a torque robot doesn't take",
+                self.choice.controller.name()
+            );
+            let help = Some("use --backend position, or --controller osc".to_owned());
+            return Err(FileError::of_file(self.task.source.name(), message, help));
+        }
+        if self.duration_s() <= self.task.file.settle_s.get() {
+            let message = format!(
+                "settle_s = {} leaves nothing of a run of {} s",
+                self.task.file.settle_s.get(),
+                self.duration_s()
+            );
+            return Err(FileError::at_key(&self.task.source, "settle_s", message, None));
+        }
+        Ok(())
+    }
+
+    /// Where a simulated robot starts, in joint order.
+    fn start(&self) -> Result<Vec<f64>, FileError> {
+        let model = &self.robot.model;
+        let mut start = vec![0.0; model.n()];
+        for (name, &value) in &self.task.file.start_rad {
+            let at = |message, help| {
+                FileError::at_key(&self.task.source, ["start_rad", name.as_str()], message, help)
+            };
+            let joint = model.joint(name).map_err(|unknown| {
+                at(format!("this robot has no joint '{name}'"), Some(choices(name, &unknown.known)))
+            })?;
+            let limits = &model.joints()[joint].limits;
+            if value < limits.lower || value > limits.upper {
+                let message = format!("{value} is outside the joint's limits");
+                return Err(at(message, Some(format!("from {} to {}", limits.lower, limits.upper))));
+            }
+            start[joint] = value;
+        }
+        Ok(start)
+    }
+
+    fn control_error(&self, error: &ControlError) -> FileError {
+        let help = match error.reason() {
+            Reason::Frame(unknown) => Some(choices(&unknown.name, &unknown.known)),
+            Reason::Joint(unknown) => Some(choices(&unknown.name, &unknown.known)),
+            Reason::Sensor { name, known } | Reason::UnknownTask { name, known } => {
+                Some(choices(name, known))
+            }
+            _ => None,
+        };
+        let message = match error.reason() {
+            Reason::Frame(unknown) => format!("this robot has no frame '{}'", unknown.name),
+            Reason::Joint(unknown) => format!("this robot has no joint '{}'", unknown.name),
+            Reason::Sensor { name, .. } => format!("this robot has no force sensor '{name}'"),
+            Reason::UnknownTask { name, .. } => format!("there is no task '{name}'"),
+            other => other.to_string(),
+        };
+        FileError::at_key(&self.task.source, error.key(), message, help)
+    }
+
+    fn simulation_error(&self, error: &SimulationError) -> FileError {
+        let help = match error {
+            SimulationError::Frame { source, .. } => Some(choices(&source.name, &source.known)),
+            _ => None,
+        };
+        let message = match error {
+            SimulationError::Frame { source, .. } => format!("this robot has no frame '{}'", source.name),
+            other => other.to_string(),
+        };
+        match error.key() {
+            Key::Robot(key) => FileError::at_key(&self.robot.source, key, message, help),
+            Key::Profile(key) => {
+                let key = ["profile", &self.profile_name, key];
+                FileError::at_key(&self.robot.source, key, message, help)
+            }
+            Key::Task(mut key) => {
+                // The kind's own table stands between the name and the key.
+                if let Some(surrounding) = self.task.file.surroundings.get(&key[1]) {
+                    key.insert(2, surrounding.kind().to_owned());
+                }
+                FileError::at_key(&self.task.source, key, message, help)
+            }
+        }
+    }
+}

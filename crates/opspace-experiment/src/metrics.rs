@@ -1,0 +1,301 @@
+//! How well a run went, from its log alone.
+//!
+//! Statistics count from the task's `settle_s` to the end of control. Positions are the true ones where the
+//! log has them (a simulation), else the measured ones.
+
+use crate::experiment::Experiment;
+use nalgebra::Vector3;
+use opspace_backend::Phase;
+use opspace_control::orientation::{exp, log};
+use opspace_control::{CartesianParameters, TaskParameters};
+use opspace_log::{ChannelData, Column, Recording};
+use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
+use opspace_sim::{SurroundingParameters, WorldAxis};
+use serde::Serialize;
+
+/// What is said of a run; `None` where it has no meaning for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Distance from the reference over the motion axes, rms, m.
+    pub position_rms_m: Option<f64>,
+    /// The same, largest, m.
+    pub position_max_m: Option<f64>,
+    /// Angle from the reference over the motion axes, rms, rad.
+    pub orientation_rms_rad: Option<f64>,
+    /// The same, largest, rad.
+    pub orientation_max_rad: Option<f64>,
+    /// Joint error of a joint task, rms over time and joints, rad.
+    pub joint_rms_rad: Option<f64>,
+    /// Error of the true contact force on force axes, rms, N.
+    pub force_rms_n: Option<f64>,
+    /// True force of the simulated hand over the axes it reports, rms, N.
+    pub hand_force_rms_n: Option<f64>,
+    /// How far it moves its frame from the start over those axes, rms, m.
+    pub hand_motion_rms_m: Option<f64>,
+    /// Motor torque against desired torque at servo rate, relative.
+    pub torque_error_servo: Option<f64>,
+    /// The same, of the means over each interface interval.
+    pub torque_error_interval: Option<f64>,
+    /// The same, in the first servo period after each interface tick.
+    pub torque_error_tick: Option<f64>,
+    /// Highest speed of a set-point, rad/s.
+    pub set_point_speed_max_rad_per_s: Option<f64>,
+    /// Share of ticks at which a desired torque was cut off.
+    pub torque_saturated_share: Option<f64>,
+}
+
+/// How long things took: not reproducible.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Timing {
+    /// One controller tick with estimator, model, control and transformer, median, ns.
+    pub tick_ns_median: f64,
+    /// The same, 99th percentile, ns.
+    pub tick_ns_p99: f64,
+    /// The same, largest, ns.
+    pub tick_ns_max: f64,
+    /// Simulated time over wall time.
+    pub realtime_factor: Option<f64>,
+}
+
+/// What a log says of how well its run went.
+#[must_use]
+pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
+    let Some(run) = Run::new(experiment, recording) else { return Metrics::default() };
+    let mut metrics = run.torque_errors();
+    for name in &experiment.task().file.priority {
+        match experiment.task().file.task.get(name) {
+            Some(TaskParameters::Cartesian(task)) if metrics.position_rms_m.is_none() => {
+                run.cartesian(name, task, &mut metrics);
+            }
+            Some(TaskParameters::JointTracking(_)) => metrics.joint_rms_rad = run.joint_error(name),
+            _ => {}
+        }
+    }
+    run.hand(&mut metrics);
+    metrics.set_point_speed_max_rad_per_s = run.tick.signal("set_point_speed").map(|speeds| {
+        run.settled(&run.tick.time_s).flat_map(|k| speeds.row(k)).fold(0.0, |max: f64, v| max.max(v.abs()))
+    });
+    metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
+        mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
+    });
+    metrics
+}
+
+/// What a log says of how long its ticks took.
+#[must_use]
+pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
+    let mut ticks: Vec<f64> = Vec::new();
+    if let Some(tick) = recording.channel("tick")
+        && let (Some(phase), Some(time)) = (tick.signal("phase"), tick.signal("tick_time"))
+    {
+        let controlled = phase.rows().zip(time.rows()).filter(|(p, t)| p[0] == 1.0 && t[0].is_finite());
+        ticks.extend(controlled.map(|(_, t)| t[0]));
+    }
+    ticks.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let index = (share * ticks.len().saturating_sub(1) as f64).round() as usize;
+        ticks.get(index).copied().unwrap_or(f64::NAN)
+    };
+    Timing {
+        tick_ns_median: quantile(0.5),
+        tick_ns_p99: quantile(0.99),
+        tick_ns_max: quantile(1.0),
+        realtime_factor,
+    }
+}
+
+/// A log being evaluated.
+struct Run<'a> {
+    experiment: &'a Experiment,
+    recording: &'a Recording,
+    tick: &'a ChannelData,
+    /// Where the joints were and when: truth if the log has it.
+    joints: (&'a [f64], Column<'a>),
+    from_s: f64,
+    to_s: f64,
+}
+
+impl<'a> Run<'a> {
+    fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
+        let tick = recording.channel("tick")?;
+        let phase = tick.signal("phase")?;
+        let control = Phase::Control.code();
+        let last = (0..tick.len()).rev().find(|&k| phase.row(k)[0] == control)?;
+        let positions = recording.channel("truth").unwrap_or(tick);
+        Some(Self {
+            experiment,
+            recording,
+            tick,
+            joints: (&positions.time_s, positions.signal("q")?),
+            from_s: experiment.task().file.settle_s.get(),
+            to_s: tick.time_s[last],
+        })
+    }
+
+    /// The indices of the times that count.
+    fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
+        // Half a nanosecond: times are multiples of a period, rounded.
+        let begin = times.partition_point(|&t| t < self.from_s - 5e-10);
+        let end = times.partition_point(|&t| t <= self.to_s + 5e-10);
+        begin..end.max(begin)
+    }
+
+    /// The pose of a frame at each settled tick, with the tick's index.
+    fn poses(&self, frame: FrameId) -> impl Iterator<Item = (usize, Placement)> {
+        let model = &self.experiment.robot().model;
+        let mut data = Data::new(model);
+        let rest = vec![0.0; model.n()];
+        let (times, q) = self.joints;
+        self.settled(times).map(move |k| {
+            kinematics(model, &mut data, q.row(k), &rest);
+            (k, frame_placement(model, &data, frame))
+        })
+    }
+
+    fn cartesian(&self, name: &str, task: &CartesianParameters, metrics: &mut Metrics) {
+        let Ok(frame) = self.experiment.robot().model.frame(&task.frame) else { return };
+        let motion = task.motion_axes();
+        let axes = task.rotation();
+        // Truth and tick rows stand at the same instants, one for one.
+        if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
+            && motion[..3].contains(&true)
+        {
+            let errors = self.poses(frame).filter(|(k, _)| *k < reference.len()).map(|(k, pose)| {
+                let error = pose.translation - Vector3::from_column_slice(reference.row(k));
+                masked_norm(&axes.tr_mul(&error), &motion[..3])
+            });
+            (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
+        }
+        if let Some(reference) = self.tick.signal(&format!("{name}.reference_orientation"))
+            && motion[3..].contains(&true)
+        {
+            let errors = self.poses(frame).filter(|(k, _)| *k < reference.len()).map(|(k, pose)| {
+                let wanted = exp(&Vector3::from_column_slice(reference.row(k)));
+                let error = log(&(pose.rotation * wanted.transpose()));
+                masked_norm(&axes.tr_mul(&error), &motion[3..])
+            });
+            (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
+        }
+    }
+
+    fn joint_error(&self, name: &str) -> Option<f64> {
+        let reference = self.tick.signal(&format!("{name}.reference"))?;
+        let (times, q) = self.joints;
+        let squares = self.settled(times).filter(|k| *k < reference.len()).flat_map(|k| {
+            q.row(k).iter().zip(reference.row(k)).map(|(q, reference)| (q - reference).powi(2))
+        });
+        mean(squares).map(f64::sqrt)
+    }
+
+    /// The first simulated hand.
+    fn hand(&self, metrics: &mut Metrics) {
+        let springs = self.experiment.task().file.surroundings.iter();
+        let Some((name, spring)) = springs.into_iter().find_map(|(name, s)| match s {
+            SurroundingParameters::Spring(spring) => Some((name, spring)),
+            _ => None,
+        }) else {
+            return;
+        };
+        let axes = [WorldAxis::X, WorldAxis::Y, WorldAxis::Z].map(|axis| spring.report.contains(&axis));
+        if let Some(truth) = self.recording.channel("truth")
+            && let Some(force) = truth.signal(&format!("{name}.force"))
+        {
+            let forces = self.settled(&truth.time_s).map(|k| {
+                let force = Vector3::from_column_slice(force.row(k));
+                masked_norm(&force, &axes)
+            });
+            metrics.hand_force_rms_n = rms_and_max(forces).0;
+        }
+        let Ok(frame) = self.experiment.robot().model.frame(&spring.frame) else { return };
+        if let Some(home) = self.start_pose(frame) {
+            let moved =
+                self.poses(frame).map(|(_, pose)| masked_norm(&(pose.translation - home.translation), &axes));
+            metrics.hand_motion_rms_m = rms_and_max(moved).0;
+        }
+    }
+
+    /// Where a frame was when the controller started.
+    fn start_pose(&self, frame: FrameId) -> Option<Placement> {
+        let model = &self.experiment.robot().model;
+        let (times, q) = self.joints;
+        let k = times.iter().position(|&t| t >= -5e-10)?;
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, q.row(k), &vec![0.0; model.n()]);
+        Some(frame_placement(model, &data, frame))
+    }
+
+    /// √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo periods.
+    fn torque_errors(&self) -> Metrics {
+        let mut metrics = Metrics::default();
+        let Some(servo) = self.recording.channel("servo") else { return metrics };
+        let (Some(desired), Some(motor)) = (servo.signal("torque_desired"), servo.signal("motor_torque"))
+        else {
+            return metrics;
+        };
+        let ratio = self.experiment.profile().1.ratio.get() as usize;
+        let (mut at_servo, mut at_tick, mut over_interval) =
+            (Relative::default(), Relative::default(), Relative::default());
+        let n = motor.elements().len();
+        let mut sums = vec![(0.0, 0.0); n];
+        let settled = self.settled(&servo.time_s);
+        // Rows come an interface interval at a time, and begin with an interval.
+        let first = settled.start.div_ceil(ratio) * ratio;
+        for interval in (first..settled.end).step_by(ratio).filter(|k| k + ratio <= settled.end) {
+            sums.fill((0.0, 0.0));
+            for k in interval..interval + ratio {
+                for (j, sum) in sums.iter_mut().enumerate() {
+                    let (d, m) = (desired.row(k)[j], motor.row(k)[j]);
+                    at_servo.add(d, m);
+                    if k == interval {
+                        at_tick.add(d, m);
+                    }
+                    *sum = (sum.0 + d / ratio as f64, sum.1 + m / ratio as f64);
+                }
+            }
+            sums.iter().for_each(|&(d, m)| over_interval.add(d, m));
+        }
+        metrics.torque_error_servo = at_servo.get();
+        metrics.torque_error_interval = over_interval.get();
+        metrics.torque_error_tick = at_tick.get();
+        metrics
+    }
+}
+
+/// Squares of an error and of what it is relative to.
+#[derive(Default)]
+struct Relative {
+    error: f64,
+    size: f64,
+}
+
+impl Relative {
+    fn add(&mut self, desired: f64, actual: f64) {
+        self.error += (actual - desired).powi(2);
+        self.size += desired.powi(2);
+    }
+
+    fn get(&self) -> Option<f64> {
+        let ratio = (self.error / self.size).sqrt();
+        ratio.is_finite().then_some(ratio)
+    }
+}
+
+/// The norm over those elements that count.
+fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
+    v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (count, sum) = values.fold((0_u64, 0.0), |(count, sum), v| (count + 1, sum + v));
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn rms_and_max(values: impl Iterator<Item = f64>) -> (Option<f64>, Option<f64>) {
+    let mut max = None;
+    let squares = values.map(|v| {
+        max = Some(max.map_or(v, |m: f64| m.max(v)));
+        v * v
+    });
+    let rms = mean(squares).map(f64::sqrt);
+    (rms, max)
+}

@@ -1,0 +1,228 @@
+//! robot.toml: what is believed of a robot, and what its simulation is beyond that.
+
+use crate::files::{Files, beside};
+use crate::overrides;
+use crate::source::{FileError, Source, nearest, parse};
+use opspace_backend::{
+    ForceSensor, InterfaceParameters, JointParameters, ProfileParameters, SafetyParameters, ServoParameters,
+};
+use opspace_model::{Model, UrdfWarning};
+use opspace_sim::SimulatedParameters;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A robot file, as it is written.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RobotFile {
+    /// The robot's URDF; the path counts from this file.
+    pub urdf: PathBuf,
+    /// The profile that is used where none is asked for.
+    pub default_profile: String,
+    /// What the robot's interface offers.
+    pub interface: InterfaceParameters,
+    /// The drive of each moving joint of the URDF, by joint name.
+    pub joint: BTreeMap<String, JointParameters>,
+    /// The ways in which the robot can be driven, by name.
+    pub profile: BTreeMap<String, ProfileParameters>,
+    /// The force sensors, by name.
+    #[serde(default)]
+    pub force_sensor: BTreeMap<String, ForceSensorFile>,
+    /// What makes a run safe.
+    #[serde(default)]
+    pub safety: SafetyParameters,
+    /// The simulated robot; without it the robot can't be simulated.
+    pub simulated: Option<SimulatedParameters>,
+}
+
+/// A six-axis force sensor.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ForceSensorFile {
+    /// The URDF link at whose origin, and in whose axes, it measures.
+    pub frame: String,
+}
+
+/// A robot, read and checked.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    /// Its file's text, settings applied.
+    pub source: Source,
+    /// Its URDF's text.
+    pub urdf: Source,
+    /// Its file.
+    pub file: RobotFile,
+    /// Its rigid bodies, rotors included.
+    pub model: Model,
+    /// What its URDF deserves a second look for.
+    pub warnings: Vec<UrdfWarning>,
+    /// Its force sensors, in the order of their names.
+    pub sensors: Vec<ForceSensor>,
+}
+
+impl Robot {
+    /// Reads a robot: a folder with a `robot.toml`, or that file. `settings` change values in it.
+    ///
+    /// # Errors
+    /// What is wrong in the file or its URDF, with its place.
+    pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
+        let path = files.robot_file(path);
+        let source = overrides::apply_below(&files.read(&path)?, "robot", settings)?;
+        let file: RobotFile = parse(&source)?;
+        let urdf = files.read(&beside(&path, &file.urdf))?;
+        Self::new(source, file, urdf)
+    }
+
+    /// A robot from the texts of its files.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn from_sources(source: Source, urdf: Source) -> Result<Self, FileError> {
+        let file = parse(&source)?;
+        Self::new(source, file, urdf)
+    }
+
+    fn new(source: Source, file: RobotFile, urdf: Source) -> Result<Self, FileError> {
+        let loaded = load_urdf(&urdf)?;
+        let model = loaded.model;
+        let mut rotors = Vec::new();
+        for joint in joints_of(&source, &model, &file.joint, &["joint"])? {
+            rotors.push(joint.rotor.reflected_inertia());
+        }
+        for (name, profile) in &file.profile {
+            joints_of(&source, &model, &profile.servo, &["profile", name, "servo"])?;
+            let (delay, ratio) = (profile.delay_servo_ticks, profile.ratio.get());
+            if delay > ratio {
+                let key = ["profile", name, "delay_servo_ticks"];
+                let message =
+                    format!("a delay of {delay} servo ticks is longer than an interface period of {ratio}");
+                return Err(FileError::at_key(&source, key, message, None));
+            }
+        }
+        let sensors = force_sensors(&source, &model, &file.force_sensor)?;
+        let model = model.with_rotor_inertia(&rotors);
+        let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors };
+        robot.profile(None)?;
+        Ok(robot)
+    }
+
+    /// The robot's name: that of its folder, or its URDF's.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let folder = Path::new(self.source.name()).parent().and_then(Path::file_name);
+        folder.map_or_else(|| self.model.name().to_owned(), |n| n.to_string_lossy().into_owned())
+    }
+
+    /// A profile by its name, or the default one, with its name.
+    ///
+    /// # Errors
+    /// If there is none of that name.
+    pub fn profile(&self, name: Option<&str>) -> Result<(&str, &ProfileParameters), FileError> {
+        let wanted = name.unwrap_or(&self.file.default_profile);
+        let found = self.file.profile.get_key_value(wanted);
+        found.map(|(name, profile)| (name.as_str(), profile)).ok_or_else(|| {
+            let message = format!("no profile '{wanted}'");
+            let help = Some(choices(wanted, self.file.profile.keys()));
+            match name {
+                None => FileError::at_key(&self.source, "default_profile", message, help),
+                Some(_) => FileError::of_file(self.source.name(), message, help),
+            }
+        })
+    }
+
+    /// The drives, in the model's joint order.
+    #[must_use]
+    pub fn joints(&self) -> Vec<JointParameters> {
+        self.in_order(&self.file.joint)
+    }
+
+    /// The servos of a profile, in the model's joint order.
+    #[must_use]
+    pub fn servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
+        self.in_order(&profile.servo)
+    }
+
+    /// The drives' torque limits, in the model's joint order, Nm (N).
+    #[must_use]
+    pub fn torque_limits(&self) -> Vec<f64> {
+        self.joints().iter().map(|j| j.torque_limit_nm.get()).collect()
+    }
+
+    fn in_order<T: Clone>(&self, by_name: &BTreeMap<String, T>) -> Vec<T> {
+        self.model.joints().iter().filter_map(|j| by_name.get(&j.name).cloned()).collect()
+    }
+}
+
+/// A URDF with its warnings.
+///
+/// # Errors
+/// What is wrong with it, with the line.
+pub fn load_urdf(urdf: &Source) -> Result<opspace_model::Loaded, FileError> {
+    Model::from_urdf(urdf.text()).map_err(|error| {
+        let line = error.line().and_then(|line| usize::try_from(line).ok());
+        FileError::at_line(urdf, line, error.kind().to_string(), None)
+    })
+}
+
+/// The values of a map by joint name in the model's order: one for each joint, none for others.
+fn joints_of<'a, T>(
+    source: &Source,
+    model: &Model,
+    map: &'a BTreeMap<String, T>,
+    table: &[&str],
+) -> Result<Vec<&'a T>, FileError> {
+    let names = || model.joints().iter().map(|j| j.name.as_str());
+    if let Some(unknown) = map.keys().find(|name| model.joint(name).is_err()) {
+        let key: Vec<&str> = table.iter().copied().chain([unknown.as_str()]).collect();
+        let message = format!("the URDF has no moving joint '{unknown}'");
+        return Err(FileError::at_key(source, key, message, Some(choices(unknown, names()))));
+    }
+    let mut values = Vec::new();
+    for name in names() {
+        let Some(value) = map.get(name) else {
+            let message = format!("joint '{name}' of the URDF is missing in `{}`", table.join("."));
+            let help =
+                format!("add [{}.{name}]; each of these needs one: {}", table.join("."), list(names()));
+            return Err(FileError::at_key(source, table.to_vec(), message, Some(help)));
+        };
+        values.push(value);
+    }
+    Ok(values)
+}
+
+fn force_sensors(
+    source: &Source,
+    model: &Model,
+    sensors: &BTreeMap<String, ForceSensorFile>,
+) -> Result<Vec<ForceSensor>, FileError> {
+    let mut found = Vec::new();
+    for (name, sensor) in sensors {
+        let frame = model.frame(&sensor.frame).map_err(|unknown| {
+            let key = ["force_sensor", name.as_str(), "frame"];
+            let help = choices(&unknown.name, &unknown.known);
+            FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))
+        })?;
+        found.push(ForceSensor { name: name.clone(), frame });
+    }
+    Ok(found)
+}
+
+/// What could have been meant, and what there is.
+pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
+    name: &str,
+    known: impl IntoIterator<Item = &'a S>,
+) -> String {
+    let all: Vec<&str> = known.into_iter().map(AsRef::as_ref).collect();
+    let listed = list(all.iter().copied());
+    match nearest(name, all) {
+        Some(near) => format!("did you mean '{near}'? There are: {listed}"),
+        None => format!("there are: {listed}"),
+    }
+}
+
+fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}

@@ -1,0 +1,114 @@
+//! Suites: which tasks run on which robots under which controllers.
+
+use crate::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use crate::files::{Files, beside};
+use crate::source::{FileError, Source, parse};
+use opspace_backend::TransformerKind;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// A suite file, as it is written.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteFile {
+    /// What the suite is about, in a line.
+    pub title: String,
+    /// The profiles of the robot that each run takes; its default one if absent.
+    #[serde(default)]
+    pub profiles: Vec<String>,
+    /// The runs.
+    pub run: Vec<SuiteRun>,
+}
+
+/// Runs of a suite that share robot, controller and settings.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteRun {
+    /// Task files; the paths count from the suite file.
+    pub tasks: Vec<PathBuf>,
+    /// Another robot than the tasks'; the path counts from the suite file.
+    #[serde(default)]
+    pub robot: Option<PathBuf>,
+    /// Which kind of robot.
+    pub backend: BackendKind,
+    /// Which controller.
+    pub controller: ControllerKind,
+    /// Another transformer than the profile's.
+    #[serde(default)]
+    pub transformer: Option<TransformerKind>,
+    /// Other profiles than the suite's.
+    #[serde(default)]
+    pub profiles: Option<Vec<String>>,
+    /// One run for each seed; the tasks' own if absent.
+    #[serde(default)]
+    pub seeds: Vec<u64>,
+    /// Settings as on the command line: `robot.` ones change the robot file, others the task.
+    #[serde(default)]
+    pub set: Vec<String>,
+}
+
+/// A suite, read: every experiment in it checked.
+#[derive(Clone, Debug)]
+pub struct Suite {
+    /// Its file's text.
+    pub source: Source,
+    /// What it is about.
+    pub title: String,
+    /// Its experiments, in the order of the file: tasks, then profiles, then seeds.
+    pub experiments: Vec<Experiment>,
+}
+
+impl Suite {
+    /// Reads a suite and everything it names.
+    ///
+    /// # Errors
+    /// What is wrong in any of the files, with its place.
+    pub fn load(files: Files, path: &Path) -> Result<Self, FileError> {
+        let source = files.read(path)?;
+        let file: SuiteFile = parse(&source)?;
+        let mut experiments = Vec::new();
+        for run in &file.run {
+            let profiles = run.profiles.as_ref().unwrap_or(&file.profiles);
+            for task in &run.tasks {
+                for profile in or_default(profiles) {
+                    for seed in or_default(&run.seeds) {
+                        experiments.push(run.experiment(files, path, task, profile.clone(), seed)?);
+                    }
+                }
+            }
+        }
+        if experiments.is_empty() {
+            let help = Some("add a [[run]] with tasks".to_owned());
+            return Err(FileError::of_file(source.name(), "this suite runs nothing", help));
+        }
+        Ok(Self { source, title: file.title, experiments })
+    }
+}
+
+impl SuiteRun {
+    fn experiment(
+        &self,
+        files: Files,
+        suite: &Path,
+        task: &Path,
+        profile: Option<String>,
+        seed: Option<u64>,
+    ) -> Result<Experiment, FileError> {
+        let choice = Choice {
+            backend: self.backend,
+            controller: self.controller,
+            transformer: self.transformer,
+            profile,
+            seed,
+            duration_s: None,
+        };
+        let robot = self.robot.as_ref().map(|robot| beside(suite, robot));
+        Experiment::load(files, &beside(suite, task), robot.as_deref(), choice, &self.set)
+    }
+}
+
+/// Each of the list, or once without any.
+fn or_default<T: Clone>(list: &[T]) -> Vec<Option<T>> {
+    if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
+}

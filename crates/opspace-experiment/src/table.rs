@@ -1,0 +1,155 @@
+//! A table of results, as data: the terminal and the report each draw it their own way.
+
+/// Column heads and rows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Table {
+    /// Heads, left to right.
+    pub columns: Vec<Column>,
+    /// Rows, top to bottom; a row shorter than the head ends in empty cells.
+    pub rows: Vec<Vec<Cell>>,
+}
+
+/// The head of a column.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Column {
+    /// What the column holds.
+    pub title: String,
+    /// Its unit as print writes it (`N·m`); empty where there is none.
+    pub unit: String,
+}
+
+/// What a place in a table holds.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// A name or a remark.
+    Text(String),
+    /// A measured or computed value.
+    Number(f64),
+    /// A whole number, shown in full: a seed, a count.
+    Count(u64),
+    /// A bar that was met; the text says by what.
+    Pass(String),
+    /// A bar that was missed, or a fault.
+    Fail(String),
+    /// A quantity that does not exist here.
+    Empty,
+}
+
+impl Table {
+    /// A table without rows; heads are (title, unit).
+    #[must_use]
+    pub fn new(columns: &[(&str, &str)]) -> Self {
+        let column =
+            |&(title, unit): &(&str, &str)| Column { title: title.to_owned(), unit: unit.to_owned() };
+        Self { columns: columns.iter().map(column).collect(), rows: Vec::new() }
+    }
+
+    /// Every cell as shown, a column's numbers with the same decimals.
+    #[must_use]
+    pub fn texts(&self) -> Vec<Vec<String>> {
+        let width = self.rows.iter().map(Vec::len).max().unwrap_or(0);
+        let decimals: Vec<Option<usize>> = (0..width).map(|place| self.decimals(place)).collect();
+        let text = |(place, cell): (usize, &Cell)| match (cell, decimals[place]) {
+            (Cell::Number(number), Some(decimals)) if number.is_finite() => {
+                format!("{:.decimals$}", number + 0.0)
+            }
+            _ => cell.text(),
+        };
+        self.rows.iter().map(|row| row.iter().enumerate().map(text).collect()).collect()
+    }
+
+    /// Decimals that show four digits of a column's largest number and two of its smallest; `None` where the
+    /// two are too far apart for that.
+    fn decimals(&self, place: usize) -> Option<usize> {
+        let numbers = self.rows.iter().filter_map(|row| match row.get(place) {
+            Some(Cell::Number(number)) if number.is_finite() && *number != 0.0 => Some(number.abs()),
+            _ => None,
+        });
+        let (smallest, largest) = numbers.fold((f64::MAX, 0.0), |(low, high), n| (n.min(low), n.max(high)));
+        if largest == 0.0 {
+            return Some(0);
+        }
+        let decimals = (3.0 - largest.log10().floor()).max(1.0 - smallest.log10().floor()).max(0.0);
+        (decimals <= 7.0 && largest < 1e6).then_some(decimals as usize)
+    }
+
+    /// Adds a row at the bottom.
+    pub fn push(&mut self, row: Vec<Cell>) {
+        self.rows.push(row);
+    }
+}
+
+impl Column {
+    /// `title (unit)`.
+    #[must_use]
+    pub fn heading(&self) -> String {
+        if self.unit.is_empty() { self.title.clone() } else { format!("{} ({})", self.title, self.unit) }
+    }
+}
+
+impl Cell {
+    /// As shown on its own; four significant digits.
+    #[must_use]
+    pub fn text(&self) -> String {
+        match self {
+            Self::Text(text) | Self::Pass(text) | Self::Fail(text) => text.clone(),
+            Self::Number(number) => format_number(*number),
+            Self::Count(count) => count.to_string(),
+            Self::Empty => "–".to_owned(),
+        }
+    }
+
+    /// Whether it is aligned as a number.
+    #[must_use]
+    pub fn is_numeric(&self) -> bool {
+        matches!(self, Self::Number(_) | Self::Count(_) | Self::Empty)
+    }
+}
+
+impl From<f64> for Cell {
+    fn from(number: f64) -> Self {
+        Self::Number(number)
+    }
+}
+
+impl From<u64> for Cell {
+    fn from(count: u64) -> Self {
+        Self::Count(count)
+    }
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl<T: Into<Cell>> From<Option<T>> for Cell {
+    fn from(value: Option<T>) -> Self {
+        value.map_or(Self::Empty, Into::into)
+    }
+}
+
+/// Four significant digits: `0.01234`, `12.34`, `1.234e-7`.
+#[must_use]
+pub fn format_number(number: f64) -> String {
+    if !number.is_finite() {
+        return if number.is_nan() { "not a number".to_owned() } else { format!("{number}") };
+    }
+    if number == 0.0 {
+        return "0".to_owned();
+    }
+    // Rounded first: 0.99999 is 1.000, not 0.9999 or 1.0000.
+    let rounded = format!("{number:.3e}");
+    let (mantissa, exponent) = rounded.split_once('e').unwrap_or((&rounded, "0"));
+    match exponent.parse::<i32>().unwrap_or(0) {
+        exponent @ -4..=5 => format!("{number:.*}", usize::try_from(3 - exponent).unwrap_or(0)),
+        _ => format!("{mantissa}e{exponent}"),
+    }
+}

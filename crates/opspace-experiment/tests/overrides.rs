@@ -1,0 +1,264 @@
+//! Settings from the command line against the same file edited by hand: equal values, errors that name them.
+
+use opspace_experiment::overrides::{apply, apply_below, split};
+use opspace_experiment::source::{FileError, Source, parse};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+const FILE: &str = r#"# the hand gives way in x
+robot = "../robots/asimo-arm"
+seed = 1
+[task.hand.cartesian]
+frame = "hand" # the frame
+gains = { frequency_rad_per_s = 14.142, damping_ratio = 1.0 }
+motion.random = { rms_m = 0.025 }
+[task.rest.joint-posture]
+frequency_rad_per_s = 6.325
+damping_ratio = 0.79
+[[via]]
+time_s = 1.0
+[[via]]
+time_s = 2.0
+"#;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+struct TaskFile {
+    robot: String,
+    seed: u32,
+    duration_s: Option<f64>,
+    task: BTreeMap<String, Task>,
+    via: Vec<Via>,
+    simulated: Option<Simulated>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[expect(dead_code, reason = "read by serde")]
+enum Task {
+    Cartesian(Cartesian),
+    JointPosture(Gains),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+struct Cartesian {
+    frame: String,
+    gains: Gains,
+    motion: Motion,
+    force: Option<Force>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+enum Motion {
+    Random { rms_m: f64 },
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+struct Gains {
+    frequency_rad_per_s: f64,
+    damping_ratio: f64,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+struct Force {
+    target_n: f64,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+struct Via {
+    time_s: f64,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "read by serde")]
+struct Simulated {
+    scale: BTreeMap<String, f64>,
+}
+
+fn source() -> Source {
+    Source::new("tasks/x.toml", FILE)
+}
+
+fn set(settings: &[&str]) -> Result<Source, FileError> {
+    let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
+    apply(&source(), &settings)
+}
+
+fn table(text: &str) -> toml::Table {
+    text.parse().expect("TOML")
+}
+
+/// Compares the file with a setting with the file edited by hand, and that both are accepted.
+#[track_caller]
+fn equals_by_hand(setting: &str, from: &str, to: &str) {
+    let applied = set(&[setting]).expect("applied");
+    assert!(FILE.contains(from), "{from:?} is not in the file");
+    assert_eq!(table(applied.text()), table(&FILE.replacen(from, to, 1)), "{setting}\n{}", applied.text());
+    parse::<TaskFile>(&applied).expect("accepted");
+}
+
+/// What reading the file with these settings refuses.
+fn refusal(settings: &[&str]) -> FileError {
+    match set(settings) {
+        Err(error) => error,
+        Ok(source) => parse::<TaskFile>(&source).expect_err("refused"),
+    }
+}
+
+#[test]
+fn values_in_every_kind_of_table_are_replaced() {
+    equals_by_hand("seed=7", "seed = 1", "seed = 7");
+    equals_by_hand(
+        "task.hand.cartesian.gains.damping_ratio=0.7",
+        "damping_ratio = 1.0",
+        "damping_ratio = 0.7",
+    );
+    equals_by_hand("task.hand.cartesian.motion.random.rms_m = 1e-3", "0.025", "1e-3");
+    equals_by_hand("task.rest.joint-posture.damping_ratio=1", "0.79", "1");
+    equals_by_hand("via.1.time_s=3.5", "2.0", "3.5");
+    equals_by_hand("task.\"hand\".'cartesian'.frame=wrist", "\"hand\"", "\"wrist\"");
+    equals_by_hand("robot=../robots/other_arm-2", "../robots/asimo-arm", "../robots/other_arm-2");
+}
+
+#[test]
+fn tags_may_be_left_out() {
+    equals_by_hand("task.hand.gains.damping_ratio=0.7", "damping_ratio = 1.0", "damping_ratio = 0.7");
+    equals_by_hand("task.hand.frame=wrist", "\"hand\"", "\"wrist\"");
+    equals_by_hand("task.hand.motion.rms_m=0.5", "0.025", "0.5");
+    equals_by_hand("task.rest.damping_ratio=1", "0.79", "1");
+    equals_by_hand("task.hand.force.target_n=2", "motion.random", "force.target_n = 2\nmotion.random");
+}
+
+#[test]
+fn whole_tables_and_new_keys_are_set() {
+    equals_by_hand("duration_s=8", "seed = 1", "seed = 1\nduration_s = 8");
+    equals_by_hand("simulated.scale.kp=1.2", "[[via]]", "[simulated.scale]\nkp = 1.2\n[[via]]");
+    equals_by_hand(
+        "task.hand.gains={frequency_rad_per_s=1, damping_ratio=2}",
+        "{ frequency_rad_per_s = 14.142, damping_ratio = 1.0 }",
+        "{ frequency_rad_per_s = 1, damping_ratio = 2 }",
+    );
+    equals_by_hand(
+        "task.third={joint-posture={frequency_rad_per_s=1, damping_ratio=2}}",
+        "[task.rest",
+        "[task.third.joint-posture]\nfrequency_rad_per_s = 1\ndamping_ratio = 2\n[task.rest",
+    );
+    let replaced =
+        set(&["task.rest.joint-posture={frequency_rad_per_s=1, damping_ratio=2}"]).expect("applied");
+    let posture = &table(replaced.text())["task"]["rest"]["joint-posture"];
+    assert_eq!(posture["damping_ratio"].as_integer(), Some(2));
+}
+
+#[test]
+fn the_last_setting_wins_and_comments_stay() {
+    let applied = set(&["seed=2", "task.hand.frame=wrist", "seed=3"]).expect("applied");
+    assert_eq!(table(applied.text())["seed"].as_integer(), Some(3));
+    assert!(applied.text().contains("frame = \"wrist\" # the frame"), "{}", applied.text());
+    assert_eq!(set(&[]).expect("applied").text(), FILE);
+}
+
+#[test]
+fn an_error_in_a_setting_names_the_setting() {
+    let misspelt = refusal(&["seed=2", "task.hand.gains.dampng_ratio=0.7"]);
+    assert_eq!(misspelt.to_string(), "--set task.hand.gains.dampng_ratio=0.7: unknown key `dampng_ratio`");
+    assert_eq!(
+        misspelt.help(),
+        Some("did you mean `damping_ratio`?\nallowed here: `frequency_rad_per_s`, `damping_ratio`")
+    );
+    assert_eq!((misspelt.path(), misspelt.line()), ("--set", None));
+    let cases = [
+        ("seed=-1", "expected a whole number not below 0, got -1"),
+        ("task.rest.damping_ratio=nan", "expected a finite number, got nan"),
+        ("task.rest.damping_ratio=1e999", "expected a finite number, got inf"),
+        ("task.rest.damping_ratio=high", "expected a number, got the text \"high\""),
+        (
+            "task.rest.frequency_hz=1",
+            "`task.rest` holds `joint-posture`, `frequency_hz`; it takes exactly one kind",
+        ),
+        ("task.hand.gains=3", "expected a table, got 3"),
+        (
+            "task.hand.gains={damping_ratio=1}",
+            "missing key `frequency_rad_per_s` in `task.hand.cartesian.gains`",
+        ),
+        ("seed.x=1", "`seed` is of type integer: it has no key `x`"),
+        ("via.2.time_s=1", "`via` has elements 0 to 1, no `2`"),
+        ("via.1=3", "`via.1` is one of several tables: set its keys"),
+        ("seed", "a setting needs a `=`"),
+        ("=3", "`` is not a key"),
+        ("a b=3", "`a b` is not a key"),
+        ("seed=", "a value is missing after `=`"),
+        ("task.rest.damping_ratio=400 N/m", "`400 N/m` is neither a TOML value nor a bare word"),
+        ("robot=[1", "`[1` is neither a TOML value nor a bare word"),
+    ];
+    for (setting, message) in cases {
+        let error = refusal(&[setting]);
+        assert_eq!(error.to_string(), format!("--set {setting}: {message}"));
+    }
+}
+
+#[test]
+fn a_misspelt_table_is_recognised() {
+    let error = refusal(&["task.hnad.gains.damping_ratio=0.7"]);
+    assert!(error.to_string().starts_with("--set task.hnad.gains.damping_ratio=0.7: "), "{error}");
+    let help = error.help().expect("a help");
+    assert!(
+        help.ends_with("`task` has no `hnad` yet; it has `hand`, `rest`: did you mean `hand`?"),
+        "{help}"
+    );
+}
+
+#[test]
+fn errors_of_the_file_keep_their_lines() {
+    // The settings add lines above the error.
+    let text = FILE.replace("time_s = 2.0", "time = 2.0");
+    let settings = ["duration_s=8".to_owned(), "simulated={scale={kp=1}}".to_owned()];
+    let source = apply(&Source::new("tasks/x.toml", text), &settings).expect("applied");
+    let error = parse::<TaskFile>(&source).expect_err("refused");
+    assert_eq!(error.to_string(), "tasks/x.toml:14: unknown key `time`");
+    let broken = apply(&Source::new("tasks/x.toml", "a = 1\nb = \n"), &settings).expect_err("refused");
+    assert_eq!(broken.to_string(), "tasks/x.toml:2: a value is missing after `=`");
+}
+
+#[test]
+fn a_later_error_names_the_setting_that_caused_it() {
+    let source = set(&["task.hand.frame=wrst", "duration_s=1"]).expect("applied");
+    let frame = FileError::at_key(&source, "task.hand.cartesian.frame", "unknown frame `wrst`", None);
+    assert_eq!(frame.to_string(), "--set task.hand.frame=wrst: unknown frame `wrst`");
+    let seed = FileError::at_key(&source, "seed", "m", None);
+    assert_eq!(seed.to_string(), "tasks/x.toml:3: m");
+    let around = FileError::at_key(&source, "task.hand.cartesian", "m", Some("h".to_owned()));
+    assert_eq!(around.to_string(), "tasks/x.toml:4: m");
+    assert_eq!(around.help(), Some("h\n`--set task.hand.frame=wrst` changed it"));
+}
+
+#[test]
+fn settings_of_another_file_are_parted_and_keep_their_spelling() {
+    let settings = ["robot.profile.a-med.ratio=1", "robot=../x", "seed=2"].map(str::to_owned);
+    let (robot, task) = split(&settings, "robot");
+    assert_eq!((robot.as_slice(), task.as_slice()), (&settings[..1], &settings[1..]));
+    let file = Source::new("robot.toml", "urdf = \"x\"\n[profile.a-med]\nratio = 5\n");
+    let applied = apply_below(&file, "robot", &robot).expect("applied");
+    assert_eq!(applied.text(), "urdf = \"x\"\n[profile.a-med]\nratio = 1\n");
+    let error = FileError::at_key(&applied, "profile.a-med.ratio", "m", None);
+    assert_eq!(error.to_string(), "--set robot.profile.a-med.ratio=1: m");
+    let stray = apply_below(&file, "robot", &task).expect_err("refused");
+    assert_eq!(stray.message(), "this setting must begin with `robot.`");
+}
+
+#[test]
+fn depth_is_bounded() {
+    let deep = format!("{}=1", vec!["a"; 60].join("."));
+    assert!(set(&[&deep]).expect_err("refused").message().contains("too deep"));
+}

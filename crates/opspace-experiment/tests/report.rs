@@ -1,0 +1,511 @@
+//! Figures, tables and pages: well-formed XML that holds what went in, drawn where it belongs.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use opspace_experiment::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate};
+use opspace_experiment::page::Page;
+use opspace_experiment::table::{Cell, Table, format_number};
+use roxmltree::{Document, Node, ParsingOptions};
+
+const NASTY: &str = "a <b> & \"c\" 'd' \u{1} </svg><script>alert(1)</script>";
+
+fn xml(text: &str) -> Document<'_> {
+    let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
+    Document::parse_with_options(text, options).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+fn texts(document: &Document<'_>) -> Vec<String> {
+    document
+        .descendants()
+        .filter(|node| node.has_tag_name("text") || node.tag_name().name() == "text")
+        .filter_map(|node| node.text().map(str::to_owned))
+        .collect()
+}
+
+fn lines<'a, 'i>(document: &'a Document<'i>) -> Vec<Node<'a, 'i>> {
+    let series = |node: &Node<'_, '_>| node.attribute("class").is_some_and(|class| class.starts_with('s'));
+    document
+        .descendants()
+        .filter(|node| series(node) && node.attribute("d").is_some_and(|d| !d.contains("h28")))
+        .collect()
+}
+
+/// The points of a path's `d`.
+fn points(d: &str) -> Vec<(f64, f64)> {
+    let point = |part: &str| {
+        let (x, y) = part.split_once(' ').expect("x and y");
+        (x.parse().expect("a number"), y.parse().expect("a number"))
+    };
+    d.split(['M', 'L']).filter(|part| !part.is_empty()).map(point).collect()
+}
+
+fn panel(title: &str, series: Vec<Series>) -> Panel {
+    Panel {
+        title: title.to_owned(),
+        x_label: "time (s)".to_owned(),
+        y_label: "torque (N·m)".to_owned(),
+        series,
+        marks: Vec::new(),
+    }
+}
+
+fn figure(panels: Vec<Panel>) -> Figure {
+    Figure { title: "Torques".to_owned(), caption: "Desired and measured.".to_owned(), panels, columns: None }
+}
+
+fn wave(amplitude: f64, phase: f64, samples: usize) -> (Vec<f64>, Vec<f64>) {
+    let x: Vec<f64> = (0..samples).map(|k| k as f64 * 8.0 / samples as f64).collect();
+    let y = x
+        .iter()
+        .map(|t| amplitude * ((2.1 * t + phase).sin() + 0.4 * (5.3 * t + 2.0 * phase).sin()))
+        .collect();
+    (x, y)
+}
+
+/// Four joints as in figure 8 of the paper.
+fn joints(samples: usize) -> Figure {
+    let joint = |(index, name): (usize, &str)| {
+        let (x, desired) = wave(3.0 + index as f64, index as f64, samples);
+        let jitter = |k: usize| 0.35 * ((k * 2_654_435_761 % 1000) as f64 / 1000.0 - 0.5);
+        let measured = desired.iter().enumerate().map(|(k, y)| 0.97 * y + jitter(k)).collect();
+        let mut panel = panel(
+            name,
+            vec![
+                Series::new("measured", x.clone(), measured),
+                Series::new("desired", x, desired).style(Style::Dashed),
+            ],
+        );
+        panel.marks.push((1.5, "settled".to_owned()));
+        panel
+    };
+    figure(
+        ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"]
+            .into_iter()
+            .enumerate()
+            .map(joint)
+            .collect(),
+    )
+}
+
+#[test]
+fn four_joints_make_four_panels_with_one_legend() {
+    let svg = joints(40_000).svg();
+    let document = xml(&svg);
+    let root = document.root_element();
+    assert_eq!((root.tag_name().name(), root.attribute("role")), ("svg", Some("img")));
+    assert_eq!(root.first_element_child().and_then(|title| title.text()), Some("Torques"));
+    let texts = texts(&document);
+    let count = |wanted: &str| texts.iter().filter(|text| *text == wanted).count();
+    assert_eq!((count("measured"), count("desired"), count("elbow")), (1, 1, 1));
+    // Once a row and once a column.
+    assert_eq!((count("torque (N·m)"), count("time (s)")), (2, 2));
+    assert_eq!(lines(&document).len(), 8);
+    let dashed = lines(&document).iter().filter(|line| line.has_attribute("stroke-dasharray")).count();
+    assert_eq!(dashed, 4);
+    assert!(svg.len() < 300_000, "{} bytes", svg.len());
+}
+
+/// Every drawn point lies within the picture, and panels do not overlap.
+#[test]
+fn points_stay_within_the_picture() {
+    let svg = joints(2_000).svg();
+    let document = xml(&svg);
+    let size: Vec<f64> = document
+        .root_element()
+        .attribute("viewBox")
+        .expect("a size")
+        .split(' ')
+        .map(|number| number.parse().expect("a number"))
+        .collect();
+    let extent = |line: &Node<'_, '_>| {
+        let points = points(line.attribute("d").expect("a path"));
+        points.iter().fold((f64::MAX, f64::MIN, f64::MAX, f64::MIN), |(l, r, t, b), &(x, y)| {
+            (l.min(x), r.max(x), t.min(y), b.max(y))
+        })
+    };
+    let extents: Vec<_> = lines(&document).iter().map(extent).collect();
+    for &(left, right, top, bottom) in &extents {
+        assert!(left >= 0.0 && right <= size[2] && top >= 0.0 && bottom <= size[3]);
+    }
+    assert!(extents[0].1 < extents[2].0, "the second column is right of the first");
+    assert!(extents[0].3 < extents[4].2, "the second row is below the first");
+}
+
+/// Extremes of the reduced line against those of all samples: the same bits, whatever the phase of a peak.
+#[test]
+fn decimation_keeps_every_extreme_and_gap() {
+    let (x, mut y) = wave(1.0, 0.3, 100_000);
+    y[12_345] = 50.0;
+    y[77_777] = -60.0;
+    let kept = decimate(&x, &y, (0.0, 8.0), 400);
+    assert_eq!(kept.len(), 1);
+    assert!(kept[0].len() <= 4 * 401, "{} points", kept[0].len());
+    for (low, high) in [(0.0, 1.0), (1.0, 6.5), (6.5, 8.0)] {
+        // Column borders, so that both see the same samples.
+        let extremes = |points: &mut dyn Iterator<Item = (f64, f64)>| {
+            points
+                .filter(|&(x, _)| x >= low && x < high)
+                .fold((f64::MAX, f64::MIN), |(l, h), (_, y)| (l.min(y), h.max(y)))
+        };
+        let all = extremes(&mut x.iter().copied().zip(y.iter().copied()));
+        assert_eq!(extremes(&mut kept[0].iter().copied()), all);
+    }
+    assert!(kept[0].windows(2).all(|pair| pair[0].0 <= pair[1].0), "samples stay in order");
+    assert_eq!((kept[0][0], kept[0][kept[0].len() - 1]), ((x[0], y[0]), (x[99_999], y[99_999])));
+
+    for gap in [f64::NAN, f64::INFINITY] {
+        let y = [1.0, 2.0, gap, gap, 3.0, gap, 4.0, 5.0];
+        let x: Vec<f64> = (0..8).map(f64::from).collect();
+        let stretches = decimate(&x, &y, (0.0, 8.0), 100);
+        let wanted = vec![vec![(0.0, 1.0), (1.0, 2.0)], vec![(4.0, 3.0)], vec![(6.0, 4.0), (7.0, 5.0)]];
+        assert_eq!(stretches, wanted);
+    }
+    assert!(decimate(&[], &[], (0.0, 1.0), 10).is_empty());
+    // A slow sensor in a fast log has a gap between any two samples: no more stretches than columns.
+    let sparse: Vec<f64> =
+        y.iter().enumerate().map(|(k, y)| if k % 10 == 0 { *y } else { f64::NAN }).collect();
+    assert!(decimate(&x, &sparse, (0.0, 8.0), 400).len() <= 400);
+}
+
+/// A value over the height of a panel: the line's height in the picture is the value's share of the axis.
+#[test]
+fn a_line_is_drawn_to_scale() {
+    let series = Series::new("a", vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 10.0, 5.0, 10.0]);
+    let svg = figure(vec![panel("p", vec![series])]).svg();
+    let document = xml(&svg);
+    let drawn = points(lines(&document)[0].attribute("d").expect("a path"));
+    let rise = |k: usize| drawn[0].1 - drawn[k].1;
+    let run = |k: usize| drawn[k].0 - drawn[0].0;
+    // Coordinates are written to a tenth of a unit.
+    let rounding = 0.15;
+    assert!(rise(1) > 100.0 && (rise(2) - rise(1) / 2.0).abs() < rounding, "{drawn:?}");
+    assert!(
+        run(3) > 500.0
+            && (run(1) - run(3) / 4.0).abs() < rounding
+            && (run(2) - run(3) / 2.0).abs() < rounding
+    );
+}
+
+#[test]
+fn figures_without_data_say_so() {
+    let said = |panels: Vec<Panel>| texts(&xml(&figure(panels).svg()));
+    let has = |texts: &[String], wanted: &str| {
+        assert!(texts.iter().any(|text| text.contains(wanted)), "{wanted:?} is not among {texts:?}");
+    };
+    let x = vec![0.0, 1.0, 2.0];
+    has(&said(vec![]), "no data");
+    has(&said(vec![panel("p", vec![])]), "no data");
+    has(&said(vec![panel("p", vec![Series::new("a", vec![], vec![])])]), "no data");
+    has(&said(vec![panel("p", vec![Series::new("a", x.clone(), vec![f64::NAN; 3])])]), "no finite value");
+    has(&said(vec![panel("p", vec![Series::new("a", x.clone(), vec![3.0; 3])])]), "constant");
+    has(&said(vec![panel("p", vec![Series::new("a", x.clone(), vec![0.0; 3])])]), "constant");
+    let partly =
+        vec![Series::new("a", x.clone(), vec![1.0, 2.0, 3.0]), Series::new("b", x, vec![f64::NAN; 3])];
+    has(&said(vec![panel("p", partly)]), "b: no finite value");
+}
+
+/// Whatever the numbers: XML, and no coordinate that is not a number.
+#[test]
+fn odd_numbers_make_sound_figures() {
+    let tiny = f64::MIN_POSITIVE;
+    let columns = [
+        vec![f64::MAX, f64::MIN, 0.0],
+        vec![1e-320, 2e-320, 0.0],
+        vec![tiny, -tiny, tiny],
+        vec![1e9, 1e9 + 1.0, 1e9 + 2.0],
+        vec![1.0, 1.0 + f64::EPSILON, 1.0],
+        vec![f64::INFINITY, 1.0, f64::NEG_INFINITY],
+        vec![1e-7, -3e-7, 2e-7],
+        vec![-5.0],
+        vec![-0.0, 0.0, -0.0],
+    ];
+    for x in &columns {
+        for y in &columns {
+            let svg = figure(vec![panel("p", vec![Series::new("a", x.clone(), y.clone())])]).svg();
+            xml(&svg);
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{x:?} {y:?}\n{svg}");
+        }
+    }
+    let small = figure(vec![panel("p", vec![Series::new("a", vec![0.0, 1.0], vec![1e-7, 3e-7])])]).svg();
+    assert!(small.contains("torque (N·m) × 10⁻⁹"), "{small}");
+}
+
+fn comparison() -> Comparison {
+    let row = |label: &str, values: &[Option<f64>]| ComparisonRow {
+        label: label.to_owned(),
+        values: values.to_vec(),
+    };
+    Comparison {
+        title: "Position error".to_owned(),
+        caption: "Root mean square over the motion axes; left is better.".to_owned(),
+        x_label: "position error (m)".to_owned(),
+        series: ["torque", "position, transformer", "position, inverse kinematics"]
+            .map(str::to_owned)
+            .to_vec(),
+        rows: vec![
+            row("cartesian-reach", &[Some(0.0011), Some(0.0019), Some(0.0007)]),
+            row("compliant-x", &[Some(0.002), Some(0.0043), None]),
+            row("circle-fast", &[Some(0.0052), Some(0.011), Some(0.034)]),
+        ],
+        scale: Scale::Log,
+    }
+}
+
+#[test]
+fn a_comparison_places_larger_values_further_right() {
+    for scale in [Scale::Log, Scale::Linear] {
+        let svg = Comparison { scale, ..comparison() }.svg();
+        let document = xml(&svg);
+        let mut discs: Vec<f64> = document
+            .descendants()
+            .filter(|node| node.attribute("class") == Some("f0"))
+            .map(|node| node.attribute("cx").expect("a place").parse().expect("a number"))
+            .collect();
+        assert_eq!(discs.len(), 4, "the legend's and one a row");
+        discs.remove(0);
+        assert!(discs[0] < discs[1] && discs[1] < discs[2], "{discs:?}");
+        assert!(texts(&document).iter().any(|text| text == "circle-fast"));
+    }
+}
+
+#[test]
+fn odd_comparisons_say_what_is_missing() {
+    xml(&Comparison::default().svg());
+    let with = |scale, values: Vec<Option<f64>>| {
+        let row = ComparisonRow { label: "r".to_owned(), values };
+        Comparison { rows: vec![row], scale, ..comparison() }.svg()
+    };
+    assert!(with(Scale::Linear, vec![None, None, None]).contains("no data"));
+    assert!(with(Scale::Log, vec![Some(0.0), Some(-1.0), Some(f64::NAN)]).contains("no data"));
+    assert!(with(Scale::Log, vec![Some(0.0), Some(2.0)]).contains("1 not shown"));
+    for value in [f64::MAX, f64::MIN_POSITIVE, 0.0, -3.0, 1e-320] {
+        for scale in [Scale::Linear, Scale::Log] {
+            let svg = with(scale, vec![Some(value)]);
+            xml(&svg);
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        }
+    }
+}
+
+#[test]
+fn numbers_have_four_digits() {
+    let cases = [
+        (0.0, "0"),
+        (-0.0, "0"),
+        (12.34567, "12.35"),
+        (0.012341, "0.01234"),
+        (0.99999, "1.000"),
+        (123_456.0, "123456"),
+        (1.5e9, "1.500e9"),
+        (-2.5e-7, "-2.500e-7"),
+        (f64::NAN, "not a number"),
+        (f64::INFINITY, "inf"),
+    ];
+    for (number, text) in cases {
+        assert_eq!(format_number(number), text);
+    }
+}
+
+/// Texts of a column against decimals counted by hand.
+#[test]
+fn a_column_shares_its_decimals() {
+    let column = |numbers: &[f64]| {
+        let mut table = Table::new(&[("a", "m")]);
+        numbers.iter().for_each(|&number| table.push(vec![number.into()]));
+        table.texts().concat()
+    };
+    assert_eq!(column(&[0.0431, 0.000_71, 0.0]), ["0.04310", "0.00071", "0.00000"]);
+    assert_eq!(column(&[12.3456, f64::NAN]), ["12.35", "not a number"]);
+    assert_eq!(column(&[1e9, 1.0]), ["1.000e9", "1.000"]);
+    assert_eq!(column(&[0.0, -0.0]), ["0", "0"]);
+}
+
+fn sample_table() -> Table {
+    let mut table = Table::new(&[
+        ("Task", ""),
+        ("Backend", ""),
+        ("Controller", ""),
+        ("Position RMS", "m"),
+        ("Position max", "m"),
+        ("Torque error", "%"),
+        ("Bar", ""),
+    ]);
+    let row = |task: &str, backend: &str, controller: &str, values: [Option<f64>; 3], bar: Cell| {
+        let mut row: Vec<Cell> = vec![task.into(), backend.into(), controller.into()];
+        row.extend(values.map(Cell::from));
+        row.push(bar);
+        row
+    };
+    let pass = || Cell::Pass("met".to_owned());
+    table.push(row("cartesian-reach", "torque", "osc", [Some(0.0011), Some(0.0042), Some(0.0)], pass()));
+    table.push(row("cartesian-reach", "position", "osc", [Some(0.001_93), Some(0.0061), Some(4.31)], pass()));
+    table.push(row("cartesian-reach", "position", "ik", [Some(0.000_71), Some(0.0031), None], pass()));
+    table.push(row("compliant-x", "torque", "osc", [Some(0.0021), Some(0.0077), Some(0.0)], pass()));
+    let fail = Cell::Fail("faulted at 3.1 s: joint limit".to_owned());
+    table.push(row("compliant-x", "position", "ik", [Some(0.0431), Some(0.0912), None], fail));
+    table
+}
+
+fn sample_page(samples: usize) -> Page {
+    let axis = |(index, name): (usize, &str)| {
+        let (x, reference) = wave(0.02, index as f64, samples);
+        let hand: Vec<f64> =
+            reference.iter().enumerate().map(|(k, y)| y + 0.001 * (0.01 * k as f64).sin()).collect();
+        let force = vec![
+            Series::new("reference", x.clone(), reference).style(Style::Dashed),
+            Series::new("hand", x, hand),
+        ];
+        Panel { y_label: "position (m)".to_owned(), ..panel(name, force) }
+    };
+    let hand = Figure {
+        title: "The hand in world axes".to_owned(),
+        caption: "x gives way to the operator; y and z hold their place.".to_owned(),
+        panels: ["x", "y", "z"].into_iter().enumerate().map(axis).collect(),
+        columns: None,
+    };
+    let empty = figure(vec![
+        panel("no sensor", vec![Series::new("measured", vec![], vec![])]),
+        panel("broken", vec![Series::new("measured", vec![0.0, 1.0], vec![f64::NAN; 2])]),
+        panel("still", vec![Series::new("measured", vec![0.0, 1.0, 2.0], vec![2.5; 3])]),
+        panel("small", vec![Series::new("measured", vec![0.0, 1.0, 2.0], vec![1e-7, f64::NAN, 3e-7])]),
+    ]);
+    Page::new("compliant-x on asimo-arm")
+        .lead("The hand gives way in x with 3.1 N RMS at the operator's hand, and holds y and z to 4.3 mm.")
+        .warning("The run faulted at 3.1 s: joint `elbow` reached its limit.")
+        .table(
+            "Every task on every backend.",
+            &sample_table(),
+            &["Statistics run from settle_s to the end.", "– : not defined."],
+        )
+        .section("Torques")
+        .paragraph("The transformer turns each desired torque into a joint set point.")
+        .figure(&joints(samples))
+        .section("Motion")
+        .figure(&hand)
+        .comparison(&comparison())
+        .section("Without data")
+        .figure(&empty)
+        .section("This run")
+        .facts([
+            ("Seed", "1"),
+            ("opspace", "0.1.0"),
+            ("Task", "tasks/compliant-x.toml"),
+            ("SHA-256", "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"),
+        ])
+}
+
+#[test]
+fn a_page_stands_alone() {
+    let html = sample_page(40_000).render();
+    let document = xml(&html);
+    assert!(html.len() < 2_000_000, "{} bytes", html.len());
+    for node in document.descendants().filter(Node::is_element) {
+        let name = node.tag_name().name();
+        assert!(!["script", "link", "img", "iframe"].contains(&name), "<{name}>");
+        for attribute in node.attributes() {
+            assert!(!["src", "href"].contains(&attribute.name()), "{name} {}", attribute.name());
+        }
+    }
+    assert!(!html.contains("@import") && !html.contains("url("));
+    let named =
+        |tag: &str| document.descendants().filter(|node| node.tag_name().name() == tag).collect::<Vec<_>>();
+    assert_eq!((named("figure").len(), named("caption").len(), named("h1").len()), (4, 1, 1));
+    assert!(named("th").iter().all(|head| head.has_attribute("scope")));
+    assert!(named("svg").iter().all(|svg| svg.attribute("role") == Some("img")));
+}
+
+/// Text with markup in every place where a page takes text: it comes back as text, and adds no element.
+#[test]
+fn everything_is_escaped() {
+    let page = |text: &str| {
+        let mut table = Table::new(&[(text, text)]);
+        table.push(vec![text.into()]);
+        table.push(vec![Cell::Fail(text.to_owned())]);
+        let mut panel = panel(text, vec![Series::new(text, vec![0.0, 1.0], vec![0.0, 1.0])]);
+        (panel.x_label, panel.y_label) = (text.to_owned(), text.to_owned());
+        panel.marks.push((0.5, text.to_owned()));
+        let figure = Figure { title: text.to_owned(), caption: text.to_owned(), ..figure(vec![panel]) };
+        let row = ComparisonRow { label: text.to_owned(), values: vec![Some(1.0)] };
+        let comparison = Comparison { rows: vec![row], series: vec![text.to_owned()], ..comparison() };
+        let page =
+            Page::new(text).lead(text).section(text).paragraph(text).warning(text).facts([(text, text)]);
+        page.table(text, &table, &[text]).figure(&figure).comparison(&comparison).render()
+    };
+    let (plain, nasty) = (page("plain"), page(NASTY));
+    let elements = |html: &str| xml(html).descendants().filter(Node::is_element).count();
+    assert_eq!(elements(&plain), elements(&nasty));
+    let whole = |html: &str| {
+        xml(html).descendants().filter_map(|node| node.text().map(str::to_owned)).collect::<String>()
+    };
+    let shown = NASTY.replace('\u{1}', "\u{fffd}");
+    assert_eq!(whole(&plain).matches("plain").count(), whole(&nasty).matches(&shown).count());
+}
+
+#[test]
+fn tables_with_ragged_or_no_rows_are_sound() {
+    let mut table = Table::new(&[("a", ""), ("b", "m")]);
+    let empty = Page::new("t").table("c", &table, &[]).render();
+    assert!(empty.contains("no rows"));
+    table.push(vec![]);
+    table.push(vec![1.0.into(), Cell::Empty, "too many".into()]);
+    let html = Page::new("t").table("c", &table, &[]).render();
+    let document = xml(&html);
+    let cells = |row: Node<'_, '_>| row.children().filter(Node::is_element).count();
+    let rows: Vec<usize> =
+        document.descendants().filter(|node| node.tag_name().name() == "tr").map(cells).collect();
+    assert_eq!(rows, [2, 3, 3]);
+}
+
+fn chromium() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path).map(|folder| folder.join("chromium")).find(|file| file.is_file())
+}
+
+/// Opened in a browser: no message on the console, and every figure is laid out within the window.
+#[test]
+fn a_browser_lays_out_every_figure() {
+    let Some(chromium) = chromium() else {
+        #[expect(clippy::print_stderr, reason = "the reader of a test run must see what was not tested")]
+        {
+            eprintln!("skipped: no chromium on PATH");
+        }
+        return;
+    };
+    let probe = "<script>document.body.dataset.sizes = [...document.querySelectorAll('svg')].map(svg => {\
+                 const box = svg.getBoundingClientRect(); return box.width + 'x' + box.height }).join(' ')</script></body>";
+    let html = sample_page(4_000).render().replace("</body>", probe);
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("report.html");
+    std::fs::write(&file, html).expect("written");
+    let output = Command::new(chromium)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"])
+        .args([
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+        ])
+        .args([
+            "--window-size=1200,900",
+            &format!("--user-data-dir={}", folder.path().join("profile").display()),
+        ])
+        .arg(format!("file://{}", file.display()))
+        .output()
+        .expect("chromium starts");
+    let (dom, log) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(!log.contains(":CONSOLE"), "{log}");
+    let sizes = dom
+        .split("data-sizes=\"")
+        .nth(1)
+        .and_then(|rest| rest.split('"').next())
+        .unwrap_or_else(|| panic!("no sizes\n{log}"));
+    let sizes: Vec<&str> = sizes.split(' ').collect();
+    assert_eq!(sizes.len(), 4);
+    for size in sizes {
+        let (width, height) = size.split_once('x').expect("width and height");
+        let (width, height): (f64, f64) =
+            (width.parse().expect("a number"), height.parse().expect("a number"));
+        assert!((600.0..=1200.0).contains(&width) && height > 100.0, "{size}");
+    }
+}

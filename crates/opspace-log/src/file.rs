@@ -1,0 +1,231 @@
+//! The MCAP file as the writer's thread builds it.
+//!
+//! Bytes are only ever appended, a whole chunk at a time, so that a file cut anywhere is a good prefix and a
+//! piece of one chunk. Attachments, metadata and all definitions come first. Nothing in the file depends on
+//! the wall clock, except where a real-time run's chunks end.
+
+use crate::error::LogError;
+use crate::header::{Channel, GAPS, Header, LOG, TIME_ZERO_NS};
+use crate::schema;
+use crate::viewer::{Viewer, nanoseconds, warning};
+use foxglove::Encode;
+use foxglove::messages::{FrameTransforms, JointStates, Log};
+use mcap::records::MessageHeader;
+use mcap::write::{Metadata, NoSeek};
+use opspace_control::Layout;
+use serde_json::{Value, json};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::{BufWriter, Write};
+
+/// A chunk is closed at this size: large enough to compress, small to lose.
+const CHUNK_BYTES: usize = 256 * 1024;
+
+/// ... and after this time on the robot's clock: at most so much of a run is lost when it is killed.
+const CHUNK_NS: u64 = 1_000_000_000;
+
+/// Gaps listed one by one; later ones are only counted.
+const LISTED_GAPS: usize = 1000;
+
+/// A topic of the file.
+struct Topic {
+    id: u16,
+    sequence: u32,
+}
+
+/// Rows that were dropped.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Gap {
+    /// How many.
+    pub records: u64,
+    /// Time of the first, s.
+    pub from_s: f64,
+    /// Time of the last, s.
+    pub to_s: f64,
+}
+
+pub(crate) struct File<W: Write> {
+    mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
+    rows: Vec<(Topic, Vec<usize>)>,
+    viewer: Option<(Viewer, Topic, Topic)>,
+    log: Topic,
+    /// Message bytes in the open chunk, and the time of its first.
+    chunk_bytes: usize,
+    chunk_from_ns: u64,
+    message: Vec<u8>,
+    gaps: Vec<Gap>,
+    lost: u64,
+    last_s: f64,
+}
+
+impl<W: Write> File<W> {
+    /// Writes all that is known before the run.
+    pub fn create(sink: W, header: Header, channels: &[Channel]) -> Result<Self, LogError> {
+        let layouts: Vec<&Layout> = channels.iter().map(|c| &c.layout).collect();
+        let viewer = Viewer::new(&layouts, header.model)?;
+        let mut mcap = mcap::WriteOptions::new()
+            .profile("opspace")
+            .library(concat!("opspace ", env!("CARGO_PKG_VERSION")))
+            .chunk_size(None)
+            .disable_seeking(true)
+            .compression_threads(0)
+            .create(NoSeek::new(BufWriter::new(sink)))?;
+        let own = (LOG.to_owned(), own_metadata());
+        for (name, metadata) in std::iter::once(own).chain(header.metadata) {
+            mcap.write_metadata(&Metadata { name, metadata })?;
+        }
+        for attachment in header.attachments {
+            mcap.attach(&mcap::Attachment {
+                log_time: TIME_ZERO_NS,
+                create_time: 0,
+                name: attachment.name,
+                media_type: attachment.media_type,
+                data: Cow::Owned(attachment.data),
+            })?;
+        }
+        let mut rows = Vec::new();
+        for layout in layouts {
+            let (name, data) = schema::definition(layout);
+            let schema = mcap.add_schema(&name, "protobuf", &data)?;
+            let topic = format!("/opspace/{}", layout.channel);
+            let id = mcap.add_channel(schema, &topic, "protobuf", &schema::channel_metadata(layout))?;
+            rows.push((Topic { id, sequence: 0 }, schema::widths(layout)));
+        }
+        let viewer = match viewer {
+            None => None,
+            Some(viewer) => {
+                let joints = known_topic::<JointStates, _>(&mut mcap, "/joint_states")?;
+                Some((viewer, joints, known_topic::<FrameTransforms, _>(&mut mcap, "/tf")?))
+            }
+        };
+        let log = known_topic::<Log, _>(&mut mcap, "/log")?;
+        mcap.flush()?;
+        Ok(Self {
+            mcap,
+            rows,
+            viewer,
+            log,
+            chunk_bytes: 0,
+            chunk_from_ns: 0,
+            message: Vec::new(),
+            gaps: Vec::new(),
+            lost: 0,
+            last_s: 0.0,
+        })
+    }
+
+    /// Writes a row, and what viewers see of it.
+    pub fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) -> Result<(), LogError> {
+        let ns = nanoseconds(time_s);
+        self.last_s = time_s;
+        if self.chunk_bytes > 0
+            && (self.chunk_bytes >= CHUNK_BYTES || ns.abs_diff(self.chunk_from_ns) >= CHUNK_NS)
+        {
+            self.close_chunk()?;
+        }
+        if self.chunk_bytes == 0 {
+            self.chunk_from_ns = ns;
+        }
+        let (topic, widths) = &mut self.rows[channel];
+        self.message.clear();
+        schema::encode(widths, time_s, row, &mut self.message);
+        self.chunk_bytes += put(&mut self.mcap, topic, ns, &self.message)?;
+        let Some((viewer, joints, tf)) = &mut self.viewer else {
+            return Ok(());
+        };
+        if viewer.channel == channel && viewer.show(ns, row) {
+            encode(&viewer.joints, &mut self.message)?;
+            self.chunk_bytes += put(&mut self.mcap, joints, ns, &self.message)?;
+            if let Some(bodies) = &viewer.bodies {
+                encode(&bodies.transforms, &mut self.message)?;
+                self.chunk_bytes += put(&mut self.mcap, tf, ns, &self.message)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes that rows are missing here.
+    pub fn gap(&mut self, gap: Gap) -> Result<(), LogError> {
+        self.lost += gap.records;
+        if self.gaps.len() < LISTED_GAPS {
+            self.gaps.push(gap);
+        }
+        let ns = nanoseconds(gap.to_s);
+        let text =
+            format!("{} records were dropped from t = {} s to {} s", gap.records, gap.from_s, gap.to_s);
+        encode(&warning(ns, text), &mut self.message)?;
+        self.chunk_bytes += put(&mut self.mcap, &mut self.log, ns, &self.message)?;
+        Ok(())
+    }
+
+    /// Closes the open chunk and hands it to the operating system.
+    pub fn close_chunk(&mut self) -> Result<(), LogError> {
+        if self.chunk_bytes > 0 {
+            self.chunk_bytes = 0;
+            self.mcap.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Writes the gaps and the footer; `dropped` is how many records were lost in all.
+    pub fn finish(mut self, dropped: u64) -> Result<W, LogError> {
+        let untold = dropped.saturating_sub(self.lost);
+        if untold > 0 {
+            self.gap(Gap { records: untold, from_s: self.last_s, to_s: self.last_s })?;
+        }
+        if self.lost > 0 {
+            let gap = |g: &Gap| json!({ "from_s": g.from_s, "to_s": g.to_s, "records": g.records });
+            let gaps: Value = self.gaps.iter().map(gap).collect();
+            let records = self.lost.to_string();
+            let metadata =
+                BTreeMap::from([("gaps".to_owned(), gaps.to_string()), ("records".to_owned(), records)]);
+            self.mcap.write_metadata(&Metadata { name: GAPS.to_owned(), metadata })?;
+        }
+        self.mcap.finish()?;
+        let buffer = self.mcap.into_inner().into_inner();
+        buffer.into_inner().map_err(|e| LogError::Write(e.into_error()))
+    }
+}
+
+fn own_metadata() -> BTreeMap<String, String> {
+    let clock =
+        "log_time and publish_time are the robot's clock plus time_zero_ns; field t of a row is exact";
+    let entries = [
+        ("version", env!("CARGO_PKG_VERSION").to_owned()),
+        ("time_zero_ns", TIME_ZERO_NS.to_string()),
+        ("clock", clock.to_owned()),
+    ];
+    entries.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
+}
+
+/// A topic of one of Foxglove's own message types.
+fn known_topic<M: Encode, W: Write>(
+    mcap: &mut mcap::Writer<NoSeek<W>>,
+    topic: &str,
+) -> Result<Topic, LogError> {
+    let schema = match M::get_schema() {
+        Some(s) => mcap.add_schema(&s.name, &s.encoding, &s.data)?,
+        None => 0,
+    };
+    let id = mcap.add_channel(schema, topic, &M::get_message_encoding(), &BTreeMap::new())?;
+    Ok(Topic { id, sequence: 0 })
+}
+
+fn encode<M: Encode>(message: &M, out: &mut Vec<u8>) -> Result<(), LogError> {
+    out.clear();
+    message.encode(out).map_err(|e| LogError::Write(std::io::Error::other(e.to_string())))
+}
+
+/// Writes a message and says how long it is.
+fn put<W: Write>(
+    mcap: &mut mcap::Writer<NoSeek<W>>,
+    topic: &mut Topic,
+    ns: u64,
+    data: &[u8],
+) -> Result<usize, LogError> {
+    let header =
+        MessageHeader { channel_id: topic.id, sequence: topic.sequence, log_time: ns, publish_time: ns };
+    topic.sequence = topic.sequence.wrapping_add(1);
+    mcap.write_to_known_channel(&header, data)?;
+    Ok(data.len())
+}

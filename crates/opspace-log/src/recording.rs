@@ -1,0 +1,305 @@
+//! Reading a log back: everything, or everything good before the damage.
+//!
+//! The file is walked record by record rather than through its index, and a chunk's checksum is checked before
+//! anything of it is believed. Where the file as a whole is not what was written (cut short, or a checksum
+//! fails), rows are also counted, so that a chunk that can't be recognised any more leaves no hole.
+
+use crate::error::{Damage, LogError};
+use crate::header::{Attachment, GAPS};
+use crate::records::{Raw, Record, Records, checksum};
+use crate::schema;
+use mcap::MAGIC;
+use mcap::records::op;
+use opspace_control::{Layout, Signal};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+/// A log in memory.
+#[derive(Clone, Debug, Default)]
+pub struct Recording {
+    /// What was sampled, in the order in which it was recorded.
+    pub channels: Vec<ChannelData>,
+    /// Files within the log.
+    pub attachments: Vec<Attachment>,
+    /// Named tables. Nothing but the checksum of the whole file guards them: don't rely on those of a damaged
+    /// one.
+    pub metadata: Vec<(String, BTreeMap<String, String>)>,
+    /// Who wrote the log.
+    pub library: String,
+    /// Why there may be less than was recorded; `None` for a whole file.
+    pub damage: Option<Damage>,
+}
+
+/// The rows of a channel.
+#[derive(Clone, Debug)]
+pub struct ChannelData {
+    /// What stands in a row.
+    pub layout: Layout,
+    /// Time of each row on the robot's clock, s.
+    pub time_s: Vec<f64>,
+    /// The rows, one behind the other.
+    pub rows: Vec<f64>,
+}
+
+/// One signal of all rows of a channel.
+#[derive(Clone, Copy, Debug)]
+pub struct Column<'a> {
+    data: &'a ChannelData,
+    signal: &'a Signal,
+    offset: usize,
+    stride: usize,
+}
+
+impl Recording {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// If it can't be read, or [`from_bytes`](Self::from_bytes) fails.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, LogError> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes)
+    }
+
+    /// Reads a log from memory.
+    ///
+    /// # Errors
+    /// If this is no MCAP file, or no channel of opspace's can be read from it. Other damage is told in
+    /// [`damage`](Self::damage).
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
+        if !bytes.starts_with(MAGIC) {
+            return Err(LogError::NotMcap);
+        }
+        let whole = verify(bytes);
+        let mut reader = Reader { count_rows: whole.is_err(), ..Reader::default() };
+        let what = reader.read(bytes).err().or(reader.aside.take()).or(whole.err());
+        let mut recording = reader.recording;
+        let last = recording.channels.iter().filter_map(|c| c.time_s.last()).copied();
+        recording.damage = what.map(|what| Damage { what, after_s: last.reduce(f64::max) });
+        if recording.channels.is_empty() {
+            return Err(LogError::NoChannel { damage: recording.damage });
+        }
+        Ok(recording)
+    }
+
+    /// The channel of that name.
+    #[must_use]
+    pub fn channel(&self, name: &str) -> Option<&ChannelData> {
+        self.channels.iter().find(|c| c.layout.channel == name)
+    }
+
+    /// The attached file of that name.
+    #[must_use]
+    pub fn attachment(&self, name: &str) -> Option<&Attachment> {
+        self.attachments.iter().find(|a| a.name == name)
+    }
+
+    /// The table of that name.
+    #[must_use]
+    pub fn metadata(&self, name: &str) -> Option<&BTreeMap<String, String>> {
+        self.metadata.iter().find(|(n, _)| n == name).map(|(_, entries)| entries)
+    }
+
+    /// How many rows the recorder had to drop.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.metadata(GAPS).and_then(|gaps| gaps.get("records")?.parse().ok()).unwrap_or(0)
+    }
+}
+
+impl ChannelData {
+    /// How many rows there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+
+    /// The row at index `k`, all signals.
+    ///
+    /// # Panics
+    /// If there are not so many.
+    #[must_use]
+    pub fn row(&self, k: usize) -> &[f64] {
+        let width = self.layout.width();
+        &self.rows[k * width..(k + 1) * width]
+    }
+
+    /// The signal of that name.
+    #[must_use]
+    pub fn signal(&self, name: &str) -> Option<Column<'_>> {
+        let signals = &self.layout.signals;
+        let index = signals.iter().position(|s| s.name == name)?;
+        let offset = signals[..index].iter().map(Signal::len).sum();
+        Some(Column { data: self, signal: &signals[index], offset, stride: self.layout.width() })
+    }
+}
+
+impl<'a> Column<'a> {
+    /// How many rows there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.data.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.data.is_empty()
+    }
+
+    /// The signal in row `k`, one number an element.
+    ///
+    /// # Panics
+    /// If there are not so many rows.
+    #[must_use]
+    pub fn row(&self, k: usize) -> &'a [f64] {
+        let start = k * self.stride + self.offset;
+        &self.data.rows[start..start + self.signal.len()]
+    }
+
+    /// The signal in each row.
+    pub fn rows(self) -> impl ExactSizeIterator<Item = &'a [f64]> {
+        (0..self.len()).map(move |k| self.row(k))
+    }
+
+    /// What each element is.
+    #[must_use]
+    pub fn elements(&self) -> &'a [String] {
+        &self.signal.elements
+    }
+
+    /// SI unit.
+    #[must_use]
+    pub fn unit(&self) -> &'a str {
+        &self.signal.unit
+    }
+}
+
+/// Whether the file is as it was written: its end is there and the checksums of both its sections hold.
+fn verify(bytes: &[u8]) -> Result<(), String> {
+    let mut summary = None;
+    let mut records = Records { bytes, at: MAGIC.len() };
+    while let Some(raw) = records.next() {
+        let raw = raw?;
+        if !matches!(raw.opcode, op::DATA_END | op::FOOTER) {
+            continue;
+        }
+        match (raw.parse()?, summary) {
+            (Record::DataEnd { crc }, None) => {
+                checksum("the data", crc, &bytes[..raw.at])?;
+                summary = Some(records.at);
+            }
+            (Record::Footer { crc }, Some(from)) => {
+                // It covers the footer as far as itself.
+                checksum("the summary", crc, &bytes[from..records.at - size_of::<u32>()])?;
+                return if &bytes[records.at..] == MAGIC { Ok(()) } else { Err(no_end()) };
+            }
+            _ => return Err(no_end()),
+        }
+    }
+    Err(no_end())
+}
+
+fn no_end() -> String {
+    "it has no proper end: the recording was cut short".to_owned()
+}
+
+/// A recording being read.
+#[derive(Default)]
+struct Reader {
+    recording: Recording,
+    /// By channel of the recording: the signals' lengths, and the number of the next row.
+    shape: Vec<(Vec<usize>, u32)>,
+    /// From the file's channels to the recording's; `None` for those of others.
+    index: HashMap<u16, Option<usize>>,
+    count_rows: bool,
+    /// Damage that ends nothing: a table or an attachment that can't be read.
+    aside: Option<String>,
+}
+
+impl Reader {
+    /// Takes record after record, until one is bad: says what.
+    fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
+        for raw in (Records { bytes, at: MAGIC.len() }) {
+            let raw = raw?;
+            match raw.opcode {
+                op::DATA_END => break,
+                // The rows are good without them.
+                op::HEADER | op::METADATA | op::ATTACHMENT => match raw.parse() {
+                    Ok(record) => self.take(record)?,
+                    Err(what) => self.aside = self.aside.take().or(Some(what)),
+                },
+                op::CHUNK => {
+                    self.chunk(&raw).map_err(|what| format!("{what} (the chunk at byte {})", raw.at))?;
+                }
+                _ => self.take(raw.parse()?)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn chunk(&mut self, raw: &Raw<'_>) -> Result<(), String> {
+        let Record::Chunk(chunk) = raw.parse()? else {
+            return Ok(());
+        };
+        let bytes = chunk.unpack()?;
+        for inner in (Records { bytes: &bytes, at: 0 }) {
+            self.take(inner?.parse()?)?;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, record: Record<'_>) -> Result<(), String> {
+        match record {
+            Record::Header { library } => self.recording.library = library,
+            Record::Metadata { name, entries } => self.recording.metadata.push((name, entries)),
+            Record::Attachment(attachment) => self.recording.attachments.push(attachment),
+            Record::Channel { id, metadata } => self.define(id, &metadata)?,
+            Record::Message { channel, sequence, data } => self.message(channel, sequence, data)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn define(&mut self, id: u16, metadata: &BTreeMap<String, String>) -> Result<(), String> {
+        if self.index.contains_key(&id) {
+            return Ok(());
+        }
+        let layout = schema::layout(metadata).transpose()?;
+        let place = layout.is_some().then_some(self.shape.len());
+        self.index.insert(id, place);
+        if let Some(layout) = layout {
+            self.shape.push((schema::widths(&layout), 0));
+            let data = ChannelData { layout, time_s: Vec::new(), rows: Vec::new() };
+            self.recording.channels.push(data);
+        }
+        Ok(())
+    }
+
+    fn message(&mut self, id: u16, sequence: u32, data: &[u8]) -> Result<(), String> {
+        let Some(place) = self.index.get(&id) else {
+            return Err(format!("a message of channel {id}, which is not described"));
+        };
+        let Some(place) = *place else {
+            return Ok(());
+        };
+        let (widths, next) = &mut self.shape[place];
+        let channel = &mut self.recording.channels[place];
+        let name = &channel.layout.channel;
+        if self.count_rows && sequence != *next {
+            return Err(format!("row {next} of channel '{name}' is missing"));
+        }
+        let Some(time_s) = schema::decode(widths, data, &mut channel.rows) else {
+            return Err(format!("row {next} of channel '{name}' doesn't have its layout"));
+        };
+        channel.time_s.push(time_s);
+        *next = next.wrapping_add(1);
+        Ok(())
+    }
+}

@@ -1,0 +1,203 @@
+//! The records of an MCAP file, as far as [`Recording`](crate::Recording) needs them
+//! (<https://mcap.dev/spec>).
+//!
+//! The crate `mcap` writes our logs; reading, it reserves whatever a length in the file says, up to 4 GiB for
+//! one flipped bit. Here nothing is reserved that isn't there.
+
+use crate::header::Attachment;
+use mcap::records::op;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+/// A chunk larger than this isn't believed, bytes: our own have a quarter of a MiB, other tools' some MiB.
+const CHUNK_MAX: u64 = 64 << 20;
+
+/// Opcode and length.
+const PREFIX: usize = 9;
+
+/// The records from a place in `bytes` on.
+pub(crate) struct Records<'a> {
+    pub bytes: &'a [u8],
+    pub at: usize,
+}
+
+/// A record as it stands in the file or in a chunk.
+pub(crate) struct Raw<'a> {
+    pub opcode: u8,
+    pub body: &'a [u8],
+    /// Where it begins.
+    pub at: usize,
+}
+
+/// A record that is understood.
+pub(crate) enum Record<'a> {
+    Header { library: String },
+    Channel { id: u16, metadata: BTreeMap<String, String> },
+    Message { channel: u16, sequence: u32, data: &'a [u8] },
+    Chunk(Chunk<'a>),
+    Attachment(Attachment),
+    Metadata { name: String, entries: BTreeMap<String, String> },
+    DataEnd { crc: u32 },
+    Footer { crc: u32 },
+    Other,
+}
+
+/// Records packed together.
+pub(crate) struct Chunk<'a> {
+    size: u64,
+    crc: u32,
+    compression: String,
+    packed: &'a [u8],
+}
+
+impl<'a> Iterator for Records<'a> {
+    type Item = Result<Raw<'a>, String>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let at = self.at;
+        let rest = &self.bytes[at..];
+        if rest.is_empty() {
+            return None;
+        }
+        let Some(raw) = first(rest, at) else {
+            self.at = self.bytes.len();
+            return Some(Err(format!("it ends within the record that begins at byte {at}")));
+        };
+        self.at += PREFIX + raw.body.len();
+        Some(Ok(raw))
+    }
+}
+
+fn first(rest: &[u8], at: usize) -> Option<Raw<'_>> {
+    let mut fields = Fields(rest);
+    let opcode = fields.take::<1>()?[0];
+    Some(Raw { opcode, body: fields.long_bytes()?, at })
+}
+
+impl<'a> Raw<'a> {
+    /// What the record says.
+    pub fn parse(&self) -> Result<Record<'a>, String> {
+        let broken = || format!("the record at byte {} is broken", self.at);
+        let record = self.fields().ok_or_else(broken)?;
+        if self.opcode == op::ATTACHMENT {
+            let (checked, crc) = self.body.split_last_chunk().ok_or_else(broken)?;
+            checksum("an attachment", u32::from_le_bytes(*crc), checked)?;
+        }
+        Ok(record)
+    }
+
+    /// `None` if it is too short for its fields.
+    fn fields(&self) -> Option<Record<'a>> {
+        let mut fields = Fields(self.body);
+        Some(match self.opcode {
+            op::HEADER => {
+                let _profile = fields.text()?;
+                Record::Header { library: fields.text()? }
+            }
+            op::CHANNEL => {
+                let (id, _schema) = (fields.u16()?, fields.u16()?);
+                let (_topic, _encoding) = (fields.text()?, fields.text()?);
+                Record::Channel { id, metadata: fields.map()? }
+            }
+            op::MESSAGE => {
+                let (channel, sequence) = (fields.u16()?, fields.u32()?);
+                let _times = fields.take::<16>()?;
+                Record::Message { channel, sequence, data: fields.0 }
+            }
+            op::CHUNK => {
+                let _times = fields.take::<16>()?;
+                let (size, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+                Record::Chunk(Chunk { size, crc, compression, packed: fields.long_bytes()? })
+            }
+            op::ATTACHMENT => {
+                let _times = fields.take::<16>()?;
+                let (name, media_type) = (fields.text()?, fields.text()?);
+                Record::Attachment(Attachment::new(name, media_type, fields.long_bytes()?))
+            }
+            op::METADATA => Record::Metadata { name: fields.text()?, entries: fields.map()? },
+            op::DATA_END => Record::DataEnd { crc: fields.u32()? },
+            op::FOOTER => {
+                let _places = fields.take::<16>()?;
+                Record::Footer { crc: fields.u32()? }
+            }
+            _ => Record::Other,
+        })
+    }
+}
+
+impl<'a> Chunk<'a> {
+    /// The records in it, once their checksum holds.
+    pub fn unpack(&self) -> Result<Cow<'a, [u8]>, String> {
+        if self.size > CHUNK_MAX {
+            return Err(format!("a chunk of {} bytes; {CHUNK_MAX} are allowed", self.size));
+        }
+        let bytes = match self.compression.as_str() {
+            "" => Cow::Borrowed(self.packed),
+            "zstd" => {
+                let unpacked = zstd::bulk::decompress(self.packed, self.size as usize);
+                Cow::Owned(unpacked.map_err(|e| format!("a chunk can't be unpacked: {e}"))?)
+            }
+            other => return Err(format!("a chunk is packed by '{other}'; only zstd is known")),
+        };
+        checksum("a chunk", self.crc, &bytes)?;
+        Ok(bytes)
+    }
+}
+
+/// A checksum of 0 means that none was written.
+pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), String> {
+    if saved == 0 || crc32fast::hash(bytes) == saved {
+        Ok(())
+    } else {
+        Err(format!("the checksum of {what} doesn't hold"))
+    }
+}
+
+/// The fields of a record that are still to be read.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*taken)
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        self.take().map(u16::from_le_bytes)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn long_bytes(&mut self) -> Option<&'a [u8]> {
+        let length = self.u64()?;
+        self.bytes(length)
+    }
+
+    fn text(&mut self) -> Option<String> {
+        let length = self.u32()?;
+        String::from_utf8(self.bytes(length.into())?.to_vec()).ok()
+    }
+
+    fn map(&mut self) -> Option<BTreeMap<String, String>> {
+        let length = self.u32()?;
+        let mut entries = Fields(self.bytes(length.into())?);
+        let mut map = BTreeMap::new();
+        while !entries.0.is_empty() {
+            map.insert(entries.text()?, entries.text()?);
+        }
+        Some(map)
+    }
+}

@@ -1,0 +1,217 @@
+//! A layout as protobuf: the message definition, the bytes of a row, and back.
+//!
+//! A row of the channel `tick` is a message `opspace.Tick`: field 1 is `double t` (s), then one packed
+//! `repeated double` a signal, in the layout's order. Doubles keep their bits. Names that protobuf can't
+//! spell, units and element labels stand as JSON in the channel's metadata.
+
+use opspace_control::{Layout, Signal};
+use prost::Message;
+use prost::encoding::{WireType, decode_key, decode_varint, double};
+use prost_types::field_descriptor_proto::{Label, Type};
+use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Key of the layout in a channel's metadata.
+const LAYOUT: &str = "opspace.layout";
+
+/// How many numbers each signal of a layout has.
+pub(crate) fn widths(layout: &Layout) -> Vec<usize> {
+    layout.signals.iter().map(Signal::len).collect()
+}
+
+/// The name of the message of a channel, and the serialised `FileDescriptorSet` that defines it.
+pub(crate) fn definition(layout: &Layout) -> (String, Vec<u8>) {
+    let message = pascal_case(&layout.channel);
+    let field = |name: String, number, label| FieldDescriptorProto {
+        name: Some(name),
+        number: Some(number),
+        label: Some(label as i32),
+        r#type: Some(Type::Double as i32),
+        ..FieldDescriptorProto::default()
+    };
+    let mut fields = vec![field("t".to_owned(), 1, Label::Optional)];
+    let names = field_names(layout);
+    fields.extend(names.into_iter().enumerate().map(|(i, n)| field(n, number(i) as i32, Label::Repeated)));
+    let set = FileDescriptorSet {
+        file: vec![FileDescriptorProto {
+            name: Some(format!("opspace/{message}.proto")),
+            package: Some("opspace".to_owned()),
+            message_type: vec![DescriptorProto {
+                name: Some(message.clone()),
+                field: fields,
+                ..DescriptorProto::default()
+            }],
+            syntax: Some("proto3".to_owned()),
+            ..FileDescriptorProto::default()
+        }],
+    };
+    (format!("opspace.{message}"), set.encode_to_vec())
+}
+
+/// The field number of a signal; protobuf keeps 19000 to 19999 for itself.
+fn number(signal: usize) -> u32 {
+    let n = signal as u32 + 2;
+    if n < 19_000 { n } else { n + 1_000 }
+}
+
+/// `hand.position` becomes `hand_position`; each differs from the others, in lowerCamelCase (protobuf's
+/// JSON names) too.
+fn field_names(layout: &Layout) -> Vec<String> {
+    let mut taken = BTreeSet::from(["t".to_owned()]);
+    let unique = |signal: &Signal| {
+        let plain = identifier(&signal.name);
+        let mut name = plain.clone();
+        let mut copy = 2;
+        while !taken.insert(name.replace('_', "").to_lowercase()) {
+            name = format!("{plain}_x{copy}");
+            copy += 1;
+        }
+        name
+    };
+    layout.signals.iter().map(unique).collect()
+}
+
+fn identifier(name: &str) -> String {
+    let plain: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    if plain.starts_with(|c: char| c.is_ascii_alphabetic()) { plain } else { format!("s_{plain}") }
+}
+
+fn pascal_case(name: &str) -> String {
+    let capital = |word: &str| {
+        let (first, rest) = word.split_at(word.len().min(1));
+        first.to_uppercase() + rest
+    };
+    identifier(name).split('_').map(capital).collect()
+}
+
+/// A channel's metadata: the layout, so that it is restored exactly.
+pub(crate) fn channel_metadata(layout: &Layout) -> BTreeMap<String, String> {
+    let fields = field_names(layout);
+    let signal = |(s, field): (&Signal, String)| json!({ "name": s.name, "unit": s.unit, "field": field, "elements": s.elements });
+    let signals: Vec<Value> = layout.signals.iter().zip(fields).map(signal).collect();
+    let text = json!({ "channel": layout.channel, "signals": signals }).to_string();
+    BTreeMap::from([(LAYOUT.to_owned(), text)])
+}
+
+/// The layout of a channel with that metadata. `None` if opspace didn't write the channel.
+pub(crate) fn layout(metadata: &BTreeMap<String, String>) -> Option<Result<Layout, String>> {
+    let text = metadata.get(LAYOUT)?;
+    let read = || {
+        let value: Value = serde_json::from_str(text).ok()?;
+        let signals = value["signals"].as_array()?.iter().map(signal).collect::<Option<_>>()?;
+        Some(Layout { channel: value["channel"].as_str()?.to_owned(), signals })
+    };
+    Some(read().ok_or_else(|| format!("the layout of a channel can't be understood: {text}")))
+}
+
+fn signal(value: &Value) -> Option<Signal> {
+    let elements = value["elements"].as_array()?;
+    Some(Signal {
+        name: value["name"].as_str()?.to_owned(),
+        unit: value["unit"].as_str()?.to_owned().into(),
+        elements: elements.iter().map(|e| e.as_str().map(str::to_owned)).collect::<Option<_>>()?,
+    })
+}
+
+/// Puts the message of a row behind what stands in `out`.
+pub(crate) fn encode(widths: &[usize], time_s: f64, mut row: &[f64], out: &mut Vec<u8>) {
+    double::encode(1, &time_s, out);
+    for (i, &width) in widths.iter().enumerate() {
+        let (values, rest) = row.split_at(width);
+        double::encode_packed(number(i), values, out);
+        row = rest;
+    }
+}
+
+/// Puts the row of a message behind what stands in `rows` and returns its time. `None`, and nothing put,
+/// if the message is not as [`encode`] writes it.
+pub(crate) fn decode(widths: &[usize], message: &[u8], rows: &mut Vec<f64>) -> Option<f64> {
+    let before = rows.len();
+    let time_s = decode_into(widths, message, rows);
+    if time_s.is_none() {
+        rows.truncate(before);
+    }
+    time_s
+}
+
+fn decode_into(widths: &[usize], mut message: &[u8], rows: &mut Vec<f64>) -> Option<f64> {
+    let at = &mut message;
+    if decode_key(at).ok()? != (1, WireType::SixtyFourBit) {
+        return None;
+    }
+    let (time, rest) = at.split_first_chunk()?;
+    *at = rest;
+    // An empty packed field isn't written at all.
+    for (i, &width) in widths.iter().enumerate().filter(|&(_, &width)| width > 0) {
+        if decode_key(at).ok()? != (number(i), WireType::LengthDelimited) {
+            return None;
+        }
+        let bytes = width * size_of::<f64>();
+        if decode_varint(at).ok()? != bytes as u64 {
+            return None;
+        }
+        let (values, rest) = at.split_at_checked(bytes)?;
+        rows.extend(values.as_chunks().0.iter().map(|&b| f64::from_le_bytes(b)));
+        *at = rest;
+    }
+    at.is_empty().then(|| f64::from_le_bytes(*time))
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    fn awkward() -> Layout {
+        let names = ["hand.position", "hand_position", "handPosition", "t", "τ", "2nd", ""];
+        Layout {
+            channel: "servo.left-arm".to_owned(),
+            signals: names.iter().map(|&n| Signal::new(n, "m, rad", &["x", "y"])).collect(),
+        }
+    }
+
+    /// The field names against protobuf's rules: identifiers, unique also as lowerCamelCase.
+    #[test]
+    fn every_signal_gets_a_legal_and_unique_field() {
+        let (message, bytes) = definition(&awkward());
+        assert_eq!(message, "opspace.ServoLeftArm");
+        let set = FileDescriptorSet::decode(bytes.as_slice()).unwrap();
+        let fields = &set.file[0].message_type[0].field;
+        assert_eq!(fields.len(), 1 + awkward().signals.len());
+        let mut json = BTreeSet::new();
+        for field in fields {
+            let name = field.name();
+            assert!(name.starts_with(|c: char| c.is_ascii_alphabetic()), "{name}");
+            assert!(name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_'), "{name}");
+            assert!(json.insert(name.replace('_', "").to_lowercase()), "{name} twice");
+        }
+        assert_eq!(fields[1].name(), "hand_position");
+    }
+
+    /// The layout before and after the metadata.
+    #[test]
+    fn the_layout_survives_its_metadata() {
+        assert_eq!(layout(&channel_metadata(&awkward())).unwrap().unwrap(), awkward());
+        assert!(layout(&BTreeMap::new()).is_none());
+        let broken = BTreeMap::from([(LAYOUT.to_owned(), "{\"channel\": 1}".to_owned())]);
+        assert!(layout(&broken).unwrap().is_err());
+    }
+
+    /// A message with anything missing, added or of another layout is refused, and leaves nothing behind.
+    #[test]
+    fn a_message_of_another_layout_is_refused() {
+        let mut message = Vec::new();
+        encode(&[2, 0, 1], 0.5, &[1.0, 2.0, 3.0], &mut message);
+        let mut rows = vec![9.0];
+        assert_eq!(decode(&[2, 0, 1], &message, &mut rows), Some(0.5));
+        assert_eq!(rows, [9.0, 1.0, 2.0, 3.0]);
+        for widths in [&[2_usize, 0][..], &[1, 0, 2], &[2, 1, 1], &[2, 0, 1, 1], &[2, 0, 2]] {
+            assert_eq!(decode(widths, &message, &mut rows), None, "{widths:?}");
+        }
+        for cut in 0..message.len() {
+            assert_eq!(decode(&[2, 0, 1], &message[..cut], &mut rows), None, "{cut} bytes");
+        }
+        assert_eq!(rows.len(), 4);
+    }
+}

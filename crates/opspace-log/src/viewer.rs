@@ -1,0 +1,149 @@
+//! What viewers know by name: `foxglove.JointStates` and `foxglove.FrameTransforms`, made of the rows of
+//! the channel `tick` on the writer's thread.
+
+use crate::error::LogError;
+use crate::header::TIME_ZERO_NS;
+use foxglove::messages::{
+    FrameTransform, FrameTransforms, JointState, JointStates, Log, Quaternion, Timestamp, Vector3, log,
+};
+use nalgebra::{Rotation3, UnitQuaternion};
+use opspace_control::Layout;
+use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// The channel that viewers' messages are made of.
+const TICK: &str = "tick";
+
+/// Time between two of them, ns: 50 Hz is smooth to the eye, and a small part of the log.
+const PERIOD_NS: u64 = 20_000_000;
+
+/// The messages of the last instant shown, overwritten in place.
+pub(crate) struct Viewer {
+    /// Index of the channel `tick`.
+    pub channel: usize,
+    /// `/joint_states`.
+    pub joints: JointStates,
+    /// `/tf`.
+    pub bodies: Option<Bodies>,
+    q: Range<usize>,
+    dq: Option<Range<usize>>,
+    effort: Option<Range<usize>>,
+    last_ns: Option<u64>,
+}
+
+/// Where the links are.
+pub(crate) struct Bodies {
+    pub transforms: FrameTransforms,
+    model: Arc<Model>,
+    data: Data,
+    frames: Vec<FrameId>,
+    at_rest: Vec<f64>,
+}
+
+impl Viewer {
+    /// `None` without a channel `tick` that has a signal `q`.
+    pub fn new(layouts: &[&Layout], model: Option<Arc<Model>>) -> Result<Option<Self>, LogError> {
+        let Some(channel) = layouts.iter().position(|l| l.channel == TICK) else {
+            return Ok(None);
+        };
+        let Some(q) = columns(layouts[channel], "q") else {
+            return Ok(None);
+        };
+        let alike = |name| columns(layouts[channel], name).filter(|c| c.len() == q.len());
+        let names = layouts[channel].signals.iter().find(|s| s.name == "q").map(|s| &s.elements);
+        let joint = |name: &String| JointState { name: name.clone(), ..JointState::default() };
+        let joints = names.into_iter().flatten().map(joint).collect();
+        Ok(Some(Self {
+            channel,
+            joints: JointStates { timestamp: None, joints },
+            bodies: model.map(|m| Bodies::new(m, q.len())).transpose()?,
+            dq: alike("dq"),
+            effort: alike("motor_torque"),
+            q,
+            last_ns: None,
+        }))
+    }
+
+    /// Shows a row if it is time for it: then the messages are to be written.
+    pub fn show(&mut self, ns: u64, row: &[f64]) -> bool {
+        if self.last_ns.is_some_and(|last| ns.abs_diff(last) < PERIOD_NS) {
+            return false;
+        }
+        self.last_ns = Some(ns);
+        self.joints.timestamp = Some(timestamp(ns));
+        let value = |columns: &Option<Range<usize>>, i| columns.as_ref().map(|c| row[c.start + i]);
+        for (i, joint) in self.joints.joints.iter_mut().enumerate() {
+            joint.position = Some(row[self.q.start + i]);
+            joint.velocity = value(&self.dq, i);
+            joint.effort = value(&self.effort, i);
+        }
+        if let Some(bodies) = &mut self.bodies {
+            bodies.place(ns, &row[self.q.clone()]);
+        }
+        true
+    }
+}
+
+impl Bodies {
+    fn new(model: Arc<Model>, n: usize) -> Result<Self, LogError> {
+        if model.n() != n {
+            let model_name = model.name().to_owned();
+            return Err(LogError::ModelMismatch { model: model_name, joints: model.n(), elements: n });
+        }
+        // A link may itself be called "world".
+        let mut world = "world".to_owned();
+        while model.frame(&world).is_ok() {
+            world.push('_');
+        }
+        let transform = |name: &String| FrameTransform {
+            parent_frame_id: world.clone(),
+            child_frame_id: name.clone(),
+            ..FrameTransform::default()
+        };
+        let transforms = model.frames().iter().map(|f| transform(&f.name)).collect();
+        let frames = model.frames().iter().filter_map(|f| model.frame(&f.name).ok()).collect();
+        let data = Data::new(&model);
+        Ok(Self { transforms: FrameTransforms { transforms }, data, frames, at_rest: vec![0.0; n], model })
+    }
+
+    fn place(&mut self, ns: u64, q: &[f64]) {
+        kinematics(&self.model, &mut self.data, q, &self.at_rest);
+        for (&frame, transform) in self.frames.iter().zip(&mut self.transforms.transforms) {
+            let Placement { rotation, translation: p } = frame_placement(&self.model, &self.data, frame);
+            let r = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+            transform.timestamp = Some(timestamp(ns));
+            transform.translation = Some(Vector3 { x: p.x, y: p.y, z: p.z });
+            transform.rotation = Some(Quaternion { x: r.i, y: r.j, z: r.k, w: r.w });
+        }
+    }
+}
+
+/// A warning for `/log`.
+pub(crate) fn warning(ns: u64, message: String) -> Log {
+    Log {
+        timestamp: Some(timestamp(ns)),
+        level: log::Level::Warning.into(),
+        message,
+        name: "opspace".to_owned(),
+        ..Log::default()
+    }
+}
+
+/// A time on the robot's clock as the log's timestamps have it.
+pub(crate) fn nanoseconds(time_s: f64) -> u64 {
+    // The cast saturates, and takes NaN to 0.
+    let since_zero = (time_s * 1e9).round() as i64;
+    TIME_ZERO_NS.saturating_add_signed(since_zero)
+}
+
+fn timestamp(ns: u64) -> Timestamp {
+    let (s, rest) = (ns / 1_000_000_000, (ns % 1_000_000_000) as u32);
+    u32::try_from(s).map_or(Timestamp::MAX, |s| Timestamp::new(s, rest))
+}
+
+fn columns(layout: &Layout, name: &str) -> Option<Range<usize>> {
+    let index = layout.signals.iter().position(|s| s.name == name)?;
+    let start = layout.signals[..index].iter().map(opspace_control::Signal::len).sum();
+    Some(start..start + layout.signals[index].len())
+}

@@ -1,0 +1,77 @@
+//! Rows to be recorded, and recording them to memory.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use opspace_control::{Layout, Signal};
+use opspace_log::{Attachment, Channel, ChannelData, Header, Pace, Written, record};
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+/// A tick of a two-joint arm and a faster, narrower channel.
+pub fn channels() -> Vec<Channel> {
+    let joints = ["shoulder", "elbow"];
+    let tick = Layout {
+        channel: "tick".to_owned(),
+        signals: vec![
+            Signal::new("q", "rad", &joints),
+            Signal::new("dq", "rad/s", &joints),
+            Signal::new("motor_torque", "Nm", &joints),
+            Signal::new::<&str>("no.joints", "rad", &[]),
+            Signal::new("hand.position", "m", &["x", "y", "z"]),
+        ],
+    };
+    let servo = Layout { channel: "servo.current".to_owned(), signals: vec![Signal::scalar("i", "A")] };
+    vec![Channel { layout: tick, rate_hz: 1000.0 }, Channel { layout: servo, rate_hz: 2000.0 }]
+}
+
+/// Values with every kind of bits: bits not smooth enough to compress well, now and then a special one.
+pub fn row(k: usize, width: usize) -> Vec<f64> {
+    let special =
+        [f64::NAN, f64::from_bits(0x7ff4_0000_0000_1234), -0.0, f64::INFINITY, f64::MIN_POSITIVE / 2.0];
+    let value = |i: usize| {
+        let n = k * 31 + i;
+        if n.is_multiple_of(17) { special[n / 17 % special.len()] } else { (n as f64 * 0.7).sin() * 1e3 }
+    };
+    (0..width).map(value).collect()
+}
+
+/// Time of tick `k`, s.
+pub fn time(k: usize) -> f64 {
+    (k as f64 - 2.0) * 1e-3
+}
+
+pub fn header() -> Header {
+    let facts = BTreeMap::from([("seed".to_owned(), "7".to_owned())]);
+    Header {
+        metadata: vec![("run".to_owned(), facts)],
+        attachments: vec![Attachment::new("arm.urdf", "application/xml", "<robot/>")],
+        model: None,
+    }
+}
+
+/// A log of `ticks` ticks, two servo rows a tick.
+pub fn log(header: Header, ticks: usize) -> (Written, Vec<u8>) {
+    let sink = Cursor::new(Vec::new());
+    let (mut recorder, writer) = record(sink, header, channels(), Pace::Simulated).expect("begins");
+    for k in 0..ticks {
+        recorder.wait_for_room();
+        recorder.push(0, time(k), &row(k, 9));
+        recorder.push(1, time(k), &row(2 * k, 1));
+        recorder.push(1, time(k) + 5e-4, &row(2 * k + 1, 1));
+    }
+    drop(recorder);
+    let (written, sink) = writer.finish().expect("ends");
+    (written, sink.into_inner())
+}
+
+/// Bits, since NaN is not equal to itself.
+pub fn bits(values: &[f64]) -> Vec<u64> {
+    values.iter().map(|v| v.to_bits()).collect()
+}
+
+/// Whether `part` is how `whole` begins, bit for bit.
+pub fn is_prefix(part: &ChannelData, whole: &ChannelData) -> bool {
+    part.layout == whole.layout
+        && bits(&whole.time_s).starts_with(&bits(&part.time_s))
+        && bits(&whole.rows).starts_with(&bits(&part.rows))
+        && part.rows.len() == part.time_s.len() * part.layout.width()
+}

@@ -1,0 +1,283 @@
+//! Every kinematic and dynamic quantity of a state at once, in a layout that other libraries can be
+//! compared with: what `opspace model URDF --tip FRAME --samples FILE` reads and writes.
+//!
+//! Matrices are flat and row-major; 6-vectors and Jacobians have linear rows first, in world axes at the
+//! tip's origin. Not for control: it allocates.
+
+use crate::data::Data;
+use crate::model::{FrameId, Model};
+use crate::operational_space::OperationalSpace;
+use crate::{
+    aba, center_of_mass, coriolis, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity,
+    kinetic_energy, potential_energy, rnea, update,
+};
+use nalgebra::{DMatrix, Matrix6xX};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// A task is rank-deficient if, with its rows scaled to equal weight, its least mobile direction has less
+/// than this share of the mobility of its most mobile one (as a ratio of singular values of J M^-½). Below
+/// it Λ, which divides by the square, has fewer than four digits left.
+const RANK_TOLERANCE: f64 = 1e-6;
+
+/// A state, and what acts on the robot in it. Lengths: n is the number of joints.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sample {
+    /// Joint positions, rad or m (n).
+    pub q: Vec<f64>,
+    /// Joint velocities, rad/s or m/s (n).
+    pub dq: Vec<f64>,
+    /// Joint accelerations for the inverse dynamics, rad/s² or m/s² (n).
+    pub ddq: Vec<f64>,
+    /// Joint torques for the forward dynamics, Nm or N (n).
+    pub tau_in: Vec<f64>,
+    /// Force and moment on the robot at the tip, world axes, N and Nm (6).
+    pub f_tip: Vec<f64>,
+    /// The rows of the tip's Jacobian that are the task: distinct, each from 0 to 5.
+    #[serde(default = "all_rows")]
+    pub task_rows: Vec<usize>,
+}
+
+fn all_rows() -> Vec<usize> {
+    (0..6).collect()
+}
+
+/// What follows from a [`Sample`]; k is the number of its task's rows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quantities {
+    /// Axes of the tip in the world (3 × 3).
+    #[serde(rename = "tip_R")]
+    pub tip_rotation: Vec<f64>,
+    /// Origin of the tip in the world, m (3).
+    #[serde(rename = "tip_p")]
+    pub tip_position: Vec<f64>,
+    /// J q̇ (6).
+    #[serde(rename = "tip_vel")]
+    pub tip_velocity: Vec<f64>,
+    /// J (6 × n).
+    #[serde(rename = "J")]
+    pub jacobian: Vec<f64>,
+    /// J̇ q̇: the tip's classical acceleration with q̈ = 0 (6).
+    #[serde(rename = "Jdot_dq")]
+    pub tip_bias_acceleration: Vec<f64>,
+    /// M (n × n).
+    #[serde(rename = "M")]
+    pub mass_matrix: Vec<f64>,
+    /// g, the torques of gravity (n).
+    #[serde(rename = "g")]
+    pub gravity: Vec<f64>,
+    /// C q̇ + g (n).
+    #[serde(rename = "nle")]
+    pub bias: Vec<f64>,
+    /// C of Christoffel's symbols (n × n).
+    #[serde(rename = "C")]
+    pub coriolis_matrix: Vec<f64>,
+    /// M q̈ + C q̇ + g (n).
+    pub tau_rnea: Vec<f64>,
+    /// M⁻¹ (τ − C q̇ − g) (n).
+    pub ddq_aba: Vec<f64>,
+    /// M q̈ + C q̇ + g − Jᵀ f (n).
+    pub tau_rnea_fext: Vec<f64>,
+    /// M⁻¹ (τ − C q̇ − g + Jᵀ f) (n).
+    pub ddq_aba_fext: Vec<f64>,
+    /// Centre of mass of all moving bodies in the world, m (3); none if nothing moves.
+    pub com: Option<Vec<f64>>,
+    /// J.
+    pub kinetic_energy: f64,
+    /// J, zero at z = 0.
+    pub potential_energy: f64,
+    /// Λ = (J M⁻¹ Jᵀ)⁻¹ of the task's rows, undamped (k × k); none if the task is rank-deficient.
+    #[serde(rename = "Lambda")]
+    pub task_inertia: Option<Vec<f64>>,
+    /// J̄ = M⁻¹ Jᵀ Λ (n × k); none if the task is rank-deficient.
+    #[serde(rename = "Jbar")]
+    pub dynamically_consistent_inverse: Option<Vec<f64>>,
+    /// N = I − J̄ J, acting on velocities (n × n); none if the task is rank-deficient.
+    #[serde(rename = "N")]
+    pub nullspace: Option<Vec<f64>>,
+}
+
+/// Why a [`Sample`] can't be evaluated.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum SampleError {
+    /// Too few numbers or too many.
+    #[error("`{key}` has {found} numbers; it needs {expected}")]
+    Length {
+        /// Which input.
+        key: &'static str,
+        /// How many it needs.
+        expected: usize,
+        /// How many it has.
+        found: usize,
+    },
+    /// Infinite or not a number.
+    #[error("`{key}`[{index}] is {value}; give a finite number")]
+    NotFinite {
+        /// Which input.
+        key: &'static str,
+        /// Where in it, from 0.
+        index: usize,
+        /// What is there.
+        value: f64,
+    },
+    /// A task row that a frame's motion doesn't have.
+    #[error("`task_rows` has {row}; the rows are 0 1 2 (linear x y z) and 3 4 5 (angular x y z)")]
+    NoSuchRow {
+        /// The row.
+        row: usize,
+    },
+    /// A task row twice.
+    #[error("`task_rows` has {row} more than once; leave one")]
+    RepeatedRow {
+        /// The row.
+        row: usize,
+    },
+    /// A joint that nothing resists, or a state so large that products overflow.
+    #[error(
+        "the mass matrix is not positive definite at this `q`, `dq`: a joint moves a body without inertia about \
+         its axis, or the numbers overflow"
+    )]
+    SingularMassMatrix,
+}
+
+/// All quantities at one state.
+///
+/// # Errors
+/// [`SampleError`], which names the input at fault.
+pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantities, SampleError> {
+    check(model, sample)?;
+    let mut data = Data::new(model);
+    if !update(model, &mut data, &sample.q, &sample.dq) {
+        return Err(SampleError::SingularMassMatrix);
+    }
+    coriolis(model, &mut data);
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    frame_jacobian(model, &data, tip, &mut jacobian);
+    let wrench = nalgebra::Vector6::from_column_slice(&sample.f_tip);
+    let external: Vec<f64> = jacobian.column_iter().map(|column| column.dot(&wrench)).collect();
+
+    rnea(model, &mut data, &sample.ddq);
+    let tau_rnea = data.torque.as_slice().to_vec();
+    aba(model, &mut data, &sample.tau_in);
+    let ddq_aba = data.ddq.as_slice().to_vec();
+    let pushed: Vec<f64> = sample.tau_in.iter().zip(&external).map(|(tau, f)| tau + f).collect();
+    aba(model, &mut data, &pushed);
+
+    let placement = frame_placement(model, &data, tip);
+    let task = task(&data, &jacobian, &sample.task_rows);
+    let (task_inertia, dynamically_consistent_inverse, nullspace) = match task {
+        None => (None, None, None),
+        Some(task) => (Some(task.inertia), Some(task.inverse), Some(task.nullspace)),
+    };
+    Ok(Quantities {
+        tip_rotation: row_major(&placement.rotation),
+        tip_position: placement.translation.as_slice().to_vec(),
+        tip_velocity: linear_first(&frame_velocity(model, &data, tip)),
+        tip_bias_acceleration: linear_first(&frame_bias_acceleration(model, &data, tip)),
+        mass_matrix: row_major(&data.mass_matrix),
+        gravity: data.gravity.as_slice().to_vec(),
+        bias: data.bias.as_slice().to_vec(),
+        coriolis_matrix: row_major(&data.coriolis_matrix),
+        tau_rnea_fext: tau_rnea.iter().zip(&external).map(|(tau, f)| tau - f).collect(),
+        tau_rnea,
+        ddq_aba,
+        ddq_aba_fext: data.ddq.as_slice().to_vec(),
+        com: center_of_mass(model, &data).map(|com| com.as_slice().to_vec()),
+        kinetic_energy: kinetic_energy(model, &data),
+        potential_energy: potential_energy(model, &data),
+        jacobian: row_major(&jacobian),
+        task_inertia,
+        dynamically_consistent_inverse,
+        nullspace,
+    })
+}
+
+fn check(model: &Model, sample: &Sample) -> Result<(), SampleError> {
+    let n = model.n();
+    let inputs = [
+        ("q", &sample.q, n),
+        ("dq", &sample.dq, n),
+        ("ddq", &sample.ddq, n),
+        ("tau_in", &sample.tau_in, n),
+        ("f_tip", &sample.f_tip, 6),
+    ];
+    for (key, values, expected) in inputs {
+        if values.len() != expected {
+            return Err(SampleError::Length { key, expected, found: values.len() });
+        }
+        if let Some(index) = values.iter().position(|x| !x.is_finite()) {
+            return Err(SampleError::NotFinite { key, index, value: values[index] });
+        }
+    }
+    for (i, &row) in sample.task_rows.iter().enumerate() {
+        if row > 5 {
+            return Err(SampleError::NoSuchRow { row });
+        }
+        if sample.task_rows[..i].contains(&row) {
+            return Err(SampleError::RepeatedRow { row });
+        }
+    }
+    Ok(())
+}
+
+/// Λ, J̄ and N, row-major.
+struct Task {
+    inertia: Vec<f64>,
+    inverse: Vec<f64>,
+    nullspace: Vec<f64>,
+}
+
+fn task(data: &Data, jacobian: &Matrix6xX<f64>, rows: &[usize]) -> Option<Task> {
+    let (n, k) = (jacobian.ncols(), rows.len());
+    let mut selected = Matrix6xX::zeros(n);
+    for (to, &from) in rows.iter().enumerate() {
+        selected.set_row(to, &jacobian.row(from));
+    }
+    if !has_full_rank(data, &selected, k) {
+        return None;
+    }
+    let mut space = OperationalSpace::new(n);
+    space.update(data, &selected, k, 0.0);
+    Some(Task {
+        inertia: row_major(&space.task_inertia.view((0, 0), (k, k))),
+        inverse: row_major(&space.dynamically_consistent_inverse.columns(0, k)),
+        nullspace: row_major(&space.nullspace),
+    })
+}
+
+/// Whether J M⁻¹ Jᵀ has an inverse, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ), whose columns are
+/// first brought to length one since they differ in unit.
+fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
+    let n = jacobian.ncols();
+    if rows == 0 || rows > n {
+        return rows == 0;
+    }
+    let factor = data.mass_matrix_factor.lower_triangle();
+    let mut half: DMatrix<f64> = jacobian.rows(0, rows).transpose();
+    if !factor.solve_lower_triangular_mut(&mut half) {
+        return false;
+    }
+    for mut column in half.column_iter_mut() {
+        let norm = column.norm();
+        if norm == 0.0 {
+            return false;
+        }
+        column /= norm;
+    }
+    let singular_values = half.singular_values();
+    singular_values.min() > RANK_TOLERANCE * singular_values.max()
+}
+
+fn linear_first(m: &crate::Motion) -> Vec<f64> {
+    m.linear.iter().chain(m.angular.iter()).copied().collect()
+}
+
+fn row_major<R, C, S>(matrix: &nalgebra::Matrix<f64, R, C, S>) -> Vec<f64>
+where
+    R: nalgebra::Dim,
+    C: nalgebra::Dim,
+    S: nalgebra::RawStorage<f64, R, C>,
+{
+    matrix.row_iter().flat_map(|row| row.iter().copied().collect::<Vec<_>>()).collect()
+}

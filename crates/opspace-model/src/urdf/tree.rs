@@ -1,0 +1,95 @@
+//! The order of a robot's links, and the proof that they are one tree.
+
+use super::error::{UrdfError, UrdfErrorKind};
+use super::read::Description;
+use std::collections::HashMap;
+
+/// A link, and how it is reached.
+pub(super) struct Step {
+    /// Index of the link.
+    pub link: usize,
+    /// Indices of the joint that leads to it and of the link it leads from; `None` at the root.
+    pub from: Option<(usize, usize)>,
+}
+
+/// Every link, parents before children: depth first, the children of a link by the names of their joints.
+pub(super) fn depth_first(description: &Description) -> Result<Vec<Step>, UrdfError> {
+    let (links, joints) = (&description.links, &description.joints);
+    let index: HashMap<&str, usize> = links.iter().enumerate().map(|(i, l)| (l.name.as_str(), i)).collect();
+    // The joint above each link, and the joints below it.
+    let mut above: Vec<Option<usize>> = vec![None; links.len()];
+    let mut below: Vec<Vec<usize>> = vec![Vec::new(); links.len()];
+    let mut ends = Vec::with_capacity(joints.len());
+    for (j, joint) in joints.iter().enumerate() {
+        let find = |role: &'static str, name: &str| {
+            index.get(name).copied().ok_or_else(|| {
+                let known = links.iter().map(|l| l.name.clone()).collect();
+                let kind = UrdfErrorKind::UnknownLink {
+                    joint: joint.name.clone(),
+                    role,
+                    link: name.to_owned(),
+                    known,
+                };
+                UrdfError::at(joint.line, kind)
+            })
+        };
+        let (parent, child) = (find("parent", &joint.parent)?, find("child", &joint.child)?);
+        if let Some(first) = above[child].replace(j) {
+            let kind = UrdfErrorKind::TwoParents {
+                link: joint.child.clone(),
+                first: joints[first].name.clone(),
+                second: joint.name.clone(),
+            };
+            return Err(UrdfError::at(joint.line, kind));
+        }
+        below[parent].push(j);
+        ends.push((parent, child));
+    }
+    for children in &mut below {
+        // Reversed: the stack below takes the last first.
+        children.sort_by(|&a, &b| joints[b].name.cmp(&joints[a].name));
+    }
+
+    let roots: Vec<usize> = (0..links.len()).filter(|&l| above[l].is_none()).collect();
+    if let [_, second, ..] = roots[..] {
+        let kind =
+            UrdfErrorKind::SeveralRoots { links: roots.iter().map(|&l| links[l].name.clone()).collect() };
+        return Err(UrdfError::at(links[second].line, kind));
+    }
+    let mut reached = vec![false; links.len()];
+    let mut order = Vec::with_capacity(links.len());
+    let mut stack: Vec<Step> = roots.iter().map(|&link| Step { link, from: None }).collect();
+    while let Some(step) = stack.pop() {
+        reached[step.link] = true;
+        stack.extend(below[step.link].iter().map(|&j| Step { link: ends[j].1, from: Some((j, step.link)) }));
+        order.push(step);
+    }
+    match reached.iter().position(|&r| !r) {
+        None => Ok(order),
+        // With one parent at most, a link that can't be reached from the root is on a cycle or hangs on one.
+        Some(lost) => Err(cycle(description, &above, &ends, lost)),
+    }
+}
+
+/// The cycle above a link that no root leads to.
+fn cycle(
+    description: &Description,
+    above: &[Option<usize>],
+    ends: &[(usize, usize)],
+    lost: usize,
+) -> UrdfError {
+    let up = |link: usize| above[link].map(|j| ends[j].0);
+    // As many steps up as there are links surely end on the cycle.
+    let on_cycle = (0..above.len()).fold(lost, |link, _| up(link).unwrap_or(link));
+    let mut links = vec![on_cycle];
+    let mut link = up(on_cycle);
+    while let Some(next) = link.filter(|&l| l != on_cycle) {
+        links.push(next);
+        link = up(next);
+    }
+    links.push(on_cycle);
+    links.reverse();
+    let line = above[on_cycle].map_or(1, |j| description.joints[j].line);
+    let links = links.iter().map(|&l| description.links[l].name.clone()).collect();
+    UrdfError::at(line, UrdfErrorKind::Cycle { links })
+}

@@ -1,0 +1,518 @@
+//! The simulated arm behind its interface: drives at servo rate, everything else at the interface rate.
+//!
+//! At interface tick k the encoders are read; the command written then acts from `delay` servo ticks later
+//! until the next one does. Between two interface ticks nothing is seen of the arm but by its own drives.
+
+use crate::error::SimulationError;
+use crate::force_sensor::SimulatedForceSensor;
+use crate::friction::LuGre;
+use crate::motor::Motor;
+use crate::parameters::SimulatedParameters;
+use crate::plant::{Contact, Plant, PlantParts};
+use crate::random::{Stream, generator};
+use crate::servo::Servo;
+use crate::surroundings::{HandMotion, Surrounding, SurroundingParameters};
+use nalgebra::{DVector, Vector3};
+use opspace_backend::{
+    Facts, Fault, ForceSensor, GravityBy, InterfaceParameters, JointParameters, Measured, PositionRobot,
+    ProfileParameters, Robot, Sample, ServoParameters, TorqueRobot, Trace, Traces,
+};
+use opspace_control::{CommandKind, Layout, Signal};
+use opspace_model::{Data, FrameId, Model, frame_placement, gravity, kinematics};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Everything that makes a simulated arm.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// The rigid bodies as believed, rotors included.
+    pub model: Model,
+    /// The drives as believed, one a joint.
+    pub joints: Vec<JointParameters>,
+    /// The servos as believed, one a joint.
+    pub servos: Vec<ServoParameters>,
+    /// Rates and delay.
+    pub profile: ProfileParameters,
+    /// What the interface offers.
+    pub interface: InterfaceParameters,
+    /// Where truth differs.
+    pub simulated: SimulatedParameters,
+    /// Which kind of robot it is to be.
+    pub command: CommandKind,
+    /// The force sensors, by name and frame.
+    pub sensors: Vec<ForceSensor>,
+    /// What touches it, by name.
+    pub surroundings: Vec<(String, SurroundingParameters)>,
+    /// Where it stands, at rest, rad or m (n).
+    pub start: Vec<f64>,
+    /// How long it holds itself before the controller starts, s.
+    pub rest_s: f64,
+    /// Of everything random.
+    pub seed: u64,
+}
+
+/// An arm with a servo, or with torque drives, that can be read and commanded once every interface period.
+pub struct SimulatedArm {
+    facts: Facts,
+    plant: Plant,
+    timing: Timing,
+    encoders: Vec<Option<f64>>,
+    torque_limits: Option<DVector<f64>>,
+    servos: Vec<Servo>,
+    active: DVector<f64>,
+    active_command: u64,
+    pending: [Pending; 2],
+    commands: u64,
+    braked: bool,
+    sensors: Vec<(FrameId, SimulatedForceSensor)>,
+    torque_noise: (f64, ChaCha8Rng),
+    position: DVector<f64>,
+    asked: DVector<f64>,
+    interval_torque: DVector<f64>,
+    log: TraceLog,
+}
+
+/// Ticks of the servo, counted from the first.
+#[derive(Clone, Copy, Debug)]
+struct Timing {
+    servo_period_s: f64,
+    ratio: u32,
+    delay: u32,
+    physics_per_servo: u32,
+    rest_ticks: f64,
+    servo_tick: u64,
+    started: bool,
+}
+
+impl Timing {
+    /// Time of a servo tick on the robot's clock, which is 0 when the controller starts, s.
+    fn time_s(&self, servo_tick: u64) -> f64 {
+        (servo_tick as f64 - self.rest_ticks) * self.servo_period_s
+    }
+}
+
+/// A command on its way to the drives.
+#[derive(Clone, Debug)]
+struct Pending {
+    acts_at: Option<u64>,
+    number: u64,
+    values: DVector<f64>,
+}
+
+/// What the last interface period left behind.
+struct TraceLog {
+    joints: Vec<String>,
+    contacts: Vec<String>,
+    truth: Vec<f64>,
+    servo: Vec<f64>,
+    servo_commands: Vec<u64>,
+    first_servo_tick: u64,
+}
+
+impl SimulatedArm {
+    /// Puts the arm together, at rest at its start, holding itself: a position robot by its servo, a torque
+    /// robot by its brakes.
+    ///
+    /// # Errors
+    /// Parameters that contradict each other, named by their key.
+    pub fn new(setup: Setup) -> Result<Self, SimulationError> {
+        let Setup { simulated, profile, .. } = &setup;
+        let n = setup.model.n();
+        setup.check()?;
+        let timing = setup.timing()?;
+        let dt = 1.0 / simulated.physics_hz.get();
+        let start = DVector::from_column_slice(&setup.start);
+        let model = setup.true_model();
+        let holding = holding_torque(&model, &setup.start);
+
+        let limit = |j: &JointParameters| j.torque_limit_nm.get();
+        let scale = &simulated.scale;
+        let motor_start = match setup.command {
+            CommandKind::Position => holding.clone(),
+            CommandKind::Torque => DVector::zeros(n),
+        };
+        let current_loop = simulated.current_loop_hz.map(|hz| hz.get());
+        let contacts = setup.contacts(&model);
+        let plant = Plant::new(PlantParts {
+            friction: (setup.joints.iter())
+                .map(|j| LuGre::new(&j.friction, &simulated.bristle, scale.friction.get()))
+                .collect(),
+            motors: motor_start.iter().map(|&torque| Motor::new(current_loop, dt, torque)).collect(),
+            end_stop: simulated.end_stop.clone(),
+            brake: simulated.brake.clone(),
+            brake_torque: DVector::from_iterator(
+                n,
+                setup.joints.iter().map(|j| limit(j) * simulated.brake.slips_at_torque_limits.get()),
+            ),
+            contacts,
+            q: start.clone(),
+            model,
+        });
+        let encoders: Vec<Option<f64>> = (setup.joints.iter())
+            .map(|j| simulated.encoder_quantisation.then(|| j.rotor.resolution_rad()))
+            .collect();
+        let position = DVector::from_fn(n, |i, _| encode(start[i], encoders[i]));
+        let servos: Vec<Servo> = (setup.servos.iter().zip(&position))
+            .map(|(servo, &y)| {
+                Servo::new(servo.cascade(), scale.kp.get(), scale.kv.get(), timing.servo_period_s, y)
+            })
+            .collect();
+        let active = match setup.command {
+            CommandKind::Position => DVector::from_fn(n, |i, _| servos[i].holding(position[i], holding[i])),
+            CommandKind::Torque => DVector::zeros(n),
+        };
+        let sensors = setup.simulated_sensors(timing.servo_period_s);
+        let pending = Pending { acts_at: None, number: 0, values: DVector::zeros(n) };
+        let mut arm = Self {
+            facts: setup.facts(),
+            timing,
+            torque_limits: simulated
+                .torque_saturation
+                .then(|| DVector::from_iterator(n, setup.joints.iter().map(limit))),
+            encoders,
+            servos,
+            active,
+            active_command: 0,
+            pending: [pending.clone(), pending],
+            commands: 0,
+            braked: false,
+            sensors,
+            torque_noise: (simulated.torque_noise_nm.get(), generator(setup.seed, Stream::MotorTorque)),
+            position,
+            asked: DVector::zeros(n),
+            interval_torque: motor_start,
+            log: TraceLog::new(&setup, profile.ratio.get()),
+            plant,
+        };
+        if setup.command == CommandKind::Torque {
+            arm.brake();
+        }
+        Ok(arm)
+    }
+
+    /// State and physics.
+    #[must_use]
+    pub fn plant(&self) -> &Plant {
+        &self.plant
+    }
+
+    /// One interface period: `ratio` servo ticks and the physics between them.
+    fn advance(&mut self) {
+        self.interval_torque.fill(0.0);
+        self.log.begin(self.timing.servo_tick);
+        for _ in 0..self.timing.ratio {
+            self.take_pending();
+            self.servo_tick();
+            self.run_physics();
+            self.timing.servo_tick += 1;
+        }
+        self.interval_torque /= f64::from(self.timing.ratio);
+    }
+
+    fn take_pending(&mut self) {
+        for pending in &mut self.pending {
+            if pending.acts_at.is_some_and(|tick| tick <= self.timing.servo_tick) {
+                pending.acts_at = None;
+                self.active.copy_from(&pending.values);
+                self.active_command = pending.number;
+                if self.facts.command == CommandKind::Torque && !self.braked {
+                    self.plant.release();
+                }
+            }
+        }
+    }
+
+    /// The drives read their encoders and ask their motors.
+    fn servo_tick(&mut self) {
+        self.read_encoders();
+        for (i, servo) in self.servos.iter_mut().enumerate() {
+            let torque = match self.facts.command {
+                CommandKind::Position => servo.torque(self.active[i], self.position[i]),
+                CommandKind::Torque => self.active[i],
+            };
+            self.asked[i] = match &self.torque_limits {
+                Some(limits) => torque.clamp(-limits[i], limits[i]),
+                None => torque,
+            };
+        }
+    }
+
+    fn run_physics(&mut self) {
+        let steps = self.timing.physics_per_servo;
+        let dt = self.timing.servo_period_s / f64::from(steps);
+        let begin_s = self.timing.time_s(self.timing.servo_tick);
+        let slot = self.log.servo_slot(self.active_command);
+        slot.fill(0.0);
+        for step in 0..steps {
+            self.plant.step(begin_s + f64::from(step) * dt, dt, self.asked.as_slice());
+            for (sum, torque) in slot.iter_mut().zip(self.plant.motor_torque()) {
+                *sum += torque / f64::from(steps);
+            }
+        }
+        for (sum, mean) in self.interval_torque.iter_mut().zip(slot.iter()) {
+            *sum += mean;
+        }
+        for (frame, sensor) in &mut self.sensors {
+            sensor.follow(&self.plant.contact_wrench(*frame));
+        }
+    }
+
+    fn read_encoders(&mut self) {
+        for (i, y) in self.position.iter_mut().enumerate() {
+            *y = encode(self.plant.q()[i], self.encoders[i]);
+        }
+    }
+
+    fn measure(&mut self, sample: &mut Sample) {
+        self.read_encoders();
+        sample.time_s = self.timing.time_s(self.timing.servo_tick);
+        sample.q.copy_from(&self.position);
+        let (noise, random) = &mut self.torque_noise;
+        if let Some(measured) = &mut sample.motor_torque {
+            for (to, torque) in measured.iter_mut().zip(&self.interval_torque) {
+                let white: f64 = StandardNormal.sample(random);
+                *to = torque + *noise * white;
+            }
+        }
+        for (to, (_, sensor)) in sample.wrenches.iter_mut().zip(&mut self.sensors) {
+            *to = sensor.read();
+        }
+        self.log.truth(&self.plant);
+    }
+
+    /// Takes a command given at the present interface tick.
+    fn accept(&mut self, values: &[f64]) {
+        self.commands += 1;
+        let slot = usize::from(self.commands.is_multiple_of(2));
+        let pending = &mut self.pending[slot];
+        pending.acts_at = Some(self.timing.servo_tick + u64::from(self.timing.delay));
+        pending.number = self.commands;
+        pending.values.copy_from_slice(values);
+    }
+}
+
+impl Robot for SimulatedArm {
+    fn facts(&self) -> &Facts {
+        &self.facts
+    }
+
+    fn read(&mut self, sample: &mut Sample) -> Result<(), Fault> {
+        if self.timing.started {
+            self.advance();
+        }
+        self.timing.started = true;
+        let finite = self.plant.q().iter().chain(self.plant.dq().iter()).all(|v| v.is_finite());
+        if !finite {
+            return Err(Fault::Diverged);
+        }
+        self.measure(sample);
+        Ok(())
+    }
+
+    fn traces(&self) -> Option<Traces> {
+        Some(self.log.layouts())
+    }
+
+    fn visit_traces(&self, visit: &mut dyn FnMut(Trace<'_>)) {
+        let n = self.log.joints.len();
+        for (k, &command) in self.log.servo_commands.iter().enumerate() {
+            let time_s = self.timing.time_s(self.log.first_servo_tick + k as u64);
+            visit(Trace::Servo { time_s, command, row: &self.log.servo[k * n..(k + 1) * n] });
+        }
+        visit(Trace::Truth { time_s: self.timing.time_s(self.timing.servo_tick), row: &self.log.truth });
+    }
+}
+
+impl PositionRobot for SimulatedArm {
+    fn set_positions(&mut self, q_desired: &[f64]) -> Result<(), Fault> {
+        if self.facts.command != CommandKind::Position {
+            return Err(Fault::WrongCommand);
+        }
+        self.accept(q_desired);
+        Ok(())
+    }
+}
+
+impl TorqueRobot for SimulatedArm {
+    fn set_torques(&mut self, tau: &[f64]) -> Result<(), Fault> {
+        if self.facts.command != CommandKind::Torque {
+            return Err(Fault::WrongCommand);
+        }
+        self.braked = false;
+        self.accept(tau);
+        Ok(())
+    }
+
+    fn brake(&mut self) {
+        self.braked = true;
+        self.plant.brake();
+        self.pending.iter_mut().for_each(|p| p.acts_at = None);
+        self.active.fill(0.0);
+        if self.commands > 0 {
+            self.commands += 1;
+        }
+        self.active_command = self.commands;
+    }
+}
+
+impl Setup {
+    fn check(&self) -> Result<(), SimulationError> {
+        for sensor in &self.sensors {
+            if !self.simulated.force_sensor.contains_key(&sensor.name) {
+                return Err(SimulationError::UnknownSensorQuality { sensor: sensor.name.clone() });
+            }
+        }
+        for (name, surrounding) in &self.surroundings {
+            self.model
+                .frame(surrounding.frame())
+                .map_err(|source| SimulationError::Frame { surrounding: name.clone(), source })?;
+            match surrounding {
+                SurroundingParameters::Spring(spring) => {
+                    if let HandMotion::Random(motion) = &spring.motion
+                        && motion.to_hz < motion.from_hz
+                    {
+                        return Err(SimulationError::Band { surrounding: name.clone() });
+                    }
+                }
+                SurroundingParameters::Wall(wall) => {
+                    if Vector3::from(wall.normal).norm() == 0.0 {
+                        return Err(SimulationError::Normal { surrounding: name.clone() });
+                    }
+                }
+                SurroundingParameters::Pushes(_) => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn timing(&self) -> Result<Timing, SimulationError> {
+        let ratio = self.profile.ratio.get();
+        let delay = self.profile.delay_servo_ticks;
+        if delay > ratio {
+            return Err(SimulationError::Delay { delay, ratio });
+        }
+        let servo_hz = self.profile.servo_hz.get();
+        let physics_hz = self.simulated.physics_hz.get();
+        let steps = physics_hz / servo_hz;
+        if steps < 1.0 || (steps - steps.round()).abs() > 1e-9 * steps {
+            return Err(SimulationError::PhysicsRate { physics_hz, servo_hz });
+        }
+        let period_s = self.profile.period_s();
+        Ok(Timing {
+            servo_period_s: self.profile.servo_period_s(),
+            ratio,
+            delay,
+            physics_per_servo: steps.round() as u32,
+            rest_ticks: (self.rest_s / period_s).round() * f64::from(ratio),
+            servo_tick: 0,
+            started: false,
+        })
+    }
+
+    fn true_model(&self) -> Model {
+        let model = self.model.clone().with_scaled_inertia(self.simulated.scale.inertia.get());
+        match self.interface.gravity_by {
+            GravityBy::Controller => model,
+            // A robot that carries its own weight is one that has none.
+            GravityBy::Robot => model.with_gravity(Vector3::zeros()),
+        }
+    }
+
+    fn contacts(&self, model: &Model) -> Vec<Contact> {
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
+        (self.surroundings.iter().zip(0..))
+            .filter_map(|((_, parameters), index)| {
+                let frame = model.frame(parameters.frame()).ok()?;
+                let home = frame_placement(model, &data, frame).translation;
+                let random = generator(self.seed, Stream::Surrounding(index));
+                Some(Contact::new(frame, Surrounding::new(parameters, home, random), model.n()))
+            })
+            .collect()
+    }
+
+    fn simulated_sensors(&self, period_s: f64) -> Vec<(FrameId, SimulatedForceSensor)> {
+        (self.sensors.iter().zip(0..))
+            .filter_map(|(sensor, index)| {
+                let quality = self.simulated.force_sensor.get(&sensor.name)?;
+                let random = generator(self.seed, Stream::ForceSensor(index));
+                Some((sensor.frame, SimulatedForceSensor::new(quality, period_s, random)))
+            })
+            .collect()
+    }
+
+    fn facts(&self) -> Facts {
+        Facts {
+            command: self.command,
+            period_s: self.profile.period_s(),
+            gravity_by: self.interface.gravity_by,
+            on_missed_cycle: self.interface.on_missed_cycle,
+            motor_torque: self.interface.measures.contains(&Measured::MotorCurrent),
+            sensors: self.sensors.clone(),
+        }
+    }
+}
+
+impl TraceLog {
+    fn new(setup: &Setup, ratio: u32) -> Self {
+        let joints: Vec<String> = setup.model.joints().iter().map(|j| j.name.clone()).collect();
+        let n = joints.len();
+        let rows = ratio as usize;
+        Self {
+            truth: vec![0.0; 2 * n + 3 * setup.surroundings.len()],
+            servo: vec![0.0; rows * n],
+            servo_commands: Vec::with_capacity(rows),
+            contacts: setup.surroundings.iter().map(|(name, _)| name.clone()).collect(),
+            first_servo_tick: 0,
+            joints,
+        }
+    }
+
+    fn layouts(&self) -> Traces {
+        let mut truth = vec![Signal::new("q", "rad", &self.joints), Signal::new("dq", "rad/s", &self.joints)];
+        truth.extend(self.contacts.iter().map(|c| Signal::new(format!("{c}.force"), "N", &["x", "y", "z"])));
+        let servo = vec![Signal::new("motor_torque", "Nm", &self.joints)];
+        Traces {
+            truth: Layout { channel: "truth".to_owned(), signals: truth },
+            servo: Layout { channel: "servo".to_owned(), signals: servo },
+        }
+    }
+
+    fn begin(&mut self, servo_tick: u64) {
+        self.servo_commands.clear();
+        self.first_servo_tick = servo_tick;
+    }
+
+    /// Room for the motors' torques of the next servo period.
+    fn servo_slot(&mut self, command: u64) -> &mut [f64] {
+        let n = self.joints.len();
+        let k = self.servo_commands.len();
+        self.servo_commands.push(command);
+        &mut self.servo[k * n..(k + 1) * n]
+    }
+
+    fn truth(&mut self, plant: &Plant) {
+        let n = self.joints.len();
+        self.truth[..n].copy_from_slice(plant.q().as_slice());
+        self.truth[n..2 * n].copy_from_slice(plant.dq().as_slice());
+        for (slot, contact) in self.truth[2 * n..].chunks_exact_mut(3).zip(plant.contacts()) {
+            slot.copy_from_slice(contact.force().as_slice());
+        }
+    }
+}
+
+/// A position as an encoder of this resolution gives it.
+fn encode(q: f64, resolution: Option<f64>) -> f64 {
+    match resolution {
+        Some(step) => (q / step).round() * step,
+        None => q,
+    }
+}
+
+/// The torques that carry the arm at rest.
+fn holding_torque(model: &Model, q: &[f64]) -> DVector<f64> {
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, q, &vec![0.0; model.n()]);
+    gravity(model, &mut data);
+    data.gravity
+}

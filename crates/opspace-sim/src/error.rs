@@ -1,0 +1,81 @@
+//! What keeps an arm from being simulated.
+
+use opspace_model::UnknownFrame;
+use thiserror::Error;
+
+/// Parameters that contradict each other.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum SimulationError {
+    /// A command would act after the next one.
+    #[error("a delay of {delay} servo ticks is longer than the {ratio} of an interface period")]
+    Delay {
+        /// `delay_servo_ticks`.
+        delay: u32,
+        /// `ratio`.
+        ratio: u32,
+    },
+    /// Physics and servo don't fit.
+    #[error("physics at {physics_hz} Hz is not a whole multiple of the servo's {servo_hz} Hz")]
+    PhysicsRate {
+        /// `physics_hz`.
+        physics_hz: f64,
+        /// `servo_hz`.
+        servo_hz: f64,
+    },
+    /// A sensor of the robot has no quality in the simulation.
+    #[error("force sensor '{sensor}' is declared, but [simulated.force_sensor.{sensor}] is missing")]
+    UnknownSensorQuality {
+        /// Its name.
+        sensor: String,
+    },
+    /// A surrounding touches a frame that isn't there.
+    #[error("surroundings.{surrounding}: {source}")]
+    Frame {
+        /// The surrounding's name.
+        surrounding: String,
+        /// What there is.
+        source: UnknownFrame,
+    },
+    /// A band from a higher to a lower frequency.
+    #[error("surroundings.{surrounding}: to_hz is below from_hz")]
+    Band {
+        /// The surrounding's name.
+        surrounding: String,
+    },
+    /// A wall without a direction.
+    #[error("surroundings.{surrounding}: the normal has no length")]
+    Normal {
+        /// The surrounding's name.
+        surrounding: String,
+    },
+}
+
+impl SimulationError {
+    /// The file and the key that are to blame: a path from the root of the task or robot file.
+    #[must_use]
+    pub fn key(&self) -> Key {
+        let task = |name: &str, key: &str| Key::Task(vec!["surroundings".into(), name.into(), key.into()]);
+        match self {
+            Self::Delay { .. } => Key::Profile("delay_servo_ticks"),
+            Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
+            Self::UnknownSensorQuality { sensor } => {
+                Key::Robot(vec!["simulated".into(), "force_sensor".into(), sensor.clone()])
+            }
+            Self::Frame { surrounding, .. } => task(surrounding, "frame"),
+            Self::Band { surrounding } => task(surrounding, "motion"),
+            Self::Normal { surrounding } => task(surrounding, "normal"),
+        }
+    }
+}
+
+/// Where an error's cause stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Key {
+    /// In the robot file.
+    Robot(Vec<String>),
+    /// In the profile of the robot file that is in use.
+    Profile(&'static str),
+    /// In the task file.
+    Task(Vec<String>),
+}

@@ -1,0 +1,59 @@
+//! Joint friction as the plant has it: LuGre bristles with Stribeck's curve.
+//!
+//! Canudas de Wit, Olsson, Åström, Lischinsky, *A new model for control of systems with friction*, IEEE
+//! Trans. Automatic Control 40(3), 1995:
+//!
+//! ```text
+//! ż = v − σ₀ |v| z / g(v)       τ = σ₀ z + σ₁(v) ż + Fv v       g(v) = Fc + (Fs − Fc) exp(−(v/vs)²)
+//! ```
+
+use crate::parameters::BristleParameters;
+use opspace_backend::FrictionParameters;
+
+/// Friction of one joint, with the deflection of its bristles.
+#[derive(Clone, Debug)]
+pub struct LuGre {
+    coulomb: f64,
+    stiction: f64,
+    stribeck: f64,
+    viscous: f64,
+    bristle_stiffness: f64,
+    bristle_damping: f64,
+    damping_fades_over: f64,
+    deflection: f64,
+}
+
+impl LuGre {
+    /// At rest and relaxed; `scale` multiplies the believed friction.
+    #[must_use]
+    pub fn new(friction: &FrictionParameters, bristle: &BristleParameters, scale: f64) -> Self {
+        let coulomb = scale * friction.coulomb_nm.get();
+        Self {
+            coulomb,
+            stiction: scale * friction.static_nm.get() - coulomb,
+            stribeck: friction.stribeck_rad_per_s.get(),
+            viscous: scale * friction.viscous_nms_per_rad.get(),
+            bristle_stiffness: bristle.stiffness_nm_per_rad.get(),
+            bristle_damping: bristle.damping_nms_per_rad.get(),
+            damping_fades_over: bristle.damping_fades_over_rad_per_s.get(),
+            deflection: 0.0,
+        }
+    }
+
+    /// The torque against the motion at velocity `v` (rad/s), held over the next `dt` (s), Nm. The
+    /// bristles' equation is solved exactly for that velocity.
+    pub fn step(&mut self, v: f64, dt: f64) -> f64 {
+        let level = self.coulomb + self.stiction * (-(v / self.stribeck).powi(2)).exp();
+        if level <= 0.0 {
+            return self.viscous * v;
+        }
+        let before = self.deflection;
+        let steady = level * v.signum() / self.bristle_stiffness;
+        let decay = (-self.bristle_stiffness * v.abs() / level * dt).exp();
+        self.deflection = steady + (before - steady) * decay;
+        let rate = (self.deflection - before) / dt;
+        // Bristle damping fades with speed, and with friction itself where there is hardly any.
+        let damping = self.bristle_damping * (-(v / self.damping_fades_over).powi(2)).exp() * level.min(1.0);
+        self.bristle_stiffness * self.deflection + damping * rate + self.viscous * v
+    }
+}
