@@ -261,8 +261,9 @@ impl<'a> ControlLoop<'a> {
     /// Waits for the tick and brings measurement and `data` up to date; gives the instant when the
     /// computation began.
     fn observe(&mut self, sink: &mut dyn Sink) -> Result<Instant, Fault> {
-        self.backend.read()?;
+        let read = self.backend.read();
         self.record_traces(sink);
+        read?;
         let began = Instant::now();
         self.backend.sensing_mut().observe(self.model, &mut self.data)?;
         Ok(began)

@@ -22,7 +22,8 @@ pub struct EstimatorParameters {
 pub struct VelocityEstimator {
     period_s: f64,
     gain: f64,
-    last: Option<DVector<f64>>,
+    /// NaN before the first position.
+    last: DVector<f64>,
     velocity: DVector<f64>,
 }
 
@@ -31,21 +32,18 @@ impl VelocityEstimator {
     #[must_use]
     pub fn new(n: usize, parameters: &EstimatorParameters, period_s: f64) -> Self {
         let gain = 1.0 - (-TAU * parameters.velocity_filter_hz.get() * period_s).exp();
-        Self { period_s, gain, last: None, velocity: DVector::zeros(n) }
+        Self { period_s, gain, last: DVector::from_element(n, f64::NAN), velocity: DVector::zeros(n) }
     }
 
-    /// The velocity (rad/s or m/s) with the new positions `q` (n; rad or m). The first call allocates.
+    /// The velocity (rad/s or m/s) with the new positions `q` (n; rad or m); 0 with the first.
     pub fn update(&mut self, q: &DVector<f64>) -> &DVector<f64> {
-        match &mut self.last {
-            None => self.last = Some(q.clone()),
-            Some(last) => {
-                for i in 0..q.len() {
-                    let difference = (q[i] - last[i]) / self.period_s;
-                    self.velocity[i] += self.gain * (difference - self.velocity[i]);
-                }
-                last.copy_from(q);
+        for i in 0..q.len() {
+            let difference = (q[i] - self.last[i]) / self.period_s;
+            if difference.is_finite() {
+                self.velocity[i] += self.gain * (difference - self.velocity[i]);
             }
         }
+        self.last.copy_from(q);
         &self.velocity
     }
 }

@@ -34,11 +34,14 @@ impl Sensing {
         safety: &SafetyParameters,
     ) -> Self {
         let n = model.n();
+        let mut measurement = Measurement::new(n, facts.sensors.len(), facts.motor_torque);
+        // Nowhere, until it is read: a stop before that must send the robot nowhere.
+        measurement.q.fill(f64::NAN);
         Self {
             estimator: VelocityEstimator::new(n, estimator, facts.period_s),
             supervisor: Supervisor::new(model, safety),
             sample: Sample::new(n, &facts),
-            measurement: Measurement::new(n, facts.sensors.len(), facts.motor_torque),
+            measurement,
             tare: vec![Force::zero(); facts.sensors.len()],
             tare_count: 0.0,
             start_s: None,
@@ -63,7 +66,7 @@ impl Sensing {
         self.sample.time_s
     }
 
-    /// The measurement of the last [`observe`](Self::observe).
+    /// The measurement of the last [`observe`](Self::observe); before the first its positions are NaN.
     #[must_use]
     pub fn measurement(&self) -> &Measurement {
         &self.measurement

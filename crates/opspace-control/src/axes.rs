@@ -2,6 +2,7 @@
 //! differ between them.
 
 use crate::orientation;
+use crate::quantity::exactly;
 use nalgebra::Matrix3;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
@@ -92,7 +93,7 @@ pub enum AxesIn {
     World,
     /// Turned against the world's by roll, pitch and yaw (fixed axes, in that order), rad.
     #[serde(rename = "rpy_rad")]
-    RpyRad([f64; 3]),
+    RpyRad(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
 impl AxesIn {

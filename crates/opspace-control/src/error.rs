@@ -100,6 +100,19 @@ pub enum Reason {
         /// n.
         joints: usize,
     },
+    /// A rotation axis for a frame that this arm can't turn on the spot.
+    #[error(
+        "task '{name}' asks for axis {axis}, but this arm of {joints} joints can't turn the frame without moving \
+         it, wherever it stands: leave rx, ry and rz free"
+    )]
+    CoupledOrientation {
+        /// The task.
+        name: String,
+        /// The rotation axis.
+        axis: &'static str,
+        /// n.
+        joints: usize,
+    },
     /// Axes that this arm can't move, or not beside those of the tasks above, wherever it stands.
     #[error(
         "task '{name}' asks for {axes} axes{}, but wherever this arm stands it can move only {rank} of \

@@ -3,7 +3,10 @@
 //! That every number is finite is checked once for a whole file, before these.
 
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::de::{Error, IgnoredAny, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+use std::fmt;
+use std::marker::PhantomData;
 
 /// A number above zero.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Deserialize, JsonSchema)]
@@ -100,4 +103,44 @@ impl Count {
     pub const fn get(self) -> u32 {
         self.0
     }
+}
+
+/// Reads exactly N values: TOML's reader alone would take the first N of more.
+///
+/// # Errors
+/// Fewer or more values than N.
+pub fn exactly<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    struct Exactly<T, const N: usize>(PhantomData<T>);
+
+    impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for Exactly<T, N> {
+        type Value = [T; N];
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "{N} values")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut values: A) -> Result<[T; N], A::Error> {
+            let mut read = Vec::with_capacity(N);
+            while read.len() < N {
+                match values.next_element()? {
+                    Some(value) => read.push(value),
+                    None => return Err(A::Error::invalid_length(read.len(), &self)),
+                }
+            }
+            let mut count = N;
+            while values.next_element::<IgnoredAny>()?.is_some() {
+                count += 1;
+            }
+            if count > N {
+                return Err(A::Error::invalid_length(count, &self));
+            }
+            read.try_into().map_err(|_| A::Error::invalid_length(count, &self))
+        }
+    }
+
+    deserializer.deserialize_seq(Exactly(PhantomData))
 }

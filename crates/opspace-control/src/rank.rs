@@ -1,7 +1,7 @@
 //! Which tasks an arm can carry out at all: the rank of their axes, sampled, and the arm's reach.
 
 use crate::task_axes::TaskAxes;
-use nalgebra::{DMatrix, Matrix6xX};
+use nalgebra::{DMatrix, Matrix3, Matrix6xX};
 use opspace_model::{Data, FrameId, JointKind, Limits, Model, frame_jacobian, kinematics};
 use std::f64::consts::PI;
 
@@ -40,6 +40,18 @@ pub fn sampled_rank(model: &Model, tasks: &[&TaskAxes]) -> usize {
         }
     }
     best
+}
+
+/// Whether the arm can't turn a frame without also moving it, wherever it stands: position and orientation
+/// together have fewer directions than each has by itself. So it is with fewer than six joints, unless the
+/// arm is planar.
+#[must_use]
+pub fn orientation_is_coupled(model: &Model, frame: FrameId) -> bool {
+    let directions =
+        |in_task| sampled_rank(model, &[&TaskAxes::new(frame, Matrix3::identity(), in_task, 1.0)]);
+    let position = directions([true, true, true, false, false, false]);
+    let orientation = directions([false, false, false, true, true, true]);
+    directions([true; 6]) < position + orientation
 }
 
 fn rank(matrix: &DMatrix<f64>) -> usize {

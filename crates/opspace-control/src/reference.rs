@@ -3,7 +3,7 @@
 //! Every reference begins, at time 0, at the pose at which the controller is started.
 
 use crate::orientation::{self, rotation_vector_rates};
-use crate::quantity::{NonNegative, Positive};
+use crate::quantity::{NonNegative, Positive, exactly};
 use crate::ramp::{minimum_jerk, product};
 use crate::wave::{self, AngularWave, LinearWave, Wave};
 use nalgebra::{Matrix3, Vector3};
@@ -61,10 +61,10 @@ pub struct Waypoint {
 pub enum PositionGoal {
     /// In the world, m.
     #[serde(rename = "absolute_m")]
-    Absolute([f64; 3]),
+    Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
     /// From the start position, along the task's axes, m.
     #[serde(rename = "offset_m")]
-    Offset([f64; 3]),
+    Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
 /// An orientation to reach, as roll, pitch and yaw about fixed axes, in that order.
@@ -72,10 +72,10 @@ pub enum PositionGoal {
 pub enum OrientationGoal {
     /// Against the world, rad.
     #[serde(rename = "absolute_rpy_rad")]
-    Absolute([f64; 3]),
+    Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
     /// From the start orientation, about the task's axes, rad.
     #[serde(rename = "offset_rpy_rad")]
-    Offset([f64; 3]),
+    Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
 /// Sums of sines along and about the task's axes, added to the start pose. The three rotations are the

@@ -1,12 +1,13 @@
 //! Tasks, their order, and the robot they are for.
 
+use crate::axes::AXIS_NAMES;
 use crate::cartesian::{CartesianParameters, CartesianTask};
 use crate::error::{ControlError, Reason};
 use crate::joint::{
     JointDampingParameters, JointPostureParameters, JointTask, JointTrackingParameters, Posture, Tracking,
     damping,
 };
-use crate::rank::sampled_rank;
+use crate::rank::{orientation_is_coupled, sampled_rank};
 use crate::task_axes::TaskAxes;
 use opspace_model::{FrameId, Model};
 use schemars::JsonSchema;
@@ -129,6 +130,15 @@ fn check_rank(model: &Model, tasks: &[CartesianTask]) -> Result<(), ControlError
     let (axes, above, joints) = (last.rows(), above.iter().map(|t| t.rows()).sum::<usize>(), model.n());
     if above + axes > joints {
         return Err(ControlError::new(key, Reason::TooManyAxes { name, axes, above, joints }));
+    }
+    if let Some(&turn) = last.axes().iter().find(|&&axis| axis >= 3)
+        && orientation_is_coupled(model, last.frame)
+    {
+        let key = format!("{key}.{}", AXIS_NAMES[turn]);
+        return Err(ControlError::new(
+            key,
+            Reason::CoupledOrientation { name, axis: AXIS_NAMES[turn], joints },
+        ));
     }
     let rank = sampled_rank(model, &all);
     if rank < above + axes {

@@ -72,6 +72,11 @@ fn errors_name_the_value_and_the_choices() {
             "task 'hand' asks for 6 axes, this arm has 4 joints",
         ),
         (
+            (AXES, r#"axes = { x = "compliant", y = "motion", z = "motion", ry = "motion" }"#),
+            "task.hand.cartesian.axes.ry",
+            "task 'hand' asks for axis ry, but this arm of 4 joints can't turn the frame without moving it, wherever it stands: leave rx, ry and rz free",
+        ),
+        (
             (AXES, r#"axes = { x = "motion" }"#),
             "task.hand.cartesian.force",
             "force feedback needs at least one axis that is `compliant`",

@@ -122,6 +122,69 @@ fn a_pose_is_reached() {
     assert!(orientation::log(&turn).norm() < 1e-6);
 }
 
+/// With the hand held, the elbow swings to where the posture asks for no more motion that the hand allows:
+/// what is left of the way to the posture has no part in the kernel of J.
+#[test]
+fn the_posture_is_approached_without_the_hand() {
+    let model = four_joints();
+    let text =
+        LISSAJOUS.replace("damping_ratio = 0.8", "damping_ratio = 0.8\nposture_rad = { shoulder_yaw = 0.7 }");
+    let begin = text.find("[task.hand.cartesian.reference").expect("there");
+    let end = text.find("[task.rest").expect("there");
+    let text = text.replace(&text[begin..end], "").replace("gains =", "reference = \"hold\"\ngains =");
+    let file = File::read(&text);
+    let mut controller =
+        InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+            .expect("a good stack");
+    let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    controller.start(&model, &data, &measurement);
+    let mut q = [0.0; 4];
+    for _ in 0..20_000 {
+        controller.update(&model, &data, &measurement, &mut q);
+    }
+    let hand = model.frame("hand").expect("hand");
+    let at = placed(&model, &q);
+    let [from, to] = [&data, &at].map(|data| frame_placement(&model, data, hand).translation);
+    assert!((to - from).norm() < 1e-9, "the hand stays");
+    assert!(q[2] > Q0[2] + 0.05, "the shoulder turns to {}", q[2]);
+    let j = common::jacobian(&model, &at, "hand").rows(0, 3).into_owned();
+    let kernel = nalgebra::DMatrix::identity(4, 4) - j.clone().pseudo_inverse(1e-9).expect("finite") * j;
+    let left = nalgebra::DVector::from_fn(4, |i, _| if i == 2 { 0.7 - q[i] } else { Q0[i] - q[i] });
+    assert!((kernel * left).norm() < 1e-6, "the posture is as near as it gets");
+}
+
+/// Two tasks that move at once: the second makes up for what the first does to it.
+#[test]
+fn a_lower_task_follows_too() {
+    let model = four_joints();
+    let text = LISSAJOUS.replace(r#"["hand", "rest"]"#, r#"["hand", "elbow"]"#);
+    let end = text.find("[task.rest").expect("there");
+    let text = format!(
+        "{}[task.elbow.cartesian]\nframe = \"elbow\"\naxes = {{ y = \"motion\" }}\nreference = \"hold\"\n\
+         gains = {{ frequency_rad_per_s = 14.0, damping_ratio = 1.0 }}\n",
+        &text[..end]
+    )
+    .replace("0.05", "0.02")
+    .replace("0.10", "0.02")
+    .replace("0.08", "0.02");
+    let file = File::read(&text);
+    let mut controller =
+        InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+            .expect("a good stack");
+    let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    controller.start(&model, &data, &measurement);
+    let elbow = model.frame("elbow").expect("elbow");
+    let start = frame_placement(&model, &data, elbow).translation.y;
+    let mut q = [0.0; 4];
+    for tick in 0..3000 {
+        measurement.time_s = 1e-3 * f64::from(tick);
+        controller.update(&model, &data, &measurement, &mut q);
+        let off = frame_placement(&model, &placed(&model, &q), elbow).translation.y - start;
+        // Explicit Euler, as above.
+        assert!(off.abs() < 1e-4, "{off} m at {} s", measurement.time_s);
+    }
+}
+
 #[test]
 fn joint_references_are_streamed_as_they_are() {
     let model = four_joints();

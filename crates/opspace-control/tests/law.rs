@@ -408,6 +408,59 @@ fn a_compliant_axis_with_a_target_balances_it() {
     }
 }
 
+#[test]
+fn joint_damping_brakes_every_joint() {
+    let model = four_joints();
+    let file = File::read(
+        "priority = [\"all\"]\n[task.all.joint-damping.damping_nms_per_rad]\n\
+         shoulder_pitch = 1.0\nshoulder_roll = 2.0\nshoulder_yaw = 3.0\nelbow = 4.0",
+    );
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+    let dq = [0.5, -1.0, 1.5, 0.2];
+    let (data, measurement) = at_state(&model, &Q0, &dq, 0.0);
+    controller.start(&model, &data, &measurement);
+    let mut tau = [0.0; 4];
+    controller.update(&model, &data, &measurement, &mut tau);
+    for i in 0..4 {
+        assert!((tau[i] - (data.bias[i] - (i as f64 + 1.0) * dq[i])).abs() < 1e-14, "joint {i}: {}", tau[i]);
+    }
+}
+
+/// What a sensed moment adds to the torques, and to the task's force, against Jᵀ of the gain times it.
+#[test]
+fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
+    let model = seven_joints();
+    let file = File::read(
+        r#"
+        priority = ["hand"]
+        [task.hand.cartesian]
+        frame = "hand"
+        axes = { x = "motion", z = "motion", rx = "motion", ry = "compliant" }
+        reference = "hold"
+        gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
+        force = { sensor = "wrist", gain = { ry = 3.0 }, target_nm = { ry = 0.5 } }
+        characteristic_length_m = 0.4
+        "#,
+    );
+    let start = [0.3, 0.7, -0.4, -1.4, 0.2, 1.1, 0.5];
+    let run = |moment: f64| {
+        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
+            .expect("a good stack");
+        let (data, mut measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
+        measurement.wrenches[0].angular.y = moment;
+        controller.start(&model, &data, &measurement);
+        let mut tau = [0.0; 7];
+        controller.update(&model, &data, &measurement, &mut tau);
+        let force = DVector::from_vec(signal(&controller, "hand.force"));
+        (DVector::from_column_slice(&tau), force, jacobian(&model, &data, "hand").row(4).transpose())
+    };
+    let (unmoved, no_force, row) = run(0.0);
+    let (moved, force, _) = run(2.0);
+    assert!((moved - &unmoved - row * 6.0).amax() < 1e-12);
+    assert!((force - no_force - DVector::from_vec(vec![0.0, 0.0, 0.0, 0.0, 6.0, 0.0])).amax() < 1e-12);
+}
+
 /// The power of the sensed wrench on the motion of the task's frame against that of the sensor's own on the
 /// motion of the sensor's frame: both are on one body.
 #[test]

@@ -78,6 +78,7 @@ fn above_the_threshold_nothing_is_damped() {
     assert_eq!(damped.map(f64::to_bits), undamped.map(f64::to_bits));
 }
 
+/// Torques at `states` (q, q̇), half a second after a start at `start`.
 fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f64>)]) -> Vec<Vec<f64>> {
     let file = File::read(text);
     let mut controller =
@@ -86,7 +87,7 @@ fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f6
     controller.start(model, &data, &measurement);
     (states.iter())
         .map(|(q, dq)| {
-            let (data, measurement) = at_state(model, q, dq, 0.0);
+            let (data, measurement) = at_state(model, q, dq, 0.5);
             let mut tau = vec![0.0; q.len()];
             controller.update(model, &data, &measurement, &mut tau);
             tau
@@ -129,6 +130,16 @@ fn the_unit_of_length_does_not_matter() {
     let differ =
         |(m, mm): (&Vec<f64>, &Vec<f64>)| m.iter().zip(mm).any(|(m, mm)| (m - mm * 1e-6).abs() > 1e-3);
     assert!(metres.iter().zip(&millimetres).any(differ));
+}
+
+/// The reach against the lengths of the links: it does not count where the base stands.
+#[test]
+fn the_reach_is_the_arms_length() {
+    let model = four_joints();
+    for (frame, expected) in [("hand", 0.235 + 0.275), ("elbow", 0.235), ("shoulder_roll", 1.0)] {
+        let reach = opspace_control::rank::reach(&model, model.frame(frame).expect("frame"));
+        assert!((reach - expected).abs() < 1e-15, "{frame}: {reach} m");
+    }
 }
 
 /// A second level whose only axis the first has taken: with the arm in the x-z plane the elbow can swing

@@ -5,9 +5,10 @@ use crate::overrides::split;
 use crate::robot::{Robot, choices};
 use crate::source::FileError;
 use crate::task::Task;
+use opspace_backend::interface::CommandParameter;
 use opspace_backend::{
-    Backend, ControlLoop, Ending, Facts, FrictionCompensation, GravityBy, PaperTransformer, PositionBackend,
-    PositionRobot, ProfileParameters, Sensing, Sink, TorqueBackend, TorqueRobot, Transformer,
+    Backend, ControlLoop, Facts, FrictionCompensation, GravityBy, Measured, PaperTransformer,
+    PositionBackend, PositionRobot, ProfileParameters, Sensing, TorqueBackend, TorqueRobot, Transformer,
     TransformerKind,
 };
 use opspace_control::{
@@ -18,7 +19,6 @@ use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 /// Which kind of robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
@@ -121,6 +121,9 @@ impl Experiment {
     ) -> Result<Self, FileError> {
         let (robot_settings, task_settings) = split(settings, "robot");
         let task = Task::load(files, task, &task_settings)?;
+        if robot.is_none() {
+            files.read_named(&files.robot_file(&task.robot_path()), &task.source, "robot")?;
+        }
         let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
         let robot = Robot::load(files, &robot_path, &robot_settings)?;
         Self::new(robot, task, choice, settings.to_vec())
@@ -234,10 +237,8 @@ impl Experiment {
             joints: self.robot.joints(),
             servos: self.robot.servos(&self.profile),
             profile: self.profile.clone(),
-            interface: self.robot.file.interface.clone(),
             simulated,
-            command: self.command_kind(),
-            sensors: self.robot.sensors.clone(),
+            facts: self.facts(),
             surroundings: self.task.file.surroundings.clone().into_iter().collect(),
             start: self.start()?,
             rest_s: self.robot.file.safety.tare_s.get(),
@@ -253,6 +254,20 @@ impl Experiment {
     pub fn simulated_backend(&self) -> Result<Box<dyn Backend>, FileError> {
         let arm = self.simulated_arm()?;
         Ok(self.backend(arm))
+    }
+
+    /// What the chosen robot declares of itself.
+    #[must_use]
+    pub fn facts(&self) -> Facts {
+        let interface = &self.robot.file.interface;
+        Facts {
+            command: self.command_kind(),
+            period_s: self.profile.period_s(),
+            gravity_by: interface.gravity_by,
+            on_missed_cycle: interface.on_missed_cycle,
+            motor_torque: interface.measures.contains(&Measured::MotorCurrent),
+            sensors: self.robot.sensors.clone(),
+        }
     }
 
     /// Any robot that can be either kind, behind the backend of the chosen one.
@@ -297,18 +312,6 @@ impl Experiment {
         )
     }
 
-    /// Runs the experiment in simulation, into a sink.
-    ///
-    /// # Errors
-    /// As [`simulated_arm`](Self::simulated_arm).
-    pub fn simulate(&self, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<Ending, FileError> {
-        let mut backend = self.simulated_backend()?;
-        let mut controller = self.controller()?;
-        let ending =
-            self.control_loop(&mut *backend, &mut *controller).run(self.duration_s(), interrupt, sink);
-        Ok(ending)
-    }
-
     /// What the chosen robot takes.
     #[must_use]
     pub fn command_kind(&self) -> CommandKind {
@@ -341,13 +344,28 @@ impl Experiment {
             let help = Some("use --backend position, or --controller osc".to_owned());
             return Err(FileError::of_file(self.task.source.name(), message, help));
         }
-        if self.duration_s() <= self.task.file.settle_s.get() {
+        if !torque && self.robot.file.interface.command == CommandParameter::Torque {
+            let message = "this robot takes torques, but a position robot is asked for";
+            let help = Some("use --backend torque".to_owned());
+            return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
+        }
+        let counted_s = self.duration_s() - self.task.file.settle_s.get();
+        if counted_s > 0.0 && counted_s < self.profile.period_s() {
+            let message = format!(
+                "{} s of control after settling is less than one tick of {} s",
+                counted_s,
+                self.profile.period_s()
+            );
+            return Err(FileError::at_key(&self.task.source, "duration_s", message, None));
+        }
+        if counted_s <= 0.0 {
             let message = format!(
                 "settle_s = {} leaves nothing of a run of {} s",
                 self.task.file.settle_s.get(),
                 self.duration_s()
             );
-            return Err(FileError::at_key(&self.task.source, "settle_s", message, None));
+            let help = Some("make it last longer, or settle_s shorter".to_owned());
+            return Err(FileError::at_key(&self.task.source, "settle_s", message, help));
         }
         Ok(())
     }
@@ -369,6 +387,14 @@ impl Experiment {
                 return Err(at(message, Some(format!("from {} to {}", limits.lower, limits.upper))));
             }
             start[joint] = value;
+        }
+        for (joint, &value) in model.joints().iter().zip(&start) {
+            if value < joint.limits.lower || value > joint.limits.upper {
+                let (lower, upper) = (joint.limits.lower, joint.limits.upper);
+                let message = format!("joint '{}' would start at 0, which is outside its limits", joint.name);
+                let help = Some(format!("add `{} = ...`, from {lower} to {upper}", joint.name));
+                return Err(FileError::at_key(&self.task.source, "start_rad", message, help));
+            }
         }
         Ok(start)
     }

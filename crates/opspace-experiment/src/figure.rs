@@ -1,11 +1,17 @@
 //! Figures as inline SVG: signals over time in a grid of panels, and dots that compare runs.
 //!
-//! The SVG is written here rather than by a plotting library because its colours must follow the page's light
-//! or dark scheme, desired values are dashed, and a line's peaks must survive its reduction to the screen.
-//! Text is laid out from an estimate of its width, so no font is needed. Nothing is drawn for a value that
-//! is not finite; a panel without data says so.
+//! They are drawn by `plotters`. It panics where a range is empty or not a number, rounds coordinates to whole
+//! units, and draws every sample it is given: ranges are therefore made sound, the canvas is finer than the
+//! page, and lines are reduced to what a screen can show before they reach it. Nothing is drawn for a value
+//! that is not finite; a panel without data says so.
 
-use std::fmt::Write as _;
+use std::ops::Range;
+
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{BoldPoints, Ranged};
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Panels under one caption.
 #[derive(Clone, Debug, Default)]
@@ -16,7 +22,7 @@ pub struct Figure {
     pub caption: String,
     /// In reading order.
     pub panels: Vec<Panel>,
-    /// Panels side by side; `None` stacks up to three, and sets more in two columns.
+    /// Panels side by side, at most four; `None` stacks up to three, and sets more in two columns.
     pub columns: Option<usize>,
 }
 
@@ -29,7 +35,7 @@ pub struct Panel {
     pub x_label: String,
     /// Quantity and unit of the ordinate: `torque (N·m)`.
     pub y_label: String,
-    /// Drawn in this order; a label has one colour throughout a figure.
+    /// Drawn in this order, desired ones over the others; a label has one colour throughout a figure.
     pub series: Vec<Series>,
     /// Instants worth a vertical line, with a word: (x, `fault`).
     pub marks: Vec<(f64, String)>,
@@ -54,8 +60,8 @@ pub enum Style {
     /// What was measured.
     #[default]
     Solid,
-    /// What was desired.
-    Dashed,
+    /// What was desired: thin and dark, so that it stands out on the broad, bright line of what was measured.
+    Desired,
     /// What stands behind: raw signals, bounds.
     Thin,
 }
@@ -109,156 +115,225 @@ impl Series {
     }
 }
 
-/// Okabe and Ito's palette (2008), legible to all forms of colour vision; the page brightens it where dark.
-pub(crate) const PALETTE: [(&str, &str); 6] = [
-    ("#0072b2", "#4aa8e8"),
-    ("#d55e00", "#ff8a3d"),
-    ("#009e73", "#2cc59a"),
-    ("#b25a8e", "#e29ac4"),
-    ("#a67200", "#e8b83a"),
-    ("#555555", "#bbbbbb"),
+/// Text, axes and what is desired; the page turns it light where dark.
+pub(crate) const INK: RGBColor = RGBColor(0x1c, 0x20, 0x24);
+
+/// Okabe and Ito's palette (2008), legible to all forms of colour vision, the colours first on which a thin dark
+/// line stands out; and what the page puts in their place where it is dark.
+pub(crate) const PALETTE: [(RGBColor, &str); 6] = [
+    (RGBColor(0x56, 0xb4, 0xe9), "#2b87c4"),
+    (RGBColor(0xe6, 0x9f, 0x00), "#c27a12"),
+    (RGBColor(0x00, 0x9e, 0x73), "#1d9a75"),
+    (RGBColor(0xcc, 0x79, 0xa7), "#b5628f"),
+    (RGBColor(0xd5, 0x5e, 0x00), "#d8631f"),
+    (RGBColor(0x00, 0x72, 0xb2), "#5fa8e6"),
 ];
 
-const WIDTH: f64 = 960.0;
-const FONT: f64 = 13.0;
-/// Mean advance of a proportional font, over its size; on the safe side.
-const ADVANCE: f64 = 0.56;
-const LEGEND_ROW: f64 = 24.0;
+/// Units of the canvas to a pixel of the page.
+const FINENESS: i32 = 4;
+const WIDTH: i32 = px(960);
+const LEGEND_ROW: i32 = px(24);
+/// Length of a line in the legend.
+const SAMPLE: i32 = px(28);
 
-fn text_width(text: &str) -> f64 {
-    text.chars().count() as f64 * FONT * ADVANCE
+const fn px(pixels: i32) -> i32 {
+    pixels * FINENESS
 }
 
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
+
 impl Figure {
-    /// The figure as one `<svg>` element, 960 units wide.
+    /// The figure as one `<svg>` element, as wide as its surroundings.
     #[must_use]
     pub fn svg(&self) -> String {
-        let legend = self.legend();
         let count = self.panels.len().max(1);
-        let columns = self.columns.unwrap_or(if count <= 3 { 1 } else { 2 }).clamp(1, count);
+        let columns = self.columns.unwrap_or(if count <= 3 { 1 } else { 2 }).clamp(1, count.min(4));
         let rows = count.div_ceil(columns);
-        let axes: Vec<Axes> = self.panels.iter().map(Axes::of).collect();
-        let tick_width = axes.iter().map(|axes| axes.y.widest_label()).fold(0.0, f64::max);
-        let left = 30.0 + tick_width;
-        let cell = WIDTH / columns as f64;
-        let plot = (cell - left - 14.0, if columns == 1 && rows > 1 { 150.0 } else { 190.0 });
-        let mut svg = Svg::default();
-        let mut top = svg.legend(&legend, left);
-        for row in 0..rows {
-            let panels = row * columns..((row + 1) * columns).min(self.panels.len());
-            let x_labelled = panels.clone().any(|index| self.shows_x_label(index, columns));
-            for index in panels {
-                let origin = ((index % columns) as f64 * cell + left, top + 28.0);
-                let panel = &self.panels[index];
-                svg.panel(panel, &axes[index], origin, plot, &legend);
-                if self.shows_y_label(index, columns) {
-                    let (x, y) = (origin.0 - left + 14.0, origin.1 + plot.1 / 2.0);
-                    let turn = format!(r#" text-anchor="middle" transform="rotate(-90 {x:.1} {y:.1})""#);
-                    svg.text((x, y), &turn, &axes[index].y.label(&panel.y_label));
-                }
-                if self.shows_x_label(index, columns) {
-                    let at = (origin.0 + plot.0 / 2.0, origin.1 + plot.1 + 38.0);
-                    svg.text(at, r#" text-anchor="middle""#, &axes[index].x.label(&panel.x_label));
-                }
+        let entries = self.legend();
+        let labels: Vec<&str> = entries.iter().map(|entry| entry.0).collect();
+        let top = legend_height(&labels);
+        let height = top + rows as i32 * px(if columns == 1 && rows > 1 { 205 } else { 245 });
+        canvas(&self.title, &self.caption, height, |root| {
+            let (strip, grid) = root.split_vertically(top);
+            draw_legend(&strip, &labels, |area, place| {
+                let line = vec![(0, LEGEND_ROW / 2), (SAMPLE, LEGEND_ROW / 2)];
+                area.draw(&PathElement::new(line, entries[place].1))
+            })?;
+            if self.panels.is_empty() {
+                say(&grid, "no data")?;
             }
-            top += 28.0 + plot.1 + if x_labelled { 50.0 } else { 28.0 };
-        }
-        if self.panels.is_empty() {
-            svg.text((WIDTH / 2.0, top + 40.0), r#" text-anchor="middle" class="note""#, "no data");
-            top += 80.0;
-        }
-        svg.finish(&self.title, &self.caption, top)
+            let areas = grid.split_evenly((rows, columns));
+            self.panels.iter().zip(&areas).try_for_each(|(panel, area)| panel.draw(area, &entries))
+        })
     }
 
-    /// The legend, in the order in which labels appear. What is desired has the same colours in every figure.
-    fn legend(&self) -> Vec<Entry<'_>> {
-        let mut legend: Vec<Entry<'_>> = Vec::new();
+    /// Labels in the order in which they appear, and how each is drawn throughout the figure.
+    fn legend(&self) -> Vec<(&str, ShapeStyle)> {
+        let mut legend: Vec<(&str, ShapeStyle)> = Vec::new();
+        let (mut desired, mut others) = (0, 0);
         for series in self.panels.iter().flat_map(|panel| &panel.series) {
-            if legend.iter().any(|entry| entry.label == series.label) {
+            if legend.iter().any(|(label, _)| *label == series.label) {
                 continue;
             }
-            let desired = series.style == Style::Dashed;
-            let before = legend.iter().filter(|entry| (entry.style == Style::Dashed) == desired).count();
-            let colors = if desired { [1, 3, 5, 4, 2, 0] } else { [0, 2, 4, 5, 3, 1] };
-            legend.push(Entry { label: &series.label, style: series.style, color: colors[before % 6] });
+            let (place, width, opacity) = match series.style {
+                Style::Solid => (&mut others, 10, 1.0),
+                Style::Desired => (&mut desired, 5, 1.0),
+                Style::Thin => (&mut others, 4, 0.7),
+            };
+            // A second desired line needs a colour of its own: from the far end of the palette.
+            let color = match (series.style, *place) {
+                (Style::Desired, 0) => INK,
+                (Style::Desired, place) => PALETTE[5 * place % 6].0,
+                (_, place) => PALETTE[place % 6].0,
+            };
+            *place += 1;
+            legend.push((&series.label, color.mix(opacity).stroke_width(width)));
         }
         legend
     }
+}
 
-    /// A panel above one that says the same needs no label.
-    fn shows_x_label(&self, index: usize, columns: usize) -> bool {
-        self.panels.get(index + columns).is_none_or(|below| below.x_label != self.panels[index].x_label)
+impl Panel {
+    fn draw(&self, area: &Area<'_>, legend: &[(&str, ShapeStyle)]) -> Drawn {
+        let samples = || {
+            let samples = self.series.iter().flat_map(|series| series.x.iter().zip(&series.y));
+            samples.filter(|(x, y)| x.is_finite() && y.is_finite())
+        };
+        let title = match self.remark() {
+            Some(remark) => format!("{} ({remark})", self.title),
+            None => self.title.clone(),
+        };
+        let (Some(x), Some(y)) = (range(samples().map(|(x, _)| *x)), range(samples().map(|(_, y)| *y)))
+        else {
+            return say(area, &title);
+        };
+        let y = Axis::linear(y, 0.06, &self.y_label, 7);
+        // Panels below one another begin at the same place, unless one has numbers of many digits.
+        let left = px(72).max(px(28) + y.widest());
+        let x = Axis::linear(x, 0.005, &self.x_label, (area.dim_in_pixel().0 as i32 - left) / px(70));
+        let mut chart = chart(area, &title, left, &x, &y)?;
+        let mut series: Vec<&Series> = self.series.iter().collect();
+        series.sort_by_key(|series| series.style == Style::Desired);
+        for series in series {
+            let style = legend.iter().find(|(label, _)| *label == series.label).map(|(_, style)| *style);
+            series.draw(&mut chart, &x, &y, style.unwrap_or(INK.into()))?;
+        }
+        for (at, label) in &self.marks {
+            self.mark(&mut chart, x.place(*at), &y, label)?;
+        }
+        Ok(())
     }
 
-    /// Nor does one to the right of one that says the same, in the same power of ten.
-    fn shows_y_label(&self, index: usize, columns: usize) -> bool {
-        let panel = &self.panels[index];
-        let label = |panel: &Panel| Axes::of(panel).y.label(&panel.y_label);
-        index.is_multiple_of(columns) || label(&self.panels[index - 1]) != label(panel)
+    /// What cannot be shown, in words.
+    fn remark(&self) -> Option<String> {
+        let known: Vec<_> = self.series.iter().map(Series::range).collect();
+        if known.iter().all(Result::is_err) {
+            let empty = known.iter().all(|range| *range == Err("no data"));
+            return Some(if empty { "no data" } else { "no finite value" }.to_owned());
+        }
+        let named = self.series.iter().zip(&known);
+        let mut remarks: Vec<String> = named
+            .filter_map(|(series, range)| Some(format!("{}: {}", series.label, range.as_ref().err()?)))
+            .collect();
+        if known.iter().flatten().all(is_point) {
+            remarks.push("constant".to_owned());
+        }
+        (!remarks.is_empty()).then(|| remarks.join("; "))
+    }
+
+    /// A vertical line, and a word beside it.
+    fn mark(&self, chart: &mut Chart<'_>, x: f64, y: &Axis<'_>, label: &str) -> Drawn {
+        let visible = chart.x_range();
+        if !visible.contains(&x) {
+            return Ok(());
+        }
+        let (low, high) = (y.range.start, y.range.end);
+        let line = INK.mix(0.55).stroke_width(4);
+        chart.draw_series([PathElement::new(vec![(x, low), (x, high)], line)])?;
+        let left_half = x < (visible.start + visible.end) / 2.0;
+        let (anchor, offset) = if left_half { (HPos::Left, px(5)) } else { (HPos::Right, px(-5)) };
+        let style = text(12, FontStyle::Italic).pos(Pos::new(anchor, VPos::Top));
+        let word = EmptyElement::at((x, high)) + Text::new(printable(label), (offset, px(2)), style);
+        chart.draw_series([word])?;
+        Ok(())
     }
 }
 
-/// A name in the legend.
-#[derive(Clone, Copy, Debug)]
-struct Entry<'a> {
-    label: &'a str,
-    style: Style,
-    /// Place in the palette.
-    color: usize,
+impl Series {
+    /// From the lowest to the highest value that can be drawn; or why there is none.
+    fn range(&self) -> Result<Range<f64>, &'static str> {
+        let samples = self.x.iter().zip(&self.y).filter(|(x, _)| x.is_finite());
+        range(samples.map(|(_, y)| *y)).ok_or(if self.x.is_empty() || self.y.is_empty() {
+            "no data"
+        } else {
+            "no finite value"
+        })
+    }
+
+    fn draw(&self, chart: &mut Chart<'_>, x: &Axis<'_>, y: &Axis<'_>, style: ShapeStyle) -> Drawn {
+        let columns = chart.plotting_area().dim_in_pixel().0 / FINENESS as u32;
+        let placed_x: Vec<f64> = self.x.iter().map(|value| x.place(*value)).collect();
+        let placed_y: Vec<f64> = self.y.iter().map(|value| y.place(*value)).collect();
+        for stretch in decimate(&placed_x, &placed_y, (x.range.start, x.range.end), columns as usize) {
+            // A sample between gaps, which no line leads to.
+            if let [alone] = stretch[..] {
+                chart.draw_series([Circle::new(alone, px(3), style.filled())])?;
+            } else {
+                chart.draw_series(LineSeries::new(stretch, style))?;
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Comparison {
-    /// The comparison as one `<svg>` element, 960 units wide.
+    /// The comparison as one `<svg>` element, as wide as its surroundings.
     #[must_use]
     pub fn svg(&self) -> String {
-        const ROW: f64 = 30.0;
-        let shown = |value: f64| value.is_finite() && (self.scale == Scale::Linear || value > 0.0);
-        let placed = |value: f64| if self.scale == Scale::Log { value.log10() } else { value };
-        let values = self.rows.iter().flat_map(|row| row.values.iter().flatten().copied());
-        let (kept, dropped): (Vec<f64>, Vec<f64>) = values.partition(|&value| shown(value));
-        let mut range = Range::of(kept.iter().map(|&value| placed(value)));
-        let entries = self.series.iter().enumerate();
-        let legend: Vec<Entry<'_>> =
-            entries.map(|(color, label)| Entry { label, style: Style::Solid, color }).collect();
-        let widest = self.rows.iter().map(|row| text_width(&row.label)).fold(0.0, f64::max);
-        let left = 24.0 + widest.min(WIDTH * 0.4);
-        let width = WIDTH - left - 40.0;
-        let mut svg = Svg::default();
-        let top = svg.dot_legend(&legend, left) + 12.0;
-        let bottom = top + ROW * self.rows.len() as f64;
-        if let Some(range) = &mut range {
-            match self.scale {
-                Scale::Linear => *range = Range { low: range.low.min(0.0), high: range.high.max(0.0) },
-                Scale::Log => *range = Range { low: range.low.floor(), high: range.high.ceil() },
-            }
-        }
-        let axis = match self.scale {
-            Scale::Linear => Axis::linear(range),
-            Scale::Log => Axis::decades(range),
-        };
-        for (place, text) in axis.ticks() {
-            let x = left + place * width;
-            svg.line((x, top), (x, bottom), "grid");
-            svg.text((x, bottom + 18.0), r#" text-anchor="middle" class="tick""#, &text);
-        }
-        for (index, row) in self.rows.iter().enumerate() {
-            let y = top + ROW * (index as f64 + 0.5);
-            svg.text((left - 12.0, y + 4.5), r#" text-anchor="end""#, &row.label);
-            svg.line((left, y), (left + width, y), "grid");
-            for (series, value) in row.values.iter().enumerate() {
-                if let Some(value) = value.filter(|&value| shown(value)) {
-                    svg.dot((left + axis.place(placed(value)) * width, y), series);
+        let scaled = |value: f64| if self.scale == Scale::Log { value.log10() } else { value };
+        let values = self.rows.iter().flat_map(|row| row.values.iter().flatten());
+        let (shown, hidden): (Vec<f64>, Vec<f64>) =
+            values.map(|value| scaled(*value)).partition(|value| value.is_finite());
+        let labels: Vec<&str> = self.series.iter().map(String::as_str).collect();
+        let top = legend_height(&labels);
+        canvas(&self.title, &self.caption, top + px(71 + 30 * self.rows.len() as i32), |root| {
+            let (strip, area) = root.split_vertically(top);
+            draw_legend(&strip, &labels, |area, place| dot(area, (SAMPLE / 2, LEGEND_ROW / 2), place))?;
+            let Some(range) = range(shown.into_iter()) else { return say(&area, "no data") };
+            let x = match self.scale {
+                Scale::Linear => {
+                    Axis::linear(range.start.min(0.0)..range.end.max(0.0), 0.02, &self.x_label, 8)
+                }
+                Scale::Log => Axis::decades(range, &self.x_label),
+            };
+            let y = Axis::rows(&self.rows);
+            let note = match hidden.len() {
+                0 => String::new(),
+                count => format!("{count} not shown: not finite, or not above 0"),
+            };
+            let left = px(24) + y.widest().min(WIDTH * 2 / 5);
+            let chart = chart(&area, &note, left, &x, &y)?;
+            for (row, line) in self.rows.iter().enumerate() {
+                for (place, value) in line.values.iter().enumerate() {
+                    if let Some(value) = value.map(scaled).filter(|value| value.is_finite()) {
+                        dot(root, chart.backend_coord(&(x.place(value), row as f64)), place)?;
+                    }
                 }
             }
-        }
-        svg.text((left + width / 2.0, bottom + 40.0), r#" text-anchor="middle""#, &axis.label(&self.x_label));
-        if kept.is_empty() {
-            svg.text((left + width / 2.0, bottom + 18.0), r#" text-anchor="middle" class="note""#, "no data");
-        } else if !dropped.is_empty() {
-            let note = format!("{} not shown: not finite, or not above 0", dropped.len());
-            svg.text((left + width, bottom + 40.0), r#" text-anchor="end" class="note""#, &note);
-        }
-        svg.finish(&self.title, &self.caption, bottom + 52.0)
+            Ok(())
+        })
+    }
+}
+
+/// Told apart without colour too: discs, rings, triangles.
+fn dot(area: &Area<'_>, at: (i32, i32), place: usize) -> Drawn {
+    let color = PALETTE[place % PALETTE.len()].0;
+    match place % 3 {
+        0 => area.draw(&Circle::new(at, px(6), color.filled())),
+        1 => area.draw(&Circle::new(at, px(5), color.stroke_width(11))),
+        _ => area.draw(&TriangleMarker::new(at, px(8), color.filled())),
     }
 }
 
@@ -312,393 +387,202 @@ fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
     run.clear();
 }
 
-// ---- axes ----
-
-#[derive(Clone, Copy, Debug)]
-struct Range {
-    low: f64,
-    high: f64,
+/// From the lowest to the highest of the finite values.
+fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
+    values.filter(|value| value.is_finite()).fold(None, |range: Option<Range<f64>>, value| {
+        let range = range.unwrap_or(value..value);
+        Some(range.start.min(value)..range.end.max(value))
+    })
 }
 
-impl Range {
-    /// Of the finite values.
-    fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
-        values.filter(|value| value.is_finite()).fold(None, |range: Option<Self>, value| match range {
-            None => Some(Self { low: value, high: value }),
-            Some(range) => Some(Self { low: range.low.min(value), high: range.high.max(value) }),
-        })
-    }
-
-    /// Too narrow for f64 to tell its ends apart on an axis.
-    fn is_point(self) -> bool {
-        self.high / 2.0 - self.low / 2.0 <= 1e-12 * self.low.abs().max(self.high.abs())
-    }
-
-    fn padded(self, share: f64) -> Self {
-        if self.is_point() {
-            let pad = if self.low == 0.0 { 1.0 } else { self.low.abs() * 0.5 };
-            return Self { low: self.low - pad, high: self.high + pad };
-        }
-        let pad = share * (self.high - self.low);
-        Self { low: self.low - pad, high: self.high + pad }
-    }
+/// Too narrow for f64 to tell its ends apart on an axis.
+fn is_point(range: &Range<f64>) -> bool {
+    range.end / 2.0 - range.start / 2.0 <= 1e-12 * range.start.abs().max(range.end.abs())
 }
 
-/// A scale in units of a power of ten, so that no range is too wide or too fine to be written down.
-#[derive(Clone, Copy, Debug)]
-struct Axis {
-    range: Range,
-    step: f64,
+/// What is shown along an edge, in units of a power of ten: no range is too wide or too fine to be drawn.
+struct Axis<'a> {
+    range: Range<f64>,
     exponent: i32,
-    log: bool,
+    label: String,
+    /// At most so many.
+    ticks: usize,
+    text: Box<dyn Fn(&f64) -> String + 'a>,
 }
 
-impl Axis {
-    fn linear(range: Option<Range>) -> Self {
-        Self::with_padding(range, 0.0, 6.0)
-    }
-
-    fn with_padding(range: Option<Range>, share: f64, target: f64) -> Self {
-        let range = range.unwrap_or(Range { low: 0.0, high: 1.0 });
-        let largest = range.low.abs().max(range.high.abs());
-        let exponent = if largest == 0.0 || (1e-3..1e5).contains(&largest) {
-            0
-        } else {
-            ((largest.log10() / 3.0).floor() * 3.0).clamp(-300.0, 306.0) as i32
+impl<'a> Axis<'a> {
+    /// Wider than `range` by `share` at each end.
+    fn linear(range: Range<f64>, share: f64, label: &str, ticks: i32) -> Self {
+        let largest = range.start.abs().max(range.end.abs());
+        let exponent = match largest {
+            0.0 | 1e-3..1e5 => 0,
+            _ => ((largest.log10() / 3.0).floor() * 3.0).clamp(-300.0, 306.0) as i32,
         };
         let unit = 10f64.powi(exponent);
-        let mut range = Range { low: range.low / unit, high: range.high / unit }.padded(share);
-        let step = nice((range.high - range.low) / target);
-        // A run of 8 s ends a sample before 8 s: the axis still ends at its tick.
-        let next = (range.high / step).ceil() * step;
-        if next - range.high < 0.01 * (range.high - range.low) {
-            range.high = next;
-        }
-        Self { range, step, exponent, log: false }
-    }
-
-    /// Of logarithms: a tick at each power of ten.
-    fn decades(range: Option<Range>) -> Self {
-        let mut range = range.unwrap_or(Range { low: 0.0, high: 1.0 });
-        if range.is_point() {
-            range.high = range.low + 1.0;
-        }
-        let step = ((range.high - range.low) / 8.0).ceil().max(1.0);
-        Self { range, step, exponent: 0, log: true }
-    }
-
-    /// From data to 0..1 along the axis.
-    fn place(&self, value: f64) -> f64 {
-        self.place_scaled(value / 10f64.powi(self.exponent))
-    }
-
-    fn place_scaled(&self, value: f64) -> f64 {
-        (value - self.range.low) / (self.range.high - self.range.low)
-    }
-
-    /// Places along the axis, 0..1, and their texts.
-    fn ticks(&self) -> Vec<(f64, String)> {
-        // A rounding error must not lose a tick at an end.
-        let first = (self.range.low / self.step - 1e-9).ceil() as i64;
-        let last = (self.range.high / self.step + 1e-9).floor() as i64;
-        let decimals = (-self.step.log10().floor()).clamp(0.0, 15.0) as usize;
-        let text = |tick: f64| {
-            if self.log {
-                power_of_ten(tick as i32)
-            } else {
-                format!("{tick:.decimals$}").replace('-', "−")
-            }
+        let (low, high) = (range.start / unit, range.end / unit);
+        let pad = match is_point(&range) {
+            false => share * (high - low),
+            true if largest == 0.0 => 1.0,
+            true => largest / unit / 2.0,
         };
-        // `+ 0.0` turns −0 into 0.
-        let ticks = (first..=last.min(first + 20)).map(|index| index as f64 * self.step + 0.0);
-        ticks.map(|tick| (self.place_scaled(tick), text(tick))).collect()
-    }
-
-    fn widest_label(&self) -> f64 {
-        self.ticks().iter().map(|(_, text)| text_width(text)).fold(0.0, f64::max)
-    }
-
-    /// The axis title, with the power of ten.
-    fn label(&self, title: &str) -> String {
-        if self.exponent == 0 {
-            title.to_owned()
-        } else {
-            format!("{title} × {}", power_of_ten(self.exponent))
+        let range = low - pad..high + pad;
+        // Twelve digits: more would be rounding errors.
+        let digits = 11 - range.end.abs().max(range.start.abs()).log10().floor() as i32;
+        let fine = 10f64.powi(digits);
+        Self {
+            range,
+            exponent,
+            label: match exponent {
+                0 => label.to_owned(),
+                _ => format!("{label} × {}", power_of_ten(exponent)),
+            },
+            ticks: ticks.max(2) as usize,
+            // `+ 0.0` turns −0 into 0.
+            text: Box::new(move |tick| ((tick * fine).round() / fine + 0.0).to_string().replace('-', "−")),
         }
     }
-}
 
-/// 1, 2 or 5 times a power of ten, near `rough`.
-fn nice(rough: f64) -> f64 {
-    let power = 10f64.powf(rough.log10().floor());
-    match rough / power {
-        mantissa if mantissa < 1.5 => power,
-        mantissa if mantissa < 3.5 => 2.0 * power,
-        mantissa if mantissa < 7.5 => 5.0 * power,
-        _ => 10.0 * power,
+    /// Of decimal logarithms: whole powers of ten around them.
+    fn decades(range: Range<f64>, label: &str) -> Self {
+        let low = range.start.floor();
+        let high = range.end.ceil().max(low + 1.0);
+        Self {
+            range: low..high,
+            exponent: 0,
+            label: label.to_owned(),
+            ticks: (high - low).min(8.0) as usize + 1,
+            text: Box::new(|tick| power_of_ten(tick.round() as i32)),
+        }
+    }
+
+    /// One tick a row, top to bottom.
+    fn rows(rows: &'a [ComparisonRow]) -> Self {
+        Self {
+            range: rows.len() as f64 - 0.5..-0.5,
+            exponent: 0,
+            label: String::new(),
+            ticks: rows.len(),
+            text: Box::new(|row| rows.get(row.round() as usize).map_or("", |row| &row.label).to_owned()),
+        }
+    }
+
+    /// Width of its longest tick text, as far as it can be known.
+    fn widest(&self) -> i32 {
+        let ticks = RangedCoordf64::from(self.range.clone()).key_points(BoldPoints(self.ticks));
+        ticks.iter().map(|tick| text_width(&(self.text)(tick))).max().unwrap_or(0)
+    }
+
+    /// Where a value stands in `range`.
+    fn place(&self, value: f64) -> f64 {
+        value / 10f64.powi(self.exponent)
     }
 }
 
 fn power_of_ten(exponent: i32) -> String {
-    let raised = |c: char| match c {
-        '-' => '⁻',
-        digit => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit.to_digit(10).unwrap_or(0) as usize],
+    let raised = |c: char| match c.to_digit(10) {
+        Some(digit) => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit as usize],
+        None => '⁻',
     };
     match exponent {
-        0 => "1".to_owned(),
-        1..=4 => format!("1{}", "0".repeat(exponent as usize)),
-        -4..=-1 => format!("0.{}1", "0".repeat((-1 - exponent) as usize)),
+        -4..=4 => format!("{:.*}", (-exponent).max(0) as usize, 10f64.powi(exponent)),
         _ => format!("10{}", exponent.to_string().chars().map(raised).collect::<String>()),
     }
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Axes {
-    x: Axis,
-    y: Axis,
+/// Axes and their texts; the values are drawn into it.
+fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>) -> Drawn<Chart<'a>> {
+    area.draw_text(&printable(title), &text(13, FontStyle::Bold), (left, px(8)))?;
+    let mut chart = ChartBuilder::on(area)
+        .margin_top(px(28))
+        .margin_right(px(16))
+        .x_label_area_size(px(43))
+        .y_label_area_size(left)
+        .build_cartesian_2d(x.range.clone(), y.range.clone())?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(INK.mix(0.12).stroke_width(4))
+        .axis_style(INK.mix(0.55).stroke_width(4))
+        .set_all_tick_mark_size(px(4))
+        .label_style(text(12, FontStyle::Normal))
+        .axis_desc_style(text(13, FontStyle::Normal))
+        .x_labels(x.ticks)
+        .y_labels(y.ticks)
+        .x_label_formatter(&|tick| printable(&(x.text)(tick)))
+        .y_label_formatter(&|tick| printable(&(y.text)(tick)))
+        .x_desc(printable(&x.label))
+        .y_desc(printable(&y.label))
+        .draw()?;
+    Ok(chart)
 }
 
-impl Axes {
-    fn of(panel: &Panel) -> Self {
-        // A sample is drawn if both its coordinates are finite.
-        let drawn = || {
-            let samples = panel.series.iter().flat_map(|series| series.x.iter().zip(&series.y));
-            samples.filter(|(x, y)| x.is_finite() && y.is_finite())
-        };
-        let x = Axis::with_padding(Range::of(drawn().map(|(x, _)| *x)), 0.0, 7.0);
-        let y = Axis::with_padding(Range::of(drawn().map(|(_, y)| *y)), 0.06, 5.0);
-        Self { x, y }
+fn text<'a>(size: i32, style: FontStyle) -> TextStyle<'a> {
+    // plotters sets text in 1/1.24 of the size it is given.
+    (FontFamily::SansSerif, px(size) * 124 / 100, style, &INK).into_text_style(&(0, 0))
+}
+
+/// An estimate on the safe side: no font is at hand.
+fn text_width(text: &str) -> i32 {
+    text.chars().count() as i32 * px(13) * 56 / 100
+}
+
+/// In the middle of an area that has nothing else to show.
+fn say(area: &Area<'_>, what: &str) -> Drawn {
+    let (width, height) = area.dim_in_pixel();
+    let style = text(13, FontStyle::Italic).pos(Pos::new(HPos::Center, VPos::Center));
+    area.draw_text(&printable(what), &style, (width as i32 / 2, height as i32 / 2))
+}
+
+/// Columns of the legend, and their width.
+fn legend_columns(labels: &[&str]) -> (usize, i32) {
+    let widest = labels.iter().map(|label| text_width(label)).max().unwrap_or(0);
+    let width = SAMPLE + widest + px(32);
+    ((WIDTH / width).max(1) as usize, width)
+}
+
+fn legend_height(labels: &[&str]) -> i32 {
+    labels.len().div_ceil(legend_columns(labels).0) as i32 * LEGEND_ROW
+}
+
+fn draw_legend(strip: &Area<'_>, labels: &[&str], sample: impl Fn(&Area<'_>, usize) -> Drawn) -> Drawn {
+    let (columns, width) = legend_columns(labels);
+    let style = text(13, FontStyle::Normal).pos(Pos::new(HPos::Left, VPos::Center));
+    for (place, label) in labels.iter().enumerate() {
+        let corner = ((place % columns) as i32 * width, (place / columns) as i32 * LEGEND_ROW);
+        let area = strip.clone().shrink(corner, (width, LEGEND_ROW));
+        sample(&area, place)?;
+        area.draw_text(&printable(label), &style, (SAMPLE + px(8), LEGEND_ROW / 2))?;
     }
+    Ok(())
 }
 
-/// What a panel cannot show, in words.
-fn remark(panel: &Panel) -> Option<String> {
-    let range = |series: &Series| {
-        let samples = series.x.iter().zip(&series.y).filter(|(x, _)| x.is_finite());
-        Range::of(samples.map(|(_, y)| *y))
+/// An `<svg>` element that a reader can scale, and a screen reader can name.
+fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> String {
+    let mut svg = String::new();
+    let drawn = {
+        let root = SVGBackend::with_string(&mut svg, (WIDTH as u32, height as u32)).into_drawing_area();
+        draw(&root).and_then(|()| root.present())
     };
-    let ranges: Vec<_> = panel.series.iter().map(range).collect();
-    if ranges.iter().all(Option::is_none) {
-        let empty = panel.series.iter().all(|series| series.x.is_empty() || series.y.is_empty());
-        return Some(if empty { "no data" } else { "no finite value" }.to_owned());
-    }
-    let named = |(series, range): (&Series, &Option<Range>)| {
-        let why = if series.x.is_empty() || series.y.is_empty() { "no data" } else { "no finite value" };
-        range.is_none().then(|| format!("{}: {why}", series.label))
-    };
-    let mut remarks: Vec<String> = panel.series.iter().zip(&ranges).filter_map(named).collect();
-    if ranges.iter().flatten().all(|range| range.is_point()) {
-        remarks.push("constant".to_owned());
-    }
-    (!remarks.is_empty()).then(|| remarks.join("; "))
+    let failure = drawn.err().map_or_else(String::new, |error| format!(" (incomplete: {error})"));
+    // The first line is plotters' own tag, of a fixed size.
+    let body = svg.split_once('\n').map_or("", |(_, body)| body);
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" viewBox=\"0 0 {WIDTH} {height}\" \
+         stroke-linejoin=\"round\" stroke-linecap=\"round\"><title>{}{failure}</title><desc>{}</desc>\n{body}",
+        escape(title),
+        escape(caption)
+    )
 }
 
-// ---- drawing ----
-
-#[derive(Default)]
-struct Svg {
-    body: String,
+/// Characters that XML forbids are replaced.
+fn printable(text: &str) -> String {
+    let forbidden =
+        |c: char| c.is_control() && !matches!(c, '\t' | '\n') || matches!(c, '\u{fffe}' | '\u{ffff}');
+    text.replace(forbidden, "\u{fffd}")
 }
 
-/// Escapes text for HTML and XML; characters that XML forbids are replaced.
+/// Escapes text for HTML and XML.
 pub(crate) fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            '\'' => escaped.push_str("&#39;"),
-            '\t' | '\n' => escaped.push(c),
-            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => escaped.push('\u{fffd}'),
-            c => escaped.push(c),
-        }
-    }
-    escaped
-}
-
-/// Class and colour of the series in place `index`.
-fn paint(index: usize) -> (usize, &'static str) {
-    let index = index % PALETTE.len();
-    (index, PALETTE[index].0)
-}
-
-impl Svg {
-    fn finish(self, title: &str, caption: &str, height: f64) -> String {
-        format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" viewBox=\"0 0 {WIDTH} {height:.0}\" \
-             font-family=\"system-ui, sans-serif\" font-size=\"{FONT}\" fill=\"currentColor\">\
-             <title>{}</title><desc>{}</desc>\n{}</svg>",
-            escape(title),
-            escape(caption),
-            self.body
-        )
-    }
-
-    // Writing to a String cannot fail.
-
-    fn text(&mut self, (x, y): (f64, f64), attributes: &str, text: &str) {
-        let _ = writeln!(self.body, r#"<text x="{x:.1}" y="{y:.1}"{attributes}>{}</text>"#, escape(text));
-    }
-
-    fn line(&mut self, from: (f64, f64), to: (f64, f64), class: &str) {
-        let opacity = if class == "grid" { 0.13 } else { 0.55 };
-        let _ = writeln!(
-            self.body,
-            r#"<path class="{class}" d="M{:.1} {:.1}L{:.1} {:.1}" stroke="currentColor" stroke-opacity="{opacity}"/>"#,
-            from.0, from.1, to.0, to.1
-        );
-    }
-
-    fn dot(&mut self, (x, y): (f64, f64), series: usize) {
-        let (class, color) = paint(series);
-        // Told apart without colour too: discs, rings, squares.
-        let _ = match series % 3 {
-            0 => writeln!(
-                self.body,
-                r#"<circle class="f{class}" cx="{x:.1}" cy="{y:.1}" r="6" fill="{color}"/>"#
-            ),
-            1 => writeln!(
-                self.body,
-                r#"<circle class="s{class}" cx="{x:.1}" cy="{y:.1}" r="5" fill="none" stroke="{color}" stroke-width="2.6"/>"#
-            ),
-            _ => writeln!(
-                self.body,
-                r#"<rect class="f{class}" x="{:.1}" y="{:.1}" width="10" height="10" fill="{color}"/>"#,
-                x - 5.0,
-                y - 5.0
-            ),
-        };
-    }
-
-    fn path(&mut self, d: &str, series: usize, style: Style) {
-        let (class, color) = paint(series);
-        let look = match style {
-            Style::Solid => r#"stroke-width="1.8" stroke-linecap="round""#,
-            Style::Dashed => r#"stroke-width="1.8" stroke-dasharray="7 4""#,
-            Style::Thin => r#"stroke-width="0.9" stroke-opacity="0.7" stroke-linecap="round""#,
-        };
-        let _ = writeln!(
-            self.body,
-            r#"<path class="s{class}" d="{d}" fill="none" stroke="{color}" stroke-linejoin="round" {look}/>"#
-        );
-    }
-
-    fn legend(&mut self, entries: &[Entry<'_>], left: f64) -> f64 {
-        self.legend_of(entries, left, |svg, (x, y), entry| {
-            svg.path(&format!("M{x:.1} {y:.1}h28"), entry.color, entry.style);
-        })
-    }
-
-    fn dot_legend(&mut self, entries: &[Entry<'_>], left: f64) -> f64 {
-        self.legend_of(entries, left, |svg, (x, y), entry| svg.dot((x + 18.0, y), entry.color))
-    }
-
-    /// Draws samples and names from the top left; where it ends below.
-    fn legend_of(
-        &mut self,
-        entries: &[Entry<'_>],
-        left: f64,
-        sample: impl Fn(&mut Self, (f64, f64), &Entry<'_>),
-    ) -> f64 {
-        if entries.is_empty() {
-            return 0.0;
-        }
-        let (mut x, mut y) = (left, 16.0);
-        for entry in entries {
-            let width = 36.0 + text_width(entry.label) + 28.0;
-            if x > left && x + width > WIDTH {
-                (x, y) = (left, y + LEGEND_ROW);
-            }
-            sample(self, (x, y), entry);
-            self.text((x + 36.0, y + 4.5), "", entry.label);
-            x += width;
-        }
-        y + 10.0
-    }
-
-    fn panel(
-        &mut self,
-        panel: &Panel,
-        axes: &Axes,
-        (left, top): (f64, f64),
-        (width, height): (f64, f64),
-        legend: &[Entry<'_>],
-    ) {
-        let at = |x: f64, y: f64| (left + axes.x.place(x) * width, top + (1.0 - axes.y.place(y)) * height);
-        self.text((left, top - 9.0), r#" font-weight="600""#, &panel.title);
-        let remark = remark(panel);
-        let drawn = !matches!(remark.as_deref(), Some("no data" | "no finite value"));
-        if drawn {
-            for (place, text) in axes.y.ticks() {
-                let y = top + (1.0 - place) * height;
-                self.line((left, y), (left + width, y), "grid");
-                self.text((left - 7.0, y + 4.5), r#" text-anchor="end" class="tick""#, &text);
-            }
-            for (place, text) in axes.x.ticks() {
-                let x = left + place * width;
-                self.line((x, top + height), (x, top + height + 5.0), "axis");
-                self.text((x, top + height + 19.0), r#" text-anchor="middle" class="tick""#, &text);
-            }
-        }
-        self.line((left, top + height), (left + width, top + height), "axis");
-        for series in &panel.series {
-            let entry = legend.iter().find(|entry| entry.label == series.label);
-            self.series(series, axes, entry.map_or(0, |entry| entry.color), at, width);
-        }
-        for (x, label) in &panel.marks {
-            if !drawn || !(0.0..=1.0).contains(&axes.x.place(*x)) {
-                continue;
-            }
-            let x = left + axes.x.place(*x) * width;
-            self.line((x, top), (x, top + height), "axis");
-            let fits = x + 6.0 + text_width(label) < left + width;
-            let (x, anchor) = if fits { (x + 5.0, "start") } else { (x - 5.0, "end") };
-            self.text((x, top + 10.0), &format!(r#" text-anchor="{anchor}" class="note""#), label);
-        }
-        match remark {
-            Some(remark) if !drawn => {
-                let middle = (left + width / 2.0, top + height / 2.0);
-                self.text(middle, r#" text-anchor="middle" class="note""#, &remark);
-            }
-            Some(remark) => {
-                self.text((left + width, top - 9.0), r#" text-anchor="end" class="note""#, &remark)
-            }
-            None => {}
-        }
-    }
-
-    fn series(
-        &mut self,
-        series: &Series,
-        axes: &Axes,
-        color: usize,
-        at: impl Fn(f64, f64) -> (f64, f64),
-        width: f64,
-    ) {
-        let scale = 10f64.powi(axes.x.exponent);
-        let range = (axes.x.range.low * scale, axes.x.range.high * scale);
-        let mut d = String::new();
-        for stretch in decimate(&series.x, &series.y, range, width as usize) {
-            if let [(x, y)] = stretch[..] {
-                self.sample(at(x, y), color);
-                continue;
-            }
-            for (place, &(x, y)) in stretch.iter().enumerate() {
-                let (x, y) = at(x, y);
-                let _ = write!(d, "{}{x:.1} {y:.1}", if place == 0 { 'M' } else { 'L' });
-            }
-        }
-        if !d.is_empty() {
-            self.path(&d, color, series.style);
-        }
-    }
-
-    /// A sample between gaps, which no line leads to.
-    fn sample(&mut self, (x, y): (f64, f64), color: usize) {
-        let (class, color) = paint(color);
-        let _ =
-            writeln!(self.body, r#"<circle class="f{class}" cx="{x:.1}" cy="{y:.1}" r="2" fill="{color}"/>"#);
-    }
+    let text = printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    text.replace('"', "&quot;").replace('\'', "&#39;")
 }

@@ -1,6 +1,7 @@
 //! Where files are read from: the disk, or the examples inside the binary.
 
-use crate::source::{FileError, Source};
+use crate::source::{FileError, KeyPath, Source};
+use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
 /// A place to read files from.
@@ -49,6 +50,17 @@ impl Files {
         }
     }
 
+    /// Reads a text file that another file names at `key`: one that isn't there is an error of that other.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub(crate) fn read_named(self, path: &Path, by: &Source, key: impl KeyPath) -> Result<Source, FileError> {
+        self.read(path).map_err(|error| {
+            let message = format!("`{}`: {}", error.path(), error.message());
+            FileError::at_key(by, key, message, error.help().map(str::to_owned))
+        })
+    }
+
     /// The file that a robot is named by: a folder stands for the `robot.toml` in it.
     #[must_use]
     pub fn robot_file(self, path: &Path) -> PathBuf {
@@ -57,6 +69,70 @@ impl Files {
             Self::Embedded => path.extension().is_none(),
         };
         if folder { path.join("robot.toml") } else { path.to_owned() }
+    }
+}
+
+/// What a file describes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A robot: its `robot.toml`.
+    Robot,
+    /// A task.
+    Task,
+    /// A suite.
+    Suite,
+}
+
+impl Kind {
+    /// The kind whose own keys stand at the top of a text, which need not be right otherwise; `None` if there
+    /// are none, or of several kinds.
+    #[must_use]
+    pub fn of(text: &str) -> Option<Self> {
+        const KEYS: [(Kind, &[&str]); 3] = [
+            (Kind::Robot, &["urdf", "default_profile", "interface", "joint", "simulated"]),
+            (Kind::Task, &["robot", "duration_s", "priority", "task", "surroundings"]),
+            (Kind::Suite, &["title", "profiles", "run"]),
+        ];
+        let mut tops = BTreeSet::new();
+        let mut inside = false;
+        for line in text.lines().map(str::trim_start) {
+            let table = line.starts_with('[');
+            if table || !inside {
+                let word = line.trim_start_matches(['[', ' ']);
+                let key = word.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-'));
+                tops.extend(key.take(1));
+            }
+            inside |= table;
+        }
+        let mut kinds = KEYS.iter().filter(|(_, keys)| keys.iter().any(|key| tops.contains(key)));
+        match (kinds.next(), kinds.next()) {
+            (Some((kind, _)), None) => Some(*kind),
+            _ => None,
+        }
+    }
+
+    /// As a user would say it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Robot => "a robot file",
+            Self::Task => "a task file",
+            Self::Suite => "a suite file",
+        }
+    }
+
+    /// That a text is of this kind, or can't be told.
+    ///
+    /// # Errors
+    /// If it clearly is of another.
+    pub(crate) fn expect(self, source: &Source) -> Result<(), FileError> {
+        match Self::of(source.text()) {
+            Some(kind) if kind != self => {
+                let message = format!("is {}; {} is meant here", kind.name(), self.name());
+                Err(FileError::of_file(source.name(), message, None))
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -74,12 +150,12 @@ pub fn beside(file: &Path, relative: &Path) -> PathBuf {
             other => path.push(other),
         }
     }
-    path
+    if path.as_os_str().is_empty() { PathBuf::from(".") } else { path }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::beside;
+    use super::{EMBEDDED, Kind, beside};
     use std::path::Path;
 
     #[test]
@@ -89,5 +165,23 @@ mod tests {
         assert_eq!(from("a.toml", "../robots/r"), Path::new("../robots/r"));
         assert_eq!(from("../x/a.toml", "../../r"), Path::new("../../r"));
         assert_eq!(from("tasks/a.toml", "/abs/r"), Path::new("/abs/r"));
+        assert_eq!(from("a.toml", "."), Path::new("."));
+        assert_eq!(from("tasks/a.toml", ".."), Path::new("."));
+    }
+
+    #[test]
+    fn what_a_file_is_shows_in_its_own_keys() {
+        for (path, text) in EMBEDDED.iter().filter(|(path, _)| path.ends_with(".toml")) {
+            let kind = match path {
+                _ if path.contains("suites") => Kind::Suite,
+                _ if path.contains("robots") => Kind::Robot,
+                _ => Kind::Task,
+            };
+            assert_eq!(Kind::of(text), Some(kind), "{path}");
+        }
+        assert_eq!(Kind::of("[workspace]\nmembers = []\n[profile.dev]\nurdf = 1"), None);
+        assert_eq!(Kind::of("duration_s = "), Some(Kind::Task), "though it is no TOML");
+        assert_eq!(Kind::of("[a]\nrobot = 1"), None, "not at the top");
+        assert_eq!(Kind::of("robot = 1\nurdf = 1"), None, "which of the two?");
     }
 }

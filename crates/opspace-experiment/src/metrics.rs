@@ -4,9 +4,9 @@
 //! log has them (a simulation), else the measured ones.
 
 use crate::experiment::Experiment;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::Phase;
-use opspace_control::orientation::{exp, log};
+use opspace_control::orientation::log;
 use opspace_control::{CartesianParameters, TaskParameters};
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
@@ -170,8 +170,7 @@ impl<'a> Run<'a> {
             && motion[3..].contains(&true)
         {
             let errors = self.poses(frame).filter(|(k, _)| *k < reference.len()).map(|(k, pose)| {
-                let wanted = exp(&Vector3::from_column_slice(reference.row(k)));
-                let error = log(&(pose.rotation * wanted.transpose()));
+                let error = log(&(pose.rotation * orientation(reference.row(k)).transpose()));
                 masked_norm(&axes.tr_mul(&error), &motion[3..])
             });
             (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
@@ -240,7 +239,10 @@ impl<'a> Run<'a> {
         let settled = self.settled(&servo.time_s);
         // Rows come an interface interval at a time, and begin with an interval.
         let first = settled.start.div_ceil(ratio) * ratio;
-        for interval in (first..settled.end).step_by(ratio).filter(|k| k + ratio <= settled.end) {
+        // Before the first command acts, and after a stop, no torque is asked for.
+        let asked = |k: usize| desired.row(k).iter().all(|d| d.is_finite());
+        let whole = |k: &usize| k + ratio <= settled.end && (*k..k + ratio).all(asked);
+        for interval in (first..settled.end).step_by(ratio).filter(whole) {
             sums.fill((0.0, 0.0));
             for k in interval..interval + ratio {
                 for (j, sum) in sums.iter_mut().enumerate() {
@@ -259,6 +261,12 @@ impl<'a> Run<'a> {
         metrics.torque_error_tick = at_tick.get();
         metrics
     }
+}
+
+/// A logged orientation: a quaternion, real part first.
+fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
+    let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+    UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }
 
 /// Squares of an error and of what it is relative to.

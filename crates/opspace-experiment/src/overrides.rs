@@ -8,7 +8,9 @@ use std::ops::Range;
 
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Key, TableLike, Value};
 
-use crate::source::{FileError, Part, Setting, Source, check_syntax, dotted, nearest};
+use crate::names::nearest;
+use crate::place::{Part, dotted};
+use crate::source::{FileError, Setting, Source, check_syntax};
 
 /// Files are flat; what is deeper is a slip.
 const MAX_DEPTH: usize = 32;

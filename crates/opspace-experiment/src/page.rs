@@ -4,7 +4,9 @@
 
 use std::fmt::Write as _;
 
-use crate::figure::{Comparison, Figure, PALETTE, escape};
+use plotters::style::RGBColor;
+
+use crate::figure::{Comparison, Figure, INK, PALETTE, escape};
 use crate::table::{Cell, Table};
 
 /// A page under construction; blocks appear in the order in which they are added.
@@ -112,7 +114,7 @@ impl Page {
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
              <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>{title}</title>\n\
              <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n</body>\n</html>\n",
-            colors(),
+            dark_figures(),
             self.body
         )
     }
@@ -151,16 +153,16 @@ fn cell(cell: Option<&Cell>, text: Option<&String>, place: usize) -> String {
     }
 }
 
-/// The colours of the figures' series, light and dark.
-fn colors() -> String {
-    let rules = |dark: bool| {
-        let rule = |(index, (on_light, on_dark)): (usize, &(&str, &str))| {
-            let color = if dark { on_dark } else { on_light };
-            format!(".s{index} {{ stroke: {color} }} .f{index} {{ fill: {color} }}\n")
-        };
-        PALETTE.iter().enumerate().map(rule).collect::<String>()
+/// Where the page is dark, the figures' colours give way to others: known by what `plotters` writes.
+fn dark_figures() -> String {
+    let rule = |(RGBColor(r, g, b), dark): (RGBColor, &str)| {
+        format!(
+            "svg [stroke='#{r:02X}{g:02X}{b:02X}'] {{ stroke: {dark} }} \
+             svg [fill='#{r:02X}{g:02X}{b:02X}'] {{ fill: {dark} }}\n"
+        )
     };
-    format!("{}@media screen and (prefers-color-scheme: dark) {{\n{}}}\n", rules(false), rules(true))
+    let rules: String = PALETTE.into_iter().chain([(INK, "var(--ink)")]).map(rule).collect();
+    format!("@media screen and (prefers-color-scheme: dark) {{\n{rules}}}\n")
 }
 
 const STYLE: &str = "\
@@ -194,8 +196,7 @@ figure { margin: 1.75rem 0 2.25rem; break-inside: avoid }
 figure svg { display: block; width: 100%; min-width: 40rem; height: auto }
 figcaption { font-size: 0.92rem; max-width: 50rem; margin-top: 0.6rem; color: var(--soft) }
 figcaption b { color: var(--ink) }
-svg .tick { font-size: 12px; font-variant-numeric: tabular-nums; fill: var(--soft) }
-svg .note { font-size: 12px; font-style: italic; fill: var(--soft) }
+figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 0.5rem 1.5rem; font-size: 0.92rem }
 dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
 dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere }

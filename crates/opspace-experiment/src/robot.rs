@@ -1,10 +1,12 @@
 //! robot.toml: what is believed of a robot, and what its simulation is beyond that.
 
-use crate::files::{Files, beside};
+use crate::files::{Files, Kind, beside};
+use crate::names::nearest;
 use crate::overrides;
-use crate::source::{FileError, Source, nearest, parse};
+use crate::source::{FileError, Source, parse};
 use opspace_backend::{
-    ForceSensor, InterfaceParameters, JointParameters, ProfileParameters, SafetyParameters, ServoParameters,
+    ForceSensor, InterfaceParameters, JointParameters, Measured, ProfileParameters, SafetyParameters,
+    ServoParameters,
 };
 use opspace_model::{Model, UrdfWarning};
 use opspace_sim::SimulatedParameters;
@@ -69,9 +71,11 @@ impl Robot {
     /// What is wrong in the file or its URDF, with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         let path = files.robot_file(path);
-        let source = overrides::apply_below(&files.read(&path)?, "robot", settings)?;
+        let source = files.read(&path)?;
+        Kind::Robot.expect(&source)?;
+        let source = overrides::apply_below(&source, "robot", settings)?;
         let file: RobotFile = parse(&source)?;
-        let urdf = files.read(&beside(&path, &file.urdf))?;
+        let urdf = files.read_named(&beside(&path, &file.urdf), &source, "urdf")?;
         Self::new(source, file, urdf)
     }
 
@@ -101,6 +105,7 @@ impl Robot {
                 return Err(FileError::at_key(&source, key, message, None));
             }
         }
+        check_values(&source, &file, &model)?;
         let sensors = force_sensors(&source, &model, &file.force_sensor)?;
         let model = model.with_rotor_inertia(&rotors);
         let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors };
@@ -164,6 +169,53 @@ pub fn load_urdf(urdf: &Source) -> Result<opspace_model::Loaded, FileError> {
         let line = error.line().and_then(|line| usize::try_from(line).ok());
         FileError::at_line(urdf, line, error.kind().to_string(), None)
     })
+}
+
+/// Most servo ticks per interface tick: more is a slip in a rate.
+const MAX_RATIO: u32 = 10_000;
+
+/// Longest rest before a start, s: more is a slip in a unit.
+const MAX_TARE_S: f64 = 60.0;
+
+/// What single values can't say of themselves.
+fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), FileError> {
+    if !file.interface.measures.contains(&Measured::Position) {
+        let message = "a robot that doesn't measure its positions can't be controlled";
+        let help =
+            Some("measures = [\"position\"], with \"motor-current\" if it measures that too".to_owned());
+        return Err(FileError::at_key(source, "interface.measures", message, help));
+    }
+    if file.safety.tare_s.get() > MAX_TARE_S {
+        let message = format!("a rest of more than {MAX_TARE_S} s before the start");
+        return Err(FileError::at_key(
+            source,
+            "safety.tare_s",
+            message,
+            Some("give it in seconds".to_owned()),
+        ));
+    }
+    for (name, profile) in &file.profile {
+        if profile.ratio.get() > MAX_RATIO {
+            let message = format!("more than {MAX_RATIO} servo ticks per interface tick");
+            return Err(FileError::at_key(source, ["profile", name, "ratio"], message, None));
+        }
+    }
+    for joint in model.joints() {
+        let name = joint.name.as_str();
+        let friction = file.joint.get(name).map(|j| &j.friction);
+        if friction.is_some_and(|f| f.static_nm < f.coulomb_nm) {
+            let key = ["joint", name, "friction", "static_nm"];
+            let message = "static friction below Coulomb friction: a joint at rest doesn't slide more easily";
+            return Err(FileError::at_key(source, key, message, Some("give at least coulomb_nm".to_owned())));
+        }
+        if !(joint.limits.velocity.is_finite() && joint.limits.velocity > 0.0) {
+            let message =
+                format!("the URDF gives joint '{name}' no speed limit, without which no run is safe");
+            let help = "add velocity=\"...\" (rad/s, m/s; above 0) to the joint's <limit>".to_owned();
+            return Err(FileError::at_key(source, ["joint", name], message, Some(help)));
+        }
+    }
+    Ok(())
 }
 
 /// The values of a map by joint name in the model's order: one for each joint, none for others.

@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 use thiserror::Error;
 
@@ -91,16 +91,31 @@ pub struct Finished<W> {
     pub realtime_factor: f64,
 }
 
-/// Rows into a recorder.
-struct IntoLog(Recorder);
+/// What the outside sees of a run, and can do to it, while it goes on.
+#[derive(Debug, Default)]
+pub struct Watch {
+    /// Set to stop the run safely.
+    pub interrupt: AtomicBool,
+    /// How many ticks are done.
+    pub ticks: AtomicU64,
+}
 
-impl Sink for IntoLog {
+/// Rows into a recorder.
+struct IntoLog<'a> {
+    recorder: Recorder,
+    watched: &'a AtomicU64,
+    ticks: u64,
+}
+
+impl Sink for IntoLog<'_> {
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
-        self.0.push(channel, time_s, row);
+        self.recorder.push(channel, time_s, row);
     }
 
     fn between_ticks(&mut self) {
-        self.0.wait_for_room();
+        self.ticks += 1;
+        self.watched.fetch_add(1, Ordering::Relaxed);
+        self.recorder.wait_for_room();
     }
 }
 
@@ -109,11 +124,7 @@ impl Experiment {
     ///
     /// # Errors
     /// A robot that can't be simulated; a log that can't be written.
-    pub fn run<W: Write + Send + 'static>(
-        &self,
-        sink: W,
-        interrupt: &AtomicBool,
-    ) -> Result<Finished<W>, RunError> {
+    pub fn run<W: Write + Send + 'static>(&self, sink: W, watch: &Watch) -> Result<Finished<W>, RunError> {
         let mut backend = self.simulated_backend()?;
         let mut controller = self.controller()?;
         let mut control = self.control_loop(&mut *backend, &mut *controller);
@@ -124,13 +135,21 @@ impl Experiment {
             .collect();
         let (recorder, writer): (Recorder, Writer<W>) =
             record(sink, self.header(), channels, Pace::Simulated)?;
-        let mut into_log = IntoLog(recorder);
+        let mut into_log = IntoLog { recorder, watched: &watch.ticks, ticks: 0 };
         let began = Instant::now();
-        let ending = control.run(self.duration_s(), interrupt, &mut into_log);
-        let realtime_factor = self.duration_s() / began.elapsed().as_secs_f64();
+        let ending = control.run(self.duration_s(), &watch.interrupt, &mut into_log);
+        let simulated_s = into_log.ticks as f64 * profile.period_s();
+        let realtime_factor = simulated_s / began.elapsed().as_secs_f64();
         drop(into_log);
         let (written, sink) = writer.finish()?;
         Ok(Finished { ending, written, sink, realtime_factor })
+    }
+
+    /// How many ticks a run has that isn't stopped, those at rest before the start included.
+    #[must_use]
+    pub fn ticks(&self) -> u64 {
+        let total_s = self.duration_s() + self.robot().file.safety.tare_s.get();
+        (total_s / self.profile().1.period_s()).round() as u64
     }
 
     /// What is said of a run of this experiment with that log.

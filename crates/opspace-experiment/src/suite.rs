@@ -1,7 +1,7 @@
 //! Suites: which tasks run on which robots under which controllers.
 
 use crate::experiment::{BackendKind, Choice, ControllerKind, Experiment};
-use crate::files::{Files, beside};
+use crate::files::{Files, Kind, beside};
 use crate::source::{FileError, Source, parse};
 use opspace_backend::TransformerKind;
 use schemars::JsonSchema;
@@ -66,11 +66,14 @@ impl Suite {
     /// What is wrong in any of the files, with its place.
     pub fn load(files: Files, path: &Path) -> Result<Self, FileError> {
         let source = files.read(path)?;
+        Kind::Suite.expect(&source)?;
         let file: SuiteFile = parse(&source)?;
         let mut experiments = Vec::new();
-        for run in &file.run {
+        for (number, run) in file.run.iter().enumerate() {
             let profiles = run.profiles.as_ref().unwrap_or(&file.profiles);
-            for task in &run.tasks {
+            for (place, task) in run.tasks.iter().enumerate() {
+                let key = ["run", &number.to_string(), "tasks", &place.to_string()];
+                files.read_named(&beside(path, task), &source, key)?;
                 for profile in or_default(profiles) {
                     for seed in or_default(&run.seeds) {
                         experiments.push(run.experiment(files, path, task, profile.clone(), seed)?);

@@ -1,6 +1,6 @@
 //! Task files: what the robot is to do, and what surrounds it while it does.
 
-use crate::files::{Files, beside};
+use crate::files::{Files, Kind, beside};
 use crate::overrides;
 use crate::source::{FileError, Source, parse};
 use opspace_backend::FrictionCompensationParameters;
@@ -64,7 +64,9 @@ impl Task {
     /// # Errors
     /// What is wrong in the file, with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
-        Self::from_source(overrides::apply(&files.read(path)?, settings)?)
+        let source = files.read(path)?;
+        Kind::Task.expect(&source)?;
+        Self::from_source(overrides::apply(&source, settings)?)
     }
 
     /// A task from its text.

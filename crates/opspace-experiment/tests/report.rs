@@ -8,6 +8,7 @@ use opspace_experiment::page::Page;
 use opspace_experiment::table::{Cell, Table, format_number};
 use roxmltree::{Document, Node, ParsingOptions};
 
+const SVG: &str = "http://www.w3.org/2000/svg";
 const NASTY: &str = "a <b> & \"c\" 'd' \u{1} </svg><script>alert(1)</script>";
 
 fn xml(text: &str) -> Document<'_> {
@@ -19,25 +20,26 @@ fn texts(document: &Document<'_>) -> Vec<String> {
     document
         .descendants()
         .filter(|node| node.has_tag_name("text") || node.tag_name().name() == "text")
-        .filter_map(|node| node.text().map(str::to_owned))
+        .filter_map(|node| node.text().map(|text| text.trim().to_owned()))
         .collect()
 }
 
-fn lines<'a, 'i>(document: &'a Document<'i>) -> Vec<Node<'a, 'i>> {
-    let series = |node: &Node<'_, '_>| node.attribute("class").is_some_and(|class| class.starts_with('s'));
-    document
-        .descendants()
-        .filter(|node| series(node) && node.attribute("d").is_some_and(|d| !d.contains("h28")))
-        .collect()
+/// The series' lines, without those of a legend of so many labels; axes and marks are fainter.
+fn lines<'a, 'i>(document: &'a Document<'i>, labels: usize) -> Vec<Node<'a, 'i>> {
+    let line = |node: &Node<'_, '_>| {
+        node.tag_name().name() == "polyline"
+            && node.attribute("opacity").is_some_and(|opacity| opacity == "1")
+    };
+    document.descendants().filter(line).skip(labels).collect()
 }
 
-/// The points of a path's `d`.
-fn points(d: &str) -> Vec<(f64, f64)> {
+/// The points of a line, in units of its picture.
+fn points(line: &Node<'_, '_>) -> Vec<(f64, f64)> {
     let point = |part: &str| {
-        let (x, y) = part.split_once(' ').expect("x and y");
+        let (x, y) = part.split_once(',').expect("x and y");
         (x.parse().expect("a number"), y.parse().expect("a number"))
     };
-    d.split(['M', 'L']).filter(|part| !part.is_empty()).map(point).collect()
+    line.attribute("points").expect("a line").split_whitespace().map(point).collect()
 }
 
 fn panel(title: &str, series: Vec<Series>) -> Panel {
@@ -72,8 +74,8 @@ fn joints(samples: usize) -> Figure {
         let mut panel = panel(
             name,
             vec![
-                Series::new("measured", x.clone(), measured),
-                Series::new("desired", x, desired).style(Style::Dashed),
+                Series::new("desired", x.clone(), desired).style(Style::Desired),
+                Series::new("measured", x, measured),
             ],
         );
         panel.marks.push((1.5, "settled".to_owned()));
@@ -98,11 +100,17 @@ fn four_joints_make_four_panels_with_one_legend() {
     let texts = texts(&document);
     let count = |wanted: &str| texts.iter().filter(|text| *text == wanted).count();
     assert_eq!((count("measured"), count("desired"), count("elbow")), (1, 1, 1));
-    // Once a row and once a column.
-    assert_eq!((count("torque (N·m)"), count("time (s)")), (2, 2));
-    assert_eq!(lines(&document).len(), 8);
-    let dashed = lines(&document).iter().filter(|line| line.has_attribute("stroke-dasharray")).count();
-    assert_eq!(dashed, 4);
+    assert_eq!((count("torque (N·m)"), count("time (s)")), (4, 4));
+    // In each panel the desired line is the thinner, of another colour, and lies on the measured one.
+    let look = |line: &Node<'_, '_>| {
+        let width: u32 = line.attribute("stroke-width").expect("a width").parse().expect("a number");
+        (width, line.attribute("stroke").expect("a colour").to_owned())
+    };
+    let looks: Vec<(u32, String)> = lines(&document, 2).iter().map(look).collect();
+    assert_eq!(looks.len(), 8);
+    for pair in looks.chunks(2) {
+        assert!(pair == &looks[..2] && pair[0].0 > pair[1].0 && pair[0].1 != pair[1].1, "{looks:?}");
+    }
     assert!(svg.len() < 300_000, "{} bytes", svg.len());
 }
 
@@ -119,12 +127,11 @@ fn points_stay_within_the_picture() {
         .map(|number| number.parse().expect("a number"))
         .collect();
     let extent = |line: &Node<'_, '_>| {
-        let points = points(line.attribute("d").expect("a path"));
-        points.iter().fold((f64::MAX, f64::MIN, f64::MAX, f64::MIN), |(l, r, t, b), &(x, y)| {
+        points(line).iter().fold((f64::MAX, f64::MIN, f64::MAX, f64::MIN), |(l, r, t, b), &(x, y)| {
             (l.min(x), r.max(x), t.min(y), b.max(y))
         })
     };
-    let extents: Vec<_> = lines(&document).iter().map(extent).collect();
+    let extents: Vec<_> = lines(&document, 2).iter().map(extent).collect();
     for &(left, right, top, bottom) in &extents {
         assert!(left >= 0.0 && right <= size[2] && top >= 0.0 && bottom <= size[3]);
     }
@@ -174,17 +181,46 @@ fn a_line_is_drawn_to_scale() {
     let series = Series::new("a", vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 10.0, 5.0, 10.0]);
     let svg = figure(vec![panel("p", vec![series])]).svg();
     let document = xml(&svg);
-    let drawn = points(lines(&document)[0].attribute("d").expect("a path"));
+    let drawn = points(&lines(&document, 1)[0]);
     let rise = |k: usize| drawn[0].1 - drawn[k].1;
     let run = |k: usize| drawn[k].0 - drawn[0].0;
-    // Coordinates are written to a tenth of a unit.
-    let rounding = 0.15;
-    assert!(rise(1) > 100.0 && (rise(2) - rise(1) / 2.0).abs() < rounding, "{drawn:?}");
+    // Coordinates are whole units of a canvas four times as fine as the page.
+    let rounding = 1.5;
+    assert!(rise(1) > 400.0 && (rise(2) - rise(1) / 2.0).abs() < rounding, "{drawn:?}");
     assert!(
-        run(3) > 500.0
+        run(3) > 2000.0
             && (run(1) - run(3) / 4.0).abs() < rounding
             && (run(2) - run(3) / 2.0).abs() < rounding
     );
+}
+
+/// One sample among many against its place in the picture: peaks and gaps survive the reduction.
+#[test]
+fn peaks_and_gaps_reach_the_picture() {
+    let x: Vec<f64> = (0..40_000).map(|k| f64::from(k) * 2e-4).collect();
+    let mut y = vec![0.0; 40_000];
+    (y[12_345], y[23_456]) = (50.0, -25.0);
+    y[30_000..31_000].fill(f64::NAN);
+    let svg = figure(vec![panel("p", vec![Series::new("a", x.clone(), y)])]).svg();
+    let document = xml(&svg);
+    let drawn: Vec<Vec<(f64, f64)>> = lines(&document, 1).iter().map(points).collect();
+    assert_eq!(drawn.len(), 2, "a line before the gap, and one after it");
+    let zero = drawn[1][0].1;
+    let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
+    let (highest, lowest) = (
+        drawn[0].iter().min_by(by_height).expect("points"),
+        drawn[0].iter().max_by(by_height).expect("points"),
+    );
+    // Coordinates are whole units of a canvas four times as fine as the page.
+    let rounding = 1.5;
+    assert!(
+        zero - highest.1 > 200.0 && ((zero - highest.1) - 2.0 * (lowest.1 - zero)).abs() < 2.0 * rounding
+    );
+    let (first, last) = (drawn[0][0].0, drawn[1][drawn[1].len() - 1].0);
+    let place = |k: usize| first + (last - first) * x[k] / x[39_999];
+    assert!((highest.0 - place(12_345)).abs() < rounding && (lowest.0 - place(23_456)).abs() < rounding);
+    assert!((drawn[0][drawn[0].len() - 1].0 - place(29_999)).abs() < rounding);
+    assert!((drawn[1][0].0 - place(31_000)).abs() < rounding);
 }
 
 #[test]
@@ -257,9 +293,13 @@ fn a_comparison_places_larger_values_further_right() {
     for scale in [Scale::Log, Scale::Linear] {
         let svg = Comparison { scale, ..comparison() }.svg();
         let document = xml(&svg);
+        // Of the three marks, discs are filled.
+        let disc = |node: &Node<'_, '_>| {
+            node.has_tag_name((SVG, "circle")) && node.attribute("fill") != Some("none")
+        };
         let mut discs: Vec<f64> = document
             .descendants()
-            .filter(|node| node.attribute("class") == Some("f0"))
+            .filter(disc)
             .map(|node| node.attribute("cx").expect("a place").parse().expect("a number"))
             .collect();
         assert_eq!(discs.len(), 4, "the legend's and one a row");
@@ -316,6 +356,7 @@ fn a_column_shares_its_decimals() {
         table.texts().concat()
     };
     assert_eq!(column(&[0.0431, 0.000_71, 0.0]), ["0.04310", "0.00071", "0.00000"]);
+    assert_eq!(column(&[0.431, 0.000_71]), ["0.43100", "0.00071"]);
     assert_eq!(column(&[12.3456, f64::NAN]), ["12.35", "not a number"]);
     assert_eq!(column(&[1e9, 1.0]), ["1.000e9", "1.000"]);
     assert_eq!(column(&[0.0, -0.0]), ["0", "0"]);
@@ -353,7 +394,7 @@ fn sample_page(samples: usize) -> Page {
         let hand: Vec<f64> =
             reference.iter().enumerate().map(|(k, y)| y + 0.001 * (0.01 * k as f64).sin()).collect();
         let force = vec![
-            Series::new("reference", x.clone(), reference).style(Style::Dashed),
+            Series::new("reference", x.clone(), reference).style(Style::Desired),
             Series::new("hand", x, hand),
         ];
         Panel { y_label: "position (m)".to_owned(), ..panel(name, force) }
@@ -408,6 +449,14 @@ fn a_page_stands_alone() {
         }
     }
     assert!(!html.contains("@import") && !html.contains("url("));
+    // Every colour of the figures has another where the page is dark.
+    for node in document.descendants().filter(|node| node.tag_name().namespace() == Some(SVG)) {
+        for name in ["stroke", "fill"] {
+            if let Some(color) = node.attribute(name).filter(|color| *color != "none") {
+                assert!(html.contains(&format!("svg [{name}='{color}'] {{")), "{name} {color}");
+            }
+        }
+    }
     let named =
         |tag: &str| document.descendants().filter(|node| node.tag_name().name() == tag).collect::<Vec<_>>();
     assert_eq!((named("figure").len(), named("caption").len(), named("h1").len()), (4, 1, 1));

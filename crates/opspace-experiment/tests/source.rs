@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use miette::Diagnostic;
-use opspace_experiment::source::{FileError, Source, nearest, parse, unit_symbol};
+use opspace_experiment::names::{nearest, unit_symbol};
+use opspace_experiment::source::{FileError, Source, parse};
 use serde::Deserialize;
 
 #[derive(Debug, Deserialize)]

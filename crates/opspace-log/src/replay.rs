@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use opspace_backend::{Facts, Fault, Phase, PositionRobot, Robot, Sample, Sink, TICK, TorqueRobot};
 use opspace_control::Layout;
 use opspace_model::Force;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -35,20 +36,28 @@ struct Tick {
 }
 
 impl ReplayRobot {
-    /// For a log of a robot of `n` joints that declared `facts`. `interrupt` is set where the logged run was interrupted.
+    /// For a log of a robot of `n` joints that declared `facts`. `interrupt` is set where the logged run was
+    /// interrupted.
     ///
     /// # Errors
     /// A log without one of the measurements that the robot declares.
-    pub fn new(recording: &Recording, facts: Facts, interrupt: Arc<AtomicBool>) -> Result<Self, LogError> {
+    pub fn new(
+        recording: &Recording,
+        n: usize,
+        facts: Facts,
+        interrupt: Arc<AtomicBool>,
+    ) -> Result<Self, LogError> {
         let tick = tick_channel(recording)?;
-        let signal =
-            |name: &str| tick.signal(name).ok_or_else(|| LogError::NoSignal { name: name.to_owned() });
-        let q = signal("q")?;
-        let (phase, fault) = (signal("phase")?, signal("fault")?);
-        let motor_torque = if facts.motor_torque { Some(signal("motor_torque")?) } else { None };
+        let signal = |name: &str, length: usize| {
+            let found = tick.signal(name).filter(|column| column.elements().len() == length);
+            found.ok_or_else(|| LogError::NoSignal { name: name.to_owned() })
+        };
+        let q = signal("q", n)?;
+        let (phase, fault) = (signal("phase", 1)?, signal("fault", 1)?);
+        let motor_torque = if facts.motor_torque { Some(signal("motor_torque", n)?) } else { None };
         let mut sensors = Vec::new();
         for sensor in &facts.sensors {
-            sensors.push(signal(&format!("{}.raw", sensor.name))?);
+            sensors.push(signal(&format!("{}.raw", sensor.name), 6)?);
         }
         let stopped = Phase::Stopped.code();
         let ticks = (0..tick.len())
@@ -143,6 +152,7 @@ pub struct Comparer<'a> {
     slots: Vec<(usize, usize)>,
     /// Sums of squared differences, one a slot.
     squares: Vec<f64>,
+    unmatched: Vec<String>,
     next: usize,
     differing: u64,
     first: Option<(usize, usize, f64)>,
@@ -166,13 +176,23 @@ impl<'a> Comparer<'a> {
             }
         }
         let squares = vec![0.0; slots.len()];
-        Ok(Self { logged, slots, squares, next: 0, differing: 0, first: None })
+        let names = |layout| offsets(layout).map(|(name, _, length)| (name.to_owned(), length));
+        let (then, now): (BTreeSet<_>, BTreeSet<_>) =
+            (names(&logged.layout).collect(), names(replay).collect());
+        let unmatched = then.symmetric_difference(&now).map(|(name, _)| name.clone()).collect();
+        Ok(Self { logged, slots, squares, unmatched, next: 0, differing: 0, first: None })
     }
 
     /// How many ticks were compared.
     #[must_use]
     pub fn compared(&self) -> usize {
         self.next.min(self.logged.len())
+    }
+
+    /// Signals that only the log or only the replay has, or that differ in length.
+    #[must_use]
+    pub fn unmatched(&self) -> &[String] {
+        &self.unmatched
     }
 
     /// How many ticks the log has.

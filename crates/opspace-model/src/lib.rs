@@ -2,7 +2,7 @@
 //!
 //! A [`Model`] is read once and never changes; [`Data`] is scratch for it, allocated once; the algorithms
 //! are functions of both, one file each, named as in the textbook (Featherstone, *Rigid Body Dynamics
-//! Algorithms*, "RBDA"). No function allocates.
+//! Algorithms*, "RBDA"). No algorithm allocates; reading a URDF and [`samples`] do.
 //!
 //! Conventions: SI units; world-aligned Jacobians at the frame's origin; linear rows before angular ones;
 //! the root link is fixed to the world; a continuous joint has one coordinate.

@@ -21,6 +21,8 @@ use thiserror::Error;
 const RANK_TOLERANCE: f64 = 1e-6;
 
 /// A state, and what acts on the robot in it. Lengths: n is the number of joints.
+///
+/// Keys that it doesn't know are ignored when it is read: a line may carry another library's answers along.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// Joint positions, rad or m (n).

@@ -102,19 +102,26 @@ fn assemble(description: &Description, order: &[tree::Step]) -> Result<Model, Ur
             let kind = UrdfErrorKind::Massless { joint: joint.name.clone(), link: element.child.clone() };
             return Err(UrdfError::at(element.line, kind));
         }
-        if !is_finite(joint) {
-            let kind = UrdfErrorKind::Overflow { joint: joint.name.clone() };
+        let Inertia { mass, com, rotational } = &joint.inertia;
+        let finite = mass.is_finite() && com.iter().chain(rotational).all(|x| x.is_finite());
+        if !finite || !is_finite(&joint.origin) {
+            let kind = UrdfErrorKind::Overflow { element: format!("joint '{}'", joint.name) };
             return Err(UrdfError::at(element.line, kind));
+        }
+    }
+    // One frame a link, in the same order.
+    for (frame, step) in frames.iter().zip(order) {
+        if !is_finite(&frame.placement) {
+            let kind = UrdfErrorKind::Overflow { element: format!("link '{}'", frame.name) };
+            return Err(UrdfError::at(description.links[step.link].line, kind));
         }
     }
     Ok(Model::new(description.name.clone(), joints, frames))
 }
 
 /// Finite numbers can still be too large for their products.
-fn is_finite(joint: &Joint) -> bool {
-    let Inertia { mass, com, rotational } = &joint.inertia;
-    let numbers = com.iter().chain(rotational.iter()).chain(joint.origin.translation.iter());
-    mass.is_finite() && numbers.into_iter().all(|x| x.is_finite())
+fn is_finite(placement: &Placement) -> bool {
+    placement.rotation.iter().chain(&placement.translation).all(|x| x.is_finite())
 }
 
 fn moving(

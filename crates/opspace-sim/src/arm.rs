@@ -14,13 +14,16 @@ use crate::servo::Servo;
 use crate::surroundings::{HandMotion, Surrounding, SurroundingParameters};
 use nalgebra::{DVector, Vector3};
 use opspace_backend::{
-    Facts, Fault, ForceSensor, GravityBy, InterfaceParameters, JointParameters, Measured, PositionRobot,
-    ProfileParameters, Robot, Sample, ServoParameters, TorqueRobot, Trace, Traces,
+    Facts, Fault, GravityBy, JointParameters, PositionRobot, ProfileParameters, Robot, Sample,
+    ServoParameters, TorqueRobot, Trace, Traces,
 };
 use opspace_control::{CommandKind, Layout, Signal};
 use opspace_model::{Data, FrameId, Model, frame_placement, gravity, kinematics};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+
+/// Most physics steps per servo tick: more is a slip in a rate, and the run would not come back.
+const MAX_STEPS: f64 = 10_000.0;
 
 /// Everything that makes a simulated arm.
 #[derive(Clone, Debug)]
@@ -33,14 +36,10 @@ pub struct Setup {
     pub servos: Vec<ServoParameters>,
     /// Rates and delay.
     pub profile: ProfileParameters,
-    /// What the interface offers.
-    pub interface: InterfaceParameters,
+    /// What the robot declares of itself: which kind it is, what it measures.
+    pub facts: Facts,
     /// Where truth differs.
     pub simulated: SimulatedParameters,
-    /// Which kind of robot it is to be.
-    pub command: CommandKind,
-    /// The force sensors, by name and frame.
-    pub sensors: Vec<ForceSensor>,
     /// What touches it, by name.
     pub surroundings: Vec<(String, SurroundingParameters)>,
     /// Where it stands, at rest, rad or m (n).
@@ -127,7 +126,7 @@ impl SimulatedArm {
 
         let limit = |j: &JointParameters| j.torque_limit_nm.get();
         let scale = &simulated.scale;
-        let motor_start = match setup.command {
+        let motor_start = match setup.facts.command {
             CommandKind::Position => holding.clone(),
             CommandKind::Torque => DVector::zeros(n),
         };
@@ -157,14 +156,14 @@ impl SimulatedArm {
                 Servo::new(servo.cascade(), scale.kp.get(), scale.kv.get(), timing.servo_period_s, y)
             })
             .collect();
-        let active = match setup.command {
+        let active = match setup.facts.command {
             CommandKind::Position => DVector::from_fn(n, |i, _| servos[i].holding(position[i], holding[i])),
             CommandKind::Torque => DVector::zeros(n),
         };
         let sensors = setup.simulated_sensors(timing.servo_period_s);
         let pending = Pending { acts_at: None, number: 0, values: DVector::zeros(n) };
         let mut arm = Self {
-            facts: setup.facts(),
+            facts: setup.facts.clone(),
             timing,
             torque_limits: simulated
                 .torque_saturation
@@ -184,7 +183,7 @@ impl SimulatedArm {
             log: TraceLog::new(&setup, profile.ratio.get()),
             plant,
         };
-        if setup.command == CommandKind::Torque {
+        if setup.facts.command == CommandKind::Torque {
             arm.brake();
         }
         Ok(arm)
@@ -283,9 +282,12 @@ impl SimulatedArm {
     /// Takes a command given at the present interface tick.
     fn accept(&mut self, values: &[f64]) {
         self.commands += 1;
-        let slot = usize::from(self.commands.is_multiple_of(2));
-        let pending = &mut self.pending[slot];
-        pending.acts_at = Some(self.timing.servo_tick + u64::from(self.timing.delay));
+        let acts_at = Some(self.timing.servo_tick + u64::from(self.timing.delay));
+        // A second command at the same tick takes the place of the first; else one of the two is free.
+        let same = self.pending.iter().position(|p| p.acts_at == acts_at);
+        let free = self.pending.iter().position(|p| p.acts_at.is_none());
+        let pending = &mut self.pending[same.or(free).unwrap_or(0)];
+        pending.acts_at = acts_at;
         pending.number = self.commands;
         pending.values.copy_from_slice(values);
     }
@@ -303,6 +305,7 @@ impl Robot for SimulatedArm {
         self.timing.started = true;
         let finite = self.plant.q().iter().chain(self.plant.dq().iter()).all(|v| v.is_finite());
         if !finite {
+            self.log.truth(&self.plant);
             return Err(Fault::Diverged);
         }
         self.measure(sample);
@@ -357,7 +360,7 @@ impl TorqueRobot for SimulatedArm {
 
 impl Setup {
     fn check(&self) -> Result<(), SimulationError> {
-        for sensor in &self.sensors {
+        for sensor in &self.facts.sensors {
             if !self.simulated.force_sensor.contains_key(&sensor.name) {
                 return Err(SimulationError::UnknownSensorQuality { sensor: sensor.name.clone() });
             }
@@ -368,6 +371,9 @@ impl Setup {
                 .map_err(|source| SimulationError::Frame { surrounding: name.clone(), source })?;
             match surrounding {
                 SurroundingParameters::Spring(spring) => {
+                    if spring.report.is_empty() {
+                        return Err(SimulationError::NothingReported { surrounding: name.clone() });
+                    }
                     if let HandMotion::Random(motion) = &spring.motion
                         && motion.to_hz < motion.from_hz
                     {
@@ -375,7 +381,7 @@ impl Setup {
                     }
                 }
                 SurroundingParameters::Wall(wall) => {
-                    if Vector3::from(wall.normal).norm() == 0.0 {
+                    if Vector3::from(wall.normal).amax() == 0.0 {
                         return Err(SimulationError::Normal { surrounding: name.clone() });
                     }
                 }
@@ -394,7 +400,7 @@ impl Setup {
         let servo_hz = self.profile.servo_hz.get();
         let physics_hz = self.simulated.physics_hz.get();
         let steps = physics_hz / servo_hz;
-        if steps < 1.0 || (steps - steps.round()).abs() > 1e-9 * steps {
+        if !(1.0..=MAX_STEPS).contains(&steps) || (steps - steps.round()).abs() > 1e-9 * steps {
             return Err(SimulationError::PhysicsRate { physics_hz, servo_hz });
         }
         let period_s = self.profile.period_s();
@@ -411,7 +417,7 @@ impl Setup {
 
     fn true_model(&self) -> Model {
         let model = self.model.clone().with_scaled_inertia(self.simulated.scale.inertia.get());
-        match self.interface.gravity_by {
+        match self.facts.gravity_by {
             GravityBy::Controller => model,
             // A robot that carries its own weight is one that has none.
             GravityBy::Robot => model.with_gravity(Vector3::zeros()),
@@ -432,24 +438,13 @@ impl Setup {
     }
 
     fn simulated_sensors(&self, period_s: f64) -> Vec<(FrameId, SimulatedForceSensor)> {
-        (self.sensors.iter().zip(0..))
+        (self.facts.sensors.iter().zip(0..))
             .filter_map(|(sensor, index)| {
                 let quality = self.simulated.force_sensor.get(&sensor.name)?;
                 let random = generator(self.seed, Stream::ForceSensor(index));
                 Some((sensor.frame, SimulatedForceSensor::new(quality, period_s, random)))
             })
             .collect()
-    }
-
-    fn facts(&self) -> Facts {
-        Facts {
-            command: self.command,
-            period_s: self.profile.period_s(),
-            gravity_by: self.interface.gravity_by,
-            on_missed_cycle: self.interface.on_missed_cycle,
-            motor_torque: self.interface.measures.contains(&Measured::MotorCurrent),
-            sensors: self.sensors.clone(),
-        }
     }
 }
 

@@ -16,7 +16,7 @@ pub enum SimulationError {
         ratio: u32,
     },
     /// Physics and servo don't fit.
-    #[error("physics at {physics_hz} Hz is not a whole multiple of the servo's {servo_hz} Hz")]
+    #[error("physics at {physics_hz} Hz is not a whole multiple, 1 to 10000, of the servo's {servo_hz} Hz")]
     PhysicsRate {
         /// `physics_hz`.
         physics_hz: f64,
@@ -43,6 +43,12 @@ pub enum SimulationError {
         /// The surrounding's name.
         surrounding: String,
     },
+    /// A hand that reports no axis.
+    #[error("surroundings.{surrounding}: report names no axis; leave it out for all of x, y and z")]
+    NothingReported {
+        /// The surrounding's name.
+        surrounding: String,
+    },
     /// A wall without a direction.
     #[error("surroundings.{surrounding}: the normal has no length")]
     Normal {
@@ -64,6 +70,7 @@ impl SimulationError {
             }
             Self::Frame { surrounding, .. } => task(surrounding, "frame"),
             Self::Band { surrounding } => task(surrounding, "motion"),
+            Self::NothingReported { surrounding } => task(surrounding, "report"),
             Self::Normal { surrounding } => task(surrounding, "normal"),
         }
     }

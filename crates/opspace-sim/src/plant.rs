@@ -57,8 +57,9 @@ pub struct PlantParts {
 pub struct Plant {
     parts: PlantParts,
     dq: DVector<f64>,
-    /// Where each brake fell in, if the brakes are on.
-    braked_at: Option<DVector<f64>>,
+    braked: bool,
+    /// Where each brake fell in.
+    braked_at: DVector<f64>,
     integrator: RungeKutta,
     data: Data,
     torque: DVector<f64>,
@@ -77,7 +78,8 @@ impl Plant {
         let zero = DVector::zeros(n);
         Self {
             dq: zero.clone(),
-            braked_at: None,
+            braked: false,
+            braked_at: zero.clone(),
             integrator: RungeKutta::new(&parts.model),
             data: Data::new(&parts.model),
             torque: zero.clone(),
@@ -118,15 +120,15 @@ impl Plant {
 
     /// Lets the brakes fall in where the joints stand.
     pub fn brake(&mut self) {
-        match &mut self.braked_at {
-            Some(_) => {}
-            none => *none = Some(self.parts.q.clone()),
+        if !self.braked {
+            self.braked = true;
+            self.braked_at.copy_from(&self.parts.q);
         }
     }
 
     /// Lifts the brakes.
     pub fn release(&mut self) {
-        self.braked_at = None;
+        self.braked = false;
     }
 
     /// Moves on by `dt` (s) from the time `t` (s from the controller's start), with `asked` (n; Nm) asked of
@@ -192,13 +194,17 @@ impl Plant {
             return 0.0;
         }
         let stop = &self.parts.end_stop;
-        stop.stiffness_nm_per_rad.get() * depth - stop.damping_nms_per_rad.get() * self.dq[i]
+        let torque = stop.stiffness_nm_per_rad.get() * depth - stop.damping_nms_per_rad.get() * self.dq[i];
+        // A stop pushes back; it doesn't hold on to a joint that leaves it.
+        if depth > 0.0 { torque.max(0.0) } else { torque.min(0.0) }
     }
 
     fn brake_torque(&self, i: usize) -> f64 {
-        let Some(at) = &self.braked_at else { return 0.0 };
+        if !self.braked {
+            return 0.0;
+        }
         let brake = &self.parts.brake;
-        let spring = brake.stiffness_nm_per_rad.get() * (at[i] - self.parts.q[i]);
+        let spring = brake.stiffness_nm_per_rad.get() * (self.braked_at[i] - self.parts.q[i]);
         let limit = self.parts.brake_torque[i];
         (spring - brake.damping_nms_per_rad.get() * self.dq[i]).clamp(-limit, limit)
     }

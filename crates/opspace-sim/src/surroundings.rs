@@ -2,7 +2,7 @@
 //! task file.
 
 use nalgebra::Vector3;
-use opspace_control::quantity::{NonNegative, Positive};
+use opspace_control::quantity::{NonNegative, Positive, exactly};
 use opspace_control::ramp::minimum_jerk;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -55,7 +55,7 @@ pub struct SpringParameters {
     /// B, Ns/m.
     pub damping_ns_per_m: NonNegative,
     /// How firmly it holds in x, y and z of the world: a factor on K and B.
-    #[serde(default = "everywhere")]
+    #[serde(default = "everywhere", deserialize_with = "exactly")]
     pub gain: [NonNegative; 3],
     /// The axes over which its force and the frame's motion are reported.
     #[serde(default = "all_axes")]
@@ -132,6 +132,7 @@ pub struct PushParameters {
     /// How long it lasts, s.
     pub duration_s: Positive,
     /// The force at its height, world axes, N.
+    #[serde(deserialize_with = "exactly")]
     pub force_n: [f64; 3],
 }
 
@@ -142,8 +143,10 @@ pub struct WallParameters {
     /// The frame that meets it.
     pub frame: String,
     /// A point of the plane in the world, m.
+    #[serde(deserialize_with = "exactly")]
     pub point_m: [f64; 3],
     /// Out of the wall, world axes; any length.
+    #[serde(deserialize_with = "exactly")]
     pub normal: [f64; 3],
     /// K, N/m.
     pub stiffness_n_per_m: Positive,
@@ -191,7 +194,7 @@ impl Surrounding {
             SurroundingParameters::Pushes(p) => Self::Pushes(p.push.clone()),
             SurroundingParameters::Wall(p) => Self::Wall(Wall {
                 point: Vector3::from(p.point_m),
-                normal: Vector3::from(p.normal).normalize(),
+                normal: direction(p.normal),
                 stiffness: p.stiffness_n_per_m.get(),
                 damping: p.damping_ns_per_m.get(),
             }),
@@ -208,6 +211,12 @@ impl Surrounding {
             Self::Wall(wall) => wall.force(x, v),
         }
     }
+}
+
+/// A vector of any length as one of length 1.
+fn direction(vector: [f64; 3]) -> Vector3<f64> {
+    let vector = Vector3::from(vector);
+    (vector / vector.amax()).normalize()
 }
 
 /// How many sines an axis of random motion has.

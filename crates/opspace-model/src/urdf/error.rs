@@ -36,6 +36,16 @@ fn prefix(line: Option<u32>) -> String {
     line.map(|l| format!("line {l}: ")).unwrap_or_default()
 }
 
+/// Names, as many as can be taken in.
+fn listed(names: &[String]) -> String {
+    const MOST: usize = 100;
+    let shown = names[..names.len().min(MOST)].join(", ");
+    match names.len().saturating_sub(MOST) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
+
 /// Why a URDF is refused. `element` is the element as a person would say it: `joint 'elbow'`.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
@@ -52,6 +62,12 @@ pub enum UrdfErrorKind {
     #[error("elements are nested more than {limit} deep; a URDF needs five levels")]
     TooDeep {
         /// The deepest nesting read.
+        limit: usize,
+    },
+    /// More attributes than any element has: a reader might take hours.
+    #[error("a tag has more than {limit} attributes; a URDF's have six at most")]
+    TooManyAttributes {
+        /// The most read.
         limit: usize,
     },
     /// Document types and entities can make a small file large or name other files.
@@ -208,16 +224,16 @@ pub enum UrdfErrorKind {
         link: String,
     },
     /// Numbers too large to be multiplied.
-    #[error("joint '{joint}': the place or inertia of its body overflows; check the magnitudes, SI units")]
+    #[error("{element}: its place or inertia overflows; check the magnitudes, SI units")]
     Overflow {
-        /// The joint.
-        joint: String,
+        /// A joint with its body, or a link.
+        element: String,
     },
     /// A robot without links.
     #[error("the robot has no <link>")]
     NoLinks,
     /// A joint to or from nowhere.
-    #[error("joint '{joint}': {role} link '{link}' doesn't exist; the links are: {}", known.join(", "))]
+    #[error("joint '{joint}': {role} link '{link}' doesn't exist; the links are: {}", listed(known))]
     UnknownLink {
         /// The joint.
         joint: String,
@@ -241,7 +257,7 @@ pub enum UrdfErrorKind {
     /// More than one robot.
     #[error(
         "the links {} are no joint's child: a robot has one root; join the others to it, if only by fixed joints",
-        links.iter().map(|l| format!("'{l}'")).collect::<Vec<_>>().join(", ")
+        listed(links)
     )]
     SeveralRoots {
         /// All roots.

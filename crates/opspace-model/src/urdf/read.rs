@@ -11,8 +11,12 @@ use std::collections::HashMap;
 const MAX_BYTES: usize = 16 << 20;
 /// Extensions (`<gazebo>`, `<transmission>`) nest deeper than URDF's own five levels, not this deep.
 const MAX_DEPTH: usize = 64;
+/// A URDF's own tags have six at most; readers compare each with each.
+const MAX_ATTRIBUTES: usize = 64;
 /// Principal moments are compared relative to the largest; files print five digits and more.
 const INERTIA_TOLERANCE: f64 = 1e-6;
+/// What a joint's limits look like.
+const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
 
 /// What a URDF says about a robot's dynamics.
 pub(super) struct Description {
@@ -82,6 +86,7 @@ fn guard(text: &str) -> Result<(), UrdfError> {
     let mut depth: usize = 0;
     let mut at = 0;
     while let Some(open) = text[at..].find('<').map(|i| at + i) {
+        let refuse = |kind| Err(UrdfError::at(line_of(text, open), kind));
         let rest = &text[open..];
         let end = if rest.starts_with("<!--") {
             rest.find("-->")
@@ -90,41 +95,62 @@ fn guard(text: &str) -> Result<(), UrdfError> {
         } else if rest.starts_with("<?") {
             rest.find("?>")
         } else if rest.starts_with("<!") {
-            return Err(UrdfError::at(line_of(text, open), UrdfErrorKind::Doctype));
+            return refuse(UrdfErrorKind::Doctype);
         } else {
-            tag_end(rest)
+            let tag = Tag::of(rest);
+            depth = depth.saturating_add_signed(tag.nests);
+            if depth > MAX_DEPTH {
+                return refuse(UrdfErrorKind::TooDeep { limit: MAX_DEPTH });
+            }
+            if tag.attributes > MAX_ATTRIBUTES {
+                return refuse(UrdfErrorKind::TooManyAttributes { limit: MAX_ATTRIBUTES });
+            }
+            tag.end
         };
-        let Some(end) = end else {
-            // An unfinished tag: the XML reader says so.
-            return Ok(());
-        };
-        if rest.starts_with("</") {
-            depth = depth.saturating_sub(1);
-        } else if !rest.starts_with("<!") && !rest.starts_with("<?") && !rest[..end].ends_with('/') {
-            depth += 1;
+        match end {
+            Some(end) => at = open + end,
+            // Unfinished: the XML reader says so, and reads no further either.
+            None => return Ok(()),
         }
-        if depth > MAX_DEPTH {
-            let kind = UrdfErrorKind::TooDeep { limit: MAX_DEPTH };
-            return Err(UrdfError::at(line_of(text, open), kind));
-        }
-        at = open + end;
     }
     Ok(())
 }
 
-/// Where a tag's `>` is: not within quotes.
-fn tag_end(tag: &str) -> Option<usize> {
-    let mut quote = None;
-    for (i, byte) in tag.bytes().enumerate() {
-        match quote {
-            Some(q) if byte == q => quote = None,
-            Some(_) => {}
-            None if byte == b'"' || byte == b'\'' => quote = Some(byte),
-            None if byte == b'>' => return Some(i),
-            None => {}
+/// What a tag looks like from outside.
+struct Tag {
+    /// Where its `>` is.
+    end: Option<usize>,
+    attributes: usize,
+    /// 1 if it opens an element, −1 if it closes one, 0 if both.
+    nests: isize,
+}
+
+impl Tag {
+    /// Of the tag at the beginning of `text`. Between quotes, nothing counts.
+    fn of(text: &str) -> Self {
+        let mut quote = None;
+        let mut attributes = 0;
+        let mut before = b'<';
+        for (i, byte) in text.bytes().enumerate() {
+            match (quote, byte) {
+                (Some(open), _) if byte == open => quote = None,
+                (Some(_), _) => {}
+                (None, b'"' | b'\'') => quote = Some(byte),
+                (None, b'=') => attributes += 1,
+                (None, b'>') => {
+                    let nests = match (text.starts_with("</"), before) {
+                        (true, _) => -1,
+                        (false, b'/') => 0,
+                        (false, _) => 1,
+                    };
+                    return Self { end: Some(i), attributes, nests };
+                }
+                (None, _) => {}
+            }
+            before = byte;
         }
+        Self { end: None, attributes, nests: 0 }
     }
-    None
 }
 
 fn line_of(text: &str, position: usize) -> u32 {
@@ -277,7 +303,7 @@ impl<'a> Element<'a> {
             None => Motion::Fixed,
             Some(kind) => Motion::Moving { kind, axis: self.axis()?, limits: self.limits(kind, warnings)? },
         };
-        if let Some(mimic) = self.child(self.node, "mimic")? {
+        if let (Some(_), Some(mimic)) = (kind, self.child(self.node, "mimic")?) {
             let of = mimic.attribute("joint").unwrap_or_default().to_owned();
             warnings.push(self.warning(mimic, UrdfWarningKind::Mimic { joint: self.name.to_owned(), of }));
         }
@@ -312,17 +338,17 @@ impl<'a> Element<'a> {
     }
 
     fn limits(&self, kind: JointKind, warnings: &mut Vec<UrdfWarning>) -> Result<Limits, UrdfError> {
-        const REMEDY: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
+        const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
         const NONE: f64 = f64::INFINITY;
         let unlimited = Limits { lower: -NONE, upper: NONE, velocity: NONE, effort: NONE };
         let bounded = kind != JointKind::Continuous;
         let node = match self.child(self.node, "limit")? {
             Some(node) => node,
-            None if bounded => return Err(self.missing(self.node, "<limit>".to_owned(), REMEDY)),
+            None if bounded => return Err(self.missing(self.node, "<limit>".to_owned(), LIMIT)),
             None => return Ok(unlimited),
         };
         let (lower, upper) = match bounded {
-            true => (self.number(node, "lower", REMEDY)?, self.number(node, "upper", REMEDY)?),
+            true => (self.number(node, "lower", LIMIT)?, self.number(node, "upper", LIMIT)?),
             false => (-NONE, NONE),
         };
         if lower > upper {
@@ -348,7 +374,7 @@ impl<'a> Element<'a> {
         if !node.has_attribute(limit) {
             return Ok(f64::INFINITY);
         }
-        let value = self.number(node, limit, "")?;
+        let value = self.number(node, limit, LIMIT)?;
         if value < 0.0 {
             let element = self.words.clone();
             return Err(self.error(node, UrdfErrorKind::NegativeLimit { element, limit, value }));

@@ -1,0 +1,114 @@
+//! What a control tick costs, and what it is made of: `cargo bench`.
+
+use divan::{Bencher, black_box};
+use nalgebra::Matrix6xX;
+use opspace::backend::{PaperTransformer, Transformer};
+use opspace::control::Measurement;
+use opspace::experiment::{Choice, Experiment, Files};
+use opspace::model::{
+    Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
+};
+use std::path::Path;
+
+fn main() {
+    divan::main();
+}
+
+const ROBOTS: [&str; 3] = ["double_pendulum", "panda_arm7", "g1_29dof"];
+
+/// A robot in motion, away from zeros, and the frame furthest from its base.
+fn robot(name: &str) -> (Model, Data, Vec<f64>, Vec<f64>) {
+    let path = format!("{}/../../tests/oracles/pinocchio/urdf/{name}.urdf", env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
+    let model = Model::from_urdf(&text).expect("it is a good one").model;
+    let q: Vec<f64> = (0..model.n()).map(|i| 0.3 + 0.1 * i as f64).collect();
+    let dq: Vec<f64> = (0..model.n()).map(|i| 0.5 - 0.07 * i as f64).collect();
+    let mut data = Data::new(&model);
+    assert!(update(&model, &mut data, &q, &dq));
+    (model, data, q, dq)
+}
+
+#[divan::bench(args = ROBOTS)]
+fn forward_kinematics(bencher: Bencher, name: &str) {
+    let (model, mut data, q, dq) = robot(name);
+    bencher.bench_local(|| kinematics(&model, &mut data, black_box(&q), &dq));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn jacobian(bencher: Bencher, name: &str) {
+    let (model, data, ..) = robot(name);
+    let tip = model.frames().last().map(|f| f.name.clone()).expect("has a frame");
+    let tip = model.frame(&tip).expect("just listed");
+    let mut out = Matrix6xX::zeros(model.n());
+    bencher.bench_local(|| frame_jacobian(&model, black_box(&data), tip, &mut out));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn mass_matrix_crba(bencher: Bencher, name: &str) {
+    let (model, mut data, ..) = robot(name);
+    bencher.bench_local(|| crba(&model, black_box(&mut data)));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn inverse_dynamics_rnea(bencher: Bencher, name: &str) {
+    let (model, mut data, _, ddq) = robot(name);
+    bencher.bench_local(|| rnea(&model, &mut data, black_box(&ddq)));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn bias_torque(bencher: Bencher, name: &str) {
+    let (model, mut data, ..) = robot(name);
+    bencher.bench_local(|| bias(&model, black_box(&mut data)));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn gravity_torque(bencher: Bencher, name: &str) {
+    let (model, mut data, ..) = robot(name);
+    bencher.bench_local(|| gravity(&model, black_box(&mut data)));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn forward_dynamics_aba(bencher: Bencher, name: &str) {
+    let (model, mut data, _, tau) = robot(name);
+    bencher.bench_local(|| aba(&model, &mut data, black_box(&tau)));
+}
+
+#[divan::bench(args = ROBOTS)]
+fn whole_model_update(bencher: Bencher, name: &str) {
+    let (model, mut data, q, dq) = robot(name);
+    bencher.bench_local(|| update(&model, &mut data, black_box(&q), &dq));
+}
+
+#[divan::bench(args = ["panda_arm7", "g1_29dof"])]
+fn operational_space(bencher: Bencher, name: &str) {
+    let (model, data, ..) = robot(name);
+    let tip = model.frames().last().map(|f| f.name.clone()).expect("has a frame");
+    let tip = model.frame(&tip).expect("just listed");
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    frame_jacobian(&model, &data, tip, &mut jacobian);
+    let mut space = OperationalSpace::new(model.n());
+    bencher.bench_local(|| space.update(black_box(&data), &jacobian, 6, 1e-3));
+}
+
+/// The paper's tasks on the four-joint arm: controller and transformer, after the model's update.
+#[divan::bench(args = ["cartesian-tracking", "compliant-x", "gravity-compensation", "joint-tracking"])]
+fn controller_and_transformer(bencher: Bencher, task: &str) {
+    let path = format!("tasks/{task}.toml");
+    let experiment = Experiment::load(Files::Embedded, Path::new(&path), None, Choice::default(), &[])
+        .expect("is embedded");
+    let model = &experiment.robot().model;
+    let mut data = Data::new(model);
+    let mut measurement = Measurement::new(model.n(), experiment.robot().sensors.len(), true);
+    measurement.q.copy_from_slice(&[-0.45, -0.35, 0.25, -1.35]);
+    assert!(update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
+    let mut controller = experiment.controller().expect("was checked");
+    controller.start(model, &data, &measurement);
+    let mut transformer = PaperTransformer::new(&experiment.robot().servos(experiment.profile().1));
+    let mut tau = vec![0.0; model.n()];
+    let mut q_desired = vec![0.0; model.n()];
+    bencher.bench_local(|| {
+        measurement.time_s += 1e-3;
+        controller.update(model, &data, black_box(&measurement), &mut tau);
+        transformer.transform(&data, &measurement, &tau, &mut q_desired);
+    });
+}

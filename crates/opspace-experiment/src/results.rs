@@ -1,0 +1,253 @@
+//! Summaries side by side: the table that every command prints.
+
+use crate::run::Summary;
+use crate::table::{Cell, Table};
+
+/// What stands under every table of results.
+pub const NOTES: &[&str] = &[
+    "Every figure is from a simulation: one plant, one interface rate, one measurement and one estimator for \
+     position and torque robots alike. Parameters of the arm are partly assumed; its robot.toml says which.",
+    "Tracking alone is not the case for torque control: with velocity lead, inverse kinematics tracks as well. \
+     Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
+     could move.",
+    "Torque error: motor torque against desired torque, relative, at servo rate, on the mean over each interface \
+     interval, and in the first servo period after the tick. The last alone hides what the held set-point does \
+     between ticks.",
+];
+
+/// Summaries that differ only in their seed, and the medians of what they say.
+#[derive(Clone, Debug)]
+pub struct Group<'a> {
+    /// All of them, in the order given.
+    pub runs: Vec<&'a Summary>,
+}
+
+impl<'a> Group<'a> {
+    /// What they have in common.
+    #[must_use]
+    pub fn first(&self) -> &'a Summary {
+        self.runs[0]
+    }
+
+    /// The median over the runs that have that number.
+    pub fn median(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<f64> {
+        let mut values: Vec<f64> = self.runs.iter().filter_map(|run| number(run)).collect();
+        values.sort_by(f64::total_cmp);
+        let middle = values.len() / 2;
+        match values.len() {
+            0 => None,
+            n if n % 2 == 1 => Some(values[middle]),
+            _ => Some(0.5 * (values[middle - 1] + values[middle])),
+        }
+    }
+}
+
+/// Groups runs that differ only in their seed; tasks and, within them, profiles stand together.
+#[must_use]
+pub fn group(summaries: &[Summary]) -> Vec<Group<'_>> {
+    let mut groups: Vec<Group<'_>> = Vec::new();
+    for summary in summaries {
+        match groups.iter_mut().find(|group| same(group.first(), summary)) {
+            Some(group) => group.runs.push(summary),
+            None => groups.push(Group { runs: vec![summary] }),
+        }
+    }
+    let first_of = |same: &dyn Fn(&Summary) -> bool| summaries.iter().position(same);
+    groups.sort_by_key(|group| {
+        let own = group.first();
+        (
+            first_of(&|s| s.robot == own.robot && s.task == own.task),
+            first_of(&|s| s.profile == own.profile),
+            first_of(&|s| same(s, own)),
+        )
+    });
+    groups
+}
+
+fn same(a: &Summary, b: &Summary) -> bool {
+    a.task == b.task
+        && a.robot == b.robot
+        && a.backend == b.backend
+        && a.controller == b.controller
+        && a.transformer == b.transformer
+        && a.profile == b.profile
+        && a.ratio == b.ratio
+        && a.duration_s == b.duration_s
+        && a.overrides == b.overrides
+}
+
+/// The table of results: one row a group.
+#[must_use]
+pub fn table(summaries: &[Summary]) -> Table {
+    let heads = [("task", ""), ("robot", ""), ("control", ""), ("profile", ""), ("runs", "")];
+    let mut table = Table::new(&[heads.as_slice(), MEASURES].concat());
+    for group in group(summaries) {
+        let first = group.first();
+        let mut row: Vec<Cell> = vec![
+            first.task.clone().into(),
+            first.backend.clone().into(),
+            control(first).into(),
+            profile(first).into(),
+            (group.runs.len() as u64).into(),
+        ];
+        row.extend(measures(&group));
+        table.push(row);
+    }
+    drop_empty_columns(&mut table);
+    table
+}
+
+/// The same table for a terminal: narrower, each task a line of its own above its rows.
+#[must_use]
+pub fn tree(summaries: &[Summary]) -> Table {
+    let heads = [("robot, control", ""), ("profile", ""), ("runs", "")];
+    let mut table = Table::new(&[heads.as_slice(), MEASURES].concat());
+    let mut task = None;
+    for group in group(summaries) {
+        let first = group.first();
+        if task.replace((&first.task, &first.robot)) != Some((&first.task, &first.robot)) {
+            // The cells that are missing in a short row stay blank.
+            table.push(vec![first.task.clone().into()]);
+        }
+        let runs = group.runs.len();
+        let mut row: Vec<Cell> = vec![
+            format!("  {} {}", first.backend, control(first)).into(),
+            profile(first).into(),
+            if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty },
+        ];
+        row.extend(measures(&group));
+        table.push(row);
+    }
+    drop_empty_columns(&mut table);
+    table
+}
+
+fn control(summary: &Summary) -> String {
+    match &summary.transformer {
+        Some(transformer) => format!("{} + {transformer}", summary.controller),
+        None => summary.controller.clone(),
+    }
+}
+
+fn profile(summary: &Summary) -> String {
+    format!("{} 1:{}", summary.profile, summary.ratio)
+}
+
+/// Heads of the columns that are measured.
+const MEASURES: &[(&str, &str)] = &[
+    ("position rms", "mm"),
+    ("joint rms", "mrad"),
+    ("hand force", "N"),
+    ("hand motion", "mm"),
+    ("torque error servo", "%"),
+    ("torque error interval", "%"),
+    ("torque error tick", "%"),
+    ("tick time", "µs"),
+    ("real time", "×"),
+    ("stopped", ""),
+];
+
+fn measures(group: &Group<'_>) -> [Cell; MEASURES.len()] {
+    let scaled = |factor: f64, number: fn(&Summary) -> Option<f64>| {
+        Cell::from(group.median(number).map(|value| factor * value))
+    };
+    [
+        scaled(1e3, |s| s.metrics.position_rms_m),
+        scaled(1e3, |s| s.metrics.joint_rms_rad),
+        scaled(1.0, |s| s.metrics.hand_force_rms_n),
+        scaled(1e3, |s| s.metrics.hand_motion_rms_m),
+        scaled(1e2, |s| s.metrics.torque_error_servo),
+        scaled(1e2, |s| s.metrics.torque_error_interval),
+        scaled(1e2, |s| s.metrics.torque_error_tick),
+        scaled(1e-3, |s| Some(s.timing.tick_ns_median)),
+        scaled(1.0, |s| s.timing.realtime_factor),
+        stopped(group),
+    ]
+}
+
+fn stopped(group: &Group<'_>) -> Cell {
+    let faulted = group.runs.iter().filter(|run| run.faulted.is_some()).count();
+    let interrupted = group.runs.iter().filter(|run| run.interrupted).count();
+    match (faulted, interrupted) {
+        (0, 0) => Cell::Empty,
+        (0, n) => Cell::Fail(format!("{n} interrupted")),
+        (n, _) => Cell::Fail(format!("{n} faulted")),
+    }
+}
+
+/// A quantity that none of the rows has isn't shown.
+fn drop_empty_columns(table: &mut Table) {
+    for place in (0..table.columns.len()).rev() {
+        if table.rows.iter().all(|row| row.get(place).is_none_or(|cell| *cell == Cell::Empty)) {
+            table.columns.remove(place);
+            for row in table.rows.iter_mut().filter(|row| place < row.len()) {
+                row.remove(place);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{group, table, tree};
+    use crate::run::Summary;
+
+    fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
+        let mut summary = Summary {
+            task: task.to_owned(),
+            robot: "arm".to_owned(),
+            backend: "position".to_owned(),
+            controller: "osc".to_owned(),
+            transformer: None,
+            profile: profile.to_owned(),
+            ratio: 5,
+            seed,
+            duration_s: 1.0,
+            overrides: Vec::new(),
+            faulted: None,
+            fault_time_s: None,
+            interrupted: false,
+            rows_lost: 0,
+            metrics: crate::Metrics::default(),
+            timing: crate::Timing::default(),
+        };
+        summary.metrics.position_rms_m = Some(position);
+        summary
+    }
+
+    #[test]
+    fn runs_of_one_kind_are_one_row_with_the_median_and_tasks_stand_together() {
+        let runs = [
+            summary("a", "p", 1, 0.1),
+            summary("b", "p", 1, 1.0),
+            summary("a", "p", 2, 0.3),
+            summary("a", "q", 1, 0.5),
+            summary("a", "p", 3, 0.2),
+        ];
+        let groups = group(&runs);
+        let heads: Vec<(&str, &str, usize)> = (groups.iter())
+            .map(|g| (g.first().task.as_str(), g.first().profile.as_str(), g.runs.len()))
+            .collect();
+        assert_eq!(heads, [("a", "p", 3), ("a", "q", 1), ("b", "p", 1)]);
+        assert_eq!(groups[0].median(|s| s.metrics.position_rms_m), Some(0.2));
+        assert_eq!(groups[0].median(|s| s.metrics.joint_rms_rad), None);
+    }
+
+    #[test]
+    fn a_quantity_that_no_run_has_is_no_column() {
+        let titles: Vec<String> =
+            table(&[summary("a", "p", 1, 0.1)]).columns.into_iter().map(|c| c.title).collect();
+        assert!(titles.contains(&"position rms".to_owned()));
+        assert!(!titles.contains(&"hand force".to_owned()));
+    }
+
+    /// The terminal's table against the page's: the same numbers, the task above its rows.
+    #[test]
+    fn the_tree_says_what_the_table_says() {
+        let runs = [summary("a", "p", 1, 0.1), summary("b", "p", 1, 1.0), summary("a", "q", 1, 0.5)];
+        let (tree, table) = (tree(&runs).texts(), table(&runs).texts());
+        let firsts: Vec<&str> = tree.iter().map(|row| row[0].as_str()).collect();
+        assert_eq!(firsts, ["a", "  position osc", "  position osc", "b", "  position osc"]);
+        assert_eq!(tree[2][1..], table[1][3..], "profile, runs and numbers of the second row");
+    }
+}

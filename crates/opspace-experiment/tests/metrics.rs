@@ -1,0 +1,163 @@
+//! Metrics of made-up logs, against what they must be by hand.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use nalgebra::Vector3;
+use opspace_control::{Layout, Signal};
+use opspace_experiment::metrics::{metrics, timing};
+use opspace_experiment::{Choice, Experiment, Files};
+use opspace_log::{Channel, Header, Pace, Recording, record};
+use opspace_model::{Data, frame_placement, kinematics};
+use std::io::Cursor;
+use std::path::Path;
+
+/// Sums of some thousand numbers.
+const ROUNDING: f64 = 1e-12;
+
+const Q: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
+const XYZ: [&str; 3] = ["x", "y", "z"];
+
+fn experiment(task: &str) -> Experiment {
+    let path = format!("tasks/{task}.toml");
+    Experiment::load(Files::Embedded, Path::new(&path), None, Choice::default(), &[]).unwrap()
+}
+
+fn hand(experiment: &Experiment, q: &[f64]) -> Vector3<f64> {
+    let model = &experiment.robot().model;
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, q, &[0.0; 4]);
+    frame_placement(model, &data, model.frame("hand").unwrap()).translation
+}
+
+/// A log of 8 s at 1 kHz, 5 servo ticks each: what each row holds is given by its index.
+fn log(
+    experiment: &Experiment,
+    tick: impl Fn(usize) -> Vec<f64>,
+    truth: impl Fn(usize) -> Vec<f64>,
+    servo: impl Fn(usize) -> Vec<f64>,
+) -> Recording {
+    let joints: Vec<&str> = experiment.robot().model.joints().iter().map(|j| j.name.as_str()).collect();
+    let layout = |name: &str, signals| Layout { channel: name.to_owned(), signals };
+    let channels = [
+        layout(
+            "tick",
+            vec![
+                Signal::scalar("phase", "1"),
+                Signal::scalar("tick_time", "ns"),
+                Signal::new("hand.reference", "m", &XYZ),
+            ],
+        ),
+        layout("truth", vec![Signal::new("q", "rad", &joints), Signal::new("operator.force", "N", &XYZ)]),
+        layout(
+            "servo",
+            vec![Signal::new("torque_desired", "Nm", &joints), Signal::new("motor_torque", "Nm", &joints)],
+        ),
+    ]
+    .map(|layout| Channel { layout, rate_hz: 1000.0 });
+    let sink = Cursor::new(Vec::new());
+    let (mut recorder, writer) = record(sink, Header::default(), channels.to_vec(), Pace::Simulated).unwrap();
+    for k in 0..8000 {
+        let t = k as f64 * 1e-3;
+        recorder.push(0, t, &tick(k));
+        recorder.push(1, t, &truth(k));
+        for s in 5 * k..5 * k + 5 {
+            recorder.push(2, s as f64 * 2e-4, &servo(s));
+        }
+    }
+    drop(recorder);
+    let (_, sink) = writer.finish().unwrap();
+    Recording::from_bytes(sink.get_ref()).unwrap()
+}
+
+/// Two numbers the same but for rounding.
+fn near(a: Option<f64>, b: f64) -> bool {
+    a.is_some_and(|a| (a - b).abs() <= ROUNDING * b.abs().max(1.0))
+}
+
+/// The error over y and z alone (x is compliant), true position against reference, against a square wave of
+/// known height; and nothing before the end of settling counts.
+#[test]
+fn position_errors_count_motion_axes_of_the_true_position_after_settling() {
+    let experiment = experiment("compliant-x");
+    let home = hand(&experiment, &Q);
+    let tick = |k: usize| {
+        // 7 mm off in x, 3 mm in y, 4 mm in z, the sign of y changing; wildly off while settling.
+        let far = if k < 1500 { 1.0 } else { 0.0 };
+        let sign = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let reference = home + Vector3::new(0.007, 0.003 * sign + far, 0.004);
+        vec![1.0, 100.0, reference.x, reference.y, reference.z]
+    };
+    let truth = |k: usize| [&Q[..], &[3.0, 100.0, if k.is_multiple_of(2) { 0.0 } else { 1.0 }]].concat();
+    let recording = log(&experiment, tick, truth, |_| vec![1.0; 8]);
+    let metrics = metrics(&experiment, &recording);
+    assert!(near(metrics.position_rms_m, 0.005), "{metrics:?}");
+    assert!(near(metrics.position_max_m, 0.005), "{metrics:?}");
+    // The hand reports x: 3 N there, whatever it does in y and z; and it never moves.
+    assert!(near(metrics.hand_force_rms_n, 3.0), "{metrics:?}");
+    assert!(near(metrics.hand_motion_rms_m, 0.0), "{metrics:?}");
+    assert_eq!((metrics.orientation_rms_rad, metrics.joint_rms_rad, metrics.force_rms_n), (None, None, None));
+}
+
+/// The hand's motion against the displacement from the start in x that two postures have.
+#[test]
+fn hand_motion_is_the_displacement_from_the_start_over_the_reported_axes() {
+    let experiment = experiment("compliant-x");
+    let other = [-0.40, -0.35, 0.25, -1.30];
+    let moved = (hand(&experiment, &other) - hand(&experiment, &Q)).x.abs();
+    let q = |k: usize| if k < 1000 { Q } else { other };
+    let recording = log(
+        &experiment,
+        |_| vec![1.0, 100.0, 0.0, 0.0, 0.0],
+        |k| [&q(k)[..], &[0.0; 3]].concat(),
+        |_| vec![1.0; 8],
+    );
+    assert!(near(metrics(&experiment, &recording).hand_motion_rms_m, moved));
+}
+
+/// The three torque errors against those of a pattern that repeats every interval: its rms, its mean, its
+/// first value, relative to the desired torque, pooled over joints of different size.
+#[test]
+fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
+    let experiment = experiment("cartesian-tracking");
+    let pattern = [0.1, 0.2, 0.3, -0.1, 0.5];
+    let desired = [2.0, 1.0, 0.5, 0.0];
+    let servo = |s: usize| {
+        let motor = desired.map(|d| d + pattern[s % 5]);
+        [desired, motor].concat()
+    };
+    let recording = log(&experiment, |_| vec![1.0; 5], |_| vec![0.0; 7], servo);
+    let metrics = metrics(&experiment, &recording);
+    let size = desired.iter().map(|d| d * d).sum::<f64>().sqrt();
+    let rms = (pattern.iter().map(|p| p * p).sum::<f64>() / 5.0).sqrt();
+    // Four joints have the same error.
+    assert!(near(metrics.torque_error_servo, 2.0 * rms / size), "{metrics:?}");
+    assert!(near(metrics.torque_error_interval, 2.0 * 0.2 / size), "{metrics:?}");
+    assert!(near(metrics.torque_error_tick, 2.0 * 0.1 / size), "{metrics:?}");
+}
+
+/// A run without desired torque has no torque error, rather than a number that looks like one.
+#[test]
+fn without_desired_torque_there_is_no_torque_error() {
+    let experiment = experiment("cartesian-tracking");
+    let recording =
+        log(&experiment, |_| vec![1.0; 5], |_| vec![0.0; 7], |_| [[f64::NAN; 4], [1.0; 4]].concat());
+    let metrics = metrics(&experiment, &recording);
+    assert_eq!(
+        (metrics.torque_error_servo, metrics.torque_error_interval, metrics.torque_error_tick),
+        (None, None, None)
+    );
+}
+
+/// Quantiles of computing times against those of the numbers 1 to 8000; ticks at rest don't count.
+#[test]
+fn computing_times_count_controlled_ticks() {
+    let experiment = experiment("cartesian-tracking");
+    let tick = |k: usize| {
+        let resting = k < 100;
+        vec![if resting { 0.0 } else { 1.0 }, if resting { 1e9 } else { k as f64 }, 0.0, 0.0, 0.0]
+    };
+    let recording = log(&experiment, tick, |_| vec![0.0; 7], |_| vec![1.0; 8]);
+    let timing = timing(&recording, Some(3.0));
+    assert_eq!((timing.tick_ns_max, timing.realtime_factor), (7999.0, Some(3.0)));
+    assert!((timing.tick_ns_median - 4050.0).abs() <= 1.0, "{timing:?}");
+    assert!((timing.tick_ns_p99 - 7920.0).abs() <= 1.0, "{timing:?}");
+}

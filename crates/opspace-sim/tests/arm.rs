@@ -1,0 +1,293 @@
+//! The simulated arm behind its interface: timing, encoders, sensors, brakes, stops and weight.
+
+mod common;
+
+use common::{START, arm, parsed, read, servo_rows, setup, surrounding};
+use nalgebra::{DVector, Vector3};
+use opspace_backend::{Fault, GravityBy, PositionRobot, Robot, Sample, TorqueRobot};
+use opspace_control::CommandKind;
+use opspace_model::{Data, Force, Model, frame_placement, kinematics, potential_energy};
+use opspace_sim::{Setup, SimulatedArm, SimulationError};
+use std::f64::consts::TAU;
+
+/// The gradient of potential energy: joint torques against gravity, without any dynamics algorithm.
+fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
+    const STEP: f64 = 1e-5;
+    let mut data = Data::new(model);
+    let mut height = |q: &[f64]| {
+        kinematics(model, &mut data, q, &vec![0.0; q.len()]);
+        potential_energy(model, &data)
+    };
+    DVector::from_fn(q.len(), |i, _| {
+        let mut moved = q.to_vec();
+        moved[i] += STEP;
+        let above = height(&moved);
+        moved[i] -= 2.0 * STEP;
+        (above - height(&moved)) / (2.0 * STEP)
+    })
+}
+
+/// Rounding of the gradient above.
+const WEIGHT_NM: f64 = 1e-7;
+
+/// Compared: the tick at which a set-point moves the servos' torque, and the delay of the file, for every delay
+/// that there can be.
+#[test]
+fn a_command_acts_after_its_delay_to_the_tick() {
+    for command in [CommandKind::Position, CommandKind::Torque] {
+        for delay in 0..=5_u32 {
+            let mut setup = setup(command, "a-med");
+            setup.profile.delay_servo_ticks = delay;
+            let mut arm = arm(setup);
+            let hold = read(&mut arm);
+            let give = |arm: &mut SimulatedArm, size: f64| match command {
+                CommandKind::Position => arm.set_positions(hold.q.add_scalar(size * 1e-3).as_slice()),
+                CommandKind::Torque => arm.set_torques(&[size; 4]),
+            };
+            let mut rows = Vec::new();
+            for k in 1..=3_u32 {
+                give(&mut arm, f64::from(k)).expect("it takes them");
+                read(&mut arm);
+                rows.extend(servo_rows(&arm));
+            }
+            for (tick, (number, torque)) in rows.iter().enumerate() {
+                let expected = (tick + 5 - delay as usize) / 5;
+                assert_eq!(*number, expected as u64, "delay {delay}, servo tick {tick}");
+                if command == CommandKind::Torque {
+                    assert_eq!(torque[0], expected as f64, "delay {delay}, servo tick {tick}");
+                } else if tick > 0 {
+                    // kv kp of joint 0 times a step of 1 mrad is 4.8 Nm; between steps the arm hardly moves.
+                    let steps = *number > rows[tick - 1].0;
+                    assert_eq!(
+                        torque[0] - rows[tick - 1].1[0] > 3.0,
+                        steps,
+                        "delay {delay}, servo tick {tick}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Compared: torques asked for, and motor torques, beyond and below the drives' limits.
+#[test]
+fn drives_give_no_more_than_their_limit() {
+    let asked = [100.0, -100.0, 10.0, -100.0];
+    for (saturation, expected) in [(true, [40.0, -40.0, 10.0, -22.0]), (false, asked)] {
+        let mut setup = setup(CommandKind::Torque, "a-med");
+        setup.simulated.torque_saturation = saturation;
+        let mut arm = arm(setup);
+        read(&mut arm);
+        arm.set_torques(&asked).expect("it takes them");
+        let sample = read(&mut arm);
+        assert_eq!(sample.motor_torque.expect("measured").as_slice(), expected);
+    }
+}
+
+/// Compared: positions as read, and true ones: within half a count, and a whole number of counts.
+#[test]
+fn encoders_count() {
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.simulated.encoder_quantisation = true;
+    let counts: Vec<f64> = setup
+        .joints
+        .iter()
+        .map(|j| f64::from(j.rotor.encoder_counts_per_turn.get()) * j.rotor.gear_ratio.get())
+        .collect();
+    let mut arm = arm(setup);
+    read(&mut arm);
+    let mut seen = Vec::new();
+    for _ in 0..100 {
+        arm.set_torques(&[5.0, -3.0, 2.0, 4.0]).expect("it takes them");
+        let sample = read(&mut arm);
+        for (i, per_turn) in counts.iter().enumerate() {
+            let turns = sample.q[i] / TAU * per_turn;
+            assert!((turns - turns.round()).abs() < 1e-6, "joint {i}: {turns} counts");
+            let error = (sample.q[i] - arm.plant().q()[i]).abs() / TAU * per_turn;
+            assert!(error <= 0.5 + 1e-6, "joint {i}: {error} counts off");
+            seen.push(error);
+        }
+    }
+    assert!(seen.iter().any(|e| *e > 0.3), "truth lies between counts");
+}
+
+/// Compared: the arm after two seconds, and where it started: a position robot by its servo, a torque robot by
+/// its brakes, both without a command.
+#[test]
+fn an_arm_left_alone_holds_itself() {
+    for command in [CommandKind::Position, CommandKind::Torque] {
+        let setup = setup(command, "b-soft");
+        let weight = weight(&setup.model, &START);
+        let mut arm = arm(setup);
+        let mut last = read(&mut arm);
+        for _ in 0..400 {
+            last = read(&mut arm);
+        }
+        // A brake gives by the weight over its stiffness of 20000 Nm/rad: 0.3 mrad.
+        let moved = (&last.q - DVector::from_column_slice(&START)).amax();
+        assert!(moved < 5e-4, "{command:?}: {moved} rad");
+        assert!(arm.plant().dq().amax() < 1e-6, "{command:?} stands still");
+        let torque = last.motor_torque.expect("measured");
+        match command {
+            CommandKind::Position => {
+                assert!((torque - weight).amax() < WEIGHT_NM, "the servo carries the weight")
+            }
+            CommandKind::Torque => assert_eq!(torque.amax(), 0.0, "the brakes carry the weight"),
+        }
+    }
+}
+
+/// Compared: a thrown arm's speed before and after its brakes fall in.
+#[test]
+fn brakes_stop_a_moving_arm_and_keep_it() {
+    let mut arm = arm(setup(CommandKind::Torque, "a-med"));
+    read(&mut arm);
+    for _ in 0..150 {
+        arm.set_torques(&[-15.0, 0.0, 0.0, 0.0]).expect("it takes them");
+        read(&mut arm);
+    }
+    let fast = arm.plant().dq().amax();
+    assert!(fast > 1.0, "{fast} rad/s");
+    arm.brake();
+    (0..300).for_each(|_| drop(read(&mut arm)));
+    assert!(arm.plant().dq().amax() < 1e-3, "{}", arm.plant().dq());
+    let stood = arm.plant().q().clone();
+    (0..300).for_each(|_| drop(read(&mut arm)));
+    assert!((arm.plant().q() - stood).amax() < 1e-4);
+}
+
+/// Compared: a robot that carries its own weight under no torque, and one that doesn't.
+#[test]
+fn a_robot_that_carries_its_weight_needs_no_torque() {
+    let fallen = |gravity_by| {
+        let mut setup = setup(CommandKind::Torque, "a-med");
+        setup.facts.gravity_by = gravity_by;
+        setup.simulated.scale.friction = Default::default();
+        let mut arm = arm(setup);
+        read(&mut arm);
+        for _ in 0..300 {
+            arm.set_torques(&[0.0; 4]).expect("it takes them");
+            read(&mut arm);
+        }
+        (arm.plant().q() - DVector::from_column_slice(&START)).amax()
+    };
+    assert!(fallen(GravityBy::Robot) < 1e-12);
+    assert!(fallen(GravityBy::Controller) > 0.1);
+}
+
+/// Compared: how far a joint pressed into its stop with full torque gets, and the torque over the stop's
+/// stiffness.
+#[test]
+fn end_stops_hold() {
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.start = vec![0.0, 0.0, 0.0, -0.05];
+    setup.facts.gravity_by = GravityBy::Robot;
+    let mut arm = arm(setup);
+    read(&mut arm);
+    for _ in 0..1500 {
+        arm.set_torques(&[0.0, 0.0, 0.0, 22.0]).expect("it takes them");
+        read(&mut arm);
+    }
+    let (q, dq) = (arm.plant().q()[3], arm.plant().dq()[3]);
+    // Static friction holds it up to 1.43 Nm on either side of that.
+    assert!((q * 2000.0 - 22.0).abs() < 1.43, "{q} rad beyond the stop");
+    assert!(dq.abs() < 0.01, "{dq} rad/s");
+}
+
+/// A position robot with something at its hand and a sensor without noise or bias.
+fn touched(by: &str) -> Setup {
+    let mut setup = setup(CommandKind::Position, "a-med");
+    let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
+    *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
+    setup.surroundings = vec![("push".to_owned(), surrounding(by))];
+    setup
+}
+
+/// Compared: the sensor's reading turned into world axes by the hand's pose, and the push of the file.
+#[test]
+fn a_force_sensor_reads_the_contact_in_its_own_axes() {
+    let force = Vector3::new(4.0, -3.0, 2.0);
+    let setup = touched(
+        "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.0, duration_s = 0.4, force_n = [4.0, -3.0, 2.0] }]",
+    );
+    let (model, hand) = (setup.model.clone(), setup.facts.sensors[0].frame);
+    let mut arm = arm(setup);
+    let mut sample = read(&mut arm);
+    for _ in 0..200 {
+        sample = read(&mut arm);
+    }
+    let mut data = Data::new(&model);
+    kinematics(&model, &mut data, arm.plant().q().as_slice(), &[0.0; 4]);
+    let axes = frame_placement(&model, &data, hand).rotation;
+    let Force { linear, angular } = sample.wrenches[0];
+    assert!((linear - force).norm() > 1.0, "the hand's axes are not the world's");
+    // At its height the half sine is flat; the sensor's filter of 0.3 ms lags by nothing there.
+    assert!((axes * linear - force).norm() < 1e-3, "{}", axes * linear);
+    assert!(angular.norm() < 1e-9, "a force at the sensor has no moment");
+}
+
+/// Compared: the noise of torque and force measurements with and without something else that is random.
+#[test]
+fn a_surrounding_leaves_other_randomness_as_it_was() {
+    let noise = |surroundings: Vec<(String, opspace_sim::SurroundingParameters)>| {
+        let mut setup = setup(CommandKind::Position, "a-med");
+        setup.simulated.torque_noise_nm = opspace_control::quantity::NonNegative::literal(0.03);
+        setup.surroundings = surroundings;
+        let mut arm = arm(setup);
+        // The hand has not moved yet at the first tick: the difference is noise and bias alone.
+        let Sample { motor_torque, wrenches, .. } = read(&mut arm);
+        (motor_torque.expect("measured"), wrenches[0])
+    };
+    let hand = surrounding(
+        "[spring]\nframe = 'hand'\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 15.0\nmotion.random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7 }",
+    );
+    let alone = noise(Vec::new());
+    let held = noise(vec![("operator".to_owned(), hand)]);
+    assert!(alone == held, "{alone:?} {held:?}");
+    assert!(alone.1.linear.amax() > 0.0, "there is something random");
+}
+
+/// Compared: what the arm is asked, and what it says: a state out of range is a fault, not a number.
+#[test]
+fn a_state_out_of_range_is_named() {
+    let mut arm = arm(setup(CommandKind::Torque, "a-med"));
+    read(&mut arm);
+    arm.set_torques(&[f64::NAN; 4]).expect("it takes them");
+    let mut sample = Sample::new(4, arm.facts());
+    assert_eq!(arm.read(&mut sample), Err(Fault::Diverged));
+}
+
+/// Compared: commands of the wrong kind, and their refusal.
+#[test]
+fn an_arm_takes_only_its_own_commands() {
+    let mut position = arm(setup(CommandKind::Position, "a-med"));
+    assert_eq!(position.set_torques(&[0.0; 4]), Err(Fault::WrongCommand));
+    let mut torque = arm(setup(CommandKind::Torque, "a-med"));
+    assert_eq!(torque.set_positions(&START), Err(Fault::WrongCommand));
+}
+
+/// Compared: parameters that contradict each other, and the error that names them.
+#[test]
+fn contradictions_are_refused_by_name() {
+    let refused = |change: &dyn Fn(&mut Setup)| {
+        let mut setup = setup(CommandKind::Position, "a-med");
+        change(&mut setup);
+        SimulatedArm::new(setup).err().expect("refused")
+    };
+    assert_eq!(refused(&|s| s.profile.delay_servo_ticks = 6), SimulationError::Delay { delay: 6, ratio: 5 });
+    let rates = refused(&|s| s.simulated.physics_hz = parsed::<Wrapped>("value = 12000.0").value);
+    assert_eq!(rates, SimulationError::PhysicsRate { physics_hz: 12_000.0, servo_hz: 5000.0 });
+    let sensor = refused(&|s| s.simulated.force_sensor.clear());
+    assert_eq!(sensor, SimulationError::UnknownSensorQuality { sensor: "wrist".to_owned() });
+    let wall = "[wall]\nframe = 'hand'\npoint_m = [0.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 0.0]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0";
+    let flat = refused(&|s| s.surroundings = vec![("table".to_owned(), surrounding(wall))]);
+    assert_eq!(flat, SimulationError::Normal { surrounding: "table".to_owned() });
+    let lost = wall.replace("'hand'", "'hnad'");
+    let lost = refused(&|s| s.surroundings = vec![("table".to_owned(), surrounding(&lost))]);
+    assert!(lost.to_string().contains("hnad"), "{lost}");
+}
+
+#[derive(serde::Deserialize)]
+struct Wrapped {
+    value: opspace_control::quantity::Positive,
+}

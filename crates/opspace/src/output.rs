@@ -1,0 +1,103 @@
+//! The folder of a run. What was recorded is never overwritten unasked.
+
+use crate::cli::{JsonArgs, OutputArgs};
+use crate::console::{Console, Exit, Failure, print};
+use opspace_experiment::Source;
+use opspace_log::{LogError, Recording};
+use serde::Serialize;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The log of a run.
+pub const LOG: &str = "run.mcap";
+/// The page of a run or a suite.
+pub const REPORT: &str = "report.html";
+/// The summary of a run.
+pub const SUMMARY: &str = "summary.json";
+/// The rows of a suite.
+pub const ROWS: &str = "bench.json";
+
+/// Makes the folder for results. A default one that holds some is moved aside; one that was asked for is
+/// only reused with `--force`.
+pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<PathBuf, Failure> {
+    let folder = args.out.clone().unwrap_or_else(|| default.to_owned());
+    if holds_results(&folder) {
+        if args.out.is_none() {
+            set_aside(&folder, console)?;
+        } else if args.force {
+            clear(&folder)?;
+        } else {
+            let text = format!("{}: already holds a run; give --force to replace it", folder.display());
+            return Err(Failure::Other(text, Exit::Bad));
+        }
+    }
+    fs::create_dir_all(&folder).map_err(|e| Failure::io("can't be made", &folder, &e))?;
+    Ok(folder)
+}
+
+fn holds_results(folder: &Path) -> bool {
+    [LOG, SUMMARY, ROWS].iter().any(|name| folder.join(name).exists())
+}
+
+/// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
+fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    let free = (1..)
+        .map(|k| match k {
+            1 => folder.with_file_name(format!("{name}.previous")),
+            k => folder.with_file_name(format!("{name}.previous-{k}")),
+        })
+        .find(|path| !path.exists());
+    let Some(aside) = free else { return Ok(()) };
+    fs::rename(folder, &aside).map_err(|e| Failure::io("can't be moved aside", folder, &e))?;
+    console.note(&format!("moved the run before to {}", aside.display()));
+    Ok(())
+}
+
+/// Removes what a run or a suite wrote, and nothing else.
+fn clear(folder: &Path) -> Result<(), Failure> {
+    let logs = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let ours = logs.filter(|path| {
+        let named = [LOG, REPORT, SUMMARY, ROWS].iter().any(|name| path.ends_with(name));
+        named || path.extension().is_some_and(|e| e == "mcap")
+    });
+    for path in ours {
+        fs::remove_file(&path).map_err(|e| Failure::io("can't be replaced", &path, &e))?;
+    }
+    Ok(())
+}
+
+/// Writes a file of results.
+pub fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    fs::write(path, text).map_err(|e| Failure::io("can't be written", path, &e))
+}
+
+impl JsonArgs {
+    /// Puts the results where `--json` asks for them, and as text on stdout unless they took its place.
+    pub fn print(&self, json: impl FnOnce() -> String, text: impl FnOnce() -> String) -> Result<(), Failure> {
+        match &self.json {
+            Some(path) if path == Path::new("-") => return print(&json()),
+            Some(path) => write(path, &json())?,
+            None => {}
+        }
+        print(&text())
+    }
+}
+
+/// JSON as a person would read it.
+pub fn pretty(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
+}
+
+/// The log that is meant by a path: a folder stands for the `run.mcap` in it.
+pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
+    let path = if path.is_dir() { path.join(LOG) } else { path.to_owned() };
+    match Recording::read(&path) {
+        Ok(recording) => Ok((path, recording)),
+        Err(error) => match Source::read(&path) {
+            // It can't be opened at all: in the same words as for any other file.
+            Err(unread) if matches!(error, LogError::Read { .. }) => Err(unread.into()),
+            _ => Err(Failure::Other(format!("{}: {error}", path.display()), Exit::Bad)),
+        },
+    }
+}

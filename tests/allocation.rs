@@ -1,0 +1,154 @@
+//! No tick allocates: every experiment of the paper's suite on every robot and controller, while it runs, when
+//! it is stopped by a fault and when it is interrupted.
+//!
+//! Compared: the allocator's own count at two successive ticks. It counts this thread only, and the whole
+//! loop runs on it: plant, drives and sensors of the simulated robot included.
+
+#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
+
+mod common;
+
+use common::{load, osc, positions, torque, torques};
+use opspace_backend::{Ending, Sink, TICK};
+use opspace_control::Controller;
+use opspace_control::quantity::NonNegative;
+use opspace_experiment::files::PAPER_SUITE;
+use opspace_experiment::{Choice, Experiment, Files, Suite};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: only counts; the system's allocator does the work.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: as the caller promised.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promised.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// The phase of each tick, with the allocator's count at its end.
+type Counts = Vec<(f64, usize)>;
+
+/// Counts, and interrupts after some ticks.
+struct Counter<'a> {
+    counts: Counts,
+    interrupt_after: Option<usize>,
+    interrupt: &'a AtomicBool,
+}
+
+impl Sink for Counter<'_> {
+    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
+        if channel == TICK {
+            assert!(self.counts.len() < self.counts.capacity(), "the sink itself must not allocate");
+            self.counts.push((row[0], ALLOCATIONS.get()));
+            if self.interrupt_after == Some(self.counts.len()) {
+                self.interrupt.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+fn count(
+    experiment: &Experiment,
+    controller: &mut dyn Controller,
+    interrupt_after: Option<usize>,
+) -> (Counts, Ending) {
+    let interrupt = AtomicBool::new(false);
+    let mut sink = Counter { counts: Vec::with_capacity(1 << 16), interrupt_after, interrupt: &interrupt };
+    let mut backend = experiment.simulated_backend().unwrap_or_else(|e| panic!("{e}"));
+    let mut control = experiment.control_loop(&mut *backend, controller);
+    let ending = control.run(experiment.duration_s(), &interrupt, &mut sink);
+    (sink.counts, ending)
+}
+
+/// Checks every tick but the first: only the controller's start may allocate.
+fn check(counts: &Counts, name: &str) {
+    const CONTROL: f64 = 1.0;
+    assert!(counts.iter().filter(|(phase, _)| *phase == CONTROL).count() > 50, "{name}");
+    for (k, pair) in counts.windows(2).enumerate() {
+        let ((before, count), (phase, next)) = (pair[0], pair[1]);
+        let starts = phase == CONTROL && before != CONTROL;
+        assert!(starts || next == count, "{name}: {} allocations in tick {}", next - count, k + 1);
+    }
+}
+
+/// A run of half a second: longer than the torque's ramp and several periods of all filters.
+fn short(experiment: &Experiment, duration_s: f64) -> Experiment {
+    let mut task = experiment.task().clone();
+    task.file.settle_s = NonNegative::default();
+    let choice = Choice { duration_s: Some(duration_s), ..experiment.choice().clone() };
+    common::experiment(experiment.robot().clone(), task, choice)
+}
+
+#[test]
+fn the_counter_counts() {
+    let before = ALLOCATIONS.get();
+    drop(std::hint::black_box(vec![0_u8; 16]));
+    assert_eq!(ALLOCATIONS.get() - before, 1);
+}
+
+#[test]
+fn no_tick_of_the_paper_suite_allocates() {
+    let suite = Suite::load(Files::Embedded, Path::new(PAPER_SUITE)).unwrap_or_else(|e| panic!("{e}"));
+    let mut seen = Vec::new();
+    for experiment in &suite.experiments {
+        let choice = Choice { seed: None, ..experiment.choice().clone() };
+        let name = format!("{} {choice:?} {:?}", experiment.task().name(), experiment.settings());
+        if seen.contains(&name) {
+            continue;
+        }
+        let experiment = short(experiment, 0.5);
+        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, &mut *controller, None);
+        assert_eq!(ending, Ending::Completed, "{name}");
+        check(&counts, &name);
+        seen.push(name);
+    }
+    assert!(seen.len() >= 25, "only {}", seen.len());
+}
+
+/// The stop and what follows it are ticks as well.
+#[test]
+fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
+    for choice in [osc("a-med"), torque("a-med")] {
+        let experiment = short(&load("compliant-x", choice, &[]), 1.0);
+        let mut nan = torques(|data, measurement, tau| {
+            let broken = if measurement.time_s > 0.3 { f64::NAN } else { 0.0 };
+            tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + broken);
+        });
+        let (counts, ending) = count(&experiment, &mut nan, None);
+        assert!(matches!(ending, Ending::Faulted { .. }), "{ending:?}");
+        check(&counts, "a fault");
+        assert!(counts.last().is_some_and(|(phase, _)| *phase == 2.0), "the stop was seen");
+
+        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, &mut *controller, Some(500));
+        assert!(matches!(ending, Ending::Interrupted { .. }), "{ending:?}");
+        check(&counts, "an interrupt");
+        assert!(counts.len() > 500, "the stop was seen");
+    }
+    let experiment = short(&load("compliant-x", osc("a-med"), &[]), 1.0);
+    let mut jump = positions(|_, measurement, q| {
+        let far = if measurement.time_s > 0.3 { 1.0 } else { 0.0 };
+        q.iter_mut().zip(&measurement.q).for_each(|(q, measured)| *q = measured + far);
+    });
+    let (counts, ending) = count(&experiment, &mut jump, None);
+    assert!(matches!(ending, Ending::Faulted { .. }), "{ending:?}");
+    check(&counts, "a jump");
+}

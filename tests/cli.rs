@@ -1,0 +1,586 @@
+//! The command line as a user meets it: what is written where, said where, and with which exit code.
+
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
+
+mod cli_common;
+
+use cli_common::{ROOT, command, opspace, project, read, read_json, run, scratch};
+use opspace_log::Recording;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
+
+const COMMANDS: [&str; 9] =
+    ["run", "bench", "replay", "report", "check", "model", "new", "schema", "completion"];
+
+/// The promises of a summary and of a row of bench.
+const ROW: [&str; 14] = [
+    "task",
+    "robot",
+    "backend",
+    "controller",
+    "transformer",
+    "profile",
+    "ratio",
+    "seed",
+    "duration_s",
+    "overrides",
+    "faulted",
+    "fault_time_s",
+    "metrics",
+    "timing",
+];
+const METRICS: [&str; 11] = [
+    "position_rms_m",
+    "position_max_m",
+    "orientation_rms_rad",
+    "orientation_max_rad",
+    "joint_rms_rad",
+    "force_rms_n",
+    "hand_force_rms_n",
+    "hand_motion_rms_m",
+    "torque_error_servo",
+    "torque_error_interval",
+    "torque_error_tick",
+];
+const TIMING: [&str; 4] = ["tick_ns_median", "tick_ns_p99", "tick_ns_max", "realtime_factor"];
+
+#[track_caller]
+fn assert_row(row: &Value) {
+    for (keys, of) in [(&ROW[..], row), (&METRICS, &row["metrics"]), (&TIMING, &row["timing"])] {
+        let object = of.as_object().unwrap();
+        assert!(keys.iter().all(|key| object.contains_key(*key)), "{keys:?}: {of}");
+    }
+}
+
+fn task(name: &str) -> String {
+    project(&format!("tasks/{name}.toml"))
+}
+
+#[test]
+fn every_command_has_its_help_within_a_terminals_width() {
+    let folder = scratch();
+    let top = opspace(folder.path(), &["--help"]).exits(0).stdout;
+    for name in COMMANDS {
+        assert!(top.contains(&format!("  {name} ")), "{name} is missing:\n{top}");
+        let help = opspace(folder.path(), &[name, "--help"]).exits(0);
+        assert!(help.stdout.contains(&format!("Usage: opspace {name}")) && help.stderr.is_empty());
+        let longest = help.stdout.lines().map(|line| line.chars().count()).max().unwrap();
+        assert!(longest <= 100, "{name}: {longest} columns");
+    }
+    for code in ["0 ", "1 ", "2 ", "3 ", "130 "] {
+        assert!(top.lines().any(|line| line.trim_start().starts_with(code)), "exit code {code}:\n{top}");
+    }
+}
+
+#[test]
+fn bad_arguments_end_with_2_and_a_tip() {
+    let folder = scratch();
+    let task = task("compliant-x");
+    opspace(folder.path(), &[]).exits(2);
+    opspace(folder.path(), &["runn"]).exits(2).says(&["'run'"]);
+    opspace(folder.path(), &["run"]).exits(2).says(&["<TASK>"]);
+    opspace(folder.path(), &["run", &task, "--backend", "torq"]).exits(2).says(&["position, torque"]);
+    for seconds in ["0", "-1", "nan", "inf", "abc"] {
+        opspace(folder.path(), &["run", &task, "--duration-s", seconds]).exits(2).says(&["seconds above 0"]);
+    }
+    opspace(folder.path(), &["run", &task, "-v", "-q"]).exits(2).says(&["cannot be used with"]);
+    opspace(folder.path(), &["bench", "--jobs", "0"]).exits(2).says(&["--jobs"]);
+    let ik = ["run", &task, "--backend", "torque", "--controller", "ik"];
+    opspace(folder.path(), &ik).exits(2).says(&["'ik'", "--controller osc"]);
+    let profile = ["run", &task, "--profile", "a-mad"];
+    opspace(folder.path(), &profile).exits(2).says(&[
+        "no profile 'a-mad'",
+        "did you mean 'a-med'?",
+        "b-soft",
+    ]);
+    assert!(fs::read_dir(folder.path()).unwrap().next().is_none(), "nothing was written");
+}
+
+#[test]
+fn a_run_leaves_log_report_and_summary_and_prints_the_table() {
+    let folder = scratch();
+    let ran = opspace(folder.path(), &["run", &task("compliant-x"), "--duration-s", "2"]).exits(0);
+    let out = folder.path().join("runs/compliant-x-position");
+    assert!(
+        ran.stdout.contains("position osc + paper") && ran.stdout.contains("a-med 1:5"),
+        "{}",
+        ran.stdout
+    );
+    assert!(!ran.stdout.contains('\u{1b}') && !ran.stderr.contains('\u{1b}'), "no colours in a pipe");
+    ran.says(&["wrote runs/compliant-x-position/run.mcap"]);
+    assert!(Recording::read(out.join("run.mcap")).unwrap().damage.is_none());
+    assert!(read(out.join("report.html")).contains("<figure>"));
+    let summary = read_json(out.join("summary.json"));
+    assert_row(&summary);
+    assert_eq!(summary["faulted"], Value::Null);
+    assert!(summary["metrics"]["hand_force_rms_n"].as_f64().unwrap() > 0.0);
+    assert_eq!(summary["metrics"]["orientation_rms_rad"], Value::Null, "the arm has no orientation axes");
+}
+
+#[test]
+fn what_is_chosen_stands_in_the_summary() {
+    let folder = scratch();
+    let set = "task.hand.gains.damping_ratio=0.7";
+    let options = ["--backend", "torque", "--profile", "b-soft", "--seed", "9", "--set", set];
+    let log = run(folder.path(), "out", "cartesian-tracking", &options);
+    let summary = read_json(log.with_file_name("summary.json"));
+    let text = |key: &str| summary[key].as_str().unwrap_or("none").to_owned();
+    let names = ["task", "robot", "backend", "controller", "transformer", "profile"].map(text);
+    assert_eq!(names, ["cartesian-tracking", "asimo-arm", "torque", "osc", "none", "b-soft"]);
+    assert_eq!((summary["seed"].as_u64(), summary["duration_s"].as_f64()), (Some(9), Some(2.0)));
+    assert_eq!(summary["overrides"], serde_json::json!([set]));
+    let recording = Recording::read(log).unwrap();
+    let attached = &recording.attachment("task.toml").unwrap().data;
+    assert!(
+        String::from_utf8_lossy(attached).contains("damping_ratio = 0.7"),
+        "the task that ran is in the log"
+    );
+}
+
+/// The same file, seed and binary: the same bits in every signal but the wall clock's. Another seed: others.
+#[test]
+fn a_run_can_be_had_again() {
+    let folder = scratch();
+    let recording = |name: &str, options: &[&str]| {
+        Recording::read(run(folder.path(), name, "compliant-x", options)).unwrap()
+    };
+    let (first, again, other) = (recording("a", &[]), recording("b", &[]), recording("c", &["--seed", "2"]));
+    let mut differs = false;
+    for (index, channel) in first.channels.iter().enumerate() {
+        assert!(channel.len() > 2000);
+        for signal in channel.layout.signals.iter().filter(|signal| signal.name != "tick_time") {
+            let bits = |recording: &Recording| -> Vec<u64> {
+                let column = recording.channels[index].signal(&signal.name).unwrap();
+                column.rows().flatten().map(|value| value.to_bits()).collect()
+            };
+            assert!(bits(&first) == bits(&again), "{} of {}", signal.name, channel.layout.channel);
+            differs |= bits(&first) != bits(&other);
+        }
+    }
+    assert!(differs, "the seed does something");
+}
+
+#[test]
+fn json_goes_to_a_file_or_takes_the_tables_place() {
+    let folder = scratch();
+    let task = task("joint-tracking");
+    let run = ["run", &task, "--duration-s", "2", "--json"];
+    let printed = opspace(folder.path(), &[&run[..], &["-"]].concat()).exits(0).json();
+    let ran = opspace(folder.path(), &[&run[..], &["row.json", "--out", "b"]].concat()).exits(0);
+    assert!(ran.stdout.contains("joint"), "the table is there as well");
+    let apart = |mut summary: Value| {
+        summary["timing"] = Value::Null;
+        summary
+    };
+    let written = apart(read_json(folder.path().join("row.json")));
+    assert_eq!(apart(printed), written);
+    assert_eq!(written, apart(read_json(folder.path().join("b/summary.json"))));
+}
+
+#[test]
+fn the_run_before_is_moved_aside_and_said_so() {
+    let folder = scratch();
+    let run = |seed: &str| {
+        let task = task("gravity-compensation");
+        opspace(folder.path(), &["run", &task, "--duration-s", "1.6", "--seed", seed]).exits(0)
+    };
+    let seed =
+        |name: &str| read_json(folder.path().join("runs").join(name).join("summary.json"))["seed"].clone();
+    assert!(!run("1").stderr.contains("previous"));
+    run("2").says(&["moved", "runs/gravity-compensation-position.previous"]);
+    run("3").says(&["runs/gravity-compensation-position.previous-2"]);
+    assert_eq!(seed("gravity-compensation-position"), 3);
+    assert_eq!(seed("gravity-compensation-position.previous"), 1);
+    assert_eq!(seed("gravity-compensation-position.previous-2"), 2);
+}
+
+#[test]
+fn a_folder_that_was_asked_for_is_only_replaced_by_force() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let before = fs::read(&log).unwrap();
+    let note = log.with_file_name("note.txt");
+    fs::write(&note, "mine").unwrap();
+    let task = task("compliant-x");
+    let again = ["run", &task, "--duration-s", "2", "--seed", "2", "--out", "out"];
+    opspace(folder.path(), &again).exits(2).says(&["out", "already holds a run", "--force"]);
+    assert!(fs::read(&log).unwrap() == before, "the log is as it was");
+    opspace(folder.path(), &[&again[..], &["--force"]].concat()).exits(0);
+    assert!(fs::read(&log).unwrap() != before);
+    assert_eq!(read(note), "mine");
+    opspace(folder.path(), &[&again[..7], &["out/note.txt"]].concat()).exits(2).says(&["note.txt"]);
+}
+
+#[test]
+fn quiet_says_nothing_but_results() {
+    let folder = scratch();
+    let arguments = ["run", &task("compliant-x"), "--duration-s", "2", "-q"];
+    let ran = opspace(folder.path(), &arguments).exits(0);
+    assert_eq!(ran.stderr, "");
+    assert!(ran.stdout.contains("compliant-x") && !ran.stdout.contains("simulation"), "{}", ran.stdout);
+}
+
+/// A reader that went away: the end is quiet, the results are on the disk.
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    let folder = scratch();
+    let task = task("compliant-x");
+    let cases: [&[&str]; 6] = [
+        &["run", &task, "--duration-s", "2", "-q"],
+        &["schema", "task"],
+        &["model", ROOT_ROBOT],
+        &["check", ROOT_ROBOT],
+        &["completion", "bash"],
+        &["--help"],
+    ];
+    for arguments in cases {
+        let mut child =
+            command(folder.path(), arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!((output.status.code(), said.as_ref()), (Some(0), ""), "{arguments:?}");
+    }
+    assert!(folder.path().join("runs/compliant-x-position/summary.json").exists());
+}
+
+const ROOT_ROBOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/asimo-arm");
+
+/// A run too long to end by itself, once its log holds some seconds.
+fn long_run(folder: &Path) -> (Child, PathBuf) {
+    let task = task("compliant-x");
+    let mut run = command(folder, &["run", &task, "--duration-s", "2000", "--out", "out"]);
+    let child = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let log = folder.join("out/run.mcap");
+    while fs::metadata(&log).map_or(0, |file| file.len()) < 4 << 20 {
+        sleep(Duration::from_millis(20));
+    }
+    (child, log)
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_stops_the_run_and_closes_its_log() {
+    let folder = scratch();
+    let (child, log) = long_run(folder.path());
+    let interrupt = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(said.contains("interrupted at") && said.contains("log is closed"), "{said}");
+    assert!(Recording::read(&log).unwrap().damage.is_none());
+    let summary = read_json(log.with_file_name("summary.json"));
+    assert_eq!((&summary["interrupted"], &summary["faulted"]), (&Value::Bool(true), &Value::Null));
+    opspace(folder.path(), &["replay", "out"]).exits(0);
+    opspace(folder.path(), &["report", "out"]).exits(0);
+}
+
+/// The process killed in the middle: what is in the file is the beginning of the run, to the bit.
+#[test]
+fn a_killed_run_leaves_a_log_that_is_good_so_far() {
+    let folder = scratch();
+    let (mut child, log) = long_run(folder.path());
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let cut = Recording::read(&log).unwrap();
+    assert!(cut.damage.is_some());
+    let tick = cut.channel("tick").unwrap();
+    assert!(tick.len() > 1000);
+    let replayed = opspace(folder.path(), &["replay", "out"]).exits(3).says(&["damaged"]);
+    assert!(replayed.stdout.contains("are the same, bit for bit"), "{}", replayed.stdout);
+    opspace(folder.path(), &["report", "out"]).exits(3).says(&["damaged"]);
+    assert!(log.with_file_name("report.html").exists());
+
+    let whole = Recording::read(run(folder.path(), "whole", "compliant-x", &[])).unwrap();
+    let whole = whole.channel("tick").unwrap();
+    let (a, b) = (tick.signal("q").unwrap(), whole.signal("q").unwrap());
+    assert!((0..1000).all(|k| a.row(k) == b.row(k)), "the same run, cut short");
+}
+
+/// The exit codes of a suite's runs: a fault outranks what went well.
+#[test]
+fn a_fault_ends_with_1_and_its_cause() {
+    let folder = scratch();
+    let rms = "surroundings.operator.spring.motion.random.rms_m=2.0";
+    let stiffness = "surroundings.operator.spring.stiffness_n_per_m=3000";
+    let arguments = ["run", &task("compliant-x"), "--set", rms, "--set", stiffness, "--json", "-"];
+    let ran = opspace(folder.path(), &arguments).exits(1);
+    let summary = ran.json();
+    let cause = summary["faulted"].as_str().unwrap();
+    assert!(cause.contains("joint"), "{cause}");
+    ran.says(&["stopped at", cause]);
+    let time = summary["fault_time_s"].as_f64().unwrap();
+    let log = Recording::read(folder.path().join("runs/compliant-x-position/run.mcap")).unwrap();
+    assert!(log.damage.is_none());
+    assert!(*log.channel("tick").unwrap().time_s.last().unwrap() >= time, "the last ticks are in the log");
+}
+
+const SUITE: &str = r#"
+title = "short"
+[[run]]
+tasks = ["TASKS/gravity-compensation.toml", "TASKS/compliant-x.toml"]
+backend = "torque"
+controller = "osc"
+profiles = ["a-med", "b-soft"]
+set = ["duration_s=1.6"]
+[[run]]
+tasks = ["TASKS/cartesian-tracking.toml", "TASKS/joint-tracking.toml", "TASKS/compliant-x.toml"]
+backend = "position"
+controller = "ik-lead"
+seeds = [1, 2]
+set = ["duration_s=1.6"]
+[[run]]
+tasks = ["TASKS/compliant-x.toml"]
+backend = "position"
+controller = "osc"
+set = ["duration_s=1.6"]
+"#;
+
+#[test]
+fn a_suite_is_one_table_whatever_the_number_of_jobs() {
+    let folder = scratch();
+    fs::write(folder.path().join("short.toml"), SUITE.replace("TASKS", &project("tasks"))).unwrap();
+    let ran = opspace(folder.path(), &["bench", "short.toml", "--json", "rows.json", "--jobs", "2"]).exits(0);
+    let longest = ran.stdout.lines().map(|line| line.chars().count()).max().unwrap();
+    assert!(longest <= 120, "{longest} columns:\n{}", ran.stdout);
+    let titles: Vec<&str> = ran.stdout.lines().filter(|line| line.ends_with("-x")).collect();
+    assert_eq!(titles, [" compliant-x"], "a task's rows stand together");
+    let json = read_json(folder.path().join("rows.json"));
+    assert_eq!(json["schema"], "opspace.bench/1");
+    assert_eq!(json, read_json(folder.path().join("runs/bench-short/bench.json")));
+    let rows = |json: &Value| {
+        let mut rows = json["rows"].as_array().unwrap().clone();
+        rows.iter().for_each(assert_row);
+        rows.iter_mut().for_each(|row| row["timing"] = Value::Null);
+        rows
+    };
+    assert_eq!(rows(&json).len(), 4 + 6 + 1);
+    let alone = opspace(folder.path(), &["bench", "short.toml", "--json", "-", "--jobs", "1"]).exits(0);
+    assert_eq!(rows(&alone.json()), rows(&json));
+    alone.says(&["runs/bench-short.previous"]);
+    let replayed = ["replay", "runs/bench-short/compliant-x-torque.mcap"];
+    opspace(folder.path(), &replayed).exits(0);
+}
+
+#[test]
+fn a_suite_with_a_fault_ends_with_1_and_all_its_rows() {
+    let folder = scratch();
+    let faulty = format!(
+        "{SUITE}\n[[run]]\ntasks = [\"TASKS/compliant-x.toml\"]\nbackend = \"position\"\ncontroller = \"osc\"\n\
+         set = [\"surroundings.operator.spring.motion.random.rms_m=2.0\",\n\
+         \"surroundings.operator.spring.stiffness_n_per_m=3000\"]\n"
+    );
+    fs::write(folder.path().join("short.toml"), faulty.replace("TASKS", &project("tasks"))).unwrap();
+    let ran = opspace(folder.path(), &["bench", "short.toml"]).exits(1);
+    assert!(ran.stdout.contains("1 faulted"), "{}", ran.stdout);
+    let rows = read_json(folder.path().join("runs/bench-short/bench.json"));
+    assert_eq!(rows["rows"].as_array().unwrap().len(), 12);
+}
+
+#[test]
+fn a_report_is_made_of_logs_and_folders() {
+    let folder = scratch();
+    run(folder.path(), "a", "compliant-x", &[]);
+    let log = run(folder.path(), "b", "compliant-x", &["--backend", "torque"]);
+    let arguments = ["report", "a", log.to_str().unwrap(), "-o", "both.html", "--json", "both.json"];
+    let said = opspace(folder.path(), &arguments).exits(0).stdout;
+    assert_eq!(said, "both.html\n");
+    let page = read(folder.path().join("both.html"));
+    assert!(page.contains("position robot") && page.contains("torque robot"));
+    // Said from the log against said after the run: the same but for what only the clock knew.
+    let rows = read_json(folder.path().join("both.json"));
+    for (row, name) in rows.as_array().unwrap().iter().zip(["a", "b"]) {
+        let summary = read_json(folder.path().join(name).join("summary.json"));
+        assert_eq!(row["metrics"], summary["metrics"], "{name}");
+        assert_eq!(row["timing"]["tick_ns_median"], summary["timing"]["tick_ns_median"]);
+    }
+    opspace(folder.path(), &["report", "a", "-o", "none/x.html"]).exits(2).says(&["none/x.html"]);
+}
+
+#[test]
+fn a_robot_is_a_table_or_json() {
+    let folder = scratch();
+    let table = opspace(folder.path(), &["model", ROOT_ROBOT]).exits(0).stdout;
+    let toml = format!("{ROOT_ROBOT}/robot.toml");
+    assert_eq!(opspace(folder.path(), &["model", &toml]).exits(0).stdout, table);
+    assert!(table.contains("4 moving joints") && table.contains("revolute (rad, Nm)"), "{table}");
+    let json = opspace(folder.path(), &["model", &toml, "--json", "-"]).exits(0).json();
+    let names = |key: &str| -> Vec<String> {
+        let all = json[key].as_array().unwrap().iter();
+        all.map(|one| one["name"].as_str().unwrap().to_owned()).collect()
+    };
+    assert_eq!(names("joints"), ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"]);
+    for name in names("joints").iter().chain(&names("frames")) {
+        assert!(table.contains(name), "{name}");
+    }
+    // The URDF alone knows no rotors.
+    let urdf = opspace(folder.path(), &["model", &format!("{ROOT_ROBOT}/asimo-arm.urdf"), "--json", "-"]);
+    assert_eq!(urdf.exits(0).json()["joints"][0]["rotor_inertia"], 0.0);
+    assert!((json["joints"][0]["rotor_inertia"].as_f64().unwrap() - 120.0 * 120.0 * 1.6e-5).abs() < 1e-12);
+}
+
+const SCHEMAS: [(&str, &str); 3] = [
+    ("robot", "robots/robot.schema.json"),
+    ("task", "tasks/task.schema.json"),
+    ("suite", "tasks/suite.schema.json"),
+];
+
+/// The schemas beside the files, which editors read, against what the program says today.
+#[test]
+fn the_schemas_in_the_project_are_those_of_the_program() {
+    let folder = scratch();
+    for (kind, path) in SCHEMAS {
+        let schema = opspace(folder.path(), &["schema", kind]).exits(0);
+        assert!(
+            schema.stdout == read(project(path)),
+            "{path} is out of date: `opspace schema {kind} > {path}` in the project's root"
+        );
+        assert_eq!(schema.json()["additionalProperties"], false, "{kind}");
+    }
+    opspace(folder.path(), &["schema", "robots"]).exits(2).says(&["robot"]);
+}
+
+/// What of a value a schema forbids: keys unknown or missing, kinds of value.
+fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<String> {
+    if let Some(reference) = schema["$ref"].as_str() {
+        let name = reference.strip_prefix("#/$defs/").unwrap();
+        let found = refused(root, &root["$defs"][name], value, at);
+        if found.is_some() {
+            return found;
+        }
+    }
+    for key in ["anyOf", "oneOf"] {
+        if let Some(kinds) = schema[key].as_array() {
+            let all: Option<Vec<String>> = kinds.iter().map(|kind| refused(root, kind, value, at)).collect();
+            if let Some(all) = all {
+                return Some(all.join(" | "));
+            }
+        }
+    }
+    let types: Vec<&str> = match &schema["type"] {
+        Value::String(one) => vec![one],
+        Value::Array(several) => several.iter().filter_map(Value::as_str).collect(),
+        _ => Vec::new(),
+    };
+    let is = |kind: &str| match kind {
+        "object" => value.is_object(),
+        "array" => value.is_array(),
+        "string" => value.is_string(),
+        "number" => value.is_number(),
+        "integer" => value.is_i64() || value.is_u64(),
+        "boolean" => value.is_boolean(),
+        _ => false,
+    };
+    if !types.is_empty() && !types.iter().any(|kind| is(kind)) {
+        return Some(format!("{at} is no {types:?}"));
+    }
+    let is_one_of = |known: &Value| known.as_array().is_some_and(|known| !known.contains(value));
+    if is_one_of(&schema["enum"]) || (!schema["const"].is_null() && schema["const"] != *value) {
+        return Some(format!("{at} is {value}"));
+    }
+    if let Some(object) = value.as_object() {
+        let missing = schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str);
+        if let Some(key) = missing.into_iter().find(|key| !object.contains_key(*key)) {
+            return Some(format!("{at}.{key} is missing"));
+        }
+        for (key, value) in object {
+            let own = &schema["properties"][key];
+            let other = &schema["additionalProperties"];
+            let place = format!("{at}.{key}");
+            let schema = if own.is_null() { other } else { own };
+            if *schema == Value::Bool(false) {
+                return Some(format!("{place} is unknown"));
+            }
+            let found = refused(root, schema, value, &place);
+            if found.is_some() {
+                return found;
+            }
+        }
+    }
+    let elements = value.as_array().into_iter().flatten();
+    elements.filter_map(|element| refused(root, &schema["items"], element, at)).next()
+}
+
+/// The files of the project against the schemas; with a key too many, or without one, they are refused.
+#[test]
+fn the_schemas_accept_the_projects_files_and_no_others() {
+    let files = [
+        ("robots/robot.schema.json", "robots/asimo-arm/robot.toml", "urdf"),
+        ("tasks/task.schema.json", "tasks/compliant-x.toml", "priority"),
+        ("tasks/task.schema.json", "tasks/cartesian-tracking.toml", "robot"),
+        ("tasks/task.schema.json", "tasks/joint-tracking.toml", "robot"),
+        ("tasks/task.schema.json", "tasks/gravity-compensation.toml", "robot"),
+        ("tasks/suite.schema.json", "tasks/suites/paper.toml", "run"),
+    ];
+    for (schema, path, required) in files {
+        let schema = read_json(project(schema));
+        let text = read(project(path));
+        let first = text.lines().next().unwrap();
+        let (_, named) = first.split_once("#:schema ").expect("editors find the schema by the first line");
+        let beside = Path::new(ROOT).join(path).with_file_name(named);
+        assert!(beside.exists(), "{}", beside.display());
+        let value: Value = toml::from_str(&text).unwrap();
+        assert_eq!(refused(&schema, &schema, &value, path), None);
+        let mut more = value.clone();
+        more["more"] = Value::from(1);
+        assert!(refused(&schema, &schema, &more, path).unwrap().contains("more is unknown"));
+        let mut less = value.clone();
+        less.as_object_mut().unwrap().remove(required);
+        assert!(refused(&schema, &schema, &less, path).unwrap().contains("is missing"), "{required}");
+    }
+}
+
+#[test]
+fn every_shell_gets_its_completion() {
+    let folder = scratch();
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = opspace(folder.path(), &["completion", shell]).exits(0).stdout;
+        assert!(COMMANDS.iter().all(|name| script.contains(name)), "{shell}");
+    }
+    opspace(folder.path(), &["completion", "csh"]).exits(2).says(&["bash"]);
+}
+
+#[test]
+fn check_knows_what_a_file_is() {
+    let folder = scratch();
+    let at = |path: &str| opspace(Path::new(ROOT), &["check", path]).exits(0).stdout;
+    assert_eq!(at("robots/asimo-arm"), "robots/asimo-arm: a robot of 4 joints\n");
+    assert_eq!(at("robots/asimo-arm/robot.toml"), "robots/asimo-arm/robot.toml: a robot of 4 joints\n");
+    let urdf = "robots/asimo-arm/asimo-arm.urdf";
+    assert_eq!(at(urdf), format!("{urdf}: a URDF of 4 moving joints\n"));
+    assert_eq!(at("tasks/compliant-x.toml"), "tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n");
+    assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
+
+    // Several: each is told of, and one that is wrong is enough.
+    fs::write(folder.path().join("bad.toml"), "robot = \".\"\nduration_s = 1.0\n").unwrap();
+    fs::write(folder.path().join("other.toml"), "[package]\nname = \"x\"\n").unwrap();
+    let arguments = ["check", ROOT_ROBOT, "bad.toml", "other.toml", "none.toml", "--json", "-"];
+    let ran = opspace(folder.path(), &arguments).exits(2);
+    let json = ran.json();
+    let files = json["files"].as_array().unwrap();
+    let ok: Vec<Option<bool>> = files.iter().map(|file| file["ok"].as_bool()).collect();
+    assert_eq!(ok, [Some(true), Some(false), Some(false), Some(false)]);
+    ran.says(&[
+        "bad.toml: missing key `priority`",
+        "other.toml: is neither a robot, a task nor a suite",
+        "none.toml: there is no such file",
+    ]);
+    let empty = scratch();
+    opspace(empty.path(), &["check", "."]).exits(2).says(&["robot.toml: there is no such file"]);
+}
+
+#[test]
+fn a_file_of_another_kind_is_told_apart() {
+    let folder = scratch();
+    let task = task("compliant-x");
+    let robot = format!("{ROOT_ROBOT}/robot.toml");
+    opspace(folder.path(), &["run", &robot]).exits(2).says(&["is a robot file; a task file is meant here"]);
+    opspace(folder.path(), &["bench", &task]).exits(2).says(&["is a task file; a suite file is meant here"]);
+    let swapped = ["run", &task, "--robot", &task];
+    opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is meant here"]);
+}

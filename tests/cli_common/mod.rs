@@ -1,0 +1,84 @@
+//! The program as its users start it.
+
+#![allow(dead_code, reason = "each test uses some of it")]
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+
+/// A path in the project, as text.
+pub fn project(path: &str) -> String {
+    format!("{ROOT}/{path}")
+}
+
+/// What a command left behind.
+pub struct Ran {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Ran {
+    #[track_caller]
+    pub fn exits(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        self
+    }
+
+    /// That each of the words stands in what was said on stderr.
+    #[track_caller]
+    pub fn says(self, words: &[&str]) -> Self {
+        for word in words {
+            assert!(self.stderr.contains(word), "'{word}' isn't said:\n{}", self.stderr);
+        }
+        self
+    }
+
+    #[track_caller]
+    pub fn json(&self) -> Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}:\n{}", self.stdout))
+    }
+}
+
+/// The program, to be started in a folder, without a terminal.
+pub fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_opspace"));
+    command.args(arguments).current_dir(folder).stdin(Stdio::null());
+    command
+}
+
+/// Runs `opspace` in a folder. However it ends, it ends in its own words.
+#[track_caller]
+pub fn opspace(folder: &Path, arguments: &[&str]) -> Ran {
+    let output = command(folder, arguments).output().expect("it starts");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("its output is UTF-8");
+    let (stdout, stderr) = (text(output.stdout), text(output.stderr));
+    assert!(!stderr.contains("panicked"), "{arguments:?}:\n{stderr}");
+    let code = output.status.code().unwrap_or_else(|| panic!("{arguments:?}: {}", output.status));
+    Ran { code, stdout, stderr }
+}
+
+/// A folder that is gone after the test.
+pub fn scratch() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a temporary folder")
+}
+
+/// Runs a task of the project for two seconds into `folder/name`, and gives the log's path.
+#[track_caller]
+pub fn run(folder: &Path, name: &str, task: &str, options: &[&str]) -> PathBuf {
+    let task = project(&format!("tasks/{task}.toml"));
+    let arguments = [&["run", &task, "--duration-s", "2.0", "--out", name], options].concat();
+    opspace(folder, &arguments).exits(0);
+    folder.join(name).join("run.mcap")
+}
+
+pub fn read(path: impl AsRef<Path>) -> String {
+    let path = path.as_ref();
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+pub fn read_json(path: impl AsRef<Path>) -> Value {
+    serde_json::from_str(&read(path)).expect("JSON")
+}

@@ -1,0 +1,187 @@
+//! Experiments of the files in the program, run into memory.
+
+#![allow(dead_code, reason = "each test uses some of it")]
+
+use opspace_backend::{Backend, Ending, Sink};
+use opspace_control::{CommandKind, Controller, Layout, Measurement, Observable, Row, Signal};
+use opspace_experiment::metrics::metrics;
+use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files, Metrics, Robot, Task};
+use opspace_log::Recording;
+use opspace_log::recording::{ChannelData, Column};
+use opspace_model::{Data, Model};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+pub const ROBOT: &str = "robots/asimo-arm";
+
+/// Position robot, operational-space control, in a profile.
+pub fn osc(profile: &str) -> Choice {
+    Choice { profile: Some(profile.to_owned()), ..Choice::default() }
+}
+
+/// Torque robot at the rates of a profile.
+pub fn torque(profile: &str) -> Choice {
+    Choice { backend: BackendKind::Torque, ..osc(profile) }
+}
+
+/// Position robot, inverse kinematics, with or without lead.
+pub fn ik(profile: &str, controller: ControllerKind) -> Choice {
+    Choice { controller, ..osc(profile) }
+}
+
+pub fn robot(settings: &[&str]) -> Robot {
+    Robot::load(Files::Embedded, Path::new(ROBOT), &owned(settings)).unwrap_or_else(|e| panic!("{e}"))
+}
+
+pub fn task(name: &str, settings: &[&str]) -> Task {
+    let path = format!("tasks/{name}.toml");
+    Task::load(Files::Embedded, Path::new(&path), &owned(settings)).unwrap_or_else(|e| panic!("{e}"))
+}
+
+pub fn experiment(robot: Robot, task: Task, choice: Choice) -> Experiment {
+    Experiment::new(robot, task, choice, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// A task of the paper on its robot, with settings as on the command line.
+pub fn load(name: &str, choice: Choice, settings: &[&str]) -> Experiment {
+    let path = format!("tasks/{name}.toml");
+    Experiment::load(Files::Embedded, Path::new(&path), None, choice, &owned(settings))
+        .unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn owned(settings: &[&str]) -> Vec<String> {
+    settings.iter().map(|s| (*s).to_owned()).collect()
+}
+
+/// The robot with drives that do what they are asked: no current loop, encoder counts, noise or torque limit.
+pub fn ideal(mut robot: Robot) -> Robot {
+    let simulated = robot.file.simulated.as_mut().expect("the arm can be simulated");
+    simulated.current_loop_hz = None;
+    simulated.encoder_quantisation = false;
+    simulated.torque_noise_nm = Default::default();
+    simulated.torque_saturation = false;
+    robot
+}
+
+/// How a run ended, and its rows.
+pub struct Run {
+    pub ending: Ending,
+    pub recording: Recording,
+}
+
+impl Run {
+    pub fn channel(&self, channel: &str) -> &ChannelData {
+        self.recording.channel(channel).unwrap_or_else(|| panic!("no channel {channel}"))
+    }
+
+    pub fn signal(&self, channel: &str, signal: &str) -> Column<'_> {
+        self.channel(channel).signal(signal).unwrap_or_else(|| panic!("no signal {channel}/{signal}"))
+    }
+}
+
+/// Rows as they come, in memory.
+pub struct Memory {
+    pub recording: Recording,
+    /// Set, with the flag, at the end of that many ticks.
+    pub interrupt_after: Option<u64>,
+    ticks: u64,
+}
+
+impl Memory {
+    pub fn new(layouts: Vec<Layout>) -> Self {
+        let empty = |layout| ChannelData { layout, time_s: Vec::new(), rows: Vec::new() };
+        let channels = layouts.into_iter().map(empty).collect();
+        Self { recording: Recording { channels, ..Recording::default() }, interrupt_after: None, ticks: 0 }
+    }
+}
+
+/// A [`Memory`] with the flag that it raises.
+struct Flagged<'a>(&'a mut Memory, &'a AtomicBool);
+
+impl Sink for Flagged<'_> {
+    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        let data = &mut self.0.recording.channels[channel];
+        data.time_s.push(time_s);
+        data.rows.extend_from_slice(row);
+    }
+
+    fn between_ticks(&mut self) {
+        self.0.ticks += 1;
+        if self.0.interrupt_after == Some(self.0.ticks) {
+            self.1.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Runs an experiment with its own controller.
+pub fn run(experiment: &Experiment) -> Run {
+    let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+    run_with(experiment, &mut *controller, None)
+}
+
+/// Runs an experiment and says how well it went.
+pub fn measure(experiment: &Experiment) -> Metrics {
+    let run = run(experiment);
+    assert_eq!(run.ending, Ending::Completed, "{}", experiment.task().name());
+    metrics(experiment, &run.recording)
+}
+
+/// Runs any controller on the robot of an experiment, interrupted after some ticks.
+pub fn run_with(
+    experiment: &Experiment,
+    controller: &mut dyn Controller,
+    interrupt_after: Option<u64>,
+) -> Run {
+    let mut backend = experiment.simulated_backend().unwrap_or_else(|e| panic!("{e}"));
+    drive(experiment, &mut *backend, controller, interrupt_after)
+}
+
+/// Runs any controller on any backend.
+pub fn drive(
+    experiment: &Experiment,
+    backend: &mut dyn Backend,
+    controller: &mut dyn Controller,
+    interrupt_after: Option<u64>,
+) -> Run {
+    let mut control = experiment.control_loop(backend, controller);
+    let mut memory = Memory { interrupt_after, ..Memory::new(control.layouts()) };
+    let interrupt = AtomicBool::new(false);
+    let ending = control.run(experiment.duration_s(), &interrupt, &mut Flagged(&mut memory, &interrupt));
+    Run { ending, recording: memory.recording }
+}
+
+/// A controller made of a function of the measurement: what a test needs the robot to be told.
+pub struct Told<F> {
+    pub kind: CommandKind,
+    pub command: F,
+}
+
+impl<F: FnMut(&Data, &Measurement, &mut [f64]) + Send> Controller for Told<F> {
+    fn command_kind(&self) -> CommandKind {
+        self.kind
+    }
+
+    fn start(&mut self, _model: &Model, _data: &Data, _measurement: &Measurement) {}
+
+    fn update(&mut self, _model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
+        (self.command)(data, measurement, command);
+    }
+}
+
+impl<F> Observable for Told<F> {
+    fn signals(&self) -> Vec<Signal> {
+        Vec::new()
+    }
+
+    fn sample(&self, _row: &mut Row<'_>) {}
+}
+
+/// A controller of torques.
+pub fn torques<F: FnMut(&Data, &Measurement, &mut [f64]) + Send>(command: F) -> Told<F> {
+    Told { kind: CommandKind::Torque, command }
+}
+
+/// A controller of positions.
+pub fn positions<F: FnMut(&Data, &Measurement, &mut [f64]) + Send>(command: F) -> Told<F> {
+    Told { kind: CommandKind::Position, command }
+}
