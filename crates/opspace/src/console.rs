@@ -264,6 +264,10 @@ mod tests {
         assert_eq!(blocks(&[10, 5, 5, 5], None), [vec![0, 1, 2, 3]]);
         assert_eq!(blocks(&[10, 5, 5, 5], Some(25)), [vec![0, 1, 2, 3]]);
         assert_eq!(blocks(&[10, 5, 5, 5], Some(24)), [vec![0, 1, 2], vec![0, 3]]);
-        assert_eq!(blocks(&[10, 5, 5, 5], Some(3)), [vec![0, 1], vec![0, 2], vec![0, 3]], "never none at all");
+        assert_eq!(
+            blocks(&[10, 5, 5, 5], Some(3)),
+            [vec![0, 1], vec![0, 2], vec![0, 3]],
+            "never none at all"
+        );
     }
 }
