@@ -181,11 +181,13 @@ p { max-width: 46rem }
 .lead { font-size: 1.12rem; color: var(--soft); margin: 0 0 1.75rem }
 .warning { background: var(--warn); border-left: 4px solid var(--fail); padding: 0.6rem 0.9rem }
 .scroll { overflow-x: auto }
-table { border-collapse: collapse; width: 100%; font-size: 0.92rem; margin: 1rem 0 0.4rem }
+table { border-collapse: collapse; width: 100%; font-size: 0.85rem; margin: 1rem 0 0.4rem }
 caption { text-align: left; padding-bottom: 0.5rem; color: var(--ink) }
-th, td { padding: 0.4rem 0.75rem; text-align: left; vertical-align: baseline; border-bottom: 1px solid var(--line) }
+th, td { padding: 0.35rem 0.5rem; text-align: left; vertical-align: baseline; border-bottom: 1px solid var(--line) }
 thead th { border-bottom: 2px solid var(--ink); font-weight: 600; vertical-align: bottom }
-tbody th { font-weight: 500; white-space: nowrap }
+thead th.number { white-space: normal }
+tbody th { font-weight: 500; white-space: pre }
+tbody td { white-space: nowrap }
 tbody tr:nth-child(even) { background: var(--stripe) }
 .number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
 .unit { font-weight: 400; color: var(--soft); white-space: nowrap }

@@ -239,29 +239,38 @@ fn joint_figure(
     Some(Figure { title: title.to_owned(), caption: caption.to_owned(), panels, columns: None })
 }
 
-/// One element of a signal over time; `None` if it never is a number.
+/// One element of a signal over time, from the controller's start on: before, references and tared forces mean
+/// nothing yet. `None` if it never is a number.
 fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, style: Style) -> Option<Series> {
-    let y: Vec<f64> = column.rows().map(|row| row[element]).collect();
+    let begun = |t: &f64| *t >= 0.0;
+    let y: Vec<f64> = time_s
+        .iter()
+        .zip(column.rows())
+        .map(|(t, row)| if begun(t) { row[element] } else { f64::NAN })
+        .collect();
     let any = y.iter().any(|v| v.is_finite());
     any.then(|| Series::new(label, time_s.to_vec(), y).style(style))
 }
 
 /// Each quantity on one scale: a row for each task and profile, a colour for each way of controlling.
 fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
-    type Quantity = (&'static str, &'static str, fn(&Summary) -> Option<f64>);
+    type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
     let quantities: [Quantity; 4] = [
-        ("Tracking", "position error, rms (mm)", |s| s.metrics.position_rms_m.map(|v| 1e3 * v)),
-        ("Hand force", "force of the hand, rms (N)", |s| s.metrics.hand_force_rms_n),
-        ("Hand motion", "motion that the hand achieved, rms (mm)", |s| {
+        ("Tracking", "position error, rms (mm)", Scale::Log, |s| s.metrics.position_rms_m.map(|v| 1e3 * v)),
+        ("Hand force", "force of the hand, rms (N)", Scale::Linear, |s| s.metrics.hand_force_rms_n),
+        ("Hand motion", "motion that the hand achieved, rms (mm)", Scale::Log, |s| {
             s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
         }),
-        ("Torque error", "on interval means (%)", |s| s.metrics.torque_error_interval.map(|v| 1e2 * v)),
+        ("Torque error", "on interval means (%)", Scale::Log, |s| {
+            s.metrics.torque_error_interval.map(|v| 1e2 * v)
+        }),
     ];
     let groups = group(summaries);
     quantities
         .into_iter()
-        .filter(|(_, _, number)| groups.iter().any(|g| g.median(number).is_some()))
-        .map(|(title, x_label, number)| comparison(&groups, title, x_label, number))
+        .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
+        // One way of controlling is nothing to compare.
+        .filter(|comparison| comparison.series.len() > 1)
         .collect()
 }
 
@@ -269,6 +278,7 @@ fn comparison(
     groups: &[Group<'_>],
     title: &str,
     x_label: &str,
+    scale: Scale,
     number: fn(&Summary) -> Option<f64>,
 ) -> Comparison {
     let control = |s: &Summary| format!("{} {}", s.backend, s.controller);
@@ -298,6 +308,6 @@ fn comparison(
         x_label: x_label.to_owned(),
         series: controls,
         rows,
-        scale: Scale::Log,
+        scale,
     }
 }

@@ -76,30 +76,9 @@ fn same(a: &Summary, b: &Summary) -> bool {
         && a.overrides == b.overrides
 }
 
-/// The table of results: one row a group.
+/// The table of results: one row a group, each task a line of its own above its rows.
 #[must_use]
 pub fn table(summaries: &[Summary]) -> Table {
-    let heads = [("task", ""), ("robot", ""), ("control", ""), ("profile", ""), ("runs", "")];
-    let mut table = Table::new(&[heads.as_slice(), MEASURES].concat());
-    for group in group(summaries) {
-        let first = group.first();
-        let mut row: Vec<Cell> = vec![
-            first.task.clone().into(),
-            first.backend.clone().into(),
-            control(first).into(),
-            profile(first).into(),
-            (group.runs.len() as u64).into(),
-        ];
-        row.extend(measures(&group));
-        table.push(row);
-    }
-    drop_empty_columns(&mut table);
-    table
-}
-
-/// The same table for a terminal: narrower, each task a line of its own above its rows.
-#[must_use]
-pub fn tree(summaries: &[Summary]) -> Table {
     let heads = [("robot, control", ""), ("profile", ""), ("runs", "")];
     let mut table = Table::new(&[heads.as_slice(), MEASURES].concat());
     let mut task = None;
@@ -189,7 +168,7 @@ fn drop_empty_columns(table: &mut Table) {
 
 #[cfg(test)]
 mod tests {
-    use super::{group, table, tree};
+    use super::{group, table};
     use crate::run::Summary;
 
     fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
@@ -241,13 +220,14 @@ mod tests {
         assert!(!titles.contains(&"hand force".to_owned()));
     }
 
-    /// The terminal's table against the page's: the same numbers, the task above its rows.
+    /// The rows against those written out by hand: the task above its rows, the median in its column.
     #[test]
-    fn the_tree_says_what_the_table_says() {
-        let runs = [summary("a", "p", 1, 0.1), summary("b", "p", 1, 1.0), summary("a", "q", 1, 0.5)];
-        let (tree, table) = (tree(&runs).texts(), table(&runs).texts());
-        let firsts: Vec<&str> = tree.iter().map(|row| row[0].as_str()).collect();
-        assert_eq!(firsts, ["a", "  position osc", "  position osc", "b", "  position osc"]);
-        assert_eq!(tree[2][1..], table[1][3..], "profile, runs and numbers of the second row");
+    fn a_task_stands_above_its_rows() {
+        let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
+        let texts = table(&runs).texts();
+        let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
+        assert_eq!(firsts, ["a", "  position osc", "b", "  position osc"]);
+        assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);
+        assert_eq!(texts[3][1..4], ["q 1:5", "1", "5.000"]);
     }
 }

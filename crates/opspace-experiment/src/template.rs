@@ -10,8 +10,8 @@ pub fn robot_toml(urdf: &str, model: &Model) -> String {
     let mut text = format!(
         r#"#:schema robot.schema.json
 # {name}: what is believed of the robot.
-# Below, a line such as `# gear_ratio =` stands for a value that must be known and that nobody can guess: take its
-# # away and write the value. `opspace check` on this folder names the next one missing.
+# A line such as `# gear_ratio =` waits for a value that must be known and that nobody can guess: uncomment it and
+# write the value. `opspace check` on this folder names the next one missing.
 urdf = {urdf}
 default_profile = "default"
 
