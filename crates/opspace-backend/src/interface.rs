@@ -43,7 +43,7 @@ pub enum SetPoints {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MissedCycle {
-    /// It holds the last one: a position robot comes to a stop within milliseconds.
+    /// It holds the last one: a position robot comes to a stop there.
     HoldLast,
 }
 

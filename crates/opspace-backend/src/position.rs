@@ -141,7 +141,7 @@ impl<R: PositionRobot> Backend for PositionBackend<R> {
 
     fn stop(&mut self, data: &Data) {
         // One last set-point that carries the weight and brakes, then frozen: the stiff servo stops
-        // the arm within tens of milliseconds. A state that can't be read leaves the last one.
+        // the arm. A state that can't be read leaves the last one.
         let readable = self.sensing.measurement().q.iter().all(|q| q.is_finite());
         if !readable || data.q.iter().any(|q| !q.is_finite()) {
             return;

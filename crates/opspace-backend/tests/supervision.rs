@@ -102,6 +102,12 @@ fn holding_set_point(q: &[f64]) -> DVector<f64> {
 /// A tenth of what one encoder count or one percent of a holding torque would make.
 const SET_POINT: f64 = 1e-6;
 
+/// Far below any torque that is held here, Nm.
+const TORQUE: f64 = 1e-6;
+
+/// A few operations on numbers of the order of 1.
+const ROUNDING: f64 = 1e-12;
+
 fn assert_fault(script: impl Fn(u64, &mut Sample) + Send + Copy + 'static, expected: Fault) {
     for kind in [CommandKind::Position, CommandKind::Torque] {
         let outcome = run(kind, &mut weight_and(0.0), false, script);
@@ -269,7 +275,7 @@ fn a_joint_far_from_its_set_point_stops_the_robot() {
         let Ending::Faulted { fault, .. } = outcome.ending else { panic!("{:?}", outcome.ending) };
         let Fault::FollowingError { joint, error, limit } = fault else { panic!("{fault:?}") };
         assert_eq!(joint, 1);
-        assert!(error > limit && (limit - reach - 5.0 * PERIOD_S).abs() < 1e-12, "{error} {limit}");
+        assert!(error > limit && (limit - reach - 5.0 * PERIOD_S).abs() < ROUNDING, "{error} {limit}");
         check_stop(CommandKind::Position, &outcome, fault);
         for told in &outcome.told {
             let Told::Positions(q) = told else { panic!("{told:?}") };
@@ -291,7 +297,7 @@ fn set_points_are_clamped_about_the_measured_position() {
     let expected = DVector::from_vec(vec![START[0] + reach[0], START[1] - reach[1]]);
     let told = told.lock().expect("one thread");
     let [Told::Positions(q)] = &told[..] else { panic!("{told:?}") };
-    assert!((q - expected).amax() < 1e-12, "{q}");
+    assert!((q - expected).amax() < ROUNDING, "{q}");
     let signals = backend.signals();
     let mut row = vec![0.0; signals.iter().map(|s| s.len()).sum()];
     backend.sample(&mut opspace_control::Row::new(&mut row));
@@ -339,7 +345,7 @@ fn every_start_is_a_ramp_from_holding_still() {
             let share = (k as f64 * PERIOD_S / 0.1).min(1.0);
             let torque = weight.map(|g| g + share * EXTRA);
             match told {
-                Told::Torques(tau) => assert!((tau - torque).amax() < 1e-6, "tick {k}: {tau}"),
+                Told::Torques(tau) => assert!((tau - torque).amax() < TORQUE, "tick {k}: {tau}"),
                 Told::Positions(q) => {
                     let expected =
                         [START[0] + torque[0] / (50.0 * 90.0), START[1] + torque[1] / (40.0 * 30.0)];
@@ -387,8 +393,8 @@ fn force_sensors_are_tared_and_turned_into_world_axes() {
     assert!(update(&model, &mut own, &START, &[0.0; 2]));
     let axes = frame_placement(&model, &own, model.frame("fore").expect("a link")).rotation;
     let wrench = backend.sensing().measurement().wrenches[0];
-    assert!((wrench.linear - axes * pull).norm() < 1e-12, "{}", wrench.linear);
-    assert!(wrench.angular.norm() < 1e-12);
+    assert!((wrench.linear - axes * pull).norm() < ROUNDING, "{}", wrench.linear);
+    assert!(wrench.angular.norm() < ROUNDING);
     assert!((axes * pull - pull).norm() > 0.1, "the link's axes are not the world's");
 }
 

@@ -15,6 +15,12 @@ use std::f64::consts::TAU;
 /// Rounding of the few operations of equation (10), relative to positions of order 1.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
+/// Rounding of some hundred steps of a filter, rad/s.
+const FILTERED: f64 = 1e-12;
+
+/// What is left of the filter's transient, rad/s.
+const SETTLED: f64 = 1e-9;
+
 const STATES: [([f64; 2], [f64; 2], [f64; 2]); 3] = [
     ([0.3, -1.2], [0.7, -2.1], [12.0, -7.5]),
     ([-1.9, 0.05], [-4.0, 0.001], [-40.0, 0.3]),
@@ -64,7 +70,7 @@ fn velocity_is_a_filtered_difference() {
         let found = estimate.update(&DVector::from_element(1, y(k)))[0];
         let expected: f64 =
             (1..=k).map(|j| (1.0 - keep) * keep.powi(k - j) * (y(j) - y(j - 1)) / PERIOD_S).sum();
-        assert!((found - expected).abs() < 1e-12, "{k}: {found} for {expected}");
+        assert!((found - expected).abs() < FILTERED, "{k}: {found} for {expected}");
     }
 }
 
@@ -75,7 +81,7 @@ fn a_steady_motion_has_its_speed() {
     let last = (0..200)
         .map(|k| estimate.update(&DVector::from_element(1, 0.2 + 1.7 * f64::from(k) * PERIOD_S))[0])
         .last();
-    assert!(last.is_some_and(|v| (v - 1.7).abs() < 1e-9), "{last:?}");
+    assert!(last.is_some_and(|v| (v - 1.7).abs() < SETTLED), "{last:?}");
 }
 
 /// Compared: n̂, and equation (11)'s `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.

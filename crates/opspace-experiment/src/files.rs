@@ -125,7 +125,7 @@ impl Kind {
     ///
     /// # Errors
     /// If it clearly is of another.
-    pub(crate) fn expect(self, source: &Source) -> Result<(), FileError> {
+    pub(crate) fn require(self, source: &Source) -> Result<(), FileError> {
         match Self::of(source.text()) {
             Some(kind) if kind != self => {
                 let message = format!("is {}; {} is meant here", kind.name(), self.name());

@@ -72,7 +72,7 @@ impl Robot {
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         let path = files.robot_file(path);
         let source = files.read(&path)?;
-        Kind::Robot.expect(&source)?;
+        Kind::Robot.require(&source)?;
         let source = overrides::apply_below(&source, "robot", settings)?;
         let file: RobotFile = parse(&source)?;
         let urdf = files.read_named(&beside(&path, &file.urdf), &source, "urdf")?;

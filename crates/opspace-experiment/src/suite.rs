@@ -66,7 +66,7 @@ impl Suite {
     /// What is wrong in any of the files, with its place.
     pub fn load(files: Files, path: &Path) -> Result<Self, FileError> {
         let source = files.read(path)?;
-        Kind::Suite.expect(&source)?;
+        Kind::Suite.require(&source)?;
         let file: SuiteFile = parse(&source)?;
         let mut experiments = Vec::new();
         for (number, run) in file.run.iter().enumerate() {

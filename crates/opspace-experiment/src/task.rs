@@ -65,7 +65,7 @@ impl Task {
     /// What is wrong in the file, with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         let source = files.read(path)?;
-        Kind::Task.expect(&source)?;
+        Kind::Task.require(&source)?;
         Self::from_source(overrides::apply(&source, settings)?)
     }
 
