@@ -10,66 +10,80 @@
 //! primitives*, Int. J. Humanoid Robotics 2(4), 2005). Torques J_pᵀ F then accelerate no task above.
 //! With the identity in M's place the same recursion is that of inverse kinematics.
 
-use nalgebra::{DMatrix, DVector, Matrix6xX};
-use opspace_model::{Data, OperationalSpace, cholesky_solve};
+use nalgebra::{Matrix6, Matrix6xX, Vector6};
+use opspace_model::{MassMatrixFactor, OperationalSpace};
 
-/// N, the freedom that the tasks so far leave.
+/// N, the freedom that the tasks so far leave, as the product of what each of them leaves: I − J̄_p J_p. The n × n
+/// matrix itself is never formed.
 #[derive(Clone, Debug)]
 pub(crate) struct Nullspace {
-    matrix: DMatrix<f64>,
-    before: DMatrix<f64>,
-    /// No task so far: N is the identity, and needn't be multiplied by.
-    whole: bool,
+    /// J_p and J̄_pᵀ of each task, the first `depth` of them in force.
+    tasks: Vec<(Matrix6xX<f64>, Matrix6xX<f64>)>,
+    depth: usize,
 }
 
 impl Nullspace {
-    pub(crate) fn new(n: usize) -> Self {
-        Self { matrix: DMatrix::identity(n, n), before: DMatrix::identity(n, n), whole: true }
+    /// For at most `levels` tasks on a robot of `n` joints.
+    pub(crate) fn new(n: usize, levels: usize) -> Self {
+        Self { tasks: vec![(Matrix6xX::zeros(n), Matrix6xX::zeros(n)); levels], depth: 0 }
     }
 
     /// All freedom, before the first task.
     pub(crate) fn reset(&mut self) {
-        self.matrix.fill_with_identity();
-        self.whole = true;
+        self.depth = 0;
     }
 
     /// Takes away what `task` uses.
-    pub(crate) fn narrow(&mut self, task: &OperationalSpace) {
-        if self.whole {
-            self.matrix.copy_from(&task.nullspace);
-            self.whole = false;
-            return;
-        }
-        self.before.copy_from(&self.matrix);
-        multiply(&self.before, &task.nullspace, &mut self.matrix);
+    pub(crate) fn narrow(&mut self, task: &ProjectedTask) {
+        let (jacobian, jbar_transpose) = &mut self.tasks[self.depth];
+        jacobian.copy_from(&task.jacobian);
+        jbar_transpose.copy_from(&task.space.jbar_transpose);
+        self.depth += 1;
     }
 
-    /// Adds Nᵀ `torque` to `sum`.
-    pub(crate) fn add_torque(&self, torque: &[f64], sum: &mut [f64]) {
-        for (out, column) in sum.iter_mut().zip(self.matrix.column_iter()) {
-            *out += column.iter().zip(torque).map(|(n, t)| n * t).sum::<f64>();
+    fn tasks(&self) -> impl DoubleEndedIterator<Item = &(Matrix6xX<f64>, Matrix6xX<f64>)> {
+        self.tasks[..self.depth].iter()
+    }
+
+    /// Nᵀ τ in place of τ.
+    pub(crate) fn project_torque(&self, torque: &mut [f64]) {
+        for (jacobian, jbar_transpose) in self.tasks() {
+            remove(torque, jbar_transpose, jacobian);
         }
     }
 
-    /// Adds N `velocity` to `sum`.
-    pub(crate) fn add_velocity(&self, velocity: &[f64], sum: &mut [f64]) {
-        for (v, column) in velocity.iter().zip(self.matrix.column_iter()) {
-            for (out, n) in sum.iter_mut().zip(column.iter()) {
-                *out += n * v;
+    /// N v in place of v.
+    pub(crate) fn project_velocity(&self, velocity: &mut [f64]) {
+        for (jacobian, jbar_transpose) in self.tasks().rev() {
+            remove(velocity, jacobian, jbar_transpose);
+        }
+    }
+
+    /// J N in place of J.
+    fn project_jacobian(&self, jacobian: &mut Matrix6xX<f64>) {
+        for (above, jbar_transpose) in self.tasks() {
+            // J J̄: what of this task's motion the task above takes.
+            let mut taken = Matrix6::zeros();
+            for (j, inverse) in jacobian.column_iter().zip(jbar_transpose.column_iter()) {
+                for (c, &x) in inverse.iter().enumerate() {
+                    taken.column_mut(c).axpy(x, &j, 1.0);
+                }
+            }
+            for (mut j, above) in jacobian.column_iter_mut().zip(above.column_iter()) {
+                j -= taken * above;
             }
         }
     }
 }
 
-/// `a` `b`, square, without the packing buffer that nalgebra's product allocates.
-fn multiply(a: &DMatrix<f64>, b: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-    out.fill(0.0);
-    for (b_column, mut out_column) in b.column_iter().zip(out.column_iter_mut()) {
-        for (a_column, factor) in a.column_iter().zip(b_column.iter()) {
-            for (o, v) in out_column.iter_mut().zip(a_column.iter()) {
-                *o += v * factor;
-            }
-        }
+/// x − Aᵀ B x in place of x.
+fn remove(x: &mut [f64], b: &Matrix6xX<f64>, a: &Matrix6xX<f64>) {
+    let mut sum = Vector6::zeros();
+    for (column, &x) in b.column_iter().zip(x.iter()) {
+        sum += column * x;
+    }
+    for (x, column) in x.iter_mut().zip(a.column_iter()) {
+        *x -= column.dot(&sum);
     }
 }
 
@@ -79,85 +93,89 @@ pub(crate) struct ProjectedTask {
     /// J_p, scaled as the task's rows are.
     pub jacobian: Matrix6xX<f64>,
     pub space: OperationalSpace,
-    column: DVector<f64>,
+    half: Matrix6xX<f64>,
 }
 
 impl ProjectedTask {
     pub(crate) fn new(n: usize) -> Self {
-        Self { jacobian: Matrix6xX::zeros(n), space: OperationalSpace::new(n), column: DVector::zeros(n) }
+        let jacobian = Matrix6xX::zeros(n);
+        Self { half: jacobian.clone(), jacobian, space: OperationalSpace::new(n) }
     }
 
     /// For the first `rows` rows of `jacobian`. The threshold is relative to what the task could move if
     /// nothing stood above it: what the tasks above have taken counts as lost, not as the new measure.
     pub(crate) fn update(
         &mut self,
-        data: &Data,
+        factor: &MassMatrixFactor,
         above: &Nullspace,
         jacobian: &Matrix6xX<f64>,
         rows: usize,
         threshold: f64,
     ) {
-        if above.whole {
-            self.jacobian.copy_from(jacobian);
-            self.space.update(data, jacobian, rows, threshold);
-            return;
-        }
-        for (k, mut out) in self.jacobian.column_iter_mut().enumerate() {
-            out.fill(0.0);
-            for (j, n) in jacobian.column_iter().zip(above.matrix.column(k).iter()) {
-                out.axpy(*n, &j, 1.0);
+        self.jacobian.copy_from(jacobian);
+        let mut relative = threshold;
+        if above.depth > 0 {
+            above.project_jacobian(&mut self.jacobian);
+            let alone = mobility(factor, jacobian, rows, &mut self.half);
+            let left = mobility(factor, &self.jacobian, rows, &mut self.half);
+            if left > 0.0 {
+                relative *= (alone / left).max(1.0);
+            } else {
+                self.jacobian.fill(0.0);
             }
         }
-        let alone = mobility(data, jacobian, rows, &mut self.column);
-        let left = mobility(data, &self.jacobian, rows, &mut self.column);
-        if left > 0.0 {
-            self.space.update(data, &self.jacobian, rows, threshold * (alone / left).max(1.0));
-        } else {
-            self.jacobian.fill(0.0);
-            self.space.update(data, &self.jacobian, rows, threshold);
-        }
+        self.space.update(factor, &self.jacobian, rows, relative);
     }
 }
 
 /// The trace of J M⁻¹ Jᵀ.
-fn mobility(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize, column: &mut DVector<f64>) -> f64 {
-    (0..rows)
-        .map(|r| {
-            column.tr_copy_from(&jacobian.row(r));
-            cholesky_solve(&data.mass_matrix_factor, column.as_mut_slice());
-            jacobian.row(r).iter().zip(column.iter()).map(|(j, c)| j * c).sum::<f64>()
-        })
-        .sum()
+fn mobility(
+    factor: &MassMatrixFactor,
+    jacobian: &Matrix6xX<f64>,
+    rows: usize,
+    half: &mut Matrix6xX<f64>,
+) -> f64 {
+    half.copy_from(jacobian);
+    factor.half_solve(half);
+    half.rows(0, rows).norm_squared()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3, Vector3};
-    use opspace_model::{Frame, Inertia, Joint, JointKind, Limits, Model, Placement, frame_jacobian, update};
+    use nalgebra::{DMatrix, Matrix3, Vector3};
+    use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, frame_jacobian, update};
 
     /// A chain of links that are all alike, each turned against the one before.
     fn chain(n: usize) -> Model {
-        let free = f64::INFINITY;
-        let joints = (0..n).map(|i| Joint {
-            name: format!("j{i}"),
-            kind: JointKind::Continuous,
-            parent: i.checked_sub(1),
-            origin: Placement::from_rpy([1.1, 0.4, -0.3], [0.05, 0.02, 0.25]),
-            inertia: Inertia {
+        let mut model = Model::new("chain");
+        for i in 0..n {
+            let joint = Joint { name: format!("j{i}"), kind: JointKind::Continuous, limits: Limits::NONE };
+            let inertia = Inertia {
                 mass: 1.0,
                 com: Vector3::new(0.02, 0.01, 0.1),
                 rotational: Matrix3::from_diagonal(&Vector3::new(0.02, 0.03, 0.01)),
-            },
-            limits: Limits { lower: -free, upper: free, velocity: free, effort: free },
-            rotor_inertia: 0.01,
-        });
-        let frame = |name: &str, joint| Frame {
-            name: name.to_owned(),
-            joint: Some(joint),
-            placement: Placement::from_rpy([0.0; 3], [0.1, 0.0, 0.05]),
+            };
+            let origin = Placement::from_rpy([1.1, 0.4, -0.3], [0.05, 0.02, 0.25]);
+            model.add_body(i.checked_sub(1), origin, joint, inertia);
+        }
+        for (name, body) in [("middle", n / 2), ("end", n - 1)] {
+            model.add_frame(name, Some(body), Placement::from_rpy([0.0; 3], [0.1, 0.0, 0.05]));
+        }
+        model.with_rotor_inertia(&vec![0.01; n])
+    }
+
+    /// N, column by column; by N v and by Nᵀ τ.
+    fn matrices(nullspace: &Nullspace, n: usize) -> [DMatrix<f64>; 2] {
+        let projected = |project: &dyn Fn(&mut [f64])| {
+            let mut identity = DMatrix::identity(n, n);
+            identity.column_iter_mut().for_each(|mut column| project(column.as_mut_slice()));
+            identity
         };
-        Model::new("chain".to_owned(), joints.collect(), vec![frame("middle", n / 2), frame("end", n - 1)])
+        [
+            projected(&|v| nullspace.project_velocity(v)),
+            projected(&|t| nullspace.project_torque(t)).transpose(),
+        ]
     }
 
     /// J N against zero for every task so far, after each of three; and N M⁻¹ against its transpose, which
@@ -178,20 +196,23 @@ mod tests {
             (selected, rows.len())
         };
         let tasks = [rows_of("end", 0..3), rows_of("middle", 0..2), rows_of("end", 3..5)];
-        let mut nullspace = Nullspace::new(n);
+        let mut nullspace = Nullspace::new(n, tasks.len());
         let mut projected = ProjectedTask::new(n);
         for (level, (jacobian, rows)) in tasks.iter().enumerate() {
-            projected.update(&data, &nullspace, jacobian, *rows, 1e-6);
+            projected.update(&data.mass_matrix_factor, &nullspace, jacobian, *rows, 1e-6);
             assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
-            nullspace.narrow(&projected.space);
+            nullspace.narrow(&projected);
+            let [matrix, by_torque] = matrices(&nullspace, n);
+            assert!((&matrix - by_torque).amax() < tolerance, "one N for velocities and torques");
             for (above, (jacobian, _)) in tasks[..=level].iter().enumerate() {
-                let left = (jacobian * &nullspace.matrix).amax();
+                let left = (jacobian * &matrix).amax();
                 assert!(left < tolerance, "below level {level}, level {above} still moves by {left}");
             }
-            let product = &nullspace.matrix * &mass_inverse;
+            let product = &matrix * &mass_inverse;
             assert!((&product - product.transpose()).amax() < tolerance * mass_inverse.amax());
         }
-        let rank = nullspace.matrix.singular_values().iter().filter(|&&v| v > 1e-6).count();
+        let [matrix, _] = matrices(&nullspace, n);
+        let rank = matrix.singular_values().iter().filter(|&&v| v > 1e-6).count();
         assert_eq!(rank, n - 7, "what is left of the joints' freedom");
     }
 }

@@ -80,14 +80,14 @@ impl InverseKinematicsController {
             }
         }
         let mut data = Data::new(model);
-        data.mass_matrix_factor.fill_with_identity();
+        data.mass_matrix_factor.set_identity();
         let joints: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
         let mut own_signals =
             vec![Signal::new("ik.q", "rad", &joints), Signal::new("ik.dq", "rad/s", &joints)];
         own_signals.extend(levels.joint.iter().flat_map(|task| task.signals(model)));
         Ok(Self {
             projected: vec![ProjectedTask::new(n); levels.cartesian.len()],
-            nullspace: Nullspace::new(n),
+            nullspace: Nullspace::new(n, levels.cartesian.len()),
             lead,
             gravity_by_robot: robot.gravity_by_robot,
             period_s: robot.period_s,
@@ -107,7 +107,8 @@ impl InverseKinematicsController {
         for (task, projected) in self.levels.cartesian.iter_mut().zip(&mut self.projected) {
             task.update_jacobian(model, &self.data);
             let rows = task.axes.rows();
-            projected.update(&self.data, &self.nullspace, &task.jacobian, rows, task.singularity_threshold);
+            let factor = &self.data.mass_matrix_factor;
+            projected.update(factor, &self.nullspace, &task.jacobian, rows, task.singularity_threshold);
             let mut in_task = [false; 6];
             for &axis in task.axes.axes() {
                 in_task[axis] = true;
@@ -119,11 +120,10 @@ impl InverseKinematicsController {
                 let caused: f64 = task.jacobian.row(row).iter().zip(self.dq.iter()).map(|(j, v)| j * v).sum();
                 wanted[row] = velocity[axis] * task.axes.scale[axis] - caused;
             }
-            let inverse = &projected.space.dynamically_consistent_inverse;
-            for (row, column) in inverse.column_iter().enumerate().take(rows) {
-                self.dq.axpy(wanted[row], &column, 1.0);
+            for (v, column) in self.dq.iter_mut().zip(projected.space.jbar_transpose.column_iter()) {
+                *v += column.dot(&wanted);
             }
-            self.nullspace.narrow(&projected.space);
+            self.nullspace.narrow(projected);
         }
         match &self.levels.joint {
             Some(JointTask::Posture(task)) => {
@@ -138,7 +138,8 @@ impl InverseKinematicsController {
             }
             Some(JointTask::Damping(_)) | None => return,
         }
-        self.nullspace.add_velocity(self.scratch.as_slice(), self.dq.as_mut_slice());
+        self.nullspace.project_velocity(self.scratch.as_mut_slice());
+        self.dq += &self.scratch;
     }
 
     /// q_ref with what the servo needs to be led by.

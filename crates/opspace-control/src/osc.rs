@@ -16,7 +16,7 @@ use crate::measurement::Measurement;
 use crate::signal::{Observable, Row, Signal};
 use crate::task::{Compensation, Levels, RobotFacts, Stack};
 use nalgebra::{DVector, Vector6};
-use opspace_model::{Data, Model, cholesky_solve};
+use opspace_model::{Data, Model};
 
 /// Tasks to torques.
 #[derive(Clone, Debug)]
@@ -47,7 +47,7 @@ impl OperationalSpaceController {
         Ok(Self {
             projected: vec![ProjectedTask::new(n); levels.cartesian.len()],
             force: vec![Vector6::zeros(); levels.cartesian.len()],
-            nullspace: Nullspace::new(n),
+            nullspace: Nullspace::new(n, levels.cartesian.len()),
             compensation: stack.compensation,
             gravity_by_robot: robot.gravity_by_robot,
             torque: zero.clone(),
@@ -66,11 +66,17 @@ impl OperationalSpaceController {
         task.update_jacobian(model, data);
         let projected = &mut self.projected[level];
         let rows = task.axes.rows();
-        projected.update(data, &self.nullspace, &task.jacobian, rows, task.singularity_threshold);
+        projected.update(
+            &data.mass_matrix_factor,
+            &self.nullspace,
+            &task.jacobian,
+            rows,
+            task.singularity_threshold,
+        );
 
         // M⁻¹ τ_above.
         self.scratch.copy_from(&self.torque);
-        cholesky_solve(&data.mass_matrix_factor, self.scratch.as_mut_slice());
+        data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         let acceleration = task.acceleration(model, data);
         let mut wanted = Vector6::zeros();
         for (row, &axis) in task.axes.axes().iter().enumerate() {
@@ -91,7 +97,7 @@ impl OperationalSpaceController {
                 *t += column[row] * force[row];
             }
         }
-        self.nullspace.narrow(&projected.space);
+        self.nullspace.narrow(projected);
     }
 
     /// The torque of the arm's own forces at joint `i` that the controller takes away.
@@ -127,7 +133,8 @@ impl Controller for OperationalSpaceController {
         if let Some(task) = &mut self.levels.joint {
             let (scratch, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
             task.torque(data, measurement.time_s, scratch, torque);
-            self.nullspace.add_torque(torque, self.torque.as_mut_slice());
+            self.nullspace.project_torque(torque);
+            self.torque += &self.joint_torque;
         }
         for (i, out) in command.iter_mut().enumerate() {
             *out = self.torque[i] + self.compensated(data, i);

@@ -93,12 +93,12 @@ fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
 pub fn reach(model: &Model, frame: FrameId) -> f64 {
     let mut sum = model.frame_info(frame).placement.translation.norm();
     for i in model.support(frame) {
-        let joint = &model.joints()[i];
-        if joint.parent.is_some() {
-            sum += joint.origin.translation.norm();
+        let body = &model.bodies()[i];
+        if body.parent.is_some() {
+            sum += body.origin.translation.norm();
         }
-        if joint.kind == JointKind::Prismatic {
-            let (lower, upper) = range(joint.kind, &joint.limits);
+        if body.kind == JointKind::Prismatic {
+            let (lower, upper) = range(body.kind, &model.joints()[body.joint].limits);
             sum += lower.abs().max(upper.abs());
         }
     }

@@ -83,7 +83,7 @@ struct Units {
 
 fn units(joint: &Joint) -> Units {
     match joint.kind {
-        JointKind::Revolute | JointKind::Continuous => {
+        JointKind::Revolute | JointKind::Continuous | JointKind::Floating => {
             Units { torque: "Nm", speed: "rad/s", viscous: "Nms/rad", gear: "motor turns per joint turn" }
         }
         JointKind::Prismatic => {

@@ -2,90 +2,114 @@
 //!
 //! RBDA table 7.1; in Pinocchio `aba`.
 
+use crate::cholesky::cholesky;
+use crate::crba::{bodies, crba};
 use crate::data::{ArticulatedColumn, ArticulatedInertia, Data};
-use crate::model::{JointKind, Model};
-use crate::spatial::{Force, Inertia, Motion, Placement};
-use nalgebra::{Matrix3, Vector3};
+use crate::jacobian::{add_external, screw_rate};
+use crate::model::{FrameId, Model};
+use crate::real::Real;
+use crate::rnea::bias;
+use crate::spatial::{Force, Motion, SpatialInertia, skew};
+use nalgebra::{DVector, Matrix3, Vector3};
 
 /// q̈ = M⁻¹ (τ − C q̇ − g) under the joint torques `tau` (n; Nm), into [`Data::ddq`] (rad/s²). Needs
-/// [`kinematics`](crate::kinematics()). An external wrench f at a frame is τ + Jᵀ f.
+/// [`kinematics`](crate::kinematics()). Where a joint moves nothing that has inertia, no number comes of it.
 ///
 /// # Panics
 /// If `tau` is shorter than the number of joints.
-pub fn aba(model: &Model, data: &mut Data, tau: &[f64]) {
-    for (i, joint) in model.joints.iter().enumerate() {
-        let v = &data.velocity[i];
-        data.articulated[i] = ArticulatedInertia::rigid(&joint.inertia);
-        data.force[i] = v.cross_force(&joint.inertia.apply(v));
+pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
+    let tau = &tau[..model.n()];
+    if model.is_folded() {
+        solve_mass_matrix(model, data, tau);
+        return;
     }
-    for i in (0..model.n()).rev() {
-        let joint = &model.joints[i];
-        let column = data.articulated[i].column(joint.kind);
-        let inverse_inertia = 1.0 / (joint.kind.project(&column) + joint.rotor_inertia);
-        let torque = tau[i] - joint.kind.project(&data.force[i]);
+    bodies(model, data);
+    for (i, inertia) in data.composite.iter().enumerate() {
+        let v = &data.velocity[i];
+        data.articulated[i] = ArticulatedInertia::rigid(inertia);
+        data.force[i] = v.cross_force(&inertia.apply(v));
+    }
+    for (i, body) in model.bodies.iter().enumerate().rev() {
+        let screw = &data.screw[i];
+        let articulated = &data.articulated[i];
+        let column = articulated.apply(screw);
+        let inverse_inertia = T::one() / (screw.dot(&column) + model.rotor_inertia[i]);
+        let torque = tau[i] - screw.dot(&data.force[i]);
         data.column[i] = ArticulatedColumn { force: column, inverse_inertia, torque };
-        if let Some(p) = joint.parent {
-            let beyond = data.articulated[i].without(&column, inverse_inertia);
+        if let Some(p) = body.parent {
+            let beyond = articulated.without(&column, inverse_inertia);
             let force = data.force[i]
-                + beyond.apply(&velocity_product(data, joint.kind, i))
+                + beyond.apply(&velocity_product(data, i))
                 + column * (torque * inverse_inertia);
-            let placement = data.placement_parent[i];
-            data.articulated[p].add(&beyond.seen_from(&placement));
-            data.force[p] += placement.act_force(&force);
+            data.articulated[p].add(&beyond);
+            data.force[p] += force;
         }
     }
     // Gravity as an upward acceleration of the base.
-    let base = Motion { linear: model.base.rotation.tr_mul(&-model.gravity), angular: Vector3::zeros() };
-    for (i, joint) in model.joints.iter().enumerate() {
-        let parent = joint.parent.map_or(base, |p| data.acceleration[p]);
-        let carried =
-            data.placement_parent[i].act_inverse_motion(&parent) + velocity_product(data, joint.kind, i);
+    let base = Motion { linear: -model.gravity, angular: Vector3::zeros() };
+    for (i, body) in model.bodies.iter().enumerate() {
+        let carried = body.parent.map_or(base, |p| data.acceleration[p]) + velocity_product(data, i);
         let column = &data.column[i];
         let ddq = column.inverse_inertia * (column.torque - carried.dot(&column.force));
         data.ddq[i] = ddq;
-        data.acceleration[i] = carried + joint.kind.motion(ddq);
+        data.acceleration[i] = carried + data.screw[i] * ddq;
     }
+}
+
+/// q̈ = M⁻¹ (τ − C q̇ − g + Σ Jᵀ f): [`aba`] with wrenches f acting on the robot at frames (N, Nm; world axes, at
+/// each frame's origin). Leaves τ + Σ Jᵀ f in [`Data::torque`].
+///
+/// # Panics
+/// As [`aba`].
+pub fn aba_external<T: Real>(
+    model: &Model<T>,
+    data: &mut Data<T>,
+    tau: &[T],
+    wrenches: &[(FrameId, Force<T>)],
+) {
+    data.torque.copy_from_slice(&tau[..model.n()]);
+    for (frame, wrench) in wrenches {
+        add_external(model, data, *frame, wrench);
+    }
+    // Out of `data` for as long as they are read.
+    let torque = std::mem::replace(&mut data.torque, DVector::zeros(0));
+    aba(model, data, torque.as_slice());
+    data.torque = torque;
+}
+
+/// Forward dynamics of joints that move together, which are no tree: by the mass matrix, factored.
+fn solve_mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
+    crba(model, data);
+    bias(model, data);
+    if !cholesky(data) {
+        data.ddq.fill(T::splat(f64::NAN));
+        return;
+    }
+    for ((ddq, &tau), &bias) in data.ddq.iter_mut().zip(tau).zip(&data.bias) {
+        *ddq = tau - bias;
+    }
+    data.mass_matrix_factor.solve(data.ddq.as_mut_slice());
 }
 
 /// v × S q̇: what the joint's own speed adds to its body's acceleration.
 #[inline]
-fn velocity_product(data: &Data, kind: JointKind, i: usize) -> Motion {
-    data.velocity[i].cross_motion(&kind.motion(data.dq[i]))
+fn velocity_product<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
+    screw_rate(data, i) * data.dq[i]
 }
 
-/// `x ×` as a matrix.
-fn skew(x: &Vector3<f64>) -> Matrix3<f64> {
-    x.cross_matrix()
-}
-
-impl ArticulatedInertia {
-    fn rigid(inertia: &Inertia) -> Self {
-        let c = skew(&inertia.com);
+impl<T: Real> ArticulatedInertia<T> {
+    #[inline]
+    fn rigid(inertia: &SpatialInertia<T>) -> Self {
         Self {
             linear: Matrix3::from_diagonal_element(inertia.mass),
-            coupling: c * inertia.mass,
-            angular: inertia.rotational - c * c * inertia.mass,
-        }
-    }
-
-    /// I S: the force that accelerating the joint by one takes.
-    #[inline]
-    fn column(&self, kind: JointKind) -> Force {
-        match kind {
-            JointKind::Prismatic => Force {
-                linear: self.linear.column(2).into_owned(),
-                angular: self.coupling.column(2).into_owned(),
-            },
-            JointKind::Revolute | JointKind::Continuous => Force {
-                linear: self.coupling.row(2).transpose(),
-                angular: self.angular.column(2).into_owned(),
-            },
+            coupling: skew(&inertia.first_moment),
+            angular: inertia.second_moment,
         }
     }
 
     /// I − U Uᵀ/D: what is left to carry once the joint gives way.
     #[inline]
-    fn without(&self, u: &Force, inverse_inertia: f64) -> Self {
+    fn without(&self, u: &Force<T>, inverse_inertia: T) -> Self {
         let scaled = *u * inverse_inertia;
         Self {
             linear: self.linear - u.linear * scaled.linear.transpose(),
@@ -95,23 +119,11 @@ impl ArticulatedInertia {
     }
 
     #[inline]
-    fn apply(&self, m: &Motion) -> Force {
+    fn apply(&self, m: &Motion<T>) -> Force<T> {
         Force {
             linear: self.linear * m.linear + self.coupling.tr_mul(&m.angular),
             angular: self.coupling * m.linear + self.angular * m.angular,
         }
-    }
-
-    /// The same inertia in the axes and at the origin of the frame in which `placement` is given.
-    #[inline]
-    fn seen_from(&self, placement: &Placement) -> Self {
-        let r = &placement.rotation;
-        let t = skew(&placement.translation);
-        let linear = r * self.linear * r.transpose();
-        let coupling = r * self.coupling * r.transpose();
-        let angular = r * self.angular * r.transpose();
-        let moved = coupling + t * linear;
-        Self { linear, coupling: moved, angular: angular - coupling * t + t * moved.transpose() }
     }
 
     #[inline]

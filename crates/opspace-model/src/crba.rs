@@ -1,35 +1,57 @@
 //! The mass matrix, by the composite-rigid-body algorithm.
 //!
 //! RBDA table 6.2; in Pinocchio `crba`.
+//!
+//! ```text
+//! I_i = sum of the inertias over the subtree of i          M_ij = S_jᵀ I_i S_i  where j carries i
+//! ```
 
 use crate::data::Data;
 use crate::model::Model;
+use crate::real::Real;
+use crate::spatial::SpatialInertia;
 
 /// M(q) with the rotors' inertias on its diagonal, into [`Data::mass_matrix`] (n × n, full, kg m²). Needs
-/// [`kinematics`](crate::kinematics()).
+/// [`forward_kinematics`](crate::forward_kinematics).
 ///
 /// Column i is the torque of every joint while joint i alone accelerates at 1 rad/s²: it moves only its
 /// subtree, as one rigid body, and only its ancestors feel it.
-pub fn crba(model: &Model, data: &mut Data) {
-    data.mass_matrix.fill(0.0);
-    for (composite, joint) in data.composite.iter_mut().zip(&model.joints) {
-        *composite = joint.inertia;
+pub fn crba<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    composites(model, data);
+    let mass_matrix = &mut data.mass_matrix;
+    mass_matrix.fill(T::zero());
+    for (i, body) in model.bodies.iter().enumerate() {
+        let force = data.composite[i].apply(&data.screw[i]);
+        mass_matrix[(body.joint, body.joint)] += data.screw[i].dot(&force);
+        for j in model.ancestry(body.parent) {
+            let entry = data.screw[j].dot(&force);
+            let carrier = model.bodies[j].joint;
+            mass_matrix[(body.joint, carrier)] += entry;
+            mass_matrix[(carrier, body.joint)] += entry;
+        }
     }
-    for i in (0..model.n()).rev() {
-        let joint = &model.joints[i];
-        if let Some(p) = joint.parent {
-            let carried = data.placement_parent[i].act_inertia(&data.composite[i]);
-            data.composite[p] = data.composite[p] + carried;
+    for (i, &rotor) in model.rotor_inertia.iter().enumerate() {
+        mass_matrix[(i, i)] += rotor;
+    }
+}
+
+/// The inertia of every body with all that it carries.
+pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    bodies(model, data);
+    for (i, body) in model.bodies.iter().enumerate().rev() {
+        if let Some(p) = body.parent {
+            let carried = data.composite[i];
+            data.composite[p] += carried;
         }
-        let mut force = data.composite[i].apply(&joint.kind.motion(1.0));
-        data.mass_matrix[(i, i)] = joint.kind.project(&force) + joint.rotor_inertia;
-        let mut j = i;
-        while let Some(p) = model.joints[j].parent {
-            force = data.placement_parent[j].act_force(&force);
-            j = p;
-            let entry = model.joints[j].kind.project(&force);
-            data.mass_matrix[(i, j)] = entry;
-            data.mass_matrix[(j, i)] = entry;
-        }
+    }
+}
+
+/// The inertia of every body on its own.
+#[inline]
+pub(crate) fn bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    for (i, body) in model.bodies.iter().enumerate() {
+        let placement = &data.placement[i];
+        let com = placement.act_point(&body.inertia.com) - data.origin;
+        data.composite[i] = SpatialInertia::new(&body.inertia, &placement.rotation, &com);
     }
 }

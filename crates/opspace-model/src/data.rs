@@ -1,94 +1,128 @@
 //! What the algorithms compute: allocated once, written every tick.
 
+use crate::cholesky::MassMatrixFactor;
 use crate::coriolis::CoriolisFactor;
+use crate::derivatives::Rates;
 use crate::model::Model;
-use crate::spatial::{Force, Inertia, Motion, Placement};
-use nalgebra::{DMatrix, DVector, Matrix3};
+use crate::real::Real;
+use crate::spatial::{Force, Motion, Placement, SpatialInertia};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
 
-/// Scratch and results of the algorithms for one model: n is the number of its joints, and index i is
-/// joint i and the body that it carries. Each field names the function that fills it.
+/// Scratch and results of the algorithms for one model: n is the number of its joints. Each field names the
+/// function that fills it.
+///
+/// What belongs to a body (`placement`, `screw`, `velocity`, ...: index i is body i) is in world axes, and what
+/// is spatial is about one common point, [`origin`](Self::origin). Nothing need then be transformed from body
+/// to body: velocities, forces and inertias of a tree just add up.
 #[derive(Clone, Debug)]
-pub struct Data {
-    /// Joint positions of the last [`kinematics`](crate::kinematics()), rad or m (n).
-    pub q: DVector<f64>,
+pub struct Data<T: Real = f64> {
+    /// Joint positions of the last [`forward_kinematics`](crate::forward_kinematics), rad or m (nq).
+    pub q: DVector<T>,
     /// Joint velocities of the last [`kinematics`](crate::kinematics()), rad/s or m/s (n).
-    pub dq: DVector<f64>,
-    /// Pose of each body in its parent body. By [`kinematics`](crate::kinematics()).
-    pub placement_parent: Vec<Placement>,
-    /// Pose of each body in the world. By [`kinematics`](crate::kinematics()).
-    pub placement_world: Vec<Placement>,
-    /// Velocity of each body, in its own frame. By [`kinematics`](crate::kinematics()).
-    pub velocity: Vec<Motion>,
-    /// Spatial acceleration of each body with q̈ = 0 and without gravity, in its own frame. By
-    /// [`kinematics`](crate::kinematics()).
-    pub bias_acceleration: Vec<Motion>,
+    pub dq: DVector<T>,
+    /// Where the base is: the point about which spatial quantities are taken, m in the world. By
+    /// [`forward_kinematics`](crate::forward_kinematics).
+    pub origin: Vector3<T>,
+    /// Pose of each body in the world. By [`forward_kinematics`](crate::forward_kinematics).
+    pub placement: Vec<Placement<T>>,
+    /// S: how each body moves per unit of its joint. By [`forward_kinematics`](crate::forward_kinematics).
+    pub screw: Vec<Motion<T>>,
+    /// Velocity of each body. By [`kinematics`](crate::kinematics()).
+    pub velocity: Vec<Motion<T>>,
+    /// Spatial acceleration of each body with q̈ = 0 and without gravity. By [`kinematics`](crate::kinematics()).
+    pub bias_acceleration: Vec<Motion<T>>,
     /// M(q), full and symmetric (n × n), kg m². By [`crba`](crate::crba()).
-    pub mass_matrix: DMatrix<f64>,
-    /// L of M = L Lᵀ, lower triangle (n × n). By [`update`](crate::update).
-    pub mass_matrix_factor: DMatrix<f64>,
+    pub mass_matrix: DMatrix<T>,
+    /// U of M = U Uᵀ. By [`cholesky`](crate::cholesky()).
+    pub mass_matrix_factor: MassMatrixFactor<T>,
+    /// M⁻¹(q) (n × n). By [`mass_matrix_inverse`](crate::mass_matrix_inverse).
+    pub mass_matrix_inverse: DMatrix<T>,
     /// C(q, q̇) of Christoffel's symbols (n × n), Nms/rad. By [`coriolis`](crate::coriolis()).
-    pub coriolis_matrix: DMatrix<f64>,
+    pub coriolis_matrix: DMatrix<T>,
     /// C(q, q̇) q̇ + g(q), Nm (n). By [`bias`](crate::bias).
-    pub bias: DVector<f64>,
+    pub bias: DVector<T>,
     /// g(q), Nm (n). By [`gravity`](crate::gravity).
-    pub gravity: DVector<f64>,
+    pub gravity: DVector<T>,
     /// Joint torques, Nm (n). By [`rnea`](crate::rnea()).
-    pub torque: DVector<f64>,
+    pub torque: DVector<T>,
     /// Joint accelerations, rad/s² (n). By [`aba`](crate::aba()).
-    pub ddq: DVector<f64>,
+    pub ddq: DVector<T>,
+    /// A (6 × n): linear and angular momentum about the centre of mass per unit of q̇. By
+    /// [`centroidal_map`](crate::centroidal_map).
+    pub centroidal_map: Matrix6xX<T>,
+    /// ∂τ/∂q of inverse dynamics (n × n), Nm/rad. By [`rnea_derivatives`](crate::rnea_derivatives).
+    pub torque_by_q: DMatrix<T>,
+    /// ∂τ/∂q̇ of inverse dynamics (n × n), Nms/rad. By [`rnea_derivatives`](crate::rnea_derivatives).
+    pub torque_by_dq: DMatrix<T>,
+    /// ∂q̈/∂q of forward dynamics (n × n), 1/s². By [`aba_derivatives`](crate::aba_derivatives).
+    pub ddq_by_q: DMatrix<T>,
+    /// ∂q̈/∂q̇ of forward dynamics (n × n), 1/s. By [`aba_derivatives`](crate::aba_derivatives).
+    pub ddq_by_dq: DMatrix<T>,
 
-    pub(crate) acceleration: Vec<Motion>,
-    pub(crate) force: Vec<Force>,
-    pub(crate) composite: Vec<Inertia>,
-    pub(crate) coriolis_factor: Vec<CoriolisFactor>,
-    pub(crate) articulated: Vec<ArticulatedInertia>,
-    pub(crate) column: Vec<ArticulatedColumn>,
+    pub(crate) acceleration: Vec<Motion<T>>,
+    pub(crate) force: Vec<Force<T>>,
+    pub(crate) composite: Vec<SpatialInertia<T>>,
+    pub(crate) coriolis_factor: Vec<CoriolisFactor<T>>,
+    pub(crate) rates: Vec<Rates<T>>,
+    pub(crate) articulated: Vec<ArticulatedInertia<T>>,
+    pub(crate) column: Vec<ArticulatedColumn<T>>,
 }
 
 /// The inertia of a subtree whose joints are free: a symmetric 6×6 in three blocks,
 /// `[f; n] = [linear, couplingᵀ; coupling, angular] [v; ω]`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ArticulatedInertia {
-    pub linear: Matrix3<f64>,
-    pub coupling: Matrix3<f64>,
-    pub angular: Matrix3<f64>,
+pub(crate) struct ArticulatedInertia<T> {
+    pub linear: Matrix3<T>,
+    pub coupling: Matrix3<T>,
+    pub angular: Matrix3<T>,
 }
 
 /// What the articulated-body algorithm keeps of a joint between its passes: U = I S, 1/D, u.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ArticulatedColumn {
-    pub force: Force,
-    pub inverse_inertia: f64,
-    pub torque: f64,
+pub(crate) struct ArticulatedColumn<T> {
+    pub force: Force<T>,
+    pub inverse_inertia: T,
+    pub torque: T,
 }
 
-impl Data {
+impl<T: Real> Data<T> {
     /// Room for every algorithm on `model`; all results zero until computed.
     #[must_use]
-    pub fn new(model: &Model) -> Self {
-        let n = model.n();
+    pub fn new(model: &Model<T>) -> Self {
+        let (n, bodies) = (model.n(), model.bodies().len());
         let zero = DVector::zeros(n);
+        let square = DMatrix::zeros(n, n);
         let block = Matrix3::zeros();
+        let column =
+            ArticulatedColumn { force: Force::zero(), inverse_inertia: T::zero(), torque: T::zero() };
         Self {
-            q: zero.clone(),
+            q: DVector::zeros(model.nq()),
             dq: zero.clone(),
-            placement_parent: vec![Placement::identity(); n],
-            placement_world: vec![Placement::identity(); n],
-            velocity: vec![Motion::zero(); n],
-            bias_acceleration: vec![Motion::zero(); n],
-            mass_matrix: DMatrix::zeros(n, n),
-            mass_matrix_factor: DMatrix::zeros(n, n),
-            coriolis_matrix: DMatrix::zeros(n, n),
+            origin: Vector3::zeros(),
+            placement: vec![Placement::identity(); bodies],
+            screw: vec![Motion::zero(); bodies],
+            velocity: vec![Motion::zero(); bodies],
+            bias_acceleration: vec![Motion::zero(); bodies],
+            mass_matrix: square.clone(),
+            mass_matrix_factor: MassMatrixFactor::new(model),
+            mass_matrix_inverse: square.clone(),
+            coriolis_matrix: square.clone(),
             bias: zero.clone(),
             gravity: zero.clone(),
             torque: zero.clone(),
             ddq: zero,
-            acceleration: vec![Motion::zero(); n],
-            force: vec![Force::zero(); n],
-            composite: vec![Inertia::zero(); n],
-            coriolis_factor: vec![CoriolisFactor::zero(); n],
-            articulated: vec![ArticulatedInertia { linear: block, coupling: block, angular: block }; n],
-            column: vec![ArticulatedColumn { force: Force::zero(), inverse_inertia: 0.0, torque: 0.0 }; n],
+            centroidal_map: Matrix6xX::zeros(n),
+            torque_by_q: square.clone(),
+            torque_by_dq: square.clone(),
+            ddq_by_q: square.clone(),
+            ddq_by_dq: square,
+            acceleration: vec![Motion::zero(); bodies],
+            force: vec![Force::zero(); bodies],
+            composite: vec![SpatialInertia::zero(); bodies],
+            coriolis_factor: vec![CoriolisFactor::zero(); bodies],
+            rates: vec![Rates::zero(); bodies],
+            articulated: vec![ArticulatedInertia { linear: block, coupling: block, angular: block }; bodies],
+            column: vec![column; bodies],
         }
     }
 }

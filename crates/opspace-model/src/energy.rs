@@ -1,40 +1,59 @@
 //! Energies and the centre of mass.
 //!
-//! In Pinocchio `computeKineticEnergy`, `computePotentialEnergy` and `centerOfMass`. All need
-//! [`kinematics`](crate::kinematics()).
+//! In Pinocchio `computeKineticEnergy`, `computePotentialEnergy` and `centerOfMass`.
 
 use crate::data::Data;
 use crate::model::Model;
+use crate::real::Real;
+use crate::spatial::{Motion, SpatialInertia};
 use nalgebra::Vector3;
 
-/// ½ q̇ᵀ M q̇, rotors included, J.
+/// ½ q̇ᵀ M q̇, rotors included, J. Needs [`kinematics`](crate::kinematics()).
 #[must_use]
-pub fn kinetic_energy(model: &Model, data: &Data) -> f64 {
-    let twice: f64 = (model.joints.iter().enumerate())
-        .map(|(i, joint)| {
-            let v = &data.velocity[i];
-            v.dot(&joint.inertia.apply(v)) + joint.rotor_inertia * data.dq[i] * data.dq[i]
-        })
-        .sum();
-    0.5 * twice
+pub fn kinetic_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
+    let mut twice = T::zero();
+    for (i, v) in data.velocity.iter().enumerate() {
+        twice += v.dot(&momentum(model, data, i, v));
+    }
+    for (&rotor, &dq) in model.rotor_inertia.iter().zip(&data.dq) {
+        twice += rotor * dq * dq;
+    }
+    twice * T::splat(0.5)
 }
 
-/// The work against gravity from the plane through the world's origin, J.
+/// The momentum of body i at `v`, about [`Data::origin`].
+#[inline]
+pub(crate) fn momentum<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    i: usize,
+    v: &Motion<T>,
+) -> crate::spatial::Force<T> {
+    let (inertia, placement) = (&model.bodies[i].inertia, &data.placement[i]);
+    let com = placement.act_point(&inertia.com) - data.origin;
+    SpatialInertia::new(inertia, &placement.rotation, &com).apply(v)
+}
+
+/// The work against gravity from the plane through the world's origin, J. Needs
+/// [`forward_kinematics`](crate::forward_kinematics).
 #[must_use]
-pub fn potential_energy(model: &Model, data: &Data) -> f64 {
+pub fn potential_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     -model.gravity.dot(&first_moment(model, data))
 }
 
-/// The centre of mass of all moving bodies in the world, m; `None` if they weigh nothing.
+/// The centre of mass of all moving bodies in the world, m; `None` if they weigh nothing. Needs
+/// [`forward_kinematics`](crate::forward_kinematics).
 #[must_use]
-pub fn center_of_mass(model: &Model, data: &Data) -> Option<Vector3<f64>> {
+pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vector3<T>> {
     let mass = model.total_mass();
-    (mass > 0.0).then(|| first_moment(model, data) / mass)
+    (mass != T::zero()).then(|| first_moment(model, data) / mass)
 }
 
 /// Σ m c, kg m.
-fn first_moment(model: &Model, data: &Data) -> Vector3<f64> {
-    (model.joints.iter().zip(&data.placement_world))
-        .map(|(joint, placement)| placement.act_point(&joint.inertia.com) * joint.inertia.mass)
-        .sum()
+fn first_moment<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
+    let mut sum = Vector3::zeros();
+    for (body, placement) in model.bodies.iter().zip(&data.placement) {
+        sum += placement.act_point(&body.inertia.com) * body.inertia.mass;
+    }
+    sum
 }

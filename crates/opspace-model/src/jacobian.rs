@@ -1,32 +1,217 @@
-//! The world-aligned Jacobian: how a frame moves when the joints do.
+//! Jacobians: how frames, points and the centre of mass move when the joints do, and their rates of change.
 //!
-//! In Pinocchio `getFrameJacobian` with `LOCAL_WORLD_ALIGNED`.
+//! All are 6 × n, or 3 × n where nothing turns, linear rows first, and need
+//! [`forward_kinematics`](crate::forward_kinematics); their rates need [`kinematics`](crate::kinematics()). In
+//! Pinocchio `getFrameJacobian` and `getFrameJacobianTimeVariation` with
+//!
+//! | here | Pinocchio's reference frame | velocity is that of |
+//! |---|---|---|
+//! | [`frame_jacobian`] | `LOCAL_WORLD_ALIGNED` | the frame's origin, in world axes |
+//! | [`local_jacobian`] | `LOCAL` | the frame's origin, in the frame's axes |
+//! | [`world_jacobian`] | `WORLD` | the body's point at the world's origin, in world axes |
+//!
+//! and `jacobianCenterOfMass` for [`com_jacobian`].
 
+use crate::crba::composites;
 use crate::data::Data;
-use crate::kinematics::frame_placement;
-use crate::model::{FrameId, JointKind, Model};
-use nalgebra::Matrix6xX;
+use crate::kinematics::{frame_placement, frame_velocity};
+use crate::model::{FrameId, Model};
+use crate::real::Real;
+use crate::spatial::{Force, Motion};
+use nalgebra::{Matrix3xX, Matrix6xX, Vector3};
 
-/// J (6 × n) with J q̇ = [`frame_velocity`](crate::frame_velocity): world axes, at the frame's origin,
-/// linear rows first. A revolute joint's column is `[z × (p − o); z]`, a prismatic one's `[z; 0]`, with z
-/// its axis and o its origin. Needs [`kinematics`](crate::kinematics()).
+/// J (6 × n) with J q̇ = [`frame_velocity`]: world axes, at the frame's origin. A revolute joint's column is
+/// `[z × (p − o); z]`, a prismatic one's `[z; 0]`, with z its axis and o its origin.
 ///
 /// # Panics
 /// If `jacobian` doesn't have n columns.
-pub fn frame_jacobian(model: &Model, data: &Data, frame: FrameId, jacobian: &mut Matrix6xX<f64>) {
+pub fn frame_jacobian<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    jacobian: &mut Matrix6xX<T>,
+) {
+    let point = frame_placement(model, data, frame).translation - data.origin;
+    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
+}
+
+/// The Jacobian of a point fixed in a frame, given in that frame (m), with the frame's rotation: world axes.
+///
+/// # Panics
+/// If `jacobian` doesn't have n columns.
+pub fn point_jacobian<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    point: &Vector3<T>,
+    jacobian: &mut Matrix6xX<T>,
+) {
+    let point = frame_placement(model, data, frame).act_point(point) - data.origin;
+    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
+}
+
+/// [`frame_jacobian`] in the frame's own axes.
+///
+/// # Panics
+/// If `jacobian` doesn't have n columns.
+pub fn local_jacobian<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    jacobian: &mut Matrix6xX<T>,
+) {
+    let place = frame_placement(model, data, frame);
+    let point = place.translation - data.origin;
+    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point).turned_back(&place.rotation));
+}
+
+/// The spatial Jacobian: world axes, of the body's point that is at the world's origin.
+///
+/// # Panics
+/// If `jacobian` doesn't have n columns.
+pub fn world_jacobian<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    jacobian: &mut Matrix6xX<T>,
+) {
+    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&-data.origin));
+}
+
+/// The motion of `frame` seen from `from`: the velocity of its origin relative to `from`, as a body that
+/// goes with `from` sees it, in the axes of `from`. J_rel = R_fromᵀ (J of `frame` − J of `from` at the same point).
+///
+/// # Panics
+/// If `jacobian` doesn't have n columns.
+pub fn relative_jacobian<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    from: FrameId,
+    frame: FrameId,
+    jacobian: &mut Matrix6xX<T>,
+) {
+    let axes = frame_placement(model, data, from).rotation;
+    let point = frame_placement(model, data, frame).translation - data.origin;
+    let column = |i: usize| data.screw[i].at(&point).turned_back(&axes);
+    sum_columns(model, frame, jacobian, column);
+    // What carries both moves neither against the other: its columns cancel to the bit.
+    for i in model.support(from) {
+        add(jacobian, model.bodies[i].joint, &-column(i));
+    }
+}
+
+/// J̇ of [`frame_jacobian`].
+///
+/// # Panics
+/// If `rate` doesn't have n columns.
+pub fn frame_jacobian_rate<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    rate: &mut Matrix6xX<T>,
+) {
+    let point = frame_placement(model, data, frame).translation - data.origin;
+    let velocity = frame_velocity(model, data, frame).linear;
+    sum_columns(model, frame, rate, |i| rate_at(data, i, &point, &velocity));
+}
+
+/// J̇ of [`local_jacobian`].
+///
+/// # Panics
+/// If `rate` doesn't have n columns.
+pub fn local_jacobian_rate<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    rate: &mut Matrix6xX<T>,
+) {
+    let place = frame_placement(model, data, frame);
+    let point = place.translation - data.origin;
+    let velocity = frame_velocity(model, data, frame);
+    sum_columns(model, frame, rate, |i| {
+        // The axes turn too: d/dt (Rᵀ x) = Rᵀ (ẋ − ω × x).
+        let column = data.screw[i].at(&point);
+        let turning = Motion {
+            linear: velocity.angular.cross(&column.linear),
+            angular: velocity.angular.cross(&column.angular),
+        };
+        (rate_at(data, i, &point, &velocity.linear) - turning).turned_back(&place.rotation)
+    });
+}
+
+/// J̇ of [`world_jacobian`].
+///
+/// # Panics
+/// If `rate` doesn't have n columns.
+pub fn world_jacobian_rate<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    frame: FrameId,
+    rate: &mut Matrix6xX<T>,
+) {
+    sum_columns(model, frame, rate, |i| screw_rate(data, i).at(&-data.origin));
+}
+
+/// J (3 × n) with J q̇ the velocity of the centre of mass of all moving bodies, world axes. Zero if they weigh
+/// nothing.
+///
+/// # Panics
+/// If `jacobian` doesn't have n columns.
+pub fn com_jacobian<T: Real>(model: &Model<T>, data: &mut Data<T>, jacobian: &mut Matrix3xX<T>) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
-    let p = frame_placement(model, data, frame).translation;
-    jacobian.fill(0.0);
+    jacobian.fill(T::zero());
+    composites(model, data);
+    let mass = model.total_mass();
+    let per_mass = (T::one() / mass).select(mass.simd_gt(T::zero()), T::zero());
+    for (i, body) in model.bodies.iter().enumerate() {
+        let momentum = data.composite[i].apply(&data.screw[i]).linear;
+        let mut column = jacobian.column_mut(body.joint);
+        column += momentum * per_mass;
+    }
+}
+
+/// Adds Jᵀ f of a wrench at a frame (world axes, at its origin) to [`Data::torque`].
+pub(crate) fn add_external<T: Real>(model: &Model<T>, data: &mut Data<T>, frame: FrameId, wrench: &Force<T>) {
+    let point = frame_placement(model, data, frame).translation - data.origin;
     for i in model.support(frame) {
-        let body = &data.placement_world[i];
-        let z = body.rotation.column(2).into_owned();
-        let mut column = jacobian.column_mut(i);
-        match model.joints[i].kind {
-            JointKind::Prismatic => column.fixed_rows_mut::<3>(0).copy_from(&z),
-            JointKind::Revolute | JointKind::Continuous => {
-                column.fixed_rows_mut::<3>(0).copy_from(&z.cross(&(p - body.translation)));
-                column.fixed_rows_mut::<3>(3).copy_from(&z);
-            }
-        }
+        data.torque[model.bodies[i].joint] += data.screw[i].at(&point).dot(wrench);
+    }
+}
+
+/// Ṡ = v × S.
+#[inline]
+pub(crate) fn screw_rate<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
+    data.velocity[i].cross_motion(&data.screw[i])
+}
+
+/// The rate of a screw at a point that moves.
+#[inline]
+fn rate_at<T: Real>(data: &Data<T>, i: usize, point: &Vector3<T>, velocity: &Vector3<T>) -> Motion<T> {
+    let mut rate = screw_rate(data, i).at(point);
+    rate.linear += data.screw[i].angular.cross(velocity);
+    rate
+}
+
+/// The columns of all joints that carry `frame`; zero for the others.
+#[inline]
+fn sum_columns<T: Real>(
+    model: &Model<T>,
+    frame: FrameId,
+    jacobian: &mut Matrix6xX<T>,
+    column: impl Fn(usize) -> Motion<T>,
+) {
+    assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
+    jacobian.fill(T::zero());
+    for i in model.support(frame) {
+        add(jacobian, model.bodies[i].joint, &column(i));
+    }
+}
+
+#[inline]
+pub(crate) fn add<T: Real>(jacobian: &mut Matrix6xX<T>, joint: usize, column: &Motion<T>) {
+    let mut sum = jacobian.column_mut(joint);
+    for r in 0..3 {
+        sum[r] += column.linear[r];
+        sum[r + 3] += column.angular[r];
     }
 }

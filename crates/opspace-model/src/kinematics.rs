@@ -1,128 +1,151 @@
 //! Where every body is and how it moves: forward kinematics to second order.
 //!
-//! RBDA §4.1 and the forward pass of table 5.1; in Pinocchio `forwardKinematics` and
-//! `getFrameVelocity`, `getFrameClassicalAcceleration` with q̈ = 0.
+//! RBDA §4.1 and the forward pass of table 5.1, in world axes; in Pinocchio `forwardKinematics`,
+//! `getFrameVelocity`, and `getFrameClassicalAcceleration` with q̈ = 0.
+//!
+//! ```text
+//! v_i = v_parent + S_i q̇          a_i = a_parent + v_i × S_i q̇
+//! ```
 
 use crate::data::Data;
-use crate::model::{FrameId, JointKind, Model};
+use crate::model::{Body, FrameId, JointKind, Model};
+use crate::real::Real;
 use crate::spatial::{Motion, Placement};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 impl JointKind {
-    /// The pose of the body at `q` in its frame at q = 0, after `origin`.
+    /// The pose of the body at `x` in the frame in which `origin` is its pose at zero.
     #[inline]
-    pub(crate) fn placement(self, origin: &Placement, q: f64) -> Placement {
+    pub(crate) fn placement<T: Real>(self, origin: &Placement<T>, x: T) -> Placement<T> {
+        let rotation = &origin.rotation;
         match self {
-            Self::Prismatic => Placement {
-                rotation: origin.rotation,
-                translation: origin.translation + origin.rotation.column(2) * q,
-            },
-            Self::Revolute | Self::Continuous => {
-                let (s, c) = q.sin_cos();
-                let (x, y) = (origin.rotation.column(0), origin.rotation.column(1));
-                let rotation = Matrix3::from_columns(&[
-                    x * c + y * s,
-                    y * c - x * s,
-                    origin.rotation.column(2).into_owned(),
-                ]);
-                Placement { rotation, translation: origin.translation }
+            Self::Prismatic => {
+                Placement { rotation: *rotation, translation: origin.translation + rotation.column(2) * x }
             }
-        }
-    }
-
-    /// S x: the motion of the body when the joint moves at `x`.
-    #[inline]
-    pub(crate) fn motion(self, x: f64) -> Motion {
-        let along = Vector3::new(0.0, 0.0, x);
-        match self {
-            Self::Prismatic => Motion { linear: along, angular: Vector3::zeros() },
-            Self::Revolute | Self::Continuous => Motion { linear: Vector3::zeros(), angular: along },
-        }
-    }
-
-    /// Sᵀ f: what the joint feels of a force on its body.
-    #[inline]
-    pub(crate) fn project(self, f: &crate::spatial::Force) -> f64 {
-        match self {
-            Self::Prismatic => f.linear.z,
-            Self::Revolute | Self::Continuous => f.angular.z,
+            Self::Revolute | Self::Continuous => {
+                let (s, c) = x.simd_sin_cos();
+                let (x, y) = (rotation.column(0), rotation.column(1));
+                let columns = [x * c + y * s, y * c - x * s, rotation.column(2).into_owned()];
+                Placement { rotation: Matrix3::from_columns(&columns), translation: origin.translation }
+            }
+            // Placed by the quaternion of the whole base.
+            Self::Floating => *origin,
         }
     }
 }
 
-/// Places every body at `q` (n; rad, m) and finds its velocity and velocity-product acceleration at
-/// `dq` (n; rad/s, m/s).
+/// Places every body at `q` (nq; rad, m): [`Data::placement`], and its screw S: [`Data::screw`].
 ///
-/// ```text
-/// v_i = X v_parent + S q̇_i          a_i = X a_parent + v_i × S q̇_i
-/// ```
+/// A revolute joint's screw is `[o × z; z]`, a prismatic one's `[z; 0]`, with z its axis and o its place
+/// from [`Data::origin`].
 ///
 /// # Panics
-/// If `q` or `dq` is shorter than the number of joints.
-pub fn kinematics(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) {
-    let n = model.n();
-    let (q, dq) = (&q[..n], &dq[..n]);
+/// If `q` is shorter than nq.
+pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
+    let q = &q[..model.nq()];
     data.q.copy_from_slice(q);
-    data.dq.copy_from_slice(dq);
-    for (i, joint) in model.joints.iter().enumerate() {
-        let placement = joint.kind.placement(&joint.origin, q[i]);
-        let own = joint.kind.motion(dq[i]);
-        let (world, velocity, bias) = match joint.parent {
-            None => (model.base * placement, own, Motion::zero()),
+    data.origin = model.base.translation;
+    if model.floating {
+        place_base(model, data, q);
+    }
+    // A quaternion has one number more than there are coordinates.
+    let q = &q[usize::from(model.floating)..];
+    for (i, body) in model.bodies.iter().enumerate().skip(model.first_jointed_body()) {
+        let parent = body.parent.map_or(&model.base, |p| &data.placement[p]);
+        let place = body.kind.placement(&(*parent * body.origin), body.ratio * q[body.joint] + body.offset);
+        data.screw[i] = screw(body, &place, &data.origin);
+        data.placement[i] = place;
+    }
+}
+
+#[inline]
+fn screw<T: Real>(body: &Body<T>, place: &Placement<T>, origin: &Vector3<T>) -> Motion<T> {
+    let along = place.rotation.column(2) * body.ratio;
+    match body.kind {
+        JointKind::Prismatic => Motion { linear: along, angular: Vector3::zeros() },
+        _ => Motion { linear: (place.translation - origin).cross(&along), angular: along },
+    }
+}
+
+/// The six bodies of a floating base: all at its pose, with its axes for screws.
+fn place_base<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
+    let place =
+        model.base * Placement { rotation: rotation(&q[3..7]), translation: Vector3::new(q[0], q[1], q[2]) };
+    data.origin = place.translation;
+    for (i, placement) in data.placement[..6].iter_mut().enumerate() {
+        *placement = place;
+        let axis = place.rotation.column(i % 3).into_owned();
+        data.screw[i] = if i < 3 {
+            Motion { linear: axis, angular: Vector3::zeros() }
+        } else {
+            Motion { linear: Vector3::zeros(), angular: axis }
+        };
+    }
+}
+
+/// Of a unit quaternion x, y, z, w; one that is off by rounding is brought to length one first.
+fn rotation<T: Real>(q: &[T]) -> Matrix3<T> {
+    let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).simd_sqrt();
+    let unit = Quaternion::new(q[3], q[0], q[1], q[2]) / length;
+    UnitQuaternion::new_unchecked(unit).to_rotation_matrix().into_inner()
+}
+
+/// [`forward_kinematics`] at `q` (nq; rad, m), and the velocity and velocity-product acceleration of every body
+/// at `dq` (n; rad/s, m/s): [`Data::velocity`], [`Data::bias_acceleration`].
+///
+/// # Panics
+/// If `q` is shorter than nq or `dq` than n.
+pub fn kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[T]) {
+    forward_kinematics(model, data, q);
+    data.dq.copy_from_slice(&dq[..model.n()]);
+    let first = model.first_jointed_body();
+    if model.floating {
+        // One joint of six coordinates: all its screws move with it, and v × S q̇ = v × v = 0.
+        let velocity = data.screw[..6].iter().zip(dq).fold(Motion::zero(), |v, (s, &x)| v + *s * x);
+        data.velocity[..6].fill(velocity);
+        data.bias_acceleration[..6].fill(Motion::zero());
+    }
+    for (i, body) in model.bodies.iter().enumerate().skip(first) {
+        let own = data.screw[i] * dq[body.joint];
+        let (velocity, bias) = match body.parent {
+            None => (own, Motion::zero()),
             Some(p) => {
-                let velocity = placement.act_inverse_motion(&data.velocity[p]) + own;
-                let carried = placement.act_inverse_motion(&data.bias_acceleration[p]);
-                (data.placement_world[p] * placement, velocity, carried + velocity.cross_motion(&own))
+                let carried = &data.velocity[p];
+                (*carried + own, data.bias_acceleration[p] + carried.cross_motion(&own))
             }
         };
-        data.placement_parent[i] = placement;
-        data.placement_world[i] = world;
         data.velocity[i] = velocity;
         data.bias_acceleration[i] = bias;
     }
 }
 
-/// The pose of a frame in the world. Needs [`kinematics`].
+/// The pose of a frame in the world. Needs [`forward_kinematics`].
 #[must_use]
-pub fn frame_placement(model: &Model, data: &Data, frame: FrameId) -> Placement {
+pub fn frame_placement<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Placement<T> {
     let frame = &model.frames[frame.0];
-    match frame.joint {
-        None => model.base * frame.placement,
-        Some(j) => data.placement_world[j] * frame.placement,
-    }
+    frame.body.map_or(model.base, |b| data.placement[b]) * frame.placement
 }
 
 /// The velocity of a frame's origin (m/s) and of the frame (rad/s), in world axes. Needs [`kinematics`].
 #[must_use]
-pub fn frame_velocity(model: &Model, data: &Data, frame: FrameId) -> Motion {
-    let frame = &model.frames[frame.0];
-    let Some(j) = frame.joint else {
-        return Motion::zero();
-    };
-    to_world(data, j, &velocity_at(&data.velocity[j], &frame.placement.translation))
+pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
+    match model.frames[frame.0].body {
+        None => Motion::zero(),
+        Some(b) => data.velocity[b].at(&(frame_placement(model, data, frame).translation - data.origin)),
+    }
 }
 
 /// J̇ q̇: the classical acceleration of a frame with q̈ = 0, in world axes (m/s², rad/s²): its linear part
 /// is the rate of change of the linear part of [`frame_velocity`]. Needs [`kinematics`].
 #[must_use]
-pub fn frame_bias_acceleration(model: &Model, data: &Data, frame: FrameId) -> Motion {
-    let frame = &model.frames[frame.0];
-    let Some(j) = frame.joint else {
+pub fn frame_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
+    let Some(b) = model.frames[frame.0].body else {
         return Motion::zero();
     };
-    let velocity = velocity_at(&data.velocity[j], &frame.placement.translation);
-    let mut a = velocity_at(&data.bias_acceleration[j], &frame.placement.translation);
+    let point = frame_placement(model, data, frame).translation - data.origin;
+    let velocity = data.velocity[b].at(&point);
+    let mut a = data.bias_acceleration[b].at(&point);
     // From the spatial acceleration to that of the point (RBDA eq. 2.48).
     a.linear += velocity.angular.cross(&velocity.linear);
-    to_world(data, j, &a)
-}
-
-/// A body's motion at another of its points, in the body's axes.
-fn velocity_at(m: &Motion, point: &Vector3<f64>) -> Motion {
-    Motion { linear: m.linear + m.angular.cross(point), angular: m.angular }
-}
-
-fn to_world(data: &Data, body: usize, m: &Motion) -> Motion {
-    let rotation = &data.placement_world[body].rotation;
-    Motion { linear: rotation * m.linear, angular: rotation * m.angular }
+    a
 }

@@ -10,33 +10,51 @@
 #![forbid(unsafe_code)]
 
 pub mod aba;
+pub mod batch;
+pub mod centroidal;
 pub mod cholesky;
+pub mod configuration;
 pub mod coriolis;
 pub mod crba;
 pub mod data;
+pub mod derivatives;
 pub mod energy;
 pub mod jacobian;
 pub mod kinematics;
 pub mod model;
 pub mod operational_space;
+pub mod real;
+pub mod regressor;
 pub mod rnea;
 pub mod samples;
 pub mod spatial;
 pub mod urdf;
 
-pub use aba::aba;
-pub use cholesky::{cholesky, cholesky_solve};
+pub use aba::{aba, aba_external};
+pub use centroidal::{centroidal_map, centroidal_momentum};
+pub use cholesky::{MassMatrixFactor, cholesky, mass_matrix_inverse};
+pub use configuration::{difference, integrate, neutral};
 pub use coriolis::coriolis;
 pub use crba::crba;
 pub use data::Data;
+pub use derivatives::{aba_derivatives, rnea_derivatives};
 pub use energy::{center_of_mass, kinetic_energy, potential_energy};
-pub use jacobian::frame_jacobian;
-pub use kinematics::{frame_bias_acceleration, frame_placement, frame_velocity, kinematics};
-pub use model::{Frame, FrameId, Joint, JointKind, Limits, Model, UnknownFrame, UnknownJoint};
+pub use jacobian::{
+    com_jacobian, frame_jacobian, frame_jacobian_rate, local_jacobian, local_jacobian_rate, point_jacobian,
+    relative_jacobian, world_jacobian, world_jacobian_rate,
+};
+pub use kinematics::{
+    forward_kinematics, frame_bias_acceleration, frame_placement, frame_velocity, kinematics,
+};
+pub use model::{
+    Body, Follows, Frame, FrameId, Joint, JointKind, Limits, Model, ReduceError, UnknownFrame, UnknownJoint,
+};
 pub use operational_space::OperationalSpace;
-pub use rnea::{bias, gravity, rnea};
-pub use spatial::{Force, Inertia, Motion, Placement};
-pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
+pub use real::Real;
+pub use regressor::{inertial_parameters, torque_regressor};
+pub use rnea::{bias, gravity, rnea, rnea_external};
+pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia};
+pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
 
 /// Everything a controller needs of a state, once a tick: kinematics, M and its factor, bias and gravity.
 ///
@@ -44,12 +62,12 @@ pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 /// not finite): the factor is then unusable.
 ///
 /// # Panics
-/// If `q` or `dq` is shorter than the number of joints.
+/// If `q` is shorter than nq or `dq` than n.
 #[must_use]
-pub fn update(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) -> bool {
+pub fn update<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[T]) -> bool {
     kinematics(model, data, q, dq);
     crba(model, data);
     bias(model, data);
     gravity(model, data);
-    cholesky(&data.mass_matrix, &mut data.mass_matrix_factor)
+    cholesky(data)
 }

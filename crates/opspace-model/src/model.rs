@@ -1,10 +1,24 @@
-//! The robot: immutable once built, shared freely between threads.
+//! The robot: its bodies, the coordinates that move them, and the frames on them.
+//!
+//! ```
+//! use nalgebra::{Matrix3, Vector3};
+//! use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement};
+//!
+//! let rod = Inertia { mass: 1.0, com: Vector3::new(0.0, 0.5, 0.0), rotational: Matrix3::identity() * 0.01 };
+//! let joint = Joint { name: "hinge".into(), kind: JointKind::Revolute, limits: Limits::NONE };
+//! let mut model = Model::new("pendulum");
+//! let body = model.add_body(None, Placement::identity(), joint, rod);
+//! let tip = model.add_frame("tip", Some(body), Placement::from_rpy([0.0; 3], [0.0, 1.0, 0.0]));
+//! model.set_payload(tip, Inertia { mass: 0.2, ..Inertia::zero() });
+//! assert_eq!(model.total_mass(), 1.2);
+//! ```
 
+use crate::real::Real;
 use crate::spatial::{Inertia, Placement};
 use nalgebra::{Matrix3, Unit, Vector3};
 use thiserror::Error;
 
-/// How a joint moves. Its axis is the z axis of its body's frame: see [`Model`].
+/// How a body moves against the one that carries it. Its axis is the z axis of its own frame: see [`Model`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointKind {
     /// Turns about z between its limits; one coordinate, rad.
@@ -13,6 +27,8 @@ pub enum JointKind {
     Continuous,
     /// Slides along z between its limits; one coordinate, m.
     Prismatic,
+    /// One of the six by which a floating base moves: see [`Model::floating`].
+    Floating,
 }
 
 /// What a joint may do. Infinite where there is no limit.
@@ -28,53 +44,94 @@ pub struct Limits {
     pub effort: f64,
 }
 
-/// A moving joint and the body it carries, with all that is fixed to that body.
-#[derive(Clone, Debug)]
+impl Limits {
+    /// No limit at all.
+    pub const NONE: Self = Self {
+        lower: f64::NEG_INFINITY,
+        upper: f64::INFINITY,
+        velocity: f64::INFINITY,
+        effort: f64::INFINITY,
+    };
+}
+
+/// A coordinate of the robot: one entry of q̇, q̈ and τ.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
     /// As in the URDF.
     pub name: String,
     /// How it moves.
     pub kind: JointKind,
-    /// The joint whose body carries this one; `None` on the base. Always a lower index than its own.
-    pub parent: Option<usize>,
-    /// Pose of this body's frame in the parent body's frame (in the base frame without parent) at q = 0.
-    pub origin: Placement,
-    /// Inertia of the body and of everything fixed to it, in the body's frame.
-    pub inertia: Inertia,
     /// What it may do.
     pub limits: Limits,
-    /// Rotor inertia reflected to the joint (gear ratio squared times the rotor's), kg m² or kg.
-    pub rotor_inertia: f64,
+}
+
+/// What moves as one: a link with a joint of its own, and all that is fixed to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Body<T = f64> {
+    /// The body that carries this one; `None` on the base. Always a lower index than its own.
+    pub parent: Option<usize>,
+    /// Pose of this body's frame in the parent body's frame (in the base frame without parent) at zero.
+    pub origin: Placement<T>,
+    /// How it moves.
+    pub kind: JointKind,
+    /// The coordinate that moves it: body i is moved by joint i, unless joints have been folded.
+    pub joint: usize,
+    /// It moves to `ratio` q + `offset`: 1 but for one that follows another's joint.
+    pub ratio: T,
+    /// rad or m.
+    pub offset: T,
+    /// Inertia of the body and of everything fixed to it, payloads included, in the body's frame.
+    pub inertia: Inertia<T>,
 }
 
 /// A named place on the robot: every link of the URDF is one.
-#[derive(Clone, Debug)]
-pub struct Frame {
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame<T = f64> {
     /// As in the URDF.
     pub name: String,
-    /// The joint whose body carries it; `None` if it is fixed to the base.
-    pub joint: Option<usize>,
+    /// The body that carries it; `None` if it is fixed to the base.
+    pub body: Option<usize>,
     /// Its pose in that body's frame (in the base frame).
-    pub placement: Placement,
+    pub placement: Placement<T>,
+}
+
+/// What a joint that follows another does: it moves to `ratio` q + `offset` (rad, m).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Follows {
+    /// The joint whose q that is.
+    pub leader: usize,
+    /// Of the joint's motion to its leader's.
+    pub ratio: f64,
+    /// rad or m.
+    pub offset: f64,
 }
 
 /// Which [`Frame`] of a model: made by [`Model::frame`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct FrameId(pub(crate) usize);
 
-/// A tree of joints from a fixed base, and the frames on it.
+/// A tree of bodies on a fixed or floating base, and the frames on it.
 ///
-/// Bodies are numbered like the joints that carry them: parents before children, depth first, the
-/// children of a link in the order of their joints' names (Pinocchio's order). Links joined by fixed
-/// joints are one body; they remain as frames. Body frames are turned against the URDF's so that
-/// every joint moves about or along its z axis: one code path, and the short one.
+/// Bodies are numbered parents before children, depth first, the children of a link in the order of their
+/// joints' names (Pinocchio's order). Links joined by fixed joints are one body; they remain as frames.
+/// Body frames are turned against the URDF's so that every joint moves about or along its z axis: one code
+/// path, and the short one.
+///
+/// Inertias, payloads and frames may be changed between two evaluations, without allocation but for new
+/// frames; the number of bodies and joints stays.
 #[derive(Clone, Debug)]
-pub struct Model {
+pub struct Model<T = f64> {
     pub(crate) name: String,
     pub(crate) joints: Vec<Joint>,
-    pub(crate) frames: Vec<Frame>,
-    pub(crate) gravity: Vector3<f64>,
-    pub(crate) base: Placement,
+    pub(crate) bodies: Vec<Body<T>>,
+    pub(crate) frames: Vec<Frame<T>>,
+    pub(crate) rotor_inertia: Vec<T>,
+    pub(crate) gravity: Vector3<T>,
+    pub(crate) base: Placement<T>,
+    pub(crate) floating: bool,
+    /// Each body's inertia without payloads, and each frame's payload in that frame.
+    own: Vec<Inertia>,
+    payloads: Vec<Inertia>,
 }
 
 /// A frame that the model doesn't have.
@@ -97,20 +154,183 @@ pub struct UnknownJoint {
     pub known: Vec<String>,
 }
 
+/// A joint that can't be locked or folded.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum ReduceError {
+    /// There are not so many.
+    #[error("there is no joint {joint}: there are {count}, numbered from 0")]
+    NoSuchJoint {
+        /// The index asked for.
+        joint: usize,
+        /// How many joints there are.
+        count: usize,
+    },
+    /// Twice the same.
+    #[error("joint '{joint}' is given twice; leave one")]
+    Repeated {
+        /// The joint.
+        joint: String,
+    },
+    /// A floating base is no joint that could be locked or follow another.
+    #[error("'{joint}' is part of the floating base; load the URDF with a fixed base instead")]
+    Base {
+        /// The coordinate.
+        joint: String,
+    },
+    /// Neither a place nor a ratio.
+    #[error("joint '{joint}': {value} is not finite")]
+    NotFinite {
+        /// The joint.
+        joint: String,
+        /// As given.
+        value: f64,
+    },
+    /// Joints that follow each other.
+    #[error("joint '{joint}' follows itself")]
+    FollowsItself {
+        /// One of them.
+        joint: String,
+    },
+}
+
+/// The coordinates of a floating base, in their order.
+const BASE_JOINTS: [&str; 6] =
+    ["base.linear.x", "base.linear.y", "base.linear.z", "base.angular.x", "base.angular.y", "base.angular.z"];
+
+/// Building and changing.
 impl Model {
-    /// A model from its parts, under standard gravity with its base at the world's origin.
-    ///
-    /// # Panics
-    /// If a joint's parent doesn't come before it, or a frame's joint doesn't exist: the loader
-    /// guarantees both.
+    /// A robot without bodies yet, its base fixed at the world's origin, under standard gravity.
     #[must_use]
-    pub fn new(name: String, joints: Vec<Joint>, frames: Vec<Frame>) -> Self {
-        assert!(joints.iter().enumerate().all(|(i, j)| j.parent.is_none_or(|p| p < i)));
-        assert!(frames.iter().all(|f| f.joint.is_none_or(|j| j < joints.len())));
-        Self { name, joints, frames, gravity: Vector3::new(0.0, 0.0, -9.81), base: Placement::identity() }
+    pub fn new(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            joints: Vec::new(),
+            bodies: Vec::new(),
+            frames: Vec::new(),
+            rotor_inertia: Vec::new(),
+            gravity: Vector3::new(0.0, 0.0, -9.81),
+            base: Placement::identity(),
+            floating: false,
+            own: Vec::new(),
+            payloads: Vec::new(),
+        }
     }
 
-    /// The same robot elsewhere: pose of the base frame in the world.
+    /// A robot whose root is free to move in space: a body of that inertia, and none on it yet.
+    ///
+    /// Six coordinates come first in q̇: the root's linear and angular velocity, in its own axes. In q they are
+    /// seven: its position in the world (m) and the unit quaternion x, y, z, w of its rotation. In the tree they
+    /// are six bodies in a row at one place, of which the last, number 5, carries the inertia.
+    #[must_use]
+    pub fn floating(name: &str, root: Inertia) -> Self {
+        let mut model = Self::new(name);
+        model.floating = true;
+        for (i, coordinate) in BASE_JOINTS.into_iter().enumerate() {
+            let joint =
+                Joint { name: coordinate.to_owned(), kind: JointKind::Floating, limits: Limits::NONE };
+            let inertia = if i == 5 { root } else { Inertia::zero() };
+            model.push(i.checked_sub(1), Placement::identity(), joint, inertia);
+        }
+        model
+    }
+
+    /// Adds a body that moves by a joint of its own, about or along z of its frame, whose pose at zero in the frame of
+    /// `parent` (of the base) is `origin`. Returns its number.
+    ///
+    /// # Panics
+    /// If there is no such parent, or the joint is of kind [`Floating`](JointKind::Floating).
+    pub fn add_body(
+        &mut self,
+        parent: Option<usize>,
+        origin: Placement,
+        joint: Joint,
+        inertia: Inertia,
+    ) -> usize {
+        assert!(joint.kind != JointKind::Floating, "only Model::floating makes a floating base");
+        self.push(self.on_root(parent), origin, joint, inertia)
+    }
+
+    /// What has no parent stands on the root, floating or not.
+    fn on_root(&self, parent: Option<usize>) -> Option<usize> {
+        let parent = parent.or(self.floating.then_some(5));
+        assert!(parent.is_none_or(|p| p < self.bodies.len()), "a parent comes before its children");
+        parent
+    }
+
+    fn push(&mut self, parent: Option<usize>, origin: Placement, joint: Joint, inertia: Inertia) -> usize {
+        let (kind, number) = (joint.kind, self.joints.len());
+        self.joints.push(joint);
+        self.rotor_inertia.push(0.0);
+        self.bodies.push(Body { parent, origin, kind, joint: number, ratio: 1.0, offset: 0.0, inertia });
+        self.own.push(inertia);
+        self.bodies.len() - 1
+    }
+
+    /// Adds a frame at `placement` in the frame of `body` (of the base).
+    ///
+    /// # Panics
+    /// If there is no such body.
+    pub fn add_frame(&mut self, name: &str, body: Option<usize>, placement: Placement) -> FrameId {
+        let body = self.on_root(body);
+        self.frames.push(Frame { name: name.to_owned(), body, placement });
+        self.payloads.push(Inertia::zero());
+        FrameId(self.frames.len() - 1)
+    }
+
+    /// Adds a frame at a fixed offset from another: the tip of a tool, a point of contact.
+    pub fn add_frame_on(&mut self, name: &str, on: FrameId, offset: Placement) -> FrameId {
+        let &Frame { body, placement, .. } = &self.frames[on.0];
+        self.add_frame(name, body, placement * offset)
+    }
+
+    /// Moves a frame to another offset from `on`.
+    pub fn move_frame(&mut self, frame: FrameId, on: FrameId, offset: Placement) {
+        let &Frame { body, placement, .. } = &self.frames[on.0];
+        self.frames[frame.0].placement = placement * offset;
+        let before = std::mem::replace(&mut self.frames[frame.0].body, body);
+        self.sum_up(before);
+        self.sum_up(body);
+    }
+
+    /// What hangs on a frame, in its axes: a tool, a load. It replaces what hung there before; zero takes it off.
+    pub fn set_payload(&mut self, frame: FrameId, payload: Inertia) {
+        self.payloads[frame.0] = payload;
+        self.sum_up(self.frames[frame.0].body);
+    }
+
+    /// Another inertia for a body and all that is fixed to it, payloads apart, in its frame.
+    ///
+    /// # Panics
+    /// If there is no such body.
+    pub fn set_inertia(&mut self, body: usize, inertia: Inertia) {
+        self.own[body] = inertia;
+        self.sum_up(Some(body));
+    }
+
+    /// A body's inertia from its own and its frames' payloads. From the beginning, so that what is taken
+    /// off leaves no rounding.
+    fn sum_up(&mut self, body: Option<usize>) {
+        let Some(body) = body else { return };
+        self.bodies[body].inertia = self.own[body];
+        for (frame, payload) in self.frames.iter().zip(&self.payloads) {
+            if frame.body == Some(body) && *payload != Inertia::zero() {
+                let carried = frame.placement.act_inertia(payload);
+                self.bodies[body].inertia = self.bodies[body].inertia + carried;
+            }
+        }
+    }
+
+    /// What a joint may do from now on.
+    ///
+    /// # Panics
+    /// If there is no such joint.
+    pub fn set_limits(&mut self, joint: usize, limits: Limits) {
+        self.joints[joint].limits = limits;
+    }
+
+    /// The same robot elsewhere: pose of the base frame in the world. What q says of a floating base is
+    /// relative to it.
     #[must_use]
     pub fn with_base(mut self, base: Placement) -> Self {
         self.base = base;
@@ -130,64 +350,236 @@ impl Model {
     /// If there is not one for each joint.
     #[must_use]
     pub fn with_rotor_inertia(mut self, inertia: &[f64]) -> Self {
-        assert_eq!(inertia.len(), self.joints.len(), "one rotor inertia a joint");
-        for (joint, &value) in self.joints.iter_mut().zip(inertia) {
-            joint.rotor_inertia = value;
-        }
+        self.rotor_inertia.copy_from_slice(inertia);
         self
     }
 
-    /// The same robot with every mass and rotational inertia multiplied by `factor` (rotors too).
+    /// The same robot with every mass and rotational inertia multiplied by `factor` (rotors and payloads too).
     #[must_use]
     pub fn with_scaled_inertia(mut self, factor: f64) -> Self {
-        for joint in &mut self.joints {
-            joint.inertia.mass *= factor;
-            joint.inertia.rotational *= factor;
-            joint.rotor_inertia *= factor;
+        let inertias = self.own.iter_mut().chain(&mut self.payloads);
+        for inertia in inertias.chain(self.bodies.iter_mut().map(|b| &mut b.inertia)) {
+            inertia.mass *= factor;
+            inertia.rotational *= factor;
         }
+        self.rotor_inertia.iter_mut().for_each(|rotor| *rotor *= factor);
         self
     }
 
+    /// The robot with some joints locked, each at a position (rad, m): what they carried is fixed to what
+    /// carried it. In Pinocchio `buildReducedModel`. The other joints keep their order, frames all their names; a
+    /// locked joint's rotor is gone with it.
+    ///
+    /// # Errors
+    /// [`ReduceError`], which names the joint at fault.
+    pub fn locked(&self, positions: &[(usize, f64)]) -> Result<Self, ReduceError> {
+        let mut locked_at = vec![None; self.n()];
+        for &(joint, position) in positions {
+            self.reducible(joint, &[position])?;
+            if locked_at[joint].replace(position).is_some() {
+                return Err(ReduceError::Repeated { joint: self.joints[joint].name.clone() });
+            }
+        }
+        let mut left = Self { base: self.base, gravity: self.gravity, ..Self::new(&self.name) };
+        left.floating = self.floating;
+        // Which joint each becomes, and where each body is: on which of those left, and its pose there.
+        let mut numbers = vec![0; self.n()];
+        for joint in (0..self.n()).filter(|&joint| locked_at[joint].is_none()) {
+            numbers[joint] = left.joints.len();
+            left.joints.push(self.joints[joint].clone());
+            left.rotor_inertia.push(self.rotor_inertia[joint]);
+        }
+        let mut places: Vec<(Option<usize>, Placement)> = Vec::with_capacity(self.bodies.len());
+        for (body, own) in self.bodies.iter().zip(&self.own) {
+            let (parent, carrier) = body.parent.map_or((None, Placement::identity()), |p| places[p]);
+            let at_zero = carrier * body.origin;
+            if let Some(q) = locked_at[body.joint] {
+                let place = body.kind.placement(&at_zero, body.ratio * q + body.offset);
+                if let Some(p) = parent {
+                    left.own[p] = left.own[p] + place.act_inertia(own);
+                }
+                places.push((parent, place));
+                continue;
+            }
+            places.push((Some(left.bodies.len()), Placement::identity()));
+            left.own.push(*own);
+            left.bodies.push(Body { parent, origin: at_zero, joint: numbers[body.joint], ..*body });
+        }
+        for (frame, payload) in self.frames.iter().zip(&self.payloads) {
+            let (body, carrier) = frame.body.map_or((None, Placement::identity()), |b| places[b]);
+            left.frames.push(Frame { name: frame.name.clone(), body, placement: carrier * frame.placement });
+            left.payloads.push(*payload);
+        }
+        (0..left.bodies.len()).for_each(|body| left.sum_up(Some(body)));
+        Ok(left)
+    }
+
+    /// The robot with some joints made to follow others (mimic joints): each of `followers` is a joint, its leader,
+    /// and the ratio and offset (rad, m) of `q_follower = ratio q_leader + offset`. What they move, moves with the
+    /// leader's coordinate; their own are gone. Their rotors turn with the leader's.
+    ///
+    /// # Errors
+    /// [`ReduceError`], which names the joint at fault.
+    pub fn folded(&self, followers: &[(usize, Follows)]) -> Result<Self, ReduceError> {
+        let mut follows: Vec<Option<Follows>> = vec![None; self.n()];
+        for &(joint, rule) in followers {
+            self.reducible(joint, &[rule.ratio, rule.offset])?;
+            self.reducible(rule.leader, &[])?;
+            if follows[joint].replace(rule).is_some() {
+                return Err(ReduceError::Repeated { joint: self.joints[joint].name.clone() });
+            }
+        }
+        let mut folded = self.clone();
+        folded.joints.clear();
+        folded.rotor_inertia.clear();
+        let mut numbers = vec![0; self.n()];
+        for joint in (0..self.n()).filter(|&joint| follows[joint].is_none()) {
+            numbers[joint] = folded.joints.len();
+            folded.joints.push(self.joints[joint].clone());
+            folded.rotor_inertia.push(self.rotor_inertia[joint]);
+        }
+        // Every joint as a function of one that is left.
+        let mut rules = Vec::with_capacity(self.n());
+        for joint in 0..self.n() {
+            let mut rule = Follows { leader: joint, ratio: 1.0, offset: 0.0 };
+            let mut steps = 0;
+            while let Some(next) = follows[rule.leader] {
+                rule.offset += rule.ratio * next.offset;
+                rule.ratio *= next.ratio;
+                rule.leader = next.leader;
+                steps += 1;
+                if steps > self.n() {
+                    return Err(ReduceError::FollowsItself { joint: self.joints[joint].name.clone() });
+                }
+            }
+            if follows[joint].is_some() {
+                folded.rotor_inertia[numbers[rule.leader]] +=
+                    rule.ratio * rule.ratio * self.rotor_inertia[joint];
+            }
+            rules.push(rule);
+        }
+        for body in &mut folded.bodies {
+            let rule = rules[body.joint];
+            body.offset += body.ratio * rule.offset;
+            body.ratio *= rule.ratio;
+            body.joint = numbers[rule.leader];
+        }
+        Ok(folded)
+    }
+
+    fn reducible(&self, joint: usize, values: &[f64]) -> Result<(), ReduceError> {
+        let Some(Joint { name, kind, .. }) = self.joints.get(joint) else {
+            return Err(ReduceError::NoSuchJoint { joint, count: self.n() });
+        };
+        let joint = || name.clone();
+        if *kind == JointKind::Floating {
+            return Err(ReduceError::Base { joint: joint() });
+        }
+        match values.iter().find(|x| !x.is_finite()) {
+            Some(&value) => Err(ReduceError::NotFinite { joint: joint(), value }),
+            None => Ok(()),
+        }
+    }
+
+    /// The same robot in every lane: see [`batch`](crate::batch).
+    #[must_use]
+    pub fn splat<T: Real>(&self) -> Model<T> {
+        let body = |b: &Body| Body {
+            parent: b.parent,
+            origin: b.origin.splat(),
+            kind: b.kind,
+            joint: b.joint,
+            ratio: T::splat(b.ratio),
+            offset: T::splat(b.offset),
+            inertia: b.inertia.splat(),
+        };
+        let frame = |f: &Frame| Frame { name: f.name.clone(), body: f.body, placement: f.placement.splat() };
+        Model {
+            name: self.name.clone(),
+            joints: self.joints.clone(),
+            bodies: self.bodies.iter().map(body).collect(),
+            frames: self.frames.iter().map(frame).collect(),
+            rotor_inertia: self.rotor_inertia.iter().map(|&r| T::splat(r)).collect(),
+            gravity: self.gravity.map(T::splat),
+            base: self.base.splat(),
+            floating: self.floating,
+            own: self.own.clone(),
+            payloads: self.payloads.clone(),
+        }
+    }
+}
+
+impl<T: Real> Model<T> {
     /// The robot's name in the URDF.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// How many joints move: the length of q, q̇ and τ.
+    /// How many coordinates move: the length of q̇, q̈ and τ. Pinocchio's `nv`.
     #[must_use]
     pub fn n(&self) -> usize {
         self.joints.len()
     }
 
-    /// The joints, in the order of q.
+    /// The length of q: one more than [`n`](Self::n) with a floating base, whose rotation is a quaternion.
+    #[must_use]
+    pub fn nq(&self) -> usize {
+        self.n() + usize::from(self.floating)
+    }
+
+    /// Whether the root is free to move.
+    #[must_use]
+    pub fn is_floating(&self) -> bool {
+        self.floating
+    }
+
+    /// Whether some body follows the joint of another.
+    #[must_use]
+    pub fn is_folded(&self) -> bool {
+        self.bodies.len() > self.joints.len()
+    }
+
+    /// The joints, in the order of q̇.
     #[must_use]
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
+    /// The bodies, parents before children.
+    #[must_use]
+    pub fn bodies(&self) -> &[Body<T>] {
+        &self.bodies
+    }
+
+    /// Inertia of the rotors reflected to each joint (gear ratio squared times the rotor's), kg m² or kg (n).
+    #[must_use]
+    pub fn rotor_inertia(&self) -> &[T] {
+        &self.rotor_inertia
+    }
+
     /// The frames, in the order of the URDF's tree.
     #[must_use]
-    pub fn frames(&self) -> &[Frame] {
+    pub fn frames(&self) -> &[Frame<T>] {
         &self.frames
     }
 
     /// Gravity in world axes, m/s².
     #[must_use]
-    pub fn gravity(&self) -> Vector3<f64> {
+    pub fn gravity(&self) -> Vector3<T> {
         self.gravity
     }
 
     /// Pose of the base frame in the world.
     #[must_use]
-    pub fn base(&self) -> Placement {
+    pub fn base(&self) -> Placement<T> {
         self.base
     }
 
     /// Mass of all moving bodies, kg.
     #[must_use]
-    pub fn total_mass(&self) -> f64 {
-        self.joints.iter().map(|j| j.inertia.mass).sum()
+    pub fn total_mass(&self) -> T {
+        self.bodies.iter().fold(T::zero(), |sum, body| sum + body.inertia.mass)
     }
 
     /// The frame of that name.
@@ -214,13 +606,23 @@ impl Model {
 
     /// What is known of a frame.
     #[must_use]
-    pub fn frame_info(&self, frame: FrameId) -> &Frame {
+    pub fn frame_info(&self, frame: FrameId) -> &Frame<T> {
         &self.frames[frame.0]
     }
 
-    /// The joint that carries a frame and all joints between it and the base, from the frame inwards.
+    /// The bodies before it are those of a floating base.
+    pub(crate) fn first_jointed_body(&self) -> usize {
+        if self.floating { 6 } else { 0 }
+    }
+
+    /// The body that carries a frame and all bodies between it and the base, from the frame inwards.
     pub fn support(&self, frame: FrameId) -> impl Iterator<Item = usize> + '_ {
-        std::iter::successors(self.frames[frame.0].joint, |&j| self.joints[j].parent)
+        self.ancestry(self.frames[frame.0].body)
+    }
+
+    /// A body and all that carry it, from it inwards.
+    pub(crate) fn ancestry(&self, body: Option<usize>) -> impl Iterator<Item = usize> + '_ {
+        std::iter::successors(body, |&b| self.bodies[b].parent)
     }
 }
 

@@ -12,40 +12,30 @@
 //! from 0 at the threshold; one above it is inverted exactly. J̄ and N are built from that same Λ, so
 //! what a damped direction does not carry is free to the tasks below.
 
-use crate::cholesky::cholesky_solve;
-use crate::data::Data;
+use crate::cholesky::MassMatrixFactor;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 
-/// Λ, J̄ and N of one task of up to six rows; preallocated for n joints.
+/// Λ and J̄ of one task of up to six rows, and what follows from them; preallocated for n joints.
 #[derive(Clone, Debug)]
 pub struct OperationalSpace {
     /// Λ, the task's inertia (kg, kg m, kg m²): rows and columns past the task's are zero.
     pub task_inertia: Matrix6<f64>,
-    /// J̄ (n × 6), the dynamically consistent inverse of J: columns past the task's are zero.
-    pub dynamically_consistent_inverse: DMatrix<f64>,
-    /// N (n × n), acting on velocities; its transpose projects torques.
-    pub nullspace: DMatrix<f64>,
+    /// J̄ᵀ (6 × n), with J̄ the dynamically consistent inverse of J: rows past the task's are zero. It maps joint
+    /// torques to the task's forces.
+    pub jbar_transpose: Matrix6xX<f64>,
     /// The share of each eigen-direction of Λ⁻¹ that the task still has, smallest eigenvalue's: 1 if
     /// nothing is damped, 0 if a direction is lost.
     pub weakest_share: f64,
-    minv_jt: DMatrix<f64>,
 }
 
 impl OperationalSpace {
     /// Room for a task on a robot of `n` joints.
     #[must_use]
     pub fn new(n: usize) -> Self {
-        Self {
-            task_inertia: Matrix6::zeros(),
-            dynamically_consistent_inverse: DMatrix::zeros(n, 6),
-            nullspace: DMatrix::identity(n, n),
-            weakest_share: 1.0,
-            minv_jt: DMatrix::zeros(n, 6),
-        }
+        Self { task_inertia: Matrix6::zeros(), jbar_transpose: Matrix6xX::zeros(n), weakest_share: 1.0 }
     }
 
-    /// Computes all of it for the first `rows` rows of `jacobian`, at the state of `data`, whose mass
-    /// matrix must have been factored ([`update`](crate::update)).
+    /// Computes all of it for the first `rows` rows of `jacobian`, with the mass matrix's factor at its state.
     ///
     /// `threshold` is the ratio to the largest eigenvalue of Λ⁻¹ below which a direction is damped
     /// (0: none is). Rows of different units must have been scaled to one beforehand for that ratio to
@@ -53,39 +43,74 @@ impl OperationalSpace {
     ///
     /// # Panics
     /// If `rows` is more than six or the sizes differ.
-    pub fn update(&mut self, data: &Data, jacobian: &Matrix6xX<f64>, rows: usize, threshold: f64) {
-        let n = jacobian.ncols();
-        assert!(rows <= 6 && self.nullspace.nrows() == n && data.q.len() == n);
-        for r in 0..6 {
-            let mut column = self.minv_jt.column_mut(r);
-            if r < rows {
-                column.tr_copy_from(&jacobian.row(r));
-                cholesky_solve(&data.mass_matrix_factor, column.as_mut_slice());
-            } else {
-                column.fill(0.0);
-            }
+    pub fn update(
+        &mut self,
+        factor: &MassMatrixFactor,
+        jacobian: &Matrix6xX<f64>,
+        rows: usize,
+        threshold: f64,
+    ) {
+        assert!(rows <= 6, "a task has six rows at most");
+        let half = &mut self.jbar_transpose;
+        half.copy_from(jacobian);
+        for r in rows..6 {
+            half.row_mut(r).fill(0.0);
         }
-        let mut inverse_inertia = Matrix6::zeros();
-        for r in 0..rows {
-            for c in 0..=r {
-                let entry = (0..n).map(|k| jacobian[(r, k)] * self.minv_jt[(k, c)]).sum();
-                inverse_inertia[(r, c)] = entry;
-                inverse_inertia[(c, r)] = entry;
-            }
-        }
+        // M⁻¹ = U⁻ᵀ U⁻¹: Λ⁻¹ is the square of J U⁻ᵀ.
+        factor.half_solve(half);
+        let inverse_inertia = square(half);
         (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, threshold);
-        for i in 0..n {
-            let row = Vector6::from_fn(|r, _| self.minv_jt[(i, r)]);
-            let weighted = self.task_inertia * row;
-            for r in 0..6 {
-                self.dynamically_consistent_inverse[(i, r)] = weighted[r];
-            }
-            for k in 0..n {
-                let carried = weighted.dot(&jacobian.column(k));
-                self.nullspace[(i, k)] = f64::from(u8::from(i == k)) - carried;
+        factor.finish_solve(half);
+        let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
+        for column in columns {
+            *column = (self.task_inertia * Vector6::from(*column)).into();
+        }
+    }
+
+    /// Nᵀ τ = τ − Jᵀ J̄ᵀ τ in place of τ, with the Jacobian of the last [`update`](Self::update): what of the joint
+    /// torques `tau` (n; Nm) doesn't accelerate the task.
+    ///
+    /// # Panics
+    /// If the sizes differ.
+    pub fn project_torque(&self, jacobian: &Matrix6xX<f64>, tau: &mut [f64]) {
+        assert!(jacobian.ncols() == self.jbar_transpose.ncols() && tau.len() == jacobian.ncols());
+        let mut force = Vector6::zeros();
+        for (column, &t) in self.jbar_transpose.column_iter().zip(tau.iter()) {
+            force += column * t;
+        }
+        for (t, column) in tau.iter_mut().zip(jacobian.column_iter()) {
+            *t -= column.dot(&force);
+        }
+    }
+
+    /// N = I − J̄ J (n × n), acting on velocities; its transpose projects torques. With the Jacobian of the last
+    /// [`update`](Self::update).
+    ///
+    /// # Panics
+    /// If the sizes differ.
+    pub fn nullspace(&self, jacobian: &Matrix6xX<f64>, out: &mut DMatrix<f64>) {
+        let n = self.jbar_transpose.ncols();
+        assert!(jacobian.ncols() == n && out.shape() == (n, n));
+        for (k, column) in jacobian.column_iter().enumerate() {
+            for (i, row) in self.jbar_transpose.column_iter().enumerate() {
+                out[(i, k)] = f64::from(u8::from(i == k)) - row.dot(&column);
             }
         }
     }
+}
+
+/// Y Yᵀ.
+fn square(half: &Matrix6xX<f64>) -> Matrix6<f64> {
+    let mut sum = Matrix6::zeros();
+    let (columns, _) = half.as_slice().as_chunks::<6>();
+    for y in columns {
+        let y = Vector6::from(*y);
+        for c in 0..6 {
+            let mut column = sum.column_mut(c);
+            column += y * y[c];
+        }
+    }
+    sum
 }
 
 /// The inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the
@@ -113,9 +138,34 @@ fn damped_inverse(mut a: Matrix6<f64>, rows: usize, threshold: f64) -> (Matrix6<
 /// The plain inverse, if it is certain without the spectrum that no eigenvalue is below the threshold:
 /// λ_min ≥ 1/tr(A⁻¹) and λ_max ≤ tr(A).
 fn certified_inverse(a: &Matrix6<f64>, rows: usize, trace: f64, threshold: f64) -> Option<Matrix6<f64>> {
-    let inverse = a.cholesky()?.inverse();
+    let inverse = positive_inverse(a)?;
     let inverse_trace: f64 = (0..rows).map(|r| inverse[(r, r)]).sum();
     (1.0 >= threshold * trace * inverse_trace).then_some(inverse)
+}
+
+/// The inverse of a symmetric matrix by Gauss and Jordan's elimination without pivoting, which is stable if the
+/// matrix is positive definite; `None` if a pivot shows that it isn't.
+fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+    let mut swept = *a;
+    for k in 0..6 {
+        let pivot = swept[(k, k)];
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
+        let reciprocal = 1.0 / pivot;
+        let mut column = swept.column(k).into_owned();
+        column[k] = 0.0;
+        let scaled = column * reciprocal;
+        for c in 0..6 {
+            let factor = swept[(k, c)];
+            let mut target = swept.column_mut(c);
+            target -= scaled * factor;
+            target[k] = factor * reciprocal;
+        }
+        swept.set_column(k, &-scaled);
+        swept[(k, k)] = reciprocal;
+    }
+    Some(swept)
 }
 
 fn spectral_inverse(a: Matrix6<f64>, trace: f64, threshold: f64) -> (Matrix6<f64>, f64) {

@@ -1,77 +1,115 @@
 //! Inverse dynamics: the torques that a motion needs, by the recursive Newton–Euler algorithm.
 //!
-//! RBDA table 5.1; in Pinocchio `rnea`, `nonLinearEffects` and `computeGeneralizedGravity`. All three
-//! need [`kinematics`](crate::kinematics()).
+//! RBDA table 5.1; in Pinocchio `rnea`, `nonLinearEffects` and `computeGeneralizedGravity`.
+//!
+//! ```text
+//! f_i = I_i a_i + v_i ×* I_i v_i          τ_i = S_iᵀ (sum of f over the subtree of i)
+//! ```
 
 use crate::data::Data;
-use crate::model::Model;
-use crate::spatial::Motion;
-use nalgebra::Vector3;
+use crate::jacobian::add_external;
+use crate::model::{Body, FrameId, Model};
+use crate::real::Real;
+use crate::spatial::{Force, Motion, Placement};
+use nalgebra::{DVector, Vector3};
 
-/// τ = M q̈ + C q̇ + g at `ddq` (n; rad/s²), into [`Data::torque`] (Nm).
+/// τ = M q̈ + C q̇ + g at `ddq` (n; rad/s²), into [`Data::torque`] (Nm). Needs [`kinematics`](crate::kinematics()).
 ///
 /// # Panics
 /// If `ddq` is shorter than the number of joints.
-pub fn rnea(model: &Model, data: &mut Data, ddq: &[f64]) {
-    for (i, joint) in model.joints.iter().enumerate() {
-        let own = joint.kind.motion(ddq[i]);
-        data.acceleration[i] = match joint.parent {
-            None => own,
-            Some(p) => data.placement_parent[i].act_inverse_motion(&data.acceleration[p]) + own,
+pub fn rnea<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
+    let ddq = &ddq[..model.n()];
+    accelerate(model, data, ddq);
+    for (i, body) in model.bodies.iter().enumerate() {
+        let a = data.acceleration[i] + data.bias_acceleration[i];
+        data.force[i] = newton_euler(body, &data.placement[i], &data.origin, &data.velocity[i], &a);
+    }
+    backward(model, &data.screw, &mut data.force, &mut data.torque);
+    for ((torque, &rotor), &ddq) in data.torque.iter_mut().zip(&model.rotor_inertia).zip(ddq) {
+        *torque += rotor * ddq;
+    }
+}
+
+/// τ = M q̈ + C q̇ + g − Σ Jᵀ f: [`rnea`] with wrenches f acting on the robot at frames (N, Nm; world axes, at each
+/// frame's origin).
+///
+/// # Panics
+/// If `ddq` is shorter than the number of joints.
+pub fn rnea_external<T: Real>(
+    model: &Model<T>,
+    data: &mut Data<T>,
+    ddq: &[T],
+    wrenches: &[(FrameId, Force<T>)],
+) {
+    rnea(model, data, ddq);
+    for (frame, wrench) in wrenches {
+        add_external(model, data, *frame, &-*wrench);
+    }
+}
+
+/// h = C q̇ + g, the torques at q̈ = 0, into [`Data::bias`] (Nm). Needs [`kinematics`](crate::kinematics()).
+pub fn bias<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    for (i, body) in model.bodies.iter().enumerate() {
+        let mut a = data.bias_acceleration[i];
+        a.linear -= model.gravity;
+        data.force[i] = newton_euler(body, &data.placement[i], &data.origin, &data.velocity[i], &a);
+    }
+    backward(model, &data.screw, &mut data.force, &mut data.bias);
+}
+
+/// g, the torques that hold the robot still, into [`Data::gravity`] (Nm). Needs
+/// [`forward_kinematics`](crate::forward_kinematics).
+pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    for (i, body) in model.bodies.iter().enumerate() {
+        let com = data.placement[i].act_point(&body.inertia.com) - data.origin;
+        let linear = model.gravity * -body.inertia.mass;
+        data.force[i] = Force { linear, angular: com.cross(&linear) };
+    }
+    backward(model, &data.screw, &mut data.force, &mut data.gravity);
+}
+
+/// What `ddq` and gravity add to the bias acceleration of every body. Gravity is what it feels like: the whole
+/// robot accelerating upwards.
+#[inline]
+pub(crate) fn accelerate<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
+    for (i, body) in model.bodies.iter().enumerate() {
+        let carried = match body.parent {
+            None => Motion { linear: -model.gravity, angular: Vector3::zeros() },
+            Some(p) => data.acceleration[p],
         };
-        let a = data.acceleration[i] + data.bias_acceleration[i] + upward(model, data, i);
-        data.force[i] = newton_euler(model, data, i, &a);
-    }
-    backward(model, data);
-    for (i, joint) in model.joints.iter().enumerate() {
-        data.torque[i] = joint.kind.project(&data.force[i]) + joint.rotor_inertia * ddq[i];
+        data.acceleration[i] = carried + data.screw[i] * ddq[body.joint];
     }
 }
 
-/// h = C q̇ + g, the torques at q̈ = 0, into [`Data::bias`] (Nm).
-pub fn bias(model: &Model, data: &mut Data) {
-    for i in 0..model.n() {
-        let a = data.bias_acceleration[i] + upward(model, data, i);
-        data.force[i] = newton_euler(model, data, i, &a);
-    }
-    backward(model, data);
-    for (i, joint) in model.joints.iter().enumerate() {
-        data.bias[i] = joint.kind.project(&data.force[i]);
-    }
-}
-
-/// g, the torques that hold the robot still, into [`Data::gravity`] (Nm).
-pub fn gravity(model: &Model, data: &mut Data) {
-    for (i, joint) in model.joints.iter().enumerate() {
-        data.force[i] = joint.inertia.apply(&upward(model, data, i));
-    }
-    backward(model, data);
-    for (i, joint) in model.joints.iter().enumerate() {
-        data.gravity[i] = joint.kind.project(&data.force[i]);
-    }
-}
-
-/// Gravity as what it feels like: the whole robot accelerating upwards. In body i's axes.
+/// f = I a + v ×* I v: the net force on a body (RBDA eq. 2.72), in world axes about `origin`.
+///
+/// Newton's law for the centre of mass in world axes, Euler's about it in the body's, where its inertia stands still.
 #[inline]
-fn upward(model: &Model, data: &Data, i: usize) -> Motion {
-    let linear = data.placement_world[i].rotation.tr_mul(&-model.gravity);
-    Motion { linear, angular: Vector3::zeros() }
-}
-
-/// f = I a + v ×* I v: the net force on body i (RBDA eq. 2.72).
-#[inline]
-fn newton_euler(model: &Model, data: &Data, i: usize, a: &Motion) -> crate::spatial::Force {
-    let inertia = &model.joints[i].inertia;
-    let v = &data.velocity[i];
-    inertia.apply(a) + v.cross_force(&inertia.apply(v))
+fn newton_euler<T: Real>(
+    body: &Body<T>,
+    placement: &Placement<T>,
+    origin: &Vector3<T>,
+    v: &Motion<T>,
+    a: &Motion<T>,
+) -> Force<T> {
+    let Placement { rotation, .. } = placement;
+    let com = placement.act_point(&body.inertia.com) - origin;
+    let linear = (a.at(&com).linear + v.angular.cross(&v.at(&com).linear)) * body.inertia.mass;
+    let (w, alpha) = (rotation.tr_mul(&v.angular), rotation.tr_mul(&a.angular));
+    let inertia = &body.inertia.rotational;
+    let moment = inertia * alpha + w.cross(&(inertia * w));
+    Force { linear, angular: rotation * moment + com.cross(&linear) }
 }
 
 /// Each joint carries its own body and all bodies beyond: forces summed from the tips to the base.
-fn backward(model: &Model, data: &mut Data) {
-    for i in (0..model.n()).rev() {
-        if let Some(p) = model.joints[i].parent {
-            let carried = data.placement_parent[i].act_force(&data.force[i]);
-            data.force[p] += carried;
+#[inline]
+fn backward<T: Real>(model: &Model<T>, screw: &[Motion<T>], force: &mut [Force<T>], torque: &mut DVector<T>) {
+    torque.fill(T::zero());
+    for (i, body) in model.bodies.iter().enumerate().rev() {
+        let carried = force[i];
+        torque[body.joint] += screw[i].dot(&carried);
+        if let Some(p) = body.parent {
+            force[p] += carried;
         }
     }
 }

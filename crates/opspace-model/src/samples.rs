@@ -7,11 +7,12 @@
 use crate::data::Data;
 use crate::model::{FrameId, Model};
 use crate::operational_space::OperationalSpace;
+use crate::spatial::Force;
 use crate::{
-    aba, center_of_mass, coriolis, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity,
-    kinetic_energy, potential_energy, rnea, update,
+    aba, aba_external, center_of_mass, coriolis, frame_bias_acceleration, frame_jacobian, frame_placement,
+    frame_velocity, kinetic_energy, potential_energy, rnea, rnea_external, update,
 };
-use nalgebra::{DMatrix, Matrix6xX};
+use nalgebra::{DMatrix, Matrix6xX, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -156,15 +157,17 @@ pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantiti
     coriolis(model, &mut data);
     let mut jacobian = Matrix6xX::zeros(model.n());
     frame_jacobian(model, &data, tip, &mut jacobian);
-    let wrench = nalgebra::Vector6::from_column_slice(&sample.f_tip);
-    let external: Vec<f64> = jacobian.column_iter().map(|column| column.dot(&wrench)).collect();
+    let (force, moment) = sample.f_tip.split_at(3);
+    let wrench =
+        Force { linear: Vector3::from_column_slice(force), angular: Vector3::from_column_slice(moment) };
 
     rnea(model, &mut data, &sample.ddq);
     let tau_rnea = data.torque.as_slice().to_vec();
     aba(model, &mut data, &sample.tau_in);
     let ddq_aba = data.ddq.as_slice().to_vec();
-    let pushed: Vec<f64> = sample.tau_in.iter().zip(&external).map(|(tau, f)| tau + f).collect();
-    aba(model, &mut data, &pushed);
+    rnea_external(model, &mut data, &sample.ddq, &[(tip, wrench)]);
+    let tau_rnea_fext = data.torque.as_slice().to_vec();
+    aba_external(model, &mut data, &sample.tau_in, &[(tip, wrench)]);
 
     let placement = frame_placement(model, &data, tip);
     let task = task(&data, &jacobian, &sample.task_rows);
@@ -181,7 +184,7 @@ pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantiti
         gravity: data.gravity.as_slice().to_vec(),
         bias: data.bias.as_slice().to_vec(),
         coriolis_matrix: row_major(&data.coriolis_matrix),
-        tau_rnea_fext: tau_rnea.iter().zip(&external).map(|(tau, f)| tau - f).collect(),
+        tau_rnea_fext,
         tau_rnea,
         ddq_aba,
         ddq_aba_fext: data.ddq.as_slice().to_vec(),
@@ -198,7 +201,7 @@ pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantiti
 fn check(model: &Model, sample: &Sample) -> Result<(), SampleError> {
     let n = model.n();
     let inputs = [
-        ("q", &sample.q, n),
+        ("q", &sample.q, model.nq()),
         ("dq", &sample.dq, n),
         ("ddq", &sample.ddq, n),
         ("tau_in", &sample.tau_in, n),
@@ -240,26 +243,26 @@ fn task(data: &Data, jacobian: &Matrix6xX<f64>, rows: &[usize]) -> Option<Task> 
         return None;
     }
     let mut space = OperationalSpace::new(n);
-    space.update(data, &selected, k, 0.0);
+    space.update(&data.mass_matrix_factor, &selected, k, 0.0);
+    let mut nullspace = DMatrix::zeros(n, n);
+    space.nullspace(&selected, &mut nullspace);
     Some(Task {
         inertia: row_major(&space.task_inertia.view((0, 0), (k, k))),
-        inverse: row_major(&space.dynamically_consistent_inverse.columns(0, k)),
-        nullspace: row_major(&space.nullspace),
+        inverse: row_major(&space.jbar_transpose.rows(0, k).transpose()),
+        nullspace: row_major(&nullspace),
     })
 }
 
-/// Whether J M⁻¹ Jᵀ has an inverse, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ), whose columns are
+/// Whether J M⁻¹ Jᵀ has an inverse, judged by the singular values of U⁻¹ Jᵀ (M = U Uᵀ), whose columns are
 /// first brought to length one since they differ in unit.
 fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
     let n = jacobian.ncols();
     if rows == 0 || rows > n {
         return rows == 0;
     }
-    let factor = data.mass_matrix_factor.lower_triangle();
-    let mut half: DMatrix<f64> = jacobian.rows(0, rows).transpose();
-    if !factor.solve_lower_triangular_mut(&mut half) {
-        return false;
-    }
+    let mut solved = jacobian.clone();
+    data.mass_matrix_factor.half_solve(&mut solved);
+    let mut half: DMatrix<f64> = solved.rows(0, rows).transpose();
     for mut column in half.column_iter_mut() {
         let norm = column.norm();
         if norm == 0.0 {

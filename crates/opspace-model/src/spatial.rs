@@ -4,25 +4,20 @@
 //! products below are what Featherstone's spatial operators (RBDA, table 2.1) come to when their
 //! zeros are left out.
 
+use crate::real::Real;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
 /// The pose of a frame B in a frame A: `p_A = rotation · p_B + translation` (m).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placement {
+pub struct Placement<T = f64> {
     /// Axes of B in A.
-    pub rotation: Matrix3<f64>,
+    pub rotation: Matrix3<T>,
     /// Origin of B in A, m.
-    pub translation: Vector3<f64>,
+    pub translation: Vector3<T>,
 }
 
 impl Placement {
-    /// The two frames coincide.
-    #[must_use]
-    pub fn identity() -> Self {
-        Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
-    }
-
     /// A placement from URDF's `rpy` (rad; fixed axes x, y, z in that order) and `xyz` (m).
     #[must_use]
     pub fn from_rpy(rpy: [f64; 3], xyz: [f64; 3]) -> Self {
@@ -30,6 +25,20 @@ impl Placement {
             rotation: *Rotation3::from_euler_angles(rpy[0], rpy[1], rpy[2]).matrix(),
             translation: Vector3::from(xyz),
         }
+    }
+
+    /// The same in every lane.
+    #[must_use]
+    pub fn splat<T: Real>(&self) -> Placement<T> {
+        Placement { rotation: self.rotation.map(T::splat), translation: self.translation.map(T::splat) }
+    }
+}
+
+impl<T: Real> Placement<T> {
+    /// The two frames coincide.
+    #[must_use]
+    pub fn identity() -> Self {
+        Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
     /// The pose of A in B.
@@ -40,15 +49,16 @@ impl Placement {
     }
 
     /// A point given in B, in A (m).
+    #[inline]
     #[must_use]
-    pub fn act_point(&self, point: &Vector3<f64>) -> Vector3<f64> {
+    pub fn act_point(&self, point: &Vector3<T>) -> Vector3<T> {
         self.rotation * point + self.translation
     }
 
     /// A motion given at B's origin in B's axes, at A's origin in A's axes.
     #[inline]
     #[must_use]
-    pub fn act_motion(&self, m: &Motion) -> Motion {
+    pub fn act_motion(&self, m: &Motion<T>) -> Motion<T> {
         let angular = self.rotation * m.angular;
         Motion { linear: self.rotation * m.linear + self.translation.cross(&angular), angular }
     }
@@ -56,7 +66,7 @@ impl Placement {
     /// A motion given in A, in B: the inverse of [`act_motion`](Self::act_motion).
     #[inline]
     #[must_use]
-    pub fn act_inverse_motion(&self, m: &Motion) -> Motion {
+    pub fn act_inverse_motion(&self, m: &Motion<T>) -> Motion<T> {
         Motion {
             linear: self.rotation.tr_mul(&(m.linear - self.translation.cross(&m.angular))),
             angular: self.rotation.tr_mul(&m.angular),
@@ -66,14 +76,15 @@ impl Placement {
     /// A force given at B's origin in B's axes, at A's origin in A's axes.
     #[inline]
     #[must_use]
-    pub fn act_force(&self, f: &Force) -> Force {
+    pub fn act_force(&self, f: &Force<T>) -> Force<T> {
         let linear = self.rotation * f.linear;
         Force { linear, angular: self.rotation * f.angular + self.translation.cross(&linear) }
     }
 
     /// An inertia given in B, in A.
+    #[inline]
     #[must_use]
-    pub fn act_inertia(&self, inertia: &Inertia) -> Inertia {
+    pub fn act_inertia(&self, inertia: &Inertia<T>) -> Inertia<T> {
         Inertia {
             mass: inertia.mass,
             com: self.act_point(&inertia.com),
@@ -82,7 +93,7 @@ impl Placement {
     }
 }
 
-impl Mul for Placement {
+impl<T: Real> Mul for Placement<T> {
     type Output = Self;
 
     /// `X_AC = X_AB · X_BC`.
@@ -97,33 +108,54 @@ impl Mul for Placement {
 
 /// A velocity (m/s, rad/s) or an acceleration (m/s², rad/s²).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
+pub struct Motion<T = f64> {
     /// Of the body's point at the frame's origin.
-    pub linear: Vector3<f64>,
+    pub linear: Vector3<T>,
     /// Of the body.
-    pub angular: Vector3<f64>,
+    pub angular: Vector3<T>,
 }
 
 /// A force and the moment about the frame's origin (N, Nm); also a momentum (Ns, Nms).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Force {
+pub struct Force<T = f64> {
     /// Force, N.
-    pub linear: Vector3<f64>,
+    pub linear: Vector3<T>,
     /// Moment about the frame's origin, Nm.
-    pub angular: Vector3<f64>,
+    pub angular: Vector3<T>,
 }
 
-impl Motion {
+impl<T: Real> Motion<T> {
     /// At rest.
     #[must_use]
     pub fn zero() -> Self {
         Self { linear: Vector3::zeros(), angular: Vector3::zeros() }
     }
 
+    /// The motion of the body's point at `point` from the frame's origin.
+    #[inline]
+    #[must_use]
+    pub fn at(&self, point: &Vector3<T>) -> Self {
+        Self { linear: self.linear + self.angular.cross(point), angular: self.angular }
+    }
+
+    /// In axes of which `rotation` gives those used so far.
+    #[inline]
+    #[must_use]
+    pub fn turned(&self, rotation: &Matrix3<T>) -> Self {
+        Self { linear: rotation * self.linear, angular: rotation * self.angular }
+    }
+
+    /// In the axes that `rotation` gives.
+    #[inline]
+    #[must_use]
+    pub fn turned_back(&self, rotation: &Matrix3<T>) -> Self {
+        Self { linear: rotation.tr_mul(&self.linear), angular: rotation.tr_mul(&self.angular) }
+    }
+
     /// `v ×`: the rate of change of a motion fixed in a frame that moves with `self` (RBDA eq. 2.31).
     #[inline]
     #[must_use]
-    pub fn cross_motion(&self, m: &Motion) -> Motion {
+    pub fn cross_motion(&self, m: &Motion<T>) -> Motion<T> {
         Motion {
             linear: self.angular.cross(&m.linear) + self.linear.cross(&m.angular),
             angular: self.angular.cross(&m.angular),
@@ -133,7 +165,7 @@ impl Motion {
     /// `v ×*`: the same for a force (RBDA eq. 2.32).
     #[inline]
     #[must_use]
-    pub fn cross_force(&self, f: &Force) -> Force {
+    pub fn cross_force(&self, f: &Force<T>) -> Force<T> {
         Force {
             linear: self.angular.cross(&f.linear),
             angular: self.angular.cross(&f.angular) + self.linear.cross(&f.linear),
@@ -141,55 +173,63 @@ impl Motion {
     }
 
     /// The power of a force on this motion, W.
+    #[inline]
     #[must_use]
-    pub fn dot(&self, f: &Force) -> f64 {
+    pub fn dot(&self, f: &Force<T>) -> T {
         self.linear.dot(&f.linear) + self.angular.dot(&f.angular)
     }
 }
 
-impl Force {
+impl<T: Real> Force<T> {
     /// No force.
     #[must_use]
     pub fn zero() -> Self {
         Self { linear: Vector3::zeros(), angular: Vector3::zeros() }
+    }
+
+    /// The same force with its moment about `point`, given from the point used so far.
+    #[inline]
+    #[must_use]
+    pub fn about(&self, point: &Vector3<T>) -> Self {
+        Self { linear: self.linear, angular: self.angular - point.cross(&self.linear) }
     }
 }
 
 /// Sums and scalings, the same for motions and forces.
 macro_rules! pair_arithmetic {
     ($t:ident) => {
-        impl Add for $t {
+        impl<T: Real> Add for $t<T> {
             type Output = Self;
             #[inline]
             fn add(self, o: Self) -> Self {
                 Self { linear: self.linear + o.linear, angular: self.angular + o.angular }
             }
         }
-        impl AddAssign for $t {
+        impl<T: Real> AddAssign for $t<T> {
             #[inline]
             fn add_assign(&mut self, o: Self) {
                 self.linear += o.linear;
                 self.angular += o.angular;
             }
         }
-        impl Sub for $t {
+        impl<T: Real> Sub for $t<T> {
             type Output = Self;
             #[inline]
             fn sub(self, o: Self) -> Self {
                 Self { linear: self.linear - o.linear, angular: self.angular - o.angular }
             }
         }
-        impl Neg for $t {
+        impl<T: Real> Neg for $t<T> {
             type Output = Self;
             #[inline]
             fn neg(self) -> Self {
                 Self { linear: -self.linear, angular: -self.angular }
             }
         }
-        impl Mul<f64> for $t {
+        impl<T: Real> Mul<T> for $t<T> {
             type Output = Self;
             #[inline]
-            fn mul(self, s: f64) -> Self {
+            fn mul(self, s: T) -> Self {
                 Self { linear: self.linear * s, angular: self.angular * s }
             }
         }
@@ -200,28 +240,32 @@ pair_arithmetic!(Force);
 
 /// Mass, centre of mass and rotational inertia of a rigid body.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Inertia {
+pub struct Inertia<T = f64> {
     /// kg.
-    pub mass: f64,
+    pub mass: T,
     /// Centre of mass in the body's frame, m.
-    pub com: Vector3<f64>,
+    pub com: Vector3<T>,
     /// Rotational inertia about the centre of mass, in the body's axes, kg m².
-    pub rotational: Matrix3<f64>,
+    pub rotational: Matrix3<T>,
 }
 
 impl Inertia {
+    /// The same in every lane.
+    #[must_use]
+    pub fn splat<T: Real>(&self) -> Inertia<T> {
+        Inertia {
+            mass: T::splat(self.mass),
+            com: self.com.map(T::splat),
+            rotational: self.rotational.map(T::splat),
+        }
+    }
+}
+
+impl<T: Real> Inertia<T> {
     /// No mass.
     #[must_use]
     pub fn zero() -> Self {
-        Self { mass: 0.0, com: Vector3::zeros(), rotational: Matrix3::zeros() }
-    }
-
-    /// The momentum of the body moving at `v`, or its inertial force under the acceleration `v`.
-    #[inline]
-    #[must_use]
-    pub fn apply(&self, v: &Motion) -> Force {
-        let linear = (v.linear - self.com.cross(&v.angular)) * self.mass;
-        Force { linear, angular: self.rotational * v.angular + self.com.cross(&linear) }
+        Self { mass: T::zero(), com: Vector3::zeros(), rotational: Matrix3::zeros() }
     }
 }
 
@@ -244,4 +288,67 @@ impl Add for Inertia {
                 + (Matrix3::from_diagonal_element(d.norm_squared()) - d * d.transpose()) * reduced,
         }
     }
+}
+
+/// A rigid body's inertia about a fixed point, in fixed axes: what belongs to it in RBDA eq. 2.63,
+/// `[f; n] = [m, −h×; h×, I] [v; ω]`. Bodies that move as one just add up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpatialInertia<T = f64> {
+    /// m, kg.
+    pub mass: T,
+    /// h: mass times the position of the centre of mass, kg m.
+    pub first_moment: Vector3<T>,
+    /// I: rotational inertia about the point, kg m².
+    pub second_moment: Matrix3<T>,
+}
+
+impl<T: Real> SpatialInertia<T> {
+    /// No mass.
+    #[must_use]
+    pub fn zero() -> Self {
+        Self { mass: T::zero(), first_moment: Vector3::zeros(), second_moment: Matrix3::zeros() }
+    }
+
+    /// Of a body in a frame of which `rotation` gives the axes, with its centre of mass at `com`.
+    #[inline]
+    #[must_use]
+    pub fn new(inertia: &Inertia<T>, rotation: &Matrix3<T>, com: &Vector3<T>) -> Self {
+        let first_moment = com * inertia.mass;
+        let turned = rotation * inertia.rotational * rotation.transpose();
+        Self { mass: inertia.mass, first_moment, second_moment: turned + steiner(com, &first_moment) }
+    }
+
+    /// The momentum of the body moving at `v`, or its inertial force under the acceleration `v`.
+    #[inline]
+    #[must_use]
+    pub fn apply(&self, v: &Motion<T>) -> Force<T> {
+        Force {
+            linear: v.linear * self.mass - self.first_moment.cross(&v.angular),
+            angular: self.second_moment * v.angular + self.first_moment.cross(&v.linear),
+        }
+    }
+}
+
+impl<T: Real> AddAssign for SpatialInertia<T> {
+    #[inline]
+    fn add_assign(&mut self, o: Self) {
+        self.mass += o.mass;
+        self.first_moment += o.first_moment;
+        self.second_moment += o.second_moment;
+    }
+}
+
+/// (c·h) 1 − c hᵀ with h = m c: the parallel-axis theorem's part.
+#[inline]
+fn steiner<T: Real>(c: &Vector3<T>, h: &Vector3<T>) -> Matrix3<T> {
+    let (xx, yy, zz) = (c.x * h.x, c.y * h.y, c.z * h.z);
+    let (xy, xz, yz) = (-c.x * h.y, -c.x * h.z, -c.y * h.z);
+    Matrix3::new(yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)
+}
+
+/// `x ×` as a matrix.
+#[inline]
+pub(crate) fn skew<T: Real>(x: &Vector3<T>) -> Matrix3<T> {
+    let o = T::zero();
+    Matrix3::new(o, -x.z, x.y, x.z, o, -x.x, -x.y, x.x, o)
 }

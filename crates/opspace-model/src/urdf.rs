@@ -10,7 +10,7 @@ mod tree;
 
 pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 
-use crate::model::{Frame, Joint, JointKind, Limits, Model, z_onto};
+use crate::model::{Follows, Joint, Model, ReduceError, z_onto};
 use crate::spatial::{Inertia, Placement};
 use read::{Description, JointElement, Motion};
 
@@ -23,11 +23,21 @@ pub struct Loaded {
     pub warnings: Vec<UrdfWarning>,
 }
 
+/// What to make of a URDF beyond what stands in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct UrdfOptions {
+    /// The root link is free to move in space: see [`Model::floating`].
+    pub floating_base: bool,
+    /// Mimic joints move with the joint that they name, instead of having coordinates of their own: see
+    /// [`Model::folded`].
+    pub fold_mimics: bool,
+}
+
 impl Model {
     /// The robot that a URDF describes, its root link fixed to the world.
     ///
     /// Revolute, continuous, prismatic and fixed joints are read. Bodies are merged across fixed joints and
-    /// numbered as [`Model`] says; every link becomes a [`Frame`]. The inertia of links that can't move is
+    /// numbered as [`Model`] says; every link becomes a [`Frame`](crate::Frame). The inertia of links that can't move is
     /// dropped. A mimic joint is a joint of its own, with a warning.
     ///
     /// ```
@@ -56,26 +66,41 @@ impl Model {
     /// # Errors
     /// [`UrdfError`], with the line of the element at fault: see [`UrdfErrorKind`].
     pub fn from_urdf(text: &str) -> Result<Loaded, UrdfError> {
+        Self::from_urdf_with(text, UrdfOptions::default())
+    }
+
+    /// [`from_urdf`](Self::from_urdf) with a floating base, or mimic joints folded.
+    ///
+    /// # Errors
+    /// As [`from_urdf`](Self::from_urdf).
+    pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<Loaded, UrdfError> {
         let read::Reading { description, mut warnings } = read::read(text)?;
         let order = tree::depth_first(&description)?;
-        let model = assemble(&description, &order)?;
+        let mut model = assemble(&description, &order, options.floating_base)?;
+        if options.fold_mimics {
+            model = fold(&model, &description)?;
+            warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { .. }));
+        }
         warnings.sort_by_key(UrdfWarning::line);
         Ok(Loaded { model, warnings })
     }
 }
 
-/// Where a link is: the joint whose body it belongs to, and its pose in that body's frame.
+/// Where a link is: the body it belongs to, and its pose in that body's frame.
 #[derive(Clone, Copy)]
 struct Place {
     body: Option<usize>,
     placement: Placement,
 }
 
-fn assemble(description: &Description, order: &[tree::Step]) -> Result<Model, UrdfError> {
-    let mut joints: Vec<Joint> = Vec::new();
+fn assemble(description: &Description, order: &[tree::Step], floating: bool) -> Result<Model, UrdfError> {
+    let name = &description.name;
+    let mut model = if floating { Model::floating(name, Inertia::zero()) } else { Model::new(name) };
+    let root = Place { body: floating.then_some(5), placement: Placement::identity() };
+    let mut places = vec![root; description.links.len()];
+    let mut inertias = vec![Inertia::zero(); model.bodies().len()];
+    // The joint that moves each body, and the line of each frame's link, for errors.
     let mut movers: Vec<&JointElement> = Vec::new();
-    let mut frames = Vec::with_capacity(description.links.len());
-    let mut places = vec![Place { body: None, placement: Placement::identity() }; description.links.len()];
     for step in order {
         if let Some((joint, parent_link)) = step.from {
             let element = &description.joints[joint];
@@ -83,40 +108,53 @@ fn assemble(description: &Description, order: &[tree::Step]) -> Result<Model, Ur
             let at_zero = parent.placement * element.origin;
             places[step.link] = match &element.motion {
                 Motion::Fixed => Place { body: parent.body, placement: at_zero },
-                Motion::Moving { kind, axis, limits } => {
+                Motion::Moving { kind, axis, limits, .. } => {
                     let turned = Placement { rotation: z_onto(axis), ..Placement::identity() };
+                    let joint = Joint { name: element.name.clone(), kind: *kind, limits: *limits };
                     movers.push(element);
-                    joints.push(moving(element, *kind, *limits, parent.body, at_zero * turned));
-                    Place { body: Some(joints.len() - 1), placement: turned.inverse() }
+                    inertias.push(Inertia::zero());
+                    let body = model.add_body(parent.body, at_zero * turned, joint, Inertia::zero());
+                    Place { body: Some(body), placement: turned.inverse() }
                 }
             };
         }
         let (link, place) = (&description.links[step.link], places[step.link]);
         if let (Some(body), Some(inertia)) = (place.body, link.inertia) {
-            joints[body].inertia = joints[body].inertia + place.placement.act_inertia(&inertia);
+            inertias[body] = inertias[body] + place.placement.act_inertia(&inertia);
         }
-        frames.push(Frame { name: link.name.clone(), joint: place.body, placement: place.placement });
+        if !is_finite(&place.placement) {
+            let kind = UrdfErrorKind::Overflow { element: format!("link '{}'", link.name) };
+            return Err(UrdfError::at(link.line, kind));
+        }
+        model.add_frame(&link.name, place.body, place.placement);
     }
-    for (joint, element) in joints.iter().zip(movers) {
-        if joint.inertia.mass <= 0.0 {
-            let kind = UrdfErrorKind::Massless { joint: joint.name.clone(), link: element.child.clone() };
+    let jointed = model.first_jointed_body();
+    for ((body, inertia), element) in inertias.iter().enumerate().skip(jointed).zip(movers) {
+        if inertia.mass <= 0.0 {
+            let kind = UrdfErrorKind::Massless { joint: element.name.clone(), link: element.child.clone() };
             return Err(UrdfError::at(element.line, kind));
         }
-        let Inertia { mass, com, rotational } = &joint.inertia;
-        let finite = mass.is_finite() && com.iter().chain(rotational).all(|x| x.is_finite());
-        if !finite || !is_finite(&joint.origin) {
-            let kind = UrdfErrorKind::Overflow { element: format!("joint '{}'", joint.name) };
+        if !is_finite_inertia(inertia) || !is_finite(&model.bodies()[body].origin) {
+            let kind = UrdfErrorKind::Overflow { element: format!("joint '{}'", element.name) };
             return Err(UrdfError::at(element.line, kind));
         }
     }
-    // One frame a link, in the same order.
-    for (frame, step) in frames.iter().zip(order) {
-        if !is_finite(&frame.placement) {
-            let kind = UrdfErrorKind::Overflow { element: format!("link '{}'", frame.name) };
-            return Err(UrdfError::at(description.links[step.link].line, kind));
+    for (body, inertia) in inertias.into_iter().enumerate() {
+        model.set_inertia(body, inertia);
+    }
+    // One frame a link, the root first.
+    if let (true, Some(step)) = (floating, order.first()) {
+        let link = &description.links[step.link];
+        if model.total_mass() <= 0.0 {
+            let kind = UrdfErrorKind::WeightlessBase { link: link.name.clone() };
+            return Err(UrdfError::at(link.line, kind));
+        }
+        if !is_finite_inertia(&model.bodies()[5].inertia) {
+            let kind = UrdfErrorKind::Overflow { element: format!("link '{}'", link.name) };
+            return Err(UrdfError::at(link.line, kind));
         }
     }
-    Ok(Model::new(description.name.clone(), joints, frames))
+    Ok(model)
 }
 
 /// Finite numbers can still be too large for their products.
@@ -124,20 +162,35 @@ fn is_finite(placement: &Placement) -> bool {
     placement.rotation.iter().chain(&placement.translation).all(|x| x.is_finite())
 }
 
-fn moving(
-    element: &JointElement,
-    kind: JointKind,
-    limits: Limits,
-    parent: Option<usize>,
-    origin: Placement,
-) -> Joint {
-    Joint {
-        name: element.name.clone(),
-        kind,
-        parent,
-        origin,
-        inertia: Inertia::zero(),
-        limits,
-        rotor_inertia: 0.0,
+fn is_finite_inertia(Inertia { mass, com, rotational }: &Inertia) -> bool {
+    mass.is_finite() && com.iter().chain(rotational).all(|x| x.is_finite())
+}
+
+/// Every mimic joint with its leader.
+fn fold(model: &Model, description: &Description) -> Result<Model, UrdfError> {
+    let mut followers = Vec::new();
+    let mut line = 1;
+    for element in &description.joints {
+        let Motion::Moving { mimic: Some(mimic), .. } = &element.motion else {
+            continue;
+        };
+        let leader = model.joint(&mimic.leader).map_err(|unknown| {
+            let kind = UrdfErrorKind::UnknownLeader {
+                joint: element.name.clone(),
+                leader: unknown.name,
+                known: unknown.known,
+            };
+            UrdfError::at(mimic.line, kind)
+        })?;
+        let Ok(joint) = model.joint(&element.name) else { continue };
+        line = mimic.line;
+        followers.push((joint, Follows { leader, ratio: mimic.ratio, offset: mimic.offset }));
     }
+    model.folded(&followers).map_err(|error| match error {
+        ReduceError::FollowsItself { joint } => {
+            let line = description.joints.iter().find(|j| j.name == joint).map_or(line, |j| j.line);
+            UrdfError::at(line, UrdfErrorKind::MimicsItself { joint })
+        }
+        other => UrdfError::at(line, UrdfErrorKind::Malformed { reason: other.to_string() }),
+    })
 }

@@ -4,11 +4,11 @@
 //! Identities don't see a transform that all algorithms share and that is wrong: see `pinocchio.rs` for those.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Rotation3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
 use opspace_model::{
-    Data, Frame, FrameId, Inertia, Joint, JointKind, Limits, Model, OperationalSpace, Placement, aba,
-    coriolis, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity, kinematics,
-    kinetic_energy, potential_energy, rnea, update,
+    Data, FrameId, Inertia, Joint, JointKind, Limits, Model, OperationalSpace, Placement, aba, coriolis,
+    frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity, kinematics, kinetic_energy,
+    potential_energy, rnea, update,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -52,59 +52,54 @@ fn inertia() -> impl Strategy<Value = Inertia> {
     )
 }
 
-fn joint() -> impl Strategy<Value = (Joint, prop::sample::Index)> {
+/// A body to be put on a tree: its joint, rotor, and where it branches off.
+#[derive(Clone, Debug)]
+struct Part {
+    kind: JointKind,
+    origin: Placement,
+    inertia: Inertia,
+    rotor: f64,
+    branch: prop::sample::Index,
+}
+
+fn part() -> impl Strategy<Value = Part> {
     let kind =
         prop_oneof![Just(JointKind::Revolute), Just(JointKind::Continuous), Just(JointKind::Prismatic)];
-    let unlimited = Limits {
-        lower: f64::NEG_INFINITY,
-        upper: f64::INFINITY,
-        velocity: f64::INFINITY,
-        effort: f64::INFINITY,
-    };
-    (kind, placement(), inertia(), 0.0..0.5, any::<prop::sample::Index>()).prop_map(
-        move |(kind, origin, inertia, rotor_inertia, place)| {
-            let joint = Joint {
-                name: String::new(),
-                kind,
-                parent: None,
-                origin,
-                inertia,
-                limits: unlimited,
-                rotor_inertia,
-            };
-            (joint, place)
-        },
-    )
+    (kind, placement(), inertia(), 0.0..0.5, any::<prop::sample::Index>())
+        .prop_map(|(kind, origin, inertia, rotor, branch)| Part { kind, origin, inertia, rotor, branch })
+}
+
+/// The parts as a tree on `model`, a chain more often than not, so that trees are deep and branched; a frame
+/// `tip` off the last.
+fn grow(mut model: Model, parts: &[Part], hand: Placement) -> Model {
+    let root = model.bodies().len();
+    let mut rotors = model.rotor_inertia().to_vec();
+    for (i, part) in parts.iter().enumerate() {
+        let parent = (i > 0).then(|| root + if i % 3 == 2 { part.branch.index(i) } else { i - 1 });
+        let joint = Joint { name: format!("joint{i}"), kind: part.kind, limits: Limits::NONE };
+        model.add_body(parent, part.origin, joint, part.inertia);
+        rotors.push(part.rotor);
+    }
+    model.add_frame("tip", Some(model.bodies().len() - 1), hand);
+    model.with_rotor_inertia(&rotors)
 }
 
 fn case() -> impl Strategy<Value = Case> {
-    let joints = prop::collection::vec(joint(), 1..9);
+    let parts = prop::collection::vec(part(), 1..9);
     let state = prop::collection::vec((-3.0..3.0, -2.0..2.0, -5.0..5.0, -20.0..20.0), 9);
-    (joints, placement(), placement(), triple(10.0), state).prop_map(
-        |(joints, hand, base, gravity, state)| {
-            let n = joints.len();
-            let place = |(i, (joint, place)): (usize, (Joint, prop::sample::Index))| Joint {
-                name: format!("joint{i}"),
-                // A chain more often than not, so that trees are deep and branched.
-                parent: (i > 0).then(|| if i % 3 == 2 { place.index(i) } else { i - 1 }),
-                ..joint
-            };
-            let joints = joints.into_iter().enumerate().map(place).collect();
-            let tip = Frame { name: "tip".to_owned(), joint: Some(n - 1), placement: hand };
-            let model = Model::new("tree".to_owned(), joints, vec![tip])
-                .with_base(base)
-                .with_gravity(Vector3::from(gravity));
-            let column = |pick: fn(&(f64, f64, f64, f64)) -> f64| state[..n].iter().map(pick).collect();
-            Case {
-                tip: model.frame("tip").unwrap(),
-                q: column(|s| s.0),
-                dq: column(|s| s.1),
-                ddq: column(|s| s.2),
-                tau: column(|s| s.3),
-                model,
-            }
-        },
-    )
+    (parts, placement(), placement(), triple(10.0), state).prop_map(|(parts, hand, base, gravity, state)| {
+        let model =
+            grow(Model::new("tree"), &parts, hand).with_base(base).with_gravity(Vector3::from(gravity));
+        let column = |pick: fn(&(f64, f64, f64, f64)) -> f64| state[..parts.len()].iter().map(pick).collect();
+        Case {
+            tip: model.frame("tip").unwrap(),
+            q: column(|s| s.0),
+            dq: column(|s| s.1),
+            ddq: column(|s| s.2),
+            tau: column(|s| s.3),
+            model,
+        }
+    })
 }
 
 /// All that [`update`] and [`coriolis`] compute.
@@ -169,7 +164,7 @@ proptest! {
         let mut data = evaluated(&case.model, &case.q, &case.dq);
         aba(&case.model, &mut data, &case.tau);
         let mut ddq: Vec<f64> = case.tau.iter().zip(&data.bias).map(|(tau, h)| tau - h).collect();
-        opspace_model::cholesky_solve(&data.mass_matrix_factor, &mut ddq);
+        data.mass_matrix_factor.solve(&mut ddq);
         close(&data.ddq, &ddq, INVERSE)?;
     }
 
@@ -186,7 +181,7 @@ proptest! {
     /// Rotors add to M's diagonal, and to nothing else of the equation of motion.
     #[test]
     fn rotors_add_to_the_diagonal(case in case()) {
-        let rotors: Vec<f64> = case.model.joints().iter().map(|j| j.rotor_inertia).collect();
+        let rotors = case.model.rotor_inertia().to_vec();
         let bare = case.model.clone().with_rotor_inertia(&vec![0.0; rotors.len()]);
         let (with, without) =
             (evaluated(&case.model, &case.q, &case.dq), evaluated(&bare, &case.q, &case.dq));
@@ -319,31 +314,22 @@ proptest! {
         close(&expected.rotation, &found.rotation, ROUNDING)?;
     }
 
-    /// A robot whose first joint is locked and turned by its origin against the joint at that angle.
+    /// A joint at an angle against the same joint locked there, everything else alike; against the model with it:
+    /// what the others move, weigh and feel.
     #[test]
-    fn a_turned_origin_is_a_turned_joint(case in case(), angle in -3.0..3.0f64) {
-        let mut joints = case.model.joints().to_vec();
-        let turn = match joints[0].kind {
-            JointKind::Prismatic => Placement {
-                translation: Vector3::z() * angle,
-                ..Placement::identity()
-            },
-            JointKind::Revolute | JointKind::Continuous => Placement {
-                rotation: *Rotation3::from_axis_angle(&Vector3::z_axis(), angle).matrix(),
-                ..Placement::identity()
-            },
-        };
-        joints[0].origin = joints[0].origin * turn;
-        let shifted = Model::new("tree".to_owned(), joints, case.model.frames().to_vec())
-            .with_base(case.model.base())
-            .with_gravity(case.model.gravity());
-        let mut q = case.q.clone();
-        q[0] += angle;
-        let (joint, origin) = (evaluated(&case.model, &q, &case.dq), evaluated(&shifted, &case.q, &case.dq));
-        close(&joint.bias, &origin.bias, ROUNDING)?;
-        close(&joint.mass_matrix, &origin.mass_matrix, ROUNDING)?;
-        let place = |model: &Model, data: &Data| frame_placement(model, data, case.tip);
-        let (a, b) = (place(&case.model, &joint), place(&shifted, &origin));
+    fn a_locked_joint_is_one_that_stands_still(case in case(), at in -3.0..3.0f64, which in any::<prop::sample::Index>()) {
+        let (n, which) = (case.model.n(), which.index(case.model.n()));
+        let locked = case.model.locked(&[(which, at)]).unwrap();
+        let (mut q, mut dq) = (case.q.clone(), case.dq.clone());
+        (q[which], dq[which]) = (at, 0.0);
+        let whole = evaluated(&case.model, &q, &dq);
+        let left: Vec<usize> = (0..n).filter(|&i| i != which).collect();
+        let pick = |values: &[f64]| -> Vec<f64> { left.iter().map(|&i| values[i]).collect() };
+        let part = evaluated(&locked, &pick(&q), &pick(&dq));
+        close(&part.bias, &pick(whole.bias.as_slice()), ROUNDING)?;
+        let expected = DMatrix::from_fn(n - 1, n - 1, |i, j| whole.mass_matrix[(left[i], left[j])]);
+        close(&part.mass_matrix, &expected, ROUNDING)?;
+        let (a, b) = (frame_placement(&case.model, &whole, case.tip), frame_placement(&locked, &part, case.tip));
         close(&a.translation, &b.translation, ROUNDING)?;
         close(&a.rotation, &b.rotation, ROUNDING)?;
     }
@@ -373,10 +359,15 @@ proptest! {
         prop_assume!(spectrum.min() > 1e-4 * spectrum.max());
 
         let mut space = OperationalSpace::new(n);
-        space.update(&data, &jacobian, rows, 0.0);
-        let inverse = space.dynamically_consistent_inverse.columns(0, rows);
+        space.update(&data.mass_matrix_factor, &jacobian, rows, 0.0);
+        let inverse = space.jbar_transpose.rows(0, rows).transpose();
         let inertia = space.task_inertia.view((0, 0), (rows, rows));
-        let nullspace = &space.nullspace;
+        let nullspace = &mut DMatrix::zeros(n, n);
+        space.nullspace(&jacobian, nullspace);
+        let mut projected = case.tau.clone();
+        space.project_torque(&jacobian, &mut projected);
+        close(&projected, &(nullspace.transpose() * vector(&case.tau)), INVERSE)?;
+        let nullspace = &*nullspace;
         let identity = DMatrix::identity(rows, rows);
         close(&(&task * nullspace), &DMatrix::zeros(rows, n), INVERSE)?;
         close(&(&task * inverse), &identity, INVERSE)?;
@@ -389,10 +380,8 @@ proptest! {
     /// A frame on the base stands still, whatever the joints do.
     #[test]
     fn a_frame_on_the_base_stands_still(case in case(), place in placement()) {
-        let frame = Frame { name: "stand".to_owned(), joint: None, placement: place };
-        let model = Model::new("tree".to_owned(), case.model.joints().to_vec(), vec![frame])
-            .with_base(case.model.base());
-        let stand = model.frame("stand").unwrap();
+        let mut model = case.model.clone();
+        let stand = model.add_frame("stand", None, place);
         let mut data = Data::new(&model);
         kinematics(&model, &mut data, &case.q, &case.dq);
         let mut jacobian = Matrix6xX::repeat(model.n(), f64::NAN);

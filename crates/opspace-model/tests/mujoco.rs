@@ -85,4 +85,4 @@ macro_rules! robots {
         }
     )* };
 }
-robots!(double_pendulum, g1_29dof, kinova_j2s6s200, panda, ur5);
+robots!(double_pendulum, g1_29dof, kinova_j2s6s200, panda, pr2, ur5, xarm7_turned);

@@ -93,6 +93,7 @@ fn joints_agree(robot: &str) {
         JointKind::Revolute => "revolute",
         JointKind::Continuous => "continuous",
         JointKind::Prismatic => "prismatic",
+        JointKind::Floating => "floating",
     });
     assert_eq!(meta["joint_types"], serde_json::json!(kinds.collect::<Vec<_>>()));
     let total_mass = numbers(&meta["total_mass"]);

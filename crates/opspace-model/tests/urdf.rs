@@ -461,7 +461,8 @@ fn joints_are_depth_first_by_name_and_links_are_frames() {
     let body = ["z", "a"].map(|n| branch(n, "hub")).concat() + &branch("b", "a") + &branch("hub", "base");
     let text = format!(r#"<robot name="tree"><link name="base"/>{body}</robot>"#);
     let model = Model::from_urdf(&text).unwrap().model;
-    let joints: Vec<_> = model.joints().iter().map(|j| (j.name.as_str(), j.parent)).collect();
+    let joints: Vec<_> =
+        model.joints().iter().zip(model.bodies()).map(|(j, b)| (j.name.as_str(), b.parent)).collect();
     let expected = [("hub_joint", None), ("a_joint", Some(0)), ("b_joint", Some(1)), ("z_joint", Some(0))];
     assert_eq!(joints, expected);
     let frames: Vec<_> = model.frames().iter().map(|f| f.name.as_str()).collect();
@@ -487,7 +488,7 @@ fn fixed_links_add_their_inertia_in_the_body_frame() {
     let text =
         arm_with(r#"<link name="tool"/>"#, tool).replacen(r#"type="prismatic""#, r#"type="revolute""#, 1);
     let text = text.replacen(ELBOW_AXIS, r#"<axis xyz="0 0 2"/>"#, 1);
-    let body = Model::from_urdf(&text).unwrap().model.joints()[1].inertia;
+    let body = Model::from_urdf(&text).unwrap().model.bodies()[1].inertia;
     // 1 kg at the origin and 3 kg at (0.1, 0, 0.2): 0.75 kg of reduced mass that far apart.
     let d = Vector3::new(0.1, 0.0, 0.2);
     let expected = Matrix3::from_diagonal(&Vector3::new(0.01 + 0.2, 0.01 + 0.1, 0.01 + 0.25))
@@ -504,7 +505,7 @@ fn what_is_fixed_to_the_base_has_no_inertia() {
         <joint name="bolt" type="fixed"><parent link="base"/><child link="table"/></joint>"#;
     let model = Model::from_urdf(&arm_and(more)).unwrap().model;
     assert_eq!(model.total_mass(), 3.0);
-    assert_eq!(model.frame_info(model.frame("table").unwrap()).joint, None);
+    assert_eq!(model.frame_info(model.frame("table").unwrap()).body, None);
 }
 
 /// Our reader against urdf-rs, of which we use nothing else: every number of every file, where the joints of
@@ -540,7 +541,7 @@ fn agrees_with_urdf_rs() {
                 assert_eq!((ours.limits.lower, ours.limits.upper), (joint.limit.lower, joint.limit.upper));
             }
         }
-        let moving = |name: &str| model.frame_info(model.frame(name).unwrap()).joint.is_some();
+        let moving = |name: &str| model.frame_info(model.frame(name).unwrap()).body.is_some();
         let mass: f64 = theirs.links.iter().filter(|l| moving(&l.name)).map(|l| l.inertial.mass.value).sum();
         assert!((model.total_mass() - mass).abs() < 1e-12 * mass, "{robot}");
     }
@@ -632,10 +633,10 @@ mod mutations {
             match Model::from_urdf(&text) {
                 Err(error) => prop_assert!(!error.to_string().is_empty()),
                 Ok(loaded) => {
-                    for joint in loaded.model.joints() {
-                        prop_assert!(joint.inertia.mass > 0.0);
-                        prop_assert!(joint.inertia.rotational.iter().all(|x| x.is_finite()));
-                        prop_assert!(joint.origin.rotation.iter().all(|x| x.is_finite()));
+                    for body in loaded.model.bodies() {
+                        prop_assert!(body.inertia.mass > 0.0);
+                        prop_assert!(body.inertia.rotational.iter().all(|x| x.is_finite()));
+                        prop_assert!(body.origin.rotation.iter().all(|x| x.is_finite()));
                     }
                 }
             }

@@ -153,10 +153,10 @@ impl Plant {
         let model = &self.parts.model;
         kinematics(model, &mut self.data, self.parts.q.as_slice(), self.dq.as_slice());
         let sensor = frame_placement(model, &self.data, frame);
-        let body = model.frame_info(frame).joint;
+        let body = model.frame_info(frame).body;
         let mut wrench = Force::zero();
         for contact in &self.parts.contacts {
-            if model.frame_info(contact.frame).joint == body {
+            if model.frame_info(contact.frame).body == body {
                 let at = frame_placement(model, &self.data, contact.frame).translation;
                 wrench.linear += contact.force;
                 wrench.angular += (at - sensor.translation).cross(&contact.force);

@@ -5,7 +5,7 @@ mod common;
 use common::{START, robot, setup};
 use nalgebra::DVector;
 use opspace_control::CommandKind;
-use opspace_model::{Data, Model, kinematics, kinetic_energy, potential_energy};
+use opspace_model::{Data, Limits, Model, kinematics, kinetic_energy, potential_energy};
 use opspace_sim::RungeKutta;
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
@@ -15,13 +15,10 @@ use opspace_sim::plant::{Plant, PlantParts};
 fn frictionless(dt: f64, q: &[f64]) -> Plant {
     let (robot, setup) = (robot(), setup(CommandKind::Torque, "a-med"));
     let n = setup.model.n();
-    let mut joints = setup.model.joints().to_vec();
-    for joint in &mut joints {
-        (joint.limits.lower, joint.limits.upper) = (f64::NEG_INFINITY, f64::INFINITY);
+    let mut model = setup.model;
+    for joint in 0..n {
+        model.set_limits(joint, Limits::NONE);
     }
-    let model = Model::new(setup.model.name().to_owned(), joints, setup.model.frames().to_vec())
-        .with_base(setup.model.base())
-        .with_gravity(setup.model.gravity());
     Plant::new(PlantParts {
         friction: setup
             .joints

@@ -5,7 +5,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
 use opspace_control::{Compensation, ControlError, Measurement, RobotFacts, Stack, TaskParameters};
 use opspace_model::model::z_onto;
-use opspace_model::{Data, Frame, Inertia, Joint, JointKind, Limits, Model, Placement};
+use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
@@ -25,46 +25,37 @@ pub struct Link {
 /// after it, and those in `frames` (name, link, place).
 pub fn arm(links: &[Link], frames: &[(&str, usize, [f64; 3])], length: f64) -> Model {
     let body = |i: usize| z_onto(&Unit::new_normalize(Vector3::from(links[i].axis)));
-    let joints = (links.iter().enumerate())
-        .map(|(i, link)| {
-            let before = if i == 0 { Matrix3::identity() } else { body(i - 1) };
-            let inertia = Matrix3::from_diagonal(&Vector3::from(link.inertia)) * (length * length);
-            Joint {
-                name: link.name.to_owned(),
-                kind: JointKind::Revolute,
-                parent: i.checked_sub(1),
-                origin: Placement {
-                    rotation: before.transpose() * body(i),
-                    translation: before.transpose() * Vector3::from(link.origin) * length,
-                },
-                inertia: Inertia {
-                    mass: link.mass,
-                    com: body(i).transpose() * Vector3::from(link.com) * length,
-                    rotational: body(i).transpose() * inertia * body(i),
-                },
-                limits: Limits {
-                    lower: link.limits[0],
-                    upper: link.limits[1],
-                    velocity: f64::INFINITY,
-                    effort: f64::INFINITY,
-                },
-                rotor_inertia: link.rotor * length * length,
-            }
-        })
-        .collect();
+    let mut model = Model::new("arm").with_gravity(Vector3::new(0.0, 0.0, -9.81 * length));
+    for (i, link) in links.iter().enumerate() {
+        let before = if i == 0 { Matrix3::identity() } else { body(i - 1) };
+        let [lower, upper] = link.limits;
+        let joint = Joint {
+            name: link.name.to_owned(),
+            kind: JointKind::Revolute,
+            limits: Limits { lower, upper, ..Limits::NONE },
+        };
+        let origin = Placement {
+            rotation: before.transpose() * body(i),
+            translation: before.transpose() * Vector3::from(link.origin) * length,
+        };
+        let inertia = Matrix3::from_diagonal(&Vector3::from(link.inertia)) * (length * length);
+        let inertia = Inertia {
+            mass: link.mass,
+            com: body(i).transpose() * Vector3::from(link.com) * length,
+            rotational: body(i).transpose() * inertia * body(i),
+        };
+        model.add_body(i.checked_sub(1), origin, joint, inertia);
+    }
     let own = (0..links.len()).map(|i| (links[i].name, i, [0.0; 3]));
-    let all = own.chain(frames.iter().copied());
-    let frames = all
-        .map(|(name, i, place)| Frame {
-            name: name.to_owned(),
-            joint: Some(i),
-            placement: Placement {
-                rotation: body(i).transpose(),
-                translation: body(i).transpose() * Vector3::from(place) * length,
-            },
-        })
-        .collect();
-    Model::new("arm".to_owned(), joints, frames).with_gravity(Vector3::new(0.0, 0.0, -9.81 * length))
+    for (name, i, place) in own.chain(frames.iter().copied()) {
+        let placement = Placement {
+            rotation: body(i).transpose(),
+            translation: body(i).transpose() * Vector3::from(place) * length,
+        };
+        model.add_frame(name, Some(i), placement);
+    }
+    let rotors: Vec<f64> = links.iter().map(|link| link.rotor * length * length).collect();
+    model.with_rotor_inertia(&rotors)
 }
 
 /// Start posture of the four-joint arm.

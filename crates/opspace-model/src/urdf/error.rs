@@ -163,6 +163,28 @@ pub enum UrdfErrorKind {
         /// The type given.
         found: String,
     },
+    /// A mimic joint of a joint that isn't there, or that doesn't move.
+    #[error("joint '{joint}' mimics '{leader}', which is no moving joint; those are: {}", listed(known))]
+    UnknownLeader {
+        /// The mimic joint.
+        joint: String,
+        /// What it names.
+        leader: String,
+        /// What it could name.
+        known: Vec<String>,
+    },
+    /// Mimic joints in a circle.
+    #[error("joint '{joint}' mimics itself, by way of other joints or at once")]
+    MimicsItself {
+        /// One of them.
+        joint: String,
+    },
+    /// A floating robot without mass.
+    #[error("nothing on the floating base '{link}' has mass; give its links <inertial>")]
+    WeightlessBase {
+        /// The root link.
+        link: String,
+    },
     /// An attribute that would change the robot and that isn't read.
     #[error("{element}: {attribute} is not read; {remedy}")]
     Unsupported {

@@ -49,7 +49,15 @@ pub(super) struct JointElement {
 
 pub(super) enum Motion {
     Fixed,
-    Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits },
+    Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits, mimic: Option<Mimic> },
+}
+
+/// A joint that goes with another.
+pub(super) struct Mimic {
+    pub line: u32,
+    pub leader: String,
+    pub ratio: f64,
+    pub offset: f64,
 }
 
 pub(super) fn read(text: &str) -> Result<Reading, UrdfError> {
@@ -301,12 +309,13 @@ impl<'a> Element<'a> {
         };
         let motion = match kind {
             None => Motion::Fixed,
-            Some(kind) => Motion::Moving { kind, axis: self.axis()?, limits: self.limits(kind, warnings)? },
+            Some(kind) => Motion::Moving {
+                kind,
+                axis: self.axis()?,
+                limits: self.limits(kind, warnings)?,
+                mimic: self.mimic(warnings)?,
+            },
         };
-        if let (Some(_), Some(mimic)) = (kind, self.child(self.node, "mimic")?) {
-            let of = mimic.attribute("joint").unwrap_or_default().to_owned();
-            warnings.push(self.warning(mimic, UrdfWarningKind::Mimic { joint: self.name.to_owned(), of }));
-        }
         Ok(JointElement {
             name: self.name.to_owned(),
             line: self.lines.line(self.node),
@@ -315,6 +324,23 @@ impl<'a> Element<'a> {
             origin: self.origin(self.node)?,
             motion,
         })
+    }
+
+    /// Its `<mimic>`, if it has one: the ratio is 1 and the offset 0 where they aren't given.
+    fn mimic(&self, warnings: &mut Vec<UrdfWarning>) -> Result<Option<Mimic>, UrdfError> {
+        const MIMIC: &str = "write <mimic joint=\"...\" multiplier=\"...\" offset=\"...\"/>";
+        let Some(node) = self.child(self.node, "mimic")? else {
+            return Ok(None);
+        };
+        let number = |attribute, none| match node.has_attribute(attribute) {
+            true => self.number(node, attribute, MIMIC),
+            false => Ok(none),
+        };
+        let (ratio, offset) = (number("multiplier", 1.0)?, number("offset", 0.0)?);
+        let leader = self.attribute(node, "joint", MIMIC)?.to_owned();
+        let kind = UrdfWarningKind::Mimic { joint: self.name.to_owned(), of: leader.clone() };
+        warnings.push(self.warning(node, kind));
+        Ok(Some(Mimic { line: self.lines.line(node), leader, ratio, offset }))
     }
 
     /// The link that a joint's `<parent>` or `<child>` names.

@@ -46,12 +46,13 @@ fn describe(model: &Model) -> String {
         ("mass", "kg"),
         ("rotor", "kg m²"),
     ]);
-    for joint in model.joints() {
+    for (i, joint) in model.joints().iter().enumerate() {
         let limit = |value: f64| if value.is_finite() { Cell::from(value) } else { Cell::from("none") };
         let kind = match joint.kind {
             JointKind::Revolute => "revolute (rad, Nm)",
             JointKind::Continuous => "continuous (rad, Nm)",
             JointKind::Prismatic => "prismatic (m, N)",
+            JointKind::Floating => "floating base",
         };
         joints.push(vec![
             joint.name.clone().into(),
@@ -60,13 +61,14 @@ fn describe(model: &Model) -> String {
             limit(joint.limits.upper),
             limit(joint.limits.velocity),
             limit(joint.limits.effort),
-            joint.inertia.mass.into(),
-            joint.rotor_inertia.into(),
+            model.bodies()[i].inertia.mass.into(),
+            model.rotor_inertia()[i].into(),
         ]);
     }
     let mut frames = Table::new(&[("frame", ""), ("moves with", "")]);
+    let carrier = |body: usize| model.joints()[model.bodies()[body].joint].name.as_str();
     for frame in model.frames() {
-        let carrier = frame.joint.map_or("the base (fixed)", |j| model.joints()[j].name.as_str());
+        let carrier = frame.body.map_or("the base (fixed)", carrier);
         frames.push(vec![frame.name.clone().into(), carrier.into()]);
     }
     format!(
@@ -81,27 +83,28 @@ fn describe(model: &Model) -> String {
 
 fn as_json(model: &Model) -> Value {
     // JSON has no infinity: null is no limit.
-    let joints: Vec<Value> = (model.joints().iter())
-        .map(|joint| {
+    let joints: Vec<Value> = (model.joints().iter().enumerate())
+        .map(|(i, joint)| {
             json!({
                 "name": joint.name,
                 "kind": match joint.kind {
                     JointKind::Revolute => "revolute",
                     JointKind::Continuous => "continuous",
                     JointKind::Prismatic => "prismatic",
+                    JointKind::Floating => "floating",
                 },
                 "lower": joint.limits.lower,
                 "upper": joint.limits.upper,
                 "velocity": joint.limits.velocity,
                 "effort": joint.limits.effort,
-                "mass_kg": joint.inertia.mass,
-                "rotor_inertia": joint.rotor_inertia,
+                "mass_kg": model.bodies()[i].inertia.mass,
+                "rotor_inertia": model.rotor_inertia()[i],
             })
         })
         .collect();
-    let carrier = |joint: usize| model.joints()[joint].name.as_str();
+    let carrier = |body: usize| model.joints()[model.bodies()[body].joint].name.as_str();
     let frames: Vec<Value> = (model.frames().iter())
-        .map(|frame| json!({ "name": frame.name, "moves_with": frame.joint.map(carrier) }))
+        .map(|frame| json!({ "name": frame.name, "moves_with": frame.body.map(carrier) }))
         .collect();
     json!({
         "schema": "opspace.model/1",

@@ -1,0 +1,40 @@
+//! The momentum of the whole robot about its centre of mass.
+//!
+//! Orin, Goswami and Lee, *Centroidal dynamics of a humanoid robot*, Autonomous Robots 35, 2013; in Pinocchio
+//! `ccrba` and `computeCentroidalMomentum`. World axes, linear part first. Rotors don't count.
+
+use crate::crba::composites;
+use crate::data::Data;
+use crate::energy::{center_of_mass, momentum};
+use crate::jacobian::add;
+use crate::model::Model;
+use crate::real::Real;
+use crate::spatial::{Force, Motion};
+use nalgebra::Vector3;
+
+/// A(q) with A q̇ = [`centroidal_momentum`], into [`Data::centroidal_map`] (6 × n; kg m, kg m²). Needs
+/// [`forward_kinematics`](crate::forward_kinematics).
+pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    composites(model, data);
+    let com = com_from_origin(model, data);
+    data.centroidal_map.fill(T::zero());
+    for (i, body) in model.bodies.iter().enumerate() {
+        let Force { linear, angular } = data.composite[i].apply(&data.screw[i]).about(&com);
+        add(&mut data.centroidal_map, body.joint, &Motion { linear, angular });
+    }
+}
+
+/// Linear (kg m/s) and angular (kg m²/s) momentum about the centre of mass. Needs
+/// [`kinematics`](crate::kinematics()).
+#[must_use]
+pub fn centroidal_momentum<T: Real>(model: &Model<T>, data: &Data<T>) -> Force<T> {
+    let mut sum = Force::zero();
+    for (i, v) in data.velocity.iter().enumerate() {
+        sum += momentum(model, data, i, v);
+    }
+    sum.about(&com_from_origin(model, data))
+}
+
+fn com_from_origin<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
+    center_of_mass(model, data).map_or(Vector3::zeros(), |com| com - data.origin)
+}

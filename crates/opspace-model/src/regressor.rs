@@ -1,0 +1,86 @@
+//! Inverse dynamics as what it is in the inertial parameters: linear.
+//!
+//! Atkeson, An and Hollerbach, *Estimation of inertial parameters of manipulator loads and links*, Int. J. Robotics
+//! Research 5(3), 1986; in Pinocchio `computeJointTorqueRegressor`, whose order of parameters this is.
+
+use crate::data::Data;
+use crate::model::Model;
+use crate::real::Real;
+use crate::rnea::accelerate;
+use crate::spatial::{Force, Inertia, Motion};
+use nalgebra::{DMatrix, Matrix3, Vector3};
+
+/// How many parameters a body has.
+pub const PARAMETERS: usize = 10;
+
+/// π of a body: m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz, with I about the origin of its frame, in its
+/// axes (kg, kg m, kg m²).
+#[must_use]
+pub fn inertial_parameters(inertia: &Inertia) -> [f64; PARAMETERS] {
+    let Inertia { mass, com, rotational } = inertia;
+    let about_origin =
+        rotational + (Matrix3::from_diagonal_element(com.norm_squared()) - com * com.transpose()) * *mass;
+    let h = com * *mass;
+    let i = |r, c| about_origin[(r, c)];
+    [*mass, h.x, h.y, h.z, i(0, 0), i(0, 1), i(1, 1), i(0, 2), i(1, 2), i(2, 2)]
+}
+
+/// Y(q, q̇, q̈) with Y π = [`rnea`](crate::rnea())'s τ without rotors (n × 10 times the number of bodies), π the
+/// [`inertial_parameters`] of all bodies, one after the other. Needs [`kinematics`](crate::kinematics()).
+///
+/// # Panics
+/// If `ddq` is shorter than the number of joints or `out` of another size.
+pub fn torque_regressor<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T], out: &mut DMatrix<T>) {
+    let bodies = model.bodies.len();
+    assert_eq!(out.shape(), (model.n(), PARAMETERS * bodies), "n rows, ten columns a body");
+    accelerate(model, data, &ddq[..model.n()]);
+    out.fill(T::zero());
+    for i in 0..bodies {
+        let placement = &data.placement[i];
+        let point = placement.translation - data.origin;
+        let local = |m: &Motion<T>| m.at(&point).turned_back(&placement.rotation);
+        let v = local(&data.velocity[i]);
+        let a = local(&(data.acceleration[i] + data.bias_acceleration[i]));
+        let columns = body_regressor(&v, &a);
+        for j in model.ancestry(Some(i)) {
+            let screw = local(&data.screw[j]);
+            for (k, column) in columns.iter().enumerate() {
+                out[(model.bodies[j].joint, PARAMETERS * i + k)] += screw.dot(column);
+            }
+        }
+    }
+}
+
+/// The force on a body per unit of each of its parameters, at its velocity and acceleration in its own frame:
+/// `f = m a_o + α × h + ω × (ω × h)`, `n = I α + ω × I ω + h × a_o` with a_o the classical acceleration of its origin.
+fn body_regressor<T: Real>(v: &Motion<T>, a: &Motion<T>) -> [Force<T>; PARAMETERS] {
+    let (w, alpha) = (&v.angular, &a.angular);
+    let at_origin = a.linear + w.cross(&v.linear);
+    let moment = |r: usize, c: usize| {
+        // I with ones at (r, c) and (c, r), on a vector.
+        let apply = |x: &Vector3<T>| {
+            let mut y = Vector3::zeros();
+            y[r] = x[c];
+            y[c] = x[r];
+            y
+        };
+        Force { linear: Vector3::zeros(), angular: apply(alpha) + w.cross(&apply(w)) }
+    };
+    let first = |axis: usize| {
+        let e = Vector3::ith(axis, T::one());
+        Force { linear: alpha.cross(&e) + w.cross(&w.cross(&e)), angular: e.cross(&at_origin) }
+    };
+    let mass = Force { linear: at_origin, angular: Vector3::zeros() };
+    [
+        mass,
+        first(0),
+        first(1),
+        first(2),
+        moment(0, 0),
+        moment(0, 1),
+        moment(1, 1),
+        moment(0, 2),
+        moment(1, 2),
+        moment(2, 2),
+    ]
+}
