@@ -136,8 +136,8 @@ fn mobility(
     half: &mut Matrix6xX<f64>,
 ) -> f64 {
     half.copy_from(jacobian);
-    factor.half_solve(half);
-    half.rows(0, rows).norm_squared()
+    let matrix = factor.mobility(half);
+    (0..rows).map(|r| matrix[(r, r)]).sum()
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use crate::jacobian::{add_external, screw_rate};
 use crate::model::{FrameId, Model};
 use crate::real::Real;
 use crate::rnea::bias;
-use crate::spatial::{Force, Motion, SpatialInertia, skew};
+use crate::spatial::{Force, Motion, SpatialInertia, apply, apply_transposed, skew};
 use nalgebra::{DVector, Matrix3, Vector3};
 
 /// q̈ = M⁻¹ (τ − C q̇ − g) under the joint torques `tau` (n; Nm), into [`Data::ddq`] (rad/s²). Needs
@@ -37,12 +37,13 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
         let torque = tau[i] - screw.dot(&data.force[i]);
         data.column[i] = ArticulatedColumn { force: column, inverse_inertia, torque };
         if let Some(p) = body.parent {
-            let beyond = articulated.without(&column, inverse_inertia);
-            let force = data.force[i]
-                + beyond.apply(&velocity_product(data, i))
-                + column * (torque * inverse_inertia);
-            data.articulated[p].add(&beyond);
+            // Beyond the joint the force I_a c + p + U u/D is left, with I_a = I − U Uᵀ/D.
+            let c = velocity_product(data, i);
+            let given_way = (torque - c.dot(&column)) * inverse_inertia;
+            let force = data.force[i] + articulated.apply(&c) + column * given_way;
             data.force[p] += force;
+            let (before, from) = data.articulated.split_at_mut(i);
+            before[p].add_without(&from[0], &column, inverse_inertia);
         }
     }
     // Gravity as an upward acceleration of the base.
@@ -107,29 +108,24 @@ impl<T: Real> ArticulatedInertia<T> {
         }
     }
 
-    /// I − U Uᵀ/D: what is left to carry once the joint gives way.
-    #[inline]
-    fn without(&self, u: &Force<T>, inverse_inertia: T) -> Self {
-        let scaled = *u * inverse_inertia;
-        Self {
-            linear: self.linear - u.linear * scaled.linear.transpose(),
-            coupling: self.coupling - u.angular * scaled.linear.transpose(),
-            angular: self.angular - u.angular * scaled.angular.transpose(),
-        }
-    }
-
     #[inline]
     fn apply(&self, m: &Motion<T>) -> Force<T> {
         Force {
-            linear: self.linear * m.linear + self.coupling.tr_mul(&m.angular),
-            angular: self.coupling * m.linear + self.angular * m.angular,
+            linear: apply(&self.linear, &m.linear) + apply_transposed(&self.coupling, &m.angular),
+            angular: apply(&self.coupling, &m.linear) + apply(&self.angular, &m.angular),
         }
     }
 
+    /// Adds I − U Uᵀ/D of another: what is left to carry once its joint gives way.
     #[inline]
-    fn add(&mut self, other: &Self) {
-        self.linear += other.linear;
-        self.coupling += other.coupling;
-        self.angular += other.angular;
+    fn add_without(&mut self, other: &Self, u: &Force<T>, inverse_inertia: T) {
+        let scaled = *u * inverse_inertia;
+        for c in 0..3 {
+            for r in 0..3 {
+                self.linear[(r, c)] += other.linear[(r, c)] - u.linear[r] * scaled.linear[c];
+                self.coupling[(r, c)] += other.coupling[(r, c)] - u.angular[r] * scaled.linear[c];
+                self.angular[(r, c)] += other.angular[(r, c)] - u.angular[r] * scaled.angular[c];
+            }
+        }
     }
 }

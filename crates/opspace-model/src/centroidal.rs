@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composites(model, data);
     let com = com_from_origin(model, data);
-    data.centroidal_map.fill(T::zero());
+    data.centroidal_map.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate() {
         let Force { linear, angular } = data.composite[i].apply(&data.screw[i]).about(&com);
         add(&mut data.centroidal_map, body.joint, &Motion { linear, angular });

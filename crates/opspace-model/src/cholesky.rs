@@ -1,33 +1,50 @@
 //! The mass matrix factored, and what follows without its inverse.
 //!
-//! `M = U Uᵀ` with U upper triangular, from the tips to the base: then U has zeros wherever neither of two joints
-//! carries the other, as M has (RBDA §6.5; there `M = Lᵀ L` with L = Uᵀ). In Pinocchio `cholesky::decompose`,
-//! `cholesky::solve` and `computeMinverse`.
+//! `M = U D Uᵀ` with U upper triangular and ones on its diagonal, from the tips to the base: then U has zeros wherever
+//! neither of two joints carries the other, as M has (RBDA §6.5; there `M = Lᵀ D L` with L = Uᵀ). In Pinocchio
+//! `cholesky::decompose`, `cholesky::solve` and `computeMinverse`.
 //!
 //! A joint's carriers are numbered in a few unbroken rows: one in a chain, one more at each branching. All loops
 //! run over such rows, so that a tree costs only what isn't zero and a chain costs no more for it.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, cholesky, crba, forward_kinematics};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! forward_kinematics(&model, &mut data, &[0.3; 6]);
+//! crba(&model, &mut data);
+//! assert!(cholesky(&mut data), "M is positive definite");
+//! let mut x = [1.0; 6];
+//! data.mass_matrix_factor.solve(&mut x); // M⁻¹ x
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::model::Model;
 use crate::real::Real;
-use nalgebra::{DMatrix, Matrix6xX, SimdBool};
+use nalgebra::{DMatrix, Matrix6, Matrix6xX, SimdBool};
 use std::ops::Range;
 
-/// U of M = U Uᵀ. The identity until [updated](Self::update).
+/// U and D of M = U D Uᵀ. The identity until [updated](Self::update).
 #[derive(Clone, Debug)]
 pub struct MassMatrixFactor<T = f64> {
-    /// Column k holds rows 0 to k; zero where M is.
+    /// Column k holds rows 0 to k − 1 of U; zero where M is. What is on and below the diagonal isn't read.
     upper: DMatrix<T>,
-    /// 1/U_kk.
+    /// 1/D.
     reciprocal: Vec<T>,
-    /// U⁻¹, of the same pattern. Scratch.
-    inverse: DMatrix<T>,
+    /// The rows of U⁻¹, one a column. Scratch.
+    inverse_rows: DMatrix<T>,
+    /// For each joint the first that is numbered behind all that it carries.
+    ends: Vec<usize>,
     /// For each joint the first of the unbroken row of its carriers that ends with it, and the joint that carries
     /// that first one.
     rows: Vec<(usize, Option<usize>)>,
 }
 
 /// A joint and all that carry it, as unbroken rows from it inwards.
+#[inline]
 fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterator<Item = Range<usize>> + '_ {
     let mut last = last;
     std::iter::from_fn(move || {
@@ -38,6 +55,13 @@ fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterat
     })
 }
 
+/// The joint that carries joint `k`.
+#[inline]
+fn carrier(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
+    let (first, carrier) = rows[k];
+    if first == k { carrier } else { Some(k - 1) }
+}
+
 impl<T: Real> MassMatrixFactor<T> {
     /// Of the identity, with the sparsity of a robot's mass matrix.
     #[must_use]
@@ -46,14 +70,20 @@ impl<T: Real> MassMatrixFactor<T> {
         let mut rows: Vec<(usize, Option<usize>)> = Vec::with_capacity(n);
         for joint in 0..n {
             // Folded joints may couple any two: as if each carried the next.
-            let carrier = if model.is_folded() { joint.checked_sub(1) } else { model.bodies[joint].parent };
-            rows.push(match carrier {
+            let above = if model.is_folded() { joint.checked_sub(1) } else { model.bodies[joint].parent };
+            rows.push(match above {
                 Some(c) if c + 1 == joint => rows[c],
                 other => (joint, other),
             });
         }
         let upper = DMatrix::identity(n, n);
-        Self { inverse: upper.clone(), upper, reciprocal: vec![T::one(); n], rows }
+        let mut ends: Vec<usize> = (1..=n).collect();
+        for joint in (0..n).rev() {
+            if let Some(c) = carrier(&rows, joint) {
+                ends[c] = ends[c].max(ends[joint]);
+            }
+        }
+        Self { inverse_rows: upper.clone(), upper, reciprocal: vec![T::one(); n], ends, rows }
     }
 
     /// Factors a mass matrix of the model's pattern (n × n, kg m²).
@@ -65,30 +95,26 @@ impl<T: Real> MassMatrixFactor<T> {
     #[must_use]
     pub fn update(&mut self, mass_matrix: &DMatrix<T>) -> bool {
         let n = self.reciprocal.len();
-        self.upper.copy_from(mass_matrix);
+        self.upper.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
         for k in (0..n).rev() {
-            let pivot = self.upper[(k, k)];
+            let carrier = self.carrier(k);
+            // The columns left of k, and k itself.
+            let (left, right) = self.upper.as_mut_slice().split_at_mut(k * n);
+            let (pivot, column) = (right[k], &mut right[..k]);
             if !pivot.simd_gt(T::zero()).all() {
                 return false;
             }
-            let root = pivot.simd_sqrt();
-            let reciprocal = T::one() / root;
+            let reciprocal = T::one() / pivot;
             self.reciprocal[k] = reciprocal;
-            // Columns left of k, and column k itself.
-            let (left, right) = self.upper.as_mut_slice().split_at_mut(k * n);
-            let column = &mut right[..=k];
-            column[k] = root;
-            let carrier = if self.rows[k].0 == k { self.rows[k].1 } else { Some(k - 1) };
+            // From k inwards: what is scaled is needed no more by those further in.
             for row in carriers(&self.rows, carrier) {
-                column[row].iter_mut().for_each(|x| *x *= reciprocal);
-            }
-            for row in carriers(&self.rows, carrier) {
-                for i in row {
-                    let factor = column[i];
+                for i in row.rev() {
+                    let factor = column[i] * reciprocal;
                     for inner in carriers(&self.rows, Some(i)) {
                         let target = &mut left[i * n..][inner.clone()];
                         target.iter_mut().zip(&column[inner]).for_each(|(t, &c)| *t -= c * factor);
                     }
+                    column[i] = factor;
                 }
             }
         }
@@ -106,59 +132,53 @@ impl<T: Real> MassMatrixFactor<T> {
     /// # Panics
     /// If `x` is shorter than n.
     pub fn solve(&self, x: &mut [T]) {
-        self.solve_upper(x);
-        self.solve_transposed(x);
-    }
-
-    /// y of U y = b, in place of b.
-    fn solve_upper(&self, x: &mut [T]) {
         let n = self.reciprocal.len();
         for k in (0..n).rev() {
-            let y = x[k] * self.reciprocal[k];
-            for row in carriers(&self.rows, Some(k)) {
+            let y = x[k];
+            for row in carriers(&self.rows, self.carrier(k)) {
                 x[row.clone()].iter_mut().zip(&self.column(k)[row]).for_each(|(x, &u)| *x -= u * y);
             }
-            x[k] = y;
         }
-    }
-
-    /// x of Uᵀ x = y, in place of y.
-    fn solve_transposed(&self, x: &mut [T]) {
-        for k in 0..self.reciprocal.len() {
-            let mut sum = x[k];
+        for k in 0..n {
+            let mut sum = x[k] * self.reciprocal[k];
             for row in carriers(&self.rows, self.carrier(k)) {
                 x[row.clone()].iter().zip(&self.column(k)[row]).for_each(|(&x, &u)| sum -= u * x);
             }
-            x[k] = sum * self.reciprocal[k];
+            x[k] = sum;
         }
     }
 
-    /// J U⁻ᵀ in place of J (6 × n): the half of J M⁻¹ Jᵀ.
+    /// J M⁻¹ Jᵀ (6 × 6): how a force at a task moves it. Leaves J U⁻ᵀ D⁻¹ in place of J (6 × n), for
+    /// [`finish_solve`](Self::finish_solve).
     ///
     /// # Panics
     /// If `jacobian` doesn't have n columns.
-    pub fn half_solve(&self, jacobian: &mut Matrix6xX<T>) {
+    pub fn mobility(&self, jacobian: &mut Matrix6xX<T>) -> Matrix6<T> {
         let n = self.reciprocal.len();
         assert_eq!(jacobian.ncols(), n, "one Jacobian column a joint");
+        let mut mobility = [[T::zero(); 6]; 6];
         let (columns, _) = jacobian.as_mut_slice().as_chunks_mut::<6>();
         for k in (0..n).rev() {
+            let y = columns[k];
             // Joints that don't carry the frame stay out of it.
-            if columns[k] == [T::zero(); 6] {
+            if y == [T::zero(); 6] {
                 continue;
             }
-            let y = columns[k].map(|x| x * self.reciprocal[k]);
-            columns[k] = y;
             for row in carriers(&self.rows, self.carrier(k)) {
                 let factors = &self.column(k)[row.clone()];
                 columns[row].iter_mut().zip(factors).for_each(|(x, &u)| subtract(x, &y, u));
             }
+            let scaled = y.map(|x| x * self.reciprocal[k]);
+            mobility.iter_mut().zip(y).for_each(|(column, y)| subtract(column, &scaled, -y));
+            columns[k] = scaled;
         }
+        Matrix6::from_fn(|r, c| mobility[c][r])
     }
 
-    /// Y U⁻¹ in place of Y (6 × n): from [`half_solve`](Self::half_solve) on to J M⁻¹.
+    /// J M⁻¹ in place of what [`mobility`](Self::mobility) has left (6 × n).
     ///
     /// # Panics
-    /// If `jacobian` doesn't have n columns.
+    /// If it doesn't have n columns.
     pub fn finish_solve(&self, half: &mut Matrix6xX<T>) {
         let n = self.reciprocal.len();
         assert_eq!(half.ncols(), n, "one Jacobian column a joint");
@@ -169,52 +189,38 @@ impl<T: Real> MassMatrixFactor<T> {
                 let factors = &self.column(k)[row.clone()];
                 columns[row].iter().zip(factors).for_each(|(x, &u)| subtract(&mut sum, x, u));
             }
-            columns[k] = sum.map(|x| x * self.reciprocal[k]);
+            columns[k] = sum;
         }
     }
 
-    /// M⁻¹ (n × n).
+    /// M⁻¹ (n × n) = Σ_k w_k w_kᵀ / D_k with w_k the k-th row of U⁻¹. It isn't zero where joint k carries the joint,
+    /// and these are numbered in one row.
     ///
     /// # Panics
     /// If `out` isn't n × n.
     pub fn inverse(&mut self, out: &mut DMatrix<T>) {
         let n = self.reciprocal.len();
         assert_eq!(out.shape(), (n, n), "n rows and n columns");
-        self.invert_upper();
-        for i in 0..n {
-            for j in 0..=i {
-                // (U⁻¹)ᵀ U⁻¹: what carries both.
-                let mut sum = T::zero();
-                for row in carriers(&self.rows, Some(j)) {
-                    let (a, b) = (
-                        &self.inverse.as_slice()[i * n..][row.clone()],
-                        &self.inverse.as_slice()[j * n..][row],
-                    );
-                    a.iter().zip(b).for_each(|(&a, &b)| sum += a * b);
-                }
-                out[(i, j)] = sum;
-                out[(j, i)] = sum;
+        let Self { upper, reciprocal, inverse_rows, ends, .. } = self;
+        let upper = upper.as_slice();
+        let out = out.as_mut_slice();
+        out.fill(T::zero());
+        for k in (0..n).rev() {
+            // w_k = e_k − Σ U_kj w_j.
+            let (w, beyond) = inverse_rows.as_mut_slice()[k * n..].split_at_mut(n);
+            let subtree = k..ends[k];
+            w[subtree.clone()].fill(T::zero());
+            w[k] = T::one();
+            for j in k + 1..ends[k] {
+                let u = upper[j * n + k];
+                let theirs = &beyond[(j - k - 1) * n..][j..ends[j]];
+                w[j..ends[j]].iter_mut().zip(theirs).for_each(|(x, &y)| *x -= y * u);
             }
-        }
-    }
-
-    /// U⁻¹, column by column: column k is U⁻¹ e_k.
-    fn invert_upper(&mut self) {
-        let n = self.reciprocal.len();
-        for k in 0..n {
-            let Self { upper, reciprocal, inverse, rows } = self;
-            let column = &mut inverse.as_mut_slice()[k * n..][..=k];
-            column.fill(T::zero());
-            column[k] = T::one();
-            for outer in carriers(rows, Some(k)) {
-                for i in outer.rev() {
-                    let y = column[i] * reciprocal[i];
-                    let u = &upper.as_slice()[i * n..][..=i];
-                    for row in carriers(rows, Some(i)) {
-                        column[row.clone()].iter_mut().zip(&u[row]).for_each(|(x, &u)| *x -= u * y);
-                    }
-                    column[i] = y;
-                }
+            let w = &w[subtree.clone()];
+            for (c, &entry) in subtree.clone().zip(w) {
+                let factor = entry * reciprocal[k];
+                let column = &mut out[c * n..][subtree.clone()];
+                column.iter_mut().zip(w).for_each(|(x, &y)| *x += y * factor);
             }
         }
     }
@@ -222,14 +228,13 @@ impl<T: Real> MassMatrixFactor<T> {
     /// The joint that carries joint `k`.
     #[inline]
     fn carrier(&self, k: usize) -> Option<usize> {
-        let (first, carrier) = self.rows[k];
-        if first == k { carrier } else { Some(k - 1) }
+        carrier(&self.rows, k)
     }
 
-    /// Rows 0 to k of column k of U.
+    /// What of column k of U is above the diagonal.
     #[inline]
     fn column(&self, k: usize) -> &[T] {
-        &self.upper.as_slice()[k * self.reciprocal.len()..][..=k]
+        &self.upper.as_slice()[k * self.reciprocal.len()..][..k]
     }
 }
 

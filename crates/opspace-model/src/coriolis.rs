@@ -62,7 +62,7 @@ impl<T: Real> CoriolisFactor<T> {
 /// Entry (i, j) is not zero only where one of the two joints carries the other.
 pub fn coriolis<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composite_factors(model, data);
-    data.coriolis_matrix.fill(T::zero());
+    data.coriolis_matrix.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate() {
         let (composite, factor) = (&data.composite[i], &data.coriolis_factor[i]);
         let (s, s_dot) = (data.screw[i], screw_rate(data, i));
@@ -88,9 +88,10 @@ pub(crate) fn composite_factors<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
     for (i, body) in model.bodies.iter().enumerate().rev() {
         if let Some(p) = body.parent {
-            let (inertia, factor) = (data.composite[i], data.coriolis_factor[i]);
-            data.composite[p] += inertia;
-            data.coriolis_factor[p].add(&factor);
+            let (before, carried) = data.composite.split_at_mut(i);
+            before[p] += &carried[0];
+            let (before, carried) = data.coriolis_factor.split_at_mut(i);
+            before[p].add(&carried[0]);
         }
     }
 }

@@ -19,7 +19,7 @@ use crate::spatial::SpatialInertia;
 pub fn crba<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composites(model, data);
     let mass_matrix = &mut data.mass_matrix;
-    mass_matrix.fill(T::zero());
+    mass_matrix.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate() {
         let force = data.composite[i].apply(&data.screw[i]);
         mass_matrix[(body.joint, body.joint)] += data.screw[i].dot(&force);
@@ -40,8 +40,8 @@ pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     bodies(model, data);
     for (i, body) in model.bodies.iter().enumerate().rev() {
         if let Some(p) = body.parent {
-            let carried = data.composite[i];
-            data.composite[p] += carried;
+            let (before, carried) = data.composite.split_at_mut(i);
+            before[p] += &carried[0];
         }
     }
 }

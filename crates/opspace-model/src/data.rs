@@ -59,6 +59,9 @@ pub struct Data<T: Real = f64> {
     /// ∂q̈/∂q̇ of forward dynamics (n × n), 1/s. By [`aba_derivatives`](crate::aba_derivatives).
     pub ddq_by_dq: DMatrix<T>,
 
+    /// Each body's joint, ratio and offset included.
+    pub(crate) angle: Vec<T>,
+    pub(crate) sin_cos: Vec<(T, T)>,
     pub(crate) acceleration: Vec<Motion<T>>,
     pub(crate) force: Vec<Force<T>>,
     pub(crate) composite: Vec<SpatialInertia<T>>,
@@ -116,6 +119,8 @@ impl<T: Real> Data<T> {
             torque_by_dq: square.clone(),
             ddq_by_q: square.clone(),
             ddq_by_dq: square,
+            angle: vec![T::zero(); bodies],
+            sin_cos: vec![(T::zero(), T::one()); bodies],
             acceleration: vec![Motion::zero(); bodies],
             force: vec![Force::zero(); bodies],
             composite: vec![SpatialInertia::zero(); bodies],

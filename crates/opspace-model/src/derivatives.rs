@@ -36,8 +36,8 @@ pub fn rnea_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     for i in 0..model.bodies.len() {
         data.rates[i] = Rates::of(model, data, i);
     }
-    data.torque_by_q.fill(T::zero());
-    data.torque_by_dq.fill(T::zero());
+    data.torque_by_q.as_mut_slice().fill(T::zero());
+    data.torque_by_dq.as_mut_slice().fill(T::zero());
     let two = T::splat(2.0);
     for (i, body) in model.bodies.iter().enumerate() {
         let (inertia, factor, own) = (&data.composite[i], &data.coriolis_factor[i], &data.rates[i]);

@@ -14,7 +14,7 @@
 
 use crate::crba::composites;
 use crate::data::Data;
-use crate::kinematics::{frame_placement, frame_velocity};
+use crate::kinematics::{frame_placement, frame_point, frame_velocity};
 use crate::model::{FrameId, Model};
 use crate::real::Real;
 use crate::spatial::{Force, Motion};
@@ -31,7 +31,7 @@ pub fn frame_jacobian<T: Real>(
     frame: FrameId,
     jacobian: &mut Matrix6xX<T>,
 ) {
-    let point = frame_placement(model, data, frame).translation - data.origin;
+    let point = frame_point(model, data, frame);
     sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
 }
 
@@ -91,7 +91,7 @@ pub fn relative_jacobian<T: Real>(
     jacobian: &mut Matrix6xX<T>,
 ) {
     let axes = frame_placement(model, data, from).rotation;
-    let point = frame_placement(model, data, frame).translation - data.origin;
+    let point = frame_point(model, data, frame);
     let column = |i: usize| data.screw[i].at(&point).turned_back(&axes);
     sum_columns(model, frame, jacobian, column);
     // What carries both moves neither against the other: its columns cancel to the bit.
@@ -110,7 +110,7 @@ pub fn frame_jacobian_rate<T: Real>(
     frame: FrameId,
     rate: &mut Matrix6xX<T>,
 ) {
-    let point = frame_placement(model, data, frame).translation - data.origin;
+    let point = frame_point(model, data, frame);
     let velocity = frame_velocity(model, data, frame).linear;
     sum_columns(model, frame, rate, |i| rate_at(data, i, &point, &velocity));
 }
@@ -159,7 +159,7 @@ pub fn world_jacobian_rate<T: Real>(
 /// If `jacobian` doesn't have n columns.
 pub fn com_jacobian<T: Real>(model: &Model<T>, data: &mut Data<T>, jacobian: &mut Matrix3xX<T>) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
-    jacobian.fill(T::zero());
+    jacobian.as_mut_slice().fill(T::zero());
     composites(model, data);
     let mass = model.total_mass();
     let per_mass = (T::one() / mass).select(mass.simd_gt(T::zero()), T::zero());
@@ -172,7 +172,7 @@ pub fn com_jacobian<T: Real>(model: &Model<T>, data: &mut Data<T>, jacobian: &mu
 
 /// Adds Jᵀ f of a wrench at a frame (world axes, at its origin) to [`Data::torque`].
 pub(crate) fn add_external<T: Real>(model: &Model<T>, data: &mut Data<T>, frame: FrameId, wrench: &Force<T>) {
-    let point = frame_placement(model, data, frame).translation - data.origin;
+    let point = frame_point(model, data, frame);
     for i in model.support(frame) {
         data.torque[model.bodies[i].joint] += data.screw[i].at(&point).dot(wrench);
     }
@@ -201,7 +201,7 @@ fn sum_columns<T: Real>(
     column: impl Fn(usize) -> Motion<T>,
 ) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
-    jacobian.fill(T::zero());
+    jacobian.as_mut_slice().fill(T::zero());
     for i in model.support(frame) {
         add(jacobian, model.bodies[i].joint, &column(i));
     }
@@ -209,9 +209,10 @@ fn sum_columns<T: Real>(
 
 #[inline]
 pub(crate) fn add<T: Real>(jacobian: &mut Matrix6xX<T>, joint: usize, column: &Motion<T>) {
-    let mut sum = jacobian.column_mut(joint);
-    for r in 0..3 {
-        sum[r] += column.linear[r];
-        sum[r + 3] += column.angular[r];
+    let (columns, _) = jacobian.as_mut_slice().as_chunks_mut::<6>();
+    let Motion { linear, angular } = column;
+    let sum = &mut columns[joint];
+    for (sum, x) in sum.iter_mut().zip([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]) {
+        *sum += x;
     }
 }

@@ -9,21 +9,20 @@
 
 use crate::data::Data;
 use crate::model::{Body, FrameId, JointKind, Model};
-use crate::real::Real;
+use crate::real::{self, Real};
 use crate::spatial::{Motion, Placement};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 impl JointKind {
-    /// The pose of the body at `x` in the frame in which `origin` is its pose at zero.
+    /// The pose of the body at `x`, with its sine and cosine, in the frame in which `origin` is its pose at zero.
     #[inline]
-    pub(crate) fn placement<T: Real>(self, origin: &Placement<T>, x: T) -> Placement<T> {
+    pub(crate) fn placement<T: Real>(self, origin: &Placement<T>, x: T, (s, c): (T, T)) -> Placement<T> {
         let rotation = &origin.rotation;
         match self {
             Self::Prismatic => {
                 Placement { rotation: *rotation, translation: origin.translation + rotation.column(2) * x }
             }
             Self::Revolute | Self::Continuous => {
-                let (s, c) = x.simd_sin_cos();
                 let (x, y) = (rotation.column(0), rotation.column(1));
                 let columns = [x * c + y * s, y * c - x * s, rotation.column(2).into_owned()];
                 Placement { rotation: Matrix3::from_columns(&columns), translation: origin.translation }
@@ -50,11 +49,21 @@ pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]
     }
     // A quaternion has one number more than there are coordinates.
     let q = &q[usize::from(model.floating)..];
-    for (i, body) in model.bodies.iter().enumerate().skip(model.first_jointed_body()) {
+    let first = model.first_jointed_body();
+    for (angle, body) in data.angle[first..].iter_mut().zip(&model.bodies[first..]) {
+        *angle = body.ratio * q[body.joint] + body.offset;
+    }
+    for (sin_cos, &angle) in data.sin_cos.iter_mut().zip(&data.angle) {
+        *sin_cos = real::sin_cos(angle);
+    }
+    for (i, body) in model.bodies.iter().enumerate().skip(first) {
         let parent = body.parent.map_or(&model.base, |p| &data.placement[p]);
-        let place = body.kind.placement(&(*parent * body.origin), body.ratio * q[body.joint] + body.offset);
-        data.screw[i] = screw(body, &place, &data.origin);
+        // The joint's own pose first: it waits for no other body.
+        let place = body.kind.placement(&(*parent * body.origin), data.angle[i], data.sin_cos[i]);
         data.placement[i] = place;
+    }
+    for (i, body) in model.bodies.iter().enumerate().skip(first) {
+        data.screw[i] = screw(body, &data.placement[i], &data.origin);
     }
 }
 
@@ -131,8 +140,16 @@ pub fn frame_placement<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId
 pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
     match model.frames[frame.0].body {
         None => Motion::zero(),
-        Some(b) => data.velocity[b].at(&(frame_placement(model, data, frame).translation - data.origin)),
+        Some(b) => data.velocity[b].at(&frame_point(model, data, frame)),
     }
+}
+
+/// A frame's origin, from [`Data::origin`].
+#[inline]
+pub(crate) fn frame_point<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Vector3<T> {
+    let frame = &model.frames[frame.0];
+    let body = frame.body.map_or(&model.base, |b| &data.placement[b]);
+    body.act_point(&frame.placement.translation) - data.origin
 }
 
 /// J̇ q̇: the classical acceleration of a frame with q̈ = 0, in world axes (m/s², rad/s²): its linear part
@@ -142,7 +159,7 @@ pub fn frame_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>, frame:
     let Some(b) = model.frames[frame.0].body else {
         return Motion::zero();
     };
-    let point = frame_placement(model, data, frame).translation - data.origin;
+    let point = frame_point(model, data, frame);
     let velocity = data.velocity[b].at(&point);
     let mut a = data.bias_acceleration[b].at(&point);
     // From the spatial acceleration to that of the point (RBDA eq. 2.48).

@@ -394,7 +394,8 @@ impl Model {
             let (parent, carrier) = body.parent.map_or((None, Placement::identity()), |p| places[p]);
             let at_zero = carrier * body.origin;
             if let Some(q) = locked_at[body.joint] {
-                let place = body.kind.placement(&at_zero, body.ratio * q + body.offset);
+                let x = body.ratio * q + body.offset;
+                let place = body.kind.placement(&at_zero, x, x.sin_cos());
                 if let Some(p) = parent {
                     left.own[p] = left.own[p] + place.act_inertia(own);
                 }

@@ -52,13 +52,11 @@ impl OperationalSpace {
     ) {
         assert!(rows <= 6, "a task has six rows at most");
         let half = &mut self.jbar_transpose;
-        half.copy_from(jacobian);
+        half.as_mut_slice().copy_from_slice(jacobian.as_slice());
         for r in rows..6 {
             half.row_mut(r).fill(0.0);
         }
-        // M⁻¹ = U⁻ᵀ U⁻¹: Λ⁻¹ is the square of J U⁻ᵀ.
-        factor.half_solve(half);
-        let inverse_inertia = square(half);
+        let inverse_inertia = factor.mobility(half);
         (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, threshold);
         factor.finish_solve(half);
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
@@ -97,20 +95,6 @@ impl OperationalSpace {
             }
         }
     }
-}
-
-/// Y Yᵀ.
-fn square(half: &Matrix6xX<f64>) -> Matrix6<f64> {
-    let mut sum = Matrix6::zeros();
-    let (columns, _) = half.as_slice().as_chunks::<6>();
-    for y in columns {
-        let y = Vector6::from(*y);
-        for c in 0..6 {
-            let mut column = sum.column_mut(c);
-            column += y * y[c];
-        }
-    }
-    sum
 }
 
 /// The inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the

@@ -34,7 +34,7 @@ pub fn torque_regressor<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     let bodies = model.bodies.len();
     assert_eq!(out.shape(), (model.n(), PARAMETERS * bodies), "n rows, ten columns a body");
     accelerate(model, data, &ddq[..model.n()]);
-    out.fill(T::zero());
+    out.as_mut_slice().fill(T::zero());
     for i in 0..bodies {
         let placement = &data.placement[i];
         let point = placement.translation - data.origin;

@@ -10,7 +10,7 @@ use crate::data::Data;
 use crate::jacobian::add_external;
 use crate::model::{Body, FrameId, Model};
 use crate::real::Real;
-use crate::spatial::{Force, Motion, Placement};
+use crate::spatial::{Force, Motion, Placement, apply, apply_transposed};
 use nalgebra::{DVector, Vector3};
 
 /// τ = M q̈ + C q̇ + g at `ddq` (n; rad/s²), into [`Data::torque`] (Nm). Needs [`kinematics`](crate::kinematics()).
@@ -95,16 +95,16 @@ fn newton_euler<T: Real>(
     let Placement { rotation, .. } = placement;
     let com = placement.act_point(&body.inertia.com) - origin;
     let linear = (a.at(&com).linear + v.angular.cross(&v.at(&com).linear)) * body.inertia.mass;
-    let (w, alpha) = (rotation.tr_mul(&v.angular), rotation.tr_mul(&a.angular));
+    let (w, alpha) = (apply_transposed(rotation, &v.angular), apply_transposed(rotation, &a.angular));
     let inertia = &body.inertia.rotational;
-    let moment = inertia * alpha + w.cross(&(inertia * w));
-    Force { linear, angular: rotation * moment + com.cross(&linear) }
+    let moment = apply(inertia, &alpha) + w.cross(&apply(inertia, &w));
+    Force { linear, angular: apply(rotation, &moment) + com.cross(&linear) }
 }
 
 /// Each joint carries its own body and all bodies beyond: forces summed from the tips to the base.
 #[inline]
 fn backward<T: Real>(model: &Model<T>, screw: &[Motion<T>], force: &mut [Force<T>], torque: &mut DVector<T>) {
-    torque.fill(T::zero());
+    torque.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate().rev() {
         let carried = force[i];
         torque[body.joint] += screw[i].dot(&carried);

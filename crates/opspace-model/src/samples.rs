@@ -253,16 +253,20 @@ fn task(data: &Data, jacobian: &Matrix6xX<f64>, rows: &[usize]) -> Option<Task> 
     })
 }
 
-/// Whether J M⁻¹ Jᵀ has an inverse, judged by the singular values of U⁻¹ Jᵀ (M = U Uᵀ), whose columns are
+/// Whether J M⁻¹ Jᵀ has an inverse, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ), whose columns are
 /// first brought to length one since they differ in unit.
 fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
     let n = jacobian.ncols();
     if rows == 0 || rows > n {
         return rows == 0;
     }
-    let mut solved = jacobian.clone();
-    data.mass_matrix_factor.half_solve(&mut solved);
-    let mut half: DMatrix<f64> = solved.rows(0, rows).transpose();
+    let mut half: DMatrix<f64> = jacobian.rows(0, rows).transpose();
+    let Some(factor) = data.mass_matrix.clone().cholesky() else {
+        return false;
+    };
+    if !factor.l_dirty().solve_lower_triangular_mut(&mut half) {
+        return false;
+    }
     for mut column in half.column_iter_mut() {
         let norm = column.norm();
         if norm == 0.0 {

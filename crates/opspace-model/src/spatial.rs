@@ -52,7 +52,7 @@ impl<T: Real> Placement<T> {
     #[inline]
     #[must_use]
     pub fn act_point(&self, point: &Vector3<T>) -> Vector3<T> {
-        self.rotation * point + self.translation
+        apply(&self.rotation, point) + self.translation
     }
 
     /// A motion given at B's origin in B's axes, at A's origin in A's axes.
@@ -100,8 +100,8 @@ impl<T: Real> Mul for Placement<T> {
     #[inline]
     fn mul(self, other: Self) -> Self {
         Self {
-            rotation: self.rotation * other.rotation,
-            translation: self.rotation * other.translation + self.translation,
+            rotation: product(&self.rotation, &other.rotation),
+            translation: self.act_point(&other.translation),
         }
     }
 }
@@ -142,14 +142,17 @@ impl<T: Real> Motion<T> {
     #[inline]
     #[must_use]
     pub fn turned(&self, rotation: &Matrix3<T>) -> Self {
-        Self { linear: rotation * self.linear, angular: rotation * self.angular }
+        Self { linear: apply(rotation, &self.linear), angular: apply(rotation, &self.angular) }
     }
 
     /// In the axes that `rotation` gives.
     #[inline]
     #[must_use]
     pub fn turned_back(&self, rotation: &Matrix3<T>) -> Self {
-        Self { linear: rotation.tr_mul(&self.linear), angular: rotation.tr_mul(&self.angular) }
+        Self {
+            linear: apply_transposed(rotation, &self.linear),
+            angular: apply_transposed(rotation, &self.angular),
+        }
     }
 
     /// `v ×`: the rate of change of a motion fixed in a frame that moves with `self` (RBDA eq. 2.31).
@@ -314,7 +317,7 @@ impl<T: Real> SpatialInertia<T> {
     #[must_use]
     pub fn new(inertia: &Inertia<T>, rotation: &Matrix3<T>, com: &Vector3<T>) -> Self {
         let first_moment = com * inertia.mass;
-        let turned = rotation * inertia.rotational * rotation.transpose();
+        let turned = congruent(rotation, &inertia.rotational);
         Self { mass: inertia.mass, first_moment, second_moment: turned + steiner(com, &first_moment) }
     }
 
@@ -324,18 +327,51 @@ impl<T: Real> SpatialInertia<T> {
     pub fn apply(&self, v: &Motion<T>) -> Force<T> {
         Force {
             linear: v.linear * self.mass - self.first_moment.cross(&v.angular),
-            angular: self.second_moment * v.angular + self.first_moment.cross(&v.linear),
+            angular: apply(&self.second_moment, &v.angular) + self.first_moment.cross(&v.linear),
         }
     }
 }
 
-impl<T: Real> AddAssign for SpatialInertia<T> {
+impl<T: Real> AddAssign<&Self> for SpatialInertia<T> {
     #[inline]
-    fn add_assign(&mut self, o: Self) {
+    fn add_assign(&mut self, o: &Self) {
         self.mass += o.mass;
         self.first_moment += o.first_moment;
         self.second_moment += o.second_moment;
     }
+}
+
+/// R A Rᵀ of a symmetric A.
+#[inline]
+fn congruent<T: Real>(rotation: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> {
+    let half = product(rotation, a);
+    let entry = |r: usize, c: usize| {
+        half[(r, 0)] * rotation[(c, 0)] + half[(r, 1)] * rotation[(c, 1)] + half[(r, 2)] * rotation[(c, 2)]
+    };
+    let (xx, xy, xz) = (entry(0, 0), entry(0, 1), entry(0, 2));
+    let (yy, yz, zz) = (entry(1, 1), entry(1, 2), entry(2, 2));
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+}
+
+/// A x. As [`product`] and [`apply_transposed`], written out: nalgebra's own are as fast for one number, but pass
+/// through memory for lanes.
+#[inline]
+pub(crate) fn apply<T: Real>(a: &Matrix3<T>, x: &Vector3<T>) -> Vector3<T> {
+    a.column(0) * x.x + a.column(1) * x.y + a.column(2) * x.z
+}
+
+/// Aᵀ x.
+#[inline]
+pub(crate) fn apply_transposed<T: Real>(a: &Matrix3<T>, x: &Vector3<T>) -> Vector3<T> {
+    let row = |c: usize| a[(0, c)] * x.x + a[(1, c)] * x.y + a[(2, c)] * x.z;
+    Vector3::new(row(0), row(1), row(2))
+}
+
+/// A B.
+#[inline]
+fn product<T: Real>(a: &Matrix3<T>, b: &Matrix3<T>) -> Matrix3<T> {
+    let column = |c: usize| a.column(0) * b[(0, c)] + a.column(1) * b[(1, c)] + a.column(2) * b[(2, c)];
+    Matrix3::from_columns(&[column(0), column(1), column(2)])
 }
 
 /// (c·h) 1 − c hᵀ with h = m c: the parallel-axis theorem's part.

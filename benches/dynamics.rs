@@ -1,0 +1,318 @@
+//! What the dynamics cost, beside Pinocchio: `cargo bench --bench dynamics`.
+//!
+//! Pinocchio is measured in the same run if it has been built by `benches/pinocchio/build target/pinocchio`; without it
+//! ours is measured alone. Both cycle over many random states and print the median over repetitions.
+
+#![expect(clippy::expect_used, reason = "a bench")]
+
+use nalgebra::{Matrix6xX, Vector3, Vector6};
+use opspace_model::batch::{self, Lanes};
+use opspace_model::{
+    Data, FrameId, Inertia, Joint, JointKind, Limits, Model, OperationalSpace, Placement, Real, aba,
+    aba_derivatives, bias, centroidal_map, cholesky, crba, forward_kinematics, frame_bias_acceleration,
+    frame_jacobian, gravity, kinematics, mass_matrix_inverse, rnea, rnea_derivatives, torque_regressor,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
+use std::hint::black_box;
+use std::path::Path;
+use std::process::Command;
+use std::time::Instant;
+
+const STATES: usize = 1024;
+const REPETITIONS: usize = 15;
+const CALLS: usize = 10_000;
+
+const ROBOTS: [(&str, &str); 4] = [
+    ("panda_arm7", "panda_hand_tcp"),
+    ("ur5", "tool0"),
+    ("panda", "panda_hand_tcp"),
+    ("g1_29dof", "left_rubber_hand"),
+];
+
+fn main() {
+    // `cargo bench -- --test`: whether it runs, not how fast.
+    let calls = if std::env::args().any(|a| a == "--test") { 1 } else { CALLS };
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let peer = root.join("target/pinocchio/peer");
+    let chosen = |robot: &str| {
+        let mut names = std::env::args().skip(1).filter(|a| !a.starts_with('-')).peekable();
+        names.peek().is_none() || names.any(|name| robot == name)
+    };
+    for (robot, tip) in ROBOTS.into_iter().filter(|(robot, _)| chosen(robot)) {
+        let urdf = root.join(format!("tests/oracles/pinocchio/urdf/{robot}.urdf"));
+        let text = std::fs::read_to_string(&urdf).expect("the URDF is in the repository");
+        let model = Model::from_urdf(&text).expect("it is a good one").model;
+        let theirs = if peer.exists() { measure_peer(&peer, &urdf, tip) } else { BTreeMap::new() };
+        let ours = Bench::new(&model, model.frame(tip).expect("has that frame")).measure(calls);
+        println!("\n{robot}, {} joints: ns", model.n());
+        println!("{:18}{:>10}{:>12}{:>8}", "", "opspace", "pinocchio", "ratio");
+        for (operation, ns) in ours {
+            match theirs.get(operation) {
+                Some(peer) => println!("{operation:18}{ns:10.0}{peer:12.0}{:8.2}", ns / peer),
+                None => println!("{operation:18}{ns:10.0}"),
+            }
+        }
+    }
+    if !peer.exists() {
+        println!("\nPinocchio isn't built: benches/pinocchio/build target/pinocchio");
+    }
+    scaling(calls);
+    batches(calls, &root);
+}
+
+/// Median over the repetitions of the mean time of a call, ns.
+fn time(calls: usize, mut call: impl FnMut(usize)) -> f64 {
+    let mut means: Vec<f64> = (0..=REPETITIONS)
+        .map(|_| {
+            let start = Instant::now();
+            (0..calls).for_each(|i| call(i % STATES));
+            start.elapsed().as_secs_f64() * 1e9 / calls as f64
+        })
+        // The first warms up.
+        .skip(1)
+        .collect();
+    means.sort_by(f64::total_cmp);
+    means[REPETITIONS / 2]
+}
+
+fn measure_peer(peer: &Path, urdf: &Path, tip: &str) -> BTreeMap<String, f64> {
+    let out = Command::new(peer).arg(urdf).arg(tip).output().expect("the peer runs");
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let text = String::from_utf8(out.stdout).expect("it prints text");
+    let line = |line: &str| {
+        let (name, ns) = line.split_once(' ')?;
+        Some((name.to_owned(), ns.trim().parse().ok()?))
+    };
+    text.lines().filter_map(line).collect()
+}
+
+/// Random states: q within its limits, q̇, q̈ and τ in the ranges of an arm in motion.
+struct States<T> {
+    q: Vec<Vec<T>>,
+    dq: Vec<Vec<T>>,
+    ddq: Vec<Vec<T>>,
+    tau: Vec<Vec<T>>,
+}
+
+impl<T: Real> States<T> {
+    fn new(model: &Model<T>) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut draw = |range: &dyn Fn(&Limits) -> (f64, f64)| -> Vec<Vec<T>> {
+            let mut lanes = |(low, high): (f64, f64)| {
+                let mut x = T::splat(0.0);
+                (0..T::LANES).for_each(|lane| x.replace(lane, rng.random_range(low..high)));
+                x
+            };
+            (0..STATES).map(|_| model.joints().iter().map(|j| lanes(range(&j.limits))).collect()).collect()
+        };
+        Self {
+            q: draw(&|limits| {
+                (limits.lower.max(-3.1), limits.upper.min(3.1).max(limits.lower.max(-3.1) + 1e-9))
+            }),
+            dq: draw(&|_| (-2.0, 2.0)),
+            ddq: draw(&|_| (-5.0, 5.0)),
+            tau: draw(&|_| (-20.0, 20.0)),
+        }
+    }
+}
+
+struct Bench<'a> {
+    model: &'a Model,
+    tip: FrameId,
+    data: Data,
+    states: States<f64>,
+}
+
+impl<'a> Bench<'a> {
+    fn new(model: &'a Model, tip: FrameId) -> Self {
+        Self { model, tip, data: Data::new(model), states: States::new(model) }
+    }
+
+    /// Each operation from q on, as Pinocchio's are.
+    fn measure(&mut self, calls: usize) -> Vec<(&'static str, f64)> {
+        let Self { model, tip, data, states } = self;
+        let (model, tip, n) = (*model, *tip, model.n());
+        let States { q, dq, ddq, tau } = states;
+        let mut jacobian = Matrix6xX::zeros(n);
+        let mut regressor = nalgebra::DMatrix::zeros(n, 10 * n);
+        let mut tick = Tick::new(n);
+        let mut results = Vec::new();
+        let mut row = |name, call: &mut dyn FnMut(usize)| results.push((name, time(calls, call)));
+        row("fk", &mut |i| forward_kinematics(model, data, black_box(&q[i])));
+        row("fk_jacobian", &mut |i| {
+            forward_kinematics(model, data, black_box(&q[i]));
+            frame_jacobian(model, data, tip, black_box(&mut jacobian));
+        });
+        row("crba", &mut |i| {
+            forward_kinematics(model, data, black_box(&q[i]));
+            crba(model, black_box(data));
+        });
+        row("rnea", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            rnea(model, black_box(data), &ddq[i]);
+        });
+        row("bias", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            bias(model, black_box(data));
+        });
+        row("gravity", &mut |i| {
+            forward_kinematics(model, data, black_box(&q[i]));
+            gravity(model, black_box(data));
+        });
+        row("aba", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            aba(model, black_box(data), &tau[i]);
+        });
+        row("minverse", &mut |i| {
+            forward_kinematics(model, data, black_box(&q[i]));
+            crba(model, data);
+            assert!(cholesky(data));
+            mass_matrix_inverse(black_box(data));
+        });
+        row("osc_tick", &mut |i| tick.run(model, data, tip, black_box(&q[i]), &dq[i]));
+        row("cholesky", &mut |_| assert!(cholesky(black_box(data))));
+        row("derivatives_rnea", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            rnea_derivatives(model, black_box(data), &ddq[i]);
+        });
+        row("derivatives_aba", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            crba(model, data);
+            assert!(cholesky(data));
+            aba_derivatives(model, black_box(data), &tau[i]);
+        });
+        row("centroidal", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            centroidal_map(model, black_box(data));
+        });
+        row("regressor", &mut |i| {
+            kinematics(model, data, black_box(&q[i]), &dq[i]);
+            torque_regressor(model, data, &ddq[i], black_box(&mut regressor));
+        });
+        results
+    }
+}
+
+/// One tick of operational-space control without limits and damping: a pose task of six rows over a posture.
+struct Tick {
+    jacobian: Matrix6xX<f64>,
+    space: OperationalSpace,
+    posture: Vec<f64>,
+    tau: Vec<f64>,
+}
+
+impl Tick {
+    fn new(n: usize) -> Self {
+        let jacobian = Matrix6xX::zeros(n);
+        Self { jacobian, space: OperationalSpace::new(n), posture: vec![0.0; n], tau: vec![0.0; n] }
+    }
+
+    /// τ = Jᵀ Λ (a − J̇ q̇) + Nᵀ (M (−kp q − kv q̇)) + h.
+    #[inline(never)]
+    fn run(&mut self, model: &Model, data: &mut Data, tip: FrameId, q: &[f64], dq: &[f64]) {
+        kinematics(model, data, q, dq);
+        crba(model, data);
+        bias(model, data);
+        assert!(cholesky(data));
+        frame_jacobian(model, data, tip, &mut self.jacobian);
+        self.space.update(&data.mass_matrix_factor, &self.jacobian, 6, 0.0);
+        let drift = frame_bias_acceleration(model, data, tip);
+        let velocity = opspace_model::frame_velocity(model, data, tip);
+        let mut wanted = Vector6::zeros();
+        for r in 0..3 {
+            wanted[r] = -20.0 * velocity.linear[r] - drift.linear[r];
+            wanted[r + 3] = -20.0 * velocity.angular[r] - drift.angular[r];
+        }
+        let force = self.space.task_inertia * wanted;
+        for (i, x) in self.posture.iter_mut().enumerate() {
+            *x = -100.0 * q[i] - 20.0 * dq[i];
+        }
+        self.tau.fill(0.0);
+        for (column, &x) in data.mass_matrix.column_iter().zip(&self.posture) {
+            self.tau.iter_mut().zip(column.iter()).for_each(|(t, m)| *t += m * x);
+        }
+        self.space.project_torque(&self.jacobian, &mut self.tau);
+        for (i, t) in self.tau.iter_mut().enumerate() {
+            *t += self.jacobian.column(i).dot(&force) + data.bias[i];
+        }
+        black_box(&mut self.tau);
+    }
+}
+
+/// A chain of `n` joints, each turned against the one before.
+fn chain(n: usize) -> Model {
+    let mut model = Model::new("chain");
+    let inertia = Inertia {
+        mass: 1.0,
+        com: Vector3::new(0.02, 0.01, 0.1),
+        rotational: nalgebra::Matrix3::from_diagonal(&Vector3::new(0.02, 0.03, 0.01)),
+    };
+    for i in 0..n {
+        let joint = Joint { name: format!("j{i}"), kind: JointKind::Continuous, limits: Limits::NONE };
+        let origin = Placement::from_rpy([1.1, 0.4, -0.3], [0.05, 0.02, 0.25]);
+        model.add_body(i.checked_sub(1), origin, joint, inertia);
+    }
+    model
+}
+
+/// Inverse and forward dynamics are linear in the number of joints.
+fn scaling(calls: usize) {
+    println!("\na chain: ns, and ns per joint");
+    println!("{:8}{:>10}{:>8}{:>10}{:>8}", "joints", "rnea", "", "aba", "");
+    for n in [4, 8, 16, 32, 64] {
+        let model = chain(n);
+        let (mut data, States { q, dq, ddq, tau }) = (Data::new(&model), States::new(&model));
+        let inverse = time(calls, |i| {
+            kinematics(&model, &mut data, black_box(&q[i]), &dq[i]);
+            rnea(&model, black_box(&mut data), &ddq[i]);
+        });
+        let forward = time(calls, |i| {
+            kinematics(&model, &mut data, black_box(&q[i]), &dq[i]);
+            aba(&model, black_box(&mut data), &tau[i]);
+        });
+        let each = |ns: f64| ns / n as f64;
+        println!("{n:<8}{inverse:10.0}{:8.1}{forward:10.0}{:8.1}", each(inverse), each(forward));
+    }
+}
+
+/// States per second, one after another and in lanes.
+fn batches(calls: usize, root: &Path) {
+    let path = root.join("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
+    let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
+    let model = Model::from_urdf(&text).expect("it is a good one").model;
+    let one = sweep(&model, calls);
+    let many = sweep(&model.splat::<Lanes>(), calls);
+    println!("\npanda_arm7, million states per second: alone, {} in lanes", batch::COUNT);
+    for ((name, alone), (_, lanes)) in one.iter().zip(&many) {
+        println!("{name:18}{:10.2}{:10.2}{:8.2} times", 1e3 / alone, 1e3 / lanes, alone / lanes);
+    }
+}
+
+/// ns per state.
+fn sweep<T: Real>(model: &Model<T>, calls: usize) -> Vec<(&'static str, f64)> {
+    let (mut data, States { q, dq, ddq, tau }) = (Data::new(model), States::new(model));
+    let data = &mut data;
+    let mut results = Vec::new();
+    let mut row =
+        |name, call: &mut dyn FnMut(usize)| results.push((name, time(calls, call) / T::LANES as f64));
+    row("fk", &mut |i| forward_kinematics(model, data, black_box(&q[i])));
+    row("gravity", &mut |i| {
+        forward_kinematics(model, data, black_box(&q[i]));
+        gravity(model, black_box(data));
+    });
+    row("crba", &mut |i| {
+        forward_kinematics(model, data, black_box(&q[i]));
+        crba(model, black_box(data));
+    });
+    row("rnea", &mut |i| {
+        kinematics(model, data, black_box(&q[i]), &dq[i]);
+        rnea(model, black_box(data), &ddq[i]);
+    });
+    row("aba", &mut |i| {
+        kinematics(model, data, black_box(&q[i]), &dq[i]);
+        aba(model, black_box(data), &tau[i]);
+    });
+    results
+}
