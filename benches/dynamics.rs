@@ -5,12 +5,13 @@
 
 #![expect(clippy::expect_used, reason = "a bench")]
 
-use nalgebra::{Matrix6xX, Vector3, Vector6};
+use nalgebra::{Matrix6xX, Rotation3, UnitQuaternion, Vector3, Vector6};
 use opspace_model::batch::{self, Lanes};
 use opspace_model::{
     Data, FrameId, Inertia, Joint, JointKind, Limits, Model, OperationalSpace, Placement, Real, aba,
     aba_derivatives, bias, centroidal_map, cholesky, crba, forward_kinematics, frame_bias_acceleration,
-    frame_jacobian, gravity, kinematics, mass_matrix_inverse, rnea, rnea_derivatives, torque_regressor,
+    frame_jacobian, frame_placement, frame_velocity, gravity, kinematics, mass_matrix_inverse, rnea,
+    rnea_derivatives, torque_regressor,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -197,6 +198,7 @@ impl<'a> Bench<'a> {
 
 /// One tick of operational-space control without limits and damping: a pose task of six rows over a posture.
 struct Tick {
+    desired: Placement,
     jacobian: Matrix6xX<f64>,
     space: OperationalSpace,
     posture: Vec<f64>,
@@ -206,10 +208,11 @@ struct Tick {
 impl Tick {
     fn new(n: usize) -> Self {
         let jacobian = Matrix6xX::zeros(n);
-        Self { jacobian, space: OperationalSpace::new(n), posture: vec![0.0; n], tau: vec![0.0; n] }
+        let desired = Placement::from_rpy([0.3, -0.2, 0.5], [0.4, 0.1, 0.5]);
+        Self { desired, jacobian, space: OperationalSpace::new(n), posture: vec![0.0; n], tau: vec![0.0; n] }
     }
 
-    /// τ = Jᵀ Λ (a − J̇ q̇) + Nᵀ (M (−kp q − kv q̇)) + h.
+    /// τ = Jᵀ Λ (a − J̇ q̇) + Nᵀ (M (−kp q − kv q̇)) + h, with a from the errors of position and rotation.
     #[inline(never)]
     fn run(&mut self, model: &Model, data: &mut Data, tip: FrameId, q: &[f64], dq: &[f64]) {
         kinematics(model, data, q, dq);
@@ -219,12 +222,15 @@ impl Tick {
         frame_jacobian(model, data, tip, &mut self.jacobian);
         self.space.update(&data.mass_matrix_factor, &self.jacobian, 6, 0.0);
         let drift = frame_bias_acceleration(model, data, tip);
-        let velocity = opspace_model::frame_velocity(model, data, tip);
-        let mut wanted = Vector6::zeros();
-        for r in 0..3 {
-            wanted[r] = -20.0 * velocity.linear[r] - drift.linear[r];
-            wanted[r + 3] = -20.0 * velocity.angular[r] - drift.angular[r];
-        }
+        let velocity = frame_velocity(model, data, tip);
+        let place = frame_placement(model, data, tip);
+        let behind = self.desired.translation - place.translation;
+        let turn = Rotation3::from_matrix_unchecked(self.desired.rotation * place.rotation.transpose());
+        let linear = behind * 100.0 - velocity.linear * 20.0 - drift.linear;
+        let angular = UnitQuaternion::from_rotation_matrix(&turn).scaled_axis() * 100.0
+            - velocity.angular * 20.0
+            - drift.angular;
+        let wanted = Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
         let force = self.space.task_inertia * wanted;
         for (i, x) in self.posture.iter_mut().enumerate() {
             *x = -100.0 * q[i] - 20.0 * dq[i];

@@ -1,6 +1,20 @@
 //! Forward dynamics: the accelerations that torques cause, by the articulated-body algorithm.
 //!
 //! RBDA table 7.1; in Pinocchio `aba`.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, aba, kinematics, rnea};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! rnea(&model, &mut data, &[1.0; 6]);
+//! let torque = data.torque.clone();
+//! aba(&model, &mut data, torque.as_slice());
+//! assert!(data.ddq.iter().all(|ddq| (ddq - 1.0).abs() < 1e-10));
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::cholesky::cholesky;
 use crate::crba::{bodies, crba};

@@ -2,6 +2,20 @@
 //!
 //! Orin, Goswami and Lee, *Centroidal dynamics of a humanoid robot*, Autonomous Robots 35, 2013; in Pinocchio
 //! `ccrba` and `computeCentroidalMomentum`. World axes, linear part first. Rotors don't count.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, centroidal_map, centroidal_momentum, kinematics};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! centroidal_map(&model, &mut data);
+//! let momentum = &data.centroidal_map * &data.dq;
+//! let same = centroidal_momentum(&model, &data);
+//! assert!((momentum.fixed_rows::<3>(3) - same.angular).norm() < 1e-12);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::crba::composites;
 use crate::data::Data;

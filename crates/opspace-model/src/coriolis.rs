@@ -4,6 +4,21 @@
 //! rigid-body systems*, J. Computational and Nonlinear Dynamics 16(9), 2021; in Pinocchio
 //! `computeCoriolisMatrix`. Of the many C with C q̇ = h − g this is the one with Ṁ = C + Cᵀ whose entries are
 //! the Christoffel symbols times q̇.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, bias, coriolis, gravity, kinematics};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! coriolis(&model, &mut data);
+//! bias(&model, &mut data);
+//! gravity(&model, &mut data);
+//! let torque = &data.coriolis_matrix * &data.dq;
+//! assert!((torque - (&data.bias - &data.gravity)).norm() < 1e-12);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::crba::bodies;
 use crate::data::Data;

@@ -5,6 +5,18 @@
 //! ```text
 //! I_i = sum of the inertias over the subtree of i          M_ij = S_jᵀ I_i S_i  where j carries i
 //! ```
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, crba, forward_kinematics};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! forward_kinematics(&model, &mut data, &[0.1; 6]);
+//! crba(&model, &mut data);
+//! assert_eq!(data.mass_matrix, data.mass_matrix.transpose());
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::model::Model;

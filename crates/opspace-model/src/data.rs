@@ -1,4 +1,15 @@
 //! What the algorithms compute: allocated once, written every tick.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, update};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! assert!(update(&model, &mut data, &[0.4; 6], &[0.1; 6]));
+//! println!("holding it takes {:.1} Nm", data.gravity[1]);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::cholesky::MassMatrixFactor;
 use crate::coriolis::CoriolisFactor;

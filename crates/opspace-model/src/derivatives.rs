@@ -12,6 +12,19 @@
 //!
 //! where I_i, B_i and f_i are of the whole subtree, B the velocity terms of [`coriolis`](crate::coriolis()). The
 //! derivative in the coordinates of a floating base is that along its own axes, as q̇ is.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, kinematics, rnea_derivatives};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! rnea_derivatives(&model, &mut data, &[0.0; 6]);
+//! // The first joint turns the arm about the vertical: its angle changes no torque.
+//! assert!(data.torque_by_q.column(0).amax() < 1e-12);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::aba::aba;
 use crate::coriolis::composite_factors;

@@ -1,6 +1,20 @@
 //! Energies and the centre of mass.
 //!
 //! In Pinocchio `computeKineticEnergy`, `computePotentialEnergy` and `centerOfMass`.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, center_of_mass, kinematics, kinetic_energy, potential_energy};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! assert!(kinetic_energy(&model, &data) > 0.0);
+//! let com = center_of_mass(&model, &data).expect("the arm has mass");
+//! let weight = model.total_mass() * 9.81;
+//! assert!((potential_energy(&model, &data) - weight * com.z).abs() < 1e-12);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::model::Model;

@@ -11,6 +11,22 @@
 //! | [`world_jacobian`] | `WORLD` | the body's point at the world's origin, in world axes |
 //!
 //! and `jacobianCenterOfMass` for [`com_jacobian`].
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, frame_jacobian, frame_velocity, kinematics};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! let tool = model.frame("tool0").expect("a link of the file");
+//! let mut jacobian = nalgebra::Matrix6xX::zeros(model.n());
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! frame_jacobian(&model, &data, tool, &mut jacobian);
+//! let velocity = &jacobian * &data.dq;
+//! let same = frame_velocity(&model, &data, tool);
+//! assert!((velocity.fixed_rows::<3>(0) - same.linear).norm() < 1e-14);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::crba::composites;
 use crate::data::Data;

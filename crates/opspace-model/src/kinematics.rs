@@ -6,6 +6,20 @@
 //! ```text
 //! v_i = v_parent + S_i q̇          a_i = a_parent + v_i × S_i q̇
 //! ```
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, frame_placement, frame_velocity, kinematics};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! let tool = model.frame("tool0").expect("a link of the file");
+//! let place = frame_placement(&model, &data, tool);
+//! assert!(place.translation.norm() < 1.1, "within reach, m");
+//! assert!(frame_velocity(&model, &data, tool).linear.norm() > 0.0);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::model::{Body, FrameId, JointKind, Model};

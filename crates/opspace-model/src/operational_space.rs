@@ -11,6 +11,26 @@
 //! eigenvalue λ below `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² rising smoothly
 //! from 0 at the threshold; one above it is inverted exactly. J̄ and N are built from that same Λ, so
 //! what a damped direction does not carry is free to the tasks below.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, OperationalSpace, frame_jacobian, update};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! assert!(update(&model, &mut data, &[0.4; 6], &[0.0; 6]));
+//! let tool = model.frame("tool0").expect("a link of the file");
+//! let mut jacobian = nalgebra::Matrix6xX::zeros(model.n());
+//! frame_jacobian(&model, &data, tool, &mut jacobian);
+//! // The hand's position, three rows: how heavy it is in each direction.
+//! let mut space = OperationalSpace::new(model.n());
+//! space.update(&data.mass_matrix_factor, &jacobian, 3, 1e-4);
+//! assert!(space.task_inertia[(0, 0)] > 0.0, "kg");
+//! // What is left of a torque that must not move it.
+//! let mut torque = [1.0; 6];
+//! space.project_torque(&jacobian, &mut torque);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::cholesky::MassMatrixFactor;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};

@@ -1,4 +1,16 @@
 //! What the algorithms compute with: one number, or one in each lane of a SIMD register.
+//!
+//! ```
+//! use opspace_model::{Data, Model, Real, crba, forward_kinematics};
+//!
+//! /// Written once, for one state or for several side by side.
+//! fn inertia_of_first_joint<T: Real>(model: &Model<T>, q: &[T]) -> T {
+//!     let mut data = Data::new(model);
+//!     forward_kinematics(model, &mut data, q);
+//!     crba(model, &mut data);
+//!     data.mass_matrix[(0, 0)]
+//! }
+//! ```
 
 use nalgebra::SimdRealField;
 use std::f64::consts::FRAC_2_PI;

@@ -2,6 +2,22 @@
 //!
 //! Atkeson, An and Hollerbach, *Estimation of inertial parameters of manipulator loads and links*, Int. J. Robotics
 //! Research 5(3), 1986; in Pinocchio `computeJointTorqueRegressor`, whose order of parameters this is.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, inertial_parameters, kinematics, rnea, torque_regressor};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! let parameters: Vec<f64> = model.bodies().iter().flat_map(|b| inertial_parameters(&b.inertia)).collect();
+//! let mut regressor = nalgebra::DMatrix::zeros(6, parameters.len());
+//! torque_regressor(&model, &mut data, &[1.0; 6], &mut regressor);
+//! rnea(&model, &mut data, &[1.0; 6]);
+//! let torque = regressor * nalgebra::DVector::from_vec(parameters);
+//! assert!((torque - &data.torque).norm() < 1e-11);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::model::Model;

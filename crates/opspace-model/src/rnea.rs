@@ -5,6 +5,19 @@
 //! ```text
 //! f_i = I_i a_i + v_i ×* I_i v_i          τ_i = S_iᵀ (sum of f over the subtree of i)
 //! ```
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, bias, kinematics, rnea};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
+//! rnea(&model, &mut data, &[0.0; 6]);
+//! bias(&model, &mut data);
+//! assert_eq!(data.torque, data.bias, "what the arm needs without accelerating, Nm");
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::jacobian::add_external;

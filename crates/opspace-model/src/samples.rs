@@ -3,6 +3,20 @@
 //!
 //! Matrices are flat and row-major; 6-vectors and Jacobians have linear rows first, in world axes at the
 //! tip's origin. Not for control: it allocates.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Model, samples::{Sample, evaluate}};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let line = r#"{"q":[0.1,0.2,0.3,0.4,0.5,0.6],"dq":[0,0,0,0,0,0],"ddq":[0,0,0,0,0,0],
+//!   "tau_in":[0,0,0,0,0,0],"f_tip":[0,0,0,0,0,0]}"#;
+//! let sample: Sample = serde_json::from_str(line).expect("a state");
+//! let tool = model.frame("tool0").expect("a link of the file");
+//! let all = evaluate(&model, tool, &sample).expect("a good state");
+//! assert_eq!(all.mass_matrix.len(), 36);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 use crate::data::Data;
 use crate::model::{FrameId, Model};

@@ -3,6 +3,18 @@
 //! Linear part first, angular part second, everywhere in opspace. A 6×6 matrix is never formed: the
 //! products below are what Featherstone's spatial operators (RBDA, table 2.1) come to when their
 //! zeros are left out.
+//!
+//! ```
+//! use nalgebra::Vector3;
+//! use opspace_model::{Force, Motion, Placement};
+//!
+//! // Power is the same in any frame.
+//! let place = Placement::from_rpy([0.1, -0.4, 2.0], [0.3, 0.0, -0.2]);
+//! let v = Motion { linear: Vector3::new(0.1, 0.2, 0.3), angular: Vector3::new(1.0, -1.0, 0.5) };
+//! let f = Force { linear: Vector3::new(3.0, 0.0, 1.0), angular: Vector3::new(0.0, 0.2, 0.1) };
+//! let there = place.act_motion(&v).dot(&place.act_force(&f));
+//! assert!((there - v.dot(&f)).abs() < 1e-15);
+//! ```
 
 use crate::real::Real;
 use nalgebra::{Matrix3, Rotation3, Vector3};

@@ -3,6 +3,29 @@
 //! What the dynamics need must be in the file and be possible: a moving body without mass, a joint
 //! without limits or a tree with two roots is an error that names the element and its line, not a
 //! default. Shapes, materials, transmissions and `<dynamics>` are not looked at.
+//!
+//! ```
+//! let urdf = r#"
+//! <robot name="pendulum">
+//!   <link name="base"/>
+//!   <link name="rod">
+//!     <inertial>
+//!       <origin xyz="0 0 -0.5"/>
+//!       <mass value="1"/>
+//!       <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/>
+//!     </inertial>
+//!   </link>
+//!   <joint name="pivot" type="continuous">
+//!     <parent link="base"/>
+//!     <child link="rod"/>
+//!     <axis xyz="0 1 0"/>
+//!   </joint>
+//! </robot>"#;
+//! let loaded = opspace_model::Model::from_urdf(urdf)?;
+//! assert_eq!(loaded.model.n(), 1);
+//! assert!(loaded.model.frame("rod").is_ok());
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
 
 mod error;
 mod read;
@@ -39,29 +62,6 @@ impl Model {
     /// Revolute, continuous, prismatic and fixed joints are read. Bodies are merged across fixed joints and
     /// numbered as [`Model`] says; every link becomes a [`Frame`](crate::Frame). The inertia of links that can't move is
     /// dropped. A mimic joint is a joint of its own, with a warning.
-    ///
-    /// ```
-    /// let urdf = r#"
-    /// <robot name="pendulum">
-    ///   <link name="base"/>
-    ///   <link name="rod">
-    ///     <inertial>
-    ///       <origin xyz="0 0 -0.5"/>
-    ///       <mass value="1"/>
-    ///       <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/>
-    ///     </inertial>
-    ///   </link>
-    ///   <joint name="pivot" type="continuous">
-    ///     <parent link="base"/>
-    ///     <child link="rod"/>
-    ///     <axis xyz="0 1 0"/>
-    ///   </joint>
-    /// </robot>"#;
-    /// let loaded = opspace_model::Model::from_urdf(urdf)?;
-    /// assert_eq!(loaded.model.n(), 1);
-    /// assert!(loaded.model.frame("rod").is_ok());
-    /// # Ok::<(), opspace_model::UrdfError>(())
-    /// ```
     ///
     /// # Errors
     /// [`UrdfError`], with the line of the element at fault: see [`UrdfErrorKind`].
