@@ -148,6 +148,37 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
+    /// M⁻¹ X in place of X (n × n): all columns at once, row by row.
+    ///
+    /// # Panics
+    /// If `x` isn't n × n.
+    pub fn solve_matrix(&self, x: &mut DMatrix<T>) {
+        let n = self.reciprocal.len();
+        assert_eq!(x.shape(), (n, n), "n rows and n columns");
+        x.transpose_mut();
+        let rows = x.as_mut_slice();
+        for k in (0..n).rev() {
+            let (before, y) = rows.split_at_mut(k * n);
+            for row in carriers(&self.rows, self.carrier(k)) {
+                for i in row {
+                    let u = self.upper[(i, k)];
+                    before[i * n..][..n].iter_mut().zip(&y[..n]).for_each(|(x, &y)| *x -= y * u);
+                }
+            }
+        }
+        for k in 0..n {
+            let (before, y) = rows.split_at_mut(k * n);
+            y[..n].iter_mut().for_each(|y| *y *= self.reciprocal[k]);
+            for row in carriers(&self.rows, self.carrier(k)) {
+                for i in row {
+                    let u = self.upper[(i, k)];
+                    y[..n].iter_mut().zip(&before[i * n..][..n]).for_each(|(y, &x)| *y -= x * u);
+                }
+            }
+        }
+        x.transpose_mut();
+    }
+
     /// J M⁻¹ Jᵀ (6 × 6): how a force at a task moves it. Leaves J U⁻ᵀ D⁻¹ in place of J (6 × n), for
     /// [`finish_solve`](Self::finish_solve).
     ///

@@ -124,6 +124,6 @@ pub fn aba_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T])
     for (torque, ddq) in both {
         ddq.copy_from(torque);
         ddq.neg_mut();
-        ddq.column_iter_mut().for_each(|mut column| data.mass_matrix_factor.solve(column.as_mut_slice()));
+        data.mass_matrix_factor.solve_matrix(ddq);
     }
 }
