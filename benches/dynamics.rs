@@ -3,7 +3,7 @@
 //! Pinocchio is measured in the same run if it has been built by `benches/pinocchio/build target/pinocchio`; without it
 //! ours is measured alone. Both cycle over many random states and print the median over repetitions.
 
-#![expect(clippy::expect_used, reason = "a bench")]
+#![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
 use nalgebra::{Matrix6xX, Rotation3, UnitQuaternion, Vector3, Vector6};
 use opspace_model::batch::{self, Lanes};

@@ -424,6 +424,129 @@ fn a_robot_is_a_table_or_json() {
     assert!((json["joints"][0]["rotor_inertia"].as_f64().unwrap() - 120.0 * 120.0 * 1.6e-5).abs() < 1e-12);
 }
 
+fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
+}
+
+/// Masses, centres and offsets against what stands in the text of the file.
+#[test]
+fn the_table_of_a_robot_says_what_its_file_says() {
+    let folder = scratch();
+    let urdf = project("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
+    let shown = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0).json();
+    let text = read(&urdf);
+    let masses = text.split("<mass value=\"").skip(1).map(|rest| rest.split('"').next().unwrap());
+    let sum: f64 = masses.map(|mass| mass.parse::<f64>().unwrap()).sum();
+    let total = shown["total_mass_kg"].as_f64().unwrap();
+    assert!(
+        (total - sum).abs() < 1e-9 && shown["moving_mass_kg"].as_f64().unwrap() < total,
+        "{total}, {sum}"
+    );
+    let table = opspace(folder.path(), &["model", &urdf]).exits(0);
+    assert!(table.stdout.contains("7 moving joints on a fixed base, 16.822 kg in motion, 17.452 kg in all"));
+    assert_eq!(table.stderr, "", "nothing is wrong with it");
+    // A robot whose axes are not along z: places are in the links' axes all the same, not in the model's.
+    let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
+    let shown = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0).json();
+    let text = read(&urdf);
+    let origin = |of: &str| {
+        let after = text.split_once(of).unwrap().1.split_once("xyz=\"").unwrap().1;
+        let numbers = after.split('"').next().unwrap().split_whitespace();
+        numbers.map(|x| x.parse().unwrap()).collect::<Vec<f64>>()
+    };
+    let assert_near = |said: &Value, place: &str| {
+        let (said, written) = (numbers(said), origin(place));
+        assert!(said.iter().zip(&written).all(|(a, b)| (a - b).abs() < 1e-9), "{said:?}, {written:?}");
+        assert!(written.iter().any(|x| *x != 0.0), "{place}");
+    };
+    let (upper_arm, joint) = (&shown["bodies"][1], &shown["joints"][1]);
+    assert_eq!((&upper_arm["link"], &upper_arm["joint"]), (&"upper_arm_link".into(), &joint["name"]));
+    assert_near(&upper_arm["com_m"], "<inertial>\n      <mass value=\"8.393\"");
+    assert_eq!(joint["carried_by"], "shoulder_link");
+    let tool = shown["frames"].as_array().unwrap().iter().find(|f| f["name"] == "ee_link").unwrap();
+    assert_eq!((&tool["fixed_to"], &tool["moves_with"]), (&"wrist_3_link".into(), &"wrist_3_joint".into()));
+    assert_near(&tool["offset_m"], "<joint name=\"ee_fixed_joint\"");
+}
+
+/// What the reader warns of, and what the model as a whole does: on stderr with the file, and as JSON.
+#[test]
+fn what_looks_wrong_with_a_robot_is_said() {
+    let folder = scratch();
+    for (name, count, words) in [
+        ("ur5", 3, &["link 'wrist_1_link'", "a solid of 8.35 kg/m³"][..]),
+        ("allegro_right_hand", 4, &["line 143: link 'link_3.0'", "triangle inequality"]),
+        ("xarm7_turned", 0, &[]),
+    ] {
+        let urdf = project(&format!("tests/oracles/pinocchio/urdf/{name}.urdf"));
+        let ran = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0);
+        let warnings = ran.json()["warnings"].clone();
+        let said: Vec<String> =
+            warnings.as_array().unwrap().iter().map(|w| format!("{urdf}: {}", w.as_str().unwrap())).collect();
+        assert_eq!(said.len(), count, "{name}: {said:?}");
+        assert_eq!(ran.stderr.lines().collect::<Vec<_>>(), said, "{name}");
+        ran.says(words);
+    }
+    for robot in ["asimo-arm", "panda", "planar-2-link", "ur5e"] {
+        let ran = opspace(folder.path(), &["model", &project(&format!("robots/{robot}"))]).exits(0);
+        assert_eq!(ran.stderr, "", "{robot}");
+    }
+}
+
+#[test]
+fn a_urdf_can_float_and_fold_its_mimic_joints() {
+    let folder = scratch();
+    let urdf = project("tests/oracles/pinocchio/urdf/panda.urdf");
+    let shown = |options: &[&str]| {
+        let arguments = [&["model", &urdf, "--json", "-"], options].concat();
+        opspace(folder.path(), &arguments).exits(0)
+    };
+    let count = |value: &Value, key: &str| value[key].as_array().unwrap().len();
+    let fixed = shown(&[]);
+    fixed.json()["warnings"][0].as_str().unwrap().find("mimics").expect("it is said");
+    let fixed = fixed.json();
+    assert_eq!((count(&fixed, "joints"), count(&fixed, "bodies"), &fixed["base"]), (9, 9, &"fixed".into()));
+    let folded = shown(&["--fold-mimics"]).json();
+    assert_eq!((count(&folded, "joints"), count(&folded, "bodies"), count(&folded, "warnings")), (8, 9, 0));
+    // Both fingers hang on the joint that is left.
+    let fingers = 2.0 * fixed["joints"][8]["mass_kg"].as_f64().unwrap();
+    assert!((folded["joints"][7]["mass_kg"].as_f64().unwrap() - fingers).abs() < 1e-12);
+    let floating = shown(&["--floating"]).json();
+    assert_eq!((count(&floating, "joints"), count(&floating, "bodies")), (15, 10));
+    assert_eq!(
+        (&floating["base"], &floating["bodies"][0]["link"]),
+        (&"floating".into(), &"panda_link0".into())
+    );
+    assert_eq!(floating["moving_mass_kg"], floating["total_mass_kg"]);
+    let table = opspace(folder.path(), &["model", &urdf, "--floating", "--fold-mimics"]).exits(0).stdout;
+    assert!(table.contains("8 moving joints on a floating base, 17.452 kg in motion, 17.452 kg in all"));
+    assert!(table.contains("base.angular.z") && table.contains("the base (floating)"), "{table}");
+    // A state then has a position and a quaternion first: with them it computes, without it says how many it wants.
+    let sample = |nq: usize| {
+        let list = |length: usize, at: usize| -> Vec<f64> {
+            (0..length).map(|i| if i == at { 1.0 } else { 0.0 }).collect()
+        };
+        let line = serde_json::json!({
+            "q": list(nq, 6), "dq": list(15, 99), "ddq": list(15, 99), "tau_in": list(15, 99), "f_tip": list(6, 99),
+        });
+        let path = folder.path().join("samples.jsonl");
+        fs::write(&path, line.to_string()).unwrap();
+        opspace(
+            folder.path(),
+            &["model", &urdf, "--floating", "--tip", "panda_hand", "--samples", "samples.jsonl"],
+        )
+    };
+    let quantities = sample(16).exits(0).json();
+    // Free in space it weighs all its mass: the third row of gravity is m g.
+    let weight = quantities["g"][2].as_f64().unwrap();
+    assert!((weight - 9.81 * floating["total_mass_kg"].as_f64().unwrap()).abs() < 1e-9, "{weight}");
+    sample(15).exits(2).says(&["16"]);
+    // What is controlled is the robot of its folder.
+    for option in ["--floating", "--fold-mimics"] {
+        let refused = opspace(folder.path(), &["model", ROOT_ROBOT, option]).exits(2);
+        refused.says(&[option, "asimo-arm.urdf"]);
+    }
+}
+
 const SCHEMAS: [(&str, &str); 3] = [
     ("robot", "robots/robot.schema.json"),
     ("task", "tasks/task.schema.json"),

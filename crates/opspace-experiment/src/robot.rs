@@ -8,7 +8,7 @@ use opspace_backend::{
     ForceSensor, InterfaceParameters, JointParameters, Measured, ProfileParameters, SafetyParameters,
     ServoParameters,
 };
-use opspace_model::{Model, UrdfWarning};
+use opspace_model::{Loaded, Model, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -89,7 +89,7 @@ impl Robot {
     }
 
     fn new(source: Source, file: RobotFile, urdf: Source) -> Result<Self, FileError> {
-        let loaded = load_urdf(&urdf)?;
+        let loaded = load_urdf(&urdf, UrdfOptions::default())?;
         let model = loaded.model;
         let mut rotors = Vec::new();
         for joint in joints_of(&source, &model, &file.joint, &["joint"])? {
@@ -164,8 +164,8 @@ impl Robot {
 ///
 /// # Errors
 /// What is wrong with it, with the line.
-pub fn load_urdf(urdf: &Source) -> Result<opspace_model::Loaded, FileError> {
-    Model::from_urdf(urdf.text()).map_err(|error| {
+pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<Loaded, FileError> {
+    Model::from_urdf_with(urdf.text(), options).map_err(|error| {
         let line = error.line().and_then(|line| usize::try_from(line).ok());
         FileError::at_line(urdf, line, error.kind().to_string(), None)
     })

@@ -83,7 +83,7 @@ fn left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     let w = skew(angular);
     let (a, b) = if angle < SMALL_ANGLE {
         let square = angle * angle;
-        (0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0)
+        (0.5 - square * (1.0 / 24.0 - square / 720.0), 1.0 / 6.0 - square * (1.0 / 120.0 - square / 5_040.0))
     } else {
         // 1 − cos by the half angle: nothing cancels.
         let half = (0.5 * angle).sin();
@@ -97,13 +97,14 @@ fn inverse_left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     let angle = angular.norm();
     let w = skew(angular);
     let b = if angle < SMALL_ANGLE {
-        1.0 / 12.0 + angle * angle / 720.0
+        let square = angle * angle;
+        1.0 / 12.0 + square * (1.0 / 720.0 + square / 30_240.0)
     } else {
         (1.0 - 0.5 * angle / (0.5 * angle).tan()) / (angle * angle)
     };
     Matrix3::identity() - w * 0.5 + w * w * b
 }
 
-/// Below it the next term of each series is lost in rounding, above it the quotients keep eight digits of a term that
-/// is itself below 1e-5 of the sum, rad.
+/// Below it the next term of each series is lost in rounding; above it the quotients' own rounding is, where they
+/// are multiplied with the angle's square, rad.
 const SMALL_ANGLE: f64 = 1e-2;

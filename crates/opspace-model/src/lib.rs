@@ -1,11 +1,40 @@
 //! Rigid-body kinematics and dynamics from URDF.
 //!
-//! A [`Model`] is read once and never changes; [`Data`] is scratch for it, allocated once; the algorithms
-//! are functions of both, one file each, named as in the textbook (Featherstone, *Rigid Body Dynamics
-//! Algorithms*, "RBDA"). No algorithm allocates; reading a URDF and [`samples`] do.
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Data, Model, crba, forward_kinematics};
 //!
-//! Conventions: SI units; world-aligned Jacobians at the frame's origin; linear rows before angular ones;
-//! the root link is fixed to the world; a continuous joint has one coordinate.
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut data = Data::new(&model);
+//! forward_kinematics(&model, &mut data, &[0.0, -1.2, 1.5, 0.3, 1.0, 0.0]);
+//! crba(&model, &mut data);
+//! println!("M = {:.3} kg m²", data.mass_matrix);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
+//!
+//! A [`Model`] is what the robot is; [`Data`] is scratch and results for it, allocated once; the algorithms are
+//! functions of both, one file each, named as in the textbook (Featherstone, *Rigid Body Dynamics Algorithms*,
+//! "RBDA"). No algorithm allocates; reading a URDF, building a model and [`samples`] do.
+//!
+//! | wanted | here | in Pinocchio |
+//! |---|---|---|
+//! | poses, velocities | [`forward_kinematics()`], [`kinematics()`] | `forwardKinematics` |
+//! | Jacobians and their rates | [`jacobian`] | `getFrameJacobian`, `getFrameJacobianTimeVariation` |
+//! | M q̈ + C q̇ + g, C q̇ + g, g | [`rnea()`], [`bias`], [`gravity`] | `rnea`, `nonLinearEffects`, `computeGeneralizedGravity` |
+//! | M, its factor, M⁻¹ x, M⁻¹ | [`crba()`], [`cholesky()`], [`MassMatrixFactor::solve`], [`mass_matrix_inverse`] | `crba`, `cholesky::decompose`, `cholesky::solve`, `computeMinverse` |
+//! | q̈ | [`aba()`] | `aba` |
+//! | C | [`coriolis()`] | `computeCoriolisMatrix` |
+//! | derivatives in q, q̇ | [`rnea_derivatives`], [`aba_derivatives`] | `computeRNEADerivatives`, `computeABADerivatives` |
+//! | momentum, centre of mass, energy | [`centroidal`], [`com_jacobian`], [`energy`] | `ccrba`, `jacobianCenterOfMass`, `computeKineticEnergy` |
+//! | linear in the inertial parameters | [`torque_regressor`] | `computeJointTorqueRegressor` |
+//! | Λ, J̄, N | [`OperationalSpace`] | – |
+//! | q ⊕ v, q₁ ⊖ q₀ | [`integrate`], [`difference`] | `integrate`, `difference` |
+//! | locked joints | [`Model::locked`] | `buildReducedModel` |
+//! | many states at once | [`batch`] | – |
+//!
+//! Conventions: SI units; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's origin;
+//! the root link is fixed to the world unless [`UrdfOptions`] say that it floats; a continuous joint has one
+//! coordinate.
 
 #![forbid(unsafe_code)]
 
@@ -28,6 +57,7 @@ pub mod regressor;
 pub mod rnea;
 pub mod samples;
 pub mod spatial;
+pub mod suspicion;
 pub mod urdf;
 
 pub use aba::{aba, aba_external};
@@ -53,7 +83,8 @@ pub use operational_space::OperationalSpace;
 pub use real::Real;
 pub use regressor::{inertial_parameters, torque_regressor};
 pub use rnea::{bias, gravity, rnea, rnea_external};
-pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia};
+pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_moments};
+pub use suspicion::{Suspicion, suspicions};
 pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
 
 /// Everything a controller needs of a state, once a tick: kinematics, M and its factor, bias and gravity.

@@ -195,7 +195,7 @@ pub enum ReduceError {
 }
 
 /// The coordinates of a floating base, in their order.
-const BASE_JOINTS: [&str; 6] =
+pub(crate) const BASE_JOINTS: [&str; 6] =
     ["base.linear.x", "base.linear.y", "base.linear.z", "base.angular.x", "base.angular.y", "base.angular.z"];
 
 /// Building and changing.
@@ -251,9 +251,9 @@ impl Model {
         self.push(self.on_root(parent), origin, joint, inertia)
     }
 
-    /// What has no parent stands on the root, floating or not.
+    /// What has no parent stands on the root; a floating one is the last of its six bodies.
     fn on_root(&self, parent: Option<usize>) -> Option<usize> {
-        let parent = parent.or(self.floating.then_some(5));
+        let parent = if self.floating { Some(parent.map_or(5, |p| p.max(5))) } else { parent };
         assert!(parent.is_none_or(|p| p < self.bodies.len()), "a parent comes before its children");
         parent
     }
@@ -302,8 +302,9 @@ impl Model {
     /// Another inertia for a body and all that is fixed to it, payloads apart, in its frame.
     ///
     /// # Panics
-    /// If there is no such body.
+    /// If there is no such body, or it is one of the first five of a floating base, which are nothing but coordinates.
     pub fn set_inertia(&mut self, body: usize, inertia: Inertia) {
+        assert!(!self.floating || body >= 5, "body 5 is the floating base");
         self.own[body] = inertia;
         self.sum_up(Some(body));
     }
@@ -417,7 +418,7 @@ impl Model {
 
     /// The robot with some joints made to follow others (mimic joints): each of `followers` is a joint, its leader,
     /// and the ratio and offset (rad, m) of `q_follower = ratio q_leader + offset`. What they move, moves with the
-    /// leader's coordinate; their own are gone. Their rotors turn with the leader's.
+    /// leader's coordinate; their own, and their limits, are gone. Their rotors turn with the leader's.
     ///
     /// # Errors
     /// [`ReduceError`], which names the joint at fault.

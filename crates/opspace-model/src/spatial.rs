@@ -305,6 +305,19 @@ impl Add for Inertia {
     }
 }
 
+/// The eigenvalues of a rotational inertia, ascending, kg m².
+#[must_use]
+pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
+    // Of order one first: the square of a tiny or huge moment is zero or infinite.
+    let scale = rotational.amax();
+    if scale == 0.0 {
+        return [0.0; 3];
+    }
+    let mut moments: [f64; 3] = ((rotational / scale).symmetric_eigenvalues() * scale).into();
+    moments.sort_by(f64::total_cmp);
+    moments
+}
+
 /// A rigid body's inertia about a fixed point, in fixed axes: what belongs to it in RBDA eq. 2.63,
 /// `[f; n] = [m, −h×; h×, I] [v; ω]`. Bodies that move as one just add up.
 #[derive(Clone, Copy, Debug, PartialEq)]

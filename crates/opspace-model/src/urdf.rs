@@ -33,7 +33,7 @@ mod tree;
 
 pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 
-use crate::model::{Follows, Joint, Model, ReduceError, z_onto};
+use crate::model::{BASE_JOINTS, Follows, Joint, JointKind, Model, ReduceError, z_onto};
 use crate::spatial::{Inertia, Placement};
 use read::{Description, JointElement, Motion};
 
@@ -108,6 +108,10 @@ fn assemble(description: &Description, order: &[tree::Step], floating: bool) -> 
             let at_zero = parent.placement * element.origin;
             places[step.link] = match &element.motion {
                 Motion::Fixed => Place { body: parent.body, placement: at_zero },
+                Motion::Moving { .. } if floating && BASE_JOINTS.contains(&element.name.as_str()) => {
+                    let kind = UrdfErrorKind::ReservedName { joint: element.name.clone() };
+                    return Err(UrdfError::at(element.line, kind));
+                }
                 Motion::Moving { kind, axis, limits, .. } => {
                     let turned = Placement { rotation: z_onto(axis), ..Placement::identity() };
                     let joint = Joint { name: element.name.clone(), kind: *kind, limits: *limits };
@@ -139,7 +143,7 @@ fn assemble(description: &Description, order: &[tree::Step], floating: bool) -> 
             return Err(UrdfError::at(element.line, kind));
         }
     }
-    for (body, inertia) in inertias.into_iter().enumerate() {
+    for (body, inertia) in inertias.into_iter().enumerate().skip(root.body.unwrap_or(0)) {
         model.set_inertia(body, inertia);
     }
     // One frame a link, the root first.
@@ -174,14 +178,16 @@ fn fold(model: &Model, description: &Description) -> Result<Model, UrdfError> {
         let Motion::Moving { mimic: Some(mimic), .. } = &element.motion else {
             continue;
         };
-        let leader = model.joint(&mimic.leader).map_err(|unknown| {
-            let kind = UrdfErrorKind::UnknownLeader {
-                joint: element.name.clone(),
-                leader: unknown.name,
-                known: unknown.known,
-            };
-            UrdfError::at(mimic.line, kind)
-        })?;
+        let jointed = |joint: &&Joint| joint.kind != JointKind::Floating;
+        let leader =
+            model.joint(&mimic.leader).ok().filter(|&j| jointed(&&model.joints()[j])).ok_or_else(|| {
+                let kind = UrdfErrorKind::UnknownLeader {
+                    joint: element.name.clone(),
+                    leader: mimic.leader.clone(),
+                    known: model.joints().iter().filter(jointed).map(|j| j.name.clone()).collect(),
+                };
+                UrdfError::at(mimic.line, kind)
+            })?;
         let Ok(joint) = model.joint(&element.name) else { continue };
         line = mimic.line;
         followers.push((joint, Follows { leader, ratio: mimic.ratio, offset: mimic.offset }));

@@ -246,6 +246,14 @@ pub struct ModelArgs {
     #[arg(long, value_name = "FILE", requires = "tip")]
     pub samples: Option<PathBuf>,
 
+    /// Let the root link move in space: q begins with its position and quaternion x, y, z, w. For a URDF.
+    #[arg(long)]
+    pub floating: bool,
+
+    /// Let mimic joints follow the joint that they name, instead of moving on their own. For a URDF.
+    #[arg(long)]
+    pub fold_mimics: bool,
+
     #[command(flatten)]
     pub json: JsonArgs,
 }

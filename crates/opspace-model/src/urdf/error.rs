@@ -179,6 +179,12 @@ pub enum UrdfErrorKind {
         /// One of them.
         joint: String,
     },
+    /// A joint that couldn't be told from a coordinate of the floating base.
+    #[error("joint '{joint}' has the name of a coordinate of the floating base; rename it")]
+    ReservedName {
+        /// The joint.
+        joint: String,
+    },
     /// A floating robot without mass.
     #[error("nothing on the floating base '{link}' has mass; give its links <inertial>")]
     WeightlessBase {

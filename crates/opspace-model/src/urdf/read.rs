@@ -2,7 +2,7 @@
 
 use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 use crate::model::{JointKind, Limits};
-use crate::spatial::{Inertia, Placement};
+use crate::spatial::{Inertia, Placement, principal_moments};
 use nalgebra::{Matrix3, Unit, Vector3};
 use roxmltree::Document;
 use std::collections::HashMap;
@@ -488,17 +488,6 @@ impl<'a> Element<'a> {
     fn warning(&self, node: Node<'a>, kind: UrdfWarningKind) -> UrdfWarning {
         UrdfWarning::at(self.lines.line(node), kind)
     }
-}
-
-/// Eigenvalues, ascending.
-fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
-    let scale = rotational.amax();
-    if scale == 0.0 {
-        return [0.0; 3];
-    }
-    let mut moments: [f64; 3] = ((rotational / scale).symmetric_eigenvalues() * scale).into();
-    moments.sort_by(f64::total_cmp);
-    moments
 }
 
 fn place(node: Node<'_>, attribute: &str) -> String {

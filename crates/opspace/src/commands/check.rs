@@ -6,6 +6,7 @@ use crate::output::pretty;
 use opspace_experiment::files::Kind;
 use opspace_experiment::robot::load_urdf;
 use opspace_experiment::{Choice, Experiment, FileError, Files, Robot, Source, Suite};
+use opspace_model::{Model, UrdfOptions, UrdfWarning, suspicions};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -24,19 +25,24 @@ pub fn check(args: &CheckArgs, console: Console) -> Outcome {
     Ok(exit)
 }
 
+/// What in a URDF, or in the model that it makes, deserves a second look.
+fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
+    warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w}")));
+    suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
+}
+
 fn check_one(path: &Path, console: Console) -> Result<String, FileError> {
     if path.extension().is_some_and(|e| e == "urdf") {
         let source = Source::read(path)?;
-        let loaded = load_urdf(&source)?;
-        loaded.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", path.display())));
+        let loaded = load_urdf(&source, UrdfOptions::default())?;
+        warn(console, source.name(), &loaded.warnings, &loaded.model);
         return Ok(format!("a URDF of {} moving joints", loaded.model.n()));
     }
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
     let robot = || {
         let robot = Robot::load(Files::Disk, path, &[])?;
-        let urdf = robot.urdf.name();
-        robot.warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w}")));
+        warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
         Ok(format!("a robot of {} joints", robot.model.n()))
     };
     match Kind::of(source.text()) {

@@ -7,11 +7,12 @@ use crate::output::write;
 use opspace_experiment::Source;
 use opspace_experiment::robot::load_urdf;
 use opspace_experiment::template::{robot_toml, task_toml};
+use opspace_model::UrdfOptions;
 use std::fs;
 
 pub fn new(args: &NewArgs, console: Console) -> Outcome {
     let source = Source::read(&args.urdf)?;
-    let loaded = load_urdf(&source)?;
+    let loaded = load_urdf(&source, UrdfOptions::default())?;
     loaded.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", source.name())));
     let robot = args.dir.join("robot.toml");
     if robot.exists() {

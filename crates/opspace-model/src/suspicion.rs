@@ -1,0 +1,294 @@
+//! What of a model can be, but of a real robot seldom is: the slips of units, frames and placeholders that load
+//! without an error and spoil a simulation.
+//!
+//! Every rule is in this file, with its bound and where that comes from. None needs to know how large a link is:
+//! a mass and its principal moments say enough. What stands wrong in the text of a URDF itself (impossible
+//! moments, limits that are zero or equal) is said as a [`UrdfWarning`](crate::UrdfWarning), with its line, and not
+//! again here.
+//!
+//! ```
+//! use nalgebra::{Matrix3, Vector3};
+//! use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement, Suspicion, suspicions};
+//! // Moments as they were in g mm².
+//! let link = Inertia { mass: 1.0, com: Vector3::zeros(), rotational: Matrix3::identity() * 1e6 };
+//! let limits = Limits { lower: -2.0, upper: 2.0, velocity: 3.0, effort: 40.0 };
+//! let joint = Joint { name: "hinge".into(), kind: JointKind::Revolute, limits };
+//! let mut model = Model::new("pendulum");
+//! model.add_body(None, Placement::identity(), joint, link);
+//! assert!(matches!(suspicions(&model)[..], [Suspicion::LargeInertia { .. }]));
+//! ```
+
+use crate::model::{Body, Joint, JointKind, Model};
+use crate::spatial::principal_moments;
+use nalgebra::Vector3;
+use std::f64::consts::PI;
+use thiserror::Error;
+
+/// Osmium's: no matter is denser.
+const DENSEST_KG_PER_M3: f64 = 22_590.0;
+
+/// Expanded polystyrene's. The lightest sound body of the robots in the tests has 52; the identity
+/// matrix that stands in many a file for an unknown inertia makes a body of 1 kg as light as 0.06.
+const LIGHTEST_KG_PER_M3: f64 = 30.0;
+
+/// Centre of mass to frame, in radii of gyration. A uniform rod has √3 about its end; the robots in the tests have
+/// 3.7 at most, where Denavit and Hartenberg put the frame outside the link.
+const FARTHEST_IN_RADII: f64 = 6.0;
+
+/// Between a body and the one that carries it. A camera on a torso comes to some hundreds; grams for kilograms, and
+/// links put in only because a joint needs one, to thousands.
+const LARGEST_MASS_RATIO: f64 = 1000.0;
+
+/// Cables end joints' ranges after two or three turns; limits in degrees come to dozens.
+const WIDEST_TURN_RAD: f64 = 10.0 * PI;
+
+/// Longer than any axis but a gantry's; limits in millimetres come to hundreds.
+const WIDEST_SLIDE_M: f64 = 20.0;
+
+/// What looks wrong with a model. `part` is a body as a person would say it: `link 'elbow'`, after the link that its
+/// joint moves.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum Suspicion {
+    /// A centre of mass outside its body.
+    #[error(
+        "{part}: its centre of mass is {} m from its frame, {:.0} times its radius of gyration of {} m; \
+         links have 4 times at most: give it in the link's own frame, in m",
+        short(*distance_m), distance_m / radius_m, short(*radius_m)
+    )]
+    FarCentre {
+        /// Whose.
+        part: String,
+        /// From the origin of the body's frame, m.
+        distance_m: f64,
+        /// The largest of the body, m.
+        radius_m: f64,
+    },
+    /// A body too compact for its mass.
+    #[error(
+        "{part}: its largest principal moment is {} kg m²; even a ball of osmium of its {} kg has {}: \
+         give moments in kg m², unless a point mass is meant",
+        short(*moment), short(*mass), short(*least)
+    )]
+    SmallInertia {
+        /// Whose.
+        part: String,
+        /// kg.
+        mass: f64,
+        /// The largest principal one, kg m².
+        moment: f64,
+        /// What a ball of the densest matter has, kg m².
+        least: f64,
+    },
+    /// A body too wide for its mass.
+    #[error(
+        "{part}: its principal moments {}, {}, {} kg m² with {} kg are those of a solid of {} kg/m³, lighter than \
+         styrofoam; links have 50 and more: give moments about the centre of mass, in kg m², no placeholders",
+        short(moments[0]), short(moments[1]), short(moments[2]), short(*mass), short(*density)
+    )]
+    LargeInertia {
+        /// Whose.
+        part: String,
+        /// kg.
+        mass: f64,
+        /// Ascending, kg m².
+        moments: [f64; 3],
+        /// Of the uniform ellipsoid that has this mass and these moments, kg/m³.
+        density: f64,
+    },
+    /// Neighbours of very different mass.
+    #[error(
+        "{heavy} has {} kg and {light} next to it {} kg; usual is a ratio below 1000: give both in kg, and fix a link \
+         that is only a placeholder to a neighbour",
+        short(masses[1]), short(masses[0])
+    )]
+    UnequalMasses {
+        /// The lighter body.
+        light: String,
+        /// The body that carries it, or that it carries.
+        heavy: String,
+        /// Theirs in this order, kg.
+        masses: [f64; 2],
+    },
+    /// Joints that may do anything.
+    #[error(
+        "{}: no {limit} limit, so that any {limit} passes; give <limit {limit}=\"...\"> from the motor's data",
+        listed(joints)
+    )]
+    NoLimit {
+        /// Which, in the model's order.
+        joints: Vec<String>,
+        /// `velocity` or `effort`.
+        limit: &'static str,
+    },
+    /// A range in which no joint moves.
+    #[error("joint '{joint}': its range from {} to {} {}", short(*lower), short(*upper), widest(*kind))]
+    WideRange {
+        /// The joint.
+        joint: String,
+        /// Which says the unit.
+        kind: JointKind,
+        /// rad or m.
+        lower: f64,
+        /// rad or m.
+        upper: f64,
+    },
+}
+
+/// The rules about one body with mass.
+const OF_BODIES: [fn(&Part<'_>) -> Option<Suspicion>; 4] =
+    [far_centre, small_inertia, large_inertia, unequal_masses];
+
+/// What looks wrong with a model, bodies first, in their order; empty for most. Allocates: for once after loading.
+#[must_use]
+pub fn suspicions(model: &Model) -> Vec<Suspicion> {
+    let heavy = (0..model.bodies().len()).filter(|&i| model.bodies()[i].inertia.mass > 0.0);
+    let parts = heavy.map(|number| Part::new(model, number));
+    let of_bodies = parts.flat_map(|part| OF_BODIES.iter().filter_map(move |rule| rule(&part)));
+    let limits =
+        [no_limit(model, "velocity", |j| j.limits.velocity), no_limit(model, "effort", |j| j.limits.effort)];
+    let ranges = model.joints().iter().filter_map(wide_range);
+    of_bodies.chain(limits.into_iter().flatten()).chain(ranges).collect()
+}
+
+/// A body and what the rules ask of it.
+#[derive(Clone, Copy)]
+struct Part<'a> {
+    model: &'a Model,
+    number: usize,
+    mass: f64,
+    moments: [f64; 3],
+}
+
+impl<'a> Part<'a> {
+    fn new(model: &'a Model, number: usize) -> Self {
+        let inertia = &model.bodies()[number].inertia;
+        Self { model, number, mass: inertia.mass, moments: principal_moments(&inertia.rotational) }
+    }
+
+    fn body(&self) -> &Body {
+        &self.model.bodies()[self.number]
+    }
+
+    /// After the first link on it, which is the one that its joint moves.
+    fn name(&self) -> String {
+        let mut links = self.model.frames().iter().filter(|f| f.body == Some(self.number));
+        match (links.next(), links.next()) {
+            (Some(link), None) => format!("link '{}'", link.name),
+            (Some(link), Some(_)) => format!("link '{}' with what is fixed to it", link.name),
+            (None, _) => format!("what joint '{}' moves", self.model.joints()[self.body().joint].name),
+        }
+    }
+
+    /// The largest principal moment of a ball of the densest matter: no body of that mass has a smaller one, kg m².
+    fn least_moment(&self) -> f64 {
+        let radius = (3.0 * self.mass / (4.0 * PI * DENSEST_KG_PER_M3)).cbrt();
+        0.4 * self.mass * radius * radius
+    }
+
+    /// How far what is joined or fixed to it, and what it is joined to, is known to be, m.
+    fn extent(&self) -> f64 {
+        let (model, me) = (self.model, Some(self.number));
+        let children = model.bodies().iter().filter(|b| b.parent == me).map(|b| b.origin.translation);
+        let frames = model.frames().iter().filter(|f| f.body == me).map(|f| f.placement.translation);
+        let points = children.chain(frames).chain([self.body().origin.translation]);
+        points.map(|p: Vector3<f64>| p.norm()).fold(0.0, f64::max)
+    }
+}
+
+/// Needs both: a bob at the end of a rod is far from its joint, but not from the frames there.
+fn far_centre(part: &Part<'_>) -> Option<Suspicion> {
+    let distance_m = part.body().inertia.com.norm();
+    let radius_m = (part.moments[2].max(part.least_moment()) / part.mass).sqrt();
+    (distance_m > FARTHEST_IN_RADII * radius_m && distance_m > part.extent()).then(|| Suspicion::FarCentre {
+        part: part.name(),
+        distance_m,
+        radius_m,
+    })
+}
+
+fn small_inertia(part: &Part<'_>) -> Option<Suspicion> {
+    let &Part { mass, moments: [.., moment], .. } = part;
+    let least = part.least_moment();
+    (moment < least).then(|| Suspicion::SmallInertia { part: part.name(), mass, moment, least })
+}
+
+/// By the uniform ellipsoid with the same mass and moments: its semi-axes are a² = 5 (I₂ + I₃ − I₁) / 2m and so on.
+fn large_inertia(part: &Part<'_>) -> Option<Suspicion> {
+    let &Part { mass, moments, .. } = part;
+    let sum: f64 = moments.iter().sum();
+    // None below zero: impossible moments are another's to say.
+    let semi_axis = |moment: f64| (2.5 * (sum - 2.0 * moment).max(0.0) / mass).sqrt();
+    let density = mass / (4.0 / 3.0 * PI * moments.map(semi_axis).iter().product::<f64>());
+    (density < LIGHTEST_KG_PER_M3).then(|| Suspicion::LargeInertia {
+        part: part.name(),
+        mass,
+        moments,
+        density,
+    })
+}
+
+fn unequal_masses(part: &Part<'_>) -> Option<Suspicion> {
+    let carrier = Part::new(part.model, part.body().parent?);
+    let (light, heavy) = if part.mass < carrier.mass { (part, &carrier) } else { (&carrier, part) };
+    // A root without mass is a frame to count from.
+    (light.mass > 0.0 && heavy.mass > LARGEST_MASS_RATIO * light.mass).then(|| Suspicion::UnequalMasses {
+        light: light.name(),
+        heavy: heavy.name(),
+        masses: [light.mass, heavy.mass],
+    })
+}
+
+/// One for all joints: a file that leaves out one limit leaves out most.
+fn no_limit(model: &Model, limit: &'static str, of: fn(&Joint) -> f64) -> Option<Suspicion> {
+    let free = |joint: &&Joint| joint.kind != JointKind::Floating && of(joint) == f64::INFINITY;
+    let joints: Vec<String> = model.joints().iter().filter(free).map(|j| j.name.clone()).collect();
+    (!joints.is_empty()).then_some(Suspicion::NoLimit { joints, limit })
+}
+
+/// Of a joint that has one: the others are continuous, or were made in code without limits.
+fn wide_range(joint: &Joint) -> Option<Suspicion> {
+    let (lower, upper) = (joint.limits.lower, joint.limits.upper);
+    let most = match joint.kind {
+        JointKind::Revolute => WIDEST_TURN_RAD,
+        JointKind::Prismatic => WIDEST_SLIDE_M,
+        JointKind::Continuous | JointKind::Floating => return None,
+    };
+    (lower.is_finite() && upper.is_finite() && upper - lower > most).then(|| Suspicion::WideRange {
+        joint: joint.name.clone(),
+        kind: joint.kind,
+        lower,
+        upper,
+    })
+}
+
+fn widest(kind: JointKind) -> &'static str {
+    match kind {
+        JointKind::Prismatic => "m is more than 20 m; give it in m, not in mm",
+        _ => "rad is more than five turns; give it in rad, not in degrees, or make the joint continuous",
+    }
+}
+
+/// Three digits: `8.35`, `-170`, `1.20e-9`.
+fn short(number: f64) -> String {
+    let text = format!("{number:.2e}");
+    match text.split_once('e').map(|(digits, exponent)| (digits, exponent.parse::<i32>())) {
+        Some(("0.00", _)) => "0".to_owned(),
+        Some((_, Ok(exponent @ -4..=4))) => {
+            format!("{number:.*}", usize::try_from(2 - exponent).unwrap_or(0))
+        }
+        _ => text,
+    }
+}
+
+/// Names of joints, as many as can be taken in.
+fn listed(names: &[String]) -> String {
+    const MOST: usize = 8;
+    let word = if names.len() == 1 { "joint" } else { "joints" };
+    let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("'{name}'")).collect();
+    let more = match names.len().saturating_sub(MOST) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    format!("{word} {}{more}", shown.join(", "))
+}
