@@ -61,9 +61,8 @@ pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
 /// The inertia of every body on its own.
 #[inline]
 pub(crate) fn bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
-    for (i, body) in model.bodies.iter().enumerate() {
-        let placement = &data.placement[i];
-        let com = placement.act_point(&body.inertia.com) - data.origin;
-        data.composite[i] = SpatialInertia::new(&body.inertia, &placement.rotation, &com);
+    for (inertia, (body, place)) in data.composite.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {
+        let com = place.act_point(&body.inertia.com) - data.origin;
+        *inertia = SpatialInertia::new(&body.inertia, &place.rotation, &com);
     }
 }

@@ -64,29 +64,33 @@ pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]
     // A quaternion has one number more than there are coordinates.
     let q = &q[usize::from(model.floating)..];
     let first = model.first_jointed_body();
-    for (angle, body) in data.angle[first..].iter_mut().zip(&model.bodies[first..]) {
+    let Data { origin, placement, screw, angle, sin_cos, .. } = data;
+    let jointed = &model.bodies[first..];
+    for (angle, body) in angle[first..].iter_mut().zip(jointed) {
         *angle = body.ratio * q[body.joint] + body.offset;
     }
-    for (sin_cos, &angle) in data.sin_cos.iter_mut().zip(&data.angle) {
+    for (sin_cos, &angle) in sin_cos.iter_mut().zip(angle.iter()) {
         *sin_cos = real::sin_cos(angle);
     }
-    for (i, body) in model.bodies.iter().enumerate().skip(first) {
-        let parent = body.parent.map_or(&model.base, |p| &data.placement[p]);
-        // The joint's own pose first: it waits for no other body.
-        let place = body.kind.placement(&(*parent * body.origin), data.angle[i], data.sin_cos[i]);
-        data.placement[i] = place;
+    let moved = angle[first..].iter().zip(&sin_cos[first..]);
+    for ((i, body), (&angle, &sin_cos)) in (first..).zip(jointed).zip(moved) {
+        let parent = body.parent.map_or(&model.base, |p| &placement[p]);
+        placement[i] = body.kind.placement(&(*parent * body.origin), angle, sin_cos);
     }
-    for (i, body) in model.bodies.iter().enumerate().skip(first) {
-        data.screw[i] = screw(body, &data.placement[i], &data.origin);
+    for ((screw, place), body) in screw[first..].iter_mut().zip(&placement[first..]).zip(jointed) {
+        *screw = body.screw(place, origin);
     }
 }
 
-#[inline]
-fn screw<T: Real>(body: &Body<T>, place: &Placement<T>, origin: &Vector3<T>) -> Motion<T> {
-    let along = place.rotation.column(2) * body.ratio;
-    match body.kind {
-        JointKind::Prismatic => Motion { linear: along, angular: Vector3::zeros() },
-        _ => Motion { linear: (place.translation - origin).cross(&along), angular: along },
+impl<T: Real> Body<T> {
+    /// S of a body at `place`.
+    #[inline]
+    fn screw(&self, place: &Placement<T>, origin: &Vector3<T>) -> Motion<T> {
+        let along = place.rotation.column(2) * self.ratio;
+        match self.kind {
+            JointKind::Prismatic => Motion { linear: along, angular: Vector3::zeros() },
+            _ => Motion { linear: (place.translation - origin).cross(&along), angular: along },
+        }
     }
 }
 

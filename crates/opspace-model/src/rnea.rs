@@ -33,9 +33,11 @@ use nalgebra::{DVector, Vector3};
 pub fn rnea<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
     let ddq = &ddq[..model.n()];
     accelerate(model, data, ddq);
-    for (i, body) in model.bodies.iter().enumerate() {
-        let a = data.acceleration[i] + data.bias_acceleration[i];
-        data.force[i] = newton_euler(body, &data.placement[i], &data.origin, &data.velocity[i], &a);
+    let Data { origin, placement, velocity, bias_acceleration, acceleration, force, .. } = data;
+    let motions = velocity.iter().zip(bias_acceleration.iter().zip(acceleration.iter()));
+    let bodies = model.bodies.iter().zip(placement.iter());
+    for (force, ((body, place), (v, (bias, more)))) in force.iter_mut().zip(bodies.zip(motions)) {
+        *force = newton_euler(body, place, origin, v, &(*bias + *more));
     }
     backward(model, &data.screw, &mut data.force, &mut data.torque);
     for ((torque, &rotor), &ddq) in data.torque.iter_mut().zip(&model.rotor_inertia).zip(ddq) {
@@ -62,10 +64,12 @@ pub fn rnea_external<T: Real>(
 
 /// h = C q̇ + g, the torques at q̈ = 0, into [`Data::bias`] (Nm). Needs [`kinematics`](crate::kinematics()).
 pub fn bias<T: Real>(model: &Model<T>, data: &mut Data<T>) {
-    for (i, body) in model.bodies.iter().enumerate() {
-        let mut a = data.bias_acceleration[i];
-        a.linear -= model.gravity;
-        data.force[i] = newton_euler(body, &data.placement[i], &data.origin, &data.velocity[i], &a);
+    let Data { origin, placement, velocity, bias_acceleration, force, .. } = data;
+    let motions = velocity.iter().zip(bias_acceleration.iter());
+    let bodies = model.bodies.iter().zip(placement.iter());
+    for (force, ((body, place), (v, bias))) in force.iter_mut().zip(bodies.zip(motions)) {
+        let a = Motion { linear: bias.linear - model.gravity, angular: bias.angular };
+        *force = newton_euler(body, place, origin, v, &a);
     }
     backward(model, &data.screw, &mut data.force, &mut data.bias);
 }
@@ -73,10 +77,10 @@ pub fn bias<T: Real>(model: &Model<T>, data: &mut Data<T>) {
 /// g, the torques that hold the robot still, into [`Data::gravity`] (Nm). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
-    for (i, body) in model.bodies.iter().enumerate() {
-        let com = data.placement[i].act_point(&body.inertia.com) - data.origin;
+    for (force, (body, place)) in data.force.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {
+        let com = place.act_point(&body.inertia.com) - data.origin;
         let linear = model.gravity * -body.inertia.mass;
-        data.force[i] = Force { linear, angular: com.cross(&linear) };
+        *force = Force { linear, angular: com.cross(&linear) };
     }
     backward(model, &data.screw, &mut data.force, &mut data.gravity);
 }
