@@ -38,10 +38,11 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
         return;
     }
     bodies(model, data);
-    for (i, inertia) in data.composite.iter().enumerate() {
-        let v = &data.velocity[i];
-        data.articulated[i] = ArticulatedInertia::rigid(inertia);
-        data.force[i] = v.cross_force(&inertia.apply(v));
+    let Data { composite, velocity, articulated, force, .. } = data;
+    let rigid = composite.iter().zip(velocity.iter());
+    for ((articulated, force), (inertia, v)) in articulated.iter_mut().zip(force.iter_mut()).zip(rigid) {
+        articulated.set_rigid(inertia);
+        *force = v.cross_force(&inertia.apply(v));
     }
     for (i, body) in model.bodies.iter().enumerate().rev() {
         let screw = &data.screw[i];
@@ -107,22 +108,20 @@ fn solve_mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
 }
 
 /// v × S q̇: what the joint's own speed adds to its body's acceleration.
-#[inline]
+#[inline(always)]
 fn velocity_product<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
     screw_rate(data, i) * data.dq[i]
 }
 
 impl<T: Real> ArticulatedInertia<T> {
-    #[inline]
-    fn rigid(inertia: &SpatialInertia<T>) -> Self {
-        Self {
-            linear: Matrix3::from_diagonal_element(inertia.mass),
-            coupling: skew(&inertia.first_moment),
-            angular: inertia.second_moment,
-        }
+    #[inline(always)]
+    fn set_rigid(&mut self, inertia: &SpatialInertia<T>) {
+        self.linear = Matrix3::from_diagonal_element(inertia.mass);
+        self.coupling = skew(&inertia.first_moment);
+        self.angular = inertia.second_moment;
     }
 
-    #[inline]
+    #[inline(always)]
     fn apply(&self, m: &Motion<T>) -> Force<T> {
         Force {
             linear: apply(&self.linear, &m.linear) + apply_transposed(&self.coupling, &m.angular),
@@ -131,7 +130,7 @@ impl<T: Real> ArticulatedInertia<T> {
     }
 
     /// Adds I − U Uᵀ/D of another: what is left to carry once its joint gives way.
-    #[inline]
+    #[inline(always)]
     fn add_without(&mut self, other: &Self, u: &Force<T>, inverse_inertia: T) {
         let scaled = *u * inverse_inertia;
         for c in 0..3 {

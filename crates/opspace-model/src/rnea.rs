@@ -101,7 +101,7 @@ pub(crate) fn accelerate<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T
 /// f = I a + v ×* I v: the net force on a body (RBDA eq. 2.72), in world axes about `origin`.
 ///
 /// Newton's law for the centre of mass in world axes, Euler's about it in the body's, where its inertia stands still.
-#[inline]
+#[inline(always)]
 fn newton_euler<T: Real>(
     body: &Body<T>,
     placement: &Placement<T>,
@@ -123,10 +123,10 @@ fn newton_euler<T: Real>(
 fn backward<T: Real>(model: &Model<T>, screw: &[Motion<T>], force: &mut [Force<T>], torque: &mut DVector<T>) {
     torque.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate().rev() {
-        let carried = force[i];
-        torque[body.joint] += screw[i].dot(&carried);
+        let (before, carried) = force.split_at_mut(i);
+        torque[body.joint] += screw[i].dot(&carried[0]);
         if let Some(p) = body.parent {
-            force[p] += carried;
+            before[p] += &carried[0];
         }
     }
 }

@@ -227,6 +227,13 @@ macro_rules! pair_arithmetic {
                 self.angular += o.angular;
             }
         }
+        impl<T: Real> AddAssign<&Self> for $t<T> {
+            #[inline]
+            fn add_assign(&mut self, o: &Self) {
+                self.linear += o.linear;
+                self.angular += o.angular;
+            }
+        }
         impl<T: Real> Sub for $t<T> {
             type Output = Self;
             #[inline]
