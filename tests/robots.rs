@@ -9,7 +9,7 @@ mod common;
 use cli_common::{opspace, project, read};
 use common::measure;
 use nalgebra::{DVector, Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use opspace_experiment::{BackendKind, Choice, Experiment, Files, Task};
+use opspace_experiment::{BackendKind, Choice, Experiment, Files, Robot, Source, Task};
 use opspace_model::{Data, Model, Placement, frame_placement, update};
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
@@ -213,5 +213,68 @@ fn the_ur5e_is_its_makers() {
             (energy(STEP_RAD) - energy(-STEP_RAD)) / (2.0 * STEP_RAD)
         });
         close(data.gravity.iter(), slope.iter(), DIFFERENCE, "g");
+    }
+}
+
+/// The planar arm with lines added to its robot.toml.
+fn planar_with(lines: &str) -> Result<Robot, String> {
+    let source = |file: &str, more: &str| {
+        let path = project(&format!("robots/planar-2-link/{file}"));
+        Source::new(file.to_owned(), read(&path) + more)
+    };
+    Robot::from_sources(source("robot.toml", lines), source("planar-2-link.urdf", ""))
+        .map_err(|e| e.to_string())
+}
+
+/// A tool of mass m, its centre 0.1 m beyond the tip and moments of its own, against the closed form of a body there:
+/// M grows by m Jᵀ J of its centre and by I about y, g by m g times the centre's rise.
+#[test]
+fn a_tool_weighs_and_has_a_frame() {
+    let (mass, out, about_y) = (0.7, 1.1, 0.02);
+    let robot = planar_with(
+        "\n[tool.torch]\non = \"link_2\"\nxyz_m = [1.2, 0.0, 0.3]\nrpy_rad = [0.0, 0.5, 0.0]\nmass_kg = 0.7\n\
+         com_m = [1.1, 0.0, 0.0]\ninertia_kg_m2 = [0.01, 0.0, 0.0, 0.02, 0.0, 0.015]\n",
+    )
+    .unwrap();
+    let bare = planar_with("").unwrap();
+    for q in states(2) {
+        let (with, without) = (at(&robot.model, &q), at(&bare.model, &q));
+        let (a, b) = (q[0], q[0] + q[1]);
+        // How the centre moves in x and z with each joint.
+        let second = Vector2::new(-out * b.sin(), out * b.cos());
+        let first = second + Vector2::new(-a.sin(), a.cos());
+        let j = Matrix2::from_columns(&[first, second]);
+        let expected = j.transpose() * j * mass + Matrix2::from_element(about_y);
+        close(&(&with.mass_matrix - &without.mass_matrix), expected.iter(), ROUNDING, "M");
+        close(&(&with.gravity - &without.gravity), (j.row(1) * mass * 9.81).iter(), ROUNDING, "g");
+        let tip = pose(&robot.model, &with, "link_2") * Placement::from_rpy([0.0, 0.5, 0.0], [1.2, 0.0, 0.3]);
+        let torch = pose(&robot.model, &with, "torch");
+        close(&torch.translation, tip.translation.iter(), ROUNDING, "position");
+        close(&torch.rotation, tip.rotation.iter(), ROUNDING, "axes");
+    }
+}
+
+#[test]
+fn a_tool_that_cannot_be_is_refused_with_its_line() {
+    let refused = |lines: &str| planar_with(lines).map(|_| ()).unwrap_err();
+    let last = read(project("robots/planar-2-link/robot.toml")).lines().count();
+    for (lines, line, message) in [
+        ("\n[tool.a]\non = \"link2\"\n", 3, "the URDF has no link 'link2'"),
+        ("\n[tool.tip]\non = \"link_2\"\n", 2, "the robot has a link or tool 'tip' already"),
+        (
+            "\n[tool.a]\non = \"tip\"\nmass_kg = 1.0\ninertia_kg_m2 = [1.0, 0.0, 0.0, 1.0, 0.0, 3.0]\n",
+            5,
+            "no body has the principal moments 1.000e0, 1.000e0, 3.000e0 kg m²",
+        ),
+        (
+            "\n[tool.a]\non = \"tip\"\ninertia_kg_m2 = [1.0, 0.0, 0.0, 1.0, 0.0, 1.0]\n",
+            4,
+            "a tool without mass has no inertia",
+        ),
+        ("\n[tool.a]\non = \"tip\"\nxyz_m = [0.0, 0.1]\n", 4, "expected 3 values, got 2"),
+    ] {
+        let error = refused(lines);
+        assert!(error.contains(message), "{error}");
+        assert!(error.starts_with(&format!("robot.toml:{}", last + line)), "{error}");
     }
 }

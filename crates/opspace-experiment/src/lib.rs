@@ -18,6 +18,7 @@ pub mod suite;
 pub mod table;
 pub mod task;
 pub mod template;
+pub mod tool;
 mod words;
 
 pub use experiment::{BackendKind, Choice, ControllerKind, Experiment};

@@ -4,6 +4,7 @@ use crate::files::{Files, Kind, beside};
 use crate::names::nearest;
 use crate::overrides;
 use crate::source::{FileError, Source, parse};
+use crate::tool::{self, ToolFile};
 use opspace_backend::{
     ForceSensor, InterfaceParameters, JointParameters, Measured, ProfileParameters, SafetyParameters,
     ServoParameters,
@@ -32,6 +33,9 @@ pub struct RobotFile {
     /// The force sensors, by name.
     #[serde(default)]
     pub force_sensor: BTreeMap<String, ForceSensorFile>,
+    /// What is mounted on it, by name: a gripper, a screwdriver, a load.
+    #[serde(default)]
+    pub tool: BTreeMap<String, ToolFile>,
     /// What makes a run safe.
     #[serde(default)]
     pub safety: SafetyParameters,
@@ -56,7 +60,7 @@ pub struct Robot {
     pub urdf: Source,
     /// Its file.
     pub file: RobotFile,
-    /// Its rigid bodies, rotors included.
+    /// Its rigid bodies, rotors and tools included.
     pub model: Model,
     /// What its URDF deserves a second look for.
     pub warnings: Vec<UrdfWarning>,
@@ -90,7 +94,7 @@ impl Robot {
 
     fn new(source: Source, file: RobotFile, urdf: Source) -> Result<Self, FileError> {
         let loaded = load_urdf(&urdf, UrdfOptions::default())?;
-        let model = loaded.model;
+        let mut model = loaded.model;
         let mut rotors = Vec::new();
         for joint in joints_of(&source, &model, &file.joint, &["joint"])? {
             rotors.push(joint.rotor.reflected_inertia());
@@ -106,6 +110,7 @@ impl Robot {
             }
         }
         check_values(&source, &file, &model)?;
+        tool::mount(&source, &mut model, &file.tool)?;
         let sensors = force_sensors(&source, &model, &file.force_sensor)?;
         let model = model.with_rotor_inertia(&rotors);
         let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors };

@@ -27,6 +27,13 @@ on_missed_cycle = "hold-last"
 ## [force_sensor.wrist]
 ## frame = "..."
 
+## What is mounted on it, if anything: its frame has its name, its mass counts. `opspace schema robot` has the rest.
+## [tool.gripper]
+## on = "..."                 # the URDF link that carries it
+## xyz_m = [0.0, 0.0, 0.1]    # its tip, in that link's axes
+## mass_kg = 0.5
+## com_m = [0.0, 0.0, 0.05]   # its centre of mass, in that link's axes
+
 # The joints' drives.
 "#,
         name = one_line(model.name()),
