@@ -35,6 +35,9 @@ pub enum AxisMode {
     /// Gives way: belongs to the task, which holds it to a force (zero, if no force is set) and not to a
     /// place; lower tasks can't use it.
     Compliant,
+    /// Pushes until the surroundings push back with the force that is set: as `compliant`, with an integral of
+    /// the force error, so that friction and an inertia that is not the believed one leave no error.
+    Force,
     /// Not in the task: lower tasks may use it.
     #[default]
     Free,

@@ -5,6 +5,7 @@
 //! ```text
 //! motion     a* = ẍ_d + 2ζω (ẋ_d − v) + ω² (x_d − x)
 //! compliant  a* = −c v                                 and the force  −f_target + gain (f − f_target)
+//! force      a* = −c v                                 the same, and  ∫ integral gain (f − f_target) dt, bounded
 //! ```
 //!
 //! f is the sensed force ON the robot: with gain 0 the axis pushes with the target open loop, and the
@@ -44,10 +45,10 @@ pub struct CartesianParameters {
     pub reference: CartesianReference,
     /// How stiffly axes in motion follow the reference.
     pub gains: AxisGains,
-    /// Force feedback of the compliant axes; without it their force is zero, open loop.
+    /// Force feedback of the compliant and force axes; without it the compliant ones' force is zero, open loop.
     #[serde(default)]
     pub force: Option<ForceParameters>,
-    /// Damping of the compliant axes, as acceleration over velocity, 1/s; 2 if absent.
+    /// Damping of the compliant and force axes, as acceleration over velocity, 1/s; 2 if absent.
     #[serde(default = "default_compliant_damping")]
     pub compliant_damping_per_s: PerAxis<NonNegative>,
     /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of the largest are damped; 0.001
@@ -70,21 +71,28 @@ pub struct AxisGains {
     pub damping_ratio: PerAxis<NonNegative>,
 }
 
-/// Feedback of a force sensor to the compliant axes.
+/// Feedback of a force sensor to the compliant and force axes.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForceParameters {
     /// The robot's sensor, by name.
     pub sensor: String,
-    /// The force that the surroundings should exert ON the robot along compliant axes, N; 0 if absent.
+    /// The force that the surroundings should exert ON the robot along these axes, N; 0 if absent.
     #[serde(default = "no_target")]
     pub target_n: PerAxis<f64>,
-    /// The moment that the surroundings should exert ON the robot about compliant axes, Nm; 0 if absent.
+    /// The moment that the surroundings should exert ON the robot about these axes, Nm; 0 if absent.
     #[serde(default = "no_target")]
     pub target_nm: PerAxis<f64>,
     /// How much of the force error is added to the task's force; 2 if absent.
     #[serde(default = "default_force_gain")]
     pub gain: PerAxis<NonNegative>,
+    /// How much of the force error a force axis adds to its force each second, 1/s; 5 if absent.
+    #[serde(default)]
+    pub integral_per_s: Option<PerAxis<NonNegative>>,
+    /// How much a force axis adds at most, so that a missing wall doesn't wind it up, N or Nm; as much as the
+    /// target if absent.
+    #[serde(default)]
+    pub integral_limit: Option<PerAxis<NonNegative>>,
     /// −3 dB point of the low-pass on the sensed force, Hz; 100 if absent.
     #[serde(default = "default_filter_hz")]
     pub filter_hz: Positive,
@@ -117,10 +125,10 @@ impl CartesianParameters {
         self.axes.with_mode(AxisMode::Motion)
     }
 
-    /// Which axes are held to a force.
+    /// Which axes are held to a force: those that are compliant, and those in force control.
     #[must_use]
-    pub fn compliant_axes(&self) -> [bool; 6] {
-        self.axes.with_mode(AxisMode::Compliant)
+    pub fn held_to_force(&self) -> [bool; 6] {
+        self.axes.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
     }
 
     /// The task's axes in world coordinates, one a column.
@@ -130,16 +138,19 @@ impl CartesianParameters {
     }
 
     /// The force (N) and moment (Nm) that the surroundings should exert ON the robot, in the task's axes:
-    /// 0 on axes that are not compliant or without force feedback.
+    /// 0 on axes that are not held to a force or without force feedback.
     #[must_use]
     pub fn target_force(&self) -> Vector6<f64> {
-        let compliant = self.compliant_axes();
+        let held = self.held_to_force();
         Vector6::from_fn(|axis, _| {
             let targets = self.force.as_ref().map(|f| if axis < 3 { &f.target_n } else { &f.target_nm });
-            targets.filter(|_| compliant[axis]).and_then(|t| t.get(axis)).unwrap_or(0.0)
+            targets.filter(|_| held[axis]).and_then(|t| t.get(axis)).unwrap_or(0.0)
         })
     }
 }
+
+/// Of force axes whose file gives no other, 1/s.
+const INTEGRAL_PER_S: f64 = 5.0;
 
 /// A Cartesian task of one robot, and what it saw last.
 #[derive(Clone, Debug)]
@@ -171,9 +182,13 @@ struct ForceFeedback {
     sensor: usize,
     frame: FrameId,
     target: Vector6<f64>,
-    /// 0 on axes that are not compliant.
+    /// 0 on axes that are not held to a force.
     gain: Vector6<f64>,
-    compliant: [bool; 6],
+    held: [bool; 6],
+    /// What of the error is added in a period, and at most: 0 but on force axes.
+    integral_step: Vector6<f64>,
+    integral_limit: Vector6<f64>,
+    integral: Vector6<f64>,
     filter: LowPass<6>,
     /// At the task frame's origin, task axes.
     sensed: Vector6<f64>,
@@ -197,6 +212,9 @@ impl CartesianTask {
         let length_m = parameters.characteristic_length_m.map_or_else(|| reach(model, frame), Positive::get);
         let (stiffness, damping) = gains(parameters, &key)?;
         let force = match &parameters.force {
+            None if parameters.axes.modes().contains(&AxisMode::Force) => {
+                return Err(at("force", Reason::ForceAxisUnsensed));
+            }
             None => None,
             Some(force) => Some(ForceFeedback::new(force, parameters, robot, &format!("{key}.force"))?),
         };
@@ -223,6 +241,7 @@ impl CartesianTask {
         self.trajectory.start(frame_placement(model, data, self.axes.frame));
         if let Some(force) = &mut self.force {
             force.filter.reset(&force.raw(measurement));
+            force.integral.fill(0.0);
         }
         self.observe(model, data, 0.0);
     }
@@ -267,7 +286,7 @@ impl CartesianTask {
         let wanted = self.axes.of_motion(&self.target.acceleration);
         Vector6::from_fn(|i, _| match self.modes[i] {
             AxisMode::Free => 0.0,
-            AxisMode::Compliant => -self.damping[i] * velocity[i] - bias[i],
+            AxisMode::Compliant | AxisMode::Force => -self.damping[i] * velocity[i] - bias[i],
             AxisMode::Motion => {
                 wanted[i]
                     + self.damping[i] * (wanted_velocity[i] - velocity[i])
@@ -277,7 +296,7 @@ impl CartesianTask {
         })
     }
 
-    /// The force that is added to Λ's on the compliant axes (N, Nm; task axes). After
+    /// The force that is added to Λ's on axes held to a force (N, Nm; task axes). After
     /// [`sense`](Self::sense).
     pub(crate) fn added_force(&self) -> Vector6<f64> {
         self.force.as_ref().map_or_else(Vector6::zeros, ForceFeedback::added)
@@ -336,28 +355,52 @@ impl ForceFeedback {
         let Some(sensor) = robot.sensors.iter().position(|(name, _)| *name == force.sensor) else {
             return Err(at("sensor", Reason::Sensor { name: force.sensor.clone(), known: known() }));
         };
-        let compliant = task.compliant_axes();
-        if !compliant.contains(&true) {
+        let held = task.held_to_force();
+        if !held.contains(&true) {
             return Err(ControlError::new(key, Reason::NothingCompliant));
         }
         for (place, targets, kind, what) in [
             ("target_n", &force.target_n, 0..3, "force (N)"),
             ("target_nm", &force.target_nm, 3..6, "moment (Nm)"),
         ] {
-            if let Some(axis) = targets.named().find(|axis| !kind.contains(axis) || !compliant[*axis]) {
+            if let Some(axis) = targets.named().find(|axis| !kind.contains(axis) || !held[*axis]) {
                 return Err(at(place, Reason::TargetAxis { axis: AXIS_NAMES[axis], what }));
             }
         }
-        let mut gain = Vector6::zeros();
-        for axis in (0..6).filter(|&axis| compliant[axis]) {
+        let target = task.target_force();
+        let [mut gain, mut integral_step, mut integral_limit] = [Vector6::zeros(); 3];
+        for axis in (0..6).filter(|&axis| held[axis]) {
             gain[axis] = required(&force.gain, axis).map_err(|reason| at("gain", reason))?.get();
+        }
+        let in_force_control = task.axes.with_mode(AxisMode::Force);
+        for (place, given) in [
+            ("integral_per_s", force.integral_per_s.is_some()),
+            ("integral_limit", force.integral_limit.is_some()),
+        ] {
+            if given && !in_force_control.contains(&true) {
+                return Err(at(place, Reason::NothingIntegrates));
+            }
+        }
+        for axis in (0..6).filter(|&axis| in_force_control[axis]) {
+            let per_s = match &force.integral_per_s {
+                None => INTEGRAL_PER_S,
+                Some(gains) => required(gains, axis).map_err(|reason| at("integral_per_s", reason))?.get(),
+            };
+            integral_step[axis] = per_s * robot.period_s;
+            integral_limit[axis] = match &force.integral_limit {
+                None => target[axis].abs(),
+                Some(limits) => required(limits, axis).map_err(|reason| at("integral_limit", reason))?.get(),
+            };
         }
         Ok(Self {
             sensor,
             frame: robot.sensors[sensor].1,
-            target: task.target_force(),
+            target,
             gain,
-            compliant,
+            held,
+            integral_step,
+            integral_limit,
+            integral: Vector6::zeros(),
             filter: LowPass::new(force.filter_hz.get(), robot.period_s),
             sensed: Vector6::zeros(),
         })
@@ -383,14 +426,18 @@ impl ForceFeedback {
         let (linear, angular) =
             (axes.tr_mul(&force), axes.tr_mul(&(Vector3::new(mx, my, mz) + lever.cross(&force))));
         self.sensed = Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
+        for i in 0..6 {
+            let sum = self.integral[i] + self.integral_step[i] * (self.sensed[i] - self.target[i]);
+            self.integral[i] = sum.clamp(-self.integral_limit[i], self.integral_limit[i]);
+        }
     }
 
     fn added(&self) -> Vector6<f64> {
         Vector6::from_fn(|i, _| {
-            if !self.compliant[i] {
+            if !self.held[i] {
                 return 0.0;
             }
-            self.gain[i] * (self.sensed[i] - self.target[i]) - self.target[i]
+            self.gain[i] * (self.sensed[i] - self.target[i]) + self.integral[i] - self.target[i]
         })
     }
 }
@@ -399,14 +446,14 @@ fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
     values.get(axis).ok_or(Reason::MissingAxis { axis: AXIS_NAMES[axis] })
 }
 
-/// Stiffness (1/s²) and damping (1/s) of each axis: ω² and 2ζω in motion, 0 and c where compliant.
+/// Stiffness (1/s²) and damping (1/s) of each axis: ω² and 2ζω in motion, 0 and c where held to a force.
 fn gains(parameters: &CartesianParameters, key: &str) -> Result<(Vector6<f64>, Vector6<f64>), ControlError> {
     let at = |place: &'static str| move |reason| ControlError::new(format!("{key}.{place}"), reason);
     let (mut stiffness, mut damping) = (Vector6::zeros(), Vector6::zeros());
     for (axis, mode) in parameters.axes.modes().into_iter().enumerate() {
         match mode {
             AxisMode::Free => {}
-            AxisMode::Compliant => {
+            AxisMode::Compliant | AxisMode::Force => {
                 let c = required(&parameters.compliant_damping_per_s, axis);
                 damping[axis] = c.map_err(at("compliant_damping_per_s"))?.get();
             }

@@ -86,7 +86,9 @@ pub enum Reason {
         below: String,
     },
     /// A Cartesian task whose axes are all free.
-    #[error("all axes are free: at least one of x, y, z, rx, ry, rz must be `motion` or `compliant`")]
+    #[error(
+        "all axes are free: at least one of x, y, z, rx, ry, rz must be `motion`, `compliant` or `force`"
+    )]
     NoAxis,
     /// More axes than joints.
     #[error("task '{name}' asks for {axes} axes{}, this arm has {joints} joints", beside(*above))]
@@ -137,16 +139,22 @@ pub enum Reason {
         axis: &'static str,
     },
     /// A target force or moment on an axis that doesn't take one.
-    #[error("axis {axis} takes no {what} here: it is not a compliant axis of that kind")]
+    #[error("axis {axis} takes no {what} here: it is not a compliant or force axis of that kind")]
     TargetAxis {
         /// The axis.
         axis: &'static str,
         /// `force (N)` or `moment (Nm)`.
         what: &'static str,
     },
-    /// Force feedback on a task without compliant axis.
-    #[error("force feedback needs at least one axis that is `compliant`")]
+    /// Force feedback on a task without compliant or force axis.
+    #[error("force feedback needs at least one axis that is `compliant` or `force`")]
     NothingCompliant,
+    /// An integral that no axis uses.
+    #[error("only `force` axes integrate the force error: remove it, or make an axis `force`")]
+    NothingIntegrates,
+    /// Force control without a sensor.
+    #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
+    ForceAxisUnsensed,
     /// A goal that names neither a position nor an orientation.
     #[error("the goal names neither `position` nor `orientation`")]
     NoGoal,

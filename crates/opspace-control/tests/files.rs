@@ -61,7 +61,7 @@ fn errors_name_the_value_and_the_choices() {
         (
             (AXES, r#"axes = { x = "free" }"#),
             "task.hand.cartesian.axes",
-            "all axes are free: at least one of x, y, z, rx, ry, rz must be `motion` or `compliant`",
+            "all axes are free: at least one of x, y, z, rx, ry, rz must be `motion`, `compliant` or `force`",
         ),
         (
             (
@@ -79,12 +79,17 @@ fn errors_name_the_value_and_the_choices() {
         (
             (AXES, r#"axes = { x = "motion" }"#),
             "task.hand.cartesian.force",
-            "force feedback needs at least one axis that is `compliant`",
+            "force feedback needs at least one axis that is `compliant` or `force`",
+        ),
+        (
+            ("sensor = \"wrist\"", "sensor = \"wrist\", integral_limit = 3.0"),
+            "task.hand.cartesian.force.integral_limit",
+            "only `force` axes integrate the force error: remove it, or make an axis `force`",
         ),
         (
             ("sensor = \"wrist\"", "sensor = \"wrist\", target_n = { y = 3.0 }"),
             "task.hand.cartesian.force.target_n",
-            "axis y takes no force (N) here: it is not a compliant axis of that kind",
+            "axis y takes no force (N) here: it is not a compliant or force axis of that kind",
         ),
         (
             (gains, "gains = { frequency_rad_per_s = { y = 14.0 }, damping_ratio = 1.0 }"),
@@ -140,7 +145,7 @@ fn slips_are_refused_by_the_parser() {
         (
             AXES,
             r#"axes = { x = "stiff" }"#,
-            "unknown variant `stiff`, expected one of `motion`, `compliant`, `free`",
+            "unknown variant `stiff`, expected one of `motion`, `compliant`, `force`, `free`",
         ),
         (
             AXES,
@@ -177,6 +182,16 @@ fn slips_are_refused_by_the_parser() {
         let span = error.span().expect("the error knows its place");
         assert!(span.len() < 80, "and not the whole table: {} bytes", span.len());
     }
+}
+
+/// What is force-controlled must be sensed.
+#[test]
+fn a_force_axis_without_a_sensor_is_refused() {
+    let text =
+        HAND.replace("x = \"compliant\"", "x = \"force\"").replace("force = { sensor = \"wrist\" }\n", "");
+    let error = build_error(&four_joints(), &text);
+    assert_eq!(error.key(), "task.hand.cartesian.force");
+    assert!(error.to_string().contains("a `force` axis needs a sensor and a target"), "{error}");
 }
 
 /// A second task beside a first: axes that the two can't have at once, by number and by rank.

@@ -408,6 +408,76 @@ fn a_compliant_axis_with_a_target_balances_it() {
     }
 }
 
+/// The hand against a wall of 5 kN/m in x after 4 s, with torques at the joints that nobody knows of: the force that it
+/// feels (N), for a target of −8 N. `integral` goes into the file's force.
+fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
+    const UNKNOWN_NM: [f64; 4] = [0.8, -0.4, 0.3, 0.6];
+    let model = four_joints();
+    let force = format!(
+        "force = {{ sensor = \"wrist\", target_n = {{ x = -8.0 }}, gain = 1.0, filter_hz = 100.0{integral} }}\n\
+         compliant_damping_per_s = 40.0"
+    );
+    let text = COMPLIANT
+        .replace("force = { sensor = \"wrist\", filter_hz = 100.0 }", &force)
+        .replace("x = \"compliant\"", &format!("x = \"{mode}\""));
+    let file = File::read(&text);
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+    let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    controller.start(&model, &data, &measurement);
+    let hand = model.frame("hand").expect("hand");
+    let surface = frame_placement(&model, &data, hand).translation.x;
+    let mut tau = [0.0; 4];
+    // A tenth of a period for the wall, which is stiff; the law at its own rate.
+    for step in 0..40_000 {
+        assert!(opspace_model::update(
+            &model,
+            &mut data,
+            measurement.q.as_slice(),
+            measurement.dq.as_slice()
+        ));
+        let depth = frame_placement(&model, &data, hand).translation.x - surface;
+        let speed = frame_velocity(&model, &data, hand).linear.x;
+        let push = if wall && depth > 0.0 { -5e3 * depth - 50.0 * speed } else { 0.0 };
+        if step % 10 == 0 {
+            measurement.time_s = 1e-4 * f64::from(step);
+            measurement.wrenches[0].linear.x = push;
+            controller.update(&model, &data, &measurement, &mut tau);
+        }
+        let caused = jacobian(&model, &data, "hand").row(0).transpose() * push;
+        let total: Vec<f64> = (0..4).map(|i| tau[i] + UNKNOWN_NM[i] + caused[i]).collect();
+        opspace_model::aba(&model, &mut data, &total);
+        measurement.dq.axpy(1e-4, &data.ddq, 1.0);
+        let dq = measurement.dq.clone();
+        measurement.q.axpy(1e-4, &dq, 1.0);
+        if !wall && step == 5_000 {
+            break;
+        }
+    }
+    (measurement.wrenches[0].linear.x, frame_velocity(&model, &data, hand).linear.x)
+}
+
+/// Force control against its target, and against what a compliant axis makes of the same disturbance.
+#[test]
+fn a_force_axis_leaves_no_error_where_a_compliant_one_does() {
+    let (compliant, _) = pressed_force("compliant", "", true);
+    let (force, _) = pressed_force("force", "", true);
+    assert!((compliant + 8.0).abs() > 0.2, "the disturbance shows: {compliant} N");
+    assert!((force + 8.0).abs() < 1e-3, "{force} N");
+}
+
+/// The integral is bounded: a bound too small for the disturbance leaves an error again, and without a wall the hand
+/// drifts no faster than the bound allows.
+#[test]
+fn the_integral_of_a_force_axis_is_bounded() {
+    let (short, _) = pressed_force("force", ", integral_limit = 0.05", true);
+    let (compliant, _) = pressed_force("compliant", "", true);
+    assert!((short + 8.0).abs() > 0.1 && (short + 8.0).abs() < (compliant + 8.0).abs(), "{short} N");
+    let (_, free) = pressed_force("force", ", integral_per_s = 1000.0", false);
+    let (_, without) = pressed_force("force", ", integral_per_s = 1000.0, integral_limit = 0.0", false);
+    assert!(free > 1.2 * without && free < 1.7 * without, "{free} m/s, {without} m/s without integral");
+}
+
 #[test]
 fn joint_damping_brakes_every_joint() {
     let model = four_joints();
