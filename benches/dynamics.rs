@@ -1,7 +1,10 @@
-//! What the dynamics cost, beside Pinocchio: `cargo bench --bench dynamics`.
+//! What the dynamics cost, beside Pinocchio: `cargo bench --bench dynamics`, with robots' names behind `--` for those
+//! alone.
 //!
 //! Pinocchio is measured in the same run if it has been built by `benches/pinocchio/build target/pinocchio`; without it
-//! ours is measured alone. Both cycle over many random states and print the median over repetitions.
+//! ours is measured alone. Both cycle over many random states and print the median over repetitions. All start from q but
+//! `cholesky`, which factors one M. benches/pinocchio/README.md says what the peer's rows are; its `crba` fills one triangle,
+//! ours both, and its derivatives yield M besides.
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
@@ -34,18 +37,20 @@ const ROBOTS: [(&str, &str); 4] = [
 
 fn main() {
     // `cargo bench -- --test`: whether it runs, not how fast.
-    let calls = if std::env::args().any(|a| a == "--test") { 1 } else { CALLS };
+    let testing = std::env::args().any(|a| a == "--test");
+    let calls = if testing { 1 } else { CALLS };
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let peer = root.join("target/pinocchio/peer");
-    let chosen = |robot: &str| {
-        let mut names = std::env::args().skip(1).filter(|a| !a.starts_with('-')).peekable();
-        names.peek().is_none() || names.any(|name| robot == name)
-    };
-    for (robot, tip) in ROBOTS.into_iter().filter(|(robot, _)| chosen(robot)) {
+    // Robots by name: these and nothing else.
+    let names: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
+    for (robot, tip) in
+        ROBOTS.into_iter().filter(|(robot, _)| names.is_empty() || names.iter().any(|n| n == robot))
+    {
         let urdf = root.join(format!("tests/oracles/pinocchio/urdf/{robot}.urdf"));
         let text = std::fs::read_to_string(&urdf).expect("the URDF is in the repository");
         let model = Model::from_urdf(&text).expect("it is a good one").model;
-        let theirs = if peer.exists() { measure_peer(&peer, &urdf, tip) } else { BTreeMap::new() };
+        let theirs =
+            if peer.exists() && !testing { measure_peer(&peer, &urdf, tip) } else { BTreeMap::new() };
         let ours = Bench::new(&model, model.frame(tip).expect("has that frame")).measure(calls);
         println!("\n{robot}, {} joints: ns", model.n());
         println!("{:18}{:>10}{:>12}{:>8}", "", "opspace", "pinocchio", "ratio");
@@ -59,8 +64,10 @@ fn main() {
     if !peer.exists() {
         println!("\nPinocchio isn't built: benches/pinocchio/build target/pinocchio");
     }
-    scaling(calls);
-    batches(calls, &root);
+    if names.is_empty() {
+        scaling(calls);
+        batches(calls, &root);
+    }
 }
 
 /// Median over the repetitions of the mean time of a call, ns.

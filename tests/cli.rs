@@ -707,3 +707,34 @@ fn a_file_of_another_kind_is_told_apart() {
     let swapped = ["run", &task, "--robot", &task];
     opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is meant here"]);
 }
+
+/// A file of results is written when all went well and not before; the samples are never written over.
+#[test]
+fn samples_write_no_file_that_they_should_not() {
+    let folder = scratch();
+    let urdf = project("robots/planar-2-link/planar-2-link.urdf");
+    let line = r#"{"q":[0.1,0.2],"dq":[0,0],"ddq":[0,0],"tau_in":[0,0],"f_tip":[0,0,0,0,0,0]}"#;
+    let path = |name: &str| folder.path().join(name);
+    fs::write(path("states.jsonl"), line).unwrap();
+    fs::write(path("kept.jsonl"), "kept").unwrap();
+    let run = |tip: &str, samples: &str, json: &str| {
+        opspace(folder.path(), &["model", &urdf, "--tip", tip, "--samples", samples, "--json", json])
+    };
+    run("tipp", "states.jsonl", "kept.jsonl").exits(2);
+    run("tip", "nothing.jsonl", "kept.jsonl").exits(2);
+    assert_eq!(read(path("kept.jsonl")), "kept");
+    let same = run("tip", "states.jsonl", "./states.jsonl").exits(2);
+    assert!(same.stderr.contains("these are the samples"), "{}", same.stderr);
+    assert_eq!(read(path("states.jsonl")), line);
+    run("tip", "states.jsonl", "new.jsonl").exits(0);
+    assert!(read(path("new.jsonl")).contains("tau_rnea"));
+}
+
+/// A robot that only stands has a table too.
+#[test]
+fn a_robot_without_joints_has_a_table() {
+    let folder = scratch();
+    fs::write(folder.path().join("table.urdf"), r#"<robot name="t"><link name="table"/></robot>"#).unwrap();
+    let ran = opspace(folder.path(), &["model", "table.urdf"]).exits(0);
+    assert!(ran.stdout.contains("0 moving joints on a fixed base"), "{}", ran.stdout);
+}

@@ -29,6 +29,8 @@ use nalgebra::{DVector, Matrix3, Vector3};
 /// q̈ = M⁻¹ (τ − C q̇ − g) under the joint torques `tau` (n; Nm), into [`Data::ddq`] (rad/s²). Needs
 /// [`kinematics`](crate::kinematics()). Where a joint moves nothing that has inertia, no number comes of it.
 ///
+/// A folded model is no tree: there the mass matrix, its factor and the bias are computed and left in `data`.
+///
 /// # Panics
 /// If `tau` is shorter than the number of joints.
 pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {

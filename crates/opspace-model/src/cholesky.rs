@@ -88,13 +88,15 @@ impl<T: Real> MassMatrixFactor<T> {
 
     /// Factors a mass matrix of the model's pattern (n × n, kg m²).
     ///
-    /// Returns `false`, with the factor half done, if a pivot isn't positive: it isn't positive definite.
+    /// Returns `false`, with the factor half done, if a pivot isn't positive (in lanes: any of them): it isn't positive
+    /// definite.
     ///
     /// # Panics
     /// If it isn't n × n.
     #[must_use]
     pub fn update(&mut self, mass_matrix: &DMatrix<T>) -> bool {
         let n = self.reciprocal.len();
+        assert_eq!(mass_matrix.shape(), (n, n), "n rows and n columns");
         self.upper.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
         for k in (0..n).rev() {
             let carrier = self.carrier(k);

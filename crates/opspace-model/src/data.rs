@@ -44,7 +44,7 @@ pub struct Data<T: Real = f64> {
     pub bias_acceleration: Vec<Motion<T>>,
     /// M(q), full and symmetric (n × n), kg m². By [`crba`](crate::crba()).
     pub mass_matrix: DMatrix<T>,
-    /// U of M = U Uᵀ. By [`cholesky`](crate::cholesky()).
+    /// U and D of M = U D Uᵀ. By [`cholesky`](crate::cholesky()).
     pub mass_matrix_factor: MassMatrixFactor<T>,
     /// M⁻¹(q) (n × n). By [`mass_matrix_inverse`](crate::mass_matrix_inverse).
     pub mass_matrix_inverse: DMatrix<T>,
@@ -54,7 +54,7 @@ pub struct Data<T: Real = f64> {
     pub bias: DVector<T>,
     /// g(q), Nm (n). By [`gravity`](crate::gravity).
     pub gravity: DVector<T>,
-    /// Joint torques, Nm (n). By [`rnea`](crate::rnea()).
+    /// Joint torques, Nm (n). By [`rnea`](crate::rnea()); [`aba_external`](crate::aba_external) leaves its own here.
     pub torque: DVector<T>,
     /// Joint accelerations, rad/s² (n). By [`aba`](crate::aba()).
     pub ddq: DVector<T>,
@@ -100,7 +100,7 @@ pub(crate) struct ArticulatedColumn<T> {
 }
 
 impl<T: Real> Data<T> {
-    /// Room for every algorithm on `model`; all results zero until computed.
+    /// Room for every algorithm on `model`; all results zero, or the identity, until computed.
     #[must_use]
     pub fn new(model: &Model<T>) -> Self {
         let (n, bodies) = (model.n(), model.bodies().len());

@@ -52,9 +52,13 @@ impl JointKind {
 /// A revolute joint's screw is `[o × z; z]`, a prismatic one's `[z; 0]`, with z its axis and o its place
 /// from [`Data::origin`].
 ///
+/// Angles keep their digits up to 1e6 rad; beyond 1e15 rad rotations are none. A floating base's quaternion is brought to
+/// length one; one of zeros gives no numbers.
+///
 /// # Panics
-/// If `q` is shorter than nq.
+/// If `q` is shorter than nq, or `data` is of a model with another number of bodies or joints.
 pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
+    assert!(data.placement.len() == model.bodies.len() && data.dq.len() == model.n(), "data of this model");
     let q = &q[..model.nq()];
     data.q.copy_from_slice(q);
     data.origin = model.base.translation;

@@ -32,7 +32,8 @@
 //! | locked joints | [`Model::locked`] | `buildReducedModel` |
 //! | many states at once | [`batch`] | – |
 //!
-//! Conventions: SI units; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's origin;
+//! Conventions: SI units, where rad and Nm stand for m and N on prismatic joints too; frames and
+//! data must be of the model that they are given with; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's origin;
 //! the root link is fixed to the world unless [`UrdfOptions`] say that it floats; a continuous joint has one
 //! coordinate.
 
@@ -89,8 +90,8 @@ pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfW
 
 /// Everything a controller needs of a state, once a tick: kinematics, M and its factor, bias and gravity.
 ///
-/// Returns `false` if the mass matrix is not positive definite (a body without inertia, or a state that is
-/// not finite): the factor is then unusable.
+/// Returns `false` if the mass matrix is not positive definite (a body without inertia, or a `q` that is not
+/// finite; in lanes, any of them): the factor is then unusable.
 ///
 /// # Panics
 /// If `q` is shorter than nq or `dq` than n.

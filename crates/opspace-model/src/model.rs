@@ -76,7 +76,9 @@ pub struct Body<T = f64> {
     pub kind: JointKind,
     /// The coordinate that moves it: body i is moved by joint i, unless joints have been folded.
     pub joint: usize,
-    /// It moves to `ratio` q + `offset`: 1 but for one that follows another's joint.
+    /// Whether that is the joint of another, which it follows.
+    pub follows: bool,
+    /// It moves to `ratio` q + `offset`: 1 but for one that follows.
     pub ratio: T,
     /// rad or m.
     pub offset: T,
@@ -262,12 +264,22 @@ impl Model {
         let (kind, number) = (joint.kind, self.joints.len());
         self.joints.push(joint);
         self.rotor_inertia.push(0.0);
-        self.bodies.push(Body { parent, origin, kind, joint: number, ratio: 1.0, offset: 0.0, inertia });
+        self.bodies.push(Body {
+            parent,
+            origin,
+            kind,
+            joint: number,
+            follows: false,
+            ratio: 1.0,
+            offset: 0.0,
+            inertia,
+        });
         self.own.push(inertia);
         self.bodies.len() - 1
     }
 
-    /// Adds a frame at `placement` in the frame of `body` (of the base).
+    /// Adds a frame at `placement` in the frame of `body` (of the base, which may float). Of two of one name the first is
+    /// found.
     ///
     /// # Panics
     /// If there is no such body.
@@ -293,13 +305,15 @@ impl Model {
         self.sum_up(body);
     }
 
-    /// What hangs on a frame, in its axes: a tool, a load. It replaces what hung there before; zero takes it off.
+    /// What hangs on a frame, in its axes: a tool, a load; no negative mass. It replaces what hung there before; zero
+    /// takes it off. Nothing hangs on the base.
     pub fn set_payload(&mut self, frame: FrameId, payload: Inertia) {
         self.payloads[frame.0] = payload;
         self.sum_up(self.frames[frame.0].body);
     }
 
-    /// Another inertia for a body and all that is fixed to it, payloads apart, in its frame.
+    /// Another inertia for a body and all that is fixed to it, payloads apart, in its frame. That is turned against the
+    /// URDF's: what is given in the axes of a link is `frame_info(link).placement.act_inertia(&inertia)` here.
     ///
     /// # Panics
     /// If there is no such body, or it is one of the first five of a floating base, which are nothing but coordinates.
@@ -451,8 +465,12 @@ impl Model {
                 rule.leader = next.leader;
                 steps += 1;
                 if steps > self.n() {
-                    return Err(ReduceError::FollowsItself { joint: self.joints[joint].name.clone() });
+                    // By now surely on the circle, whatever led to it.
+                    return Err(ReduceError::FollowsItself { joint: self.joints[rule.leader].name.clone() });
                 }
+            }
+            if let Some(&value) = [rule.ratio, rule.offset].iter().find(|x| !x.is_finite()) {
+                return Err(ReduceError::NotFinite { joint: self.joints[joint].name.clone(), value });
             }
             if follows[joint].is_some() {
                 folded.rotor_inertia[numbers[rule.leader]] +=
@@ -464,6 +482,7 @@ impl Model {
             let rule = rules[body.joint];
             body.offset += body.ratio * rule.offset;
             body.ratio *= rule.ratio;
+            body.follows |= follows[body.joint].is_some();
             body.joint = numbers[rule.leader];
         }
         Ok(folded)
@@ -491,6 +510,7 @@ impl Model {
             origin: b.origin.splat(),
             kind: b.kind,
             joint: b.joint,
+            follows: b.follows,
             ratio: T::splat(b.ratio),
             offset: T::splat(b.offset),
             inertia: b.inertia.splat(),
@@ -632,11 +652,10 @@ impl<T: Real> Model<T> {
 #[must_use]
 pub fn z_onto(axis: &Unit<Vector3<f64>>) -> Matrix3<f64> {
     let z = axis.into_inner();
-    // The coordinate axis least along z makes the best-conditioned frame.
-    let helper = Vector3::ith(z.iamin(), 1.0);
     if z == Vector3::z() {
         return Matrix3::identity();
     }
-    let x = helper.cross(&z).normalize();
+    // The coordinate axis least along z makes the best-conditioned frame.
+    let x = Vector3::ith(z.iamin(), 1.0).cross(&z).normalize();
     Matrix3::from_columns(&[x, z.cross(&x), z])
 }

@@ -59,7 +59,7 @@ impl OperationalSpace {
     ///
     /// `threshold` is the ratio to the largest eigenvalue of Λ⁻¹ below which a direction is damped
     /// (0: none is). Rows of different units must have been scaled to one beforehand for that ratio to
-    /// mean anything.
+    /// mean anything. Of what isn't finite nothing is left: Λ is zero then, and the share.
     ///
     /// # Panics
     /// If `rows` is more than six or the sizes differ.
@@ -121,6 +121,9 @@ impl OperationalSpace {
 /// share that is left of its weakest direction.
 fn damped_inverse(mut a: Matrix6<f64>, rows: usize, threshold: f64) -> (Matrix6<f64>, f64) {
     let trace = a.trace();
+    if !trace.is_finite() || a.iter().any(|x| !x.is_finite()) {
+        return (Matrix6::zeros(), 0.0);
+    }
     if trace <= 0.0 {
         return (Matrix6::zeros(), if rows == 0 { 1.0 } else { 0.0 });
     }

@@ -19,7 +19,7 @@
 //! ```
 
 use crate::data::Data;
-use crate::model::{FrameId, Model};
+use crate::model::{FrameId, JointKind, Model};
 use crate::operational_space::OperationalSpace;
 use crate::spatial::Force;
 use crate::{
@@ -35,12 +35,18 @@ use thiserror::Error;
 /// it Λ, which divides by the square, has fewer than four digits left.
 const RANK_TOLERANCE: f64 = 1e-6;
 
+/// Within it sine and cosine keep their digits: see [`forward_kinematics`](crate::forward_kinematics).
+const MOST_TURNED_RAD: f64 = 1e6;
+
+/// How far from 1 the length of a quaternion may be: files print six digits and more.
+const QUATERNION_TOLERANCE: f64 = 1e-5;
+
 /// A state, and what acts on the robot in it. Lengths: n is the number of joints.
 ///
 /// Keys that it doesn't know are ignored when it is read: a line may carry another library's answers along.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
-    /// Joint positions, rad or m (n).
+    /// Joint positions, rad or m (nq: a floating base has a quaternion).
     pub q: Vec<f64>,
     /// Joint velocities, rad/s or m/s (n).
     pub dq: Vec<f64>,
@@ -99,9 +105,9 @@ pub struct Quantities {
     pub ddq_aba_fext: Vec<f64>,
     /// Centre of mass of all moving bodies in the world, m (3); none if nothing moves.
     pub com: Option<Vec<f64>>,
-    /// J.
+    /// Joule.
     pub kinetic_energy: f64,
-    /// J, zero at z = 0.
+    /// Joule, zero at z = 0.
     pub potential_energy: f64,
     /// Λ = (J M⁻¹ Jᵀ)⁻¹ of the task's rows, undamped (k × k); none if the task is rank-deficient.
     #[serde(rename = "Lambda")]
@@ -112,6 +118,24 @@ pub struct Quantities {
     /// N = I − J̄ J, acting on velocities (n × n); none if the task is rank-deficient.
     #[serde(rename = "N")]
     pub nullspace: Option<Vec<f64>>,
+}
+
+impl Quantities {
+    /// What is computed for every state; the task's come from the same matrices.
+    fn is_finite(&self) -> bool {
+        let all = [
+            &self.tip_velocity,
+            &self.tip_bias_acceleration,
+            &self.mass_matrix,
+            &self.bias,
+            &self.coriolis_matrix,
+            &self.tau_rnea,
+            &self.ddq_aba,
+            &self.tau_rnea_fext,
+            &self.ddq_aba_fext,
+        ];
+        all.into_iter().flatten().chain([&self.kinetic_energy]).all(|x| x.is_finite())
+    }
 }
 
 /// Why a [`Sample`] can't be evaluated.
@@ -152,10 +176,27 @@ pub enum SampleError {
     },
     /// A joint that nothing resists, or a state so large that products overflow.
     #[error(
-        "the mass matrix is not positive definite at this `q`, `dq`: a joint moves a body without inertia about \
-         its axis, or the numbers overflow"
+        "the mass matrix is not positive definite at this `q`: a joint moves a body without inertia about its axis, or the \
+         numbers overflow"
     )]
     SingularMassMatrix,
+    /// A quaternion that is none.
+    #[error("the quaternion `q`[3..7] has length {length}; give one of length 1: x, y, z, w")]
+    Quaternion {
+        /// As given.
+        length: f64,
+    },
+    /// Further round than sines are known.
+    #[error("`q`: joint '{joint}' is turned by {angle} rad; give at most {MOST_TURNED_RAD}")]
+    Turned {
+        /// The joint.
+        joint: String,
+        /// As given, rad.
+        angle: f64,
+    },
+    /// A state so large that products overflow.
+    #[error("the numbers overflow: `dq`, `ddq`, `tau_in` or `f_tip` is too large")]
+    Overflow,
 }
 
 /// All quantities at one state.
@@ -189,7 +230,7 @@ pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantiti
         None => (None, None, None),
         Some(task) => (Some(task.inertia), Some(task.inverse), Some(task.nullspace)),
     };
-    Ok(Quantities {
+    let quantities = Quantities {
         tip_rotation: row_major(&placement.rotation),
         tip_position: placement.translation.as_slice().to_vec(),
         tip_velocity: linear_first(&frame_velocity(model, &data, tip)),
@@ -209,7 +250,8 @@ pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantiti
         task_inertia,
         dynamically_consistent_inverse,
         nullspace,
-    })
+    };
+    if quantities.is_finite() { Ok(quantities) } else { Err(SampleError::Overflow) }
 }
 
 fn check(model: &Model, sample: &Sample) -> Result<(), SampleError> {
@@ -227,6 +269,19 @@ fn check(model: &Model, sample: &Sample) -> Result<(), SampleError> {
         }
         if let Some(index) = values.iter().position(|x| !x.is_finite()) {
             return Err(SampleError::NotFinite { key, index, value: values[index] });
+        }
+    }
+    let ahead = model.nq() - model.n();
+    if let (1, Some(quaternion)) = (ahead, sample.q.get(3..7)) {
+        let length = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+            return Err(SampleError::Quaternion { length });
+        }
+    }
+    for (joint, &angle) in model.joints().iter().zip(&sample.q[ahead..]) {
+        let turns = matches!(joint.kind, JointKind::Revolute | JointKind::Continuous);
+        if turns && angle.abs() > MOST_TURNED_RAD {
+            return Err(SampleError::Turned { joint: joint.name.clone(), angle });
         }
     }
     for (i, &row) in sample.task_rows.iter().enumerate() {

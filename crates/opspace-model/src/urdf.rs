@@ -42,6 +42,8 @@ use read::{Description, JointElement, Motion};
 pub struct Loaded {
     /// The robot.
     pub model: Model,
+    /// Mass of the links that can't move, of which the model knows nothing, kg.
+    pub standing_kg: f64,
     /// What was accepted but looks wrong, in the order of the file.
     pub warnings: Vec<UrdfWarning>,
 }
@@ -76,13 +78,13 @@ impl Model {
     pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<Loaded, UrdfError> {
         let read::Reading { description, mut warnings } = read::read(text)?;
         let order = tree::depth_first(&description)?;
-        let mut model = assemble(&description, &order, options.floating_base)?;
+        let (mut model, standing_kg) = assemble(&description, &order, options.floating_base)?;
         if options.fold_mimics {
             model = fold(&model, &description)?;
             warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { .. }));
         }
         warnings.sort_by_key(UrdfWarning::line);
-        Ok(Loaded { model, warnings })
+        Ok(Loaded { model, standing_kg, warnings })
     }
 }
 
@@ -93,7 +95,13 @@ struct Place {
     placement: Placement,
 }
 
-fn assemble(description: &Description, order: &[tree::Step], floating: bool) -> Result<Model, UrdfError> {
+/// The model, and the mass of what can't move.
+fn assemble(
+    description: &Description,
+    order: &[tree::Step],
+    floating: bool,
+) -> Result<(Model, f64), UrdfError> {
+    let mut standing_kg = 0.0;
     let name = &description.name;
     let mut model = if floating { Model::floating(name, Inertia::zero()) } else { Model::new(name) };
     let root = Place { body: floating.then_some(5), placement: Placement::identity() };
@@ -123,8 +131,12 @@ fn assemble(description: &Description, order: &[tree::Step], floating: bool) -> 
             };
         }
         let (link, place) = (&description.links[step.link], places[step.link]);
-        if let (Some(body), Some(inertia)) = (place.body, link.inertia) {
-            inertias[body] = inertias[body] + place.placement.act_inertia(&inertia);
+        match (place.body, link.inertia) {
+            (Some(body), Some(inertia)) => {
+                inertias[body] = inertias[body] + place.placement.act_inertia(&inertia);
+            }
+            (None, Some(inertia)) => standing_kg += inertia.mass,
+            (_, None) => {}
         }
         if !is_finite(&place.placement) {
             let kind = UrdfErrorKind::Overflow { element: format!("link '{}'", link.name) };
@@ -158,7 +170,7 @@ fn assemble(description: &Description, order: &[tree::Step], floating: bool) -> 
             return Err(UrdfError::at(link.line, kind));
         }
     }
-    Ok(model)
+    Ok((model, standing_kg))
 }
 
 /// Finite numbers can still be too large for their products.

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use opspace_model::samples::{Quantities, Sample, SampleError, evaluate};
-use opspace_model::{FrameId, Model};
+use opspace_model::{FrameId, Model, UrdfOptions};
 
 fn robot(name: &str, tip: &str) -> (Model, FrameId) {
     let path = format!("{}/../../tests/oracles/pinocchio/urdf/{name}.urdf", env!("CARGO_MANIFEST_DIR"));
@@ -169,4 +169,33 @@ fn refuses_a_body_that_nothing_resists() {
     let model = Model::from_urdf(urdf).unwrap().model;
     let tip = model.frame("dot").unwrap();
     assert_eq!(evaluate(&model, tip, &at(&[0.0], &[3])), Err(SampleError::SingularMassMatrix));
+}
+
+/// What is too large to be computed is refused; nothing that isn't a number is answered.
+#[test]
+fn states_beyond_numbers_are_refused() {
+    let (model, tip) = robot("ur5", "tool0");
+    let good = at(&BENT, &ALL);
+    let refused = |sample: &Sample| evaluate(&model, tip, sample).unwrap_err();
+    assert_eq!(refused(&Sample { dq: vec![1e200; 6], ..good.clone() }), SampleError::Overflow);
+    assert_eq!(refused(&Sample { tau_in: vec![f64::MAX; 6], ..good.clone() }), SampleError::Overflow);
+    let q = vec![0.3, 2e6, 1.4, -0.7, 0.9, 0.2];
+    let turned = SampleError::Turned { joint: "shoulder_lift_joint".to_owned(), angle: 2e6 };
+    assert_eq!(refused(&Sample { q, ..good }), turned);
+}
+
+/// A floating base's rotation is a unit quaternion.
+#[test]
+fn a_quaternion_has_length_one() {
+    let path = format!("{}/../../tests/oracles/pinocchio/urdf/ur5.urdf", env!("CARGO_MANIFEST_DIR"));
+    let options = UrdfOptions { floating_base: true, ..UrdfOptions::default() };
+    let model = Model::from_urdf_with(&std::fs::read_to_string(path).unwrap(), options).unwrap().model;
+    let tip = model.frame("tool0").unwrap();
+    let sample = |w: f64| {
+        let q = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, w, 0.3, -1.2, 1.4, -0.7, 0.9, 0.2].to_vec();
+        Sample { q, ..at(&[0.1; 12], &ALL) }
+    };
+    assert!(evaluate(&model, tip, &sample(-1.0)).is_ok());
+    assert_eq!(evaluate(&model, tip, &sample(5.0)), Err(SampleError::Quaternion { length: 5.0 }));
+    assert_eq!(evaluate(&model, tip, &sample(0.0)), Err(SampleError::Quaternion { length: 0.0 }));
 }

@@ -8,15 +8,15 @@ use common::{
     Case, DIFFERENCE, Folded, INVERSE, ROUNDING, STEP, case, close, config, evaluated, first_joint, fixed,
     folded, inertia, jacobian, placement, plus, same_place, stacked, triple, unit, vector, wrench,
 };
-use nalgebra::{DMatrix, DVector, Matrix3xX, Matrix6xX, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::{
-    Data, Follows, FrameId, Inertia, Joint, MassMatrixFactor, Model, Motion, Placement, ReduceError,
-    UrdfErrorKind, UrdfOptions, UrdfWarningKind, aba, aba_derivatives, aba_external, center_of_mass,
-    centroidal_map, centroidal_momentum, com_jacobian, frame_bias_acceleration, frame_jacobian,
-    frame_jacobian_rate, frame_placement, frame_velocity, inertial_parameters, kinetic_energy,
-    local_jacobian, local_jacobian_rate, mass_matrix_inverse, point_jacobian, potential_energy,
-    relative_jacobian, rnea, rnea_derivatives, rnea_external, torque_regressor, world_jacobian,
-    world_jacobian_rate,
+    Data, Follows, FrameId, Inertia, Joint, JointKind, Limits, MassMatrixFactor, Model, Motion,
+    OperationalSpace, Placement, ReduceError, UrdfErrorKind, UrdfOptions, UrdfWarningKind, aba,
+    aba_derivatives, aba_external, center_of_mass, centroidal_map, centroidal_momentum, com_jacobian,
+    frame_bias_acceleration, frame_jacobian, frame_jacobian_rate, frame_placement, frame_velocity,
+    inertial_parameters, kinetic_energy, local_jacobian, local_jacobian_rate, mass_matrix_inverse,
+    point_jacobian, potential_energy, relative_jacobian, rnea, rnea_derivatives, rnea_external,
+    torque_regressor, world_jacobian, world_jacobian_rate,
 };
 use proptest::prelude::*;
 use proptest::sample::Index;
@@ -693,4 +693,51 @@ fn impossible_mimics_are_named() {
         assert_eq!(error.line(), Some(line_of(&text, &format!("joint name=\"{joint}\""))));
         assert!(error.to_string().contains(&format!("joint '{joint}' mimics itself")), "{error}");
     }
+}
+
+/// Of a Jacobian that isn't finite nothing is left, and the task says so.
+#[test]
+fn a_task_of_no_numbers_is_lost() {
+    let model = chain(7);
+    let data = evaluated(&model, &[0.3; 7], &[0.1; 7]);
+    for bad in [f64::NAN, f64::INFINITY, 1e200] {
+        let mut j = Matrix6xX::from_fn(7, |r, c| ((r + 2 * c) as f64).sin());
+        j[(1, 3)] = bad;
+        let mut space = OperationalSpace::new(7);
+        space.update(&data.mass_matrix_factor, &j, 3, 1e-3);
+        assert_eq!((space.weakest_share, space.task_inertia.amax()), (0.0, 0.0), "{bad}");
+    }
+}
+
+/// Joints that follow a circle: one on the circle is named, not one that leads into it. Ratios that overflow are no ratios.
+#[test]
+fn a_circle_is_named_and_a_ratio_is_a_number() {
+    let model = chain(4);
+    let follows = |leader: usize, ratio: f64| Follows { leader, ratio, offset: 0.0 };
+    let circle =
+        model.folded(&[(0, follows(1, 1.0)), (1, follows(2, 1.0)), (2, follows(1, 1.0))]).unwrap_err();
+    let ReduceError::FollowsItself { joint } = &circle else { panic!("{circle}") };
+    assert!(joint == "j1" || joint == "j2", "{joint}");
+    let huge = model.folded(&[(1, follows(2, 1e200)), (2, follows(3, 1e200))]).unwrap_err();
+    assert_eq!(huge, ReduceError::NotFinite { joint: "j1".to_owned(), value: f64::INFINITY });
+    let folded = model.folded(&[(1, follows(3, 1.0))]).unwrap();
+    let following: Vec<bool> = folded.bodies().iter().map(|b| b.follows).collect();
+    assert_eq!(following, [false, true, false, false]);
+}
+
+/// A chain of bodies that are all alike.
+fn chain(n: usize) -> Model {
+    let mut model = Model::new("chain");
+    for i in 0..n {
+        let joint = Joint { name: format!("j{i}"), kind: JointKind::Continuous, limits: Limits::NONE };
+        let inertia =
+            Inertia { mass: 1.0, com: Vector3::new(0.02, 0.01, 0.1), rotational: Matrix3::identity() * 0.02 };
+        model.add_body(
+            i.checked_sub(1),
+            Placement::from_rpy([1.1, 0.4, -0.3], [0.05, 0.02, 0.25]),
+            joint,
+            inertia,
+        );
+    }
+    model
 }

@@ -5,14 +5,14 @@ use crate::console::{Console, Exit, Failure, Outcome, print, render};
 use crate::output::pretty;
 use opspace_experiment::robot::load_urdf;
 use opspace_experiment::table::{Cell, Table};
-use opspace_experiment::{FileError, Files, Robot, Source};
+use opspace_experiment::{Files, Robot, Source};
 use opspace_model::samples::{Sample, evaluate};
 use opspace_model::{
     Body, Frame, JointKind, Loaded, Model, UrdfOptions, UrdfWarning, principal_moments, suspicions,
 };
 use serde_json::{Value, json};
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Write};
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 
 pub fn model(args: &ModelArgs, console: Console) -> Outcome {
@@ -37,15 +37,10 @@ struct Shown {
 }
 
 impl Shown {
-    fn new(urdf: &Source, model: Model, warnings: &[UrdfWarning]) -> Result<Self, FileError> {
-        let weight = |floating_base| {
-            let options = UrdfOptions { floating_base, ..UrdfOptions::default() };
-            Ok(load_urdf(urdf, options)?.model.total_mass())
-        };
-        let standing_kg = if model.is_floating() { 0.0 } else { weight(true)? - weight(false)? };
+    fn new(urdf: &Source, model: Model, standing_kg: f64, warnings: &[UrdfWarning]) -> Self {
         let warnings = warnings.iter().map(ToString::to_string);
         let warnings = warnings.chain(suspicions(&model).iter().map(ToString::to_string)).collect();
-        Ok(Self { file: urdf.name().to_owned(), model, standing_kg, warnings })
+        Self { file: urdf.name().to_owned(), model, standing_kg, warnings }
     }
 }
 
@@ -53,8 +48,8 @@ fn load(args: &ModelArgs) -> Result<Shown, Failure> {
     let options = UrdfOptions { floating_base: args.floating, fold_mimics: args.fold_mimics };
     if args.robot.extension().is_some_and(|e| e == "urdf") {
         let urdf = Source::read(&args.robot)?;
-        let Loaded { model, warnings } = load_urdf(&urdf, options)?;
-        return Ok(Shown::new(&urdf, model, &warnings)?);
+        let Loaded { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
+        return Ok(Shown::new(&urdf, model, standing_kg, &warnings));
     }
     let robot = Robot::load(Files::Disk, &args.robot, &[])?;
     if options != UrdfOptions::default() {
@@ -64,7 +59,8 @@ fn load(args: &ModelArgs) -> Result<Shown, Failure> {
             format!("{option} is for a URDF, and {file} is a robot that is controlled as it is: give {urdf}");
         return Err(Failure::Other(text, Exit::Bad));
     }
-    Ok(Shown::new(&robot.urdf, robot.model, &robot.warnings)?)
+    let standing_kg = load_urdf(&robot.urdf, options)?.standing_kg;
+    Ok(Shown::new(&robot.urdf, robot.model, standing_kg, &robot.warnings))
 }
 
 fn describe(shown: &Shown) -> String {
@@ -192,8 +188,7 @@ fn carried_by(model: &Model, joint: usize) -> Option<&str> {
     if model.joints()[joint].kind == JointKind::Floating {
         return None;
     }
-    let moved = || model.bodies().iter().filter(|body| body.joint == joint);
-    let own = moved().find(|body| body.ratio == 1.0 && body.offset == 0.0).or_else(|| moved().next());
+    let own = model.bodies().iter().find(|body| body.joint == joint && !body.follows);
     own.map(|body| link(model, body.parent))
 }
 
@@ -296,13 +291,10 @@ fn as_json(shown: &Shown) -> Value {
     })
 }
 
-/// Writes a line for each state, to `out` or stdout.
+/// Writes a line for each state, to `out` or stdout. A file is written when all went well, and not before.
 fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>) -> Outcome {
-    let mut out = match out.filter(|path| *path != Path::new("-")) {
-        Some(path) => Some(File::create(path).map_err(|e| Failure::io("can't be written", path, &e))?),
-        None => None,
-    };
     let bad = |text: String| Failure::Other(text, Exit::Bad);
+    let out = out.filter(|path| *path != Path::new("-"));
     let frame = model.frame(tip).map_err(|unknown| bad(format!("--tip {tip}: {unknown}")))?;
     let name = samples.display();
     let reader: Box<dyn BufRead> = if samples == Path::new("-") {
@@ -311,6 +303,13 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
         let file = File::open(samples).map_err(|e| Failure::io("can't be read", samples, &e))?;
         Box::new(BufReader::new(file))
     };
+    if let Some(out) = out
+        && let (Ok(a), Ok(b)) = (out.canonicalize(), samples.canonicalize())
+        && a == b
+    {
+        return Err(bad(format!("--json {}: these are the samples; give another file", out.display())));
+    }
+    let mut results = String::new();
     for (line, text) in (1..).zip(reader.lines()) {
         let text = text.map_err(|e| Failure::io("can't be read", samples, &e))?;
         if text.trim().is_empty() {
@@ -318,12 +317,14 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
         }
         let sample: Sample = serde_json::from_str(&text).map_err(|e| bad(format!("{name}:{line}: {e}")))?;
         let quantities = evaluate(model, frame, &sample).map_err(|e| bad(format!("{name}:{line}: {e}")))?;
-        let json = serde_json::to_string(&quantities).map_err(|e| bad(format!("{name}:{line}: {e}")))?;
-        match &mut out {
-            None => print(&(json + "\n"))?,
-            Some(file) => writeln!(file, "{json}")
-                .map_err(|e| Failure::Other(format!("the results can't be written: {e}"), Exit::Bad))?,
+        let json = serde_json::to_string(&quantities).map_err(|e| bad(format!("{name}:{line}: {e}")))? + "\n";
+        match out {
+            None => print(&json)?,
+            Some(_) => results += &json,
         }
+    }
+    if let Some(out) = out {
+        fs::write(out, results).map_err(|e| Failure::io("can't be written", out, &e))?;
     }
     Ok(Exit::Done)
 }
