@@ -51,7 +51,10 @@ fn main() {
         let model = Model::from_urdf(&text).expect("it is a good one").model;
         let theirs =
             if peer.exists() && !testing { measure_peer(&peer, &urdf, tip) } else { BTreeMap::new() };
-        let ours = Bench::new(&model, model.frame(tip).expect("has that frame")).measure(calls);
+        let mut bench = Bench::new(&model, model.frame(tip).expect("has that frame"));
+        // The first tenth of a second after another program is a third slower: a first round warms up.
+        bench.measure(calls);
+        let ours = bench.measure(calls);
         println!("\n{robot}, {} joints: ns", model.n());
         println!("{:18}{:>10}{:>12}{:>8}", "", "opspace", "pinocchio", "ratio");
         for (operation, ns) in ours {
@@ -295,6 +298,8 @@ fn batches(calls: usize, root: &Path) {
     let path = root.join("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
     let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
     let model = Model::from_urdf(&text).expect("it is a good one").model;
+    // As above: a first round warms up.
+    sweep(&model, calls);
     let one = sweep(&model, calls);
     let many = sweep(&model.splat::<Lanes>(), calls);
     println!("\npanda_arm7, million states per second: alone, {} in lanes", batch::COUNT);
