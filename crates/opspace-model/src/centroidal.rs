@@ -23,7 +23,7 @@ use crate::energy::{center_of_mass, momentum};
 use crate::jacobian::add;
 use crate::model::Model;
 use crate::real::Real;
-use crate::spatial::{Force, Motion};
+use crate::spatial::Force;
 use nalgebra::Vector3;
 
 /// A(q) with A q̇ = [`centroidal_momentum`], into [`Data::centroidal_map`] (6 × n; kg m, kg m²). Needs
@@ -33,8 +33,8 @@ pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let com = com_from_origin(model, data);
     data.centroidal_map.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate() {
-        let Force { linear, angular } = data.composite[i].apply(&data.screw[i]).about(&com);
-        add(&mut data.centroidal_map, body.joint, &Motion { linear, angular });
+        let momentum = data.composite[i].apply(&data.screw[i]).about(&com);
+        add(&mut data.centroidal_map, body.joint, &momentum.linear, &momentum.angular);
     }
 }
 

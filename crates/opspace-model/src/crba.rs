@@ -21,7 +21,6 @@
 use crate::data::Data;
 use crate::model::Model;
 use crate::real::Real;
-use crate::spatial::SpatialInertia;
 
 /// M(q) with the rotors' inertias on its diagonal, into [`Data::mass_matrix`] (n × n, full, kg m²). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
@@ -62,7 +61,6 @@ pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
 #[inline]
 pub(crate) fn bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (inertia, (body, place)) in data.composite.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {
-        let com = place.act_point(&body.inertia.com) - data.origin;
-        *inertia = SpatialInertia::new(&body.inertia, &place.rotation, &com);
+        *inertia = body.spatial_inertia(place, &data.origin);
     }
 }

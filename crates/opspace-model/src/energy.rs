@@ -19,7 +19,7 @@
 use crate::data::Data;
 use crate::model::Model;
 use crate::real::Real;
-use crate::spatial::{Motion, SpatialInertia};
+use crate::spatial::{Force, Motion};
 use nalgebra::Vector3;
 
 /// ½ q̇ᵀ M q̇, rotors included, J. Needs [`kinematics`](crate::kinematics()).
@@ -37,15 +37,8 @@ pub fn kinetic_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
 
 /// The momentum of body i at `v`, about [`Data::origin`].
 #[inline]
-pub(crate) fn momentum<T: Real>(
-    model: &Model<T>,
-    data: &Data<T>,
-    i: usize,
-    v: &Motion<T>,
-) -> crate::spatial::Force<T> {
-    let (inertia, placement) = (&model.bodies[i].inertia, &data.placement[i]);
-    let com = placement.act_point(&inertia.com) - data.origin;
-    SpatialInertia::new(inertia, &placement.rotation, &com).apply(v)
+pub(crate) fn momentum<T: Real>(model: &Model<T>, data: &Data<T>, i: usize, v: &Motion<T>) -> Force<T> {
+    model.bodies[i].spatial_inertia(&data.placement[i], &data.origin).apply(v)
 }
 
 /// The work against gravity from the plane through the world's origin, J. Needs

@@ -112,7 +112,8 @@ pub fn relative_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, column);
     // What carries both moves neither against the other: its columns cancel to the bit.
     for i in model.support(from) {
-        add(jacobian, model.bodies[i].joint, &-column(i));
+        let column = -column(i);
+        add(jacobian, model.bodies[i].joint, &column.linear, &column.angular);
     }
 }
 
@@ -219,16 +220,20 @@ fn sum_columns<T: Real>(
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
     jacobian.as_mut_slice().fill(T::zero());
     for i in model.support(frame) {
-        add(jacobian, model.bodies[i].joint, &column(i));
+        let column = column(i);
+        add(jacobian, model.bodies[i].joint, &column.linear, &column.angular);
     }
 }
 
+/// Adds to the column of a joint.
 #[inline]
-pub(crate) fn add<T: Real>(jacobian: &mut Matrix6xX<T>, joint: usize, column: &Motion<T>) {
+pub(crate) fn add<T: Real>(
+    jacobian: &mut Matrix6xX<T>,
+    joint: usize,
+    linear: &Vector3<T>,
+    angular: &Vector3<T>,
+) {
     let (columns, _) = jacobian.as_mut_slice().as_chunks_mut::<6>();
-    let Motion { linear, angular } = column;
-    let sum = &mut columns[joint];
-    for (sum, x) in sum.iter_mut().zip([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]) {
-        *sum += x;
-    }
+    let column = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+    columns[joint].iter_mut().zip(column).for_each(|(sum, x)| *sum += x);
 }

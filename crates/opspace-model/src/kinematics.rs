@@ -24,7 +24,7 @@
 use crate::data::Data;
 use crate::model::{Body, FrameId, JointKind, Model};
 use crate::real::{self, Real};
-use crate::spatial::{Motion, Placement};
+use crate::spatial::{Motion, Placement, SpatialInertia};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 impl JointKind {
@@ -87,6 +87,18 @@ pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]
 }
 
 impl<T: Real> Body<T> {
+    /// The centre of mass of a body at `place`, from `origin`.
+    #[inline]
+    pub(crate) fn com(&self, place: &Placement<T>, origin: &Vector3<T>) -> Vector3<T> {
+        place.act_point(&self.inertia.com) - origin
+    }
+
+    /// The inertia of a body at `place`, about `origin`.
+    #[inline]
+    pub(crate) fn spatial_inertia(&self, place: &Placement<T>, origin: &Vector3<T>) -> SpatialInertia<T> {
+        SpatialInertia::new(&self.inertia, &place.rotation, &self.com(place, origin))
+    }
+
     /// S of a body at `place`.
     #[inline]
     fn screw(&self, place: &Placement<T>, origin: &Vector3<T>) -> Motion<T> {

@@ -78,7 +78,7 @@ pub fn bias<T: Real>(model: &Model<T>, data: &mut Data<T>) {
 /// [`forward_kinematics`](crate::forward_kinematics).
 pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (force, (body, place)) in data.force.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {
-        let com = place.act_point(&body.inertia.com) - data.origin;
+        let com = body.com(place, &data.origin);
         let linear = model.gravity * -body.inertia.mass;
         *force = Force { linear, angular: com.cross(&linear) };
     }
@@ -110,7 +110,7 @@ fn newton_euler<T: Real>(
     a: &Motion<T>,
 ) -> Force<T> {
     let Placement { rotation, .. } = placement;
-    let com = placement.act_point(&body.inertia.com) - origin;
+    let com = body.com(placement, origin);
     let linear = (a.at(&com).linear + v.angular.cross(&v.at(&com).linear)) * body.inertia.mass;
     let (w, alpha) = (apply_transposed(rotation, &v.angular), apply_transposed(rotation, &a.angular));
     let inertia = &body.inertia.rotational;

@@ -364,18 +364,15 @@ impl<'a> Element<'a> {
     }
 
     fn limits(&self, kind: JointKind, warnings: &mut Vec<UrdfWarning>) -> Result<Limits, UrdfError> {
-        const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
-        const NONE: f64 = f64::INFINITY;
-        let unlimited = Limits { lower: -NONE, upper: NONE, velocity: NONE, effort: NONE };
         let bounded = kind != JointKind::Continuous;
         let node = match self.child(self.node, "limit")? {
             Some(node) => node,
             None if bounded => return Err(self.missing(self.node, "<limit>".to_owned(), LIMIT)),
-            None => return Ok(unlimited),
+            None => return Ok(Limits::NONE),
         };
         let (lower, upper) = match bounded {
             true => (self.number(node, "lower", LIMIT)?, self.number(node, "upper", LIMIT)?),
-            false => (-NONE, NONE),
+            false => (Limits::NONE.lower, Limits::NONE.upper),
         };
         if lower > upper {
             let element = self.words.clone();
