@@ -145,36 +145,20 @@ impl<'a> Bench<'a> {
     fn measure(&mut self, calls: usize) -> Vec<(&'static str, f64)> {
         let Self { model, tip, data, states } = self;
         let (model, tip, n) = (*model, *tip, model.n());
+        let states = &*states;
         let States { q, dq, ddq, tau } = states;
         let mut jacobian = Matrix6xX::zeros(n);
         let mut regressor = nalgebra::DMatrix::zeros(n, 10 * n);
         let mut tick = Tick::new(n);
-        let mut results = Vec::new();
+        let mut results = sweep(model, data, states, calls);
         let mut row = |name, call: &mut dyn FnMut(usize)| results.push((name, time(calls, call)));
-        row("fk", &mut |i| forward_kinematics(model, data, black_box(&q[i])));
         row("fk_jacobian", &mut |i| {
             forward_kinematics(model, data, black_box(&q[i]));
             frame_jacobian(model, data, tip, black_box(&mut jacobian));
         });
-        row("crba", &mut |i| {
-            forward_kinematics(model, data, black_box(&q[i]));
-            crba(model, black_box(data));
-        });
-        row("rnea", &mut |i| {
-            kinematics(model, data, black_box(&q[i]), &dq[i]);
-            rnea(model, black_box(data), &ddq[i]);
-        });
         row("bias", &mut |i| {
             kinematics(model, data, black_box(&q[i]), &dq[i]);
             bias(model, black_box(data));
-        });
-        row("gravity", &mut |i| {
-            forward_kinematics(model, data, black_box(&q[i]));
-            gravity(model, black_box(data));
-        });
-        row("aba", &mut |i| {
-            kinematics(model, data, black_box(&q[i]), &dq[i]);
-            aba(model, black_box(data), &tau[i]);
         });
         row("minverse", &mut |i| {
             forward_kinematics(model, data, black_box(&q[i]));
@@ -298,20 +282,28 @@ fn batches(calls: usize, root: &Path) {
     let path = root.join("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
     let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
     let model = Model::from_urdf(&text).expect("it is a good one").model;
-    // As above: a first round warms up.
-    sweep(&model, calls);
-    let one = sweep(&model, calls);
-    let many = sweep(&model.splat::<Lanes>(), calls);
+    let one = warm_sweep(&model, calls);
+    let many = warm_sweep(&model.splat::<Lanes>(), calls);
     println!("\npanda_arm7, million states per second: alone, {} in lanes", batch::COUNT);
     for ((name, alone), (_, lanes)) in one.iter().zip(&many) {
         println!("{name:18}{:10.2}{:10.2}{:8.2} times", 1e3 / alone, 1e3 / lanes, alone / lanes);
     }
 }
 
-/// ns per state.
-fn sweep<T: Real>(model: &Model<T>, calls: usize) -> Vec<(&'static str, f64)> {
-    let (mut data, States { q, dq, ddq, tau }) = (Data::new(model), States::new(model));
-    let data = &mut data;
+/// As above: a first round warms up.
+fn warm_sweep<T: Real>(model: &Model<T>, calls: usize) -> Vec<(&'static str, f64)> {
+    let (mut data, states) = (Data::new(model), States::new(model));
+    sweep(model, &mut data, &states, calls);
+    sweep(model, &mut data, &states, calls)
+}
+
+/// The algorithms that are written for one state and for lanes: ns per state.
+fn sweep<T: Real>(
+    model: &Model<T>,
+    data: &mut Data<T>,
+    States { q, dq, ddq, tau }: &States<T>,
+    calls: usize,
+) -> Vec<(&'static str, f64)> {
     let mut results = Vec::new();
     let mut row =
         |name, call: &mut dyn FnMut(usize)| results.push((name, time(calls, call) / T::LANES as f64));

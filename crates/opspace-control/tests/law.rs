@@ -457,13 +457,16 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     (measurement.wrenches[0].linear.x, frame_velocity(&model, &data, hand).linear.x)
 }
 
+/// What the integral has left of the force error after 4 s: some e-folds of its time constant below the sensor's noise, N.
+const SETTLED_N: f64 = 1e-3;
+
 /// Force control against its target, and against what a compliant axis makes of the same disturbance.
 #[test]
 fn a_force_axis_leaves_no_error_where_a_compliant_one_does() {
     let (compliant, _) = pressed_force("compliant", "", true);
     let (force, _) = pressed_force("force", "", true);
     assert!((compliant + 8.0).abs() > 0.2, "the disturbance shows: {compliant} N");
-    assert!((force + 8.0).abs() < 1e-3, "{force} N");
+    assert!((force + 8.0).abs() < SETTLED_N, "{force} N");
 }
 
 /// The integral is bounded: a bound too small for the disturbance leaves an error again, and without a wall the hand

@@ -54,6 +54,7 @@ pub mod kinematics;
 pub mod model;
 pub mod operational_space;
 pub mod real;
+pub mod reduce;
 pub mod regressor;
 pub mod rnea;
 pub mod samples;
@@ -77,11 +78,10 @@ pub use jacobian::{
 pub use kinematics::{
     forward_kinematics, frame_bias_acceleration, frame_placement, frame_velocity, kinematics,
 };
-pub use model::{
-    Body, Follows, Frame, FrameId, Joint, JointKind, Limits, Model, ReduceError, UnknownFrame, UnknownJoint,
-};
+pub use model::{Body, Frame, FrameId, Joint, JointKind, Limits, Model, UnknownFrame, UnknownJoint};
 pub use operational_space::OperationalSpace;
 pub use real::Real;
+pub use reduce::{Follows, ReduceError};
 pub use regressor::{inertial_parameters, torque_regressor};
 pub use rnea::{bias, gravity, rnea, rnea_external};
 pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_moments};

@@ -33,7 +33,8 @@ mod tree;
 
 pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 
-use crate::model::{BASE_JOINTS, Follows, Joint, JointKind, Model, ReduceError, z_onto};
+use crate::model::{BASE_JOINTS, Joint, JointKind, Model, z_onto};
+use crate::reduce::{Follows, ReduceError};
 use crate::spatial::{Inertia, Placement};
 use read::{Description, JointElement, Motion};
 

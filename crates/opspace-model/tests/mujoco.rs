@@ -3,38 +3,25 @@
 //! the URDF itself.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
-use nalgebra::{DMatrix, Matrix3, Matrix6xX, Vector3};
-use opspace_model::{Data, Model, aba, frame_jacobian, frame_placement, update};
-use serde_json::Value;
-use sha2::{Digest, Sha256};
+mod oracle;
 
-const ORACLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/oracles");
+use nalgebra::{DMatrix, Matrix3, Matrix6xX, Vector3};
+use opspace_model::{Data, aba, frame_jacobian, frame_placement, update};
+use oracle::{Oracle, numbers, oracle, relative_error};
+use serde_json::Value;
+
 /// Largest error of any entry relative to max(1, largest entry of the reference). MuJoCo takes inertias apart
 /// into principal axes and its quaternions are normalised: measured below 1e-12.
 const TOLERANCE: f64 = 1e-9;
 
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().expect("an array").iter().map(|x| x.as_f64().expect("a number")).collect()
-}
-
 fn assert_close<'a>(ours: impl IntoIterator<Item = &'a f64>, theirs: &[f64], what: &str) {
     let ours: Vec<f64> = ours.into_iter().copied().collect();
-    assert_eq!(ours.len(), theirs.len(), "{what}");
-    let scale = theirs.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
-    for (i, (a, b)) in ours.iter().zip(theirs).enumerate() {
-        assert!((a - b).abs() <= TOLERANCE * scale, "{what}[{i}]: {a} against {b}");
-    }
+    let error = relative_error(&ours, theirs);
+    assert!(error <= TOLERANCE, "{what}: off by {error:e}");
 }
 
 fn every_sample_agrees(robot: &str) {
-    let read = |path: String| std::fs::read_to_string(&path).expect(&path);
-    let file: Value = serde_json::from_str(&read(format!("{ORACLES}/mujoco/{robot}.json"))).unwrap();
-    let meta = &file["meta"];
-    let urdf = read(format!("{ORACLES}/pinocchio/urdf/{}", meta["urdf"].as_str().unwrap()));
-    let digest: String = Sha256::digest(&urdf).iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(meta["urdf_sha256"], digest.as_str(), "{robot}: not the URDF that the numbers are of");
-
-    let model = Model::from_urdf(&urdf).expect(robot).model;
+    let Oracle { meta, samples, model } = oracle(&format!("mujoco/{robot}.json"));
     let n = model.n();
     // Where each joint of ours is in MuJoCo's order, and how to bring its vectors into ours.
     let theirs: Vec<&str> = meta["joints"].as_array().unwrap().iter().map(|v| v.as_str().unwrap()).collect();
@@ -55,9 +42,8 @@ fn every_sample_agrees(robot: &str) {
     let mut data = Data::new(&model);
     let mut jacobian = Matrix6xX::zeros(n);
 
-    let samples = file["samples"].as_array().unwrap();
     assert_eq!(samples.len(), 5);
-    for sample in samples {
+    for sample in &samples {
         assert!(update(&model, &mut data, &ordered(&sample["q"]), &ordered(&sample["dq"])));
         aba(&model, &mut data, &ordered(&sample["tau_in"]));
         frame_jacobian(&model, &data, tip, &mut jacobian);

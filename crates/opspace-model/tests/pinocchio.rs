@@ -2,12 +2,11 @@
 //! The two share nothing: Pinocchio has its own URDF reader, algebra and algorithms.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
-use opspace_model::samples::{Sample, evaluate};
-use opspace_model::{JointKind, Model};
-use serde_json::Value;
-use sha2::{Digest, Sha256};
+mod oracle;
 
-const DIRECTORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/oracles/pinocchio");
+use opspace_model::JointKind;
+use opspace_model::samples::{Sample, evaluate};
+use oracle::{Oracle, numbers, oracle, relative_error};
 
 /// Largest error of any entry relative to max(1, largest entry of the reference), where both sides only add
 /// and multiply. Measured: below 1e-14.
@@ -37,40 +36,8 @@ const QUANTITIES: [(&str, f64); 19] = [
     ("N", INVERSE_TOLERANCE),
 ];
 
-struct Oracle {
-    meta: Value,
-    samples: Vec<Value>,
-    model: Model,
-}
-
-fn oracle(robot: &str) -> Oracle {
-    let read = |path: String| std::fs::read_to_string(&path).expect(&path);
-    let mut file: Value = serde_json::from_str(&read(format!("{DIRECTORY}/{robot}.json"))).unwrap();
-    let (meta, samples) = (file["meta"].take(), file["samples"].take());
-    let urdf = read(format!("{DIRECTORY}/urdf/{}", meta["urdf"].as_str().unwrap()));
-    let digest: String = Sha256::digest(&urdf).iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(meta["urdf_sha256"], digest.as_str(), "{robot}: not the URDF that the numbers are of");
-    let model = Model::from_urdf(&urdf).expect(robot).model;
-    Oracle { meta, samples: samples.as_array().unwrap().clone(), model }
-}
-
-fn numbers(value: &Value) -> Vec<f64> {
-    match value {
-        Value::Array(entries) => entries.iter().map(|x| x.as_f64().unwrap()).collect(),
-        _ => vec![value.as_f64().expect("a number")],
-    }
-}
-
-fn relative_error(ours: &[f64], theirs: &[f64]) -> f64 {
-    assert_eq!(ours.len(), theirs.len());
-    let scale = theirs.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
-    // Not f64::max, which would drop a NaN.
-    let errors = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs() / scale);
-    errors.fold(0.0, |m: f64, e| if e > m || e.is_nan() { e } else { m })
-}
-
 fn every_sample_agrees(robot: &str) {
-    let Oracle { meta, samples, model } = oracle(robot);
+    let Oracle { meta, samples, model } = oracle(&format!("pinocchio/{robot}.json"));
     let tip = model.frame(meta["tip_frame"].as_str().unwrap()).unwrap();
     assert_eq!(meta["n_samples"], samples.len());
     for (i, reference) in samples.iter().enumerate() {
@@ -86,7 +53,7 @@ fn every_sample_agrees(robot: &str) {
 }
 
 fn joints_agree(robot: &str) {
-    let Oracle { meta, model, .. } = oracle(robot);
+    let Oracle { meta, model, .. } = oracle(&format!("pinocchio/{robot}.json"));
     let names: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
     assert_eq!(meta["joints"], serde_json::json!(names));
     let kinds = model.joints().iter().map(|j| match j.kind {

@@ -5,20 +5,19 @@
 //! A matrix is compared by its product with a vector that comes with the state.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
+mod oracle;
+
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::{
-    Data, Force, FrameId, Inertia, Model, UrdfOptions, aba, aba_derivatives, aba_external, center_of_mass,
-    centroidal_map, centroidal_momentum, com_jacobian, coriolis, difference, frame_bias_acceleration,
-    frame_jacobian, frame_jacobian_rate, frame_placement, inertial_parameters, integrate, kinetic_energy,
-    local_jacobian, local_jacobian_rate, mass_matrix_inverse, neutral, point_jacobian, potential_energy,
-    relative_jacobian, rnea, rnea_derivatives, rnea_external, torque_regressor, update, world_jacobian,
-    world_jacobian_rate,
+    Data, Force, FrameId, Inertia, Model, aba, aba_derivatives, aba_external, center_of_mass, centroidal_map,
+    centroidal_momentum, com_jacobian, coriolis, difference, frame_bias_acceleration, frame_jacobian,
+    frame_jacobian_rate, frame_placement, inertial_parameters, integrate, kinetic_energy, local_jacobian,
+    local_jacobian_rate, mass_matrix_inverse, neutral, point_jacobian, potential_energy, relative_jacobian,
+    rnea, rnea_derivatives, rnea_external, torque_regressor, update, world_jacobian, world_jacobian_rate,
 };
+use oracle::{Oracle, numbers, oracle, relative_error};
 use serde_json::Value;
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-
-const DIRECTORY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/oracles/pinocchio");
 
 /// Largest error of any entry relative to max(1, largest entry of the reference): of positions and velocities.
 const KINEMATICS: f64 = 1e-9;
@@ -47,32 +46,6 @@ const KINEMATIC: [&str; 16] = [
 
 /// The state of a sample.
 const INPUTS: [&str; 7] = ["q", "dq", "ddq", "tau", "wrench_tip", "wrench_second", "x"];
-
-struct Oracle {
-    meta: Value,
-    samples: Vec<Value>,
-    model: Model,
-}
-
-fn oracle(robot: &str) -> Oracle {
-    let read = |path: String| std::fs::read_to_string(&path).expect(&path);
-    let mut file: Value = serde_json::from_str(&read(format!("{DIRECTORY}/states/{robot}.json"))).unwrap();
-    let (meta, samples) = (file["meta"].take(), file["samples"].take());
-    let urdf = read(format!("{DIRECTORY}/urdf/{}", meta["urdf"].as_str().unwrap()));
-    let digest: String = Sha256::digest(&urdf).iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(meta["urdf_sha256"], digest.as_str(), "{robot}: not the URDF that the numbers are of");
-    let flag = |key: &str| meta[key].as_bool().expect(key);
-    let options = UrdfOptions { floating_base: flag("floating"), fold_mimics: flag("fold_mimics") };
-    let model = Model::from_urdf_with(&urdf, options).expect(robot).model;
-    Oracle { meta, samples: samples.as_array().unwrap().clone(), model }
-}
-
-fn numbers(value: &Value) -> Vec<f64> {
-    match value {
-        Value::Array(entries) => entries.iter().map(|x| x.as_f64().unwrap()).collect(),
-        _ => vec![value.as_f64().expect("a number")],
-    }
-}
 
 fn triple(value: &Value) -> Vector3<f64> {
     Vector3::from_vec(numbers(value))
@@ -239,17 +212,9 @@ impl Bench {
     }
 }
 
-fn relative_error(ours: &[f64], theirs: &[f64]) -> f64 {
-    assert_eq!(ours.len(), theirs.len());
-    let scale = theirs.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
-    // Not f64::max, which would drop a NaN.
-    let errors = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs() / scale);
-    errors.fold(0.0, |m: f64, e| if e > m || e.is_nan() { e } else { m })
-}
-
 /// Every key of every sample, and everything that we compute.
 fn every_state_agrees(robot: &str) {
-    let Oracle { meta, samples, model } = oracle(robot);
+    let Oracle { meta, samples, model } = oracle(&format!("pinocchio/states/{robot}.json"));
     assert!(samples.len() >= 80, "{robot}");
     assert_eq!((meta["nq"].as_u64(), meta["nv"].as_u64()), (Some(model.nq() as u64), Some(model.n() as u64)));
     let base = if model.is_floating() { 6 } else { 0 };

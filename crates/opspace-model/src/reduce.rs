@@ -1,0 +1,191 @@
+//! Robots with fewer joints: some locked at a place, or made to follow others.
+//!
+//! ```
+//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! use opspace_model::{Follows, Model};
+//!
+//! let model = Model::from_urdf(urdf)?.model;
+//! let stiff = model.locked(&[(2, 1.2), (5, 0.0)]).expect("joints that it has");
+//! assert_eq!(stiff.n(), 4);
+//! let follows = Follows { leader: 1, ratio: -1.0, offset: 0.5 };
+//! assert_eq!(model.folded(&[(2, follows)]).expect("joints that it has").n(), 5);
+//! # Ok::<(), opspace_model::UrdfError>(())
+//! ```
+
+use crate::model::{Body, Frame, Joint, JointKind, Model};
+use crate::spatial::Placement;
+use thiserror::Error;
+
+/// What a joint that follows another does: it moves to `ratio` q + `offset` (rad, m).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Follows {
+    /// The joint whose q that is.
+    pub leader: usize,
+    /// Of the joint's motion to its leader's.
+    pub ratio: f64,
+    /// rad or m.
+    pub offset: f64,
+}
+
+/// A joint that can't be locked or folded.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum ReduceError {
+    /// There are not so many.
+    #[error("there is no joint {joint}: there are {count}, numbered from 0")]
+    NoSuchJoint {
+        /// The index asked for.
+        joint: usize,
+        /// How many joints there are.
+        count: usize,
+    },
+    /// Twice the same.
+    #[error("joint '{joint}' is given twice; leave one")]
+    Repeated {
+        /// The joint.
+        joint: String,
+    },
+    /// A floating base is no joint that could be locked or follow another.
+    #[error("'{joint}' is part of the floating base; load the URDF with a fixed base instead")]
+    Base {
+        /// The coordinate.
+        joint: String,
+    },
+    /// Neither a place nor a ratio.
+    #[error("joint '{joint}': {value} is not finite")]
+    NotFinite {
+        /// The joint.
+        joint: String,
+        /// As given.
+        value: f64,
+    },
+    /// Joints that follow each other.
+    #[error("joint '{joint}' follows itself")]
+    FollowsItself {
+        /// One of them.
+        joint: String,
+    },
+}
+
+impl Model {
+    /// The robot with some joints locked, each at a position (rad, m): what they carried is fixed to what
+    /// carried it. In Pinocchio `buildReducedModel`. The other joints keep their order, frames all their names; a
+    /// locked joint's rotor is gone with it.
+    ///
+    /// # Errors
+    /// [`ReduceError`], which names the joint at fault.
+    pub fn locked(&self, positions: &[(usize, f64)]) -> Result<Self, ReduceError> {
+        let mut locked_at = vec![None; self.n()];
+        for &(joint, position) in positions {
+            self.reducible(joint, &[position])?;
+            if locked_at[joint].replace(position).is_some() {
+                return Err(ReduceError::Repeated { joint: self.joints[joint].name.clone() });
+            }
+        }
+        let mut left = Self { base: self.base, gravity: self.gravity, ..Self::new(&self.name) };
+        left.floating = self.floating;
+        // Which joint each becomes, and where each body is: on which of those left, and its pose there.
+        let mut numbers = vec![0; self.n()];
+        for joint in (0..self.n()).filter(|&joint| locked_at[joint].is_none()) {
+            numbers[joint] = left.joints.len();
+            left.joints.push(self.joints[joint].clone());
+            left.rotor_inertia.push(self.rotor_inertia[joint]);
+        }
+        let mut places: Vec<(Option<usize>, Placement)> = Vec::with_capacity(self.bodies.len());
+        for (body, own) in self.bodies.iter().zip(&self.own) {
+            let (parent, carrier) = body.parent.map_or((None, Placement::identity()), |p| places[p]);
+            let at_zero = carrier * body.origin;
+            if let Some(q) = locked_at[body.joint] {
+                let x = body.ratio * q + body.offset;
+                let place = body.kind.placement(&at_zero, x, x.sin_cos());
+                if let Some(p) = parent {
+                    left.own[p] = left.own[p] + place.act_inertia(own);
+                }
+                places.push((parent, place));
+                continue;
+            }
+            places.push((Some(left.bodies.len()), Placement::identity()));
+            left.own.push(*own);
+            left.bodies.push(Body { parent, origin: at_zero, joint: numbers[body.joint], ..*body });
+        }
+        for (frame, payload) in self.frames.iter().zip(&self.payloads) {
+            let (body, carrier) = frame.body.map_or((None, Placement::identity()), |b| places[b]);
+            left.frames.push(Frame { name: frame.name.clone(), body, placement: carrier * frame.placement });
+            left.payloads.push(*payload);
+        }
+        (0..left.bodies.len()).for_each(|body| left.sum_up(Some(body)));
+        Ok(left)
+    }
+
+    /// The robot with some joints made to follow others (mimic joints): each of `followers` is a joint, its leader,
+    /// and the ratio and offset (rad, m) of `q_follower = ratio q_leader + offset`. What they move, moves with the
+    /// leader's coordinate; their own, and their limits, are gone. Their rotors turn with the leader's.
+    ///
+    /// # Errors
+    /// [`ReduceError`], which names the joint at fault.
+    pub fn folded(&self, followers: &[(usize, Follows)]) -> Result<Self, ReduceError> {
+        let mut follows: Vec<Option<Follows>> = vec![None; self.n()];
+        for &(joint, rule) in followers {
+            self.reducible(joint, &[rule.ratio, rule.offset])?;
+            self.reducible(rule.leader, &[])?;
+            if follows[joint].replace(rule).is_some() {
+                return Err(ReduceError::Repeated { joint: self.joints[joint].name.clone() });
+            }
+        }
+        let mut folded = self.clone();
+        folded.joints.clear();
+        folded.rotor_inertia.clear();
+        let mut numbers = vec![0; self.n()];
+        for joint in (0..self.n()).filter(|&joint| follows[joint].is_none()) {
+            numbers[joint] = folded.joints.len();
+            folded.joints.push(self.joints[joint].clone());
+            folded.rotor_inertia.push(self.rotor_inertia[joint]);
+        }
+        // Every joint as a function of one that is left.
+        let mut rules = Vec::with_capacity(self.n());
+        for joint in 0..self.n() {
+            let mut rule = Follows { leader: joint, ratio: 1.0, offset: 0.0 };
+            let mut steps = 0;
+            while let Some(next) = follows[rule.leader] {
+                rule.offset += rule.ratio * next.offset;
+                rule.ratio *= next.ratio;
+                rule.leader = next.leader;
+                steps += 1;
+                if steps > self.n() {
+                    // By now surely on the circle, whatever led to it.
+                    return Err(ReduceError::FollowsItself { joint: self.joints[rule.leader].name.clone() });
+                }
+            }
+            if let Some(&value) = [rule.ratio, rule.offset].iter().find(|x| !x.is_finite()) {
+                return Err(ReduceError::NotFinite { joint: self.joints[joint].name.clone(), value });
+            }
+            if follows[joint].is_some() {
+                folded.rotor_inertia[numbers[rule.leader]] +=
+                    rule.ratio * rule.ratio * self.rotor_inertia[joint];
+            }
+            rules.push(rule);
+        }
+        for body in &mut folded.bodies {
+            let rule = rules[body.joint];
+            body.offset += body.ratio * rule.offset;
+            body.ratio *= rule.ratio;
+            body.follows |= follows[body.joint].is_some();
+            body.joint = numbers[rule.leader];
+        }
+        Ok(folded)
+    }
+
+    fn reducible(&self, joint: usize, values: &[f64]) -> Result<(), ReduceError> {
+        let Some(Joint { name, kind, .. }) = self.joints.get(joint) else {
+            return Err(ReduceError::NoSuchJoint { joint, count: self.n() });
+        };
+        let joint = || name.clone();
+        if *kind == JointKind::Floating {
+            return Err(ReduceError::Base { joint: joint() });
+        }
+        match values.iter().find(|x| !x.is_finite()) {
+            Some(&value) => Err(ReduceError::NotFinite { joint: joint(), value }),
+            None => Ok(()),
+        }
+    }
+}
