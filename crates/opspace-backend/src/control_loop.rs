@@ -271,6 +271,9 @@ impl<'a> ControlLoop<'a> {
 
     /// The controller's command, and what the robot is told.
     fn command(&mut self) -> Result<(), Fault> {
+        if self.controller.command_kind() == CommandKind::Torque {
+            self.backend.sensing_mut().announce(&self.friction);
+        }
         let measurement = self.backend.sensing().measurement();
         self.controller.update(self.model, &self.data, measurement, self.command.as_mut_slice());
         match self.controller.command_kind() {
@@ -299,7 +302,7 @@ impl<'a> ControlLoop<'a> {
             };
             let ramped =
                 if share < 1.0 { holding + share * (self.command[i] - holding) } else { self.command[i] };
-            let torque = ramped + self.friction.torque(i, measurement.dq[i]);
+            let torque = ramped + measurement.added_torque[i];
             let limit = self.torque_limits[i];
             // NaN passes: the backend refuses it by name.
             self.torque_desired[i] = torque.clamp(-limit, limit);

@@ -16,6 +16,13 @@ use std::f64::consts::TAU;
 pub struct JointParameters {
     /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
     pub torque_limit_nm: Positive,
+    /// Highest rate of the commanded torque, Nm/s (N/s); the whole torque in 10 ms if absent.
+    #[serde(default)]
+    pub torque_rate_limit_nm_per_s: Option<Positive>,
+    /// Highest acceleration, with which the joint can also brake, rad/s² (m/s²); without it, joints are braked before
+    /// their ends with half of what the torque limit leaves beside gravity in the worst of many postures.
+    #[serde(default)]
+    pub acceleration_limit_rad_per_s2: Option<Positive>,
     /// The motor's rotor and encoder.
     pub rotor: RotorParameters,
     /// Friction at the joint.

@@ -2,6 +2,7 @@
 
 use crate::estimator::{EstimatorParameters, VelocityEstimator};
 use crate::fault::Fault;
+use crate::friction::FrictionCompensation;
 use crate::interface::Facts;
 use crate::parameters::SafetyParameters;
 use crate::robot::Sample;
@@ -84,6 +85,14 @@ impl Sensing {
     pub fn begin(&mut self) {
         self.start_s = Some(self.sample.time_s);
         self.measurement.time_s = 0.0;
+    }
+
+    /// Tells the controller what of friction will be compensated beside its torques.
+    pub fn announce(&mut self, friction: &FrictionCompensation) {
+        let Measurement { dq, added_torque, .. } = &mut self.measurement;
+        for (i, (added, &dq)) in added_torque.iter_mut().zip(dq.iter()).enumerate() {
+            *added = friction.torque(i, dq);
+        }
     }
 
     /// Turns the sample into a measurement and brings `data` up to date with it.

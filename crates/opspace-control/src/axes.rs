@@ -3,7 +3,9 @@
 
 use crate::orientation;
 use crate::quantity::exactly;
+use crate::subject::Subject;
 use nalgebra::Matrix3;
+use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, IntoDeserializer, MapAccess, SeqAccess, Visitor};
@@ -87,25 +89,71 @@ impl Axes {
     }
 }
 
-/// The directions of a task's axes: they stand still in the world.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+/// The directions of a task's axes.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 pub enum AxesIn {
     /// The world's own.
     #[default]
     #[serde(rename = "world")]
     World,
+    /// Those of the robot's base.
+    #[serde(rename = "base")]
+    Base,
+    /// Those of the task's own frame, wherever it turns.
+    #[serde(rename = "task-frame")]
+    TaskFrame,
+    /// Those of a frame, by name, wherever it turns.
+    #[serde(rename = "frame")]
+    Frame(String),
     /// Turned against the world's by roll, pitch and yaw (fixed axes, in that order), rad.
     #[serde(rename = "rpy_rad")]
     RpyRad(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
+/// Axes of one robot: still, or those of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Directions {
+    /// Still, in the coordinates of what the task moves: one axis a column.
+    Still(Matrix3<f64>),
+    /// Those of a frame.
+    Of(FrameId),
+}
+
 impl AxesIn {
-    /// The task's axes in world coordinates, one a column.
+    /// The axes on a robot, for a task that moves `subject`.
+    ///
+    /// # Errors
+    /// A frame that the robot doesn't have.
+    pub fn resolve(&self, model: &Model, subject: Subject) -> Result<Directions, UnknownFrame> {
+        Ok(match self {
+            Self::World => Directions::Still(Matrix3::identity()),
+            Self::RpyRad(rpy) => Directions::Still(orientation::from_rpy(*rpy)),
+            Self::Frame(name) => Directions::Of(model.frame(name)?),
+            Self::TaskFrame => match subject {
+                Subject::Frame(frame) | Subject::Relative { frame, .. } => Directions::Of(frame),
+                Subject::CenterOfMass => Directions::Still(Matrix3::identity()),
+            },
+            Self::Base => match model.frames().iter().find(|frame| frame.body.is_none()) {
+                Some(base) => Directions::Of(model.frame(&base.name)?),
+                None => Directions::Still(Matrix3::identity()),
+            },
+        })
+    }
+}
+
+impl Directions {
+    /// In the coordinates of `subject`, one axis a column.
     #[must_use]
-    pub fn rotation(&self) -> Matrix3<f64> {
+    pub fn rotation(&self, model: &Model, data: &Data, subject: Subject) -> Matrix3<f64> {
         match self {
-            Self::World => Matrix3::identity(),
-            Self::RpyRad(rpy) => orientation::from_rpy(*rpy),
+            Self::Still(rotation) => *rotation,
+            Self::Of(frame) => {
+                let rotation = frame_placement(model, data, *frame).rotation;
+                match subject {
+                    Subject::Relative { .. } => subject.coordinates(model, data).tr_mul(&rotation),
+                    Subject::Frame(_) | Subject::CenterOfMass => rotation,
+                }
+            }
         }
     }
 }
@@ -130,6 +178,14 @@ impl<T: Copy> PerAxis<T> {
         match self {
             Self::All(value) => Some(*value),
             Self::Each(values) => values[axis],
+        }
+    }
+
+    /// The same, each value passed through `of`.
+    pub(crate) fn map<U>(self, of: impl Fn(T) -> U) -> PerAxis<U> {
+        match self {
+            Self::All(value) => PerAxis::All(of(value)),
+            Self::Each(values) => PerAxis::Each(values.map(|value| value.map(&of))),
         }
     }
 

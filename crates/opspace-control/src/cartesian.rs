@@ -3,30 +3,35 @@
 //! On its task axes, with x the frame's pose and v its velocity (Khatib 1987, with unit-mass gains):
 //!
 //! ```text
-//! motion     a* = ẍ_d + 2ζω (ẋ_d − v) + ω² (x_d − x)
+//! motion     a* = ẍ_d + 2ζω (ẋ_d − v) + ω² (x_d − x + ∫ integral gain (x_d − x) dt, bounded)
 //! compliant  a* = −c v                                 and the force  −f_target + gain (f − f_target)
 //! force      a* = −c v                                 the same, and  ∫ integral gain (f − f_target) dt, bounded
 //! ```
 //!
 //! f is the sensed force ON the robot: with gain 0 the axis pushes with the target open loop, and the
-//! gain makes the hand feel 1 + gain times lighter. Moments on rotation axes likewise.
+//! gain makes the hand feel 1 + gain times lighter. Moments on rotation axes likewise. In place of the unit
+//! mass an [`impedance`](crate::impedance) may be given, in newtons and metres.
+//!
+//! A speed limit ẋ_max bounds the speed that is asked for, and keeps its direction (Khatib 1987, §VI): with the
+//! damping 2ζω taken out, a* = 2ζω (ν ẋ* − v) with ẋ* = ẋ_d + ω/(2ζ) (x_d − x) and ν = min(1, ẋ_max/|ẋ*|).
 
-use crate::axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, PerAxis};
+use crate::axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
 use crate::error::{ControlError, Reason};
-use crate::filter::LowPass;
+use crate::force::{ForceFeedback, ForceParameters};
+use crate::impedance::{Impedance, ImpedanceParameters};
 use crate::joint_reference::check_times;
+use crate::limits::HORIZON_S;
 use crate::measurement::Measurement;
 use crate::orientation;
 use crate::quantity::{NonNegative, Positive};
-use crate::rank::reach;
+use crate::rank::characteristic_length;
 use crate::reference::{CartesianReference, Target, Trajectory};
 use crate::signal::{Row, Signal};
+use crate::subject::Subject;
 use crate::task::RobotFacts;
 use crate::task_axes::TaskAxes;
-use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
-use opspace_model::{
-    Data, FrameId, Model, Placement, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity,
-};
+use nalgebra::{Matrix6, Matrix6xX, Vector3, Vector6};
+use opspace_model::{Data, Inversion, Model, Placement};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -36,21 +41,41 @@ use serde::Deserialize;
 pub struct CartesianParameters {
     /// The frame that is led: a link of the URDF.
     pub frame: String,
+    /// A frame in whose coordinates pose and reference are given, though it moves as well; the world if absent.
+    #[serde(default)]
+    pub relative_to: Option<String>,
     /// What the task does with each axis; axes that are left out are free.
     pub axes: Axes,
-    /// In which directions the axes lie: `"world"`, or `{ rpy_rad = [...] }` against the world.
+    /// In which directions the axes lie: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or
+    /// `{ rpy_rad = [...] }` against the world.
     #[serde(default)]
     pub axes_in: AxesIn,
     /// Where the frame should be.
     pub reference: CartesianReference,
-    /// How stiffly axes in motion follow the reference.
-    pub gains: AxisGains,
+    /// How stiffly axes in motion follow the reference, as a unit mass would.
+    #[serde(default)]
+    pub gains: Option<AxisGains>,
+    /// How stiffly axes in motion follow the reference, as a spring and a damper: in place of `gains`.
+    #[serde(default)]
+    pub impedance: Option<ImpedanceParameters>,
     /// Force feedback of the compliant and force axes; without it the compliant ones' force is zero, open loop.
     #[serde(default)]
     pub force: Option<ForceParameters>,
     /// Damping of the compliant and force axes, as acceleration over velocity, 1/s; 2 if absent.
     #[serde(default = "default_compliant_damping")]
     pub compliant_damping_per_s: PerAxis<NonNegative>,
+    /// Which inertia turns accelerations into forces; the arm's own if absent.
+    #[serde(default)]
+    pub decoupling: Decoupling,
+    /// Highest speed along the axes in motion, m/s; none if absent.
+    #[serde(default)]
+    pub speed_limit_m_per_s: Option<Positive>,
+    /// Highest speed about the axes in motion, rad/s; none if absent.
+    #[serde(default)]
+    pub speed_limit_rad_per_s: Option<Positive>,
+    /// What becomes of directions in which the arm can hardly move the frame; damped if absent.
+    #[serde(default)]
+    pub singularities: Singularities,
     /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of the largest are damped; 0.001
     /// if absent.
     #[serde(default = "default_singularity_threshold")]
@@ -61,6 +86,25 @@ pub struct CartesianParameters {
     pub characteristic_length_m: Option<Positive>,
 }
 
+/// The centre of mass, which follows a reference on some axes. It doesn't turn.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CenterOfMassParameters {
+    /// What the task does with x, y and z; axes that are left out are free.
+    pub axes: Axes,
+    /// In which directions the axes lie, as in a Cartesian task.
+    #[serde(default)]
+    pub axes_in: AxesIn,
+    /// Where the centre of mass should be.
+    pub reference: CartesianReference,
+    /// How stiffly it follows, as a unit mass would.
+    pub gains: AxisGains,
+    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of the largest are damped; 0.001
+    /// if absent.
+    #[serde(default = "default_singularity_threshold")]
+    pub singularity_threshold: Positive,
+}
+
 /// How an axis follows: as a unit mass on a spring and a damper, whatever the arm's inertia.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -69,53 +113,77 @@ pub struct AxisGains {
     pub frequency_rad_per_s: PerAxis<Positive>,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: PerAxis<NonNegative>,
+    /// How much of the error is added to it each second, 1/s, until what friction and a wrong model leave is gone;
+    /// 0 if absent. Up to a quarter of ω or so.
+    #[serde(default = "no_integral")]
+    pub integral_per_s: PerAxis<NonNegative>,
+    /// How much is added at most along an axis, m; 0.05 if absent.
+    #[serde(default = "default_integral_limit")]
+    pub integral_limit_m: PerAxis<NonNegative>,
+    /// How much is added at most about an axis, rad; 0.2 if absent.
+    #[serde(default = "default_integral_limit_rad")]
+    pub integral_limit_rad: PerAxis<NonNegative>,
 }
 
-/// Feedback of a force sensor to the compliant and force axes.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ForceParameters {
-    /// The robot's sensor, by name.
-    pub sensor: String,
-    /// The force that the surroundings should exert ON the robot along these axes, N; 0 if absent.
-    #[serde(default = "no_target")]
-    pub target_n: PerAxis<f64>,
-    /// The moment that the surroundings should exert ON the robot about these axes, Nm; 0 if absent.
-    #[serde(default = "no_target")]
-    pub target_nm: PerAxis<f64>,
-    /// How much of the force error is added to the task's force; 2 if absent.
-    #[serde(default = "default_force_gain")]
-    pub gain: PerAxis<NonNegative>,
-    /// How much of the force error a force axis adds to its force each second, 1/s; 5 if absent.
-    #[serde(default)]
-    pub integral_per_s: Option<PerAxis<NonNegative>>,
-    /// How much a force axis adds at most, so that a missing wall doesn't wind it up, N or Nm; as much as the
-    /// target if absent.
-    #[serde(default)]
-    pub integral_limit: Option<PerAxis<NonNegative>>,
-    /// −3 dB point of the low-pass on the sensed force, Hz; 100 if absent.
-    #[serde(default = "default_filter_hz")]
-    pub filter_hz: Positive,
+/// Which inertia turns a task's accelerations into forces.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Decoupling {
+    /// Λ: every axis answers as if it were alone.
+    #[default]
+    Full,
+    /// Λ of an arm none of whose joints is lighter than a floor: light wrists, whose friction is larger than what
+    /// their inertia asks for, are pushed harder than by Λ.
+    Bounded {
+        /// Least inertia on the diagonal of M, kg m².
+        inertia_floor_kg_m2: Positive,
+    },
 }
 
-fn no_target() -> PerAxis<f64> {
-    PerAxis::All(0.0)
+/// What becomes of directions in which an arm can hardly move a frame. See [`Inversion`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Singularities {
+    /// Below the threshold they are damped, smoothly and down to nothing; above it nothing is.
+    #[default]
+    Damped,
+    /// Nothing: Λ as it is. For comparisons.
+    Plain,
+    /// Damped least squares: everything is damped, everywhere. For comparisons.
+    LeastSquares,
+    /// The condition of Λ is clamped: lost directions are still pushed at. For comparisons.
+    Clamped,
 }
 
-fn default_force_gain() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::from(Positive::literal(2.0)))
+impl Singularities {
+    fn inversion(self, threshold: f64) -> Inversion {
+        match self {
+            Self::Damped => Inversion::Damped(threshold),
+            Self::Plain => Inversion::Plain,
+            Self::LeastSquares => Inversion::LeastSquares(threshold),
+            Self::Clamped => Inversion::Clamped(threshold),
+        }
+    }
+}
+
+fn no_integral() -> PerAxis<NonNegative> {
+    PerAxis::All(NonNegative::literal(0.0))
+}
+
+fn default_integral_limit() -> PerAxis<NonNegative> {
+    PerAxis::All(NonNegative::literal(0.05))
+}
+
+fn default_integral_limit_rad() -> PerAxis<NonNegative> {
+    PerAxis::All(NonNegative::literal(0.2))
 }
 
 fn default_compliant_damping() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::from(Positive::literal(2.0)))
+    PerAxis::All(NonNegative::literal(2.0))
 }
 
 fn default_singularity_threshold() -> Positive {
     Positive::literal(1e-3)
-}
-
-fn default_filter_hz() -> Positive {
-    Positive::literal(100.0)
 }
 
 impl CartesianParameters {
@@ -131,10 +199,18 @@ impl CartesianParameters {
         self.axes.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
     }
 
-    /// The task's axes in world coordinates, one a column.
-    #[must_use]
-    pub fn rotation(&self) -> Matrix3<f64> {
-        self.axes_in.rotation()
+    /// What the task moves on a robot.
+    ///
+    /// # Errors
+    /// A frame that the robot doesn't have, with the key by which it is named.
+    pub fn subject(&self, model: &Model) -> Result<Subject, ControlError> {
+        let frame =
+            |key: &str, name: &str| model.frame(name).map_err(|unknown| ControlError::new(key, unknown));
+        let led = frame("frame", &self.frame)?;
+        Ok(match &self.relative_to {
+            None => Subject::Frame(led),
+            Some(name) => Subject::Relative { frame: led, from: frame("relative_to", name)? },
+        })
     }
 
     /// The force (N) and moment (Nm) that the surroundings should exert ON the robot, in the task's axes:
@@ -147,51 +223,81 @@ impl CartesianParameters {
             targets.filter(|_| held[axis]).and_then(|t| t.get(axis)).unwrap_or(0.0)
         })
     }
+
+    /// Whether the arm is to show another inertia than its own.
+    pub(crate) fn shapes_inertia(&self) -> bool {
+        self.impedance.is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
+    }
 }
 
-/// Of force axes whose file gives no other, 1/s.
-const INTEGRAL_PER_S: f64 = 5.0;
+impl CenterOfMassParameters {
+    /// As a Cartesian task whose frame is the centre of mass.
+    #[must_use]
+    pub fn as_cartesian(&self) -> CartesianParameters {
+        CartesianParameters {
+            frame: String::new(),
+            relative_to: None,
+            axes: self.axes,
+            axes_in: self.axes_in.clone(),
+            reference: self.reference.clone(),
+            gains: Some(self.gains),
+            impedance: None,
+            force: None,
+            compliant_damping_per_s: default_compliant_damping(),
+            decoupling: Decoupling::Full,
+            speed_limit_m_per_s: None,
+            speed_limit_rad_per_s: None,
+            singularities: Singularities::Damped,
+            singularity_threshold: self.singularity_threshold,
+            characteristic_length_m: None,
+        }
+    }
+}
 
 /// A Cartesian task of one robot, and what it saw last.
 #[derive(Clone, Debug)]
 pub(crate) struct CartesianTask {
     pub name: String,
     pub axes: TaskAxes,
-    pub singularity_threshold: f64,
+    pub inversion: Inversion,
+    pub decoupling: Decoupling,
+    directions: Directions,
     modes: [AxisMode; 6],
-    /// Of the error (1/s²) and of the velocity (1/s), in the order of the axes.
-    stiffness: Vector6<f64>,
-    damping: Vector6<f64>,
+    law: Law,
+    /// m/s and rad/s; infinite where there is none.
+    pub speed_limits: [f64; 2],
     force: Option<ForceFeedback>,
+    reference: CartesianReference,
     trajectory: Trajectory,
+    /// When the trajectory began, s, and where the run began.
+    start_s: f64,
+    home: Placement,
     world_jacobian: Matrix6xX<f64>,
     /// Rows of the task, scaled.
     pub jacobian: Matrix6xX<f64>,
-    /// World axes.
+    /// Coordinates of the subject.
     pub target: Target,
     placement: Placement,
-    /// Of the frame's origin, world axes, m/s.
+    /// Of the subject, in the task's axes (m/s, rad/s).
+    pub velocity: Vector6<f64>,
+    /// Of the subject's origin, in its coordinates, m/s.
     linear_velocity: Vector3<f64>,
     /// Task axes, m and rad. Displacements on all three axes; turns only about those in motion, since the
     /// others would mix into them.
     error: Vector6<f64>,
 }
 
+/// How a task follows.
 #[derive(Clone, Debug)]
-struct ForceFeedback {
-    sensor: usize,
-    frame: FrameId,
-    target: Vector6<f64>,
-    /// 0 on axes that are not held to a force.
-    gain: Vector6<f64>,
-    held: [bool; 6],
-    /// What of the error is added in a period, and at most: 0 but on force axes.
+struct Law {
+    /// Of the error (1/s²) and of the velocity (1/s), in the order of the axes.
+    stiffness: Vector6<f64>,
+    damping: Vector6<f64>,
+    impedance: Option<Impedance>,
+    /// What of the error is added in a period, and at most.
     integral_step: Vector6<f64>,
     integral_limit: Vector6<f64>,
     integral: Vector6<f64>,
-    filter: LowPass<6>,
-    /// At the task frame's origin, task axes.
-    sensed: Vector6<f64>,
 }
 
 impl CartesianTask {
@@ -202,15 +308,43 @@ impl CartesianTask {
         robot: &RobotFacts,
     ) -> Result<Self, ControlError> {
         let key = format!("task.{name}.cartesian");
+        let subject = parameters.subject(model).map_err(|e| e.below(&key))?;
+        Self::of_subject(name, &key, parameters, subject, model, robot)
+    }
+
+    /// The task of the centre of mass.
+    pub(crate) fn of_center_of_mass(
+        name: &str,
+        parameters: &CenterOfMassParameters,
+        model: &Model,
+        robot: &RobotFacts,
+    ) -> Result<Self, ControlError> {
+        let key = format!("task.{name}.center-of-mass");
+        if parameters.axes.in_task()[3..].contains(&true) {
+            return Err(ControlError::new(format!("{key}.axes"), Reason::CenterOfMassTurns));
+        }
+        Self::of_subject(name, &key, &parameters.as_cartesian(), Subject::CenterOfMass, model, robot)
+    }
+
+    fn of_subject(
+        name: &str,
+        key: &str,
+        parameters: &CartesianParameters,
+        subject: Subject,
+        model: &Model,
+        robot: &RobotFacts,
+    ) -> Result<Self, ControlError> {
         let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
-        let frame = model.frame(&parameters.frame).map_err(|e| at("frame", e.into()))?;
+        let directions = parameters.axes_in.resolve(model, subject).map_err(|e| at("axes_in", e.into()))?;
         let in_task = parameters.axes.in_task();
         if !in_task.contains(&true) {
             return Err(at("axes", Reason::NoAxis));
         }
         check_reference(parameters, &format!("{key}.reference"))?;
-        let length_m = parameters.characteristic_length_m.map_or_else(|| reach(model, frame), Positive::get);
-        let (stiffness, damping) = gains(parameters, &key)?;
+        let length_m = parameters
+            .characteristic_length_m
+            .map_or_else(|| characteristic_length(model, subject), Positive::get);
+        let law = Law::new(parameters, robot.period_s, key)?;
         let force = match &parameters.force {
             None if parameters.axes.modes().contains(&AxisMode::Force) => {
                 return Err(at("force", Reason::ForceAxisUnsensed));
@@ -218,46 +352,125 @@ impl CartesianTask {
             None => None,
             Some(force) => Some(ForceFeedback::new(force, parameters, robot, &format!("{key}.force"))?),
         };
+        let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let origin = Target::at_rest(Placement::identity());
         Ok(Self {
             name: name.to_owned(),
-            axes: TaskAxes::new(frame, parameters.rotation(), in_task, length_m),
-            singularity_threshold: parameters.singularity_threshold.get(),
+            axes: TaskAxes::new(subject, nalgebra::Matrix3::identity(), in_task, length_m),
+            inversion: parameters.singularities.inversion(parameters.singularity_threshold.get()),
+            decoupling: parameters.decoupling,
+            directions,
             modes: parameters.axes.modes(),
-            stiffness,
-            damping,
+            law,
+            speed_limits: [limit(parameters.speed_limit_m_per_s), limit(parameters.speed_limit_rad_per_s)],
             force,
-            trajectory: Trajectory::new(&parameters.reference, parameters.rotation()),
+            reference: parameters.reference.clone(),
+            trajectory: Trajectory::new(&parameters.reference),
+            start_s: 0.0,
+            home: origin.placement,
             world_jacobian: Matrix6xX::zeros(model.n()),
             jacobian: Matrix6xX::zeros(model.n()),
             target: origin,
             placement: origin.placement,
+            velocity: Vector6::zeros(),
             linear_velocity: Vector3::zeros(),
             error: Vector6::zeros(),
         })
     }
 
+    /// Begins where the robot is.
     pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.trajectory.start(frame_placement(model, data, self.axes.frame));
+        let subject = self.axes.subject;
+        self.home = subject.placement(model, data);
+        self.start_s = measurement.time_s;
+        self.law.integral.fill(0.0);
+        let axes = self.directions.rotation(model, data, subject);
+        self.trajectory.start(&self.home, &Target::at_rest(self.home), &axes);
         if let Some(force) = &mut self.force {
-            force.filter.reset(&force.raw(measurement));
-            force.integral.fill(0.0);
+            force.start(measurement);
         }
-        self.observe(model, data, 0.0);
+        self.observe(model, data, measurement.time_s);
+    }
+
+    /// Goes on from where a task of the same name in another stack stands: a reference that is the same goes on,
+    /// another one begins where that one was, and where the frame is on axes that weren't in motion.
+    pub(crate) fn take_over(
+        &mut self,
+        before: &mut Self,
+        model: &Model,
+        data: &Data,
+        measurement: &Measurement,
+    ) {
+        if before.axes.subject != self.axes.subject {
+            return self.start(model, data, measurement);
+        }
+        before.observe(model, data, measurement.time_s);
+        self.home = before.home;
+        let began =
+            |axis: usize| self.modes[axis] == AxisMode::Motion && before.modes[axis] != AxisMode::Motion;
+        let same = self.reference == before.reference && self.directions == before.directions;
+        if same && !(0..6).any(began) {
+            std::mem::swap(&mut self.trajectory, &mut before.trajectory);
+            self.start_s = before.start_s;
+        } else {
+            let axes = self.directions.rotation(model, data, self.axes.subject);
+            let from = before.joined(&axes, began);
+            self.trajectory.start(&self.home, &from, &axes);
+            self.start_s = measurement.time_s;
+        }
+        for axis in (0..6).filter(|&axis| !began(axis)) {
+            let limit = self.law.integral_limit[axis];
+            self.law.integral[axis] = before.law.integral[axis].clamp(-limit, limit);
+        }
+        match (&mut self.force, &before.force) {
+            (Some(force), Some(before)) => force.take_over(before, measurement),
+            (Some(force), None) => force.start(measurement),
+            (None, _) => {}
+        }
+        self.observe(model, data, measurement.time_s);
+    }
+
+    /// The target, with where the frame is, at rest, in place of it along those `axes` that `began`; the frame's own
+    /// orientation if any turn began.
+    fn joined(&self, axes: &nalgebra::Matrix3<f64>, began: impl Fn(usize) -> bool) -> Target {
+        let mut target = self.target;
+        for axis in (0..3).filter(|&axis| began(axis)) {
+            let direction = axes.column(axis).into_owned();
+            let away = direction.dot(&(self.placement.translation - target.placement.translation));
+            target.placement.translation += direction * away;
+            for part in [&mut target.velocity.linear, &mut target.acceleration.linear] {
+                *part -= direction * direction.dot(part);
+            }
+        }
+        if (3..6).any(began) {
+            target.placement.rotation = self.placement.rotation;
+            target.velocity.angular = Vector3::zeros();
+            target.acceleration.angular = Vector3::zeros();
+        }
+        target
     }
 
     /// Takes in where the frame is and where it should be.
     pub(crate) fn observe(&mut self, model: &Model, data: &Data, time_s: f64) {
-        self.target = self.trajectory.at(time_s);
-        self.placement = frame_placement(model, data, self.axes.frame);
-        self.linear_velocity = frame_velocity(model, data, self.axes.frame).linear;
+        let subject = self.axes.subject;
+        self.axes.rotation = self.directions.rotation(model, data, subject);
+        self.target = self.trajectory.at(time_s - self.start_s);
+        self.placement = subject.placement(model, data);
+        let velocity = subject.velocity(model, data);
+        self.linear_velocity = velocity.linear;
+        self.velocity = self.axes.of_motion(&velocity);
         self.error = self.error_at(&self.placement, self.modes.map(|m| m == AxisMode::Motion));
     }
 
-    /// Takes in the sensed force. After [`observe`](Self::observe).
-    pub(crate) fn sense(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+    /// Takes in the sensed force, and lets integrals grow unless `hold`. After [`observe`](Self::observe).
+    pub(crate) fn sense(&mut self, model: &Model, data: &Data, measurement: &Measurement, hold: bool) {
+        if !hold {
+            self.law.integrate(&self.error);
+        }
         if let Some(force) = &mut self.force {
-            force.update(model, data, measurement, &self.axes.rotation, &self.placement);
+            let subject = self.axes.subject;
+            let axes = subject.coordinates(model, data) * self.axes.rotation;
+            force.update(model, data, measurement, &axes, &subject.point(model, data), hold);
         }
     }
 
@@ -266,40 +479,142 @@ impl CartesianTask {
     pub(crate) fn error_at(&self, placement: &Placement, counted: [bool; 6]) -> Vector6<f64> {
         let axes = &self.axes.rotation;
         let linear = axes.tr_mul(&(self.target.placement.translation - placement.translation));
+        let counted = [counted[3], counted[4], counted[5]];
+        if counted == [false; 3] {
+            return Vector6::new(linear.x, linear.y, linear.z, 0.0, 0.0, 0.0);
+        }
         let turn = self.target.placement.rotation * placement.rotation.transpose();
-        let angular =
-            orientation::log_about(&(axes.transpose() * turn * axes), [counted[3], counted[4], counted[5]]);
+        let angular = orientation::log_about(&(axes.transpose() * turn * axes), counted);
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
     /// The task's rows at the state of `data`, into [`jacobian`](Self::jacobian).
     pub(crate) fn update_jacobian(&mut self, model: &Model, data: &Data) {
-        frame_jacobian(model, data, self.axes.frame, &mut self.world_jacobian);
+        self.axes.rotation = self.directions.rotation(model, data, self.axes.subject);
+        self.axes.subject.jacobian(model, data, &mut self.world_jacobian);
         self.axes.select(&self.world_jacobian, &mut self.jacobian);
     }
 
-    /// a* − J̇ q̇ on the task's axes (m/s², rad/s²), not scaled. After [`observe`](Self::observe).
-    pub(crate) fn acceleration(&self, model: &Model, data: &Data) -> Vector6<f64> {
-        let velocity = self.axes.of_motion(&frame_velocity(model, data, self.axes.frame));
-        let bias = self.axes.of_motion(&frame_bias_acceleration(model, data, self.axes.frame));
-        let wanted_velocity = self.axes.of_motion(&self.target.velocity);
-        let wanted = self.axes.of_motion(&self.target.acceleration);
-        Vector6::from_fn(|i, _| match self.modes[i] {
-            AxisMode::Free => 0.0,
-            AxisMode::Compliant | AxisMode::Force => -self.damping[i] * velocity[i] - bias[i],
-            AxisMode::Motion => {
-                wanted[i]
-                    + self.damping[i] * (wanted_velocity[i] - velocity[i])
-                    + self.stiffness[i] * self.error[i]
-                    - bias[i]
-            }
-        })
+    /// J̇ q̇ on the task's rows, scaled.
+    pub(crate) fn bias_acceleration(&self, model: &Model, data: &Data) -> Vector6<f64> {
+        self.axes.rows_of(&self.axes.of_motion(&self.axes.subject.bias_acceleration(model, data)))
     }
 
-    /// The force that is added to Λ's on axes held to a force (N, Nm; task axes). After
+    /// a* on the task's rows, scaled. After [`sense`](Self::sense).
+    pub(crate) fn acceleration(&self) -> Vector6<f64> {
+        let wanted_velocity = self.axes.of_motion(&self.target.velocity);
+        let wanted = self.axes.of_motion(&self.target.acceleration);
+        let law = &self.law;
+        let mut a = Vector6::zeros();
+        for (i, mode) in self.modes.iter().enumerate() {
+            a[i] = match mode {
+                AxisMode::Free => 0.0,
+                AxisMode::Compliant | AxisMode::Force => -law.damping[i] * self.velocity[i],
+                AxisMode::Motion => match &law.impedance {
+                    None => {
+                        wanted[i]
+                            + law.damping[i] * (wanted_velocity[i] - self.velocity[i])
+                            + law.stiffness[i] * (self.error[i] + law.integral[i])
+                    }
+                    Some(impedance) => {
+                        let mut a = wanted[i];
+                        if let (Some(inertia), Some(force)) = (&impedance.inertia, &self.force) {
+                            let spring = impedance.stiffness[i] * self.error[i];
+                            let damper = impedance.shaped_damping(inertia)[i]
+                                * (wanted_velocity[i] - self.velocity[i]);
+                            a += (spring + damper + force.sensed[i]) / inertia[i];
+                        }
+                        a
+                    }
+                },
+            };
+        }
+        if law.impedance.is_none() && self.speed_limits != [f64::INFINITY; 2] {
+            self.saturate_speed(&mut a, &wanted_velocity);
+        }
+        self.axes.rows_of(&a)
+    }
+
+    /// Takes from a* of the axes in motion what asks for more speed than is allowed.
+    fn saturate_speed(&self, a: &mut Vector6<f64>, wanted_velocity: &Vector6<f64>) {
+        let law = &self.law;
+        for (kind, &limit) in self.speed_limits.iter().enumerate() {
+            let in_motion = |i: &usize| self.modes[*i] == AxisMode::Motion && law.damping[*i] > 0.0;
+            let axes = (3 * kind..3 * kind + 3).filter(in_motion);
+            let asked = |i: usize| {
+                wanted_velocity[i] + law.stiffness[i] / law.damping[i] * (self.error[i] + law.integral[i])
+            };
+            let speed = axes.clone().map(|i| asked(i) * asked(i)).sum::<f64>().sqrt();
+            if speed > limit {
+                for i in axes {
+                    a[i] = law.damping[i] * (asked(i) * (limit / speed) - self.velocity[i]);
+                }
+            }
+        }
+    }
+
+    /// ẋ* of the task's rows, scaled, at the state of `data`, with the error worked off at `gain` (1/s): every axis of
+    /// the task as if it were in motion. After [`update_jacobian`](Self::update_jacobian).
+    pub(crate) fn velocity_at(&self, model: &Model, data: &Data, gain: f64) -> Vector6<f64> {
+        let mut in_task = [false; 6];
+        self.axes.axes().iter().for_each(|&axis| in_task[axis] = true);
+        let error = self.error_at(&self.axes.subject.placement(model, data), in_task);
+        self.axes.rows_of(&(self.axes.of_motion(&self.target.velocity) + error * gain))
+    }
+
+    /// The bound that keeps the speed along (`kind` 0) or about (1) the axes in motion within its limit, where it comes
+    /// near it: `row` (n) α ≤ the value, with α the joint accelerations and `bias` J̇ q̇ of the task's rows, scaled.
+    pub(crate) fn speed_bound(&self, kind: usize, bias: &Vector6<f64>, row: &mut [f64]) -> Option<f64> {
+        let limit = self.speed_limits[kind];
+        let counts = |axis: usize| axis / 3 == kind && self.modes[axis] == AxisMode::Motion;
+        let speed =
+            (0..6).filter(|&i| counts(i)).map(|i| self.velocity[i] * self.velocity[i]).sum::<f64>().sqrt();
+        // Far below its limit a speed has hardly a direction, and no need of a bound.
+        if speed.is_nan() || speed <= 0.5 * limit {
+            return None;
+        }
+        row.fill(0.0);
+        let mut upper = (limit - speed) / HORIZON_S;
+        for (r, &axis) in self.axes.axes().iter().enumerate().filter(|(_, axis)| counts(**axis)) {
+            let share = self.velocity[axis] / (speed * self.axes.scale[axis]);
+            upper -= share * bias[r];
+            row.iter_mut().zip(self.jacobian.row(r).iter()).for_each(|(x, j)| *x += share * j);
+        }
+        Some(upper)
+    }
+
+    /// Whether there is anything to be added to the force of the inertia.
+    pub(crate) fn adds_force(&self) -> bool {
+        self.force.is_some() || self.law.impedance.is_some()
+    }
+
+    /// The force that is added to that of the inertia (on the task's rows, scaled): springs and dampers of an
+    /// impedance, and what axes held to a force add. `task_inertia` is Λ of these rows. After
     /// [`sense`](Self::sense).
-    pub(crate) fn added_force(&self) -> Vector6<f64> {
-        self.force.as_ref().map_or_else(Vector6::zeros, ForceFeedback::added)
+    pub(crate) fn added_force(&self, task_inertia: &Matrix6<f64>) -> Vector6<f64> {
+        let mut force = self.force.as_ref().map_or_else(Vector6::zeros, ForceFeedback::added);
+        let Some(impedance) = &self.law.impedance else {
+            return self.axes.rows_of_force(&force);
+        };
+        let in_motion = |i: usize| self.modes[i] == AxisMode::Motion;
+        if impedance.inertia.is_some() {
+            // What the shaped inertia answers to must not act twice.
+            if let Some(sensed) = self.force.as_ref().map(|f| f.sensed) {
+                (0..6).filter(|&i| in_motion(i)).for_each(|i| force[i] -= sensed[i]);
+            }
+            return self.axes.rows_of_force(&force);
+        }
+        let mut velocity = self.axes.of_motion(&self.target.velocity) - self.velocity;
+        for i in 0..6 {
+            if in_motion(i) {
+                force[i] += impedance.stiffness[i] * self.error[i];
+            } else {
+                velocity[i] = 0.0;
+            }
+        }
+        let velocity = self.axes.rows_of(&velocity);
+        self.axes.rows_of_force(&force)
+            + impedance.damping_force(task_inertia, self.axes.axes(), &self.axes.scale, &velocity)
     }
 
     /// Signals of the motion, and their values in the same order.
@@ -337,143 +652,95 @@ impl CartesianTask {
     }
 
     pub(crate) fn sample_sensed(&self, row: &mut Row<'_>) {
-        if let Some(force) = &self.force {
-            row.put(force.sensed.as_slice());
+        match &self.force {
+            Some(force) => row.put(force.sensed.as_slice()),
+            None => row.skip(6),
         }
     }
 }
 
-impl ForceFeedback {
-    fn new(
-        force: &ForceParameters,
-        task: &CartesianParameters,
-        robot: &RobotFacts,
-        key: &str,
-    ) -> Result<Self, ControlError> {
-        let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
-        let known = || robot.sensors.iter().map(|(name, _)| name.clone()).collect();
-        let Some(sensor) = robot.sensors.iter().position(|(name, _)| *name == force.sensor) else {
-            return Err(at("sensor", Reason::Sensor { name: force.sensor.clone(), known: known() }));
+impl Law {
+    fn new(parameters: &CartesianParameters, period_s: f64, key: &str) -> Result<Self, ControlError> {
+        let at = |place: &'static str| move |reason| ControlError::new(format!("{key}.{place}"), reason);
+        let zero = Vector6::zeros();
+        let mut law = Self {
+            stiffness: zero,
+            damping: zero,
+            impedance: None,
+            integral_step: zero,
+            integral_limit: zero,
+            integral: zero,
         };
-        let held = task.held_to_force();
-        if !held.contains(&true) {
-            return Err(ControlError::new(key, Reason::NothingCompliant));
+        for (axis, _) in parameters.held_to_force().iter().enumerate().filter(|(_, held)| **held) {
+            let c = required(&parameters.compliant_damping_per_s, axis);
+            law.damping[axis] = c.map_err(at("compliant_damping_per_s"))?.get();
         }
-        for (place, targets, kind, what) in [
-            ("target_n", &force.target_n, 0..3, "force (N)"),
-            ("target_nm", &force.target_nm, 3..6, "moment (Nm)"),
-        ] {
-            if let Some(axis) = targets.named().find(|axis| !kind.contains(axis) || !held[*axis]) {
-                return Err(at(place, Reason::TargetAxis { axis: AXIS_NAMES[axis], what }));
+        let motion = parameters.motion_axes();
+        match (&parameters.gains, &parameters.impedance) {
+            (Some(_), Some(_)) => return Err(at("impedance")(Reason::GainsTwice)),
+            (None, None) if motion.contains(&true) => {
+                return Err(ControlError::new(key, Reason::NoGains));
+            }
+            (None, None) => {}
+            (None, Some(impedance)) => {
+                law.impedance = Some(Impedance::new(impedance, parameters, &format!("{key}.impedance"))?);
+            }
+            (Some(gains), None) => {
+                for axis in (0..6).filter(|&axis| motion[axis]) {
+                    law.follow(axis, gains, period_s, key)?;
+                }
             }
         }
-        let target = task.target_force();
-        let [mut gain, mut integral_step, mut integral_limit] = [Vector6::zeros(); 3];
-        for axis in (0..6).filter(|&axis| held[axis]) {
-            gain[axis] = required(&force.gain, axis).map_err(|reason| at("gain", reason))?.get();
-        }
-        let in_force_control = task.axes.with_mode(AxisMode::Force);
-        for (place, given) in [
-            ("integral_per_s", force.integral_per_s.is_some()),
-            ("integral_limit", force.integral_limit.is_some()),
-        ] {
-            if given && !in_force_control.contains(&true) {
-                return Err(at(place, Reason::NothingIntegrates));
-            }
-        }
-        for axis in (0..6).filter(|&axis| in_force_control[axis]) {
-            let per_s = match &force.integral_per_s {
-                None => INTEGRAL_PER_S,
-                Some(gains) => required(gains, axis).map_err(|reason| at("integral_per_s", reason))?.get(),
-            };
-            integral_step[axis] = per_s * robot.period_s;
-            integral_limit[axis] = match &force.integral_limit {
-                None => target[axis].abs(),
-                Some(limits) => required(limits, axis).map_err(|reason| at("integral_limit", reason))?.get(),
-            };
-        }
-        Ok(Self {
-            sensor,
-            frame: robot.sensors[sensor].1,
-            target,
-            gain,
-            held,
-            integral_step,
-            integral_limit,
-            integral: Vector6::zeros(),
-            filter: LowPass::new(force.filter_hz.get(), robot.period_s),
-            sensed: Vector6::zeros(),
-        })
+        Ok(law)
     }
 
-    fn raw(&self, measurement: &Measurement) -> [f64; 6] {
-        let f = &measurement.wrenches[self.sensor];
-        [f.linear.x, f.linear.y, f.linear.z, f.angular.x, f.angular.y, f.angular.z]
-    }
-
-    fn update(
+    fn follow(
         &mut self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-        axes: &Matrix3<f64>,
-        placement: &Placement,
-    ) {
-        let raw = self.raw(measurement);
-        let [fx, fy, fz, mx, my, mz] = *self.filter.update(&raw);
-        let force = Vector3::new(fx, fy, fz);
-        let lever = frame_placement(model, data, self.frame).translation - placement.translation;
-        let (linear, angular) =
-            (axes.tr_mul(&force), axes.tr_mul(&(Vector3::new(mx, my, mz) + lever.cross(&force))));
-        self.sensed = Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
+        axis: usize,
+        gains: &AxisGains,
+        period_s: f64,
+        key: &str,
+    ) -> Result<(), ControlError> {
+        let at =
+            |place: &'static str| move |reason| ControlError::new(format!("{key}.gains.{place}"), reason);
+        let omega = required(&gains.frequency_rad_per_s, axis).map_err(at("frequency_rad_per_s"))?.get();
+        let zeta = required(&gains.damping_ratio, axis).map_err(at("damping_ratio"))?.get();
+        self.stiffness[axis] = omega * omega;
+        self.damping[axis] = 2.0 * zeta * omega;
+        // An axis that isn't named has none.
+        self.integral_step[axis] = gains.integral_per_s.get(axis).map_or(0.0, NonNegative::get) * period_s;
+        if self.integral_step[axis] > 0.0 {
+            let (limits, place) = if axis < 3 {
+                (&gains.integral_limit_m, "integral_limit_m")
+            } else {
+                (&gains.integral_limit_rad, "integral_limit_rad")
+            };
+            self.integral_limit[axis] = required(limits, axis).map_err(at(place))?.get();
+        }
+        Ok(())
+    }
+
+    fn integrate(&mut self, error: &Vector6<f64>) {
         for i in 0..6 {
-            let sum = self.integral[i] + self.integral_step[i] * (self.sensed[i] - self.target[i]);
+            let sum = self.integral[i] + self.integral_step[i] * error[i];
             self.integral[i] = sum.clamp(-self.integral_limit[i], self.integral_limit[i]);
         }
     }
-
-    fn added(&self) -> Vector6<f64> {
-        Vector6::from_fn(|i, _| {
-            if !self.held[i] {
-                return 0.0;
-            }
-            self.gain[i] * (self.sensed[i] - self.target[i]) + self.integral[i] - self.target[i]
-        })
-    }
 }
 
-fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
+/// The value of an axis that must have one.
+pub(crate) fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
     values.get(axis).ok_or(Reason::MissingAxis { axis: AXIS_NAMES[axis] })
-}
-
-/// Stiffness (1/s²) and damping (1/s) of each axis: ω² and 2ζω in motion, 0 and c where held to a force.
-fn gains(parameters: &CartesianParameters, key: &str) -> Result<(Vector6<f64>, Vector6<f64>), ControlError> {
-    let at = |place: &'static str| move |reason| ControlError::new(format!("{key}.{place}"), reason);
-    let (mut stiffness, mut damping) = (Vector6::zeros(), Vector6::zeros());
-    for (axis, mode) in parameters.axes.modes().into_iter().enumerate() {
-        match mode {
-            AxisMode::Free => {}
-            AxisMode::Compliant | AxisMode::Force => {
-                let c = required(&parameters.compliant_damping_per_s, axis);
-                damping[axis] = c.map_err(at("compliant_damping_per_s"))?.get();
-            }
-            AxisMode::Motion => {
-                let omega = required(&parameters.gains.frequency_rad_per_s, axis)
-                    .map_err(at("gains.frequency_rad_per_s"))?
-                    .get();
-                let zeta =
-                    required(&parameters.gains.damping_ratio, axis).map_err(at("gains.damping_ratio"))?.get();
-                stiffness[axis] = omega * omega;
-                damping[axis] = 2.0 * zeta * omega;
-            }
-        }
-    }
-    Ok((stiffness, damping))
 }
 
 fn check_reference(parameters: &CartesianParameters, key: &str) -> Result<(), ControlError> {
     match &parameters.reference {
-        CartesianReference::Hold | CartesianReference::Sinusoid(_) => {}
+        CartesianReference::Hold | CartesianReference::Sinusoid(_) | CartesianReference::Goal(_) => {}
+        CartesianReference::Recorded(path) => {
+            if !path.is_read() {
+                return Err(ControlError::new(format!("{key}.recorded"), Reason::NotRead));
+            }
+        }
         CartesianReference::PointToPoint(p) => {
             if p.position.is_none() && p.orientation.is_none() {
                 return Err(ControlError::new(format!("{key}.point-to-point"), Reason::NoGoal));

@@ -16,6 +16,11 @@ impl ControlError {
         Self { key: key.into(), reason: reason.into() }
     }
 
+    /// The same, with its key below another one.
+    pub(crate) fn below(self, key: &str) -> Self {
+        Self { key: format!("{key}.{}", self.key), reason: self.reason }
+    }
+
     /// Path of the offending value in the task file, its parts joined by dots:
     /// `task.hand.cartesian.frame`.
     #[must_use]
@@ -155,12 +160,50 @@ pub enum Reason {
     /// Force control without a sensor.
     #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
     ForceAxisUnsensed,
+    /// Axes in motion without gains.
+    #[error(
+        "axes in motion need `gains` = {{ frequency_rad_per_s, damping_ratio }}, or `impedance` = \
+         {{ stiffness_n_per_m, ... }}"
+    )]
+    NoGains,
+    /// Gains and an impedance.
+    #[error("`gains` and `impedance` exclude each other: one says how axes in motion follow")]
+    GainsTwice,
+    /// An impedance that leaves out one of its values.
+    #[error("axes in motion of this kind need `{key}`")]
+    ImpedanceMissing {
+        /// The key.
+        key: String,
+    },
+    /// A damping ratio and a damping.
+    #[error("`damping_ratio` and a damping exclude each other: remove one")]
+    DampingTwice,
+    /// A shaped inertia without a sensor.
+    #[error("an inertia other than the arm's own needs the sensed force: force = {{ sensor = \"...\" }}")]
+    ShapedInertiaUnsensed,
+    /// The centre of mass as something that turns.
+    #[error("the centre of mass doesn't turn: only x, y and z can belong to its task")]
+    CenterOfMassTurns,
+    /// A joint task above others that moves more joints than such a task can.
+    #[error("a task of some joints can have {most} of them at most, not {joints}")]
+    TooManyJoints {
+        /// How many there are.
+        joints: usize,
+        /// How many there may be.
+        most: usize,
+    },
+    /// A joint task that names no joint, or one twice.
+    #[error("`joints` must name at least one joint, and each only once")]
+    JointList,
     /// A goal that names neither a position nor an orientation.
     #[error("the goal names neither `position` nor `orientation`")]
     NoGoal,
     /// An orientation to reach, but all rotation axes are free.
     #[error("an orientation is asked for, but the axes rx, ry and rz are all free")]
     OrientationOfFreeAxes,
+    /// A recorded path whose file has not been read.
+    #[error("the recorded path has no samples: read its file into `samples`")]
+    NotRead,
     /// A list of waypoints without one.
     #[error("no waypoint: at least one is needed")]
     NoWaypoint,

@@ -11,7 +11,7 @@
 //! With the identity in M's place the same recursion is that of inverse kinematics.
 
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
-use opspace_model::{MassMatrixFactor, OperationalSpace};
+use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
 
 /// N, the freedom that the tasks so far leave, as the product of what each of them leaves: I − J̄_p J_p. The n × n
 /// matrix itself is never formed.
@@ -31,6 +31,18 @@ impl Nullspace {
     /// All freedom, before the first task.
     pub(crate) fn reset(&mut self) {
         self.depth = 0;
+    }
+
+    /// Whether anything was taken away.
+    pub(crate) fn is_narrowed(&self) -> bool {
+        self.depth > 0
+    }
+
+    /// Only what the first `depth` tasks leave, of those that were taken away since the last
+    /// [`reset`](Self::reset).
+    pub(crate) fn rewind(&mut self, depth: usize) {
+        debug_assert!(depth <= self.tasks.len());
+        self.depth = depth;
     }
 
     /// Takes away what `task` uses.
@@ -93,13 +105,20 @@ pub(crate) struct ProjectedTask {
     /// J_p, scaled as the task's rows are.
     pub jacobian: Matrix6xX<f64>,
     pub space: OperationalSpace,
+    /// How Λ⁻¹ was inverted, with what the tasks above have taken counted in.
+    pub inversion: Inversion,
     half: Matrix6xX<f64>,
 }
 
 impl ProjectedTask {
     pub(crate) fn new(n: usize) -> Self {
         let jacobian = Matrix6xX::zeros(n);
-        Self { half: jacobian.clone(), jacobian, space: OperationalSpace::new(n) }
+        Self {
+            half: jacobian.clone(),
+            jacobian,
+            space: OperationalSpace::new(n),
+            inversion: Inversion::Plain,
+        }
     }
 
     /// For the first `rows` rows of `jacobian`. The threshold is relative to what the task could move if
@@ -110,21 +129,21 @@ impl ProjectedTask {
         above: &Nullspace,
         jacobian: &Matrix6xX<f64>,
         rows: usize,
-        threshold: f64,
+        inversion: Inversion,
     ) {
         self.jacobian.copy_from(jacobian);
-        let mut relative = threshold;
+        self.inversion = inversion;
         if above.depth > 0 {
             above.project_jacobian(&mut self.jacobian);
             let alone = mobility(factor, jacobian, rows, &mut self.half);
             let left = mobility(factor, &self.jacobian, rows, &mut self.half);
             if left > 0.0 {
-                relative *= (alone / left).max(1.0);
+                self.inversion = inversion.scaled((alone / left).max(1.0));
             } else {
                 self.jacobian.fill(0.0);
             }
         }
-        self.space.update(factor, &self.jacobian, rows, relative);
+        self.space.update_with(factor, &self.jacobian, rows, self.inversion);
     }
 }
 
@@ -199,7 +218,7 @@ mod tests {
         let mut nullspace = Nullspace::new(n, tasks.len());
         let mut projected = ProjectedTask::new(n);
         for (level, (jacobian, rows)) in tasks.iter().enumerate() {
-            projected.update(&data.mass_matrix_factor, &nullspace, jacobian, *rows, 1e-6);
+            projected.update(&data.mass_matrix_factor, &nullspace, jacobian, *rows, Inversion::Damped(1e-6));
             assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
             nullspace.narrow(&projected);
             let [matrix, by_torque] = matrices(&nullspace, n);

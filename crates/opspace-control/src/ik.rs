@@ -13,13 +13,14 @@
 
 use crate::controller::{CommandKind, Controller};
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::{Nullspace, ProjectedTask};
 use crate::joint::JointTask;
+use crate::level::RowTask;
 use crate::measurement::Measurement;
 use crate::signal::{Observable, Row, Signal};
+use crate::stacks::{PreparedStack, Shows, Stacks};
 use crate::task::{Levels, RobotFacts, Stack};
-use nalgebra::{DVector, Vector6};
-use opspace_model::{Data, Model, frame_placement, gravity, kinematics};
+use nalgebra::DVector;
+use opspace_model::{Data, Model, gravity, kinematics};
 
 /// How fast the error of a reference is worked off, 1/s.
 pub const ERROR_GAIN_PER_S: f64 = 20.0;
@@ -39,12 +40,9 @@ pub struct ServoLead {
 /// References to joint positions.
 #[derive(Clone, Debug)]
 pub struct InverseKinematicsController {
-    levels: Levels,
-    projected: Vec<ProjectedTask>,
-    nullspace: Nullspace,
+    stacks: Stacks,
+    robot: RobotFacts,
     lead: Option<ServoLead>,
-    gravity_by_robot: bool,
-    period_s: f64,
     /// Of the reference posture, with the identity in place of M's factor.
     data: Data,
     q: DVector<f64>,
@@ -65,11 +63,9 @@ impl InverseKinematicsController {
         robot: &RobotFacts,
         lead: Option<ServoLead>,
     ) -> Result<Self, ControlError> {
-        let levels = Levels::new(model, stack, robot)?;
+        let stacks = Stacks::new(model, stack, robot, Shows::Motion)?;
         let n = model.n();
-        if levels.cartesian.is_empty() && !matches!(levels.joint, Some(JointTask::Tracking(_))) {
-            return Err(ControlError::new("priority", Reason::NoMotion));
-        }
+        check_motion(stacks.in_force())?;
         if let Some(lead) = &lead {
             for (key, list) in
                 [("kp_per_s", &lead.kp_per_s), ("stiffness_nm_per_rad", &lead.stiffness_nm_per_rad)]
@@ -82,50 +78,54 @@ impl InverseKinematicsController {
         let mut data = Data::new(model);
         data.mass_matrix_factor.set_identity();
         let joints: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
-        let mut own_signals =
-            vec![Signal::new("ik.q", "rad", &joints), Signal::new("ik.dq", "rad/s", &joints)];
-        own_signals.extend(levels.joint.iter().flat_map(|task| task.signals(model)));
+        let own_signals = vec![Signal::new("ik.q", "rad", &joints), Signal::new("ik.dq", "rad/s", &joints)];
         Ok(Self {
-            projected: vec![ProjectedTask::new(n); levels.cartesian.len()],
-            nullspace: Nullspace::new(n, levels.cartesian.len()),
+            stacks,
+            robot: robot.clone(),
             lead,
-            gravity_by_robot: robot.gravity_by_robot,
-            period_s: robot.period_s,
             data,
             q: DVector::zeros(n),
             dq: DVector::zeros(n),
             scratch: DVector::zeros(n),
             own_signals,
-            levels,
         })
+    }
+
+    /// Another stack for the same robot, to be [scheduled](Self::schedule).
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn prepare(&self, model: &Model, stack: &Stack<'_>) -> Result<PreparedStack, ControlError> {
+        let prepared = PreparedStack::new(model, stack, &self.robot)?;
+        check_motion(prepared.levels())?;
+        Ok(prepared)
+    }
+
+    /// Follows `stack` from `time_s` on, s after the start.
+    pub fn schedule(&mut self, time_s: f64, stack: PreparedStack) {
+        self.stacks.schedule(time_s, stack);
     }
 
     /// q̇_ref at q_ref and the targets that the tasks saw last.
     fn solve(&mut self, model: &Model) {
+        let levels = self.stacks.current();
         self.dq.fill(0.0);
-        self.nullspace.reset();
-        for (task, projected) in self.levels.cartesian.iter_mut().zip(&mut self.projected) {
-            task.update_jacobian(model, &self.data);
-            let rows = task.axes.rows();
-            let factor = &self.data.mass_matrix_factor;
-            projected.update(factor, &self.nullspace, &task.jacobian, rows, task.singularity_threshold);
-            let mut in_task = [false; 6];
-            for &axis in task.axes.axes() {
-                in_task[axis] = true;
+        levels.nullspace.reset();
+        for level in &mut levels.rows {
+            level.project(model, &self.data, &levels.nullspace);
+            let mut wanted = match &level.task {
+                RowTask::Cartesian(task) => task.velocity_at(model, &self.data, ERROR_GAIN_PER_S),
+                RowTask::Joints(task) => task.velocity(&self.q, ERROR_GAIN_PER_S),
+            };
+            for (column, &v) in level.jacobian().column_iter().zip(&self.dq) {
+                wanted -= column * v;
             }
-            let error = task.error_at(&frame_placement(model, &self.data, task.axes.frame), in_task);
-            let velocity = task.axes.of_motion(&task.target.velocity) + error * ERROR_GAIN_PER_S;
-            let mut wanted = Vector6::zeros();
-            for (row, &axis) in task.axes.axes().iter().enumerate() {
-                let caused: f64 = task.jacobian.row(row).iter().zip(self.dq.iter()).map(|(j, v)| j * v).sum();
-                wanted[row] = velocity[axis] * task.axes.scale[axis] - caused;
-            }
-            for (v, column) in self.dq.iter_mut().zip(projected.space.jbar_transpose.column_iter()) {
+            for (v, column) in self.dq.iter_mut().zip(level.projected.space.jbar_transpose.column_iter()) {
                 *v += column.dot(&wanted);
             }
-            self.nullspace.narrow(projected);
+            levels.nullspace.narrow(&level.projected);
         }
-        match &self.levels.joint {
+        match &levels.joint {
             Some(JointTask::Posture(task)) => {
                 for ((v, q0), q) in self.scratch.iter_mut().zip(&task.posture).zip(&self.q) {
                     *v = POSTURE_GAIN_PER_S * (q0 - q);
@@ -138,7 +138,7 @@ impl InverseKinematicsController {
             }
             Some(JointTask::Damping(_)) | None => return,
         }
-        self.nullspace.project_velocity(self.scratch.as_mut_slice());
+        levels.nullspace.project_velocity(self.scratch.as_mut_slice());
         self.dq += &self.scratch;
     }
 
@@ -148,7 +148,7 @@ impl InverseKinematicsController {
             *out = self.q[i];
             if let Some(lead) = &self.lead {
                 *out += self.dq[i] / lead.kp_per_s[i];
-                if !self.gravity_by_robot {
+                if !self.robot.gravity_by_robot {
                     *out += self.data.gravity[i] / lead.stiffness_nm_per_rad[i];
                 }
             }
@@ -164,54 +164,56 @@ impl Controller for InverseKinematicsController {
     fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
         self.q.copy_from(&measurement.q);
         self.dq.fill(0.0);
-        for task in &mut self.levels.cartesian {
-            task.start(model, data, measurement);
-        }
-        if let Some(task) = &mut self.levels.joint {
-            task.start(&measurement.q);
-        }
+        self.stacks.current().start(model, data, measurement);
     }
 
     fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
-        for task in &mut self.levels.cartesian {
-            task.observe(model, data, measurement.time_s);
+        self.stacks.advance(model, data, measurement);
+        let levels = self.stacks.current();
+        for level in &mut levels.rows {
+            level.observe(model, data, measurement);
         }
-        if let Some(JointTask::Tracking(task)) = &mut self.levels.joint {
+        let in_joints = levels.rows.is_empty();
+        if let Some(JointTask::Tracking(task)) = &mut levels.joint {
             task.observe(&measurement.q, measurement.time_s);
             // With nothing above it there is nothing to solve, and no integration to drift.
-            if self.levels.cartesian.is_empty() {
+            if in_joints {
                 self.q.copy_from(&task.reference);
                 self.dq.copy_from(&task.reference_velocity);
             }
         }
         kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
-        if !self.levels.cartesian.is_empty() {
+        if !in_joints {
             self.solve(model);
         }
         if self.lead.is_some() {
             gravity(model, &mut self.data);
         }
         self.stream(command);
-        if !self.levels.cartesian.is_empty() {
-            self.q.axpy(self.period_s, &self.dq, 1.0);
+        if !in_joints {
+            self.q.axpy(self.robot.period_s, &self.dq, 1.0);
         }
     }
 }
 
 impl Observable for InverseKinematicsController {
     fn signals(&self) -> Vec<Signal> {
-        let motion = self.levels.cartesian.iter().flat_map(|task| task.motion_signals());
-        motion.chain(self.own_signals.iter().cloned()).collect()
+        let mut signals = self.stacks.signals();
+        signals.extend(self.own_signals.iter().cloned());
+        signals
     }
 
     fn sample(&self, row: &mut Row<'_>) {
-        for task in &self.levels.cartesian {
-            task.sample_motion(row);
-        }
+        self.stacks.sample(row);
         row.put(self.q.as_slice());
         row.put(self.dq.as_slice());
-        if let Some(task) = &self.levels.joint {
-            task.sample(row);
-        }
     }
+}
+
+/// There must be something to follow.
+fn check_motion(levels: &Levels) -> Result<(), ControlError> {
+    if levels.rows.is_empty() && !matches!(levels.joint, Some(JointTask::Tracking(_))) {
+        return Err(ControlError::new("priority", Reason::NoMotion));
+    }
+    Ok(())
 }

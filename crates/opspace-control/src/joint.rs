@@ -6,13 +6,14 @@
 //! damping   τ = −Nᵀ D q̇
 //! ```
 
-use crate::error::ControlError;
-use crate::joint_reference::{JointReference, JointTrajectory};
+use crate::error::{ControlError, Reason};
+use crate::joint_reference::{JointReference, JointTarget, JointTrajectory};
+use crate::measurement::Measurement;
 use crate::per_joint::{PerJoint, indices};
 use crate::quantity::{NonNegative, Positive};
 use crate::signal::{Row, Signal};
-use nalgebra::DVector;
-use opspace_model::{Data, Model};
+use nalgebra::{DVector, Matrix6xX, Vector6};
+use opspace_model::{Data, Inversion, Model};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -21,6 +22,10 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointTrackingParameters {
+    /// The joints that belong to the task, six at most: tasks below it may use the others. All of them if absent, and
+    /// the task must then be the last.
+    #[serde(default)]
+    pub joints: Vec<String>,
     /// Where the joints should be.
     pub reference: JointReference,
     /// How stiffly they follow.
@@ -85,29 +90,43 @@ impl Gains {
 /// A joint-space task of one robot, and what it saw last.
 #[derive(Clone, Debug)]
 pub(crate) enum JointTask {
-    Tracking(Tracking),
+    Tracking(Box<Tracking>),
     Posture(Posture),
-    Damping(Vec<f64>),
+    Damping(Damping),
 }
 
 impl JointTask {
-    /// Takes `q` (n) as the start.
-    pub(crate) fn start(&mut self, q: &DVector<f64>) {
+    /// Begins where the robot is.
+    pub(crate) fn start(&mut self, measurement: &Measurement) {
         match self {
-            Self::Tracking(task) => {
-                task.trajectory.start(q);
-                task.observe(q, 0.0);
-            }
-            Self::Posture(task) => task.start(q),
+            Self::Tracking(task) => task.start(measurement),
+            Self::Posture(task) => task.start(&measurement.q),
             Self::Damping(_) => {}
+        }
+    }
+
+    /// Goes on from where the joint task of another stack stands.
+    pub(crate) fn take_over(&mut self, before: &mut Self, measurement: &Measurement) {
+        match (self, before) {
+            (Self::Tracking(task), Self::Tracking(before)) => task.take_over(before, measurement),
+            (Self::Posture(task), Self::Posture(before)) => task.take_over(before),
+            (task, _) => task.start(measurement),
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        match self {
+            Self::Tracking(task) => &task.name,
+            Self::Posture(task) => &task.name,
+            Self::Damping(task) => &task.name,
         }
     }
 
     /// The torque before projection (n), into `torque`; `scratch` (n) is overwritten.
     pub(crate) fn torque(&mut self, data: &Data, time_s: f64, scratch: &mut [f64], torque: &mut [f64]) {
         match self {
-            Self::Damping(damping) => {
-                for ((t, d), dq) in torque.iter_mut().zip(damping).zip(&data.dq) {
+            Self::Damping(task) => {
+                for ((t, d), dq) in torque.iter_mut().zip(&task.damping).zip(&data.dq) {
                     *t = -*d * dq;
                 }
                 return;
@@ -123,18 +142,21 @@ impl JointTask {
         }
     }
 
-    pub(crate) fn signals(&self, model: &Model) -> Vec<Signal> {
+    pub(crate) fn signals(&self) -> Vec<Signal> {
         match self {
-            Self::Tracking(task) => task.signals(model),
+            Self::Tracking(task) => task.signals(),
             Self::Posture(_) | Self::Damping(_) => Vec::new(),
         }
     }
 
+    /// Whether it has signals.
+    pub(crate) fn is_sampled(&self) -> bool {
+        matches!(self, Self::Tracking(_))
+    }
+
     pub(crate) fn sample(&self, row: &mut Row<'_>) {
         if let Self::Tracking(task) = self {
-            row.put(task.reference.as_slice());
-            row.put(task.reference_velocity.as_slice());
-            row.put(task.error.as_slice());
+            task.sample(row);
         }
     }
 }
@@ -143,7 +165,12 @@ impl JointTask {
 #[derive(Clone, Debug)]
 pub(crate) struct Tracking {
     name: String,
+    joint_names: Vec<String>,
+    parameters: JointReference,
     trajectory: JointTrajectory,
+    /// When the trajectory began, s, and where the run began.
+    start_s: f64,
+    home: DVector<f64>,
     gains: Gains,
     pub reference: DVector<f64>,
     pub reference_velocity: DVector<f64>,
@@ -162,7 +189,11 @@ impl Tracking {
         let zero = DVector::zeros(model.n());
         Ok(Self {
             name: name.to_owned(),
+            joint_names: model.joints().iter().map(|j| j.name.clone()).collect(),
+            parameters: parameters.reference.clone(),
             trajectory: JointTrajectory::new(&parameters.reference, model, &format!("{key}.reference"))?,
+            start_s: 0.0,
+            home: zero.clone(),
             gains: Gains::new(frequency_rad_per_s, damping_ratio, model, &format!("{key}.gains"))?,
             reference: zero.clone(),
             reference_velocity: zero.clone(),
@@ -171,10 +202,46 @@ impl Tracking {
         })
     }
 
+    fn start(&mut self, measurement: &Measurement) {
+        self.home.copy_from(&measurement.q);
+        self.reference.copy_from(&measurement.q);
+        self.reference_velocity.fill(0.0);
+        self.reference_acceleration.fill(0.0);
+        self.begin(measurement);
+    }
+
+    /// The same reference goes on; another one begins where that one was.
+    fn take_over(&mut self, before: &mut Self, measurement: &Measurement) {
+        before.observe(&measurement.q, measurement.time_s);
+        self.home.copy_from(&before.home);
+        if self.parameters == before.parameters {
+            std::mem::swap(&mut self.trajectory, &mut before.trajectory);
+            self.start_s = before.start_s;
+            self.observe(&measurement.q, measurement.time_s);
+            return;
+        }
+        self.reference.copy_from(&before.reference);
+        self.reference_velocity.copy_from(&before.reference_velocity);
+        self.reference_acceleration.copy_from(&before.reference_acceleration);
+        self.begin(measurement);
+    }
+
+    /// The trajectory begins at the reference as it stands.
+    fn begin(&mut self, measurement: &Measurement) {
+        self.start_s = measurement.time_s;
+        let from = JointTarget {
+            position: self.reference.as_slice(),
+            velocity: self.reference_velocity.as_slice(),
+            acceleration: self.reference_acceleration.as_slice(),
+        };
+        self.trajectory.start(self.home.as_slice(), &from);
+        self.observe(&measurement.q, measurement.time_s);
+    }
+
     /// Takes in where the joints are and where they should be.
     pub(crate) fn observe(&mut self, q: &DVector<f64>, time_s: f64) {
         for i in 0..q.len() {
-            let [reference, velocity, acceleration] = self.trajectory.at(i, time_s);
+            let [reference, velocity, acceleration] = self.trajectory.at(i, time_s - self.start_s);
             self.reference[i] = reference;
             self.reference_velocity[i] = velocity;
             self.reference_acceleration[i] = acceleration;
@@ -184,27 +251,129 @@ impl Tracking {
 
     fn acceleration(&self, data: &Data, out: &mut [f64]) {
         for (i, a) in out.iter_mut().enumerate() {
-            *a = self.reference_acceleration[i]
-                + self.gains.damping[i] * (self.reference_velocity[i] - data.dq[i])
-                + self.gains.stiffness[i] * self.error[i];
+            *a = self.wanted(data, i);
         }
     }
 
-    fn signals(&self, model: &Model) -> Vec<Signal> {
-        let joints: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
+    /// q̈* of a joint, rad/s².
+    fn wanted(&self, data: &Data, i: usize) -> f64 {
+        self.reference_acceleration[i]
+            + self.gains.damping[i] * (self.reference_velocity[i] - data.dq[i])
+            + self.gains.stiffness[i] * self.error[i]
+    }
+
+    fn signals(&self) -> Vec<Signal> {
         vec![
-            Signal::new(format!("{}.reference", self.name), "rad", &joints),
-            Signal::new(format!("{}.reference_velocity", self.name), "rad/s", &joints),
-            Signal::new(format!("{}.error", self.name), "rad", &joints),
+            Signal::new(format!("{}.reference", self.name), "rad", &self.joint_names),
+            Signal::new(format!("{}.reference_velocity", self.name), "rad/s", &self.joint_names),
+            Signal::new(format!("{}.error", self.name), "rad", &self.joint_names),
         ]
+    }
+
+    fn sample(&self, row: &mut Row<'_>) {
+        row.put(self.reference.as_slice());
+        row.put(self.reference_velocity.as_slice());
+        row.put(self.error.as_slice());
+    }
+}
+
+/// Some joints that follow a reference, as rows of a task that may stand above others.
+#[derive(Clone, Debug)]
+pub(crate) struct SelectedJoints {
+    tracking: Tracking,
+    joints: Vec<usize>,
+    jacobian: Matrix6xX<f64>,
+}
+
+impl SelectedJoints {
+    /// A joint alone is never singular: only what tasks above have taken is.
+    pub(crate) const INVERSION: Inversion = Inversion::Damped(1e-3);
+
+    pub(crate) fn new(
+        name: &str,
+        parameters: &JointTrackingParameters,
+        model: &Model,
+    ) -> Result<Self, ControlError> {
+        let key = format!("task.{name}.joint-tracking.joints");
+        let mut joints = Vec::with_capacity(parameters.joints.len());
+        for joint in &parameters.joints {
+            let index = model.joint(joint).map_err(|unknown| ControlError::new(&key, unknown))?;
+            if joints.contains(&index) {
+                return Err(ControlError::new(&key, Reason::JointList));
+            }
+            joints.push(index);
+        }
+        if joints.len() > 6 {
+            return Err(ControlError::new(&key, Reason::TooManyJoints { joints: joints.len(), most: 6 }));
+        }
+        let mut jacobian = Matrix6xX::zeros(model.n());
+        for (row, &joint) in joints.iter().enumerate() {
+            jacobian[(row, joint)] = 1.0;
+        }
+        Ok(Self { tracking: Tracking::new(name, parameters, model)?, joints, jacobian })
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.tracking.name
+    }
+
+    /// By index, in the order of the rows.
+    pub(crate) fn joints(&self) -> &[usize] {
+        &self.joints
+    }
+
+    /// One row a joint.
+    pub(crate) fn jacobian(&self) -> &Matrix6xX<f64> {
+        &self.jacobian
+    }
+
+    pub(crate) fn start(&mut self, measurement: &Measurement) {
+        self.tracking.start(measurement);
+    }
+
+    pub(crate) fn take_over(&mut self, before: &mut Self, measurement: &Measurement) {
+        self.tracking.take_over(&mut before.tracking, measurement);
+    }
+
+    pub(crate) fn observe(&mut self, q: &DVector<f64>, time_s: f64) {
+        self.tracking.observe(q, time_s);
+    }
+
+    /// q̈* of the rows, rad/s².
+    pub(crate) fn acceleration(&self, data: &Data) -> Vector6<f64> {
+        self.rows(|joint| self.tracking.wanted(data, joint))
+    }
+
+    /// q̇* of the rows for joints at `q`, with their errors worked off at `gain` (1/s), rad/s.
+    pub(crate) fn velocity(&self, q: &DVector<f64>, gain: f64) -> Vector6<f64> {
+        let tracking = &self.tracking;
+        self.rows(|i| tracking.reference_velocity[i] + gain * (tracking.reference[i] - q[i]))
+    }
+
+    fn rows(&self, of: impl Fn(usize) -> f64) -> Vector6<f64> {
+        let mut rows = Vector6::zeros();
+        for (row, &joint) in rows.iter_mut().zip(&self.joints) {
+            *row = of(joint);
+        }
+        rows
+    }
+
+    pub(crate) fn signals(&self) -> Vec<Signal> {
+        self.tracking.signals()
+    }
+
+    pub(crate) fn sample(&self, row: &mut Row<'_>) {
+        self.tracking.sample(row);
     }
 }
 
 /// See [`JointPostureParameters`].
 #[derive(Clone, Debug)]
 pub(crate) struct Posture {
+    name: String,
     fixed: Vec<(usize, f64)>,
     gains: Gains,
+    start: DVector<f64>,
     pub posture: DVector<f64>,
 }
 
@@ -217,14 +386,28 @@ impl Posture {
         let key = format!("task.{name}.joint-posture");
         let fixed = indices(model, &format!("{key}.posture_rad"), &parameters.posture_rad)?;
         Ok(Self {
+            name: name.to_owned(),
             fixed: fixed.into_iter().map(|(joint, &value)| (joint, value)).collect(),
             gains: Gains::new(&parameters.frequency_rad_per_s, &parameters.damping_ratio, model, &key)?,
+            start: DVector::zeros(model.n()),
             posture: DVector::zeros(model.n()),
         })
     }
 
+    /// Where the run began stays the posture of joints that aren't named.
+    fn take_over(&mut self, before: &Self) {
+        self.posture.copy_from(&before.start);
+        self.start.copy_from(&before.start);
+        self.name_posture();
+    }
+
     fn start(&mut self, q: &DVector<f64>) {
         self.posture.copy_from(q);
+        self.start.copy_from(q);
+        self.name_posture();
+    }
+
+    fn name_posture(&mut self) {
         for &(joint, value) in &self.fixed {
             self.posture[joint] = value;
         }
@@ -237,13 +420,22 @@ impl Posture {
     }
 }
 
-/// The damping of each joint (Nms/rad).
-pub(crate) fn damping(
-    name: &str,
-    parameters: &JointDampingParameters,
-    model: &Model,
-) -> Result<Vec<f64>, ControlError> {
-    let key = format!("task.{name}.joint-damping.damping_nms_per_rad");
-    let damping = parameters.damping_nms_per_rad.resolve(model, &key)?;
-    Ok(damping.into_iter().map(NonNegative::get).collect())
+/// See [`JointDampingParameters`].
+#[derive(Clone, Debug)]
+pub(crate) struct Damping {
+    name: String,
+    /// Nms/rad.
+    damping: Vec<f64>,
+}
+
+impl Damping {
+    pub(crate) fn new(
+        name: &str,
+        parameters: &JointDampingParameters,
+        model: &Model,
+    ) -> Result<Self, ControlError> {
+        let key = format!("task.{name}.joint-damping.damping_nms_per_rad");
+        let damping = parameters.damping_nms_per_rad.resolve(model, &key)?;
+        Ok(Self { name: name.to_owned(), damping: damping.into_iter().map(NonNegative::get).collect() })
+    }
 }

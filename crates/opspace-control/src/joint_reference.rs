@@ -1,8 +1,11 @@
-//! References of a joint-tracking task. Each begins, at time 0, at the posture at which the controller is
-//! started; joints that aren't named stay there.
+//! References of a joint-tracking task. Each begins, at time 0, where the reference is at that instant: at the
+//! start of a run the posture of the robot, at rest; in its midst what the reference before it asked for. A
+//! [`JointOnlineGoal`] takes over the motion too; the others set out from rest. Joints that aren't named stay
+//! there.
 
 use crate::error::{ControlError, Reason};
-use crate::per_joint::indices;
+use crate::online::{MotionLimits, OnlineMotion};
+use crate::per_joint::{PerJoint, indices};
 use crate::quantity::{NonNegative, Positive};
 use crate::ramp::{minimum_jerk, product};
 use crate::reference::default_ramp_s;
@@ -25,6 +28,8 @@ pub enum JointReference {
     Sinusoid(JointSinusoid),
     /// Goes from posture to posture and stops at each.
     Waypoints(Vec<JointWaypoint>),
+    /// Goes to one posture as fast as limits allow, from any state of motion.
+    Goal(JointOnlineGoal),
 }
 
 /// A minimum-jerk motion to one posture.
@@ -50,13 +55,28 @@ pub struct JointWaypoint {
     pub goal: JointGoal,
 }
 
+/// A motion to one posture as fast as the limits allow, from whatever motion it finds at the start. Each joint
+/// arrives in its own time.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointOnlineGoal {
+    /// Where to.
+    pub posture: JointGoal,
+    /// Speed at most, rad/s (m/s for a prismatic joint).
+    pub velocity_rad_per_s: PerJoint<Positive>,
+    /// Acceleration at most, rad/s² (m/s²).
+    pub acceleration_rad_per_s2: PerJoint<Positive>,
+    /// Jerk at most, rad/s³ (m/s³).
+    pub jerk_rad_per_s3: PerJoint<Positive>,
+}
+
 /// A posture to reach, by joint names.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub enum JointGoal {
     /// Joint positions, rad (m for a prismatic joint).
     #[serde(rename = "absolute_rad")]
     Absolute(BTreeMap<String, f64>),
-    /// From the start posture, rad (m for a prismatic joint).
+    /// From the posture at the start of the run, rad (m for a prismatic joint).
     #[serde(rename = "offset_rad")]
     Offset(BTreeMap<String, f64>),
 }
@@ -75,14 +95,27 @@ pub struct JointSinusoid {
 /// A [`JointReference`] ready to be followed.
 #[derive(Clone, Debug)]
 pub(crate) struct JointTrajectory {
-    start: DVector<f64>,
+    /// The reference at the start.
+    from: DVector<f64>,
     path: Path,
+}
+
+/// Where the joints should be and how they should move, each n long.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct JointTarget<'a> {
+    /// rad (m for a prismatic joint).
+    pub position: &'a [f64],
+    /// rad/s (m/s).
+    pub velocity: &'a [f64],
+    /// rad/s² (m/s²).
+    pub acceleration: &'a [f64],
 }
 
 #[derive(Clone, Debug)]
 enum Path {
     Legs(Vec<Leg>),
     Waves { joints: Vec<Vec<Wave>>, ramp_s: f64 },
+    Online { goals: Vec<Goal>, limits: Vec<MotionLimits>, motions: Vec<OnlineMotion> },
 }
 
 #[derive(Clone, Debug)]
@@ -98,7 +131,7 @@ struct Leg {
 struct Goal {
     joint: usize,
     value: f64,
-    from_start: bool,
+    from_home: bool,
 }
 
 impl JointTrajectory {
@@ -130,29 +163,52 @@ impl JointTrajectory {
                 }
                 Path::Waves { joints, ramp_s: s.ramp_s.get() }
             }
+            JointReference::Goal(goal) => {
+                let key = format!("{key}.goal");
+                Path::Online {
+                    goals: goals(&goal.posture, model, &format!("{key}.posture"))?,
+                    limits: limits(goal, model, &key)?,
+                    motions: vec![OnlineMotion::rest(0.0); model.n()],
+                }
+            }
         };
-        Ok(Self { start: DVector::zeros(model.n()), path })
+        Ok(Self { from: DVector::zeros(model.n()), path })
     }
 
-    /// Begins at `q` (n).
-    pub(crate) fn start(&mut self, q: &DVector<f64>) {
-        self.start.copy_from(q);
-        if let Path::Legs(legs) = &mut self.path {
-            let mut from = q.clone();
-            for leg in legs {
-                leg.from.copy_from(&from);
-                for goal in &leg.goal {
-                    let base = if goal.from_start { q[goal.joint] } else { 0.0 };
-                    from[goal.joint] = base + goal.value;
+    /// Begins now: time 0 of [`at`](Self::at) is this instant. It doesn't allocate, so that a task may change
+    /// while it runs.
+    ///
+    /// `home` (n) is the posture at the start of the run, from which the offsets of goals count; `from` the
+    /// reference in force, at the start of a run `home` at rest.
+    pub(crate) fn start(&mut self, home: &[f64], from: &JointTarget<'_>) {
+        self.from.as_mut_slice().copy_from_slice(from.position);
+        match &mut self.path {
+            Path::Legs(legs) => {
+                for k in 0..legs.len() {
+                    let (before, legs) = legs.split_at_mut(k);
+                    let leg = &mut legs[0];
+                    leg.from.copy_from(before.last().map_or(&self.from, |before| &before.to));
+                    leg.to.copy_from(&leg.from);
+                    for goal in &leg.goal {
+                        leg.to[goal.joint] = goal.position(home);
+                    }
                 }
-                leg.to.copy_from(&from);
+            }
+            Path::Waves { .. } => {}
+            Path::Online { goals, limits, motions } => {
+                for (joint, (motion, limits)) in motions.iter_mut().zip(limits).enumerate() {
+                    let goal = goals.iter().find(|goal| goal.joint == joint);
+                    let state = [from.position[joint], from.velocity[joint], from.acceleration[joint]];
+                    let to = goal.map_or(state[0], |goal| goal.position(home));
+                    *motion = OnlineMotion::new(state, to, limits);
+                }
             }
         }
     }
 
     /// Position, velocity and acceleration of a joint at `time_s` after the start.
     pub(crate) fn at(&self, joint: usize, time_s: f64) -> [f64; 3] {
-        let start = self.start[joint];
+        let start = self.from[joint];
         match &self.path {
             Path::Legs(legs) => match legs.iter().rev().find(|leg| leg.begin_s <= time_s) {
                 None => [start, 0.0, 0.0],
@@ -167,7 +223,14 @@ impl JointTrajectory {
                 let [q, dq, ddq] = product(ramp, wave::sum(&joints[joint], time_s));
                 [start + q, dq, ddq]
             }
+            Path::Online { motions, .. } => motions[joint].at(time_s),
         }
+    }
+}
+
+impl Goal {
+    fn position(&self, home: &[f64]) -> f64 {
+        if self.from_home { home[self.joint] + self.value } else { self.value }
     }
 }
 
@@ -178,12 +241,22 @@ impl Leg {
 }
 
 fn goals(goal: &JointGoal, model: &Model, key: &str) -> Result<Vec<Goal>, ControlError> {
-    let (map, from_start, kind) = match goal {
+    let (map, from_home, kind) = match goal {
         JointGoal::Absolute(map) => (map, false, "absolute_rad"),
         JointGoal::Offset(map) => (map, true, "offset_rad"),
     };
     let named = indices(model, &format!("{key}.{kind}"), map)?;
-    Ok(named.into_iter().map(|(joint, &value)| Goal { joint, value, from_start }).collect())
+    Ok(named.into_iter().map(|(joint, &value)| Goal { joint, value, from_home }).collect())
+}
+
+fn limits(goal: &JointOnlineGoal, model: &Model, key: &str) -> Result<Vec<MotionLimits>, ControlError> {
+    let velocity = goal.velocity_rad_per_s.resolve(model, &format!("{key}.velocity_rad_per_s"))?;
+    let acceleration =
+        goal.acceleration_rad_per_s2.resolve(model, &format!("{key}.acceleration_rad_per_s2"))?;
+    let jerk = goal.jerk_rad_per_s3.resolve(model, &format!("{key}.jerk_rad_per_s3"))?;
+    Ok((0..model.n())
+        .map(|i| MotionLimits { velocity: velocity[i], acceleration: acceleration[i], jerk: jerk[i] })
+        .collect())
 }
 
 /// Waypoints must exist and go forward in time. `key` is where their list stands in the file.
@@ -198,4 +271,81 @@ pub(crate) fn check_times(times: impl Iterator<Item = f64>, key: &str) -> Result
         count += 1;
     }
     if count == 0 { Err(ControlError::new(key, Reason::NoWaypoint)) } else { Ok(()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TWO_JOINTS: &str = r#"<robot name="two"><link name="base"/>
+        <link name="upper"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0"
+            iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
+        <link name="lower"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0"
+            iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
+        <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
+        <joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
+            <origin xyz="0 0 -0.4"/><axis xyz="0 1 0"/></joint></robot>"#;
+
+    fn begun(reference: &str, home: &[f64; 2], from: [[f64; 2]; 3]) -> JointTrajectory {
+        let model = Model::from_urdf(TWO_JOINTS).expect("a robot").model;
+        let reference = toml::from_str::<BTreeMap<String, JointReference>>(reference).expect("a reference");
+        let mut trajectory =
+            JointTrajectory::new(&reference["reference"], &model, "reference").expect("a path");
+        let [position, velocity, acceleration] = &from;
+        trajectory.start(home, &JointTarget { position, velocity, acceleration });
+        trajectory
+    }
+
+    const GOAL: &str = "reference.goal = { posture = { offset_rad = { elbow = 0.5 } }, velocity_rad_per_s = 1.0, \
+        acceleration_rad_per_s2 = { shoulder = 2.0, elbow = 4.0 }, jerk_rad_per_s3 = 20.0 }";
+
+    /// The state at the start against the one taken over, bit for bit; the limits of each joint at 500 instants;
+    /// the end against home and goal. The shoulder, which isn't named, comes back to where it was.
+    #[test]
+    fn a_goal_takes_over_each_joints_motion() {
+        let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];
+        let goal = begun(GOAL, &[0.1, 0.2], from);
+        for (joint, acceleration) in [2.0, 4.0].into_iter().enumerate() {
+            assert_eq!(goal.at(joint, 0.0), from.map(|quantity| quantity[joint]));
+            let step = 0.01;
+            for k in 0..500 {
+                let [now, next] = [0.0, step].map(|ahead| goal.at(joint, step * f64::from(k) + ahead));
+                assert!(now[1].abs() <= 1.0 + 1e-9 && now[2].abs() <= acceleration + 1e-9, "{now:?}");
+                assert!((next[2] - now[2]).abs() <= 20.0 * step + 1e-8, "{now:?}");
+                let mean = (now[1] + next[1]) / 2.0 * step;
+                assert!((next[0] - now[0] - mean).abs() <= 20.0 * step.powi(3) / 12.0 + 1e-9, "{now:?}");
+            }
+        }
+        assert_eq!(goal.at(0, 9.0), [0.3, 0.0, 0.0]);
+        assert_eq!(goal.at(1, 9.0), [0.2 + 0.5, 0.0, 0.0]);
+    }
+
+    /// References begun away from home: they begin where they are, and offsets count from home.
+    #[test]
+    fn offsets_count_from_home() {
+        let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];
+        for (reference, end) in [
+            ("reference = \"hold\"", [0.3, -0.4]),
+            (
+                "reference.point-to-point = { goal = { offset_rad = { elbow = 0.5 } }, duration_s = 1.0 }",
+                [0.3, 0.2 + 0.5],
+            ),
+            (
+                "reference.waypoints = [{ time_s = 1, goal = { offset_rad = { elbow = 0.5 } } }, \
+                 { time_s = 2, goal = { absolute_rad = { shoulder = -1 } } }]",
+                [-1.0, 0.2 + 0.5],
+            ),
+            (GOAL, [0.3, 0.2 + 0.5]),
+        ] {
+            let trajectory = begun(reference, &[0.1, 0.2], from);
+            for joint in 0..2 {
+                assert_eq!(trajectory.at(joint, 0.0)[0], from[0][joint], "{reference}");
+                let last = trajectory.at(joint, 9.0);
+                assert!(
+                    (last[0] - end[joint]).abs() < 1e-15 && last[1..] == [0.0; 2],
+                    "{reference}: {last:?}"
+                );
+            }
+        }
+    }
 }

@@ -6,7 +6,8 @@
 //!
 //! ```
 //! use opspace_control::{
-//!     Compensation, Controller, Measurement, OperationalSpaceController, RobotFacts, Stack, TaskParameters,
+//!     Compensation, Controller, JointLimits, LimitParameters, Measurement, OperationalSpaceController, RobotFacts,
+//!     Stack, TaskParameters,
 //! };
 //! use opspace_model::{Data, Model, aba, update};
 //! use std::collections::BTreeMap;
@@ -29,8 +30,14 @@
 //!     gains = { frequency_rad_per_s = 20.0, damping_ratio = 1.0 }
 //! "#)?;
 //! let priority = ["hand".to_owned()];
-//! let stack = Stack { priority: &priority, task: &task, compensation: Compensation::Bias };
-//! let robot = RobotFacts { period_s: 1e-3, sensors: vec![], gravity_by_robot: false };
+//! let stack = Stack {
+//!     priority: &priority,
+//!     task: &task,
+//!     compensation: Compensation::Bias,
+//!     limits: LimitParameters::default(),
+//! };
+//! let limits = JointLimits::of(&model);
+//! let robot = RobotFacts { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
 //! let mut controller = OperationalSpaceController::new(&model, &stack, &robot)?;
 //!
 //! let (mut data, mut seen, mut tau) = (Data::new(&model), Measurement::new(2, 0, false), [0.0; 2]);
@@ -53,39 +60,58 @@
 
 #![forbid(unsafe_code)]
 
+pub mod active_set;
 pub mod axes;
 pub mod cartesian;
 pub mod controller;
 pub mod error;
 pub mod filter;
+pub mod force;
 mod hierarchy;
 pub mod ik;
+pub mod impedance;
+pub mod interior_point;
 pub mod joint;
 pub mod joint_reference;
+mod level;
+mod lexicographic;
+pub mod limits;
 pub mod measurement;
+pub mod online;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
+pub mod qp;
 pub mod quantity;
 pub mod ramp;
 pub mod rank;
+pub mod recorded;
 pub mod reference;
 pub mod signal;
+pub mod stacks;
+pub mod subject;
 pub mod task;
 pub mod task_axes;
 pub mod wave;
 
-pub use axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, PerAxis};
-pub use cartesian::{AxisGains, CartesianParameters, ForceParameters};
+pub use axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
+pub use cartesian::{AxisGains, CartesianParameters, CenterOfMassParameters, Decoupling, Singularities};
 pub use controller::{CommandKind, Controller};
 pub use error::{ControlError, Reason};
+pub use force::ForceParameters;
 pub use ik::{InverseKinematicsController, ServoLead};
+pub use impedance::ImpedanceParameters;
 pub use joint::{JointDampingParameters, JointGains, JointPostureParameters, JointTrackingParameters};
 pub use joint_reference::JointReference;
+pub use limits::{JointLimits, LimitParameters};
 pub use measurement::Measurement;
+pub use online::{MotionLimits, OnlineGoal};
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;
+pub use recorded::{PoseSample, RecordedError, RecordedPath, RecordedReason};
 pub use reference::{CartesianReference, Target, Trajectory};
 pub use signal::{Layout, Observable, Row, Signal};
+pub use stacks::PreparedStack;
+pub use subject::Subject;
 pub use task::{Compensation, RobotFacts, Stack, TaskParameters};
 pub use task_axes::TaskAxes;

@@ -1,4 +1,4 @@
-//! The torque controller: tasks in strict priority, dynamically decoupled.
+//! The torque controller: tasks in strict priority, dynamically decoupled, within the robot's limits.
 //!
 //! ```text
 //! F_i = Λ_p (a* − J̇ q̇ − J_i M⁻¹ τ_above) + F_compliant        τ = Σ J_pᵀ F_i + τ_joint + C q̇ + g
@@ -6,33 +6,60 @@
 //!
 //! J_p = J_i N is the task within the freedom N that the tasks above leave it. Khatib 1987 for one task;
 //! Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral
-//! primitives*, Int. J. Humanoid Robotics 2(4), 2005, for the levels.
+//! primitives*, Int. J. Humanoid Robotics 2(4), 2005, for the levels. If these torques keep within the
+//! [limits](crate::limits), they are the command; else each level comes as near to its own as the limits and the
+//! levels above allow.
 
-use crate::axes::AXIS_NAMES;
 use crate::controller::{CommandKind, Controller};
 use crate::error::ControlError;
-use crate::hierarchy::{Nullspace, ProjectedTask};
+use crate::level::RowTask;
+use crate::lexicographic::{Cascade, Limits, Residual, Solver, SpeedBound};
+use crate::limits::{Bounds, HORIZON_S, Interval};
 use crate::measurement::Measurement;
 use crate::signal::{Observable, Row, Signal};
+use crate::stacks::{PreparedStack, Shows, Stacks};
 use crate::task::{Compensation, Levels, RobotFacts, Stack};
-use nalgebra::{DVector, Vector6};
+use nalgebra::DVector;
 use opspace_model::{Data, Model};
 
 /// Tasks to torques.
-#[derive(Clone, Debug)]
 pub struct OperationalSpaceController {
-    levels: Levels,
-    projected: Vec<ProjectedTask>,
-    /// F_i in the task's axes, N and Nm.
-    force: Vec<Vector6<f64>>,
-    nullspace: Nullspace,
+    stacks: Stacks,
+    robot: RobotFacts,
     compensation: Compensation,
-    gravity_by_robot: bool,
+    limiter: Option<Limiter>,
+    /// Of the tasks (n).
     torque: DVector<f64>,
     joint_torque: DVector<f64>,
     scratch: DVector<f64>,
-    joint_signals: Vec<Signal>,
+    /// Commanded beside the tasks' torques (n).
+    own_torque: DVector<f64>,
+    /// What was commanded last (n).
+    commanded: DVector<f64>,
+    joint_names: Vec<String>,
 }
+
+/// What keeps commands within the limits.
+struct Limiter {
+    bounds: Bounds,
+    cascade: Cascade,
+    /// The first `speed_count` of them in force.
+    speeds: Vec<SpeedBound>,
+    speed_count: usize,
+    /// What of the joints' acceleration doesn't come from the tasks (n).
+    drift: DVector<f64>,
+    /// Which bounds each joint's command stands at, as the sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
+    limited: DVector<f64>,
+    solver: Solver,
+}
+
+/// In the `limited` signal: the command stands at a bound of the joint's acceleration.
+const LIMITED_ACCELERATION: f64 = 1.0;
+/// In the `limited` signal: the command stands at a bound of the joint's torque or its rate.
+const LIMITED_TORQUE: f64 = 2.0;
+
+/// Bounds on the speed of tasks at most: two for each of the first eight tasks.
+const MAX_SPEED_BOUNDS: usize = 16;
 
 impl OperationalSpaceController {
     /// The tasks of `stack` for a robot.
@@ -41,72 +68,236 @@ impl OperationalSpaceController {
     /// Names that the robot doesn't have, axes that it can't move, gains that are missing: see
     /// [`Reason`](crate::error::Reason).
     pub fn new(model: &Model, stack: &Stack<'_>, robot: &RobotFacts) -> Result<Self, ControlError> {
-        let levels = Levels::new(model, stack, robot)?;
         let n = model.n();
+        let stacks = Stacks::new(model, stack, robot, Shows::Forces)?;
         let zero = DVector::zeros(n);
+        let limiter = stack.limits.enforce.then(|| Limiter::new(model, stack, robot));
         Ok(Self {
-            projected: vec![ProjectedTask::new(n); levels.cartesian.len()],
-            force: vec![Vector6::zeros(); levels.cartesian.len()],
-            nullspace: Nullspace::new(n, levels.cartesian.len()),
+            stacks,
+            robot: robot.clone(),
             compensation: stack.compensation,
-            gravity_by_robot: robot.gravity_by_robot,
+            limiter,
             torque: zero.clone(),
             joint_torque: zero.clone(),
-            scratch: zero,
-            joint_signals: levels.joint.as_ref().map_or_else(Vec::new, |task| task.signals(model)),
-            levels,
+            scratch: zero.clone(),
+            own_torque: zero.clone(),
+            commanded: zero,
+            joint_names: model.joints().iter().map(|j| j.name.clone()).collect(),
         })
     }
 
-    /// Adds the torques of the `level`-th Cartesian task and takes its freedom from those below.
-    fn add_cartesian(&mut self, level: usize, model: &Model, data: &Data, measurement: &Measurement) {
-        let task = &mut self.levels.cartesian[level];
-        task.observe(model, data, measurement.time_s);
-        task.sense(model, data, measurement);
-        task.update_jacobian(model, data);
-        let projected = &mut self.projected[level];
-        let rows = task.axes.rows();
-        projected.update(
-            &data.mass_matrix_factor,
-            &self.nullspace,
-            &task.jacobian,
-            rows,
-            task.singularity_threshold,
-        );
-
-        // M⁻¹ τ_above.
-        self.scratch.copy_from(&self.torque);
-        data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-        let acceleration = task.acceleration(model, data);
-        let mut wanted = Vector6::zeros();
-        for (row, &axis) in task.axes.axes().iter().enumerate() {
-            let caused: f64 =
-                task.jacobian.row(row).iter().zip(self.scratch.iter()).map(|(j, a)| j * a).sum();
-            wanted[row] = acceleration[axis] * task.axes.scale[axis] - caused;
-        }
-        let mut force = projected.space.task_inertia * wanted;
-        let added = task.added_force();
-        self.force[level] = Vector6::zeros();
-        for (row, &axis) in task.axes.axes().iter().enumerate() {
-            // A row that is multiplied by a length belongs to a force that is divided by it.
-            force[row] += added[axis] / task.axes.scale[axis];
-            self.force[level][axis] = force[row] * task.axes.scale[axis];
-        }
-        for (t, column) in self.torque.iter_mut().zip(projected.jacobian.column_iter()) {
-            for row in 0..rows {
-                *t += column[row] * force[row];
-            }
-        }
-        self.nullspace.narrow(projected);
+    /// Another stack for the same robot, to be [switched](Self::switch) to while running or
+    /// [scheduled](Self::schedule). Its compensation and limits aren't used: those of the first stack stay.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn prepare(&self, model: &Model, stack: &Stack<'_>) -> Result<PreparedStack, ControlError> {
+        PreparedStack::new(model, stack, &self.robot)
     }
 
-    /// The torque of the arm's own forces at joint `i` that the controller takes away.
-    fn compensated(&self, data: &Data, i: usize) -> f64 {
+    /// Carries out `stack` from now on, and gives back the one that was carried out. Tasks of the same name go on from
+    /// each other; the torque moves no faster than the robot's limit allows. Allocates nothing; only tasks that were
+    /// there, or scheduled, when the signals were listed are in the log.
+    pub fn switch(
+        &mut self,
+        stack: PreparedStack,
+        model: &Model,
+        data: &Data,
+        measurement: &Measurement,
+    ) -> PreparedStack {
+        self.stacks.switch(stack, model, data, measurement)
+    }
+
+    /// Carries out `stack` from `time_s` on, s after the start.
+    pub fn schedule(&mut self, time_s: f64, stack: PreparedStack) {
+        self.stacks.schedule(time_s, stack);
+    }
+
+    /// Whether a limit changed the last command.
+    #[must_use]
+    pub fn is_limited(&self) -> bool {
+        self.limiter.as_ref().is_some_and(|limiter| limiter.solver != Solver::Unlimited)
+    }
+
+    /// Goes the long way even where no limit is in force: for tests and benches, which compare the two.
+    #[doc(hidden)]
+    pub fn without_shortcut(&mut self) {
+        if let Some(limiter) = &mut self.limiter {
+            limiter.cascade.without_shortcut();
+        }
+    }
+
+    /// The tasks' torques as if there were no limits.
+    fn unlimited(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        let hold = self.is_limited();
+        let levels = self.stacks.current();
+        self.torque.fill(0.0);
+        levels.nullspace.reset();
+        for (place, level) in levels.rows.iter_mut().enumerate() {
+            level.update(model, data, measurement, hold, &levels.nullspace);
+            if place == 0 {
+                level.add_torque(None, self.torque.as_mut_slice());
+            } else {
+                // M⁻¹ τ_above.
+                self.scratch.copy_from(&self.torque);
+                data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
+                level.add_torque(Some(self.scratch.as_slice()), self.torque.as_mut_slice());
+            }
+            levels.nullspace.narrow(&level.projected);
+        }
+        if let Some(task) = &mut levels.joint {
+            let (scratch, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
+            task.torque(data, measurement.time_s, scratch, torque);
+            levels.nullspace.project_torque(torque);
+            self.torque += &self.joint_torque;
+        }
+    }
+
+    /// The arm's own torques that the controller takes away.
+    fn compensate(&mut self, data: &Data) {
         let own = match self.compensation {
-            Compensation::Bias => data.bias[i],
-            Compensation::Gravity => data.gravity[i],
+            Compensation::Bias => &data.bias,
+            Compensation::Gravity => &data.gravity,
         };
-        if self.gravity_by_robot { own - data.gravity[i] } else { own }
+        self.own_torque.copy_from(own);
+        if self.robot.gravity_by_robot {
+            self.own_torque -= &data.gravity;
+        }
+    }
+
+    /// The tasks' torques, changed where a limit asks for it.
+    fn limit(&mut self, data: &Data, measurement: &Measurement) {
+        let Some(limiter) = &mut self.limiter else {
+            return;
+        };
+        let levels = self.stacks.current();
+        limiter.look(data, measurement, self.compensation, levels, &self.commanded);
+        self.scratch.copy_from(&self.torque);
+        data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
+        let (mut limits, cascade) = limiter.limits(&self.own_torque);
+        if cascade.needs_no(&limits, self.scratch.as_slice(), self.torque.as_slice()) {
+            limiter.settle(Solver::Unlimited, &self.scratch, &self.torque, &self.own_torque);
+            return;
+        }
+        cascade.begin(data);
+        levels.nullspace.rewind(0);
+        let mut solved = Ok(());
+        for (place, level) in levels.rows.iter_mut().enumerate() {
+            self.scratch.fill(0.0);
+            level.add_torque(Some(cascade.alpha()), self.scratch.as_mut_slice());
+            data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
+            cascade.ask(data, self.scratch.as_slice(), &mut limits);
+            let heading = level.heading(data, cascade.alpha(), HORIZON_S);
+            let residual = Residual::Rows { jacobian: &level.projected.jacobian, heading };
+            solved =
+                solved.and_then(|()| cascade.keep_within(data, &levels.nullspace, &residual, &mut limits));
+            levels.nullspace.rewind(place + 1);
+        }
+        self.scratch.fill(0.0);
+        if levels.joint.is_some() {
+            self.scratch.copy_from(&self.joint_torque);
+            data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
+        }
+        cascade.ask(data, self.scratch.as_slice(), &mut limits);
+        solved = solved
+            .and_then(|()| cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits));
+        let solver = if solved.is_ok() { cascade.solver() } else { Solver::Clipped };
+        if solved.is_ok() {
+            cascade.torque_into(data, self.torque.as_mut_slice());
+            self.scratch.copy_from_slice(cascade.alpha());
+        }
+        limiter.clip(&mut self.torque, &self.own_torque);
+        limiter.settle(solver, &self.scratch, &self.torque, &self.own_torque);
+    }
+}
+
+impl Limiter {
+    fn new(model: &Model, stack: &Stack<'_>, robot: &RobotFacts) -> Self {
+        let n = model.n();
+        let zero = DVector::zeros(n);
+        let limits = robot.limits.clone().narrowed(&stack.limits);
+        Self {
+            bounds: Bounds::new(model, limits, robot.period_s),
+            cascade: Cascade::new(n, MAX_SPEED_BOUNDS),
+            speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; MAX_SPEED_BOUNDS],
+            speed_count: 0,
+            drift: zero.clone(),
+            limited: zero,
+            solver: Solver::Unlimited,
+        }
+    }
+
+    /// Takes in the state, and what was `commanded` before.
+    fn look(
+        &mut self,
+        data: &Data,
+        measurement: &Measurement,
+        compensation: Compensation,
+        levels: &Levels,
+        commanded: &DVector<f64>,
+    ) {
+        self.bounds.update(measurement, commanded);
+        if compensation == Compensation::Gravity {
+            for (drift, (gravity, bias)) in self.drift.iter_mut().zip(data.gravity.iter().zip(&data.bias)) {
+                *drift = gravity - bias;
+            }
+            data.mass_matrix_factor.solve(self.drift.as_mut_slice());
+        }
+        self.speed_count = 0;
+        for level in &levels.rows {
+            let RowTask::Cartesian(task) = &level.task else { continue };
+            for kind in 0..2 {
+                let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
+                if let Some(upper) = task.speed_bound(kind, level.bias(), slot.row.as_mut_slice()) {
+                    slot.upper = upper;
+                    self.speed_count += 1;
+                }
+            }
+        }
+    }
+
+    fn limits<'a>(&'a mut self, own_torque: &'a DVector<f64>) -> (Limits<'a>, &'a mut Cascade) {
+        let limits = Limits {
+            bounds: &mut self.bounds,
+            own_torque,
+            drift: &self.drift,
+            speeds: &mut self.speeds[..self.speed_count],
+        };
+        (limits, &mut self.cascade)
+    }
+
+    /// Cuts off torques beyond their limits: rounding, or what no solver could bring within them.
+    fn clip(&self, torque: &mut DVector<f64>, own_torque: &DVector<f64>) {
+        let Interval { lower, upper } = &self.bounds.torque;
+        for (i, t) in torque.iter_mut().enumerate() {
+            // NaN passes: the backend refuses it by name.
+            *t = (*t + own_torque[i]).clamp(lower[i], upper[i]) - own_torque[i];
+        }
+    }
+
+    /// Which bounds the command stands at.
+    fn settle(
+        &mut self,
+        solver: Solver,
+        alpha: &DVector<f64>,
+        torque: &DVector<f64>,
+        own_torque: &DVector<f64>,
+    ) {
+        self.solver = solver;
+        if solver == Solver::Unlimited {
+            self.limited.fill(0.0);
+            return;
+        }
+        for i in 0..alpha.len() {
+            let at = |interval: &Interval, value: f64| {
+                let near = 1e-6 * (1.0 + value.abs());
+                value <= interval.lower[i] + near || value >= interval.upper[i] - near
+            };
+            let acceleration = at(&self.bounds.acceleration, alpha[i] + self.drift[i]);
+            let torque = at(&self.bounds.torque, torque[i] + own_torque[i]);
+            self.limited[i] = if acceleration { LIMITED_ACCELERATION } else { 0.0 }
+                + if torque { LIMITED_TORQUE } else { 0.0 };
+        }
     }
 }
 
@@ -116,54 +307,40 @@ impl Controller for OperationalSpaceController {
     }
 
     fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        for task in &mut self.levels.cartesian {
-            task.start(model, data, measurement);
-        }
-        if let Some(task) = &mut self.levels.joint {
-            task.start(&measurement.q);
+        self.stacks.current().start(model, data, measurement);
+        // The torque comes in from holding still.
+        for (i, commanded) in self.commanded.iter_mut().enumerate() {
+            *commanded = if self.robot.gravity_by_robot { 0.0 } else { data.gravity[i] };
         }
     }
 
     fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
-        self.torque.fill(0.0);
-        self.nullspace.reset();
-        for level in 0..self.levels.cartesian.len() {
-            self.add_cartesian(level, model, data, measurement);
+        self.stacks.advance(model, data, measurement);
+        self.unlimited(model, data, measurement);
+        self.compensate(data);
+        self.limit(data, measurement);
+        for ((out, torque), own) in command.iter_mut().zip(&self.torque).zip(&self.own_torque) {
+            *out = torque + own;
         }
-        if let Some(task) = &mut self.levels.joint {
-            let (scratch, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
-            task.torque(data, measurement.time_s, scratch, torque);
-            self.nullspace.project_torque(torque);
-            self.torque += &self.joint_torque;
-        }
-        for (i, out) in command.iter_mut().enumerate() {
-            *out = self.torque[i] + self.compensated(data, i);
-        }
+        self.commanded.copy_from_slice(command);
     }
 }
 
 impl Observable for OperationalSpaceController {
     fn signals(&self) -> Vec<Signal> {
-        let mut signals = Vec::new();
-        for task in &self.levels.cartesian {
-            signals.extend(task.motion_signals());
-            signals.push(Signal::new(format!("{}.force", task.name), "N,Nm", &AXIS_NAMES));
-            signals.extend(task.sensed_signal());
-            signals.push(Signal::scalar(format!("{}.weakest_share", task.name), "1"));
+        let mut signals = self.stacks.signals();
+        if self.limiter.is_some() {
+            signals.push(Signal::new("limited", "1", &self.joint_names));
+            signals.push(Signal::scalar("limits_solver", "1"));
         }
-        signals.extend(self.joint_signals.iter().cloned());
         signals
     }
 
     fn sample(&self, row: &mut Row<'_>) {
-        for ((task, projected), force) in self.levels.cartesian.iter().zip(&self.projected).zip(&self.force) {
-            task.sample_motion(row);
-            row.put(force.as_slice());
-            task.sample_sensed(row);
-            row.put_one(projected.space.weakest_share);
-        }
-        if let Some(task) = &self.levels.joint {
-            task.sample(row);
+        self.stacks.sample(row);
+        if let Some(limiter) = &self.limiter {
+            row.put(limiter.limited.as_slice());
+            row.put_one(f64::from(limiter.solver as u8));
         }
     }
 }

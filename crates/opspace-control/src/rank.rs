@@ -1,8 +1,9 @@
 //! Which tasks an arm can carry out at all: the rank of their axes, sampled, and the arm's reach.
 
+use crate::subject::Subject;
 use crate::task_axes::TaskAxes;
 use nalgebra::{DMatrix, Matrix3, Matrix6xX};
-use opspace_model::{Data, FrameId, JointKind, Limits, Model, frame_jacobian, kinematics};
+use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics};
 use std::f64::consts::PI;
 
 /// Singular values below this share of the largest don't count: far above rounding, far below what an arm
@@ -13,11 +14,31 @@ const RANK_TOLERANCE: f64 = 1e-6;
 /// everywhere.
 const SAMPLES: usize = 64;
 
-/// The highest rank of the tasks' axes, taken together, over configurations spread within the joint limits.
+/// The rows of a task, whatever the state.
+#[derive(Clone, Copy, Debug)]
+pub enum Rows<'a> {
+    /// Axes of a motion.
+    Axes(&'a TaskAxes),
+    /// Joints, by index.
+    Joints(&'a [usize]),
+}
+
+impl Rows<'_> {
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        match self {
+            Self::Axes(task) => task.rows(),
+            Self::Joints(joints) => joints.len(),
+        }
+    }
+}
+
+/// The highest rank of the tasks' rows, taken together, over configurations spread within the joint limits.
 #[must_use]
-pub fn sampled_rank(model: &Model, tasks: &[&TaskAxes]) -> usize {
+pub fn sampled_rank(model: &Model, tasks: &[Rows<'_>]) -> usize {
     let n = model.n();
-    let rows: usize = tasks.iter().map(|t| t.rows()).sum();
+    let rows: usize = tasks.iter().map(Rows::count).sum();
     let full = rows.min(n);
     let mut data = Data::new(model);
     let mut world = Matrix6xX::zeros(n);
@@ -29,10 +50,18 @@ pub fn sampled_rank(model: &Model, tasks: &[&TaskAxes]) -> usize {
         kinematics(model, &mut data, &configuration(model, sample), &rest);
         let mut first = 0;
         for task in tasks {
-            frame_jacobian(model, &data, task.frame, &mut world);
-            task.select(&world, &mut selected);
-            stacked.rows_mut(first, task.rows()).copy_from(&selected.rows(0, task.rows()));
-            first += task.rows();
+            match task {
+                Rows::Axes(task) => {
+                    task.subject.jacobian(model, &data, &mut world);
+                    task.select(&world, &mut selected);
+                }
+                Rows::Joints(joints) => {
+                    selected.fill(0.0);
+                    joints.iter().enumerate().for_each(|(row, &joint)| selected[(row, joint)] = 1.0);
+                }
+            }
+            stacked.rows_mut(first, task.count()).copy_from(&selected.rows(0, task.count()));
+            first += task.count();
         }
         best = best.max(rank(&stacked));
         if best == full {
@@ -46,9 +75,10 @@ pub fn sampled_rank(model: &Model, tasks: &[&TaskAxes]) -> usize {
 /// together have fewer directions than each has by itself. So it is with fewer than six joints, unless the
 /// arm is planar.
 #[must_use]
-pub fn orientation_is_coupled(model: &Model, frame: FrameId) -> bool {
-    let directions =
-        |in_task| sampled_rank(model, &[&TaskAxes::new(frame, Matrix3::identity(), in_task, 1.0)]);
+pub fn orientation_is_coupled(model: &Model, subject: Subject) -> bool {
+    let directions = |in_task| {
+        sampled_rank(model, &[Rows::Axes(&TaskAxes::new(subject, Matrix3::identity(), in_task, 1.0))])
+    };
     let position = directions([true, true, true, false, false, false]);
     let orientation = directions([false, false, false, true, true, true]);
     directions([true; 6]) < position + orientation
@@ -65,7 +95,7 @@ fn rank(matrix: &DMatrix<f64>) -> usize {
 
 /// The `sample`-th of a sequence that fills the space between the joint limits evenly (Roberts'
 /// generalised golden ratio).
-fn configuration(model: &Model, sample: usize) -> Vec<f64> {
+pub(crate) fn configuration(model: &Model, sample: usize) -> Vec<f64> {
     let n = model.n();
     // The root of x^(n+1) = x + 1.
     let ratio = (0..64).fold(2.0_f64, |x, _| (1.0 + x).powf(1.0 / (n as f64 + 1.0)));
@@ -85,6 +115,16 @@ fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
     let limited = kind != JointKind::Continuous;
     let or_far = |limit: f64, far: f64| if limited && limit.is_finite() { limit } else { far };
     (or_far(limits.lower, -far), or_far(limits.upper, far))
+}
+
+/// The length by which a task's rotations are weighed against its displacements, m: the reach of what it moves.
+#[must_use]
+pub fn characteristic_length(model: &Model, subject: Subject) -> f64 {
+    match subject {
+        Subject::Frame(frame) | Subject::Relative { frame, .. } => reach(model, frame),
+        // It doesn't turn.
+        Subject::CenterOfMass => 1.0,
+    }
 }
 
 /// How far a frame can be from the first joint that moves it, m: the distances from joint to joint added

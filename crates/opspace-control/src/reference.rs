@@ -1,10 +1,14 @@
 //! References of a Cartesian task: where the frame should be, how fast, and with which acceleration.
 //!
-//! Every reference begins, at time 0, at the pose at which the controller is started.
+//! Every reference begins, at time 0, where the target is at that instant: at the start of a run at the
+//! frame's pose, at rest; in its midst at what the reference before it asked for. An [`OnlineGoal`] takes over the
+//! motion too; the others set out from rest.
 
+use crate::online::{OnlineGoal, OnlineVector};
 use crate::orientation::{self, rotation_vector_rates};
 use crate::quantity::{NonNegative, Positive, exactly};
 use crate::ramp::{minimum_jerk, product};
+use crate::recorded::{RecordedMotion, RecordedPath};
 use crate::wave::{self, AngularWave, LinearWave, Wave};
 use nalgebra::{Matrix3, Vector3};
 use opspace_model::{Motion, Placement};
@@ -23,6 +27,10 @@ pub enum CartesianReference {
     Sinusoid(Sinusoid),
     /// Goes from pose to pose, in straight lines and plain turns, and stops at each.
     Waypoints(Vec<Waypoint>),
+    /// Goes to one pose as fast as limits allow, from any state of motion.
+    Goal(OnlineGoal),
+    /// Follows a recorded path.
+    Recorded(RecordedPath),
 }
 
 /// A minimum-jerk motion to one pose.
@@ -62,7 +70,7 @@ pub enum PositionGoal {
     /// In the world, m.
     #[serde(rename = "absolute_m")]
     Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
-    /// From the start position, along the task's axes, m.
+    /// From the position at the start of the run, along the task's axes, m.
     #[serde(rename = "offset_m")]
     Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
@@ -73,7 +81,7 @@ pub enum OrientationGoal {
     /// Against the world, rad.
     #[serde(rename = "absolute_rpy_rad")]
     Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
-    /// From the start orientation, about the task's axes, rad.
+    /// From the orientation at the start of the run, about the task's axes, rad.
     #[serde(rename = "offset_rpy_rad")]
     Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
@@ -132,14 +140,16 @@ impl Target {
 }
 
 impl CartesianReference {
-    /// Whether it turns the frame.
+    /// Whether it asks for a turn. A recorded path doesn't: where rotations are free, its orientations are only
+    /// what was recorded too.
     #[must_use]
     pub fn turns(&self) -> bool {
         match self {
-            Self::Hold => false,
+            Self::Hold | Self::Recorded(_) => false,
             Self::PointToPoint(p) => p.orientation.is_some(),
             Self::Sinusoid(s) => !(s.rx.is_empty() && s.ry.is_empty() && s.rz.is_empty()),
             Self::Waypoints(list) => list.iter().any(|w| w.orientation.is_some()),
+            Self::Goal(goal) => goal.orientation.is_some(),
         }
     }
 }
@@ -147,9 +157,10 @@ impl CartesianReference {
 /// A [`CartesianReference`] ready to be followed.
 #[derive(Clone, Debug)]
 pub struct Trajectory {
-    /// The task's axes in the world.
+    /// The task's axes in the world, at the start.
     axes: Matrix3<f64>,
-    start: Placement,
+    /// The target at the start.
+    from: Placement,
     path: Path,
 }
 
@@ -157,6 +168,16 @@ pub struct Trajectory {
 enum Path {
     Legs { goals: Vec<Goal>, legs: Vec<Leg> },
     Waves { axes: [Vec<Wave>; 6], ramp_s: f64 },
+    Online(Box<OnlinePose>),
+    Recorded(Box<RecordedMotion>),
+}
+
+/// An online goal, and the ways to it: a displacement and a rotation vector, in world axes.
+#[derive(Clone, Debug)]
+struct OnlinePose {
+    goal: OnlineGoal,
+    line: OnlineVector,
+    turn: OnlineVector,
 }
 
 /// A pose to reach, its offsets still from a start that isn't known.
@@ -179,9 +200,9 @@ struct Leg {
 }
 
 impl Trajectory {
-    /// `axes` are the task's, in the world. It stays at the world's origin until [`start`](Self::start).
+    /// It stays at the world's origin until [`start`](Self::start).
     #[must_use]
-    pub fn new(reference: &CartesianReference, axes: Matrix3<f64>) -> Self {
+    pub fn new(reference: &CartesianReference) -> Self {
         let goals = |goals: Vec<Goal>| Path::Legs { legs: Vec::with_capacity(goals.len()), goals };
         let path = match reference {
             CartesianReference::Hold => goals(Vec::new()),
@@ -215,28 +236,49 @@ impl Trajectory {
                 ],
                 ramp_s: s.ramp_s.get(),
             },
+            CartesianReference::Goal(goal) => {
+                let rest = OnlineVector::rest();
+                Path::Online(Box::new(OnlinePose { goal: goal.clone(), line: rest, turn: rest }))
+            }
+            CartesianReference::Recorded(path) => {
+                let motion = RecordedMotion::new(path);
+                motion.map_or_else(|| goals(Vec::new()), |motion| Path::Recorded(Box::new(motion)))
+            }
         };
-        Self { axes, start: Placement::identity(), path }
+        Self { axes: Matrix3::identity(), from: Placement::identity(), path }
     }
 
-    /// Begins at `placement` (world).
-    pub fn start(&mut self, placement: Placement) {
-        self.start = placement;
-        let Path::Legs { goals, legs } = &mut self.path else {
-            return;
-        };
-        legs.clear();
-        let mut from = placement;
-        for goal in goals {
-            let to = goal.resolve(&self.axes, &placement, &from);
-            legs.push(Leg {
-                begin_s: goal.begin_s,
-                end_s: goal.end_s,
-                from,
-                line: to.translation - from.translation,
-                turn: orientation::log(&(to.rotation * from.rotation.transpose())),
-            });
-            from = to;
+    /// Begins now: time 0 of [`at`](Self::at) is this instant. It doesn't allocate, so that a task may change
+    /// while it runs.
+    ///
+    /// `home` is the frame's pose at the start of the run, from which the offsets of goals count; `from` the
+    /// target in force, `axes` the task's axes, one a column: all in the world. At the start of a run `from`
+    /// is at rest at `home`.
+    pub fn start(&mut self, home: &Placement, from: &Target, axes: &Matrix3<f64>) {
+        self.axes = *axes;
+        self.from = from.placement;
+        match &mut self.path {
+            Path::Legs { goals, legs } => {
+                legs.clear();
+                let mut from = from.placement;
+                for goal in goals {
+                    let to = Placement {
+                        translation: position(goal.position.as_ref(), axes, home, &from),
+                        rotation: rotation(goal.orientation.as_ref(), axes, home, &from),
+                    };
+                    legs.push(Leg {
+                        begin_s: goal.begin_s,
+                        end_s: goal.end_s,
+                        from,
+                        line: to.translation - from.translation,
+                        turn: orientation::log(&(to.rotation * from.rotation.transpose())),
+                    });
+                    from = to;
+                }
+            }
+            Path::Waves { .. } => {}
+            Path::Online(online) => online.start(home, from, axes),
+            Path::Recorded(motion) => motion.start(&from.placement, axes),
         }
     }
 
@@ -245,10 +287,12 @@ impl Trajectory {
     pub fn at(&self, time_s: f64) -> Target {
         match &self.path {
             Path::Legs { legs, .. } => match legs.iter().rev().find(|leg| leg.begin_s <= time_s) {
-                None => Target::at_rest(self.start),
+                None => Target::at_rest(self.from),
                 Some(leg) => leg.at(time_s),
             },
             Path::Waves { axes, ramp_s } => self.swing(axes, *ramp_s, time_s),
+            Path::Online(online) => moved(&self.from, online.line.at(time_s), online.turn.at(time_s)),
+            Path::Recorded(motion) => motion.at(time_s),
         }
     }
 
@@ -262,25 +306,58 @@ impl Trajectory {
             }
         }
         let [line, turn] = offset.map(|derivatives| derivatives.map(|v| self.axes * v));
-        moved(&self.start, line, turn)
+        moved(&self.from, line, turn)
     }
 }
 
-impl Goal {
-    fn resolve(&self, axes: &Matrix3<f64>, start: &Placement, before: &Placement) -> Placement {
-        Placement {
-            translation: match self.position {
-                None => before.translation,
-                Some(PositionGoal::Absolute(p)) => Vector3::from(p),
-                Some(PositionGoal::Offset(p)) => start.translation + axes * Vector3::from(p),
-            },
-            rotation: match self.orientation {
-                None => before.rotation,
-                Some(OrientationGoal::Absolute(rpy)) => orientation::from_rpy(rpy),
-                Some(OrientationGoal::Offset(rpy)) => {
-                    axes * orientation::from_rpy(rpy) * axes.transpose() * start.rotation
-                }
-            },
+impl OnlinePose {
+    fn start(&mut self, home: &Placement, from: &Target, axes: &Matrix3<f64>) {
+        let Target { placement, velocity, acceleration } = from;
+        self.line = match &self.goal.position {
+            None => OnlineVector::back(&velocity.linear, &acceleration.linear),
+            Some((goal, limits)) => {
+                let way = position(Some(goal), axes, home, placement) - placement.translation;
+                OnlineVector::new(&velocity.linear, &acceleration.linear, &way, limits)
+            }
+        };
+        // A rotation vector at zero moves as the frame turns.
+        self.turn = match &self.goal.orientation {
+            None => OnlineVector::back(&velocity.angular, &acceleration.angular),
+            Some((goal, limits)) => {
+                let to = rotation(Some(goal), axes, home, placement);
+                let way = orientation::log(&(to * placement.rotation.transpose()));
+                OnlineVector::new(&velocity.angular, &acceleration.angular, &way, limits)
+            }
+        };
+    }
+}
+
+/// Where a goal is in the world; where `before` is if there is none.
+fn position(
+    goal: Option<&PositionGoal>,
+    axes: &Matrix3<f64>,
+    home: &Placement,
+    before: &Placement,
+) -> Vector3<f64> {
+    match goal {
+        None => before.translation,
+        Some(PositionGoal::Absolute(p)) => Vector3::from(*p),
+        Some(PositionGoal::Offset(p)) => home.translation + axes * Vector3::from(*p),
+    }
+}
+
+/// As [`position`], of the orientation.
+fn rotation(
+    goal: Option<&OrientationGoal>,
+    axes: &Matrix3<f64>,
+    home: &Placement,
+    before: &Placement,
+) -> Matrix3<f64> {
+    match goal {
+        None => before.rotation,
+        Some(OrientationGoal::Absolute(rpy)) => orientation::from_rpy(*rpy),
+        Some(OrientationGoal::Offset(rpy)) => {
+            axes * orientation::from_rpy(*rpy) * axes.transpose() * home.rotation
         }
     }
 }

@@ -94,6 +94,16 @@ impl<'a> Row<'a> {
         self.put(&[value]);
     }
 
+    /// Leaves out values: they are not a number.
+    ///
+    /// # Panics
+    /// As [`put`](Self::put).
+    pub fn skip(&mut self, count: usize) {
+        for _ in 0..count {
+            self.put_one(f64::NAN);
+        }
+    }
+
     /// How many values are still to come.
     #[must_use]
     pub fn remaining(&self) -> usize {

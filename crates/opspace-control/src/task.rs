@@ -1,15 +1,18 @@
 //! Tasks, their order, and the robot they are for.
 
 use crate::axes::AXIS_NAMES;
-use crate::cartesian::{CartesianParameters, CartesianTask};
+use crate::cartesian::{CartesianParameters, CartesianTask, CenterOfMassParameters};
 use crate::error::{ControlError, Reason};
+use crate::hierarchy::Nullspace;
 use crate::joint::{
-    JointDampingParameters, JointPostureParameters, JointTask, JointTrackingParameters, Posture, Tracking,
-    damping,
+    Damping, JointDampingParameters, JointPostureParameters, JointTask, JointTrackingParameters, Posture,
+    SelectedJoints, Tracking,
 };
-use crate::rank::{orientation_is_coupled, sampled_rank};
-use crate::task_axes::TaskAxes;
-use opspace_model::{FrameId, Model};
+use crate::level::{Level, RowTask};
+use crate::limits::{JointLimits, LimitParameters};
+use crate::measurement::Measurement;
+use crate::rank::{Rows, orientation_is_coupled, sampled_rank};
+use opspace_model::{Data, FrameId, Model};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -20,6 +23,8 @@ use std::collections::BTreeMap;
 pub enum TaskParameters {
     /// A frame that follows a reference on some axes and gives way on others.
     Cartesian(Box<CartesianParameters>),
+    /// The centre of mass follows a reference.
+    CenterOfMass(Box<CenterOfMassParameters>),
     /// The joints follow a reference.
     JointTracking(JointTrackingParameters),
     /// The joints are drawn to a posture.
@@ -48,6 +53,8 @@ pub struct Stack<'a> {
     pub task: &'a BTreeMap<String, TaskParameters>,
     /// Which of the arm's own forces are taken away.
     pub compensation: Compensation,
+    /// How the robot's limits are kept.
+    pub limits: LimitParameters,
 }
 
 /// What a controller must know of the robot besides its model.
@@ -59,39 +66,96 @@ pub struct RobotFacts {
     pub sensors: Vec<(String, FrameId)>,
     /// Whether the robot adds gravity's torque to those it is commanded.
     pub gravity_by_robot: bool,
+    /// What its joints can do.
+    pub limits: JointLimits,
 }
 
-/// The tasks of one robot: Cartesian ones in the order of their priority, and one in joint space below
+/// The tasks of one robot: those of at most six rows in the order of their priority, and one of all joints below
 /// them.
 #[derive(Clone, Debug)]
 pub(crate) struct Levels {
-    pub cartesian: Vec<CartesianTask>,
+    pub rows: Vec<Level>,
     pub joint: Option<JointTask>,
+    pub nullspace: Nullspace,
 }
 
 impl Levels {
     pub(crate) fn new(model: &Model, stack: &Stack<'_>, robot: &RobotFacts) -> Result<Self, ControlError> {
         check_names(stack)?;
-        let mut levels = Self { cartesian: Vec::new(), joint: None };
+        let (mut rows, mut joint) = (Vec::new(), None);
         for (place, name) in stack.priority.iter().enumerate() {
-            let joint = match &stack.task[name] {
+            let task = match &stack.task[name] {
                 TaskParameters::Cartesian(p) => {
-                    levels.cartesian.push(CartesianTask::new(name, p, model, robot)?);
-                    check_rank(model, &levels.cartesian)?;
+                    RowTask::Cartesian(Box::new(CartesianTask::new(name, p, model, robot)?))
+                }
+                TaskParameters::CenterOfMass(p) => {
+                    RowTask::Cartesian(Box::new(CartesianTask::of_center_of_mass(name, p, model, robot)?))
+                }
+                TaskParameters::JointTracking(p) if !p.joints.is_empty() => {
+                    RowTask::Joints(Box::new(SelectedJoints::new(name, p, model)?))
+                }
+                TaskParameters::JointTracking(p) => {
+                    joint = Some(JointTask::Tracking(Box::new(Tracking::new(name, p, model)?)));
+                    check_last(stack, place)?;
                     continue;
                 }
-                TaskParameters::JointTracking(p) => JointTask::Tracking(Tracking::new(name, p, model)?),
-                TaskParameters::JointPosture(p) => JointTask::Posture(Posture::new(name, p, model)?),
-                TaskParameters::JointDamping(p) => JointTask::Damping(damping(name, p, model)?),
+                TaskParameters::JointPosture(p) => {
+                    joint = Some(JointTask::Posture(Posture::new(name, p, model)?));
+                    check_last(stack, place)?;
+                    continue;
+                }
+                TaskParameters::JointDamping(p) => {
+                    joint = Some(JointTask::Damping(Damping::new(name, p, model)?));
+                    check_last(stack, place)?;
+                    continue;
+                }
             };
-            if let Some(below) = stack.priority.get(place + 1) {
-                let reason = Reason::NotLast { name: name.clone(), below: below.clone() };
-                return Err(ControlError::new("priority", reason));
-            }
-            levels.joint = Some(joint);
+            rows.push(Level::new(task, model));
+            check_rank(model, &rows)?;
         }
-        Ok(levels)
+        let nullspace = Nullspace::new(model.n(), rows.len());
+        Ok(Self { rows, joint, nullspace })
     }
+
+    /// Begins where the robot is.
+    pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.rows.iter_mut().for_each(|level| level.start(model, data, measurement));
+        if let Some(task) = &mut self.joint {
+            task.start(measurement);
+        }
+    }
+
+    /// Goes on from where another stack stands: tasks of the same name from each other, new ones from where the robot
+    /// is. Allocates nothing.
+    pub(crate) fn take_over(
+        &mut self,
+        before: &mut Self,
+        model: &Model,
+        data: &Data,
+        measurement: &Measurement,
+    ) {
+        for level in &mut self.rows {
+            match before.rows.iter_mut().find(|other| other.name() == level.name()) {
+                Some(before) => level.take_over(before, model, data, measurement),
+                None => level.start(model, data, measurement),
+            }
+        }
+        if let Some(task) = &mut self.joint {
+            match before.joint.as_mut().filter(|other| other.name() == task.name()) {
+                Some(before) => task.take_over(before, measurement),
+                None => task.start(measurement),
+            }
+        }
+    }
+}
+
+/// A task of all joints must be the last.
+fn check_last(stack: &Stack<'_>, place: usize) -> Result<(), ControlError> {
+    let Some(below) = stack.priority.get(place + 1) else {
+        return Ok(());
+    };
+    let reason = Reason::NotLast { name: stack.priority[place].clone(), below: below.clone() };
+    Err(ControlError::new("priority", reason))
 }
 
 /// `priority` and the tasks must name each other, one to one.
@@ -119,20 +183,25 @@ fn check_names(stack: &Stack<'_>) -> Result<(), ControlError> {
     Ok(())
 }
 
-/// The last of `tasks` must be able to move all its axes besides those of the tasks above it.
-fn check_rank(model: &Model, tasks: &[CartesianTask]) -> Result<(), ControlError> {
-    let all: Vec<&TaskAxes> = tasks.iter().map(|t| &t.axes).collect();
+/// The last of the levels must be able to move all its rows besides those of the levels above it.
+fn check_rank(model: &Model, levels: &[Level]) -> Result<(), ControlError> {
+    let all: Vec<Rows<'_>> = levels.iter().map(Level::rank_rows).collect();
     let Some((last, above)) = all.split_last() else {
         return Ok(());
     };
-    let name = tasks[above.len()].name.clone();
-    let key = format!("task.{name}.cartesian.axes");
-    let (axes, above, joints) = (last.rows(), above.iter().map(|t| t.rows()).sum::<usize>(), model.n());
+    let name = levels[above.len()].name().to_owned();
+    let (axes, above, joints) = (last.count(), above.iter().map(Rows::count).sum::<usize>(), model.n());
+    let key = match last {
+        Rows::Axes(task) if task.subject.turns() => format!("task.{name}.cartesian.axes"),
+        Rows::Axes(_) => format!("task.{name}.center-of-mass.axes"),
+        Rows::Joints(_) => format!("task.{name}.joint-tracking.joints"),
+    };
     if above + axes > joints {
         return Err(ControlError::new(key, Reason::TooManyAxes { name, axes, above, joints }));
     }
-    if let Some(&turn) = last.axes().iter().find(|&&axis| axis >= 3)
-        && orientation_is_coupled(model, last.frame)
+    if let Rows::Axes(task) = last
+        && let Some(&turn) = task.axes().iter().find(|&&axis| axis >= 3)
+        && orientation_is_coupled(model, task.subject)
     {
         let key = format!("{key}.{}", AXIS_NAMES[turn]);
         return Err(ControlError::new(

@@ -1,15 +1,16 @@
-//! The rows of a Cartesian task: the axes of a frame's motion that belong to it, scaled to one unit.
+//! The rows of a Cartesian task: the axes of a motion that belong to it, scaled to one unit.
 
+use crate::subject::Subject;
 use nalgebra::{Matrix3, Matrix6xX, Vector6};
-use opspace_model::{FrameId, Motion};
+use opspace_model::Motion;
 
-/// Directions of a frame's motion. Rotations are multiplied by a length, so that a spectrum over linear
+/// Directions of a motion. Rotations are multiplied by a length, so that a spectrum over linear
 /// and angular rows means the same in any unit of length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaskAxes {
-    /// The frame that moves.
-    pub frame: FrameId,
-    /// The axes in the world, one a column.
+    /// What moves.
+    pub subject: Subject,
+    /// The axes in the subject's coordinates, one a column.
     pub rotation: Matrix3<f64>,
     /// By how much each of the six axes is multiplied: 1, or the characteristic length (m) for rotations.
     pub scale: [f64; 6],
@@ -18,10 +19,10 @@ pub struct TaskAxes {
 }
 
 impl TaskAxes {
-    /// Those axes of `frame` that are in the task, by their place in
+    /// Those axes of `subject` that are in the task, by their place in
     /// [`AXIS_NAMES`](crate::axes::AXIS_NAMES).
     #[must_use]
-    pub fn new(frame: FrameId, rotation: Matrix3<f64>, in_task: [bool; 6], length_m: f64) -> Self {
+    pub fn new(subject: Subject, rotation: Matrix3<f64>, in_task: [bool; 6], length_m: f64) -> Self {
         let mut rows = [0; 6];
         let mut count = 0;
         for (axis, _) in in_task.iter().enumerate().filter(|(_, used)| **used) {
@@ -29,7 +30,7 @@ impl TaskAxes {
             count += 1;
         }
         let scale = [1.0, 1.0, 1.0, length_m, length_m, length_m];
-        Self { frame, rotation, scale, rows, count }
+        Self { subject, rotation, scale, rows, count }
     }
 
     /// How many axes are in the task.
@@ -44,7 +45,7 @@ impl TaskAxes {
         &self.rows[..self.count]
     }
 
-    /// The rows of the task, scaled, from the Jacobian in world axes: into the first rows of `selected`
+    /// The rows of the task, scaled, from the subject's Jacobian: into the first rows of `selected`
     /// (6 × n).
     ///
     /// # Panics
@@ -59,10 +60,40 @@ impl TaskAxes {
         }
     }
 
-    /// A motion given in world axes, in the task's.
+    /// A motion in the subject's coordinates, in the task's axes.
     #[must_use]
     pub fn of_motion(&self, m: &Motion) -> Vector6<f64> {
         let (linear, angular) = (self.rotation.tr_mul(&m.linear), self.rotation.tr_mul(&m.angular));
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    }
+
+    /// What belongs to the task of a motion's quantity given axis by axis, row by row, scaled.
+    #[must_use]
+    pub fn rows_of(&self, axes: &Vector6<f64>) -> Vector6<f64> {
+        let mut rows = Vector6::zeros();
+        for (row, &axis) in self.axes().iter().enumerate() {
+            rows[row] = axes[axis] * self.scale[axis];
+        }
+        rows
+    }
+
+    /// The same for a force: a row that is multiplied by a length belongs to a force that is divided by it.
+    #[must_use]
+    pub fn rows_of_force(&self, axes: &Vector6<f64>) -> Vector6<f64> {
+        let mut rows = Vector6::zeros();
+        for (row, &axis) in self.axes().iter().enumerate() {
+            rows[row] = axes[axis] / self.scale[axis];
+        }
+        rows
+    }
+
+    /// A force given row by row, axis by axis (N, Nm): the reverse of [`rows_of_force`](Self::rows_of_force).
+    #[must_use]
+    pub fn force_of_rows(&self, rows: &Vector6<f64>) -> Vector6<f64> {
+        let mut axes = Vector6::zeros();
+        for (row, &axis) in self.axes().iter().enumerate() {
+            axes[axis] = rows[row] * self.scale[axis];
+        }
+        axes
     }
 }

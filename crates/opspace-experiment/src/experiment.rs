@@ -202,8 +202,14 @@ impl Experiment {
     /// What in the task doesn't fit the robot.
     pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
         let file = &self.task.file;
-        let stack = Stack { priority: &file.priority, task: &file.task, compensation: file.compensation };
+        let stack = Stack {
+            priority: &file.priority,
+            task: &file.task,
+            compensation: file.compensation,
+            limits: file.limits,
+        };
         let facts = RobotFacts {
+            limits: self.robot.joint_limits(),
             period_s: self.profile.period_s(),
             sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
             gravity_by_robot: self.gravity_by() == GravityBy::Robot,

@@ -7,7 +7,7 @@ use crate::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::Phase;
 use opspace_control::orientation::log;
-use opspace_control::{CartesianParameters, TaskParameters};
+use opspace_control::{CartesianParameters, Directions, Subject, TaskParameters};
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
 use opspace_sim::{SurroundingParameters, WorldAxis};
@@ -66,6 +66,9 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
         match experiment.task().file.task.get(name) {
             Some(TaskParameters::Cartesian(task)) if metrics.position_rms_m.is_none() => {
                 run.cartesian(name, task, &mut metrics);
+            }
+            Some(TaskParameters::CenterOfMass(task)) if metrics.position_rms_m.is_none() => {
+                run.following(name, &task.as_cartesian(), Subject::CenterOfMass, &mut metrics);
             }
             Some(TaskParameters::JointTracking(_)) => metrics.joint_rms_rad = run.joint_error(name),
             _ => {}
@@ -140,27 +143,39 @@ impl<'a> Run<'a> {
         begin..end.max(begin)
     }
 
-    /// The pose of a frame at each settled tick, with the tick's index.
-    fn poses(&self, frame: FrameId) -> impl Iterator<Item = (usize, Placement)> {
+    /// The pose of a task's subject and the task's axes at each settled tick, with the tick's index.
+    fn poses(
+        &self,
+        subject: Subject,
+        directions: Directions,
+    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
         let model = &self.experiment.robot().model;
         let mut data = Data::new(model);
         let rest = vec![0.0; model.n()];
         let (times, q) = self.joints;
         self.settled(times).map(move |k| {
             kinematics(model, &mut data, q.row(k), &rest);
-            (k, frame_placement(model, &data, frame))
+            let axes = directions.rotation(model, &data, subject);
+            (k, subject.placement(model, &data), axes)
         })
     }
 
     fn cartesian(&self, name: &str, task: &CartesianParameters, metrics: &mut Metrics) {
-        let Ok(frame) = self.experiment.robot().model.frame(&task.frame) else { return };
+        let model = &self.experiment.robot().model;
+        let Ok(subject) = task.subject(model) else { return };
+        self.following(name, task, subject, metrics);
+    }
+
+    /// How far a task's subject is from its reference, over its axes in motion.
+    fn following(&self, name: &str, task: &CartesianParameters, subject: Subject, metrics: &mut Metrics) {
+        let Ok(directions) = task.axes_in.resolve(&self.experiment.robot().model, subject) else { return };
         let motion = task.motion_axes();
-        let axes = task.rotation();
         // Truth and tick rows stand at the same instants, one for one.
         if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
             && motion[..3].contains(&true)
         {
-            let errors = self.poses(frame).filter(|(k, _)| *k < reference.len()).map(|(k, pose)| {
+            let poses = self.poses(subject, directions).filter(|(k, ..)| *k < reference.len());
+            let errors = poses.map(|(k, pose, axes)| {
                 let error = pose.translation - Vector3::from_column_slice(reference.row(k));
                 masked_norm(&axes.tr_mul(&error), &motion[..3])
             });
@@ -169,7 +184,8 @@ impl<'a> Run<'a> {
         if let Some(reference) = self.tick.signal(&format!("{name}.reference_orientation"))
             && motion[3..].contains(&true)
         {
-            let errors = self.poses(frame).filter(|(k, _)| *k < reference.len()).map(|(k, pose)| {
+            let poses = self.poses(subject, directions).filter(|(k, ..)| *k < reference.len());
+            let errors = poses.map(|(k, pose, axes)| {
                 let error = log(&(pose.rotation * orientation(reference.row(k)).transpose()));
                 masked_norm(&axes.tr_mul(&error), &motion[3..])
             });
@@ -207,8 +223,9 @@ impl<'a> Run<'a> {
         }
         let Ok(frame) = self.experiment.robot().model.frame(&spring.frame) else { return };
         if let Some(home) = self.start_pose(frame) {
-            let moved =
-                self.poses(frame).map(|(_, pose)| masked_norm(&(pose.translation - home.translation), &axes));
+            let world = Directions::Still(Matrix3::identity());
+            let poses = self.poses(Subject::Frame(frame), world);
+            let moved = poses.map(|(_, pose, _)| masked_norm(&(pose.translation - home.translation), &axes));
             metrics.hand_motion_rms_m = rms_and_max(moved).0;
         }
     }

@@ -9,6 +9,8 @@ use opspace_backend::{
     ForceSensor, InterfaceParameters, JointParameters, Measured, ProfileParameters, SafetyParameters,
     ServoParameters,
 };
+use opspace_control::JointLimits;
+use opspace_control::quantity::Positive;
 use opspace_model::{Loaded, Model, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
 use schemars::JsonSchema;
@@ -158,6 +160,22 @@ impl Robot {
     #[must_use]
     pub fn torque_limits(&self) -> Vec<f64> {
         self.joints().iter().map(|j| j.torque_limit_nm.get()).collect()
+    }
+
+    /// What the joints can do, in the model's joint order: position and velocity from the URDF, the rest from the robot
+    /// file.
+    #[must_use]
+    pub fn joint_limits(&self) -> JointLimits {
+        let joints = self.joints();
+        let given = |of: fn(&JointParameters) -> Option<Positive>| {
+            joints.iter().map(|j| of(j).map_or(f64::INFINITY, Positive::get)).collect()
+        };
+        JointLimits {
+            torque: self.torque_limits(),
+            torque_rate: given(|j| j.torque_rate_limit_nm_per_s),
+            acceleration: given(|j| j.acceleration_limit_rad_per_s2),
+            ..JointLimits::of(&self.model)
+        }
     }
 
     fn in_order<T: Clone>(&self, by_name: &BTreeMap<String, T>) -> Vec<T> {

@@ -24,6 +24,11 @@ const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
 
+/// The attachment in which a log keeps the recorded path that a task follows.
+fn recording_file(task: &str) -> String {
+    format!("task.{task}.csv")
+}
+
 /// What can go wrong with a run.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -197,19 +202,22 @@ impl Experiment {
         ]);
         let transformer = choice.transformer.unwrap_or(self.profile().1.transformer);
         entries.insert("transformer".to_owned(), transformer.name().to_owned());
-        let files = [
-            (ROBOT_FILE, "application/toml", &self.robot().source),
-            (TASK_FILE, "application/toml", &self.task().source),
-            (URDF_FILE, "application/xml", &self.robot().urdf),
+        let mut files = vec![
+            (ROBOT_FILE.to_owned(), "application/toml", &self.robot().source),
+            (TASK_FILE.to_owned(), "application/toml", &self.task().source),
+            (URDF_FILE.to_owned(), "application/xml", &self.robot().urdf),
         ];
+        let recordings = self.task().recordings.iter();
+        files.extend(recordings.map(|(task, source)| (recording_file(task), "text/csv", source)));
         for (name, _, source) in &files {
             entries.insert(format!("{name}.sha256"), hex(&Sha256::digest(source.text())));
         }
         Header {
             metadata: vec![(RUN.to_owned(), entries)],
             attachments: files
+                .into_iter()
                 .map(|(name, media, source)| Attachment::new(name, media, source.text().as_bytes()))
-                .to_vec(),
+                .collect(),
             model: Some(Arc::new(self.robot().model.clone())),
         }
     }
@@ -232,7 +240,9 @@ impl Experiment {
             attached(recording, ROBOT_FILE, entry("robot")?)?,
             attached(recording, URDF_FILE, URDF_FILE)?,
         )?;
-        let task = Task::from_source(attached(recording, TASK_FILE, entry("task")?)?)?;
+        let task = Task::from_sources(attached(recording, TASK_FILE, entry("task")?)?, |named| {
+            attached(recording, &recording_file(named.task), &named.path.display().to_string())
+        })?;
         let unknown = |key: &str| RunError::Incomplete { what: format!("a '{key}' that is known") };
         let choice = Choice {
             backend: [BackendKind::Position, BackendKind::Torque]

@@ -1,11 +1,14 @@
 //! Task files: what the robot is to do, and what surrounds it while it does.
 
 use crate::files::{Files, Kind, beside};
+use crate::names::nearest;
 use crate::overrides;
 use crate::source::{FileError, Source, parse};
 use opspace_backend::FrictionCompensationParameters;
 use opspace_control::quantity::{NonNegative, Positive};
-use opspace_control::{Compensation, TaskParameters};
+use opspace_control::{
+    CartesianReference, Compensation, LimitParameters, RecordedReason, TaskParameters, recorded,
+};
 use opspace_sim::SurroundingParameters;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -34,6 +37,9 @@ pub struct TaskFile {
     /// Which of the arm's own torques are compensated.
     #[serde(default)]
     pub compensation: Compensation,
+    /// How the robot's limits are kept.
+    #[serde(default)]
+    pub limits: LimitParameters,
     /// How much friction is compensated.
     #[serde(default)]
     pub friction_compensation: FrictionCompensationParameters,
@@ -56,26 +62,46 @@ pub struct Task {
     pub source: Source,
     /// Its file.
     pub file: TaskFile,
+    /// The recorded paths that its tasks follow, by the tasks' names.
+    pub recordings: BTreeMap<String, Source>,
 }
 
 impl Task {
-    /// Reads a task. `settings` change values in it.
+    /// Reads a task, and the recorded paths that it names. `settings` change values in it.
     ///
     /// # Errors
-    /// What is wrong in the file, with its place.
+    /// What is wrong in the files, with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         let source = files.read(path)?;
         Kind::Task.require(&source)?;
-        Self::from_source(overrides::apply(&source, settings)?)
+        let source = overrides::apply(&source, settings)?;
+        Self::from_sources(source, |named| files.read_named(&named.path, named.by, named.key))
     }
 
-    /// A task from its text.
+    /// A task from its text; `read` finds the recorded paths that it names.
     ///
     /// # Errors
-    /// As [`load`](Self::load).
-    pub fn from_source(source: Source) -> Result<Self, FileError> {
-        let file = parse(&source)?;
-        Ok(Self { source, file })
+    /// As [`load`](Self::load), and those of `read`.
+    pub fn from_sources<E: From<FileError>>(
+        source: Source,
+        mut read: impl FnMut(NamedRecording<'_>) -> Result<Source, E>,
+    ) -> Result<Self, E> {
+        let mut file: TaskFile = parse(&source)?;
+        let mut recordings = BTreeMap::new();
+        for (task, parameters) in &mut file.task {
+            let (kind, reference) = match parameters {
+                TaskParameters::Cartesian(task) => ("cartesian", &mut task.reference),
+                TaskParameters::CenterOfMass(task) => ("center-of-mass", &mut task.reference),
+                _ => continue,
+            };
+            let CartesianReference::Recorded(recorded) = reference else { continue };
+            let key = ["task", task, kind, "reference", "recorded", "file"];
+            let path = beside(Path::new(source.name()), &recorded.file);
+            let recording = read(NamedRecording { task, path, by: &source, key })?;
+            recorded.samples = samples(&recording)?;
+            recordings.insert(task.clone(), recording);
+        }
+        Ok(Self { source, file, recordings })
     }
 
     /// The task's name: that of its file.
@@ -90,4 +116,28 @@ impl Task {
     pub fn robot_path(&self) -> PathBuf {
         beside(Path::new(self.source.name()), &self.file.robot)
     }
+}
+
+/// A recorded path that a task names.
+pub struct NamedRecording<'a> {
+    /// The task.
+    pub task: &'a str,
+    /// Its file.
+    pub path: PathBuf,
+    by: &'a Source,
+    key: [&'a str; 6],
+}
+
+/// The samples of a recorded path.
+fn samples(recording: &Source) -> Result<Vec<recorded::PoseSample>, FileError> {
+    recorded::parse(recording.text()).map_err(|error| {
+        let help = match &error.reason {
+            RecordedReason::UnknownColumn { name } => {
+                nearest(name, &recorded::COLUMNS).map(|near| format!("did you mean `{near}`?"))
+            }
+            _ => None,
+        };
+        let line = error.line.and_then(|line| usize::try_from(line).ok());
+        FileError::at_line(recording, line, error.reason.to_string(), help)
+    })
 }

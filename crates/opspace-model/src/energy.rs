@@ -56,6 +56,39 @@ pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vecto
     (mass != T::zero()).then(|| first_moment(model, data) / mass)
 }
 
+/// The velocity of the centre of mass (m/s, world axes); zero if the bodies weigh nothing. Needs
+/// [`kinematics`](crate::kinematics()).
+#[must_use]
+pub fn com_velocity<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
+    mean_over_mass(model, data, |body, com| data.velocity[body].at(com).linear)
+}
+
+/// J̇ q̇ of the centre of mass: its acceleration with q̈ = 0 (m/s², world axes); zero if the bodies weigh nothing.
+/// Needs [`kinematics`](crate::kinematics()).
+#[must_use]
+pub fn com_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
+    mean_over_mass(model, data, |body, com| {
+        let velocity = data.velocity[body].at(com);
+        data.bias_acceleration[body].at(com).linear + velocity.angular.cross(&velocity.linear)
+    })
+}
+
+/// The mean over all mass of what belongs to a body and its centre of mass, from [`Data::origin`].
+fn mean_over_mass<T: Real>(
+    model: &Model<T>,
+    data: &Data<T>,
+    of: impl Fn(usize, &Vector3<T>) -> Vector3<T>,
+) -> Vector3<T> {
+    let mass = model.total_mass();
+    let per_mass = (T::one() / mass).select(mass.simd_gt(T::zero()), T::zero());
+    let mut sum = Vector3::zeros();
+    for (i, (body, placement)) in model.bodies.iter().zip(&data.placement).enumerate() {
+        let com = placement.act_point(&body.inertia.com) - data.origin;
+        sum += of(i, &com) * (body.inertia.mass * per_mass);
+    }
+    sum
+}
+
 /// Σ m c, kg m.
 fn first_moment<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
     let mut sum = Vector3::zeros();

@@ -70,7 +70,7 @@ pub use coriolis::coriolis;
 pub use crba::crba;
 pub use data::Data;
 pub use derivatives::{aba_derivatives, rnea_derivatives};
-pub use energy::{center_of_mass, kinetic_energy, potential_energy};
+pub use energy::{center_of_mass, com_bias_acceleration, com_velocity, kinetic_energy, potential_energy};
 pub use jacobian::{
     com_jacobian, frame_jacobian, frame_jacobian_rate, local_jacobian, local_jacobian_rate, point_jacobian,
     relative_jacobian, world_jacobian, world_jacobian_rate,
@@ -79,7 +79,7 @@ pub use kinematics::{
     forward_kinematics, frame_bias_acceleration, frame_placement, frame_velocity, kinematics,
 };
 pub use model::{Body, Frame, FrameId, Joint, JointKind, Limits, Model, UnknownFrame, UnknownJoint};
-pub use operational_space::OperationalSpace;
+pub use operational_space::{Inversion, OperationalSpace};
 pub use real::Real;
 pub use reduce::{Follows, ReduceError};
 pub use regressor::{inertial_parameters, torque_regressor};

@@ -10,7 +10,8 @@
 //! Where the task can hardly move the robot, eigenvalues of Λ⁻¹ come near zero and Λ explodes. Each
 //! eigenvalue λ below `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² rising smoothly
 //! from 0 at the threshold; one above it is inverted exactly. J̄ and N are built from that same Λ, so
-//! what a damped direction does not carry is free to the tasks below.
+//! what a damped direction does not carry is free to the tasks below. Other ways that the field knows are
+//! there to be compared with: [`Inversion`].
 //!
 //! ```
 //! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
@@ -34,6 +35,54 @@
 
 use crate::cholesky::MassMatrixFactor;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
+
+/// How Λ⁻¹ is inverted where an eigenvalue λ of it comes near zero. A threshold is relative to the largest one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Inversion {
+    /// λ/(λ² + μ²) below the threshold t λ_max, with μ = t λ_max (1 − (λ/(t λ_max))²); 1/λ, exactly, above it.
+    Damped(f64),
+    /// 1/λ, whatever comes of it; zero only where λ isn't above zero.
+    Plain,
+    /// λ/(λ² + μ²) with μ = t λ_max everywhere (damped least squares): never exact.
+    LeastSquares(f64),
+    /// 1/max(λ, t λ_max): the condition number is bounded, and a lost direction still pushed at.
+    Clamped(f64),
+}
+
+impl Inversion {
+    /// The threshold below which directions aren't what they were, relative to the largest eigenvalue: 0 if none.
+    fn threshold(self) -> f64 {
+        match self {
+            Self::Damped(threshold) | Self::Clamped(threshold) => threshold,
+            Self::Plain => 0.0,
+            Self::LeastSquares(_) => f64::INFINITY,
+        }
+    }
+
+    /// With the threshold `factor` times as high.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        match self {
+            Self::Damped(threshold) => Self::Damped(threshold * factor),
+            Self::Plain => Self::Plain,
+            Self::LeastSquares(threshold) => Self::LeastSquares(threshold * factor),
+            Self::Clamped(threshold) => Self::Clamped(threshold * factor),
+        }
+    }
+
+    /// In place of 1/`value`, with the largest eigenvalue.
+    fn reciprocal(self, value: f64, largest: f64) -> f64 {
+        match self {
+            Self::Damped(threshold) => damped_reciprocal(value, threshold * largest),
+            Self::Plain => damped_reciprocal(value, 0.0),
+            Self::LeastSquares(threshold) => {
+                let (value, mu) = (value.max(0.0), threshold * largest);
+                value / (value * value + mu * mu)
+            }
+            Self::Clamped(threshold) => 1.0 / value.max(threshold * largest),
+        }
+    }
+}
 
 /// Λ and J̄ of one task of up to six rows, and what follows from them; preallocated for n joints.
 #[derive(Clone, Debug)]
@@ -70,6 +119,20 @@ impl OperationalSpace {
         rows: usize,
         threshold: f64,
     ) {
+        self.update_with(factor, jacobian, rows, Inversion::Damped(threshold));
+    }
+
+    /// As [`update`](Self::update), with Λ⁻¹ inverted in another way.
+    ///
+    /// # Panics
+    /// As [`update`](Self::update).
+    pub fn update_with(
+        &mut self,
+        factor: &MassMatrixFactor,
+        jacobian: &Matrix6xX<f64>,
+        rows: usize,
+        inversion: Inversion,
+    ) {
         assert!(rows <= 6, "a task has six rows at most");
         let half = &mut self.jbar_transpose;
         half.as_mut_slice().copy_from_slice(jacobian.as_slice());
@@ -77,7 +140,7 @@ impl OperationalSpace {
             half.row_mut(r).fill(0.0);
         }
         let inverse_inertia = factor.mobility(half);
-        (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, threshold);
+        (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, inversion);
         factor.finish_solve(half);
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
         for column in columns {
@@ -119,7 +182,7 @@ impl OperationalSpace {
 
 /// The inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the
 /// share that is left of its weakest direction.
-fn damped_inverse(mut a: Matrix6<f64>, rows: usize, threshold: f64) -> (Matrix6<f64>, f64) {
+fn damped_inverse(mut a: Matrix6<f64>, rows: usize, inversion: Inversion) -> (Matrix6<f64>, f64) {
     let trace = a.trace();
     if !trace.is_finite() || a.iter().any(|x| !x.is_finite()) {
         return (Matrix6::zeros(), 0.0);
@@ -132,9 +195,9 @@ fn damped_inverse(mut a: Matrix6<f64>, rows: usize, threshold: f64) -> (Matrix6<
     for r in rows..6 {
         a[(r, r)] = padding;
     }
-    let (mut inverse, weakest_share) = match certified_inverse(&a, rows, trace, threshold) {
+    let (mut inverse, weakest_share) = match certified_inverse(&a, rows, trace, inversion.threshold()) {
         Some(inverse) => (inverse, 1.0),
-        None => spectral_inverse(a, trace, threshold),
+        None => spectral_inverse(a, trace, inversion),
     };
     for r in rows..6 {
         inverse[(r, r)] = 0.0;
@@ -175,16 +238,15 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     Some(swept)
 }
 
-fn spectral_inverse(a: Matrix6<f64>, trace: f64, threshold: f64) -> (Matrix6<f64>, f64) {
+fn spectral_inverse(a: Matrix6<f64>, trace: f64, inversion: Inversion) -> (Matrix6<f64>, f64) {
     let spectrum = SymmetricEigen::new(a);
     // The padding lies above the trace, all eigenvalues of the task below it.
     let largest = spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
-    let floor = threshold * largest;
     let mut inverse = Matrix6::zeros();
     let mut weakest_share: f64 = 1.0;
     for (&value, vector) in spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter()) {
-        let gain = damped_reciprocal(value, floor);
-        weakest_share = weakest_share.min(gain * value);
+        let gain = inversion.reciprocal(value, largest);
+        weakest_share = weakest_share.min((gain * value).max(0.0));
         inverse += vector * vector.transpose() * gain;
     }
     (inverse, weakest_share)

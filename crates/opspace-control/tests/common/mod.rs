@@ -3,7 +3,9 @@
 #![allow(dead_code, reason = "each test uses some of it")]
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
-use opspace_control::{Compensation, ControlError, Measurement, RobotFacts, Stack, TaskParameters};
+use opspace_control::{
+    Compensation, ControlError, JointLimits, LimitParameters, Measurement, RobotFacts, Stack, TaskParameters,
+};
 use opspace_model::model::z_onto;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use serde::Deserialize;
@@ -149,6 +151,8 @@ pub struct File {
     pub priority: Vec<String>,
     #[serde(default)]
     pub compensation: Compensation,
+    #[serde(default)]
+    pub limits: LimitParameters,
     pub task: BTreeMap<String, TaskParameters>,
 }
 
@@ -158,14 +162,24 @@ impl File {
     }
 
     pub fn stack(&self) -> Stack<'_> {
-        Stack { priority: &self.priority, task: &self.task, compensation: self.compensation }
+        Stack {
+            priority: &self.priority,
+            task: &self.task,
+            compensation: self.compensation,
+            limits: self.limits,
+        }
     }
 }
 
-/// A robot with one sensor at its frame `sensor`, at 1 kHz.
+/// A robot with one sensor at its frame `sensor`, at 1 kHz, without limits.
 pub fn facts(model: &Model, sensor: &str) -> RobotFacts {
     let frame = model.frame(sensor).expect("the sensor's frame exists");
-    RobotFacts { period_s: 1e-3, sensors: vec![("wrist".to_owned(), frame)], gravity_by_robot: false }
+    RobotFacts {
+        period_s: 1e-3,
+        sensors: vec![("wrist".to_owned(), frame)],
+        gravity_by_robot: false,
+        limits: JointLimits::none(model.n()),
+    }
 }
 
 /// `data` and `measurement` at a state.
@@ -224,6 +238,6 @@ pub fn frame_acceleration(model: &Model, data: &Data, frame: &str, tau: &[f64]) 
 /// The error of building the torque controller of a file for a model with a sensor at `hand`.
 pub fn build_error(model: &Model, text: &str) -> ControlError {
     let file = File::read(text);
-    opspace_control::OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand"))
-        .expect_err("the stack is wrong")
+    let built = opspace_control::OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand"));
+    built.err().expect("the stack is wrong")
 }

@@ -1,0 +1,198 @@
+//! Force feedback of a Cartesian task: what a sensor's reading adds on axes that are held to a force.
+
+use crate::axes::{AXIS_NAMES, AxisMode, PerAxis};
+use crate::cartesian::{CartesianParameters, required};
+use crate::error::{ControlError, Reason};
+use crate::filter::LowPass;
+use crate::measurement::Measurement;
+use crate::quantity::{NonNegative, Positive};
+use crate::task::RobotFacts;
+use nalgebra::{Matrix3, Vector3, Vector6};
+use opspace_model::{Data, FrameId, Model, frame_placement};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Feedback of a force sensor to the compliant and force axes.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ForceParameters {
+    /// The robot's sensor, by name.
+    pub sensor: String,
+    /// The force that the surroundings should exert ON the robot along these axes, N; 0 if absent.
+    #[serde(default = "no_target")]
+    pub target_n: PerAxis<f64>,
+    /// The moment that the surroundings should exert ON the robot about these axes, Nm; 0 if absent.
+    #[serde(default = "no_target")]
+    pub target_nm: PerAxis<f64>,
+    /// How much of the force error is added to the task's force; 2 if absent.
+    #[serde(default = "default_force_gain")]
+    pub gain: PerAxis<NonNegative>,
+    /// How much of the force error a force axis adds to its force each second, 1/s; 5 if absent.
+    #[serde(default)]
+    pub integral_per_s: Option<PerAxis<NonNegative>>,
+    /// How much a force axis adds at most, so that a missing wall doesn't wind it up, N or Nm; as much as the
+    /// target if absent.
+    #[serde(default)]
+    pub integral_limit: Option<PerAxis<NonNegative>>,
+    /// −3 dB point of the low-pass on the sensed force, Hz; 100 if absent.
+    #[serde(default = "default_filter_hz")]
+    pub filter_hz: Positive,
+}
+
+fn no_target() -> PerAxis<f64> {
+    PerAxis::All(0.0)
+}
+
+fn default_force_gain() -> PerAxis<NonNegative> {
+    PerAxis::All(NonNegative::literal(2.0))
+}
+
+fn default_filter_hz() -> Positive {
+    Positive::literal(100.0)
+}
+
+/// Of force axes whose file gives no other, 1/s.
+const INTEGRAL_PER_S: f64 = 5.0;
+
+/// Force feedback of one robot's task, and what it saw last.
+#[derive(Clone, Debug)]
+pub(crate) struct ForceFeedback {
+    sensor: usize,
+    frame: FrameId,
+    target: Vector6<f64>,
+    /// 0 on axes that are not held to a force.
+    gain: Vector6<f64>,
+    held: [bool; 6],
+    /// What of the error is added in a period, and at most: 0 but on force axes.
+    integral_step: Vector6<f64>,
+    integral_limit: Vector6<f64>,
+    integral: Vector6<f64>,
+    filter: LowPass<6>,
+    /// At the task frame's origin, task axes.
+    pub(crate) sensed: Vector6<f64>,
+}
+
+impl ForceFeedback {
+    pub(crate) fn new(
+        force: &ForceParameters,
+        task: &CartesianParameters,
+        robot: &RobotFacts,
+        key: &str,
+    ) -> Result<Self, ControlError> {
+        let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
+        let known = || robot.sensors.iter().map(|(name, _)| name.clone()).collect();
+        let Some(sensor) = robot.sensors.iter().position(|(name, _)| *name == force.sensor) else {
+            return Err(at("sensor", Reason::Sensor { name: force.sensor.clone(), known: known() }));
+        };
+        let held = task.held_to_force();
+        if !held.contains(&true) && !task.shapes_inertia() {
+            return Err(ControlError::new(key, Reason::NothingCompliant));
+        }
+        for (place, targets, kind, what) in [
+            ("target_n", &force.target_n, 0..3, "force (N)"),
+            ("target_nm", &force.target_nm, 3..6, "moment (Nm)"),
+        ] {
+            if let Some(axis) = targets.named().find(|axis| !kind.contains(axis) || !held[*axis]) {
+                return Err(at(place, Reason::TargetAxis { axis: AXIS_NAMES[axis], what }));
+            }
+        }
+        let target = task.target_force();
+        let [mut gain, mut integral_step, mut integral_limit] = [Vector6::zeros(); 3];
+        for axis in (0..6).filter(|&axis| held[axis]) {
+            gain[axis] = required(&force.gain, axis).map_err(|reason| at("gain", reason))?.get();
+        }
+        let in_force_control = task.axes.with_mode(AxisMode::Force);
+        for (place, given) in [
+            ("integral_per_s", force.integral_per_s.is_some()),
+            ("integral_limit", force.integral_limit.is_some()),
+        ] {
+            if given && !in_force_control.contains(&true) {
+                return Err(at(place, Reason::NothingIntegrates));
+            }
+        }
+        for axis in (0..6).filter(|&axis| in_force_control[axis]) {
+            let per_s = match &force.integral_per_s {
+                None => INTEGRAL_PER_S,
+                Some(gains) => required(gains, axis).map_err(|reason| at("integral_per_s", reason))?.get(),
+            };
+            integral_step[axis] = per_s * robot.period_s;
+            integral_limit[axis] = match &force.integral_limit {
+                None => target[axis].abs(),
+                Some(limits) => required(limits, axis).map_err(|reason| at("integral_limit", reason))?.get(),
+            };
+        }
+        Ok(Self {
+            sensor,
+            frame: robot.sensors[sensor].1,
+            target,
+            gain,
+            held,
+            integral_step,
+            integral_limit,
+            integral: Vector6::zeros(),
+            filter: LowPass::new(force.filter_hz.get(), robot.period_s),
+            sensed: Vector6::zeros(),
+        })
+    }
+
+    /// Settled on what is sensed now, nothing integrated.
+    pub(crate) fn start(&mut self, measurement: &Measurement) {
+        let raw = self.raw(measurement);
+        self.filter.reset(&raw);
+        self.integral.fill(0.0);
+    }
+
+    /// Goes on from where the feedback of another stack stands: its filter, if it is of the same sensor, and its
+    /// integral on axes that stay in force control.
+    pub(crate) fn take_over(&mut self, before: &Self, measurement: &Measurement) {
+        self.start(measurement);
+        if self.sensor == before.sensor {
+            self.filter.reset(before.filter.output());
+        }
+        for axis in (0..6).filter(|&axis| self.integral_step[axis] > 0.0) {
+            self.integral[axis] =
+                before.integral[axis].clamp(-self.integral_limit[axis], self.integral_limit[axis]);
+        }
+    }
+
+    fn raw(&self, measurement: &Measurement) -> [f64; 6] {
+        let f = &measurement.wrenches[self.sensor];
+        [f.linear.x, f.linear.y, f.linear.z, f.angular.x, f.angular.y, f.angular.z]
+    }
+
+    /// Takes in the sensed force at `point` (m, world), in `axes` (world). Integrals stand still while `hold`.
+    pub(crate) fn update(
+        &mut self,
+        model: &Model,
+        data: &Data,
+        measurement: &Measurement,
+        axes: &Matrix3<f64>,
+        point: &Vector3<f64>,
+        hold: bool,
+    ) {
+        let raw = self.raw(measurement);
+        let [fx, fy, fz, mx, my, mz] = *self.filter.update(&raw);
+        let force = Vector3::new(fx, fy, fz);
+        let lever = frame_placement(model, data, self.frame).translation - point;
+        let (linear, angular) =
+            (axes.tr_mul(&force), axes.tr_mul(&(Vector3::new(mx, my, mz) + lever.cross(&force))));
+        self.sensed = Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
+        if hold {
+            return;
+        }
+        for i in 0..6 {
+            let sum = self.integral[i] + self.integral_step[i] * (self.sensed[i] - self.target[i]);
+            self.integral[i] = sum.clamp(-self.integral_limit[i], self.integral_limit[i]);
+        }
+    }
+
+    /// What is added to the task's force (N, Nm; task axes).
+    pub(crate) fn added(&self) -> Vector6<f64> {
+        Vector6::from_fn(|i, _| {
+            if !self.held[i] {
+                return 0.0;
+            }
+            self.gain[i] * (self.sensed[i] - self.target[i]) + self.integral[i] - self.target[i]
+        })
+    }
+}

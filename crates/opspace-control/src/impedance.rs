@@ -1,0 +1,185 @@
+//! Impedance: a spring and a damper in newtons and metres, in place of the unit mass of [`AxisGains`].
+//!
+//! With the arm's own inertia Λ left as it is, the hand then answers a force f on it by
+//!
+//! ```text
+//! Λ (ẍ − ẍ_d) + D (ẋ − ẋ_d) + K (x − x_d) = f
+//! ```
+//!
+//! A damping ratio ζ becomes a matrix D at every tick, by double diagonalisation: with Q of Λ = Q Qᵀ and
+//! K = Q diag(ω²) Qᵀ, D = 2ζ Q diag(ω) Qᵀ damps every mode of the coupled springs alike (Albu-Schäffer, Ott, Frese
+//! and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A shaped inertia m needs a force
+//! sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
+//!
+//! [`AxisGains`]: crate::cartesian::AxisGains
+
+use crate::axes::{AxisMode, PerAxis};
+use crate::cartesian::{CartesianParameters, required};
+use crate::error::{ControlError, Reason};
+use crate::quantity::{NonNegative, Positive};
+use nalgebra::{Matrix6, SymmetricEigen, Vector6};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// A spring and a damper on each axis in motion.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ImpedanceParameters {
+    /// Stiffness along axes in motion, N/m.
+    #[serde(default)]
+    pub stiffness_n_per_m: Option<PerAxis<NonNegative>>,
+    /// Stiffness about axes in motion, Nm/rad.
+    #[serde(default)]
+    pub stiffness_nm_per_rad: Option<PerAxis<NonNegative>>,
+    /// Damping ratio of every mode; 0.7 if neither this nor a damping is given.
+    #[serde(default)]
+    pub damping_ratio: Option<NonNegative>,
+    /// Damping along axes in motion, Ns/m: in place of a ratio.
+    #[serde(default)]
+    pub damping_ns_per_m: Option<PerAxis<NonNegative>>,
+    /// Damping about axes in motion, Nms/rad: in place of a ratio.
+    #[serde(default)]
+    pub damping_nms_per_rad: Option<PerAxis<NonNegative>>,
+    /// The mass that the axes are to show, kg; the arm's own if absent. Needs `force`.
+    #[serde(default)]
+    pub inertia_kg: Option<PerAxis<Positive>>,
+    /// The moment of inertia that the axes are to show, kg m²; the arm's own if absent. Needs `force`.
+    #[serde(default)]
+    pub inertia_kg_m2: Option<PerAxis<Positive>>,
+}
+
+/// Of every mode, where the file gives neither a ratio nor a damping.
+const DAMPING_RATIO: f64 = 0.7;
+
+/// The impedance of one task; zero on axes that aren't in motion.
+#[derive(Clone, Debug)]
+pub(crate) struct Impedance {
+    pub stiffness: Vector6<f64>,
+    damping: Damping,
+    /// Inertia to show, where it is shaped.
+    pub inertia: Option<Vector6<f64>>,
+}
+
+#[derive(Clone, Debug)]
+enum Damping {
+    /// Of every mode.
+    Ratio(f64),
+    /// Of every axis.
+    Axes(Vector6<f64>),
+}
+
+impl Impedance {
+    pub(crate) fn new(
+        parameters: &ImpedanceParameters,
+        task: &CartesianParameters,
+        key: &str,
+    ) -> Result<Self, ControlError> {
+        let p = parameters;
+        let motion = task.axes.with_mode(AxisMode::Motion);
+        // One value an axis in motion, from the keys of its kind.
+        let values = |linear: &Option<PerAxis<f64>>, angular: &Option<PerAxis<f64>>, keys: [&str; 2]| {
+            let mut out = Vector6::zeros();
+            for axis in (0..6).filter(|&axis| motion[axis]) {
+                let (values, place) = if axis < 3 { (linear, keys[0]) } else { (angular, keys[1]) };
+                let at = |reason| ControlError::new(format!("{key}.{place}"), reason);
+                let missing = || at(Reason::ImpedanceMissing { key: place.to_owned() });
+                let values = values.as_ref().ok_or_else(missing)?;
+                out[axis] = required(values, axis).map_err(at)?;
+            }
+            Ok::<_, ControlError>(out)
+        };
+        let plain = |v: &Option<PerAxis<NonNegative>>| v.map(|v| v.map(NonNegative::get));
+        let positive = |v: &Option<PerAxis<Positive>>| v.map(|v| v.map(Positive::get));
+        let stiffness = values(
+            &plain(&p.stiffness_n_per_m),
+            &plain(&p.stiffness_nm_per_rad),
+            ["stiffness_n_per_m", "stiffness_nm_per_rad"],
+        )?;
+        let given = p.damping_ns_per_m.is_some() || p.damping_nms_per_rad.is_some();
+        let damping = if given {
+            if p.damping_ratio.is_some() {
+                return Err(ControlError::new(format!("{key}.damping_ratio"), Reason::DampingTwice));
+            }
+            let keys = ["damping_ns_per_m", "damping_nms_per_rad"];
+            Damping::Axes(values(&plain(&p.damping_ns_per_m), &plain(&p.damping_nms_per_rad), keys)?)
+        } else {
+            Damping::Ratio(p.damping_ratio.map_or(DAMPING_RATIO, NonNegative::get))
+        };
+        let shaped = p.inertia_kg.is_some() || p.inertia_kg_m2.is_some();
+        let inertia = if shaped {
+            if task.force.is_none() {
+                return Err(ControlError::new(key, Reason::ShapedInertiaUnsensed));
+            }
+            let keys = ["inertia_kg", "inertia_kg_m2"];
+            let mut inertia = values(&positive(&p.inertia_kg), &positive(&p.inertia_kg_m2), keys)?;
+            // Axes that aren't in motion aren't asked for theirs.
+            inertia.iter_mut().filter(|m| **m == 0.0).for_each(|m| *m = 1.0);
+            Some(inertia)
+        } else {
+            None
+        };
+        Ok(Self { stiffness, damping, inertia })
+    }
+
+    /// Damping (Ns/m, Nms/rad) of each axis whose inertia is shaped.
+    pub(crate) fn shaped_damping(&self, inertia: &Vector6<f64>) -> Vector6<f64> {
+        match &self.damping {
+            Damping::Axes(damping) => *damping,
+            Damping::Ratio(ratio) => {
+                Vector6::from_fn(|i, _| 2.0 * ratio * (self.stiffness[i] * inertia[i]).sqrt())
+            }
+        }
+    }
+
+    /// D ẋ (N, Nm) for a velocity error on the first `rows` of a task whose rows are `axes`, with Λ of these rows;
+    /// `scale` is what each row is multiplied by.
+    pub(crate) fn damping_force(
+        &self,
+        task_inertia: &Matrix6<f64>,
+        axes: &[usize],
+        scale: &[f64; 6],
+        velocity: &Vector6<f64>,
+    ) -> Vector6<f64> {
+        match &self.damping {
+            Damping::Axes(damping) => {
+                let mut force = Vector6::zeros();
+                for (row, &axis) in axes.iter().enumerate() {
+                    force[row] = damping[axis] * velocity[row] / (scale[axis] * scale[axis]);
+                }
+                force
+            }
+            Damping::Ratio(ratio) => {
+                let mut stiffness = Matrix6::zeros();
+                for (row, &axis) in axes.iter().enumerate() {
+                    stiffness[(row, row)] = self.stiffness[axis] / (scale[axis] * scale[axis]);
+                }
+                designed_damping(task_inertia, &stiffness, *ratio) * velocity
+            }
+        }
+    }
+}
+
+/// D of a damping ratio, by double diagonalisation. Directions that Λ has lost (eigenvalue 0) get none.
+#[must_use]
+pub fn designed_damping(inertia: &Matrix6<f64>, stiffness: &Matrix6<f64>, ratio: f64) -> Matrix6<f64> {
+    let spectrum = SymmetricEigen::new(*inertia);
+    let largest = spectrum.eigenvalues.max();
+    if !(largest > 0.0 && largest.is_finite()) {
+        return Matrix6::zeros();
+    }
+    let (mut root, mut inverse_root) = (spectrum.eigenvectors, spectrum.eigenvectors);
+    for (i, &value) in spectrum.eigenvalues.iter().enumerate() {
+        let size = value.max(0.0).sqrt();
+        let kept = value > f64::EPSILON * largest;
+        root.column_mut(i).scale_mut(size);
+        inverse_root.column_mut(i).scale_mut(if kept { 1.0 / size } else { 0.0 });
+    }
+    // In the modes of Λ, of unit mass, the springs are inverse_rootᵀ K inverse_root.
+    let springs = SymmetricEigen::new(inverse_root.transpose() * stiffness * inverse_root);
+    let modes = root * springs.eigenvectors;
+    let mut damped = modes;
+    for (i, &value) in springs.eigenvalues.iter().enumerate() {
+        damped.column_mut(i).scale_mut(2.0 * ratio * value.max(0.0).sqrt());
+    }
+    damped * modes.transpose()
+}

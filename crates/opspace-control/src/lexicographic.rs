@@ -1,0 +1,422 @@
+//! Tasks within limits: lexicographic least squares, one level after the other.
+//!
+//! With α the joint accelerations that the tasks' torques cause, M α, level k may move what the levels above leave,
+//! α = α_above + z + N δ: z is what it asks for itself, and δ what the limits make of it. Its residual is minimal,
+//!
+//! ```text
+//! min |W J_p δ|²     a_min ≤ α ≤ a_max,   τ_min ≤ M α + τ_own ≤ τ_max,   d ẋ ≤ ẋ_max
+//! ```
+//!
+//! and stays what it is at the levels below, since J_p N vanishes there. W weighs what leads aside from where the task
+//! is going ten times as much as what only slows it down. Among equal residuals the one nearest in kinetic energy to
+//! what was asked for is found by proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M: without a limit in force δ is
+//! zero, exactly. The last level, of all joints, has that norm itself for its residual.
+//!
+//! Where the bounds on accelerations can't be met, they are first widened as little as possible (least squares, torques
+//! never): a joint that starts beyond its end is led back as hard as its torque allows.
+//!
+//! Sources: Kanoun, Lamiraux and Wieber, *Kinematic control of redundant manipulators: generalizing the task-priority
+//! framework to inequality task*, IEEE T-RO 27(4), 2011; Escande, Mansard and Wieber, *Hierarchical quadratic
+//! programming*, IJRR 33(7), 2014.
+
+use crate::active_set::ActiveSet;
+use crate::hierarchy::Nullspace;
+use crate::interior_point::InteriorPoint;
+use crate::limits::Bounds;
+use crate::qp::{QpError, QuadraticProgram};
+use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
+use opspace_model::Data;
+
+/// How much more aside weighs than ahead.
+const ASIDE: f64 = 10.0;
+
+/// ε of the proximal steps, relative to the trace of the task's Hessian.
+const PROXIMAL: f64 = 1e-7;
+
+/// ε of the proximal steps by which bounds are widened, beside slacks of weight 1.
+const RELAXED: f64 = 1e-7;
+
+/// Proximal steps at most; the second is needed where a limit is in force, the third hardly ever.
+const STEPS: usize = 3;
+
+/// A change of δ below this share ends the steps.
+const SETTLED: f64 = 1e-9;
+
+/// By how much a bound may be overstepped without a word, relative to its own size and 1.
+const SLACK: f64 = 1e-9;
+
+/// A bound on the speed of a task: `row` α ≤ `upper`.
+#[derive(Clone, Debug)]
+pub(crate) struct SpeedBound {
+    pub row: DVector<f64>,
+    pub upper: f64,
+}
+
+/// Who found the command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Solver {
+    /// No limit was in the way.
+    Unlimited,
+    /// The active set.
+    ActiveSet,
+    /// The interior point method, after the active set had failed.
+    InteriorPoint,
+    /// None: the torques were cut off, each for itself.
+    Clipped,
+}
+
+/// The limits of a tick, on α and M α.
+pub(crate) struct Limits<'a> {
+    pub bounds: &'a mut Bounds,
+    /// τ_own, what is commanded beside M α (n).
+    pub own_torque: &'a DVector<f64>,
+    /// What of the joints' acceleration isn't α (n).
+    pub drift: &'a DVector<f64>,
+    pub speeds: &'a mut [SpeedBound],
+}
+
+impl Limits<'_> {
+    /// Whether α and u = M α respect all of them.
+    pub(crate) fn allow(&self, alpha: &[f64], torque: &[f64]) -> bool {
+        let joints = (0..alpha.len()).all(|i| {
+            self.bounds.acceleration.contains(i, alpha[i] + self.drift[i])
+                && self.bounds.torque.contains(i, torque[i] + self.own_torque[i])
+        });
+        joints && self.speeds.iter().all(|s| dot(s.row.as_slice(), alpha) <= s.upper)
+    }
+}
+
+/// Buffers of the cascade for one robot.
+pub(crate) struct Cascade {
+    program: QuadraticProgram,
+    active_set: ActiveSet,
+    interior_point: Option<InteriorPoint>,
+    /// α of the levels so far (n).
+    alpha: DVector<f64>,
+    /// Square roots of M's diagonal: what joint accelerations and torques are scaled by.
+    scale: Vec<f64>,
+    nullspace: DMatrix<f64>,
+    torque_rows: DMatrix<f64>,
+    mass: DMatrix<f64>,
+    torque: DVector<f64>,
+    /// Of the last programme, scaled; slacks behind (2n).
+    delta: DVector<f64>,
+    asked: DVector<f64>,
+    solver: Solver,
+    shortcut: bool,
+}
+
+/// What a level minimises.
+pub(crate) enum Residual<'a> {
+    /// |W J_p δ|², with where the task is going. Rows of J_p that the task doesn't have are zero.
+    Rows { jacobian: &'a Matrix6xX<f64>, heading: Vector6<f64> },
+    /// |δ|²_M.
+    Joints,
+}
+
+impl Cascade {
+    /// For `n` joints and at most `speeds` bounds on speeds.
+    pub(crate) fn new(n: usize, speeds: usize) -> Self {
+        let (variables, constraints) = (2 * n, 2 * n + speeds);
+        let zero = DVector::zeros(n);
+        let square = DMatrix::zeros(n, n);
+        Self {
+            program: QuadraticProgram::new(variables, constraints),
+            active_set: ActiveSet::new(variables, constraints),
+            // Without it what the active set can't solve is cut off joint by joint.
+            interior_point: InteriorPoint::new(variables, constraints).ok(),
+            alpha: zero.clone(),
+            scale: vec![1.0; n],
+            nullspace: square.clone(),
+            torque_rows: square.clone(),
+            mass: square,
+            torque: zero.clone(),
+            delta: DVector::zeros(variables),
+            asked: zero,
+            solver: Solver::Unlimited,
+            shortcut: true,
+        }
+    }
+
+    /// Solves every level from now on, needed or not.
+    pub(crate) fn without_shortcut(&mut self) {
+        self.shortcut = false;
+    }
+
+    /// Whether α and M α can stay as they are.
+    pub(crate) fn needs_no(&self, limits: &Limits<'_>, alpha: &[f64], torque: &[f64]) -> bool {
+        self.shortcut && limits.allow(alpha, torque)
+    }
+
+    /// Before the first level.
+    pub(crate) fn begin(&mut self, data: &Data) {
+        self.alpha.fill(0.0);
+        self.solver = Solver::Unlimited;
+        let n = self.scale.len();
+        for (i, scale) in self.scale.iter_mut().enumerate() {
+            *scale = data.mass_matrix[(i, i)].sqrt();
+        }
+        for c in 0..n {
+            for r in 0..n {
+                self.mass[(r, c)] = data.mass_matrix[(r, c)] / (self.scale[r] * self.scale[c]);
+            }
+        }
+    }
+
+    /// α of the levels so far (n).
+    pub(crate) fn alpha(&self) -> &[f64] {
+        self.alpha.as_slice()
+    }
+
+    /// M α, the torques that cause it (n).
+    pub(crate) fn torque_into(&self, data: &Data, torque: &mut [f64]) {
+        multiply(&data.mass_matrix, self.alpha.as_slice(), torque);
+    }
+
+    /// Who found it.
+    pub(crate) fn solver(&self) -> Solver {
+        self.solver
+    }
+
+    /// Takes in what a level asks for beside what the levels above do: `z` (n).
+    pub(crate) fn ask(&mut self, data: &Data, z: &[f64], limits: &mut Limits<'_>) {
+        // What stands is within the limits but for rounding.
+        if self.solver != Solver::Unlimited {
+            self.admit(data, limits);
+        }
+        self.alpha.iter_mut().zip(z).for_each(|(a, z)| *a += z);
+    }
+
+    /// Brings what was [asked](Self::ask) for within the limits, by what `above` leaves free.
+    ///
+    /// # Errors
+    /// If no solver finds an answer.
+    pub(crate) fn keep_within(
+        &mut self,
+        data: &Data,
+        above: &Nullspace,
+        residual: &Residual<'_>,
+        limits: &mut Limits<'_>,
+    ) -> Result<(), QpError> {
+        multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
+        if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
+            return Ok(());
+        }
+        self.span(data, above);
+        let proximal = self.pose(residual);
+        self.constrain(limits, false);
+        match self.settle(proximal) {
+            Err(QpError::Infeasible { .. }) => {
+                self.relax(data, limits)?;
+                let proximal = self.pose(residual);
+                self.constrain(limits, false);
+                self.settle(proximal)?;
+            }
+            result => result?,
+        }
+        self.displace();
+        Ok(())
+    }
+
+    /// Widens the bounds so that what stands respects them, rounding included.
+    fn admit(&mut self, data: &Data, limits: &mut Limits<'_>) {
+        multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
+        let (acceleration, torque) = (&mut limits.bounds.acceleration, &mut limits.bounds.torque);
+        for i in 0..self.scale.len() {
+            for (interval, value) in [
+                (&mut *acceleration, self.alpha[i] + limits.drift[i]),
+                (&mut *torque, self.torque[i] + limits.own_torque[i]),
+            ] {
+                let slack = SLACK * (1.0 + value.abs());
+                interval.include(i, value - slack);
+                interval.include(i, value + slack);
+            }
+        }
+        for speed in limits.speeds.iter_mut() {
+            let value = dot(speed.row.as_slice(), self.alpha.as_slice());
+            speed.upper = speed.upper.max(value + SLACK * (1.0 + value.abs()));
+        }
+    }
+
+    /// Widens the bounds on accelerations and speeds as little as possible, so that they can be met.
+    fn relax(&mut self, data: &Data, limits: &mut Limits<'_>) -> Result<(), QpError> {
+        let n = self.scale.len();
+        self.program.resize(2 * n, 2 * n);
+        let hessian = &mut self.program.hessian;
+        for c in 0..2 * n {
+            for r in c..2 * n {
+                let on_joints = r < n;
+                let slack = f64::from(u8::from(r == c && c >= n));
+                hessian[(r, c)] = if on_joints { RELAXED * self.mass[(r, c)] } else { slack };
+            }
+        }
+        self.constrain(limits, true);
+        self.settle(Some(RELAXED))?;
+        // What was found is only to widen the bounds: the level starts again from where it was.
+        self.asked.copy_from(&self.alpha);
+        self.displace();
+        self.admit(data, limits);
+        self.alpha.copy_from(&self.asked);
+        multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
+        Ok(())
+    }
+
+    /// Solves the programme by proximal steps of weight ε, or as it stands; δ into `delta`.
+    fn settle(&mut self, proximal: Option<f64>) -> Result<(), QpError> {
+        let (n, variables) = (self.scale.len(), self.program.variables());
+        self.program.gradient.fill(0.0);
+        self.delta.fill(0.0);
+        for _ in 0..STEPS {
+            let solver = self.solve()?;
+            let x = match (solver, &self.interior_point) {
+                (Solver::InteriorPoint, Some(interior_point)) => interior_point.x(),
+                _ => self.active_set.x(),
+            };
+            self.solver = self.solver.max(solver);
+            let (mut change, mut size) = (0.0_f64, 0.0_f64);
+            for (d, &x) in self.delta.iter_mut().zip(&x[..variables]) {
+                change = change.max((x - *d).abs());
+                size = size.max(x.abs());
+                *d = x;
+            }
+            let Some(weight) = proximal.filter(|_| change > SETTLED * (1.0 + size)) else {
+                break;
+            };
+            let gradient = &mut self.program.gradient.as_mut_slice()[..n];
+            multiply(&self.mass, &self.delta.as_slice()[..n], gradient);
+            gradient.iter_mut().for_each(|g| *g *= -weight);
+        }
+        Ok(())
+    }
+
+    fn solve(&mut self) -> Result<Solver, QpError> {
+        match (self.active_set.solve(&self.program), &mut self.interior_point) {
+            (Ok(()), _) => Ok(Solver::ActiveSet),
+            (Err(error @ QpError::Infeasible { .. }), _) | (Err(error), None) => Err(error),
+            (Err(_), Some(interior_point)) => {
+                interior_point.solve(&self.program).map(|()| Solver::InteriorPoint)
+            }
+        }
+    }
+
+    /// α ← α + N δ.
+    fn displace(&mut self) {
+        let n = self.scale.len();
+        for j in 0..n {
+            let delta = self.delta[j] / self.scale[j];
+            for (a, column) in self.alpha.iter_mut().zip(self.nullspace.column(j).iter()) {
+                *a += column * delta;
+            }
+        }
+    }
+
+    /// N and M N of the freedom above.
+    fn span(&mut self, data: &Data, above: &Nullspace) {
+        let n = self.scale.len();
+        self.nullspace.fill_with_identity();
+        if above.is_narrowed() {
+            for column in self.nullspace.as_mut_slice().chunks_exact_mut(n) {
+                above.project_velocity(column);
+            }
+            for (out, column) in (self.torque_rows.as_mut_slice().chunks_exact_mut(n))
+                .zip(self.nullspace.as_slice().chunks_exact(n))
+            {
+                multiply(&data.mass_matrix, column, out);
+            }
+        } else {
+            self.torque_rows.copy_from(&data.mass_matrix);
+        }
+    }
+
+    /// The Hessian of a residual, in variables scaled to unit inertia, and the weight of its proximal steps.
+    fn pose(&mut self, residual: &Residual<'_>) -> Option<f64> {
+        let n = self.scale.len();
+        self.program.resize(n, 2 * n);
+        let hessian = &mut self.program.hessian;
+        let Residual::Rows { jacobian, heading } = residual else {
+            for c in 0..n {
+                for r in c..n {
+                    hessian[(r, c)] = self.mass[(r, c)];
+                }
+            }
+            return None;
+        };
+        let length = heading.norm_squared();
+        let ahead = if length > 0.0 { (ASIDE * ASIDE - 1.0) / length } else { 0.0 };
+        let mut trace = 0.0;
+        for c in 0..n {
+            let right = jacobian.column(c) / self.scale[c];
+            let weighed = right * (ASIDE * ASIDE) - heading * (ahead * heading.dot(&right));
+            for r in c..n {
+                hessian[(r, c)] = jacobian.column(r).dot(&weighed) / self.scale[r];
+            }
+            trace += hessian[(c, c)];
+        }
+        let proximal = PROXIMAL * if trace > 0.0 { trace } else { 1.0 };
+        for c in 0..n {
+            for r in c..n {
+                hessian[(r, c)] += proximal * self.mass[(r, c)];
+            }
+        }
+        Some(proximal)
+    }
+
+    /// The limits on δ; with a slack for each bound on an acceleration, and without those on speeds, if `relaxed`.
+    fn constrain(&mut self, limits: &Limits<'_>, relaxed: bool) {
+        let n = self.scale.len();
+        if relaxed {
+            self.program.resize(2 * n, 2 * n);
+        } else {
+            self.program.resize(n, 2 * n + limits.speeds.len());
+        }
+        for i in 0..n {
+            let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
+            let s = self.scale[i];
+            let at = self.alpha[i] + limits.drift[i];
+            let row = self.program.row_mut(i);
+            let of_joints = self.nullspace.row(i);
+            for ((x, &share), &scale) in row.iter_mut().zip(of_joints.iter()).zip(&self.scale) {
+                *x = share * s / scale;
+            }
+            row[n..].fill(0.0);
+            if relaxed {
+                row[n + i] = 1.0;
+            }
+            self.program.lower[i] = (a.lower[i] - at) * s;
+            self.program.upper[i] = (a.upper[i] - at) * s;
+
+            let at = self.torque[i] + limits.own_torque[i];
+            let row = self.program.row_mut(n + i);
+            let of_joints = self.torque_rows.row(i);
+            for ((x, &share), &scale) in row.iter_mut().zip(of_joints.iter()).zip(&self.scale) {
+                *x = share / (s * scale);
+            }
+            row[n..].fill(0.0);
+            self.program.lower[n + i] = (t.lower[i] - at) / s;
+            self.program.upper[n + i] = (t.upper[i] - at) / s;
+        }
+        let speeds: &[SpeedBound] = if relaxed { &[] } else { limits.speeds };
+        for (k, speed) in speeds.iter().enumerate() {
+            let (alpha, nullspace, scale) = (&self.alpha, &self.nullspace, &self.scale);
+            let row = self.program.row_mut(2 * n + k);
+            for ((x, column), &scale) in row.iter_mut().zip(nullspace.column_iter()).zip(scale) {
+                *x = dot(speed.row.as_slice(), column.as_slice()) / scale;
+            }
+            row[n..].fill(0.0);
+            self.program.lower[2 * n + k] = f64::NEG_INFINITY;
+            self.program.upper[2 * n + k] = speed.upper - dot(speed.row.as_slice(), alpha.as_slice());
+        }
+    }
+}
+
+/// A x into `out`, for a square A.
+fn multiply(a: &DMatrix<f64>, x: &[f64], out: &mut [f64]) {
+    out.fill(0.0);
+    for (column, &x) in a.as_slice().chunks_exact(x.len()).zip(x) {
+        out.iter_mut().zip(column).for_each(|(sum, a)| *sum += a * x);
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

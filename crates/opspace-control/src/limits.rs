@@ -1,0 +1,378 @@
+//! What joints can do, as bounds on what may be commanded in one tick.
+//!
+//! Position and velocity limits become one interval of joint acceleration a. A horizon h ahead the joint must neither be
+//! faster than its velocity limit v, nor so fast that it can't brake before its end x with its braking acceleration b:
+//!
+//! ```text
+//! q̇ + a h ≤ v          q̇ + a h ≤ √((b h)² + 2 b (x − q − q̇ h)) − b h
+//! ```
+//!
+//! and mirrored for the other end. The second bound is the speed from which a joint that is slowed down by b once a
+//! horizon just stops at x (viability; compare Del Prete, *Joint position and velocity bounds in discrete-time
+//! acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the end it is (x − q − q̇ h)/h: the joint
+//! arrives without overshoot. A joint beyond its end is led back at a bounded speed. Torque and torque rate bound the
+//! commanded torque. Where these contradict each other torques win, then what brakes.
+
+use crate::measurement::Measurement;
+use crate::quantity::{NonNegative, Positive};
+use crate::rank::configuration;
+use nalgebra::DVector;
+use opspace_model::{Data, Model, update};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// What the joints of a robot can do: one value a joint, infinite where there is no limit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointLimits {
+    /// Lowest position, rad or m (n).
+    pub lower: Vec<f64>,
+    /// Highest position, rad or m (n).
+    pub upper: Vec<f64>,
+    /// Highest speed, rad/s or m/s (n).
+    pub velocity: Vec<f64>,
+    /// Highest acceleration, with which the joint can also brake, rad/s² or m/s² (n). Where it is infinite, joints are
+    /// braked with half of what the torque limit leaves beside gravity in the worst of many postures.
+    pub acceleration: Vec<f64>,
+    /// Highest torque, Nm or N (n).
+    pub torque: Vec<f64>,
+    /// Highest rate of the commanded torque, Nm/s or N/s (n). Where it is infinite and the torque is not, the whole
+    /// torque in 10 ms.
+    pub torque_rate: Vec<f64>,
+}
+
+/// How a robot's limits are kept by the controller.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LimitParameters {
+    /// Whether they are kept at all; they are if absent. Without, only the torques are cut off, and the run stops where
+    /// a joint reaches its end.
+    #[serde(default = "yes")]
+    pub enforce: bool,
+    /// How far from the ends of their ranges joints are kept, rad (m); 0.01 if absent.
+    #[serde(default = "default_margin")]
+    pub position_margin_rad: NonNegative,
+    /// Which share of the highest speed, from 0 to 1, is used; 0.9 if absent.
+    #[serde(default = "default_velocity_share")]
+    pub velocity_share: Positive,
+    /// Which share of the highest torque, from 0 to 1, is used; all of it if absent.
+    #[serde(default = "whole")]
+    pub torque_share: Positive,
+}
+
+impl Default for LimitParameters {
+    fn default() -> Self {
+        Self {
+            enforce: yes(),
+            position_margin_rad: default_margin(),
+            velocity_share: default_velocity_share(),
+            torque_share: whole(),
+        }
+    }
+}
+
+const fn yes() -> bool {
+    true
+}
+
+const fn default_margin() -> NonNegative {
+    NonNegative::literal(0.01)
+}
+
+const fn default_velocity_share() -> Positive {
+    Positive::literal(0.9)
+}
+
+const fn whole() -> Positive {
+    Positive::literal(1.0)
+}
+
+/// How far ahead bounds on the acceleration look, s: well above a period, so that noise in the velocity doesn't make
+/// them jump, and well below the time in which an arm brakes.
+pub const HORIZON_S: f64 = 0.02;
+
+/// How fast what is beyond the end of its range is led back: in this time, s, but for a factor of e.
+const RETURN_S: f64 = 0.2;
+
+/// In which time the whole torque may be asked for where no rate is given, s.
+const TORQUE_RISE_S: f64 = 0.01;
+
+/// Postures tried for the acceleration that a torque limit leaves.
+const SAMPLES: usize = 64;
+
+impl JointLimits {
+    /// No limit at all, for `n` joints.
+    #[must_use]
+    pub fn none(n: usize) -> Self {
+        let none = vec![f64::INFINITY; n];
+        Self {
+            lower: vec![f64::NEG_INFINITY; n],
+            upper: none.clone(),
+            velocity: none.clone(),
+            acceleration: none.clone(),
+            torque: none.clone(),
+            torque_rate: none,
+        }
+    }
+
+    /// Those of the URDF: position, velocity and effort.
+    #[must_use]
+    pub fn of(model: &Model) -> Self {
+        let each =
+            |of: fn(&opspace_model::Limits) -> f64| model.joints().iter().map(|j| of(&j.limits)).collect();
+        Self {
+            lower: each(|l| l.lower),
+            upper: each(|l| l.upper),
+            velocity: each(|l| l.velocity),
+            torque: each(|l| l.effort),
+            ..Self::none(model.n())
+        }
+    }
+
+    /// Within margins, and with the rates that follow where none was given.
+    pub(crate) fn narrowed(mut self, parameters: &LimitParameters) -> Self {
+        let margin = parameters.position_margin_rad.get();
+        for i in 0..self.lower.len() {
+            // What is too narrow for its margins keeps its middle.
+            let middle = 0.5 * (self.lower[i] + self.upper[i]);
+            let keep = |end: f64| if middle.is_finite() { end } else { f64::NAN };
+            self.lower[i] = (self.lower[i] + margin).min(keep(middle));
+            self.upper[i] = (self.upper[i] - margin).max(keep(middle));
+            self.velocity[i] *= parameters.velocity_share.get().min(1.0);
+            self.torque[i] *= parameters.torque_share.get().min(1.0);
+            if self.torque_rate[i] == f64::INFINITY {
+                self.torque_rate[i] = self.torque[i] / TORQUE_RISE_S;
+            }
+        }
+        self
+    }
+
+    /// With which acceleration each joint can brake, rad/s² (n).
+    fn braking(&self, model: &Model) -> Vec<f64> {
+        let derived = braking_accelerations(model, &self.torque);
+        self.acceleration.iter().zip(derived).map(|(&given, derived)| given.min(derived)).collect()
+    }
+}
+
+/// Half of what the torques can do against the joint's own inertia, with gravity against them, in the worst of many
+/// postures; at least a tenth of what they could do without gravity.
+fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
+    let n = model.n();
+    let mut data = Data::new(model);
+    let mut least = vec![f64::INFINITY; n];
+    for sample in 0..SAMPLES {
+        if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
+            continue;
+        }
+        for i in 0..n {
+            let left = (torque[i] - data.gravity[i].abs()).max(0.1 * torque[i]);
+            least[i] = least[i].min(0.5 * left / data.mass_matrix[(i, i)]);
+        }
+    }
+    least
+}
+
+/// The bounds of one tick.
+#[derive(Clone, Debug)]
+pub(crate) struct Bounds {
+    limits: JointLimits,
+    /// With which acceleration each joint can brake, rad/s² (n).
+    braking: Vec<f64>,
+    period_s: f64,
+    /// On joint accelerations, rad/s² (n).
+    pub acceleration: Interval,
+    /// On commanded torques, Nm (n).
+    pub torque: Interval,
+}
+
+/// An interval for each joint.
+#[derive(Clone, Debug)]
+pub(crate) struct Interval {
+    pub lower: DVector<f64>,
+    pub upper: DVector<f64>,
+}
+
+impl Interval {
+    fn new(n: usize) -> Self {
+        Self {
+            lower: DVector::from_element(n, f64::NEG_INFINITY),
+            upper: DVector::from_element(n, f64::INFINITY),
+        }
+    }
+
+    pub(crate) fn contains(&self, i: usize, value: f64) -> bool {
+        value >= self.lower[i] && value <= self.upper[i]
+    }
+
+    /// As wide as it must be for `value`.
+    pub(crate) fn include(&mut self, i: usize, value: f64) {
+        self.lower[i] = self.lower[i].min(value);
+        self.upper[i] = self.upper[i].max(value);
+    }
+}
+
+impl Bounds {
+    /// For a robot that is commanded every `period_s`.
+    pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64) -> Self {
+        let braking = limits.braking(model);
+        Self::with_braking(limits, braking, period_s)
+    }
+
+    fn with_braking(limits: JointLimits, braking: Vec<f64>, period_s: f64) -> Self {
+        let n = limits.lower.len();
+        Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
+    }
+
+    /// Those of a state, after the torques `before` (n) were commanded.
+    pub(crate) fn update(&mut self, measurement: &Measurement, before: &DVector<f64>) {
+        let l = &self.limits;
+        let (q, dq, added) = (&measurement.q, &measurement.dq, &measurement.added_torque);
+        for i in 0..before.len() {
+            let joint = JointState { q: q[i], dq: dq[i], velocity: l.velocity[i], braking: self.braking[i] };
+            let (mut lower, mut upper) = (-joint.mirrored().highest(-l.lower[i]), joint.highest(l.upper[i]));
+            // What brakes may be harder than what speeds up; between two ends that are too near, nothing moves.
+            if lower > upper {
+                let middle = if joint.dq > 0.0 { upper } else { lower };
+                (lower, upper) = (middle, middle);
+            }
+            let a = l.acceleration[i];
+            self.acceleration.lower[i] = lower.max(-a).min(upper);
+            self.acceleration.upper[i] = upper.min(a).max(lower);
+
+            // The torque limits hold for what is added as well.
+            let (low, high) = (-l.torque[i] - added[i], l.torque[i] - added[i]);
+            let step = l.torque_rate[i] * self.period_s;
+            self.torque.lower[i] = (before[i] - step).clamp(low, high);
+            self.torque.upper[i] = (before[i] + step).clamp(low, high);
+        }
+    }
+}
+
+/// A joint, its ends not among what is known of it.
+#[derive(Clone, Copy)]
+struct JointState {
+    q: f64,
+    dq: f64,
+    velocity: f64,
+    braking: f64,
+}
+
+impl JointState {
+    /// Seen the other way round.
+    fn mirrored(self) -> Self {
+        Self { q: -self.q, dq: -self.dq, ..self }
+    }
+
+    /// The highest acceleration with which the joint stays below its highest speed, and able to stop at `end`.
+    fn highest(self, end: f64) -> f64 {
+        let h = HORIZON_S;
+        let mut allowed = self.velocity;
+        if end < f64::INFINITY {
+            let left = end - self.q;
+            let ahead = left - self.dq * h;
+            // Whatever brakes, within a horizon it stops.
+            let braking = self.braking.min(self.velocity.min(1e3) / h);
+            let reach = braking * h;
+            let to_end = if ahead > 0.0 {
+                (reach * reach + 2.0 * braking * ahead).sqrt() - reach
+            } else {
+                (left.min(0.0) / RETURN_S).max(-self.velocity)
+            };
+            allowed = allowed.min(to_end);
+        }
+        (allowed - self.dq) / h
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bounds(limits: JointLimits) -> Bounds {
+        let braking = limits.acceleration.clone();
+        Bounds::with_braking(limits, braking, 1e-3)
+    }
+
+    fn at(q: f64, dq: f64) -> Measurement {
+        let mut measurement = Measurement::new(1, 0, false);
+        (measurement.q[0], measurement.dq[0]) = (q, dq);
+        measurement
+    }
+
+    /// One joint pushed as hard as its bounds allow, at 1 kHz: its position against its end, its speed against its
+    /// limit and its acceleration against the one with which it can brake.
+    #[test]
+    fn a_joint_that_is_pushed_stays_viable() {
+        for (velocity, acceleration) in [(2.0, 5.0), (8.0, 30.0), (1.0, 100.0), (3.0, 1.0)] {
+            let (end, period) = (1.0, 1e-3);
+            let limits = JointLimits {
+                upper: vec![end],
+                velocity: vec![velocity],
+                acceleration: vec![acceleration],
+                ..JointLimits::none(1)
+            };
+            let mut bounds = bounds(limits);
+            let (mut q, mut dq) = (0.0, 0.0);
+            let (mut fastest, mut hardest) = (0.0_f64, 0.0_f64);
+            for _ in 0..5000 {
+                bounds.update(&at(q, dq), &DVector::zeros(1));
+                let a = bounds.acceleration.upper[0];
+                hardest = hardest.max(a.abs());
+                q += period * (dq + 0.5 * period * a);
+                dq += period * a;
+                fastest = fastest.max(dq);
+                assert!(q <= end + 1e-9, "{velocity} {acceleration}: at {q}");
+            }
+            assert!(
+                fastest <= velocity * (1.0 + 1e-9)
+                    && fastest > 0.5 * velocity.min((2.0 * acceleration).sqrt())
+            );
+            assert!(hardest <= acceleration * 1.02, "{velocity}: {hardest} of {acceleration}");
+            assert!(end - q < 1e-3 && dq.abs() < 1e-3, "arrived: {q} {dq}");
+        }
+    }
+
+    /// A joint that starts beyond its end, moving outward: it comes back, and stays.
+    #[test]
+    fn a_joint_beyond_its_end_comes_back() {
+        let limits = JointLimits {
+            upper: vec![1.0],
+            velocity: vec![2.0],
+            acceleration: vec![10.0],
+            ..JointLimits::none(1)
+        };
+        let mut bounds = bounds(limits);
+        let (mut q, mut dq) = (1.2, 0.5);
+        for _ in 0..5000 {
+            bounds.update(&at(q, dq), &DVector::zeros(1));
+            let a = bounds.acceleration.upper[0];
+            assert!(a.is_finite() && bounds.acceleration.lower[0] <= a);
+            q += 1e-3 * (dq + 0.5e-3 * a);
+            dq += 1e-3 * a;
+        }
+        assert!(q <= 1.0 + 1e-6 && q > 0.99, "{q}");
+    }
+
+    /// Every interval holds a number, whatever the state: proportion of lower to upper.
+    #[test]
+    fn no_interval_is_empty() {
+        let limits = JointLimits {
+            lower: vec![-0.01],
+            upper: vec![0.01],
+            velocity: vec![2.0],
+            acceleration: vec![10.0],
+            torque: vec![5.0],
+            torque_rate: vec![100.0],
+        };
+        let mut bounds = bounds(limits);
+        for q in [-1.0, -0.01, -0.005, 0.0, 0.01, 0.5] {
+            for dq in [-5.0, -0.3, 0.0, 0.2, 5.0] {
+                for before in [-9.0, -5.0, 0.0, 4.99, 7.0] {
+                    bounds.update(&at(q, dq), &DVector::from_element(1, before));
+                    let [a, t] = [&bounds.acceleration, &bounds.torque];
+                    assert!(a.lower[0] <= a.upper[0] && a.lower[0].is_finite() && a.upper[0].is_finite());
+                    assert!(t.lower[0] <= t.upper[0] && t.upper[0] <= 5.0 && t.lower[0] >= -5.0);
+                }
+            }
+        }
+    }
+}

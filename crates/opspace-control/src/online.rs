@@ -1,0 +1,478 @@
+//! Online trajectory generation: from any state of motion to rest at a goal, under limits of velocity,
+//! acceleration and jerk.
+//!
+//! One coordinate takes the shortest time under its limits: up to seven pieces of constant jerk, after up to two
+//! that bring a state beyond the limits within them (Berscheid and Kröger 2021, *Jerk-limited Real-time
+//! Trajectory Generation with Arbitrary Target States*; the crate `rsruckig` finds the pieces). A whole
+//! motion is computed when it starts; nothing here allocates.
+
+use crate::quantity::Positive;
+use crate::reference::{OrientationGoal, PositionGoal};
+use nalgebra::{Matrix3, Vector3};
+use rsruckig::block::Block;
+use rsruckig::position_third_step1::PositionThirdOrderStep1;
+use rsruckig::profile::Profile;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::Deserialize;
+use std::borrow::Cow;
+
+/// A motion to one pose as fast as the limits allow, from whatever motion it finds at the start.
+///
+/// The way is split into its part along the line from the start to the goal and what the frame still does
+/// across it: each has the limits to itself. So from rest the frame goes straight, and the limits hold for
+/// its speed; in a turn likewise, of the rotation vector from the start orientation. Position and
+/// orientation arrive each in its own time. The one that has no goal stays as it is, or comes back to that
+/// within half a second. A motion beyond the limits is brought within them first: how far that leads, the
+/// limits say.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "OnlineGoalFile")]
+pub struct OnlineGoal {
+    /// Where to, and how fast (m/s, m/s², m/s³).
+    pub position: Option<(PositionGoal, MotionLimits)>,
+    /// Which way up, and how fast (rad/s, rad/s², rad/s³).
+    pub orientation: Option<(OrientationGoal, MotionLimits)>,
+}
+
+/// How fast a motion may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionLimits {
+    /// m/s or rad/s.
+    pub velocity: Positive,
+    /// m/s² or rad/s².
+    pub acceleration: Positive,
+    /// m/s³ or rad/s³.
+    pub jerk: Positive,
+}
+
+/// [`OnlineGoal`] as it is written.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct OnlineGoalFile {
+    /// Where to; without it the frame stays where it is.
+    position: Option<PositionGoal>,
+    /// Which way up; without it the frame keeps its orientation.
+    orientation: Option<OrientationGoal>,
+    /// Speed at most, m/s; with `position`.
+    velocity_m_per_s: Option<Positive>,
+    /// Acceleration at most, m/s²; with `position`.
+    acceleration_m_per_s2: Option<Positive>,
+    /// Jerk at most, m/s³; with `position`.
+    jerk_m_per_s3: Option<Positive>,
+    /// Angular speed at most, rad/s; with `orientation`.
+    angular_velocity_rad_per_s: Option<Positive>,
+    /// Angular acceleration at most, rad/s²; with `orientation`.
+    angular_acceleration_rad_per_s2: Option<Positive>,
+    /// Angular jerk at most, rad/s³; with `orientation`.
+    angular_jerk_rad_per_s3: Option<Positive>,
+}
+
+impl JsonSchema for OnlineGoal {
+    fn schema_name() -> Cow<'static, str> {
+        "OnlineGoal".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        OnlineGoalFile::json_schema(generator)
+    }
+}
+
+impl TryFrom<OnlineGoalFile> for OnlineGoal {
+    type Error = String;
+
+    fn try_from(file: OnlineGoalFile) -> Result<Self, String> {
+        if file.position.is_none() && file.orientation.is_none() {
+            return Err("the goal names neither `position` nor `orientation`".to_owned());
+        }
+        let linear = [
+            ("velocity_m_per_s", file.velocity_m_per_s),
+            ("acceleration_m_per_s2", file.acceleration_m_per_s2),
+            ("jerk_m_per_s3", file.jerk_m_per_s3),
+        ];
+        let angular = [
+            ("angular_velocity_rad_per_s", file.angular_velocity_rad_per_s),
+            ("angular_acceleration_rad_per_s2", file.angular_acceleration_rad_per_s2),
+            ("angular_jerk_rad_per_s3", file.angular_jerk_rad_per_s3),
+        ];
+        Ok(Self {
+            position: limited("position", file.position, linear)?,
+            orientation: limited("orientation", file.orientation, angular)?,
+        })
+    }
+}
+
+/// A goal with its limits: all three with one, none without.
+fn limited<T>(
+    key: &str,
+    goal: Option<T>,
+    limits: [(&str, Option<Positive>); 3],
+) -> Result<Option<(T, MotionLimits)>, String> {
+    let Some(goal) = goal else {
+        return match limits.iter().find(|(_, limit)| limit.is_some()) {
+            Some((name, _)) => Err(format!("`{name}` limits a motion to `{key}`, which is not given")),
+            None => Ok(None),
+        };
+    };
+    let [velocity, acceleration, jerk] = limits.map(|(name, limit)| {
+        limit.ok_or_else(|| format!("`{key}` needs a limit `{name}`, which is missing"))
+    });
+    Ok(Some((goal, MotionLimits { velocity: velocity?, acceleration: acceleration?, jerk: jerk? })))
+}
+
+/// The motion of one coordinate to rest at a goal.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OnlineMotion {
+    goal: f64,
+    duration_s: f64,
+    /// In the order of their begins, of which the first is 0.
+    pieces: [Piece; PIECES],
+    count: usize,
+}
+
+/// Two that brake, seven that move.
+const PIECES: usize = 9;
+
+/// A polynomial: of the third degree where the jerk is constant.
+#[derive(Clone, Copy, Debug, Default)]
+struct Piece {
+    begin_s: f64,
+    /// Of t⁰ to t⁵, t from the piece's begin.
+    coefficients: [f64; 6],
+}
+
+impl Piece {
+    fn at(&self, time_s: f64) -> [f64; 3] {
+        let ([c0, c1, c2, c3, c4, c5], t) = (self.coefficients, time_s - self.begin_s);
+        [
+            c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        ]
+    }
+}
+
+/// Whether two states are the same but for what the generator takes for rounding; NaN is never.
+fn meet(one: [f64; 3], other: [f64; 3]) -> bool {
+    one.iter().zip(other).all(|(a, b)| (a - b).abs() <= 1e-8 * (1.0 + b.abs()))
+}
+
+impl OnlineMotion {
+    /// From `from` (position, velocity, acceleration) to rest at `goal`. Where no motion within the limits is
+    /// found (limits or states of very unlike magnitude), a smooth one that need not keep them.
+    pub(crate) fn new(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Self {
+        Self::limited(from, goal, limits)
+            .unwrap_or_else(|| Self::quintic(from, goal, unhurried_s(from, goal, limits)))
+    }
+
+    /// At rest.
+    pub(crate) fn rest(at: f64) -> Self {
+        Self::quintic([at, 0.0, 0.0], at, 1.0)
+    }
+
+    /// From `from` to rest at `goal` in `duration_s`: the polynomial of the fifth degree.
+    pub(crate) fn quintic(from: [f64; 3], goal: f64, duration_s: f64) -> Self {
+        let [x, v, a] = from;
+        let t = duration_s;
+        // In u = t/duration: what is left of the way, and of the velocity, once the start's state has run on.
+        let way = goal - x - v * t - 0.5 * a * t * t;
+        let speed = -(v + a * t) * t;
+        let bend = -a * t * t;
+        let c3 = 10.0 * way - 4.0 * speed + 0.5 * bend;
+        let c4 = -15.0 * way + 7.0 * speed - bend;
+        let c5 = 6.0 * way - 3.0 * speed + 0.5 * bend;
+        let cubed = t * t * t;
+        let coefficients = [x, v, 0.5 * a, c3 / cubed, c4 / (cubed * t), c5 / (cubed * t * t)];
+        let mut pieces = [Piece::default(); PIECES];
+        pieces[0] = Piece { begin_s: 0.0, coefficients };
+        Self { goal, duration_s, pieces, count: 1 }
+    }
+
+    /// `None` where the generator finds nothing, or nothing that joins start and goal.
+    fn limited(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Option<Self> {
+        if from == [goal, 0.0, 0.0] {
+            return Some(Self::rest(goal));
+        }
+        let [x, v, a] = from;
+        let [v_max, a_max, j_max] = [limits.velocity, limits.acceleration, limits.jerk].map(Positive::get);
+        let mut profile = Profile::default();
+        profile.brake.get_position_brake_trajectory(v, a, v_max, -v_max, a_max, -a_max, j_max);
+        profile.set_boundary(x, v, a, goal, 0.0, 0.0);
+        profile.brake.finalize(&mut profile.p[0], &mut profile.v[0], &mut profile.a[0]);
+        let [x, v, a] = [profile.p[0], profile.v[0], profile.a[0]];
+        let mut block = Block::default();
+        let mut solver =
+            PositionThirdOrderStep1::new(x, v, a, goal, 0.0, 0.0, v_max, -v_max, a_max, -a_max, j_max);
+        if !solver.get_profile(&profile, &mut block) {
+            return None;
+        }
+        Self::of_profile(&block.p_min, from, goal)
+    }
+
+    fn of_profile(profile: &Profile, from: [f64; 3], goal: f64) -> Option<Self> {
+        let brake = &profile.brake;
+        let braking = if brake.duration > 0.0 { 2 } else { 0 };
+        let brakes = (0..braking).map(|i| ([brake.p[i], brake.v[i], brake.a[i]], brake.j[i], brake.t[i]));
+        let moves = (0..7).map(|i| ([profile.p[i], profile.v[i], profile.a[i]], profile.j[i], profile.t[i]));
+        let mut pieces = [Piece::default(); PIECES];
+        let (mut count, mut begin_s, mut reached) = (0, 0.0, from);
+        for (state, jerk, lasts_s) in brakes.chain(moves).filter(|(_, _, lasts_s)| *lasts_s > 0.0) {
+            if !meet(reached, state) {
+                return None;
+            }
+            let [x, v, a] = state;
+            let piece = Piece { begin_s, coefficients: [x, v, a / 2.0, jerk / 6.0, 0.0, 0.0] };
+            pieces[count] = piece;
+            count += 1;
+            begin_s += lasts_s;
+            reached = piece.at(begin_s);
+        }
+        let whole = Self { goal, duration_s: begin_s, pieces, count };
+        meet(reached, [goal, 0.0, 0.0]).then_some(whole)
+    }
+
+    /// Position, velocity and acceleration at `time_s` after the start.
+    pub(crate) fn at(&self, time_s: f64) -> [f64; 3] {
+        if time_s >= self.duration_s {
+            return [self.goal, 0.0, 0.0];
+        }
+        let time_s = time_s.max(0.0);
+        let next = self.pieces[..self.count].partition_point(|piece| piece.begin_s <= time_s);
+        self.pieces[next - 1].at(time_s)
+    }
+}
+
+/// A duration in which a quintic keeps about to the limits: to the peaks of the minimum-jerk motion over the
+/// way, and slower than the limits would brake the start's state.
+fn unhurried_s([x, v, a]: [f64; 3], goal: f64, limits: &MotionLimits) -> f64 {
+    let [v_max, a_max, j_max] = [limits.velocity, limits.acceleration, limits.jerk].map(Positive::get);
+    let way = (goal - x).abs();
+    let minimum_jerk =
+        (1.875 * way / v_max).max((5.774 * way / a_max).sqrt()).max((60.0 * way / j_max).cbrt());
+    let braking = (4.0 * v.abs() / a_max).max((8.0 * v.abs() / j_max).sqrt()).max(4.0 * a.abs() / j_max);
+    // Shorter than any tick, and not zero: the polynomial divides by it.
+    (minimum_jerk + braking).clamp(1e-3, 1e9)
+}
+
+/// How long a quantity that has no goal takes to come back to where it was, if it moves at the start, s.
+const RETURN_S: f64 = 0.5;
+
+/// The motion of a displacement or a rotation vector, from zero.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OnlineVector {
+    /// Along the way, and two directions across it: one a column.
+    directions: Matrix3<f64>,
+    motions: [OnlineMotion; 3],
+}
+
+impl OnlineVector {
+    pub(crate) fn rest() -> Self {
+        Self { directions: Matrix3::identity(), motions: [OnlineMotion::rest(0.0); 3] }
+    }
+
+    /// From zero, with `velocity` and `acceleration`, to rest at `goal`.
+    pub(crate) fn new(
+        velocity: &Vector3<f64>,
+        acceleration: &Vector3<f64>,
+        goal: &Vector3<f64>,
+        limits: &MotionLimits,
+    ) -> Self {
+        let directions = directions(goal, velocity, acceleration);
+        let [v, a] = [velocity, acceleration].map(|vector| directions.tr_mul(vector));
+        let goals = [goal.norm(), 0.0, 0.0];
+        let motion = |i: usize| OnlineMotion::new([0.0, v[i], a[i]], goals[i], limits);
+        Self { directions, motions: [motion(0), motion(1), motion(2)] }
+    }
+
+    /// From zero, with `velocity` and `acceleration`, back to rest at zero.
+    pub(crate) fn back(velocity: &Vector3<f64>, acceleration: &Vector3<f64>) -> Self {
+        let motion = |i: usize| OnlineMotion::quintic([0.0, velocity[i], acceleration[i]], 0.0, RETURN_S);
+        Self { directions: Matrix3::identity(), motions: [motion(0), motion(1), motion(2)] }
+    }
+
+    /// The vector and its first two derivatives at `time_s` after the start.
+    pub(crate) fn at(&self, time_s: f64) -> [Vector3<f64>; 3] {
+        let along = self.motions.map(|motion| motion.at(time_s));
+        [0, 1, 2].map(|k| self.directions * Vector3::new(along[0][k], along[1][k], along[2][k]))
+    }
+}
+
+/// Orthonormal: along the first, then along what the others do across it.
+fn directions(first: &Vector3<f64>, second: &Vector3<f64>, third: &Vector3<f64>) -> Matrix3<f64> {
+    let mut basis = [Vector3::zeros(); 3];
+    let mut found = 0;
+    for vector in [first, second, third, &Vector3::x(), &Vector3::y(), &Vector3::z()] {
+        if found == 3 {
+            break;
+        }
+        // Twice: once would leave a vector almost along the others at an angle to them.
+        let mut across = *vector;
+        for _ in 0..2 {
+            for known in &basis[..found] {
+                across -= known * known.dot(&across);
+            }
+        }
+        let norm = across.norm();
+        if norm > 1e-9 * vector.norm() {
+            basis[found] = across / norm;
+            found += 1;
+        }
+    }
+    Matrix3::from_columns(&basis)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn limits([velocity, acceleration, jerk]: [f64; 3]) -> MotionLimits {
+        let [velocity, acceleration, jerk] = [velocity, acceleration, jerk].map(Positive::literal);
+        MotionLimits { velocity, acceleration, jerk }
+    }
+
+    /// Two decades of each about what arms do.
+    fn any_limits() -> impl Strategy<Value = [f64; 3]> {
+        [-1.0..1.0, -1.0..1.0, -1.0..1.0]
+            .prop_map(|d: [f64; 3]| [0.5 * 10f64.powf(d[0]), 2.0 * 10f64.powf(d[1]), 20.0 * 10f64.powf(d[2])])
+    }
+
+    /// By how much a joint of two pieces may be off, as the generator's own tolerances.
+    const SEAM: f64 = 1e-8;
+
+    /// Velocity and acceleration against central differences, where no piece ends; and no jump where one does.
+    fn check_smooth(motion: &OnlineMotion, jerk: f64) {
+        let h = motion.duration_s * 1e-4;
+        for k in 0..100 {
+            let t = motion.duration_s * (f64::from(k) + 0.5) / 100.0;
+            let [before, now, after] = [t - h, t, t + h].map(|t| motion.at(t));
+            let scale = 1.0 + now.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+            let velocity = (after[0] - before[0]) / (2.0 * h);
+            // Third derivative: at most 2 jerk h²/6, seams over h.
+            let tolerance = jerk * h * h + SEAM * scale * (1.0 + 1.0 / h);
+            assert!((now[1] - velocity).abs() <= tolerance, "{motion:?} at {t}");
+            // A piece that ends within h changes the difference by at most 2 jerk h/2.
+            let change = (after[2] - before[2]).abs();
+            assert!(change <= 2.0 * jerk * h * (1.0 + 1e-9) + SEAM * scale, "{motion:?} at {t}");
+            let acceleration = (after[1] - before[1]) / (2.0 * h);
+            assert!((now[2] - acceleration).abs() <= jerk * h + SEAM * scale / h, "{motion:?} at {t}");
+        }
+    }
+
+    proptest! {
+        /// From any state that need not leave the limits: the start's state, the limits at 200 instants, the
+        /// goal at rest; the jerk as the difference of accelerations.
+        #[test]
+        fn limits_hold_all_the_way(
+            limit in any_limits(),
+            [x, way] in [-2.0..2.0, -3.0..3.0f64],
+            [v, a] in [-1.0..1.0, -1.0..1.0f64],
+        ) {
+            let [v_max, a_max, j_max] = limit;
+            // What a0 adds to the speed before it can be undone, a0²/2j, is kept free.
+            let a = a * a_max.min((v_max * j_max).sqrt());
+            let v = v * (v_max - a * a / (2.0 * j_max));
+            let goal = x + way;
+            let motion = OnlineMotion::limited([x, v, a], goal, &limits(limit)).expect("a motion");
+            let begin = motion.at(0.0);
+            prop_assert_eq!(begin, [x, v, a]);
+            prop_assert_eq!(motion.at(motion.duration_s), [goal, 0.0, 0.0]);
+            let close = 1.0 + 1e-9;
+            let step = motion.duration_s / 200.0;
+            let mut before = begin;
+            for k in 1..=200 {
+                let now = motion.at(step * f64::from(k));
+                prop_assert!(now[1].abs() <= v_max * close && now[2].abs() <= a_max * close, "{:?}", now);
+                prop_assert!((now[2] - before[2]).abs() <= j_max * step * close + SEAM, "{:?}", now);
+                before = now;
+            }
+            check_smooth(&motion, j_max);
+        }
+
+        /// From beyond the limits: back within them, the jerk never beyond its own.
+        #[test]
+        fn a_start_beyond_the_limits_is_braked(
+            limit in any_limits(),
+            [v, a, way] in [-3.0..3.0, -3.0..3.0, -3.0..3.0f64],
+        ) {
+            let [v_max, a_max, j_max] = limit;
+            let start = [0.1, v * v_max, a * a_max];
+            let motion = OnlineMotion::limited(start, way, &limits(limit)).expect("a motion");
+            prop_assert_eq!(motion.at(0.0), start);
+            prop_assert_eq!(motion.at(motion.duration_s), [way, 0.0, 0.0]);
+            // The longest braking: the acceleration to its far limit and back, then the speed at it.
+            let beyond = 2.0 * v_max + 4.0 * a_max * a_max * 2.0 / j_max;
+            let braked_s = 8.0 * a_max / j_max + (beyond + 3.0 * v_max) / a_max;
+            for k in 0..200 {
+                let t = motion.duration_s * f64::from(k) / 200.0;
+                let now = motion.at(t);
+                let within = now[1].abs() <= v_max * (1.0 + 1e-9) && now[2].abs() <= a_max * (1.0 + 1e-9);
+                prop_assert!(within || t < braked_s, "{:?} at {}", now, t);
+            }
+            check_smooth(&motion, j_max);
+        }
+
+        /// Whatever the magnitudes: it begins where it is asked to, arrives, and is a number in between.
+        #[test]
+        fn no_magnitude_makes_it_jump(
+            decades in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
+            start in [-5.0..5.0, -5.0..5.0, -5.0..5.0f64],
+            signs in [-1.0..1.0, -1.0..1.0, -1.0..1.0f64],
+        ) {
+            let [x, v, a] = [0, 1, 2].map(|i| signs[i] * 10f64.powf(start[i]));
+            let motion = OnlineMotion::new([x, v, a], 0.7, &limits(decades.map(|d| 10f64.powf(d))));
+            prop_assert!(meet(motion.at(0.0), [x, v, a]), "{:?}", motion);
+            prop_assert_eq!(motion.at(motion.duration_s), [0.7, 0.0, 0.0]);
+            for k in 0..50 {
+                let now = motion.at(motion.duration_s * f64::from(k) / 50.0);
+                prop_assert!(now.iter().all(|x| x.is_finite()), "{:?}", motion);
+            }
+        }
+
+        /// The polynomial at its ends against what it is to join, and its derivatives against differences.
+        #[test]
+        fn the_motion_in_place_of_a_generated_one_is_smooth(
+            [x, v, a, goal] in [-2.0..2.0, -2.0..2.0, -2.0..2.0, -2.0..2.0f64],
+            duration_s in 0.1..5.0f64,
+        ) {
+            let motion = OnlineMotion::quintic([x, v, a], goal, duration_s);
+            prop_assert_eq!(motion.at(0.0), [x, v, a]);
+            let end = motion.at(duration_s * (1.0 - 1e-12));
+            let scale = 10.0 / duration_s.min(1.0).powi(3);
+            for (end, wanted) in end.iter().zip([goal, 0.0, 0.0]) {
+                prop_assert!((end - wanted).abs() < 1e-9 * scale, "{:?}", motion);
+            }
+            // Sixty times the way, and the state's share, over the cube of the duration.
+            check_smooth(&motion, 60.0 * (4.0 + 2.0 * duration_s + duration_s * duration_s) / duration_s.powi(3));
+        }
+    }
+
+    /// The fallback's duration: long enough for its peaks to keep to limits from rest.
+    #[test]
+    fn an_unhurried_motion_from_rest_keeps_to_the_limits() {
+        for limit in [[0.5, 2.0, 20.0], [5.0, 1.0, 100.0], [5.0, 20.0, 1.0]] {
+            let from = [0.0; 3];
+            let motion = OnlineMotion::quintic(from, 1.0, unhurried_s(from, 1.0, &limits(limit)));
+            for k in 0..=100 {
+                let now = motion.at(motion.duration_s * f64::from(k) / 100.0);
+                assert!(now[1].abs() <= limit[0] * 1.001 && now[2].abs() <= limit[1] * 1.001, "{limit:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn directions_are_orthonormal_and_the_first_is_along_the_way() {
+        let along = Vector3::new(0.3, -0.4, 1.2);
+        let nothing = Vector3::zeros();
+        for (first, second, third) in [
+            (along, along * 2.0, Vector3::new(0.1, 0.2, 0.3)),
+            (along, Vector3::new(1.0, 0.0, 0.0), Vector3::new(1.0, 1e-12, 0.0)),
+            (nothing, along, nothing),
+            (nothing, nothing, nothing),
+            (along * 1e-200, along + Vector3::x() * 1e-8, nothing),
+        ] {
+            let basis = directions(&first, &second, &third);
+            assert!((basis.tr_mul(&basis) - Matrix3::identity()).norm() < 1e-14, "{basis}");
+            let aligned = basis.tr_mul(&first);
+            assert!((aligned.x - first.norm()).abs() <= 1e-15 * first.norm() + 1e-150, "{aligned}");
+        }
+    }
+}

@@ -1,0 +1,499 @@
+//! Recorded paths: poses at instants, read from CSV and joined by splines.
+//!
+//! This crate touches no file: who reads a task file also reads the recorded file that it names, by
+//! [`parse`], into [`RecordedPath::samples`].
+
+use crate::orientation::{self, rotation_vector_rates};
+use crate::quantity::Positive;
+use crate::ramp::minimum_jerk;
+use crate::reference::Target;
+use nalgebra::{Matrix3, Quaternion, SVector, UnitQuaternion, Vector3, Vector4};
+use opspace_model::{Motion, Placement};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// A recorded path to follow, its first sample at the start.
+///
+/// The path is the C² cubic spline through the samples, at rest and without acceleration at both ends. Record it
+/// from rest to rest: what is already under way at its first sample is caught up with in the first two
+/// intervals, however fast that is.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RecordedPath {
+    /// A CSV file with the columns `time_s,x_m,y_m,z_m` and, if the frame turns, `qw,qx,qy,qz`; the path counts
+    /// from this file.
+    pub file: PathBuf,
+    /// Whether the path is laid with its first sample on the start pose, its displacements and turns along
+    /// and about the task's axes. If not, it is where it was recorded, in the world. True if absent.
+    #[serde(default = "yes")]
+    pub relative: bool,
+    /// For how long the way from the start pose to a path that isn't relative is faded out by the
+    /// minimum-jerk ramp, s; 1 if absent.
+    #[serde(default = "default_approach_s")]
+    pub approach_s: Positive,
+    /// What the file holds.
+    #[serde(skip)]
+    pub samples: Vec<PoseSample>,
+}
+
+/// Two paths are the same if they are of the same file: a comparison in a control loop can't walk all samples.
+impl PartialEq for RecordedPath {
+    fn eq(&self, other: &Self) -> bool {
+        self.file == other.file && self.relative == other.relative && self.approach_s == other.approach_s
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn default_approach_s() -> Positive {
+    Positive::literal(1.0)
+}
+
+/// A pose at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseSample {
+    /// When, s; only differences count.
+    pub time_s: f64,
+    /// Where, m.
+    pub position: [f64; 3],
+    /// Which way up: a unit quaternion w, x, y, z; either sign.
+    pub quaternion: Option<[f64; 4]>,
+}
+
+impl RecordedPath {
+    /// Whether its samples make a path: two or more, forward in time.
+    #[must_use]
+    pub fn is_read(&self) -> bool {
+        self.samples.len() > 1 && self.samples.windows(2).all(|pair| pair[0].time_s < pair[1].time_s)
+    }
+}
+
+/// What is wrong in a recorded path's file.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{reason}")]
+pub struct RecordedError {
+    /// The line, from 1; `None` for the file as a whole.
+    pub line: Option<u64>,
+    /// What is wrong there.
+    pub reason: RecordedReason,
+}
+
+/// What can be wrong with a recorded path.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum RecordedReason {
+    /// The first line doesn't name a column that must be there.
+    #[error(
+        "no column `{name}`: a recorded path has time_s, x_m, y_m, z_m and, if it turns, qw, qx, qy, qz, all of \
+         them"
+    )]
+    MissingColumn {
+        /// The column.
+        name: &'static str,
+    },
+    /// The first line names a column that is not known.
+    #[error(
+        "unknown column `{name}`: a recorded path has time_s, x_m, y_m, z_m and, if it turns, qw, qx, qy, qz"
+    )]
+    UnknownColumn {
+        /// The column.
+        name: String,
+    },
+    /// The first line names a column twice.
+    #[error("two columns `{name}`")]
+    RepeatedColumn {
+        /// The column.
+        name: String,
+    },
+    /// A line with more or fewer values than there are columns.
+    #[error("{values} values for {columns} columns")]
+    Values {
+        /// How many the line has.
+        values: u64,
+        /// How many the first line has.
+        columns: u64,
+    },
+    /// A value that is not a finite number.
+    #[error("column `{column}`: expected a finite number, got '{value}'")]
+    Number {
+        /// Its column.
+        column: &'static str,
+        /// As it is written.
+        value: String,
+    },
+    /// A sample not after the one before.
+    #[error("column `time_s`: {time_s} s does not come after {previous_s} s")]
+    Time {
+        /// Its time, s.
+        time_s: f64,
+        /// The time before it, s.
+        previous_s: f64,
+    },
+    /// A quaternion that is not one of a rotation.
+    #[error("columns `qw`, `qx`, `qy`, `qz`: the quaternion's length is {length}, not 1")]
+    Length {
+        /// Its length.
+        length: f64,
+    },
+    /// A turn too large to tell which way it went.
+    #[error(
+        "columns `qw`, `qx`, `qy`, `qz`: {angle_rad:.3} rad from the orientation before it; sample so often \
+         that it is less than a quarter turn"
+    )]
+    Turn {
+        /// The angle between the two, rad.
+        angle_rad: f64,
+    },
+    /// Fewer than two samples.
+    #[error("{count} samples: at least 2 are needed")]
+    TooShort {
+        /// How many there are.
+        count: usize,
+    },
+    /// Not CSV.
+    #[error("{message}")]
+    Syntax {
+        /// What the reader says.
+        message: String,
+    },
+}
+
+/// The columns of a recorded path's file; the last four stand there all or not at all.
+pub const COLUMNS: [&str; 8] = ["time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
+
+/// By how much a quaternion's length may be off 1: written with four digits it is by less.
+const LENGTH_TOLERANCE: f64 = 1e-3;
+
+/// The samples in a CSV text, whose first line names the columns, in any order.
+///
+/// # Errors
+/// The first thing that is wrong, with its line.
+pub fn parse(text: &str) -> Result<Vec<PoseSample>, RecordedError> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+    let headers = reader.headers().map_err(|e| syntax(text, &e))?.clone();
+    let first_line = line_at(text, 0);
+    let places = places(&headers).map_err(|reason| RecordedError { line: Some(first_line), reason })?;
+    let mut samples: Vec<PoseSample> = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(|e| syntax(text, &e))?;
+        let line = record.position().map(|position| line_at(text, position.byte()));
+        let at = |reason| RecordedError { line, reason };
+        let mut numbers = [0.0; COLUMNS.len()];
+        for ((number, place), column) in numbers.iter_mut().zip(places).zip(COLUMNS) {
+            let Some(value) = place.and_then(|place| record.get(place)) else { continue };
+            let parsed = value.parse().ok().filter(|parsed: &f64| parsed.is_finite());
+            *number = parsed.ok_or_else(|| at(RecordedReason::Number { column, value: value.to_owned() }))?;
+        }
+        let [time_s, x, y, z, q @ ..] = numbers;
+        let quaternion = places[4].map(|_| unit(q)).transpose().map_err(at)?;
+        let sample = PoseSample { time_s, position: [x, y, z], quaternion };
+        if let Some(previous) = samples.last() {
+            follows(&sample, previous).map_err(at)?;
+        }
+        samples.push(sample);
+    }
+    if samples.len() < 2 {
+        return Err(RecordedError { line: None, reason: RecordedReason::TooShort { count: samples.len() } });
+    }
+    Ok(samples)
+}
+
+/// Where each of [`COLUMNS`] stands; the quaternion's nowhere, or all somewhere.
+fn places(headers: &csv::StringRecord) -> Result<[Option<usize>; COLUMNS.len()], RecordedReason> {
+    let mut places = [None; COLUMNS.len()];
+    for (place, name) in headers.iter().enumerate() {
+        let Some(column) = COLUMNS.iter().position(|column| *column == name) else {
+            return Err(RecordedReason::UnknownColumn { name: name.to_owned() });
+        };
+        if places[column].replace(place).is_some() {
+            return Err(RecordedReason::RepeatedColumn { name: name.to_owned() });
+        }
+    }
+    let turns = places[4..].iter().any(Option::is_some);
+    let needed = if turns { COLUMNS.len() } else { 4 };
+    match (0..needed).find(|&column| places[column].is_none()) {
+        Some(column) => Err(RecordedReason::MissingColumn { name: COLUMNS[column] }),
+        None => Ok(places),
+    }
+}
+
+/// The quaternion at length 1.
+fn unit(q: [f64; 4]) -> Result<[f64; 4], RecordedReason> {
+    let length = Vector4::from(q).norm();
+    if (length - 1.0).abs() > LENGTH_TOLERANCE {
+        return Err(RecordedReason::Length { length });
+    }
+    Ok(q.map(|part| part / length))
+}
+
+fn follows(sample: &PoseSample, previous: &PoseSample) -> Result<(), RecordedReason> {
+    let (time_s, previous_s) = (sample.time_s, previous.time_s);
+    if time_s <= previous_s {
+        return Err(RecordedReason::Time { time_s, previous_s });
+    }
+    if let (Some(q), Some(previous)) = (sample.quaternion, previous.quaternion) {
+        let cosine = Vector4::from(q).dot(&Vector4::from(previous)).abs();
+        let angle_rad = 2.0 * cosine.min(1.0).acos();
+        if angle_rad > std::f64::consts::FRAC_PI_2 {
+            return Err(RecordedReason::Turn { angle_rad });
+        }
+    }
+    Ok(())
+}
+
+/// The line, from 1, of a record that the reader began to read at a byte: it counts empty lines to it.
+fn line_at(text: &str, byte: u64) -> u64 {
+    let bytes = text.as_bytes();
+    let from = usize::try_from(byte).map_or(bytes.len(), |byte| byte.min(bytes.len()));
+    let empty = bytes[from..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
+    1 + bytes[..from + empty].iter().filter(|byte| **byte == b'\n').count() as u64
+}
+
+fn syntax(text: &str, error: &csv::Error) -> RecordedError {
+    let line = error.position().map(|position| line_at(text, position.byte()));
+    let reason = match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            RecordedReason::Values { values: *len, columns: *expected_len }
+        }
+        _ => RecordedReason::Syntax { message: error.to_string() },
+    };
+    RecordedError { line, reason }
+}
+
+/// Position (m) and quaternion (w, x, y, z).
+type Row = SVector<f64, 7>;
+
+/// The C² cubic spline through a path's samples, at rest and without acceleration at both ends; its quaternion
+/// is the spline through the components, brought to length 1.
+///
+/// A cubic spline has two conditions to spare, and rest at both ends takes four: the two others are bought by
+/// a knot more within the first and the last interval, free in value (Biagiotti and Melchiorri 2008,
+/// *Trajectory Planning for Automatic Machines and Robots*, §4.4.4).
+#[derive(Clone, Debug)]
+pub(crate) struct Spline {
+    turns: bool,
+    /// From the first sample on, s.
+    times: Vec<f64>,
+    values: Vec<Row>,
+    /// Second derivatives.
+    bends: Vec<Row>,
+}
+
+impl Spline {
+    /// `None` of a path whose samples don't make one.
+    pub(crate) fn new(path: &RecordedPath) -> Option<Self> {
+        if !path.is_read() {
+            return None;
+        }
+        let samples = &path.samples;
+        let turns = samples.iter().all(|sample| sample.quaternion.is_some());
+        let mut times = Vec::with_capacity(samples.len() + 2);
+        let mut values: Vec<Row> = Vec::with_capacity(samples.len() + 2);
+        let mut before = Vector4::new(1.0, 0.0, 0.0, 0.0);
+        for sample in samples {
+            let mut q = sample.quaternion.filter(|_| turns).map_or(before, Vector4::from);
+            // Of the two signs the one on the side of the last.
+            if q.dot(&before) < 0.0 {
+                q = -q;
+            }
+            before = q;
+            let [x, y, z] = sample.position;
+            times.push(sample.time_s - samples[0].time_s);
+            values.push(Row::from([x, y, z, q[0], q[1], q[2], q[3]]));
+        }
+        let last = times.len() - 1;
+        let (first_value, last_value) = (values[0], values[last]);
+        // The free knots: their values are those of the ends, plus a share of the bend that is sought.
+        let (begin, end) = if last == 1 {
+            (times[1] / 3.0, times[1] * 2.0 / 3.0)
+        } else {
+            (0.5 * times[1], 0.5 * (times[last - 1] + times[last]))
+        };
+        times.insert(last, end);
+        values.insert(last, last_value);
+        times.insert(1, begin);
+        values.insert(1, first_value);
+        let bends = bends(&times, &mut values);
+        Some(Self { turns, times, values, bends })
+    }
+
+    /// The row and its first two derivatives.
+    fn row(&self, time_s: f64) -> [Row; 3] {
+        let last = self.times.len() - 1;
+        let next = self.times.partition_point(|t| *t <= time_s);
+        if time_s <= 0.0 || next > last {
+            let value = self.values[if next > last { last } else { 0 }];
+            return [value, Row::zeros(), Row::zeros()];
+        }
+        let k = next - 1;
+        let (h, u) = (self.times[next] - self.times[k], time_s - self.times[k]);
+        let (y, bend) = (self.values[k], self.bends[k]);
+        let third = (self.bends[next] - bend) / h;
+        let slope = (self.values[next] - y) / h - (bend * 2.0 + self.bends[next]) * (h / 6.0);
+        [
+            y + (slope + (bend / 2.0 + third * (u / 6.0)) * u) * u,
+            slope + (bend + third * (u / 2.0)) * u,
+            bend + third * u,
+        ]
+    }
+
+    /// As it was recorded.
+    fn at(&self, time_s: f64) -> Target {
+        let [row, velocity, acceleration] = self.row(time_s);
+        let linear = |row: &Row| row.fixed_rows::<3>(0).into_owned();
+        let quaternion = |row: &Row| Quaternion::new(row[3], row[4], row[5], row[6]);
+        let [q, dq, ddq] = [quaternion(&row), quaternion(&velocity), quaternion(&acceleration)];
+        // ω = 2 q̇ q*/|q|² but for its scalar part, which is that of |q|; its derivative likewise.
+        let squared = q.norm_squared();
+        let omega = (dq * q.conjugate()).imag() * (2.0 / squared);
+        let alpha = (ddq * q.conjugate()).imag() * (2.0 / squared) - omega * (2.0 * q.dot(&dq) / squared);
+        Target {
+            placement: Placement {
+                translation: linear(&row),
+                rotation: *UnitQuaternion::from_quaternion(q).to_rotation_matrix().matrix(),
+            },
+            velocity: Motion { linear: linear(&velocity), angular: omega },
+            acceleration: Motion { linear: linear(&acceleration), angular: alpha },
+        }
+    }
+}
+
+/// The second derivatives M of a spline at its knots, zero at both ends; the values of the second and the last
+/// but one knot are moved to where the ends are at rest.
+///
+/// ```text
+/// h₋ M₋ + 2(h₋ + h) M + h M₊ = 6 ((y₊ − y)/h − (y − y₋)/h₋)     at each knot within
+/// y = y_end + M h_end²/6                                        at the free knots
+/// ```
+fn bends(times: &[f64], values: &mut [Row]) -> Vec<Row> {
+    let last = times.len() - 1;
+    let h = |k: usize| times[k + 1] - times[k];
+    let share = |k: usize| {
+        if k == 1 {
+            h(0) * h(0) / 6.0
+        } else if k == last - 1 {
+            h(k) * h(k) / 6.0
+        } else {
+            0.0
+        }
+    };
+    // Thomas' algorithm: the matrix is diagonally dominant.
+    let mut upper = vec![0.0; times.len()];
+    let mut bends = vec![Row::zeros(); times.len()];
+    for k in 1..last {
+        let (before, after) = (h(k - 1), h(k));
+        let lower = before - 6.0 * share(k - 1) / before;
+        let diagonal = 2.0 * (before + after) + 6.0 * share(k) * (1.0 / before + 1.0 / after);
+        let slopes = (values[k + 1] - values[k]) / after - (values[k] - values[k - 1]) / before;
+        let pivot = diagonal - lower * upper[k - 1];
+        upper[k] = (after - 6.0 * share(k + 1) / after) / pivot;
+        bends[k] = (slopes * 6.0 - bends[k - 1] * lower) / pivot;
+    }
+    for k in (1..last).rev() {
+        let next = bends[k + 1];
+        bends[k] -= next * upper[k];
+    }
+    bends[last] = Row::zeros();
+    for k in [1, last - 1] {
+        values[k] += bends[k] * share(k);
+    }
+    bends
+}
+
+/// A recorded path on its way from where it was started.
+#[derive(Clone, Debug)]
+pub(crate) struct RecordedMotion {
+    spline: Spline,
+    relative: bool,
+    approach_s: f64,
+    join: Join,
+}
+
+/// How a path is joined to the pose at the start.
+#[derive(Clone, Copy, Debug)]
+enum Join {
+    /// Laid on it: `turn` and `shift` take the path's positions there, `turn` and `own` its orientations.
+    Laid { turn: Matrix3<f64>, shift: Vector3<f64>, own: Matrix3<f64> },
+    /// The way to it from the path's first pose, m and rad, is added and faded out.
+    Faded { line: Vector3<f64>, turn: Vector3<f64> },
+}
+
+impl RecordedMotion {
+    /// `None` of a path whose samples don't make one.
+    pub(crate) fn new(path: &RecordedPath) -> Option<Self> {
+        let nowhere = Vector3::zeros();
+        Some(Self {
+            spline: Spline::new(path)?,
+            relative: path.relative,
+            approach_s: path.approach_s.get(),
+            join: Join::Faded { line: nowhere, turn: nowhere },
+        })
+    }
+
+    pub(crate) fn start(&mut self, from: &Placement, axes: &Matrix3<f64>) {
+        let first = self.spline.at(0.0).placement;
+        self.join = if self.relative {
+            Join::Laid {
+                turn: *axes,
+                shift: from.translation - axes * first.translation,
+                own: first.rotation.transpose() * axes.transpose() * from.rotation,
+            }
+        } else {
+            Join::Faded {
+                line: from.translation - first.translation,
+                turn: orientation::log(&(from.rotation * first.rotation.transpose())),
+            }
+        };
+    }
+
+    pub(crate) fn at(&self, time_s: f64) -> Target {
+        let recorded = self.spline.at(time_s);
+        match &self.join {
+            Join::Laid { turn, shift, own } => laid(&recorded, turn, shift, own),
+            Join::Faded { line, turn } => {
+                let [s, ds, dds] = minimum_jerk(time_s, self.approach_s);
+                let left = [1.0 - s, -ds, -dds];
+                // A path without orientations leaves the frame's as it is.
+                let turned = if self.spline.turns { left } else { [1.0, 0.0, 0.0] };
+                displaced(&recorded, left.map(|s| line * s), turned.map(|s| turn * s))
+            }
+        }
+    }
+}
+
+/// `target`, its world turned by `turn` and moved by `shift`, its own axes turned by `own`.
+fn laid(target: &Target, turn: &Matrix3<f64>, shift: &Vector3<f64>, own: &Matrix3<f64>) -> Target {
+    let Target { placement, velocity, acceleration } = target;
+    let turned = |motion: &Motion| Motion { linear: turn * motion.linear, angular: turn * motion.angular };
+    Target {
+        placement: Placement {
+            translation: shift + turn * placement.translation,
+            rotation: turn * placement.rotation * own,
+        },
+        velocity: turned(velocity),
+        acceleration: turned(acceleration),
+    }
+}
+
+/// `target`, displaced by a line (m) and turned by a rotation vector (rad) with their first two derivatives.
+fn displaced(target: &Target, line: [Vector3<f64>; 3], turn: [Vector3<f64>; 3]) -> Target {
+    let Target { placement, velocity, acceleration } = target;
+    let (omega, alpha) = rotation_vector_rates(&turn[0], &turn[1], &turn[2]);
+    let turn = orientation::exp(&turn[0]);
+    let turned = turn * velocity.angular;
+    Target {
+        placement: Placement {
+            translation: placement.translation + line[0],
+            rotation: turn * placement.rotation,
+        },
+        velocity: Motion { linear: velocity.linear + line[1], angular: omega + turned },
+        acceleration: Motion {
+            linear: acceleration.linear + line[2],
+            angular: alpha + omega.cross(&turned) + turn * acceleration.angular,
+        },
+    }
+}
