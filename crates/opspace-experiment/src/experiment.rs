@@ -13,11 +13,12 @@ use opspace_backend::{
 };
 use opspace_control::{
     CommandKind, ControlError, Controller, InverseKinematicsController, OperationalSpaceController, Reason,
-    RobotFacts, ServoLead, Stack,
+    RobotFacts, ServoLead, Stack, TaskParameters,
 };
 use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
 use schemars::JsonSchema;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Which kind of robot.
@@ -80,6 +81,8 @@ pub struct Choice {
     pub seed: Option<u64>,
     /// Another duration than the task's, s.
     pub duration_s: Option<f64>,
+    /// What a suite calls the settings of this run.
+    pub label: Option<String>,
 }
 
 impl Default for Choice {
@@ -91,6 +94,7 @@ impl Default for Choice {
             profile: None,
             seed: None,
             duration_s: None,
+            label: None,
         }
     }
 }
@@ -201,31 +205,39 @@ impl Experiment {
     /// # Errors
     /// What in the task doesn't fit the robot.
     pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
-        let file = &self.task.file;
-        let stack = Stack {
-            priority: &file.priority,
-            task: &file.task,
-            compensation: file.compensation,
-            limits: file.limits,
-        };
         let facts = RobotFacts {
-            limits: self.robot.joint_limits(),
             period_s: self.profile.period_s(),
             sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
             gravity_by_robot: self.gravity_by() == GravityBy::Robot,
+            limits: self.robot.joint_limits(),
         };
-        let model = &self.robot.model;
-        let controller: Box<dyn Controller> = match self.choice.controller {
-            ControllerKind::Osc => Box::new(
-                OperationalSpaceController::new(model, &stack, &facts).map_err(|e| self.control_error(&e))?,
-            ),
+        let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
+        let stack = self.stack(&file.priority, &file.task);
+        let wrong = |e: ControlError| self.control_error(&e);
+        match self.choice.controller {
+            ControllerKind::Osc => {
+                let mut osc = OperationalSpaceController::new(model, &stack, &facts).map_err(wrong)?;
+                for (number, event) in events.iter().enumerate() {
+                    let stack = osc.prepare(model, &self.stack(&event.priority, &event.task));
+                    osc.schedule(event.time_s, stack.map_err(|e| self.event_error(number, &e))?);
+                }
+                Ok(Box::new(osc))
+            }
             ControllerKind::Ik | ControllerKind::IkLead => {
                 let lead = (self.choice.controller == ControllerKind::IkLead).then(|| self.servo_lead());
-                let ik = InverseKinematicsController::new(model, &stack, &facts, lead);
-                Box::new(ik.map_err(|e| self.control_error(&e))?)
+                let mut ik = InverseKinematicsController::new(model, &stack, &facts, lead).map_err(wrong)?;
+                for (number, event) in events.iter().enumerate() {
+                    let stack = ik.prepare(model, &self.stack(&event.priority, &event.task));
+                    ik.schedule(event.time_s, stack.map_err(|e| self.event_error(number, &e))?);
+                }
+                Ok(Box::new(ik))
             }
-        };
-        Ok(controller)
+        }
+    }
+
+    fn stack<'a>(&'a self, priority: &'a [String], task: &'a BTreeMap<String, TaskParameters>) -> Stack<'a> {
+        let file = &self.task.file;
+        Stack { priority, task, compensation: file.compensation, limits: file.limits }
     }
 
     /// The simulated robot of the chosen kind, at rest at its start.
@@ -406,22 +418,15 @@ impl Experiment {
     }
 
     fn control_error(&self, error: &ControlError) -> FileError {
-        let help = match error.reason() {
-            Reason::Frame(unknown) => Some(choices(&unknown.name, &unknown.known)),
-            Reason::Joint(unknown) => Some(choices(&unknown.name, &unknown.known)),
-            Reason::Sensor { name, known } | Reason::UnknownTask { name, known } => {
-                Some(choices(name, known))
-            }
-            _ => None,
-        };
-        let message = match error.reason() {
-            Reason::Frame(unknown) => format!("this robot has no frame '{}'", unknown.name),
-            Reason::Joint(unknown) => format!("this robot has no joint '{}'", unknown.name),
-            Reason::Sensor { name, .. } => format!("this robot has no force sensor '{name}'"),
-            Reason::UnknownTask { name, .. } => format!("there is no task '{name}'"),
-            other => other.to_string(),
-        };
+        let (message, help) = explained(error);
         FileError::at_key(&self.task.source, error.key(), message, help)
+    }
+
+    /// What doesn't fit once an event has changed it.
+    fn event_error(&self, number: usize, error: &ControlError) -> FileError {
+        let (message, help) = explained(error);
+        let message = format!("after this event, `{}`: {message}", error.key());
+        FileError::at_key(&self.task.source, ["event", &number.to_string(), "set"], message, help)
     }
 
     fn simulation_error(&self, error: &SimulationError) -> FileError {
@@ -448,4 +453,22 @@ impl Experiment {
             }
         }
     }
+}
+
+/// What is wrong with a task, and what could be meant.
+fn explained(error: &ControlError) -> (String, Option<String>) {
+    let help = match error.reason() {
+        Reason::Frame(unknown) => Some(choices(&unknown.name, &unknown.known)),
+        Reason::Joint(unknown) => Some(choices(&unknown.name, &unknown.known)),
+        Reason::Sensor { name, known } | Reason::UnknownTask { name, known } => Some(choices(name, known)),
+        _ => None,
+    };
+    let message = match error.reason() {
+        Reason::Frame(unknown) => format!("this robot has no frame '{}'", unknown.name),
+        Reason::Joint(unknown) => format!("this robot has no joint '{}'", unknown.name),
+        Reason::Sensor { name, .. } => format!("this robot has no force sensor '{name}'"),
+        Reason::UnknownTask { name, .. } => format!("there is no task '{name}'"),
+        other => other.to_string(),
+    };
+    (message, help)
 }

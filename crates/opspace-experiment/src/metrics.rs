@@ -3,7 +3,7 @@
 //! Statistics count from the task's `settle_s` to the end of control. Positions are the true ones where the
 //! log has them (a simulation), else the measured ones.
 
-use crate::experiment::Experiment;
+use crate::experiment::{ControllerKind, Experiment};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::Phase;
 use opspace_control::orientation::log;
@@ -42,6 +42,14 @@ pub struct Metrics {
     pub set_point_speed_max_rad_per_s: Option<f64>,
     /// Share of ticks at which a desired torque was cut off.
     pub torque_saturated_share: Option<f64>,
+    /// Largest torque that the controller commanded to a joint, before anything cut it off, Nm.
+    pub torque_commanded_max_nm: Option<f64>,
+    /// Largest change of a commanded torque from one tick to the next, Nm.
+    pub torque_step_max_nm: Option<f64>,
+    /// Highest speed of a joint, rad/s.
+    pub speed_max_rad_per_s: Option<f64>,
+    /// Share of ticks at which a limit changed the command.
+    pub limited_share: Option<f64>,
 }
 
 /// How long things took: not reproducible.
@@ -81,6 +89,7 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
     metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
         mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
     });
+    run.peaks(&mut metrics);
     metrics
 }
 
@@ -190,6 +199,31 @@ impl<'a> Run<'a> {
                 masked_norm(&axes.tr_mul(&error), &motion[3..])
             });
             (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
+        }
+    }
+
+    /// The largest torques and speeds.
+    fn peaks(&self, metrics: &mut Metrics) {
+        let largest = |values: &mut dyn Iterator<Item = f64>| {
+            values.filter(|v| v.is_finite()).map(f64::abs).reduce(f64::max)
+        };
+        let ticks = self.settled(&self.tick.time_s);
+        let torques = self.experiment.choice().controller == ControllerKind::Osc;
+        if let Some(command) = self.tick.signal("command").filter(|_| torques) {
+            metrics.torque_commanded_max_nm =
+                largest(&mut ticks.clone().flat_map(|k| command.row(k).iter().copied()));
+            let steps = ticks.clone().skip(1).flat_map(|k| {
+                command.row(k).iter().zip(command.row(k - 1)).map(|(now, before)| now - before)
+            });
+            metrics.torque_step_max_nm = largest(&mut { steps });
+        }
+        let positions = self.recording.channel("truth").unwrap_or(self.tick);
+        if let Some(dq) = positions.signal("dq") {
+            let settled = self.settled(&positions.time_s);
+            metrics.speed_max_rad_per_s = largest(&mut settled.flat_map(|k| dq.row(k).iter().copied()));
+        }
+        if let Some(solver) = self.tick.signal("limits_solver") {
+            metrics.limited_share = mean(ticks.map(|k| f64::from(u8::from(solver.row(k)[0] != 0.0))));
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::experiment::Experiment;
 use crate::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::page::Page;
-use crate::results::{Group, NOTES, group, table};
+use crate::results::{Group, Measure, NOTES, group, table};
 use crate::run::Summary;
 use opspace_control::TaskParameters;
 use opspace_log::{ChannelData, Column, Recording};
@@ -52,10 +52,10 @@ impl Shown {
 
 /// A page about runs: one table, then each shown run with its figures.
 #[must_use]
-pub fn page(title: &str, lead: &str, summaries: &[Summary], shown: &[Shown]) -> String {
+pub fn page(title: &str, lead: &str, summaries: &[Summary], measures: &[Measure], shown: &[Shown]) -> String {
     let mut page = Page::new(title).lead(lead).section("Results").table(
         "Medians over the runs of each row, counted from the end of settling",
-        &table(summaries),
+        &table(summaries, measures),
         NOTES,
     );
     if summaries.len() > 1 {

@@ -2,6 +2,8 @@
 
 use crate::run::Summary;
 use crate::table::{Cell, Table};
+use schemars::JsonSchema;
+use serde::Deserialize;
 
 /// What stands under every table of results.
 pub const NOTES: &[&str] = &[
@@ -74,13 +76,16 @@ fn same(a: &Summary, b: &Summary) -> bool {
         && a.ratio == b.ratio
         && a.duration_s == b.duration_s
         && a.overrides == b.overrides
+        && a.label == b.label
 }
 
-/// The table of results: one row a group, each task a line of its own above its rows.
+/// The table of results: one row a group, each task a line of its own above its rows, and a column a measure.
 #[must_use]
-pub fn table(summaries: &[Summary]) -> Table {
-    let heads = [("robot, control", ""), ("profile", ""), ("runs", "")];
-    let mut table = Table::new(&[heads.as_slice(), MEASURES].concat());
+pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
+    let mut heads = vec![("robot, control", ""), ("profile", ""), ("runs", "")];
+    heads.extend(measures.iter().map(|measure| measure.head()));
+    heads.push(("stopped", ""));
+    let mut table = Table::new(&heads);
     let mut task = None;
     for group in group(summaries) {
         let first = group.first();
@@ -94,7 +99,8 @@ pub fn table(summaries: &[Summary]) -> Table {
             profile(first).into(),
             if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty },
         ];
-        row.extend(measures(&group));
+        row.extend(measures.iter().map(|measure| measure.cell(&group)));
+        row.push(stopped(&group));
         table.push(row);
     }
     drop_empty_columns(&mut table);
@@ -102,46 +108,119 @@ pub fn table(summaries: &[Summary]) -> Table {
 }
 
 fn control(summary: &Summary) -> String {
-    match &summary.transformer {
-        Some(transformer) => format!("{} + {transformer}", summary.controller),
-        None => summary.controller.clone(),
+    let mut text = summary.controller.clone();
+    for more in [&summary.transformer, &summary.label].into_iter().flatten() {
+        text += &format!(" + {more}");
     }
+    text
 }
 
 fn profile(summary: &Summary) -> String {
     format!("{} 1:{}", summary.profile, summary.ratio)
 }
 
-/// Heads of the columns that are measured.
-const MEASURES: &[(&str, &str)] = &[
-    ("position rms", "mm"),
-    ("joint rms", "mrad"),
-    ("hand force", "N"),
-    ("hand motion", "mm"),
-    ("torque error servo", "%"),
-    ("torque error interval", "%"),
-    ("torque error tick", "%"),
-    ("tick time", "µs"),
-    ("real time", "×"),
-    ("stopped", ""),
+/// A column of measured numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Measure {
+    /// Distance from the reference, rms.
+    PositionRms,
+    /// Distance from the reference, largest.
+    PositionMax,
+    /// Angle from the reference, rms.
+    OrientationRms,
+    /// Angle from the reference, largest.
+    OrientationMax,
+    /// Joint error, rms.
+    JointRms,
+    /// Error of the contact force on force axes, rms.
+    ForceRms,
+    /// Force of the simulated hand, rms.
+    HandForce,
+    /// How far the simulated hand moves its frame, rms.
+    HandMotion,
+    /// Motor torque against desired torque, at servo rate.
+    TorqueErrorServo,
+    /// The same, of the means over each interface interval.
+    TorqueErrorInterval,
+    /// The same, in the first servo period after each tick.
+    TorqueErrorTick,
+    /// Largest torque that the controller commanded.
+    TorqueMax,
+    /// Largest change of a commanded torque from tick to tick.
+    TorqueStepMax,
+    /// Largest speed of a joint.
+    SpeedMax,
+    /// Share of ticks at which a limit changed the command.
+    Limited,
+    /// One tick of the controller.
+    TickTime,
+    /// Simulated time over wall time.
+    RealTime,
+}
+
+/// What is shown where nothing else is asked for.
+pub const MEASURES: &[Measure] = &[
+    Measure::PositionRms,
+    Measure::JointRms,
+    Measure::HandForce,
+    Measure::HandMotion,
+    Measure::TorqueErrorServo,
+    Measure::TorqueErrorInterval,
+    Measure::TorqueErrorTick,
+    Measure::TickTime,
+    Measure::RealTime,
 ];
 
-fn measures(group: &Group<'_>) -> [Cell; MEASURES.len()] {
-    let scaled = |factor: f64, number: fn(&Summary) -> Option<f64>| {
-        Cell::from(group.median(number).map(|value| factor * value))
-    };
-    [
-        scaled(1e3, |s| s.metrics.position_rms_m),
-        scaled(1e3, |s| s.metrics.joint_rms_rad),
-        scaled(1.0, |s| s.metrics.hand_force_rms_n),
-        scaled(1e3, |s| s.metrics.hand_motion_rms_m),
-        scaled(1e2, |s| s.metrics.torque_error_servo),
-        scaled(1e2, |s| s.metrics.torque_error_interval),
-        scaled(1e2, |s| s.metrics.torque_error_tick),
-        scaled(1e-3, |s| Some(s.timing.tick_ns_median)),
-        scaled(1.0, |s| s.timing.realtime_factor),
-        stopped(group),
-    ]
+impl Measure {
+    /// Title and unit of its column.
+    fn head(self) -> (&'static str, &'static str) {
+        match self {
+            Self::PositionRms => ("position rms", "mm"),
+            Self::PositionMax => ("position max", "mm"),
+            Self::OrientationRms => ("orientation rms", "mrad"),
+            Self::OrientationMax => ("orientation max", "mrad"),
+            Self::JointRms => ("joint rms", "mrad"),
+            Self::ForceRms => ("force rms", "N"),
+            Self::HandForce => ("hand force", "N"),
+            Self::HandMotion => ("hand motion", "mm"),
+            Self::TorqueErrorServo => ("torque error servo", "%"),
+            Self::TorqueErrorInterval => ("torque error interval", "%"),
+            Self::TorqueErrorTick => ("torque error tick", "%"),
+            Self::TorqueMax => ("torque max", "N·m"),
+            Self::TorqueStepMax => ("torque step max", "N·m"),
+            Self::SpeedMax => ("speed max", "rad/s"),
+            Self::Limited => ("limited", "%"),
+            Self::TickTime => ("tick time", "µs"),
+            Self::RealTime => ("real time", "×"),
+        }
+    }
+
+    /// Its median over runs, in the unit of its column.
+    fn cell(self, group: &Group<'_>) -> Cell {
+        let scaled = |factor: f64, number: fn(&Summary) -> Option<f64>| {
+            Cell::from(group.median(number).map(|value| factor * value))
+        };
+        match self {
+            Self::PositionRms => scaled(1e3, |s| s.metrics.position_rms_m),
+            Self::PositionMax => scaled(1e3, |s| s.metrics.position_max_m),
+            Self::OrientationRms => scaled(1e3, |s| s.metrics.orientation_rms_rad),
+            Self::OrientationMax => scaled(1e3, |s| s.metrics.orientation_max_rad),
+            Self::JointRms => scaled(1e3, |s| s.metrics.joint_rms_rad),
+            Self::ForceRms => scaled(1.0, |s| s.metrics.force_rms_n),
+            Self::HandForce => scaled(1.0, |s| s.metrics.hand_force_rms_n),
+            Self::HandMotion => scaled(1e3, |s| s.metrics.hand_motion_rms_m),
+            Self::TorqueErrorServo => scaled(1e2, |s| s.metrics.torque_error_servo),
+            Self::TorqueErrorInterval => scaled(1e2, |s| s.metrics.torque_error_interval),
+            Self::TorqueErrorTick => scaled(1e2, |s| s.metrics.torque_error_tick),
+            Self::TorqueMax => scaled(1.0, |s| s.metrics.torque_commanded_max_nm),
+            Self::TorqueStepMax => scaled(1.0, |s| s.metrics.torque_step_max_nm),
+            Self::SpeedMax => scaled(1.0, |s| s.metrics.speed_max_rad_per_s),
+            Self::Limited => scaled(1e2, |s| s.metrics.limited_share),
+            Self::TickTime => scaled(1e-3, |s| Some(s.timing.tick_ns_median)),
+            Self::RealTime => scaled(1.0, |s| s.timing.realtime_factor),
+        }
+    }
 }
 
 fn stopped(group: &Group<'_>) -> Cell {
@@ -168,7 +247,7 @@ fn drop_empty_columns(table: &mut Table) {
 
 #[cfg(test)]
 mod tests {
-    use super::{group, table};
+    use super::{MEASURES, group, table};
     use crate::run::Summary;
 
     fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
@@ -183,6 +262,7 @@ mod tests {
             seed,
             duration_s: 1.0,
             overrides: Vec::new(),
+            label: None,
             faulted: None,
             fault_time_s: None,
             interrupted: false,
@@ -215,7 +295,7 @@ mod tests {
     #[test]
     fn a_quantity_that_no_run_has_is_no_column() {
         let titles: Vec<String> =
-            table(&[summary("a", "p", 1, 0.1)]).columns.into_iter().map(|c| c.title).collect();
+            table(&[summary("a", "p", 1, 0.1)], MEASURES).columns.into_iter().map(|c| c.title).collect();
         assert!(titles.contains(&"position rms".to_owned()));
         assert!(!titles.contains(&"hand force".to_owned()));
     }
@@ -224,7 +304,7 @@ mod tests {
     #[test]
     fn a_task_stands_above_its_rows() {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
-        let texts = table(&runs).texts();
+        let texts = table(&runs, MEASURES).texts();
         let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
         assert_eq!(firsts, ["a", "  position osc", "b", "  position osc"]);
         assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);

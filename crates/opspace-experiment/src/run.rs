@@ -13,6 +13,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::Write;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
@@ -24,9 +25,9 @@ const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
 
-/// The attachment in which a log keeps the recorded path that a task follows.
-fn recording_file(task: &str) -> String {
-    format!("task.{task}.csv")
+/// The attachment in which a log keeps a recorded path, by the path as the task file gives it.
+fn recording_file(file: &Path) -> String {
+    format!("recorded/{}", file.display())
 }
 
 /// What can go wrong with a run.
@@ -70,6 +71,8 @@ pub struct Summary {
     pub duration_s: f64,
     /// The settings that changed the files.
     pub overrides: Vec<String>,
+    /// What a suite calls these settings.
+    pub label: Option<String>,
     /// The cause of a stop.
     pub faulted: Option<String>,
     /// When it stopped, s.
@@ -175,6 +178,7 @@ impl Experiment {
             seed: self.seed(),
             duration_s: self.duration_s(),
             overrides: self.settings().to_vec(),
+            label: self.choice().label.clone(),
             faulted,
             fault_time_s,
             interrupted: matches!(ending, Ending::Interrupted { .. }),
@@ -208,7 +212,7 @@ impl Experiment {
             (URDF_FILE.to_owned(), "application/xml", &self.robot().urdf),
         ];
         let recordings = self.task().recordings.iter();
-        files.extend(recordings.map(|(task, source)| (recording_file(task), "text/csv", source)));
+        files.extend(recordings.map(|(file, source)| (recording_file(file), "text/csv", source)));
         for (name, _, source) in &files {
             entries.insert(format!("{name}.sha256"), hex(&Sha256::digest(source.text())));
         }
@@ -241,7 +245,7 @@ impl Experiment {
             attached(recording, URDF_FILE, URDF_FILE)?,
         )?;
         let task = Task::from_sources(attached(recording, TASK_FILE, entry("task")?)?, |named| {
-            attached(recording, &recording_file(named.task), &named.path.display().to_string())
+            attached(recording, &recording_file(named.file), &named.path.display().to_string())
         })?;
         let unknown = |key: &str| RunError::Incomplete { what: format!("a '{key}' that is known") };
         let choice = Choice {
@@ -261,6 +265,7 @@ impl Experiment {
             ),
             profile: Some(entry("profile")?.to_owned()),
             seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
+            label: None,
             duration_s: Some(entry("duration_s")?.parse().map_err(|_| unknown("duration_s"))?),
         };
         let settings = entry("overrides")?.lines().map(str::to_owned).collect();

@@ -2,6 +2,7 @@
 
 use crate::experiment::{BackendKind, Choice, ControllerKind, Experiment};
 use crate::files::{Files, Kind, beside};
+use crate::results::{MEASURES, Measure};
 use crate::source::{FileError, Source, parse};
 use opspace_backend::TransformerKind;
 use schemars::JsonSchema;
@@ -17,8 +18,15 @@ pub struct SuiteFile {
     /// The profiles of the robot that each run takes; its default one if absent.
     #[serde(default)]
     pub profiles: Vec<String>,
+    /// The columns of its table; those of every table if absent.
+    #[serde(default = "every_table")]
+    pub columns: Vec<Measure>,
     /// The runs.
     pub run: Vec<SuiteRun>,
+}
+
+fn every_table() -> Vec<Measure> {
+    MEASURES.to_vec()
 }
 
 /// Runs of a suite that share robot, controller and settings.
@@ -46,6 +54,9 @@ pub struct SuiteRun {
     /// Settings as on the command line: `robot.` ones change the robot file, others the task.
     #[serde(default)]
     pub set: Vec<String>,
+    /// What the table calls these settings.
+    #[serde(default)]
+    pub label: Option<String>,
 }
 
 /// A suite, read: every experiment in it checked.
@@ -55,6 +66,8 @@ pub struct Suite {
     pub source: Source,
     /// What it is about.
     pub title: String,
+    /// The columns of its table.
+    pub columns: Vec<Measure>,
     /// Its experiments, in the order of the file: tasks, then profiles, then seeds.
     pub experiments: Vec<Experiment>,
 }
@@ -85,7 +98,7 @@ impl Suite {
             let help = Some("add a [[run]] with tasks".to_owned());
             return Err(FileError::of_file(source.name(), "this suite runs nothing", help));
         }
-        Ok(Self { source, title: file.title, experiments })
+        Ok(Self { source, title: file.title, columns: file.columns, experiments })
     }
 }
 
@@ -105,6 +118,7 @@ impl SuiteRun {
             profile,
             seed,
             duration_s: None,
+            label: self.label.clone(),
         };
         let robot = self.robot.as_ref().map(|robot| beside(suite, robot));
         Experiment::load(files, &beside(suite, task), robot.as_deref(), choice, &self.set)

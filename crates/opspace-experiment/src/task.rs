@@ -46,9 +46,34 @@ pub struct TaskFile {
     /// Where a simulated robot starts, at rest, by joint name, rad (m); joints left out start at 0.
     #[serde(default)]
     pub start_rad: BTreeMap<String, f64>,
+    /// What changes while the controller runs, in the order of time.
+    #[serde(default)]
+    pub event: Vec<EventFile>,
     /// What touches a simulated robot, by name.
     #[serde(default)]
     pub surroundings: BTreeMap<String, SurroundingParameters>,
+}
+
+/// A change of the tasks while the controller runs.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EventFile {
+    /// When, s after the controller's start.
+    pub time_s: Positive,
+    /// What changes from then on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
+    /// `"priority=[\"hand\"]"`. Only `task` and `priority` can change.
+    pub set: Vec<String>,
+}
+
+/// The tasks that are in force from a time on.
+#[derive(Clone, Debug)]
+pub struct StackFile {
+    /// s after the controller's start.
+    pub time_s: f64,
+    /// The tasks by name, the most important first.
+    pub priority: Vec<String>,
+    /// The tasks, by name.
+    pub task: BTreeMap<String, TaskParameters>,
 }
 
 const fn one() -> u64 {
@@ -62,8 +87,10 @@ pub struct Task {
     pub source: Source,
     /// Its file.
     pub file: TaskFile,
-    /// The recorded paths that its tasks follow, by the tasks' names.
-    pub recordings: BTreeMap<String, Source>,
+    /// The recorded paths that its tasks follow, by the path as the file gives it.
+    pub recordings: BTreeMap<PathBuf, Source>,
+    /// The tasks after each of the file's events.
+    pub events: Vec<StackFile>,
 }
 
 impl Task {
@@ -87,21 +114,25 @@ impl Task {
         mut read: impl FnMut(NamedRecording<'_>) -> Result<Source, E>,
     ) -> Result<Self, E> {
         let mut file: TaskFile = parse(&source)?;
+        let mut events = after_events(&source, &file)?;
         let mut recordings = BTreeMap::new();
-        for (task, parameters) in &mut file.task {
+        let stacks = events.iter_mut().map(|stack| &mut stack.task);
+        for (task, parameters) in std::iter::once(&mut file.task).chain(stacks).flatten() {
             let (kind, reference) = match parameters {
                 TaskParameters::Cartesian(task) => ("cartesian", &mut task.reference),
                 TaskParameters::CenterOfMass(task) => ("center-of-mass", &mut task.reference),
                 _ => continue,
             };
             let CartesianReference::Recorded(recorded) = reference else { continue };
-            let key = ["task", task, kind, "reference", "recorded", "file"];
-            let path = beside(Path::new(source.name()), &recorded.file);
-            let recording = read(NamedRecording { task, path, by: &source, key })?;
-            recorded.samples = samples(&recording)?;
-            recordings.insert(task.clone(), recording);
+            if !recordings.contains_key(&recorded.file) {
+                let key = ["task", task, kind, "reference", "recorded", "file"];
+                let path = beside(Path::new(source.name()), &recorded.file);
+                let recording = read(NamedRecording { file: &recorded.file, path, by: &source, key })?;
+                recordings.insert(recorded.file.clone(), recording);
+            }
+            recorded.samples = samples(&recordings[&recorded.file])?;
         }
-        Ok(Self { source, file, recordings })
+        Ok(Self { source, file, recordings, events })
     }
 
     /// The task's name: that of its file.
@@ -120,12 +151,47 @@ impl Task {
 
 /// A recorded path that a task names.
 pub struct NamedRecording<'a> {
-    /// The task.
-    pub task: &'a str,
-    /// Its file.
+    /// Its file as the task file gives it.
+    pub file: &'a Path,
+    /// Where that is.
     pub path: PathBuf,
     by: &'a Source,
     key: [&'a str; 6],
+}
+
+/// The tasks after each event: an event changes what the one before has left.
+fn after_events(source: &Source, file: &TaskFile) -> Result<Vec<StackFile>, FileError> {
+    let mut stacks: Vec<StackFile> = Vec::new();
+    let mut settings = Vec::new();
+    for (number, event) in file.event.iter().enumerate() {
+        let number = number.to_string();
+        let at = |key: &'static str, message: String, help: Option<String>| {
+            FileError::at_key(source, ["event", &number, key], message, help)
+        };
+        let time_s = event.time_s.get();
+        if let Some(before) = stacks.last().filter(|before| before.time_s >= time_s) {
+            let message =
+                format!("the event at {time_s} s does not come after the one at {} s", before.time_s);
+            return Err(at("time_s", message, None));
+        }
+        for setting in &event.set {
+            let key = setting.split(['.', '=']).next().unwrap_or_default().trim();
+            if key != "task" && key != "priority" {
+                let message = format!("`{setting}`: an event changes `task` and `priority` alone");
+                return Err(at(
+                    "set",
+                    message,
+                    Some("as in \"task.hand.cartesian.axes.x=compliant\"".to_owned()),
+                ));
+            }
+            settings.push(setting.clone());
+        }
+        let changed = overrides::apply(source, &settings).and_then(|changed| parse::<TaskFile>(&changed));
+        let changed = changed
+            .map_err(|error| at("set", error.message().to_owned(), error.help().map(str::to_owned)))?;
+        stacks.push(StackFile { time_s, priority: changed.priority, task: changed.task });
+    }
+    Ok(stacks)
 }
 
 /// The samples of a recorded path.

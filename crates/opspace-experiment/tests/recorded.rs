@@ -78,7 +78,7 @@ fn a_run_on_a_recorded_path_comes_out_again() {
     }
 
     let again = Experiment::of_log(&recording).unwrap();
-    assert_eq!(again.task().recordings["hand"].text(), PATH);
+    assert_eq!(again.task().recordings[Path::new("paths/hand.csv")].text(), PATH);
     let replayed = replay(&again, &recording).unwrap();
     assert_eq!((replayed.differing, replayed.compared), (0, replayed.logged));
     assert!(replayed.compared > 1000 && replayed.unmatched.is_empty());

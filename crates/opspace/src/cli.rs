@@ -172,6 +172,7 @@ impl RunArgs {
             profile: self.profile.clone(),
             seed: self.seed,
             duration_s: self.duration_s,
+            label: None,
         }
     }
 }

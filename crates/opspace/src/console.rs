@@ -2,7 +2,7 @@
 
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
 use miette::{GraphicalReportHandler, GraphicalTheme};
-use opspace_experiment::results::{NOTES, table};
+use opspace_experiment::results::{Measure, NOTES, table};
 use opspace_experiment::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
 use std::io::{self, IsTerminal, Write};
@@ -109,8 +109,8 @@ pub fn print(text: &str) -> Result<(), Failure> {
 }
 
 /// Results as a table with its notes.
-pub fn results(console: Console, summaries: &[Summary]) -> String {
-    let mut text = render(&table(summaries));
+pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) -> String {
+    let mut text = render(&table(summaries, measures));
     if !console.quiet {
         let width = usize::from(width().unwrap_or(100));
         for note in NOTES {

@@ -58,9 +58,9 @@ pub fn bench(args: &BenchArgs, console: Console) -> Outcome {
     });
     let rows = pretty(&rows);
     let lead = format!("{} runs in simulation. {}", summaries.len(), LEAD);
-    write(&folder.join(REPORT), &page(&suite.title, &lead, &summaries, &shown))?;
+    write(&folder.join(REPORT), &page(&suite.title, &lead, &summaries, &suite.columns, &shown))?;
     write(&folder.join(ROWS), &rows)?;
-    args.output.json.print(|| rows.clone(), || results(console, &summaries))?;
+    args.output.json.print(|| rows.clone(), || results(console, &summaries, &suite.columns))?;
     console.note(&format!("wrote {}, {ROWS} and {} logs", folder.join(REPORT).display(), shown.len()));
     let codes: Vec<Exit> = summaries.iter().map(exit_code).collect();
     let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));

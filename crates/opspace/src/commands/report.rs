@@ -5,6 +5,7 @@ use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{REPORT, pretty, read_log, write};
 use opspace_experiment::replay::ending;
 use opspace_experiment::report::{Shown, page};
+use opspace_experiment::results::MEASURES;
 use opspace_experiment::{Experiment, RunError};
 
 pub fn report(args: &ReportArgs, console: Console) -> Outcome {
@@ -35,7 +36,7 @@ pub fn report(args: &ReportArgs, console: Console) -> Outcome {
     let lead = "What the robot was asked and what it did, from its log.";
     let beside = first.map(|log| log.with_file_name(REPORT));
     let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());
-    write(&out, &page(&title, lead, &summaries, &shown))?;
+    write(&out, &page(&title, lead, &summaries, MEASURES, &shown))?;
     args.json.print(|| pretty(&summaries), || format!("{}\n", out.display()))?;
     Ok(exit)
 }

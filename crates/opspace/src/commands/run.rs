@@ -7,6 +7,7 @@ use crate::output::{LOG, REPORT, SUMMARY, prepare, pretty, write};
 use indicatif::{ProgressBar, ProgressStyle};
 use opspace_backend::Ending;
 use opspace_experiment::report::{Shown, page};
+use opspace_experiment::results::MEASURES;
 use opspace_experiment::run::Watch;
 use opspace_experiment::{Experiment, Files, Summary};
 use opspace_log::Recording;
@@ -34,7 +35,9 @@ pub fn run(args: &RunArgs, console: Console) -> Outcome {
     let recording = Recording::read(&log).map_err(|e| Failure::Other(e.to_string(), Exit::Failed))?;
     let summary = experiment.summary(&recording, &finished.ending, Some(finished.realtime_factor));
     write_results(&folder, &experiment, &recording, &summary)?;
-    args.output.json.print(|| pretty(&summary), || results(console, std::slice::from_ref(&summary)))?;
+    args.output
+        .json
+        .print(|| pretty(&summary), || results(console, std::slice::from_ref(&summary), MEASURES))?;
     if let Ending::Interrupted { time_s } = finished.ending {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
     }
@@ -67,7 +70,7 @@ fn write_results(
 ) -> Result<(), Failure> {
     let shown = Shown::new(experiment, recording, summary.clone());
     let lead = "One run of a simulated robot, with what it was asked and what it did.";
-    let html = page(&shown.title.clone(), lead, std::slice::from_ref(summary), &[shown]);
+    let html = page(&shown.title.clone(), lead, std::slice::from_ref(summary), MEASURES, &[shown]);
     write(&folder.join(REPORT), &html)?;
     write(&folder.join(SUMMARY), &pretty(summary))
 }
