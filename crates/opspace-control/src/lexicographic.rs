@@ -4,16 +4,17 @@
 //! α = α_above + z + N δ: z is what it asks for itself, and δ what the limits make of it. Its residual is minimal,
 //!
 //! ```text
-//! min |W J_p δ|²     a_min ≤ α ≤ a_max,   τ_min ≤ M α + τ_own ≤ τ_max,   d ẋ ≤ ẋ_max
+//! min |W J_p δ|²_Λ     a_min ≤ α ≤ a_max,   τ_min ≤ M α + τ_own ≤ τ_max,   d ẋ ≤ ẋ_max
 //! ```
 //!
 //! and stays what it is at the levels below, since J_p N vanishes there. W weighs what leads aside from where the task
 //! is going ten times as much as what only slows it down. Among equal residuals the one nearest in kinetic energy to
 //! what was asked for is found by proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M: without a limit in force δ is
-//! zero, exactly. The last level, of all joints, has that norm itself for its residual.
+//! zero, exactly. The last level, of all joints, has that norm itself for its residual, and takes back what of the other
+//! levels' δ their rows don't feel.
 //!
-//! Where the bounds on accelerations can't be met, they are first widened as little as possible (least squares, torques
-//! never): a joint that starts beyond its end is led back as hard as its torque allows.
+//! Where the bounds on accelerations and speeds can't be met, they are first widened as little as possible (least
+//! squares, torques never): a joint that starts beyond its end is led back as hard as its torque allows.
 //!
 //! Sources: Kanoun, Lamiraux and Wieber, *Kinematic control of redundant manipulators: generalizing the task-priority
 //! framework to inequality task*, IEEE T-RO 27(4), 2011; Escande, Mansard and Wieber, *Hierarchical quadratic
@@ -24,7 +25,7 @@ use crate::hierarchy::Nullspace;
 use crate::interior_point::InteriorPoint;
 use crate::limits::Bounds;
 use crate::qp::{QpError, QuadraticProgram};
-use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
 
 /// How much more aside weighs than ahead.
@@ -99,8 +100,11 @@ pub(crate) struct Cascade {
     torque_rows: DMatrix<f64>,
     mass: DMatrix<f64>,
     torque: DVector<f64>,
-    /// Of the last programme, scaled; slacks behind (2n).
+    /// Of the last programme, scaled (n), and its slacks behind.
     delta: DVector<f64>,
+    /// Σ N δ of the levels so far (n).
+    displaced: DVector<f64>,
+    /// α while bounds are widened (n).
     asked: DVector<f64>,
     solver: Solver,
     shortcut: bool,
@@ -108,8 +112,8 @@ pub(crate) struct Cascade {
 
 /// What a level minimises.
 pub(crate) enum Residual<'a> {
-    /// |W J_p δ|², with where the task is going. Rows of J_p that the task doesn't have are zero.
-    Rows { jacobian: &'a Matrix6xX<f64>, heading: Vector6<f64> },
+    /// |W J_p δ|²_Λ, with where the task is going. Rows of J_p and Λ that the task doesn't have are zero.
+    Rows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, heading: Vector6<f64> },
     /// |δ|²_M.
     Joints,
 }
@@ -117,7 +121,7 @@ pub(crate) enum Residual<'a> {
 impl Cascade {
     /// For `n` joints and at most `speeds` bounds on speeds.
     pub(crate) fn new(n: usize, speeds: usize) -> Self {
-        let (variables, constraints) = (2 * n, 2 * n + speeds);
+        let (variables, constraints) = (2 * n + speeds, 2 * n + speeds);
         let zero = DVector::zeros(n);
         let square = DMatrix::zeros(n, n);
         Self {
@@ -132,6 +136,7 @@ impl Cascade {
             mass: square,
             torque: zero.clone(),
             delta: DVector::zeros(variables),
+            displaced: zero.clone(),
             asked: zero,
             solver: Solver::Unlimited,
             shortcut: true,
@@ -151,6 +156,7 @@ impl Cascade {
     /// Before the first level.
     pub(crate) fn begin(&mut self, data: &Data) {
         self.alpha.fill(0.0);
+        self.displaced.fill(0.0);
         self.solver = Solver::Unlimited;
         let n = self.scale.len();
         for (i, scale) in self.scale.iter_mut().enumerate() {
@@ -198,6 +204,11 @@ impl Cascade {
         residual: &Residual<'_>,
         limits: &mut Limits<'_>,
     ) -> Result<(), QpError> {
+        if let Residual::Joints = residual {
+            // How the levels above got within the limits, where their own rows don't feel it, is no wish of theirs.
+            above.project_velocity(self.displaced.as_mut_slice());
+            self.alpha -= &self.displaced;
+        }
         multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
         if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
             return Ok(());
@@ -214,7 +225,9 @@ impl Cascade {
             }
             result => result?,
         }
+        self.displaced -= &self.alpha;
         self.displace();
+        self.displaced += &self.alpha;
         Ok(())
     }
 
@@ -241,10 +254,10 @@ impl Cascade {
     /// Widens the bounds on accelerations and speeds as little as possible, so that they can be met.
     fn relax(&mut self, data: &Data, limits: &mut Limits<'_>) -> Result<(), QpError> {
         let n = self.scale.len();
-        self.program.resize(2 * n, 2 * n);
+        let variables = 2 * n + limits.speeds.len();
         let hessian = &mut self.program.hessian;
-        for c in 0..2 * n {
-            for r in c..2 * n {
+        for c in 0..variables {
+            for r in c..variables {
                 let on_joints = r < n;
                 let slack = f64::from(u8::from(r == c && c >= n));
                 hessian[(r, c)] = if on_joints { RELAXED * self.mass[(r, c)] } else { slack };
@@ -333,7 +346,7 @@ impl Cascade {
         let n = self.scale.len();
         self.program.resize(n, 2 * n);
         let hessian = &mut self.program.hessian;
-        let Residual::Rows { jacobian, heading } = residual else {
+        let Residual::Rows { jacobian, inertia, heading } = residual else {
             for c in 0..n {
                 for r in c..n {
                     hessian[(r, c)] = self.mass[(r, c)];
@@ -341,12 +354,13 @@ impl Cascade {
             }
             return None;
         };
-        let length = heading.norm_squared();
-        let ahead = if length > 0.0 { (ASIDE * ASIDE - 1.0) / length } else { 0.0 };
+        let momentum = *inertia * heading;
+        let energy = heading.dot(&momentum);
+        let ahead = if energy > 0.0 { (ASIDE * ASIDE - 1.0) / energy } else { 0.0 };
         let mut trace = 0.0;
         for c in 0..n {
             let right = jacobian.column(c) / self.scale[c];
-            let weighed = right * (ASIDE * ASIDE) - heading * (ahead * heading.dot(&right));
+            let weighed = *inertia * right * (ASIDE * ASIDE) - momentum * (ahead * momentum.dot(&right));
             for r in c..n {
                 hessian[(r, c)] = jacobian.column(r).dot(&weighed) / self.scale[r];
             }
@@ -361,14 +375,11 @@ impl Cascade {
         Some(proximal)
     }
 
-    /// The limits on δ; with a slack for each bound on an acceleration, and without those on speeds, if `relaxed`.
+    /// The limits on δ; with a slack for each bound on an acceleration or a speed if `relaxed`.
     fn constrain(&mut self, limits: &Limits<'_>, relaxed: bool) {
         let n = self.scale.len();
-        if relaxed {
-            self.program.resize(2 * n, 2 * n);
-        } else {
-            self.program.resize(n, 2 * n + limits.speeds.len());
-        }
+        let constraints = 2 * n + limits.speeds.len();
+        self.program.resize(if relaxed { constraints } else { n }, constraints);
         for i in 0..n {
             let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
             let s = self.scale[i];
@@ -395,16 +406,21 @@ impl Cascade {
             self.program.lower[n + i] = (t.lower[i] - at) / s;
             self.program.upper[n + i] = (t.upper[i] - at) / s;
         }
-        let speeds: &[SpeedBound] = if relaxed { &[] } else { limits.speeds };
-        for (k, speed) in speeds.iter().enumerate() {
+        for (k, speed) in limits.speeds.iter().enumerate() {
             let (alpha, nullspace, scale) = (&self.alpha, &self.nullspace, &self.scale);
             let row = self.program.row_mut(2 * n + k);
             for ((x, column), &scale) in row.iter_mut().zip(nullspace.column_iter()).zip(scale) {
                 *x = dot(speed.row.as_slice(), column.as_slice()) / scale;
             }
+            // Of length one, so that its slack compares with those of accelerations.
+            let length = dot(&row[..n], &row[..n]).sqrt().max(f64::MIN_POSITIVE);
+            row[..n].iter_mut().for_each(|x| *x /= length);
             row[n..].fill(0.0);
+            if relaxed {
+                row[2 * n + k] = 1.0;
+            }
             self.program.lower[2 * n + k] = f64::NEG_INFINITY;
-            self.program.upper[2 * n + k] = speed.upper - dot(speed.row.as_slice(), alpha.as_slice());
+            self.program.upper[2 * n + k] = (speed.upper - dot(speed.row.as_slice(), alpha.as_slice())) / length;
         }
     }
 }

@@ -188,7 +188,9 @@ impl OperationalSpaceController {
             data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
             cascade.ask(data, self.scratch.as_slice(), &mut limits);
             let heading = level.heading(data, cascade.alpha(), HORIZON_S);
-            let residual = Residual::Rows { jacobian: &level.projected.jacobian, heading };
+            let projected = &level.projected;
+            let inertia = &projected.space.task_inertia;
+            let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
             solved =
                 solved.and_then(|()| cascade.keep_within(data, &levels.nullspace, &residual, &mut limits));
             levels.nullspace.rewind(place + 1);
