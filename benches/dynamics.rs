@@ -21,12 +21,10 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::path::Path;
-use std::process::Command;
-use std::time::Instant;
 
-const STATES: usize = 1024;
-const REPETITIONS: usize = 15;
-const CALLS: usize = 10_000;
+#[path = "common/timing.rs"]
+mod timing;
+use timing::{CALLS, STATES, measure_peer, time};
 
 const ROBOTS: [(&str, &str); 4] = [
     ("panda_arm7", "panda_hand_tcp"),
@@ -71,32 +69,6 @@ fn main() {
         scaling(calls);
         batches(calls, &root);
     }
-}
-
-/// Median over the repetitions of the mean time of a call, ns.
-fn time(calls: usize, mut call: impl FnMut(usize)) -> f64 {
-    let mut means: Vec<f64> = (0..=REPETITIONS)
-        .map(|_| {
-            let start = Instant::now();
-            (0..calls).for_each(|i| call(i % STATES));
-            start.elapsed().as_secs_f64() * 1e9 / calls as f64
-        })
-        // The first warms up.
-        .skip(1)
-        .collect();
-    means.sort_by(f64::total_cmp);
-    means[REPETITIONS / 2]
-}
-
-fn measure_peer(peer: &Path, urdf: &Path, tip: &str) -> BTreeMap<String, f64> {
-    let out = Command::new(peer).arg(urdf).arg(tip).output().expect("the peer runs");
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
-    let text = String::from_utf8(out.stdout).expect("it prints text");
-    let line = |line: &str| {
-        let (name, ns) = line.split_once(' ')?;
-        Some((name.to_owned(), ns.trim().parse().ok()?))
-    };
-    text.lines().filter_map(line).collect()
 }
 
 /// Random states: q within its limits, q̇, q̈ and τ in the ranges of an arm in motion.

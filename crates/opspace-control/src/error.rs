@@ -192,6 +192,18 @@ pub enum Reason {
         /// How many there may be.
         most: usize,
     },
+    /// A task that becomes one of another kind while it runs.
+    #[error(
+        "task '{name}' is {was} and can't become {is} while it runs: give the new task a name of its own"
+    )]
+    KindChanged {
+        /// The task.
+        name: String,
+        /// What it was.
+        was: &'static str,
+        /// What it would be.
+        is: &'static str,
+    },
     /// A joint task that names no joint, or one twice.
     #[error("`joints` must name at least one joint, and each only once")]
     JointList,

@@ -94,9 +94,9 @@ impl InverseKinematicsController {
     /// Another stack for the same robot, to be [scheduled](Self::schedule).
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// As [`new`](Self::new), and a task that would change its kind.
     pub fn prepare(&self, model: &Model, stack: &Stack<'_>) -> Result<PreparedStack, ControlError> {
-        let prepared = PreparedStack::new(model, stack, &self.robot)?;
+        let prepared = self.stacks.prepare(model, stack, &self.robot)?;
         check_motion(prepared.levels())?;
         Ok(prepared)
     }
@@ -164,7 +164,7 @@ impl Controller for InverseKinematicsController {
     fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
         self.q.copy_from(&measurement.q);
         self.dq.fill(0.0);
-        self.stacks.current().start(model, data, measurement);
+        self.stacks.start(model, data, measurement);
     }
 
     fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {

@@ -211,21 +211,6 @@ impl Level {
         &self.bias
     }
 
-    /// Of the motion.
-    pub(crate) fn signals(&self) -> Vec<Signal> {
-        match &self.task {
-            RowTask::Cartesian(task) => task.motion_signals(),
-            RowTask::Joints(task) => task.signals(),
-        }
-    }
-
-    pub(crate) fn sample(&self, row: &mut Row<'_>) {
-        match &self.task {
-            RowTask::Cartesian(task) => task.sample_motion(row),
-            RowTask::Joints(task) => task.sample(row),
-        }
-    }
-
     /// Of the task's force, and what is left of it near a singularity.
     pub(crate) fn force_signals(&self) -> Vec<Signal> {
         match &self.task {
@@ -241,22 +226,6 @@ impl Level {
         if let RowTask::Cartesian(task) = &self.task {
             row.put(task.axes.force_of_rows(&self.force).as_slice());
             row.put_one(self.projected.space.weakest_share);
-        }
-    }
-
-    /// Of the sensed force, if there is a sensor.
-    pub(crate) fn sensed_signal(&self) -> Option<Signal> {
-        match &self.task {
-            RowTask::Cartesian(task) => task.sensed_signal(),
-            RowTask::Joints(_) => None,
-        }
-    }
-
-    /// What is sensed; not a number where nothing is.
-    pub(crate) fn sample_sensed(&self, row: &mut Row<'_>) {
-        match &self.task {
-            RowTask::Cartesian(task) => task.sample_sensed(row),
-            RowTask::Joints(_) => row.skip(6),
         }
     }
 }

@@ -31,13 +31,17 @@ use opspace_model::Data;
 /// How much more aside weighs than ahead.
 const ASIDE: f64 = 10.0;
 
+/// At which speed a task begins to have a direction, m/s: more than what noise makes of a hand at rest, whose torques would
+/// else follow every turn of it.
+const STILL: f64 = 2e-3;
+
 /// ε of the proximal steps, relative to the trace of the task's Hessian.
 const PROXIMAL: f64 = 1e-7;
 
 /// ε of the proximal steps by which bounds are widened, beside slacks of weight 1.
 const RELAXED: f64 = 1e-7;
 
-/// Proximal steps at most; the second is needed where a limit is in force, the third hardly ever.
+/// Proximal steps at most: one without a limit in force; with one, each leaves some 1e-4 of what the task's rows miss.
 const STEPS: usize = 3;
 
 /// A change of δ below this share ends the steps.
@@ -206,8 +210,10 @@ impl Cascade {
     ) -> Result<(), QpError> {
         if let Residual::Joints = residual {
             // How the levels above got within the limits, where their own rows don't feel it, is no wish of theirs.
-            above.project_velocity(self.displaced.as_mut_slice());
-            self.alpha -= &self.displaced;
+            multiply(&data.mass_matrix, self.displaced.as_slice(), self.torque.as_mut_slice());
+            above.project_torque(self.torque.as_mut_slice());
+            data.mass_matrix_factor.solve(self.torque.as_mut_slice());
+            self.alpha -= &self.torque;
         }
         multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
         if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
@@ -323,21 +329,21 @@ impl Cascade {
         }
     }
 
-    /// N and M N of the freedom above.
+    /// N and M N of the freedom above, as M⁻¹ Nᵀ M and Nᵀ M: the same, but where more than one level above is damped. What
+    /// a level asks for is M⁻¹ Nᵀ times its torques, and so can always be taken back.
     fn span(&mut self, data: &Data, above: &Nullspace) {
+        self.torque_rows.copy_from(&data.mass_matrix);
+        if !above.is_narrowed() {
+            self.nullspace.fill_with_identity();
+            return;
+        }
         let n = self.scale.len();
-        self.nullspace.fill_with_identity();
-        if above.is_narrowed() {
-            for column in self.nullspace.as_mut_slice().chunks_exact_mut(n) {
-                above.project_velocity(column);
-            }
-            for (out, column) in (self.torque_rows.as_mut_slice().chunks_exact_mut(n))
-                .zip(self.nullspace.as_slice().chunks_exact(n))
-            {
-                multiply(&data.mass_matrix, column, out);
-            }
-        } else {
-            self.torque_rows.copy_from(&data.mass_matrix);
+        for column in self.torque_rows.as_mut_slice().chunks_exact_mut(n) {
+            above.project_torque(column);
+        }
+        self.nullspace.copy_from(&self.torque_rows);
+        for column in self.nullspace.as_mut_slice().chunks_exact_mut(n) {
+            data.mass_matrix_factor.solve(column);
         }
     }
 
@@ -356,7 +362,8 @@ impl Cascade {
         };
         let momentum = *inertia * heading;
         let energy = heading.dot(&momentum);
-        let ahead = if energy > 0.0 { (ASIDE * ASIDE - 1.0) / energy } else { 0.0 };
+        let still = STILL * STILL * inertia.trace();
+        let ahead = if energy > 0.0 { (ASIDE * ASIDE - 1.0) / (energy + still) } else { 0.0 };
         let mut trace = 0.0;
         for c in 0..n {
             let right = jacobian.column(c) / self.scale[c];
@@ -420,7 +427,8 @@ impl Cascade {
                 row[2 * n + k] = 1.0;
             }
             self.program.lower[2 * n + k] = f64::NEG_INFINITY;
-            self.program.upper[2 * n + k] = (speed.upper - dot(speed.row.as_slice(), alpha.as_slice())) / length;
+            self.program.upper[2 * n + k] =
+                (speed.upper - dot(speed.row.as_slice(), alpha.as_slice())) / length;
         }
     }
 }

@@ -241,8 +241,9 @@ impl Bounds {
             // The torque limits hold for what is added as well.
             let (low, high) = (-l.torque[i] - added[i], l.torque[i] - added[i]);
             let step = l.torque_rate[i] * self.period_s;
-            self.torque.lower[i] = (before[i] - step).clamp(low, high);
-            self.torque.upper[i] = (before[i] + step).clamp(low, high);
+            // Without a number to start from, any torque within the limits: a NaN must not become a bound.
+            self.torque.lower[i] = (before[i] - step).max(low).min(high);
+            self.torque.upper[i] = (before[i] + step).min(high).max(low);
         }
     }
 }

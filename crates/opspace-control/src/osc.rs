@@ -42,6 +42,8 @@ pub struct OperationalSpaceController {
 /// What keeps commands within the limits.
 struct Limiter {
     bounds: Bounds,
+    /// Those on torques as they were before any of the bounds was widened.
+    torque_bounds: Interval,
     cascade: Cascade,
     /// The first `speed_count` of them in force.
     speeds: Vec<SpeedBound>,
@@ -90,9 +92,9 @@ impl OperationalSpaceController {
     /// [scheduled](Self::schedule). Its compensation and limits aren't used: those of the first stack stay.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// As [`new`](Self::new), and a task that would change its kind.
     pub fn prepare(&self, model: &Model, stack: &Stack<'_>) -> Result<PreparedStack, ControlError> {
-        PreparedStack::new(model, stack, &self.robot)
+        self.stacks.prepare(model, stack, &self.robot)
     }
 
     /// Carries out `stack` from now on, and gives back the one that was carried out. Tasks of the same name go on from
@@ -108,7 +110,7 @@ impl OperationalSpaceController {
         self.stacks.switch(stack, model, data, measurement)
     }
 
-    /// Carries out `stack` from `time_s` on, s after the start.
+    /// Carries out `stack` from `time_s` on, s after the start. Scheduled before the start, its tasks are in the log.
     pub fn schedule(&mut self, time_s: f64, stack: PreparedStack) {
         self.stacks.schedule(time_s, stack);
     }
@@ -218,8 +220,10 @@ impl Limiter {
         let n = model.n();
         let zero = DVector::zeros(n);
         let limits = robot.limits.clone().narrowed(&stack.limits);
+        let bounds = Bounds::new(model, limits, robot.period_s);
         Self {
-            bounds: Bounds::new(model, limits, robot.period_s),
+            torque_bounds: bounds.torque.clone(),
+            bounds,
             cascade: Cascade::new(n, MAX_SPEED_BOUNDS),
             speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; MAX_SPEED_BOUNDS],
             speed_count: 0,
@@ -239,6 +243,8 @@ impl Limiter {
         commanded: &DVector<f64>,
     ) {
         self.bounds.update(measurement, commanded);
+        self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
+        self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
         if compensation == Compensation::Gravity {
             for (drift, (gravity, bias)) in self.drift.iter_mut().zip(data.gravity.iter().zip(&data.bias)) {
                 *drift = gravity - bias;
@@ -270,10 +276,15 @@ impl Limiter {
 
     /// Cuts off torques beyond their limits: rounding, or what no solver could bring within them.
     fn clip(&self, torque: &mut DVector<f64>, own_torque: &DVector<f64>) {
-        let Interval { lower, upper } = &self.bounds.torque;
+        let Interval { lower, upper } = &self.torque_bounds;
         for (i, t) in torque.iter_mut().enumerate() {
+            let commanded = *t + own_torque[i];
             // NaN passes: the backend refuses it by name.
-            *t = (*t + own_torque[i]).clamp(lower[i], upper[i]) - own_torque[i];
+            if commanded < lower[i] {
+                *t = lower[i] - own_torque[i];
+            } else if commanded > upper[i] {
+                *t = upper[i] - own_torque[i];
+            }
         }
     }
 
@@ -309,7 +320,7 @@ impl Controller for OperationalSpaceController {
     }
 
     fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.stacks.current().start(model, data, measurement);
+        self.stacks.start(model, data, measurement);
         // The torque comes in from holding still.
         for (i, commanded) in self.commanded.iter_mut().enumerate() {
             *commanded = if self.robot.gravity_by_robot { 0.0 } else { data.gravity[i] };

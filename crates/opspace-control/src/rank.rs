@@ -3,7 +3,7 @@
 use crate::subject::Subject;
 use crate::task_axes::TaskAxes;
 use nalgebra::{DMatrix, Matrix3, Matrix6xX};
-use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics};
+use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics, update};
 use std::f64::consts::PI;
 
 /// Singular values below this share of the largest don't count: far above rounding, far below what an arm
@@ -117,14 +117,29 @@ fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
     (or_far(limits.lower, -far), or_far(limits.upper, far))
 }
 
-/// The length by which a task's rotations are weighed against its displacements, m: the reach of what it moves.
+/// The length by which a task's rotations are weighed against its displacements, m: the one at which what it moves
+/// is turned as easily as displaced, in the middle of many postures, and at most its reach. With the reach alone a light
+/// wrist would make every displacement look like a singular direction.
 #[must_use]
 pub fn characteristic_length(model: &Model, subject: Subject) -> f64 {
-    match subject {
+    let farthest = match subject {
         Subject::Frame(frame) | Subject::Relative { frame, .. } => reach(model, frame),
         // It doesn't turn.
-        Subject::CenterOfMass => 1.0,
+        Subject::CenterOfMass => return 1.0,
+    };
+    let mut data = Data::new(model);
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    let mut lengths = Vec::with_capacity(SAMPLES);
+    for sample in 0..SAMPLES {
+        if update(model, &mut data, &configuration(model, sample), &vec![0.0; model.n()]) {
+            subject.jacobian(model, &data, &mut jacobian);
+            let mobility = data.mass_matrix_factor.mobility(&mut jacobian).diagonal();
+            lengths.push((mobility.fixed_rows::<3>(0).sum() / mobility.fixed_rows::<3>(3).sum()).sqrt());
+        }
     }
+    lengths.sort_by(f64::total_cmp);
+    let middle = lengths.get(lengths.len() / 2).copied().unwrap_or(farthest);
+    if middle > 0.0 { middle.min(farthest) } else { farthest }
 }
 
 /// How far a frame can be from the first joint that moves it, m: the distances from joint to joint added

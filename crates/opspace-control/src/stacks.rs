@@ -1,7 +1,8 @@
 //! The stack of tasks that is carried out, and those that will be: gains, goals, axis modes and the stack itself can
 //! change while a robot runs.
 
-use crate::error::ControlError;
+use crate::error::{ControlError, Reason};
+use crate::level::RowTask;
 use crate::measurement::Measurement;
 use crate::signal::{Observable, Row, Signal};
 use crate::task::{Levels, RobotFacts, Stack};
@@ -32,7 +33,9 @@ pub(crate) struct Stacks {
     /// Kept so that nothing is freed while running.
     past: Vec<PreparedStack>,
     shows: Shows,
+    /// Fixed from the start on.
     slots: Vec<Slot>,
+    started: bool,
 }
 
 /// A task's place in the rows of a log, whichever stack is in force.
@@ -48,7 +51,19 @@ enum Kind {
     Motion,
     Force,
     Sensed,
-    Joint,
+    Joints,
+    AllJoints,
+}
+
+impl Kind {
+    /// Which kind of task has such signals.
+    fn task(self) -> &'static str {
+        match self {
+            Self::Motion | Self::Force | Self::Sensed => "cartesian or center-of-mass",
+            Self::Joints => "joint-tracking of some joints",
+            Self::AllJoints => "joint-tracking of all joints",
+        }
+    }
 }
 
 /// What of the tasks a controller shows.
@@ -69,7 +84,32 @@ impl Stacks {
     ) -> Result<Self, ControlError> {
         let current = Levels::new(model, stack, robot)?;
         let slots = slots(shows, [&current]);
-        Ok(Self { current, scheduled: Vec::new(), past: Vec::new(), shows, slots })
+        Ok(Self { current, scheduled: Vec::new(), past: Vec::new(), shows, slots, started: false })
+    }
+
+    /// Another stack, to be switched to.
+    pub(crate) fn prepare(
+        &self,
+        model: &Model,
+        stack: &Stack<'_>,
+        robot: &RobotFacts,
+    ) -> Result<PreparedStack, ControlError> {
+        let prepared = PreparedStack::new(model, stack, robot)?;
+        for new in slots(self.shows, [prepared.levels()]) {
+            let is_other = |old: &&Slot| old.name == new.name && old.kind.task() != new.kind.task();
+            if let Some(old) = self.slots.iter().find(is_other) {
+                let reason =
+                    Reason::KindChanged { name: old.name.clone(), was: old.kind.task(), is: new.kind.task() };
+                return Err(ControlError::new(format!("task.{}", old.name), reason));
+            }
+        }
+        Ok(prepared)
+    }
+
+    /// Begins where the robot is.
+    pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.started = true;
+        self.current.start(model, data, measurement);
     }
 
     pub(crate) fn current(&mut self) -> &mut Levels {
@@ -85,6 +125,9 @@ impl Stacks {
         let place = self.scheduled.partition_point(|(other, _)| *other > time_s);
         self.scheduled.insert(place, (time_s, stack));
         self.past.reserve(self.scheduled.len());
+        if self.started {
+            return;
+        }
         let to_come = self.scheduled.iter().rev().map(|(_, stack)| stack.levels());
         self.slots = slots(self.shows, std::iter::once(&self.current).chain(to_come));
     }
@@ -122,11 +165,12 @@ impl Observable for Stacks {
         for slot in &self.slots {
             let level = self.current.rows.iter().find(|level| level.name() == slot.name);
             let joint = self.current.joint.as_ref().filter(|task| task.name() == slot.name);
-            match (slot.kind, level, joint) {
-                (Kind::Motion, Some(level), _) => level.sample(row),
-                (Kind::Force, Some(level), _) => level.sample_force(row),
-                (Kind::Sensed, Some(level), _) => level.sample_sensed(row),
-                (Kind::Joint, _, Some(task)) if task.is_sampled() => task.sample(row),
+            match (slot.kind, level.map(|level| (&level.task, level)), joint) {
+                (Kind::Motion, Some((RowTask::Cartesian(task), _)), _) => task.sample_motion(row),
+                (Kind::Force, Some((RowTask::Cartesian(_), level)), _) => level.sample_force(row),
+                (Kind::Sensed, Some((RowTask::Cartesian(task), _)), _) => task.sample_sensed(row),
+                (Kind::Joints, Some((RowTask::Joints(task), _)), _) => task.sample(row),
+                (Kind::AllJoints, _, Some(task)) if task.is_sampled() => task.sample(row),
                 _ => slot.signals.iter().for_each(|signal| row.skip(signal.len())),
             }
         }
@@ -144,14 +188,19 @@ fn slots<'a>(shows: Shows, stacks: impl IntoIterator<Item = &'a Levels>) -> Vec<
     };
     for levels in stacks {
         for level in &levels.rows {
-            add(level.name(), Kind::Motion, level.signals());
-            if shows == Shows::Forces {
-                add(level.name(), Kind::Force, level.force_signals());
-                add(level.name(), Kind::Sensed, level.sensed_signal().into_iter().collect());
+            match &level.task {
+                RowTask::Joints(task) => add(level.name(), Kind::Joints, task.signals()),
+                RowTask::Cartesian(task) => {
+                    add(level.name(), Kind::Motion, task.motion_signals());
+                    if shows == Shows::Forces {
+                        add(level.name(), Kind::Force, level.force_signals());
+                        add(level.name(), Kind::Sensed, task.sensed_signal().into_iter().collect());
+                    }
+                }
             }
         }
         if let Some(task) = &levels.joint {
-            add(task.name(), Kind::Joint, task.signals());
+            add(task.name(), Kind::AllJoints, task.signals());
         }
     }
     slots

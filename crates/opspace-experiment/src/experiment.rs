@@ -12,8 +12,8 @@ use opspace_backend::{
     TransformerKind,
 };
 use opspace_control::{
-    CommandKind, ControlError, Controller, InverseKinematicsController, OperationalSpaceController, Reason,
-    RobotFacts, ServoLead, Stack, TaskParameters,
+    CommandKind, ControlError, Controller, InverseKinematicsController, LimitParameters,
+    OperationalSpaceController, Reason, RobotFacts, ServoLead, Stack, TaskParameters,
 };
 use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
 use schemars::JsonSchema;
@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Which kind of robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendKind {
     /// A position robot, through the transformer where the controller gives torques.
@@ -43,7 +43,7 @@ impl BackendKind {
 }
 
 /// Which controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {
     /// Operational-space control: torques.
@@ -205,12 +205,7 @@ impl Experiment {
     /// # Errors
     /// What in the task doesn't fit the robot.
     pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
-        let facts = RobotFacts {
-            period_s: self.profile.period_s(),
-            sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
-            gravity_by_robot: self.gravity_by() == GravityBy::Robot,
-            limits: self.robot.joint_limits(),
-        };
+        let facts = self.robot_facts(self.profile.period_s());
         let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
         let stack = self.stack(&file.priority, &file.task);
         let wrong = |e: ControlError| self.control_error(&e);
@@ -232,6 +227,30 @@ impl Experiment {
                 }
                 Ok(Box::new(ik))
             }
+        }
+    }
+
+    /// The torque controller of the task, as if the robot had no limits, updated every `period_s`: for what its
+    /// references ask for. `None` where the task doesn't fit the robot.
+    pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
+        let (model, facts) = (&self.robot.model, self.robot_facts(period_s));
+        let limits = LimitParameters { enforce: false, ..self.task.file.limits };
+        let file = &self.task.file;
+        let stack = Stack { limits, ..self.stack(&file.priority, &file.task) };
+        let mut osc = OperationalSpaceController::new(model, &stack, &facts).ok()?;
+        for event in &self.task.events {
+            let stack = osc.prepare(model, &self.stack(&event.priority, &event.task)).ok()?;
+            osc.schedule(event.time_s, stack);
+        }
+        Some(osc)
+    }
+
+    fn robot_facts(&self, period_s: f64) -> RobotFacts {
+        RobotFacts {
+            period_s,
+            sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
+            gravity_by_robot: self.gravity_by() == GravityBy::Robot,
+            limits: self.robot.joint_limits(),
         }
     }
 
@@ -389,7 +408,7 @@ impl Experiment {
     }
 
     /// Where a simulated robot starts, in joint order.
-    fn start(&self) -> Result<Vec<f64>, FileError> {
+    pub(crate) fn start(&self) -> Result<Vec<f64>, FileError> {
         let model = &self.robot.model;
         let mut start = vec![0.0; model.n()];
         for (name, &value) in &self.task.file.start_rad {

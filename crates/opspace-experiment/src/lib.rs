@@ -3,6 +3,7 @@
 pub mod experiment;
 pub mod figure;
 pub mod files;
+pub mod findings;
 pub mod metrics;
 pub mod names;
 pub mod overrides;
@@ -23,6 +24,7 @@ mod words;
 
 pub use experiment::{BackendKind, Choice, ControllerKind, Experiment};
 pub use files::Files;
+pub use findings::{Finding, findings};
 pub use metrics::{Metrics, Timing};
 pub use robot::Robot;
 pub use run::{RunError, Summary};

@@ -88,13 +88,13 @@ fn a_run_on_a_recorded_path_comes_out_again() {
 #[test]
 fn a_log_with_another_path_differs() {
     let mut recording = run(&load(&folder(PATH)).unwrap());
-    let path = recording.attachments.iter_mut().find(|a| a.name == "task.hand.csv").unwrap();
+    let path = recording.attachments.iter_mut().find(|a| a.name == "recorded/paths/hand.csv").unwrap();
     path.data = PATH.replace("0.15", "0.151").into_bytes();
     let replayed = replay(&Experiment::of_log(&recording).unwrap(), &recording).unwrap();
     assert!(replayed.differing > 500, "{}", replayed.differing);
-    recording.attachments.retain(|a| a.name != "task.hand.csv");
+    recording.attachments.retain(|a| a.name != "recorded/paths/hand.csv");
     let error = Experiment::of_log(&recording).map(|_| ()).unwrap_err().to_string();
-    assert!(error.contains("task.hand.csv"), "{error}");
+    assert!(error.contains("recorded/paths/hand.csv"), "{error}");
 }
 
 /// What is wrong in the path is told at its line; that it can't be read, at the task file's.

@@ -67,6 +67,11 @@ what it would have commanded, open loop, since the robot's motion is the logged 
     Report(ReportArgs),
 
     /// Check robot, task and suite files, against each other too, without running anything.
+    #[command(after_help = "\
+What is wrong in a file is an error (exit code 2). What will go wrong when a task runs is said with its line, its \
+numbers and a remedy, and is no error: goals and speeds beyond the arm, gains beyond the rate and the servo, limits \
+that contradict each other, a singular start, freedom that nothing damps, a run that is too short. --json has it as \
+`findings`.")]
     Check(CheckArgs),
 
     /// Print a robot's joints and frames, or compute its kinematics and dynamics at given states.

@@ -4,7 +4,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
 use opspace_control::{
-    Compensation, ControlError, JointLimits, LimitParameters, Measurement, RobotFacts, Stack, TaskParameters,
+    Compensation, ControlError, JointLimits, LimitParameters, Measurement, Observable, RobotFacts, Row,
+    Stack, TaskParameters,
 };
 use opspace_model::model::z_onto;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
@@ -240,4 +241,113 @@ pub fn build_error(model: &Model, text: &str) -> ControlError {
     let file = File::read(text);
     let built = opspace_control::OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand"));
     built.err().expect("the stack is wrong")
+}
+
+/// An arm of six or seven joints whose every length, axis and mass is drawn from `numbers`, with frames `hand` at its
+/// end and `upper` behind its fourth joint.
+pub fn random_arm(n: usize, numbers: &mut Numbers) -> Model {
+    const NAMES: [&str; 7] = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
+    let links: Vec<Link> = (0..n)
+        .map(|i| {
+            // Light links at the end of an arm.
+            let weight = 1.0 - 0.12 * i as f64;
+            let mut random = || 0.5 + 0.5 * numbers.next();
+            let [a, b, c, d, e, f] = [0; 6].map(|_| random());
+            Link {
+                name: NAMES[i],
+                axis: [a - 0.5, b - 0.5, if i % 2 == 0 { 1.0 } else { 0.3 * c }],
+                origin: [0.1 * d - 0.05, 0.1 * e - 0.05, 0.1 + 0.15 * f],
+                mass: weight * (1.0 + 3.0 * a),
+                com: [0.05 * b, 0.05 * c, 0.02 + 0.08 * d],
+                inertia: [0.02, 0.015 + 0.01 * e, 0.01 + 0.005 * f].map(|x| weight * x),
+                limits: [-2.5, 2.5],
+                rotor: 0.02 + 0.08 * d,
+            }
+        })
+        .collect();
+    arm(&links, &[("hand", n - 1, [0.05, 0.02, 0.1]), ("upper", 3, [0.03, 0.05, 0.08])], 1.0)
+}
+
+/// The values of one signal.
+pub fn sampled(observable: &dyn Observable, name: &str) -> Vec<f64> {
+    let signals = observable.signals();
+    let mut values = vec![0.0; signals.iter().map(|s| s.len()).sum()];
+    let mut row = Row::new(&mut values);
+    observable.sample(&mut row);
+    assert_eq!(row.remaining(), 0, "every signal was sampled");
+    let place = signals.iter().position(|s| s.name == name).expect("the signal exists");
+    let first: usize = signals[..place].iter().map(|s| s.len()).sum();
+    values[first..first + signals[place].len()].to_vec()
+}
+
+impl Numbers {
+    /// One of 0, 1, ... below `count`.
+    pub fn below(&mut self, count: usize) -> usize {
+        ((0.5 + 0.5 * self.next()) * count as f64) as usize
+    }
+
+    /// Between `low` and `high`.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (0.5 + 0.5 * self.next())
+    }
+
+    pub fn vector3(&mut self, size: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| size * self.next())
+    }
+
+    /// Any orientation, up to `size` from the origin.
+    pub fn placement(&mut self, size: f64) -> Placement {
+        Placement::from_rpy([0; 3].map(|_| 1.5 * self.next()), [0; 3].map(|_| size * self.next()))
+    }
+}
+
+/// An arm of `n` joints (9 at most) whose axes, offsets and inertias point anywhere. Frames beside the links, all
+/// turned: `hand` and `wrist` on the last link, `mid` half way up, `base` on the base, which is turned as well.
+pub fn any_arm(n: usize, numbers: &mut Numbers) -> Model {
+    const NAMES: [&str; 9] = ["j1", "j2", "j3", "j4", "j5", "j6", "j7", "j8", "j9"];
+    let links: Vec<Link> = (NAMES[..n].iter())
+        .map(|&name| Link {
+            name,
+            axis: loop {
+                let axis = numbers.vector3(1.0);
+                if axis.norm() > 0.3 {
+                    break axis.into();
+                }
+            },
+            origin: numbers.vector3(0.2).into(),
+            mass: numbers.between(0.5, 3.0),
+            com: numbers.vector3(0.1).into(),
+            inertia: [0; 3].map(|_| numbers.between(0.01, 0.03)),
+            limits: [-2.5, 2.5],
+            rotor: numbers.between(0.02, 0.1),
+        })
+        .collect();
+    let mut model = arm(&links, &[], 1.0).with_base(numbers.placement(0.3));
+    for (name, body) in [("hand", Some(n - 1)), ("wrist", Some(n - 1)), ("mid", Some(n / 2)), ("base", None)]
+    {
+        model.add_frame(name, body, numbers.placement(0.15));
+    }
+    model
+}
+
+/// A motion as six numbers, linear first.
+pub fn six(motion: &opspace_model::Motion) -> nalgebra::Vector6<f64> {
+    let (v, w) = (&motion.linear, &motion.angular);
+    nalgebra::Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
+}
+
+/// One period of joint accelerations `ddq` (n): semi-implicit Euler, and `data` at the state it leads to.
+pub fn step(
+    model: &Model,
+    data: &mut Data,
+    measurement: &mut Measurement,
+    ddq: &DVector<f64>,
+    period_s: f64,
+) {
+    measurement.dq.axpy(period_s, ddq, 1.0);
+    let dq = measurement.dq.clone();
+    measurement.q.axpy(period_s, &dq, 1.0);
+    measurement.time_s += period_s;
+    let (q, dq) = (measurement.q.as_slice(), measurement.dq.as_slice());
+    assert!(opspace_model::update(model, data, q, dq), "the mass matrix is positive definite");
 }

@@ -1,13 +1,18 @@
-//! `opspace check`: files, and files against each other, without running anything.
+//! `opspace check`: files, and files against each other, without running anything; and what will go wrong with a task
+//! before anything moves.
 
 use crate::cli::CheckArgs;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
+use opspace_backend::interface::CommandParameter;
 use opspace_experiment::files::Kind;
 use opspace_experiment::robot::load_urdf;
-use opspace_experiment::{Choice, Experiment, FileError, Files, Robot, Source, Suite};
+use opspace_experiment::{
+    BackendKind, Choice, Experiment, FileError, Files, Finding, Robot, Source, Suite, Task, findings,
+};
 use opspace_model::{Model, UrdfOptions, UrdfWarning, suspicions};
 use serde_json::{Value, json};
+use std::collections::HashSet;
 use std::path::Path;
 
 pub fn check(args: &CheckArgs, console: Console) -> Outcome {
@@ -17,12 +22,62 @@ pub fn check(args: &CheckArgs, console: Console) -> Outcome {
         let checked = check_one(path, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(what) => text += &format!("{}: {what}\n", path.display()),
+            Ok(Checked { what, found }) => {
+                text += &format!("{}: {what}\n", path.display());
+                found.iter().for_each(|found| note(console, found));
+            }
             Err(error) => exit = report(&error.into()),
         }
     }
     args.json.print(|| pretty(&json!({ "schema": "opspace.check/1", "files": files })), || text)?;
     Ok(exit)
+}
+
+/// A file in which nothing is wrong, and what will go wrong with it.
+struct Checked {
+    /// What kind of file it is.
+    what: String,
+    found: Vec<Found>,
+}
+
+impl Checked {
+    fn clean(what: String) -> Self {
+        Self { what, found: Vec::new() }
+    }
+}
+
+/// A finding and its place.
+struct Found {
+    finding: Finding,
+    place: FileError,
+}
+
+/// What will go wrong with these experiments, each thing once: runs that differ in what doesn't matter to it find
+/// the same.
+fn find<'a>(experiments: impl IntoIterator<Item = &'a Experiment>) -> Vec<Found> {
+    let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
+    for experiment in experiments {
+        // All but the seed and the transformer, which no finding depends on.
+        let Choice { backend, controller, duration_s, .. } = experiment.choice();
+        let sources = [&experiment.task().source, &experiment.robot().source].map(|s| s.text().to_owned());
+        let profile = experiment.profile().0.to_owned();
+        let names = [experiment.task().source.name().to_owned(), experiment.robot().source.name().to_owned()];
+        if !looked_at.insert((names, sources, *backend, *controller, profile, duration_s.map(f64::to_bits))) {
+            continue;
+        }
+        for finding in findings(experiment) {
+            let place = finding.placed(experiment);
+            let same = |other: &Found| other.finding == finding && other.place.path() == place.path();
+            if !found.iter().any(same) {
+                found.push(Found { finding, place });
+            }
+        }
+    }
+    found
+}
+
+fn note(console: Console, found: &Found) {
+    console.note(&format!("{}\n  help: {}", found.place, found.finding.help));
 }
 
 /// What in a URDF, or in the model that it makes, deserves a second look.
@@ -31,28 +86,43 @@ fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
     suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
 }
 
-fn check_one(path: &Path, console: Console) -> Result<String, FileError> {
+/// What a task's robot is: one that takes torques alone can't be a position robot.
+fn choice(task: &Path) -> Choice {
+    let robot =
+        Task::load(Files::Disk, task, &[]).and_then(|task| Robot::load(Files::Disk, &task.robot_path(), &[]));
+    match robot {
+        Ok(robot) if robot.file.interface.command == CommandParameter::Torque => {
+            Choice { backend: BackendKind::Torque, ..Choice::default() }
+        }
+        // What is wrong with them is told when they are put together.
+        _ => Choice::default(),
+    }
+}
+
+fn check_one(path: &Path, console: Console) -> Result<Checked, FileError> {
     if path.extension().is_some_and(|e| e == "urdf") {
         let source = Source::read(path)?;
         let loaded = load_urdf(&source, UrdfOptions::default())?;
         warn(console, source.name(), &loaded.warnings, &loaded.model);
-        return Ok(format!("a URDF of {} moving joints", loaded.model.n()));
+        return Ok(Checked::clean(format!("a URDF of {} moving joints", loaded.model.n())));
     }
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
     let robot = || {
         let robot = Robot::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
-        Ok(format!("a robot of {} joints", robot.model.n()))
+        Ok(Checked::clean(format!("a robot of {} joints", robot.model.n())))
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
             let suite = Suite::load(Files::Disk, path)?;
-            Ok(format!("a suite of {} runs", suite.experiments.len()))
+            let what = format!("a suite of {} runs", suite.experiments.len());
+            Ok(Checked { what, found: find(&suite.experiments) })
         }
         Some(Kind::Task) => {
-            let experiment = Experiment::load(Files::Disk, path, None, Choice::default(), &[])?;
-            Ok(format!("a task for the robot '{}'", experiment.robot().name()))
+            let experiment = Experiment::load(Files::Disk, path, None, choice(path), &[])?;
+            let what = format!("a task for the robot '{}'", experiment.robot().name());
+            Ok(Checked { what, found: find([&experiment]) })
         }
         Some(Kind::Robot) => robot(),
         // What a folder stands for is a robot.
@@ -65,9 +135,21 @@ fn check_one(path: &Path, console: Console) -> Result<String, FileError> {
     }
 }
 
-fn as_json(path: &Path, checked: &Result<String, FileError>) -> Value {
+fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
+    let told = |found: &Found| {
+        json!({
+            "at": found.place.path(),
+            "line": found.place.line(),
+            "key": found.finding.key,
+            "message": found.finding.message,
+            "help": found.finding.help,
+        })
+    };
     match checked {
-        Ok(what) => json!({ "file": path, "ok": true, "is": what }),
+        Ok(Checked { what, found }) => {
+            let findings: Vec<Value> = found.iter().map(told).collect();
+            json!({ "file": path, "ok": true, "is": what, "findings": findings })
+        }
         Err(error) => json!({
             "file": path,
             "ok": false,

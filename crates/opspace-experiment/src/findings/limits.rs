@@ -1,0 +1,253 @@
+//! Limits that contradict each other, the start posture, or the arm's weight.
+
+use super::followed::Followed;
+use super::{Case, Finding, short};
+use opspace_backend::GravityBy;
+use opspace_control::TaskParameters;
+use opspace_model::JointKind;
+use std::collections::BTreeSet;
+
+/// What the start alone shows.
+pub(crate) fn of_start(case: &Case<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
+    found.extend(shares(case));
+    for joint in 0..case.model.n() {
+        found.extend(range(case, joint).or_else(|| start_in_margin(case, joint)));
+        found.extend(weight(case, joint, case.data.gravity[joint], None));
+        found.extend(braking(case, joint));
+    }
+    found
+}
+
+/// Shares of more than the whole, which count as the whole.
+fn shares(case: &Case<'_>) -> Vec<Finding> {
+    let limits = case.experiment.task().file.limits;
+    let all = [("velocity_share", limits.velocity_share), ("torque_share", limits.torque_share)];
+    all.into_iter()
+        .filter(|(_, share)| share.get() > 1.0)
+        .map(|(key, share)| {
+            let message = format!("{key} is {}, more than the whole: it counts as 1", short(share.get()));
+            let help = format!("give a share from 0 to 1: {key} = 0.9");
+            Finding::new(&["limits", key], message, help)
+        })
+        .collect()
+}
+
+/// A range of which the margins leave nothing.
+fn range(case: &Case<'_>, joint: usize) -> Option<Finding> {
+    let limits = &case.model.joints()[joint].limits;
+    let (width, margin) = (limits.upper - limits.lower, case.margin());
+    if width > 2.0 * margin {
+        return None;
+    }
+    let message = format!(
+        "position_margin_rad is {} at both ends of joint '{}', whose range is {}: it is kept in the middle",
+        short(margin),
+        case.joint(joint),
+        short(width),
+    );
+    let help = format!("give a margin well below {}", short(0.5 * width));
+    Some(Finding::new(&["limits", "position_margin_rad"], message, help))
+}
+
+/// A start from which the joint is led away at once.
+fn start_in_margin(case: &Case<'_>, joint: usize) -> Option<Finding> {
+    let (q, (lower, upper)) = (case.start[joint], case.range(joint));
+    if q >= lower && q <= upper {
+        return None;
+    }
+    let (end, inside) =
+        if q < lower { (lower - case.margin(), lower) } else { (upper + case.margin(), upper) };
+    let message = format!(
+        "joint '{}' starts at {}, nearer to its end at {} than position_margin_rad = {}: it is led away from \
+         there at once",
+        case.joint(joint),
+        short(q),
+        short(end),
+        short(case.margin()),
+    );
+    let help = format!("start it at {} or further inside, or give a smaller margin", short(inside));
+    Some(Finding::new(&["start_rad", case.joint(joint)], message, help))
+}
+
+/// A joint that can't carry the arm's weight: at the start, or where the references lead at a time.
+fn weight(case: &Case<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Finding> {
+    if case.experiment.robot().file.interface.gravity_by == GravityBy::Robot {
+        return None;
+    }
+    let limits = case.experiment.task().file.limits;
+    let limit = case.experiment.robot().torque_limits()[joint];
+    let share = if limits.enforce { limits.torque_share.get().min(1.0) } else { 1.0 };
+    if gravity.abs() <= share * limit {
+        return None;
+    }
+    let unit = unit(case, joint);
+    let whose = if share < 1.0 {
+        format!(", {} of its limit of {}", short(share), short(limit))
+    } else {
+        String::new()
+    };
+    let what = time_s
+        .map_or("to hold the start".to_owned(), |t| format!("to hold what is asked for at {} s", short(t)));
+    let message = format!(
+        "joint '{}' needs {} {unit} {what}, and may use {} {unit}{whose}",
+        case.joint(joint),
+        short(gravity.abs()),
+        short(share * limit),
+    );
+    let name = case.joint(joint);
+    if gravity.abs() <= limit {
+        let help = format!("give torque_share at least {}", short(gravity.abs() / limit));
+        return Some(Finding::new(&["limits", "torque_share"], message, help));
+    }
+    let help =
+        "choose a posture in which the arm weighs less on it, or check the limit and the masses".to_owned();
+    Some(Finding::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
+}
+
+/// An acceleration so low that the joint's speed needs more than its range to be braked from.
+fn braking(case: &Case<'_>, joint: usize) -> Option<Finding> {
+    let acceleration = case.experiment.robot().joint_limits().acceleration[joint];
+    let limits = &case.model.joints()[joint].limits;
+    let (width, way) =
+        (limits.upper - limits.lower, limits.velocity * limits.velocity / (2.0 * acceleration));
+    if way <= width {
+        return None;
+    }
+    let message = format!(
+        "joint '{}' brakes from its highest speed of {} over {}, and its range is {}: with \
+         acceleration_limit_rad_per_s2 = {} it never gets so fast",
+        case.joint(joint),
+        short(limits.velocity),
+        short(way),
+        short(width),
+        short(acceleration),
+    );
+    let least = short(limits.velocity * limits.velocity / (2.0 * width));
+    let help = format!("give it in rad/s² (m/s²); {least} and more let the joint use its speed");
+    Some(
+        Finding::new(&["joint", case.joint(joint), "acceleration_limit_rad_per_s2"], message, help)
+            .of_robot(),
+    )
+}
+
+/// Postures that are asked for outside the joints' ranges: by posture tasks, and by references of joints.
+pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
+    let mut seen = BTreeSet::new();
+    let mut note =
+        |stack: usize, name: &str, rest: &[&str], joint: usize, asked: f64, time_s: Option<f64>| {
+            if seen.insert((case.key(stack, name, rest), joint)) {
+                found.push(beyond(case, case.key(stack, name, rest), name, joint, asked, time_s));
+            }
+        };
+    for (number, stack) in case.stacks.iter().enumerate() {
+        for name in stack.priority {
+            if let Some(TaskParameters::JointPosture(posture)) = stack.task.get(name) {
+                for (joint, &asked) in &posture.posture_rad {
+                    let Ok(index) = case.model.joint(joint) else { continue };
+                    if outside(case, index, asked) > 0.0 {
+                        note(number, name, &["joint-posture", "posture_rad", joint], index, asked, None);
+                    }
+                }
+            }
+            for joint in 0..case.model.n() {
+                let in_force = followed.instants.iter().filter(|instant| instant.stack == number);
+                let asked = in_force.filter_map(|i| Some((i.joints.get(name)?.position[joint], i.time_s)));
+                let farthest =
+                    asked.max_by(|a, b| outside(case, joint, a.0).total_cmp(&outside(case, joint, b.0)));
+                if let Some((asked, time_s)) =
+                    farthest.filter(|(asked, _)| outside(case, joint, *asked) > 1e-9)
+                {
+                    // Where it starts is told of as the start.
+                    if asked != case.start[joint] {
+                        note(number, name, &["joint-tracking", "reference"], joint, asked, Some(time_s));
+                    }
+                }
+            }
+        }
+    }
+    found
+}
+
+/// By how much a position is outside the range in which a joint is kept: below zero inside.
+fn outside(case: &Case<'_>, joint: usize, asked: f64) -> f64 {
+    let (lower, upper) = case.range(joint);
+    (lower - asked).max(asked - upper)
+}
+
+fn beyond(
+    case: &Case<'_>,
+    key: Vec<String>,
+    name: &str,
+    joint: usize,
+    asked: f64,
+    time_s: Option<f64>,
+) -> Finding {
+    let (lower, upper) = case.range(joint);
+    let when = time_s.map_or(String::new(), |t| format!("at {} s ", short(t)));
+    let kept =
+        if case.margin() > 0.0 { format!(", {} from its ends", short(case.margin())) } else { String::new() };
+    let message = format!(
+        "task '{name}': {when}it asks joint '{}' for {}, and the joint is kept from {} to {}{kept}",
+        case.joint(joint),
+        short(asked),
+        short(lower),
+        short(upper),
+    );
+    let help = if asked > upper {
+        format!("ask for {} at most", short(upper))
+    } else {
+        format!("ask for {} at least", short(lower))
+    };
+    Finding::new(&key, message, help)
+}
+
+/// What only shows where the references lead: weight that a joint can't carry, or whose change it can't follow.
+pub(crate) fn on_the_way(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for joint in 0..case.model.n() {
+        let heaviest =
+            followed.instants.iter().max_by(|a, b| a.gravity[joint].abs().total_cmp(&b.gravity[joint].abs()));
+        if let Some(instant) = heaviest
+            && weight(case, joint, case.data.gravity[joint], None).is_none()
+        {
+            found.extend(weight(case, joint, instant.gravity[joint], Some(instant.time_s)));
+        }
+        found.extend(torque_rate(case, followed, joint));
+    }
+    found
+}
+
+/// Weight that shifts onto a joint faster than its torque may change.
+fn torque_rate(case: &Case<'_>, followed: &Followed, joint: usize) -> Option<Finding> {
+    let rate = case.experiment.robot().joint_limits().torque_rate[joint];
+    if rate == f64::INFINITY || case.experiment.robot().file.interface.gravity_by == GravityBy::Robot {
+        return None;
+    }
+    let change = |pair: &[super::followed::Instant]| {
+        (pair[1].gravity[joint] - pair[0].gravity[joint]).abs() / (pair[1].time_s - pair[0].time_s)
+    };
+    let fastest = followed.instants.windows(2).max_by(|a, b| change(a).total_cmp(&change(b)))?;
+    if change(fastest) <= rate {
+        return None;
+    }
+    let unit = unit(case, joint);
+    let message = format!(
+        "at {} s the arm's weight on joint '{}' changes by {} {unit}/s on the way that the references ask for; its \
+         torque may change by {} {unit}/s",
+        short(fastest[0].time_s),
+        case.joint(joint),
+        short(change(fastest)),
+        short(rate),
+    );
+    let help = format!(
+        "give the motion {} times as long, or check the unit: {unit}/s",
+        short(change(fastest) / rate)
+    );
+    Some(Finding::new(&["joint", case.joint(joint), "torque_rate_limit_nm_per_s"], message, help).of_robot())
+}
+
+fn unit(case: &Case<'_>, joint: usize) -> &'static str {
+    if case.model.joints()[joint].kind == JointKind::Prismatic { "N" } else { "Nm" }
+}

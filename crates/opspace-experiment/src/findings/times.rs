@@ -1,0 +1,147 @@
+//! What the run is too short for.
+
+use super::followed::Followed;
+use super::{Case, Finding, InForce, short};
+use opspace_control::{CartesianReference, JointReference, TaskParameters};
+
+/// What a duration that was meant to be equal may be off by, s.
+const ROUNDING_S: f64 = 1e-6;
+
+/// Slower than this a reference stands: m/s, rad/s.
+const STANDING: f64 = 1e-4;
+
+pub(crate) fn too_short(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+    let mut found = late_events(case);
+    found.extend(settling(case));
+    found.extend(unfinished(case, followed));
+    found
+}
+
+/// Events after the end.
+fn late_events(case: &Case<'_>) -> Vec<Finding> {
+    let duration_s = case.experiment.duration_s();
+    let events = case.experiment.task().events.iter().enumerate();
+    let late = events.filter(|(_, event)| event.time_s >= duration_s);
+    late.map(|(number, event)| {
+        let message = format!(
+            "the event at {} s never comes: the run lasts {} s",
+            short(event.time_s),
+            short(duration_s)
+        );
+        let help = format!("give it a time below {} s, or the run a longer duration_s", short(duration_s));
+        Finding::new(&["event", &number.to_string(), "time_s"], message, help)
+    })
+    .collect()
+}
+
+/// Statistics that count while the torque still comes in.
+fn settling(case: &Case<'_>) -> Option<Finding> {
+    let settle_s = case.experiment.task().file.settle_s.get();
+    let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();
+    if settle_s >= ramp_s {
+        return None;
+    }
+    let message = format!(
+        "statistics count from {} s on, while the torque comes in over the first {} s",
+        short(settle_s),
+        short(ramp_s)
+    );
+    Some(Finding::new(&["settle_s"], message, format!("settle_s = {}", short(ramp_s))))
+}
+
+/// References that are still under way at the end.
+fn unfinished(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+    let duration_s = case.experiment.duration_s();
+    let last = case.stacks.len() - 1;
+    let stack = &case.stacks[last];
+    let unfinished = stack.priority.iter().filter_map(|name| {
+        let task = stack.task.get(name)?;
+        let same = |other: &InForce<'_>| {
+            other.priority.contains(name) && other.task.get(name).and_then(reference) == reference(task)
+        };
+        let begin_s = case.begin_s(last, same);
+        let message = match length_s(task)? {
+            Length::Known(length_s) if begin_s + length_s > duration_s + ROUNDING_S => format!(
+                "task '{name}': its reference arrives at {} s, and the run ends at {} s",
+                short(begin_s + length_s),
+                short(duration_s)
+            ),
+            Length::Known(_) => return None,
+            Length::AsFastAsItCan => {
+                let (speed, unit) = speed_at_end(stack, followed, name)?;
+                format!(
+                    "task '{name}': its reference hasn't arrived when the run ends at {} s, it moves at {} {unit}",
+                    short(duration_s),
+                    short(speed)
+                )
+            }
+        };
+        let help = match length_s(task)? {
+            Length::Known(length_s) => format!("duration_s = {}, or a faster motion", short(begin_s + length_s)),
+            Length::AsFastAsItCan => "a longer duration_s, or higher limits of the goal's motion".to_owned(),
+        };
+        Some(Finding::new(&["duration_s"], message, help))
+    });
+    unfinished.collect()
+}
+
+/// How long a motion is under way.
+enum Length {
+    /// s.
+    Known(f64),
+    AsFastAsItCan,
+}
+
+/// The reference of a task that has one.
+#[derive(PartialEq)]
+enum Reference<'a> {
+    Cartesian(&'a CartesianReference),
+    Joint(&'a JointReference),
+}
+
+fn reference(task: &TaskParameters) -> Option<Reference<'_>> {
+    match task {
+        TaskParameters::Cartesian(p) => Some(Reference::Cartesian(&p.reference)),
+        TaskParameters::CenterOfMass(p) => Some(Reference::Cartesian(&p.reference)),
+        TaskParameters::JointTracking(p) => Some(Reference::Joint(&p.reference)),
+        TaskParameters::JointPosture(_) | TaskParameters::JointDamping(_) => None,
+    }
+}
+
+/// Of a reference that ends.
+fn length_s(task: &TaskParameters) -> Option<Length> {
+    let known = |length_s: f64| Some(Length::Known(length_s));
+    match reference(task)? {
+        Reference::Cartesian(CartesianReference::PointToPoint(p)) => {
+            known(p.start_s.get() + p.duration_s.get())
+        }
+        Reference::Cartesian(CartesianReference::Waypoints(list)) => known(list.last()?.time_s.get()),
+        Reference::Cartesian(CartesianReference::Recorded(path)) => {
+            known(path.samples.last()?.time_s - path.samples.first()?.time_s)
+        }
+        Reference::Joint(JointReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
+        Reference::Joint(JointReference::Waypoints(list)) => known(list.last()?.time_s.get()),
+        Reference::Cartesian(CartesianReference::Goal(_)) | Reference::Joint(JointReference::Goal(_)) => {
+            Some(Length::AsFastAsItCan)
+        }
+        Reference::Cartesian(CartesianReference::Hold | CartesianReference::Sinusoid(_))
+        | Reference::Joint(JointReference::Hold | JointReference::Sinusoid(_)) => None,
+    }
+}
+
+/// How fast a task's reference moves when the run ends, if it does.
+fn speed_at_end(stack: &InForce<'_>, followed: &Followed, name: &str) -> Option<(f64, &'static str)> {
+    let end = followed.instants.last().filter(|_| followed.to_the_end)?;
+    let (speed, unit) = match stack.motions.iter().position(|motion| motion.name == name) {
+        Some(place) => {
+            let velocity = &end.targets.get(place)?.velocity;
+            let (linear, angular) = (velocity.linear.norm(), velocity.angular.norm());
+            if linear > STANDING { (linear, "m/s") } else { (angular, "rad/s") }
+        }
+        None => {
+            let velocity = &end.joints.get(name)?.velocity;
+            (velocity.iter().fold(0.0, |most: f64, dq| most.max(dq.abs())), "rad/s")
+        }
+    };
+    (speed > STANDING).then_some((speed, unit))
+}

@@ -1,0 +1,466 @@
+//! What is found before anything moves: each kind in a file that has it, and none in the files that are shipped.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use opspace_backend::Ending;
+use opspace_control::rank::reach;
+use opspace_experiment::metrics::metrics;
+use opspace_experiment::run::Watch;
+use opspace_experiment::{BackendKind, Choice, Experiment, Files, Finding, findings};
+use opspace_log::Recording;
+use opspace_model::{Data, frame_placement, kinematics};
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// Nothing is wrong with it.
+const HAND: &str = r#"
+robot = "ROBOTS/asimo-arm"
+duration_s = 2.0
+settle_s = 0.5
+priority = ["hand", "rest"]
+start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
+friction_compensation = { gain = 1.0 }
+
+[task.hand.cartesian]
+frame = "hand"
+axes = { x = "motion", y = "motion", z = "motion" }
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }
+
+[task.rest.joint-posture]
+frequency_rad_per_s = 6.0
+damping_ratio = 0.8
+"#;
+
+/// Nor with this one.
+const JOINTS: &str = r#"
+robot = "ROBOTS/asimo-arm"
+duration_s = 2.0
+settle_s = 0.5
+priority = ["joints"]
+start_rad = { elbow = -1.35 }
+
+[task.joints.joint-tracking]
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+reference.point-to-point = { goal = { absolute_rad = { elbow = -0.35 } }, duration_s = 1.0 }
+"#;
+
+/// Nor with this one: two links of 1 m in the x-z plane.
+const TIP: &str = r#"
+robot = "ROBOTS/planar-2-link"
+duration_s = 2.0
+settle_s = 0.5
+priority = ["tip"]
+start_rad = { shoulder = 0.6, elbow = 1.2 }
+
+[task.tip.cartesian]
+frame = "tip"
+axes = { x = "motion", z = "motion" }
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+reference = "hold"
+"#;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// An experiment from a task's text with some of it changed, each old part for a new one.
+fn experiment(task: &str, changes: &[(&str, &str)], choice: Choice, settings: &[&str]) -> Experiment {
+    let folder = TempDir::new().unwrap();
+    let mut text = task.replace("ROBOTS", root().join("robots").to_str().unwrap());
+    for (old, new) in changes {
+        assert!(text.contains(old), "`{old}` is there to be changed");
+        text = text.replace(old, new);
+    }
+    fs::write(folder.path().join("task.toml"), text).unwrap();
+    let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
+    Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, choice, &settings).unwrap()
+}
+
+/// The one thing that a change brings about, and the line at which it is told.
+fn only(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Finding, Option<usize>) {
+    let experiment = experiment(task, changes, Choice::default(), settings);
+    let mut found = findings(&experiment);
+    assert_eq!(found.len(), 1, "{found:#?}");
+    let finding = found.remove(0);
+    let placed = finding.placed(&experiment);
+    assert_eq!((placed.message(), placed.help()), (&*finding.message, Some(&*finding.help)));
+    (finding, placed.line())
+}
+
+fn assert_says(finding: &Finding, key: &str, words: &[&str]) {
+    assert_eq!(finding.key, key, "{finding:?}");
+    let said = format!("{} {}", finding.message, finding.help);
+    for word in words {
+        assert!(said.contains(word), "`{word}` in {finding:?}");
+    }
+}
+
+/// Files that are made to go wrong, with what they are for.
+const MADE_TO_GO_WRONG: [(&str, &str); 4] = [
+    ("panda-out-of-reach", "can't be reached"),
+    ("ur5e-out-of-reach", "can't be reached"),
+    ("panda-too-fast", "the references ask joint"),
+    // The way round a singular posture: fast.
+    ("ur5e-wrist", "the references ask joint"),
+];
+
+#[test]
+fn nothing_is_found_in_good_files() {
+    for task in [HAND, JOINTS, TIP] {
+        assert_eq!(findings(&experiment(task, &[], Choice::default(), &[])), []);
+    }
+    let mut seen = 0;
+    for entry in fs::read_dir(root().join("tasks")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|e| e != "toml") {
+            continue;
+        }
+        seen += 1;
+        for backend in [BackendKind::Position, BackendKind::Torque] {
+            let choice = Choice { backend, ..Choice::default() };
+            let found = findings(&Experiment::load(Files::Disk, &path, None, choice, &[]).unwrap());
+            let stem = path.file_stem().unwrap().to_str().unwrap();
+            match MADE_TO_GO_WRONG.iter().find(|(name, _)| *name == stem) {
+                None => assert_eq!(found, [], "{}", path.display()),
+                Some((_, word)) => {
+                    assert!(found.len() == 1 && found[0].message.contains(word), "{stem}: {found:?}");
+                }
+            }
+        }
+    }
+    assert!(seen >= 8);
+}
+
+/// Where the asimo arm's shoulder is, and the direction from there to its hand at the start of [`HAND`].
+fn shoulder_and_direction() -> ([f64; 3], [f64; 3]) {
+    let experiment = experiment(HAND, &[], Choice::default(), &[]);
+    let model = &experiment.robot().model;
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, &[-0.45, -0.35, 0.25, -1.35], &[0.0; 4]);
+    let hand = frame_placement(model, &data, model.frame("hand").unwrap()).translation;
+    let shoulder = data.placement[0].translation;
+    (shoulder.into(), (hand - shoulder).normalize().into())
+}
+
+/// A goal for [`HAND`], so far from the shoulder.
+fn goal(distance_m: f64) -> String {
+    let (shoulder, direction) = shoulder_and_direction();
+    let [x, y, z] = [0, 1, 2].map(|i| shoulder[i] + distance_m * direction[i]);
+    format!("position = {{ absolute_m = [{x:?}, {y:?}, {z:?}] }}")
+}
+
+const OFFSET: &str = "position = { offset_m = [0.05, 0.0, 0.05] }";
+
+/// The distance told against the one that was asked for, the reach against the links' lengths of 0.235 and 0.275 m.
+#[test]
+fn a_goal_beyond_the_arms_reach() {
+    let (found, line) = only(HAND, &[(OFFSET, &goal(0.7))], &[]);
+    let key = "task.hand.cartesian.reference";
+    assert_says(
+        &found,
+        key,
+        &["0.7 m from joint 'shoulder_pitch'", "'hand' reaches 0.51 m", "0.19 m nearer"],
+    );
+    assert_eq!(line, Some(1 + HAND.lines().position(|line| line.starts_with("reference")).unwrap()));
+
+    let event = "duration_s = 2.0\n[[event]]\ntime_s = 0.5\nset = [\"task.hand.cartesian.reference={ point-to-point = { \
+                 GOAL, duration_s = 1.0 } }\"]\n";
+    let text =
+        format!("{HAND}{}", event.trim_start_matches("duration_s = 2.0\n").replace("GOAL", &goal(0.7)));
+    let (found, _) = only(&text, &[], &[]);
+    assert_says(&found, "event.0.set", &["at 1.5 s its reference is 0.7 m from joint 'shoulder_pitch'"]);
+
+    let experiment = experiment(HAND, &[], Choice::default(), &[]);
+    let model = &experiment.robot().model;
+    let links = reach(model, model.frame("hand").unwrap());
+    assert!((links - 0.51).abs() < 1e-12);
+}
+
+/// By how much a goal near the shoulder is missed, against the triangle of the two links at the elbow's end, 0.01 rad
+/// before -130°.
+#[test]
+fn a_goal_that_the_elbow_cant_bend_to() {
+    let (upper, lower, bend) = (0.235_f64, 0.275_f64, 2.2689280275926285 - 0.01);
+    let nearest = (upper * upper + lower * lower + 2.0 * upper * lower * f64::cos(bend)).sqrt();
+    let (found, _) = only(HAND, &[(OFFSET, &goal(0.1))], &[]);
+    let missed = format!("misses it by {:.3} m, with joint 'elbow' at its end", nearest - 0.1);
+    assert_says(
+        &found,
+        "task.hand.cartesian.reference",
+        &["can't be reached within the joints' ranges", &missed],
+    );
+    // A centimetre outside that, and it is reached.
+    let inside = experiment(HAND, &[(OFFSET, &goal(nearest + 0.01))], Choice::default(), &[]);
+    assert_eq!(findings(&inside), []);
+}
+
+/// Goals of joints and postures against the URDF's elbow, which ends at 0, and the margin of 0.01.
+#[test]
+fn postures_beyond_the_joints_ends() {
+    let (found, _) = only(JOINTS, &[("elbow = -0.35 } }", "elbow = 0.15 } }")], &[]);
+    let words = ["asks joint 'elbow' for 0.15", "kept from -2.26 to -0.01", "ask for -0.01 at most"];
+    assert_says(&found, "task.joints.joint-tracking.reference", &words);
+    let posture = "[task.rest.joint-posture]\nposture_rad = { elbow = 0.5 }";
+    let (found, line) = only(HAND, &[("[task.rest.joint-posture]", posture)], &[]);
+    assert_says(&found, "task.rest.joint-posture.posture_rad.elbow", &["joint 'elbow' for 0.5"]);
+    assert_eq!(line, Some(1 + HAND.lines().position(|l| l.contains("joint-posture")).unwrap() + 1));
+    // Within the URDF's range, and in the margin only if there is one.
+    let changes = [("elbow = -0.35 } }", "elbow = -0.005 } }")];
+    only(JOINTS, &changes, &[]);
+    let without = experiment(JOINTS, &changes, Choice::default(), &["limits.enforce=false"]);
+    assert_eq!(findings(&without), []);
+}
+
+/// The speed told against the peak of a minimum-jerk motion, 1.875 times the mean: 1 rad in 0.2 s, and 0.9 of 8 rad/s
+/// allowed.
+#[test]
+fn a_reference_faster_than_the_joints() {
+    let faster = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.2")];
+    let (found, _) = only(JOINTS, &faster, &[]);
+    let words =
+        ["at 0.1 s", "joint 'elbow' for 9.38 rad/s", "7.2 rad/s, 0.9 of its limit of 8", "1.3 times as long"];
+    assert_says(&found, "task.joints.joint-tracking.reference", &words);
+    let slower = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.27")];
+    assert_eq!(findings(&experiment(JOINTS, &slower, Choice::default(), &[])), []);
+}
+
+/// The joints' speed for a motion of the tip, against the closed form of two links of 1 m: with both at right angles
+/// the shoulder alone moves the tip along z at 1 rad/s for 1 m/s.
+#[test]
+fn a_frame_faster_than_the_joints() {
+    let text = TIP.replace(
+        "reference = \"hold\"",
+        "reference.point-to-point = { position = { offset_m = [0.0, 0.0, 0.01] }, duration_s = 0.002 }",
+    );
+    let text = text.replace("shoulder = 0.6, elbow = 1.2", "shoulder = 0.0, elbow = 1.5707963267948966");
+    let (found, _) = only(&text, &[], &[]);
+    // 1.875 times 0.01 m in 0.002 s: to within what the arm turns meanwhile.
+    assert_says(
+        &found,
+        "task.tip.cartesian.reference",
+        &["joint 'shoulder' for 9.", "rad/s; it may do 5.4 rad/s"],
+    );
+}
+
+/// Speeds against the task's own limit: the peak of 0.0707 m in 1 s is 0.133 m/s.
+#[test]
+fn a_reference_faster_than_its_tasks_limit() {
+    let limited =
+        |limit: &str| [("frame = \"hand\"", format!("frame = \"hand\"\nspeed_limit_m_per_s = {limit}"))];
+    let changes = limited("0.1");
+    let (found, _) = only(HAND, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
+    let words = ["moves at 0.133 m/s", "speed_limit_m_per_s is 0.1", "1.33 times"];
+    assert_says(&found, "task.hand.cartesian.speed_limit_m_per_s", &words);
+    let changes = limited("0.14");
+    let changes = changes.each_ref().map(|(old, new)| (*old, new.as_str()));
+    assert_eq!(findings(&experiment(HAND, &changes, Choice::default(), &[])), []);
+}
+
+/// The root-mean-square error of the hand in a simulated run, m; infinite where the run was stopped.
+fn tracking(experiment: &Experiment) -> f64 {
+    let sink = std::io::Cursor::new(Vec::new());
+    let finished = experiment.run(sink, &Watch::default()).unwrap();
+    if finished.ending != Ending::Completed {
+        return f64::INFINITY;
+    }
+    let recording = Recording::from_bytes(&finished.sink.into_inner()).unwrap();
+    metrics(experiment, &recording).position_rms_m.unwrap()
+}
+
+/// What is found against simulated runs, on both kinds of robot and at 1 kHz and 200 Hz: at gains that are called
+/// unstable the hand shakes; at those that are proposed it follows, and nothing is found.
+#[test]
+fn gains_that_are_too_stiff() {
+    for (backend, profile, unstable) in [
+        (BackendKind::Torque, "a-med", 800.0),
+        (BackendKind::Position, "a-med", 1000.0),
+        (BackendKind::Torque, "b-soft", 200.0),
+        (BackendKind::Position, "b-soft", 300.0),
+    ] {
+        let choice =
+            Choice { backend, profile: Some(profile.to_owned()), duration_s: Some(1.2), ..Choice::default() };
+        let case = format!("{backend:?} {profile}");
+        let with = |frequency: f64| {
+            experiment(
+                HAND,
+                &[("rad_per_s = 14.0", &format!("rad_per_s = {frequency:?}"))],
+                choice.clone(),
+                &[],
+            )
+        };
+        let stiff = with(unstable);
+        let found = findings(&stiff);
+        assert_eq!(found.len(), 1, "{case}: {found:#?}");
+        let words = ["would be unstable on this robot: the phase margin is -", "Hz, on joint '", "has 45°"];
+        assert_says(&found[0], "task.hand.cartesian.gains.frequency_rad_per_s", &words);
+        let proposed = found[0].help.split(' ').nth(2).unwrap().parse::<f64>().unwrap();
+        let soft = with(proposed);
+        assert_eq!(findings(&soft), [], "{case}");
+        let [shakes, follows] = [&stiff, &soft].map(tracking);
+        assert!(
+            shakes > 2e-3 && follows < 5e-4,
+            "{case}: {shakes} m at {unstable}, {follows} m at {proposed}"
+        );
+    }
+    // Other tasks' gains, each by its own key.
+    let posture = [("rad_per_s = 6.0", "rad_per_s = 2000.0")];
+    let (found, _) = only(HAND, &posture, &[]);
+    assert_says(&found, "task.rest.joint-posture.frequency_rad_per_s", &["unstable"]);
+    let (found, _) = only(JOINTS, &[("rad_per_s = 14.0", "rad_per_s = 2000.0")], &[]);
+    assert_says(&found, "task.joints.joint-tracking.gains.frequency_rad_per_s", &["unstable"]);
+    let posture = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8";
+    let damping = "[task.rest.joint-damping]\ndamping_nms_per_rad = 500.0";
+    let (found, _) = only(HAND, &[(posture, damping)], &[]);
+    assert_says(
+        &found,
+        "task.rest.joint-damping.damping_nms_per_rad",
+        &["damping_nms_per_rad = 500", "unstable"],
+    );
+    let compliant = [
+        ("x = \"motion\"", "x = \"compliant\""),
+        ("frame = \"hand\"", "frame = \"hand\"\ncompliant_damping_per_s = 3000.0"),
+    ];
+    let (found, _) = only(HAND, &compliant, &[]);
+    assert_says(
+        &found,
+        "task.hand.cartesian.compliant_damping_per_s",
+        &["compliant_damping_per_s = 3000 along x"],
+    );
+}
+
+/// Limits against each other and against the start.
+#[test]
+fn limits_that_contradict_each_other() {
+    let (found, _) = only(HAND, &[], &["limits.velocity_share=1.5"]);
+    assert_says(&found, "limits.velocity_share", &["velocity_share is 1.5", "counts as 1"]);
+    let (found, _) = only(HAND, &[], &["limits.torque_share=2.0"]);
+    assert_says(&found, "limits.torque_share", &["torque_share is 2"]);
+
+    // The elbow's range of 2.27 rad, from its middle; the shoulders' are wider.
+    let middle = [("elbow = -1.35", "elbow = -1.134")];
+    let text = HAND
+        .replace("shoulder_roll = -0.35", "shoulder_roll = -0.8727")
+        .replace(OFFSET, "position = { offset_m = [0.0, 0.0, 0.0] }");
+    let wide = experiment(&text, &middle, Choice::default(), &["limits.position_margin_rad=1.2"]);
+    let found = findings(&wide);
+    assert!(
+        found.iter().any(|f| f.message.contains("both ends of joint 'elbow', whose range is 2.27")),
+        "{found:#?}"
+    );
+    assert!(found.iter().all(|f| !f.message.contains("both ends of joint 'shoulder_pitch'")), "{found:#?}");
+
+    let (found, _) = only(JOINTS, &[("{ elbow = -1.35 }", "{ elbow = -0.004 }")], &[]);
+    let words = [
+        "joint 'elbow' starts at -0.004",
+        "its end at 0 than position_margin_rad = 0.01",
+        "start it at -0.01",
+    ];
+    assert_says(&found, "start_rad.elbow", &words);
+    // 8 rad/s are braked from at 10 rad/s² over 3.2 rad, of 2.27.
+    let (found, _) = only(HAND, &[], &["robot.joint.elbow.acceleration_limit_rad_per_s2=10.0"]);
+    let words = ["highest speed of 8 over 3.2, and its range is 2.27", "14.1 and more"];
+    assert_says(&found, "joint.elbow.acceleration_limit_rad_per_s2", &words);
+}
+
+/// Torques against the arm's weight in closed form: two links of 1 m and 1 kg, their centres in the middle, the
+/// shoulder 0.6 rad above the horizontal and the elbow bent by 1.2.
+#[test]
+fn weight_that_a_joint_cant_carry() {
+    let needed = 9.81 * (1.5 * f64::cos(0.6) + 0.5 * f64::cos(1.8));
+    assert!((needed - 11.03).abs() < 5e-3);
+    let share = |of_needed: f64| format!("limits.torque_share={}", of_needed * needed / 60.0);
+    let (found, _) = only(TIP, &[], &[&share(0.9)]);
+    let words = [
+        "joint 'shoulder' needs 11 Nm to hold the start, and may use 9.93 Nm",
+        "torque_share at least 0.184",
+    ];
+    assert_says(&found, "limits.torque_share", &words);
+    let (found, line) = only(TIP, &[], &["robot.joint.shoulder.torque_limit_nm=8.0"]);
+    assert_says(&found, "joint.shoulder.torque_limit_nm", &["needs", "may use 8 Nm"]);
+    assert_eq!(line, None, "told at the setting");
+    // As much as it needs.
+    let enough = share(1.01);
+    assert_eq!(findings(&experiment(TIP, &[], Choice::default(), &[&enough])), []);
+
+    // Out and up at the end of the way it weighs more than at the start.
+    let stretched = TIP.replace(
+        "reference = \"hold\"",
+        "reference.point-to-point = { position = { offset_m = [0.6, 0.0, 0.0] }, duration_s = 1.5 }",
+    );
+    let (found, _) = only(&stretched, &[], &[&enough]);
+    assert_says(&found, "limits.torque_share", &["joint 'shoulder' needs", "to hold what is asked for at"]);
+    let (found, _) = only(&stretched, &[], &["robot.joint.shoulder.torque_rate_limit_nm_per_s=2.0"]);
+    let words = ["weight on joint 'shoulder' changes by", "its torque may change by 2 Nm/s"];
+    assert_says(&found, "joint.shoulder.torque_rate_limit_nm_per_s", &words);
+}
+
+/// The direction that is lost against the geometry: the straight arm can't move its tip along itself.
+#[test]
+fn a_singular_start() {
+    let straight =
+        |elbow: &str| [("shoulder = 0.6, elbow = 1.2", format!("shoulder = 0.0, elbow = {elbow}"))];
+    for (elbow, lost) in [("0.0", "can't be moved along"), ("0.02", "% left of its force along")] {
+        let changes = straight(elbow);
+        let (found, _) = only(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
+        assert_says(&found, "start_rad", &["task 'tip'", lost, "start with joint 'elbow' at "]);
+        let along = found.message.split("along ").nth(1).unwrap();
+        assert!(along.starts_with("x:") || along.starts_with("z:"), "the arm lies along an axis: {found:?}");
+        // The start that is proposed.
+        let better = found.help.split(" at ").nth(1).unwrap().split(' ').next().unwrap();
+        let changes = straight(better);
+        let better = experiment(
+            TIP,
+            &changes.each_ref().map(|(old, new)| (*old, new.as_str())),
+            Choice::default(),
+            &[],
+        );
+        assert_eq!(findings(&better), []);
+    }
+}
+
+#[test]
+fn freedom_that_nothing_damps() {
+    let rest = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8\n";
+    let (found, line) = only(HAND, &[("\"hand\", \"rest\"", "\"hand\""), (rest, "")], &[]);
+    assert_says(&found, "priority", &["1 of the 4 joints' freedoms", "[task.rest.joint-damping]"]);
+    assert_eq!(line, Some(5));
+    // Damping of zero is a choice.
+    let zero = experiment(
+        HAND,
+        &[(rest, "[task.rest.joint-damping]\ndamping_nms_per_rad = 0.0\n")],
+        Choice::default(),
+        &[],
+    );
+    assert_eq!(findings(&zero), []);
+}
+
+#[test]
+fn a_run_that_is_too_short() {
+    let event = |time_s: &str| {
+        format!("{HAND}[[event]]\ntime_s = {time_s}\nset = [\"task.hand.cartesian.axes.x=compliant\"]\n")
+    };
+    let (found, _) = only(&event("2.0"), &[], &[]);
+    assert_says(&found, "event.0.time_s", &["the event at 2 s never comes: the run lasts 2 s"]);
+    assert_eq!(findings(&experiment(&event("1.9"), &[], Choice::default(), &[])), []);
+
+    let longer = [("0.05] }, duration_s = 1.0", "0.05] }, duration_s = 2.5")];
+    let (found, line) = only(HAND, &longer, &[]);
+    assert_says(
+        &found,
+        "duration_s",
+        &["'hand': its reference arrives at 2.5 s, and the run ends at 2 s", "duration_s = 2.5"],
+    );
+    assert_eq!(line, Some(3));
+    let goal = "reference.goal = { position = { offset_m = [0.05, 0.0, 0.05] }, velocity_m_per_s = 0.02, \
+                acceleration_m_per_s2 = 1.0, jerk_m_per_s3 = 10.0 }";
+    let before =
+        "reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }";
+    let (found, _) = only(HAND, &[(before, goal)], &[]);
+    assert_says(&found, "duration_s", &["hasn't arrived when the run ends at 2 s, it moves at 0.02 m/s"]);
+    let faster = goal.replace("velocity_m_per_s = 0.02", "velocity_m_per_s = 0.2");
+    assert_eq!(findings(&experiment(HAND, &[(before, &faster)], Choice::default(), &[])), []);
+
+    let (found, _) = only(HAND, &[("settle_s = 0.5", "settle_s = 0.1")], &[]);
+    assert_says(&found, "settle_s", &["count from 0.1 s on", "over the first 0.2 s", "settle_s = 0.2"]);
+}
