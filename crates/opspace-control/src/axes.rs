@@ -142,6 +142,14 @@ impl AxesIn {
 }
 
 impl Directions {
+    /// Before the robot was seen: the coordinates' own where the axes turn.
+    pub(crate) fn at_rest(&self) -> Matrix3<f64> {
+        match self {
+            Self::Still(rotation) => *rotation,
+            Self::Of(_) => Matrix3::identity(),
+        }
+    }
+
     /// In the coordinates of `subject`, one axis a column.
     #[must_use]
     pub fn rotation(&self, model: &Model, data: &Data, subject: Subject) -> Matrix3<f64> {

@@ -76,8 +76,8 @@ pub struct CartesianParameters {
     /// What becomes of directions in which the arm can hardly move the frame; damped if absent.
     #[serde(default)]
     pub singularities: Singularities,
-    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of the largest are damped; 0.001
-    /// if absent.
+    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
+    /// middle of many postures are damped; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
     pub singularity_threshold: Positive,
     /// The length by which rotations are weighed against displacements when singular directions are
@@ -99,8 +99,8 @@ pub struct CenterOfMassParameters {
     pub reference: CartesianReference,
     /// How stiffly it follows, as a unit mass would.
     pub gains: AxisGains,
-    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of the largest are damped; 0.001
-    /// if absent.
+    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
+    /// middle of many postures are damped; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
     pub singularity_threshold: Positive,
 }
@@ -183,7 +183,7 @@ fn default_compliant_damping() -> PerAxis<NonNegative> {
 }
 
 fn default_singularity_threshold() -> Positive {
-    Positive::literal(1e-3)
+    Positive::literal(0.3)
 }
 
 impl CartesianParameters {
@@ -356,7 +356,7 @@ impl CartesianTask {
         let origin = Target::at_rest(Placement::identity());
         Ok(Self {
             name: name.to_owned(),
-            axes: TaskAxes::new(subject, nalgebra::Matrix3::identity(), in_task, length_m),
+            axes: TaskAxes::new(subject, directions.at_rest(), in_task, length_m),
             inversion: parameters.singularities.inversion(parameters.singularity_threshold.get()),
             decoupling: parameters.decoupling,
             directions,

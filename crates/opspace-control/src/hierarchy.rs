@@ -105,24 +105,16 @@ pub(crate) struct ProjectedTask {
     /// J_p, scaled as the task's rows are.
     pub jacobian: Matrix6xX<f64>,
     pub space: OperationalSpace,
-    /// How Λ⁻¹ was inverted, with what the tasks above have taken counted in.
-    pub inversion: Inversion,
-    half: Matrix6xX<f64>,
 }
 
 impl ProjectedTask {
     pub(crate) fn new(n: usize) -> Self {
         let jacobian = Matrix6xX::zeros(n);
-        Self {
-            half: jacobian.clone(),
-            jacobian,
-            space: OperationalSpace::new(n),
-            inversion: Inversion::Plain,
-        }
+        Self { jacobian, space: OperationalSpace::new(n) }
     }
 
-    /// For the first `rows` rows of `jacobian`. The threshold is relative to what the task could move if
-    /// nothing stood above it: what the tasks above have taken counts as lost, not as the new measure.
+    /// For the first `rows` rows of `jacobian`. The threshold is relative to a `reference` that doesn't depend on what
+    /// the tasks above have taken: that counts as lost, not as the new measure.
     pub(crate) fn update(
         &mut self,
         factor: &MassMatrixFactor,
@@ -130,33 +122,14 @@ impl ProjectedTask {
         jacobian: &Matrix6xX<f64>,
         rows: usize,
         inversion: Inversion,
+        reference: f64,
     ) {
         self.jacobian.copy_from(jacobian);
-        self.inversion = inversion;
         if above.depth > 0 {
             above.project_jacobian(&mut self.jacobian);
-            let alone = mobility(factor, jacobian, rows, &mut self.half);
-            let left = mobility(factor, &self.jacobian, rows, &mut self.half);
-            if left > 0.0 {
-                self.inversion = inversion.scaled((alone / left).max(1.0));
-            } else {
-                self.jacobian.fill(0.0);
-            }
         }
-        self.space.update_with(factor, &self.jacobian, rows, self.inversion);
+        self.space.update_with(factor, &self.jacobian, rows, inversion, Some(reference));
     }
-}
-
-/// The trace of J M⁻¹ Jᵀ.
-fn mobility(
-    factor: &MassMatrixFactor,
-    jacobian: &Matrix6xX<f64>,
-    rows: usize,
-    half: &mut Matrix6xX<f64>,
-) -> f64 {
-    half.copy_from(jacobian);
-    let matrix = factor.mobility(half);
-    (0..rows).map(|r| matrix[(r, r)]).sum()
 }
 
 #[cfg(test)]
@@ -218,7 +191,14 @@ mod tests {
         let mut nullspace = Nullspace::new(n, tasks.len());
         let mut projected = ProjectedTask::new(n);
         for (level, (jacobian, rows)) in tasks.iter().enumerate() {
-            projected.update(&data.mass_matrix_factor, &nullspace, jacobian, *rows, Inversion::Damped(1e-6));
+            projected.update(
+                &data.mass_matrix_factor,
+                &nullspace,
+                jacobian,
+                *rows,
+                Inversion::Damped(1e-6),
+                1.0,
+            );
             assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
             nullspace.narrow(&projected);
             let [matrix, by_torque] = matrices(&nullspace, n);

@@ -112,7 +112,7 @@ impl InverseKinematicsController {
         self.dq.fill(0.0);
         levels.nullspace.reset();
         for level in &mut levels.rows {
-            level.project(model, &self.data, &levels.nullspace);
+            level.project(model, &self.data, &levels.nullspace, level.typical.kinematic);
             let mut wanted = match &level.task {
                 RowTask::Cartesian(task) => task.velocity_at(model, &self.data, ERROR_GAIN_PER_S),
                 RowTask::Joints(task) => task.velocity(&self.q, ERROR_GAIN_PER_S),

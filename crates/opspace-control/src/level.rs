@@ -5,7 +5,7 @@ use crate::cartesian::{CartesianTask, Decoupling};
 use crate::hierarchy::{Nullspace, ProjectedTask};
 use crate::joint::SelectedJoints;
 use crate::measurement::Measurement;
-use crate::rank::Rows;
+use crate::rank::{Rows, TypicalMobility};
 use crate::signal::{Row, Signal};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
@@ -23,12 +23,16 @@ pub(crate) struct Level {
     pub task: RowTask,
     pub projected: ProjectedTask,
     bounded: Option<BoundedInertia>,
+    /// What thresholds of damping are relative to.
+    pub typical: TypicalMobility,
     /// a* − J̇ q̇ of the task's rows, scaled.
     wanted: Vector6<f64>,
     /// J̇ q̇ of the task's rows, scaled.
     bias: Vector6<f64>,
     /// On the task's rows, scaled.
     force: Vector6<f64>,
+    /// Whether a limit kept the level from what it asked for: its integrals then stand still.
+    pub limited: bool,
 }
 
 /// Λ of an arm none of whose joints is lighter than a floor.
@@ -56,7 +60,20 @@ impl Level {
             RowTask::Joints(_) => None,
         };
         let zero = Vector6::zeros();
-        Self { task, projected: ProjectedTask::new(n), bounded, wanted: zero, bias: zero, force: zero }
+        let typical = match &task {
+            RowTask::Cartesian(task) => TypicalMobility::new(model, &Rows::Axes(&task.axes)),
+            RowTask::Joints(task) => TypicalMobility::new(model, &Rows::Joints(task.joints())),
+        };
+        Self {
+            typical,
+            task,
+            projected: ProjectedTask::new(n),
+            bounded,
+            limited: false,
+            wanted: zero,
+            bias: zero,
+            force: zero,
+        }
     }
 
     pub(crate) fn name(&self) -> &str {
@@ -130,8 +147,9 @@ impl Level {
         }
     }
 
-    /// The task's rows at the state of `data`, and Λ within the freedom that is left above it.
-    pub(crate) fn project(&mut self, model: &Model, data: &Data, above: &Nullspace) {
+    /// The task's rows at the state of `data`, and Λ within the freedom that is left above it; thresholds relative to
+    /// `typical`.
+    pub(crate) fn project(&mut self, model: &Model, data: &Data, above: &Nullspace, typical: f64) {
         if let RowTask::Cartesian(task) = &mut self.task {
             task.update_jacobian(model, data);
         }
@@ -140,24 +158,23 @@ impl Level {
             RowTask::Cartesian(task) => &task.jacobian,
             RowTask::Joints(task) => task.jacobian(),
         };
-        self.projected.update(&data.mass_matrix_factor, above, jacobian, rows, inversion);
+        self.projected.update(&data.mass_matrix_factor, above, jacobian, rows, inversion, typical);
     }
 
     /// Everything of a tick but the torques: see [`observe`](Self::observe) and [`project`](Self::project), with
-    /// integrals that stand still while `hold`.
+    /// integrals that stand still while a limit is in the way.
     pub(crate) fn update(
         &mut self,
         model: &Model,
         data: &Data,
         measurement: &Measurement,
-        hold: bool,
         above: &Nullspace,
     ) {
         self.observe(model, data, measurement);
         if let RowTask::Cartesian(task) = &mut self.task {
-            task.sense(model, data, measurement, hold);
+            task.sense(model, data, measurement, self.limited);
         }
-        self.project(model, data, above);
+        self.project(model, data, above, self.typical.dynamic);
         (self.wanted, self.bias) = match &self.task {
             RowTask::Cartesian(task) => {
                 let bias = task.bias_acceleration(model, data);
@@ -165,12 +182,13 @@ impl Level {
             }
             RowTask::Joints(task) => (task.acceleration(data), Vector6::zeros()),
         };
+        let inversion = self.inversion();
         if let Some(bounded) = &mut self.bounded {
             let rows = match &self.task {
                 RowTask::Cartesian(task) => task.axes.rows(),
                 RowTask::Joints(task) => task.joints().len(),
             };
-            bounded.update(data, &self.projected.jacobian, rows, self.projected.inversion);
+            bounded.update(data, &self.projected.jacobian, rows, inversion, self.typical.dynamic);
         }
     }
 
@@ -231,7 +249,14 @@ impl Level {
 }
 
 impl BoundedInertia {
-    fn update(&mut self, data: &Data, jacobian: &Matrix6xX<f64>, rows: usize, inversion: Inversion) {
+    fn update(
+        &mut self,
+        data: &Data,
+        jacobian: &Matrix6xX<f64>,
+        rows: usize,
+        inversion: Inversion,
+        typical: f64,
+    ) {
         self.mass_matrix.copy_from(&data.mass_matrix);
         for i in 0..self.mass_matrix.ncols() {
             let entry = &mut self.mass_matrix[(i, i)];
@@ -239,7 +264,14 @@ impl BoundedInertia {
         }
         // M plus what isn't negative on its diagonal is positive definite if M is.
         if self.factor.update(&self.mass_matrix) {
-            self.space.update_with(&self.factor, jacobian, rows, inversion);
+            // What is heavier is typically heavier.
+            let [own, bounded] = [&data.mass_matrix_factor, &self.factor].map(|factor| {
+                let half = &mut self.space.jbar_transpose;
+                half.copy_from(jacobian);
+                factor.mobility(half).trace()
+            });
+            let typical = if own > 0.0 { typical * bounded / own } else { typical };
+            self.space.update_with(&self.factor, jacobian, rows, inversion, Some(typical));
         }
     }
 }

@@ -197,7 +197,8 @@ impl Cascade {
         self.alpha.iter_mut().zip(z).for_each(|(a, z)| *a += z);
     }
 
-    /// Brings what was [asked](Self::ask) for within the limits, by what `above` leaves free.
+    /// Brings what was [asked](Self::ask) for within the limits, by what `above` leaves free, and says whether that was
+    /// needed.
     ///
     /// # Errors
     /// If no solver finds an answer.
@@ -207,7 +208,7 @@ impl Cascade {
         above: &Nullspace,
         residual: &Residual<'_>,
         limits: &mut Limits<'_>,
-    ) -> Result<(), QpError> {
+    ) -> Result<bool, QpError> {
         if let Residual::Joints = residual {
             // How the levels above got within the limits, where their own rows don't feel it, is no wish of theirs.
             multiply(&data.mass_matrix, self.displaced.as_slice(), self.torque.as_mut_slice());
@@ -217,7 +218,7 @@ impl Cascade {
         }
         multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
         if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
-            return Ok(());
+            return Ok(false);
         }
         self.span(data, above);
         let proximal = self.pose(residual);
@@ -234,7 +235,7 @@ impl Cascade {
         self.displaced -= &self.alpha;
         self.displace();
         self.displaced += &self.alpha;
-        Ok(())
+        Ok(true)
     }
 
     /// Widens the bounds so that what stands respects them, rounding included.

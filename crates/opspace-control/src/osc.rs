@@ -131,12 +131,11 @@ impl OperationalSpaceController {
 
     /// The tasks' torques as if there were no limits.
     fn unlimited(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        let hold = self.is_limited();
         let levels = self.stacks.current();
         self.torque.fill(0.0);
         levels.nullspace.reset();
         for (place, level) in levels.rows.iter_mut().enumerate() {
-            level.update(model, data, measurement, hold, &levels.nullspace);
+            level.update(model, data, measurement, &levels.nullspace);
             if place == 0 {
                 level.add_torque(None, self.torque.as_mut_slice());
             } else {
@@ -178,6 +177,7 @@ impl OperationalSpaceController {
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         let (mut limits, cascade) = limiter.limits(&self.own_torque);
         if cascade.needs_no(&limits, self.scratch.as_slice(), self.torque.as_slice()) {
+            levels.rows.iter_mut().for_each(|level| level.limited = false);
             limiter.settle(Solver::Unlimited, &self.scratch, &self.torque, &self.own_torque);
             return;
         }
@@ -193,8 +193,9 @@ impl OperationalSpaceController {
             let projected = &level.projected;
             let inertia = &projected.space.task_inertia;
             let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
-            solved =
-                solved.and_then(|()| cascade.keep_within(data, &levels.nullspace, &residual, &mut limits));
+            let kept = cascade.keep_within(data, &levels.nullspace, &residual, &mut limits);
+            level.limited = kept != Ok(false);
+            solved = solved.and(kept.map(|_| ()));
             levels.nullspace.rewind(place + 1);
         }
         self.scratch.fill(0.0);
@@ -203,14 +204,15 @@ impl OperationalSpaceController {
             data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         }
         cascade.ask(data, self.scratch.as_slice(), &mut limits);
-        solved = solved
-            .and_then(|()| cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits));
+        let kept = cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits);
+        solved = solved.and(kept.map(|_| ()));
         let solver = if solved.is_ok() { cascade.solver() } else { Solver::Clipped };
         if solved.is_ok() {
             cascade.torque_into(data, self.torque.as_mut_slice());
-            self.scratch.copy_from_slice(cascade.alpha());
         }
         limiter.clip(&mut self.torque, &self.own_torque);
+        self.scratch.copy_from(&self.torque);
+        data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         limiter.settle(solver, &self.scratch, &self.torque, &self.own_torque);
     }
 }
@@ -257,7 +259,7 @@ impl Limiter {
             for kind in 0..2 {
                 let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
                 if let Some(upper) = task.speed_bound(kind, level.bias(), slot.row.as_mut_slice()) {
-                    slot.upper = upper;
+                    slot.upper = upper - slot.row.dot(&self.drift);
                     self.speed_count += 1;
                 }
             }

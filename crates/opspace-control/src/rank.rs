@@ -32,6 +32,20 @@ impl Rows<'_> {
             Self::Joints(joints) => joints.len(),
         }
     }
+
+    /// Their Jacobian, scaled, in its first rows (6 × n); `world` (6 × n) is overwritten.
+    fn jacobian(&self, model: &Model, data: &Data, world: &mut Matrix6xX<f64>, out: &mut Matrix6xX<f64>) {
+        match self {
+            Self::Axes(task) => {
+                task.subject.jacobian(model, data, world);
+                task.select(world, out);
+            }
+            Self::Joints(joints) => {
+                out.fill(0.0);
+                joints.iter().enumerate().for_each(|(row, &joint)| out[(row, joint)] = 1.0);
+            }
+        }
+    }
 }
 
 /// The highest rank of the tasks' rows, taken together, over configurations spread within the joint limits.
@@ -50,16 +64,7 @@ pub fn sampled_rank(model: &Model, tasks: &[Rows<'_>]) -> usize {
         kinematics(model, &mut data, &configuration(model, sample), &rest);
         let mut first = 0;
         for task in tasks {
-            match task {
-                Rows::Axes(task) => {
-                    task.subject.jacobian(model, &data, &mut world);
-                    task.select(&world, &mut selected);
-                }
-                Rows::Joints(joints) => {
-                    selected.fill(0.0);
-                    joints.iter().enumerate().for_each(|(row, &joint)| selected[(row, joint)] = 1.0);
-                }
-            }
+            task.jacobian(model, &data, &mut world, &mut selected);
             stacked.rows_mut(first, task.count()).copy_from(&selected.rows(0, task.count()));
             first += task.count();
         }
@@ -69,6 +74,49 @@ pub fn sampled_rank(model: &Model, tasks: &[Rows<'_>]) -> usize {
         }
     }
     best
+}
+
+/// How easily an arm moves a task in the direction that is hardest, in the middle of many postures: the smallest
+/// eigenvalue of Λ⁻¹ = J M⁻¹ Jᵀ. A direction that is much harder to move than that is near a singular one, whatever the
+/// arm's masses and the task's units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TypicalMobility {
+    /// With the arm's M, 1/kg.
+    pub dynamic: f64,
+    /// With the identity in M's place: of J Jᵀ.
+    pub kinematic: f64,
+}
+
+impl TypicalMobility {
+    /// Of the rows of a task.
+    #[must_use]
+    pub fn new(model: &Model, rows: &Rows<'_>) -> Self {
+        let n = model.n();
+        let mut data = Data::new(model);
+        let (mut world, mut jacobian) = (Matrix6xX::zeros(n), Matrix6xX::zeros(n));
+        let identity = {
+            let mut factor = data.mass_matrix_factor.clone();
+            factor.set_identity();
+            factor
+        };
+        let (mut dynamic, mut kinematic) = (Vec::with_capacity(SAMPLES), Vec::with_capacity(SAMPLES));
+        for sample in 0..SAMPLES {
+            if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
+                continue;
+            }
+            rows.jacobian(model, &data, &mut world, &mut jacobian);
+            for (of, factor) in [(&mut dynamic, &data.mass_matrix_factor), (&mut kinematic, &identity)] {
+                let mobility = factor.mobility(&mut jacobian.clone());
+                let used = mobility.view((0, 0), (rows.count(), rows.count())).into_owned();
+                of.push(used.symmetric_eigenvalues().min());
+            }
+        }
+        let [dynamic, kinematic] = [dynamic, kinematic].map(|mut values| {
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or(0.0).max(0.0)
+        });
+        Self { dynamic, kinematic }
+    }
 }
 
 /// Whether the arm can't turn a frame without also moving it, wherever it stands: position and orientation
@@ -117,29 +165,14 @@ fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
     (or_far(limits.lower, -far), or_far(limits.upper, far))
 }
 
-/// The length by which a task's rotations are weighed against its displacements, m: the one at which what it moves
-/// is turned as easily as displaced, in the middle of many postures, and at most its reach. With the reach alone a light
-/// wrist would make every displacement look like a singular direction.
+/// The length by which a task's rotations are weighed against its displacements, m: the reach of what it moves.
 #[must_use]
 pub fn characteristic_length(model: &Model, subject: Subject) -> f64 {
-    let farthest = match subject {
+    match subject {
         Subject::Frame(frame) | Subject::Relative { frame, .. } => reach(model, frame),
         // It doesn't turn.
-        Subject::CenterOfMass => return 1.0,
-    };
-    let mut data = Data::new(model);
-    let mut jacobian = Matrix6xX::zeros(model.n());
-    let mut lengths = Vec::with_capacity(SAMPLES);
-    for sample in 0..SAMPLES {
-        if update(model, &mut data, &configuration(model, sample), &vec![0.0; model.n()]) {
-            subject.jacobian(model, &data, &mut jacobian);
-            let mobility = data.mass_matrix_factor.mobility(&mut jacobian).diagonal();
-            lengths.push((mobility.fixed_rows::<3>(0).sum() / mobility.fixed_rows::<3>(3).sum()).sqrt());
-        }
+        Subject::CenterOfMass => 1.0,
     }
-    lengths.sort_by(f64::total_cmp);
-    let middle = lengths.get(lengths.len() / 2).copied().unwrap_or(farthest);
-    if middle > 0.0 { middle.min(farthest) } else { farthest }
 }
 
 /// How far a frame can be from the first joint that moves it, m: the distances from joint to joint added

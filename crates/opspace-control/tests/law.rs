@@ -268,11 +268,13 @@ frame = "hand"
 axes = { x = "motion", y = "motion", z = "motion", rz = "motion" }
 reference = "hold"
 gains = { frequency_rad_per_s = 12.0, damping_ratio = 1.0 }
+singularity_threshold = 0.01
 [task.upper.cartesian]
 frame = "upper"
 axes = { x = "motion", z = "motion" }
 reference = "hold"
 gains = { frequency_rad_per_s = 9.0, damping_ratio = 0.7 }
+singularity_threshold = 0.01
 [task.rest.joint-posture]
 frequency_rad_per_s = 3.0
 damping_ratio = 0.7

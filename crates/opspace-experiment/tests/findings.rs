@@ -400,12 +400,15 @@ fn weight_that_a_joint_cant_carry() {
 fn a_singular_start() {
     let straight =
         |elbow: &str| [("shoulder = 0.6, elbow = 1.2", format!("shoulder = 0.0, elbow = {elbow}"))];
-    for (elbow, lost) in [("0.0", "can't be moved along"), ("0.02", "% left of its force along")] {
+    for (elbow, lost) in [("0.0", "can't be moved along"), ("0.2", "% left of its force along")] {
         let changes = straight(elbow);
         let (found, _) = only(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
         assert_says(&found, "start_rad", &["task 'tip'", lost, "start with joint 'elbow' at "]);
         let along = found.message.split("along ").nth(1).unwrap();
-        assert!(along.starts_with("x:") || along.starts_with("z:"), "the arm lies along an axis: {found:?}");
+        assert!(
+            along.starts_with("x:") || along.starts_with("z:") || along.starts_with("0.98 "),
+            "the arm lies nearly along an axis: {found:?}"
+        );
         // The start that is proposed.
         let better = found.help.split(" at ").nth(1).unwrap().split(' ').next().unwrap();
         let changes = straight(better);

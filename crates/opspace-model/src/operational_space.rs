@@ -36,16 +36,17 @@
 use crate::cholesky::MassMatrixFactor;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 
-/// How Λ⁻¹ is inverted where an eigenvalue λ of it comes near zero. A threshold is relative to the largest one.
+/// How Λ⁻¹ is inverted where an eigenvalue λ of it comes near zero. A threshold t is relative to λ_ref: the largest
+/// eigenvalue, or what [`update_with`](OperationalSpace::update_with) is given.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Inversion {
-    /// λ/(λ² + μ²) below the threshold t λ_max, with μ = t λ_max (1 − (λ/(t λ_max))²); 1/λ, exactly, above it.
+    /// λ/(λ² + μ²) below the threshold t λ_ref, with μ = t λ_ref (1 − (λ/(t λ_ref))²); 1/λ, exactly, above it.
     Damped(f64),
     /// 1/λ, whatever comes of it; zero only where λ isn't above zero.
     Plain,
-    /// λ/(λ² + μ²) with μ = t λ_max everywhere (damped least squares): never exact.
+    /// λ/(λ² + μ²) with μ = t λ_ref everywhere (damped least squares): never exact.
     LeastSquares(f64),
-    /// 1/max(λ, t λ_max): the condition number is bounded, and a lost direction still pushed at.
+    /// 1/max(λ, t λ_ref): the condition number is bounded, and a lost direction still pushed at.
     Clamped(f64),
 }
 
@@ -59,27 +60,16 @@ impl Inversion {
         }
     }
 
-    /// With the threshold `factor` times as high.
-    #[must_use]
-    pub fn scaled(self, factor: f64) -> Self {
+    /// In place of 1/`value`.
+    fn reciprocal(self, value: f64, reference: f64) -> f64 {
         match self {
-            Self::Damped(threshold) => Self::Damped(threshold * factor),
-            Self::Plain => Self::Plain,
-            Self::LeastSquares(threshold) => Self::LeastSquares(threshold * factor),
-            Self::Clamped(threshold) => Self::Clamped(threshold * factor),
-        }
-    }
-
-    /// In place of 1/`value`, with the largest eigenvalue.
-    fn reciprocal(self, value: f64, largest: f64) -> f64 {
-        match self {
-            Self::Damped(threshold) => damped_reciprocal(value, threshold * largest),
+            Self::Damped(threshold) => damped_reciprocal(value, threshold * reference),
             Self::Plain => damped_reciprocal(value, 0.0),
             Self::LeastSquares(threshold) => {
-                let (value, mu) = (value.max(0.0), threshold * largest);
+                let (value, mu) = (value.max(0.0), threshold * reference);
                 value / (value * value + mu * mu)
             }
-            Self::Clamped(threshold) => 1.0 / value.max(threshold * largest),
+            Self::Clamped(threshold) => 1.0 / value.max(threshold * reference),
         }
     }
 }
@@ -119,10 +109,11 @@ impl OperationalSpace {
         rows: usize,
         threshold: f64,
     ) {
-        self.update_with(factor, jacobian, rows, Inversion::Damped(threshold));
+        self.update_with(factor, jacobian, rows, Inversion::Damped(threshold), None);
     }
 
-    /// As [`update`](Self::update), with Λ⁻¹ inverted in another way.
+    /// As [`update`](Self::update), with Λ⁻¹ inverted in another way, or thresholds relative to another `reference`
+    /// (1/kg) than the largest eigenvalue.
     ///
     /// # Panics
     /// As [`update`](Self::update).
@@ -132,6 +123,7 @@ impl OperationalSpace {
         jacobian: &Matrix6xX<f64>,
         rows: usize,
         inversion: Inversion,
+        reference: Option<f64>,
     ) {
         assert!(rows <= 6, "a task has six rows at most");
         let half = &mut self.jbar_transpose;
@@ -140,7 +132,7 @@ impl OperationalSpace {
             half.row_mut(r).fill(0.0);
         }
         let inverse_inertia = factor.mobility(half);
-        (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, inversion);
+        (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, inversion, reference);
         factor.finish_solve(half);
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
         for column in columns {
@@ -182,7 +174,12 @@ impl OperationalSpace {
 
 /// The inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the
 /// share that is left of its weakest direction.
-fn damped_inverse(mut a: Matrix6<f64>, rows: usize, inversion: Inversion) -> (Matrix6<f64>, f64) {
+fn damped_inverse(
+    mut a: Matrix6<f64>,
+    rows: usize,
+    inversion: Inversion,
+    reference: Option<f64>,
+) -> (Matrix6<f64>, f64) {
     let trace = a.trace();
     if !trace.is_finite() || a.iter().any(|x| !x.is_finite()) {
         return (Matrix6::zeros(), 0.0);
@@ -195,10 +192,11 @@ fn damped_inverse(mut a: Matrix6<f64>, rows: usize, inversion: Inversion) -> (Ma
     for r in rows..6 {
         a[(r, r)] = padding;
     }
-    let (mut inverse, weakest_share) = match certified_inverse(&a, rows, trace, inversion.threshold()) {
-        Some(inverse) => (inverse, 1.0),
-        None => spectral_inverse(a, trace, inversion),
-    };
+    let (mut inverse, weakest_share) =
+        match certified_inverse(&a, rows, reference.unwrap_or(trace), inversion.threshold()) {
+            Some(inverse) => (inverse, 1.0),
+            None => spectral_inverse(a, trace, inversion, reference),
+        };
     for r in rows..6 {
         inverse[(r, r)] = 0.0;
     }
@@ -206,11 +204,11 @@ fn damped_inverse(mut a: Matrix6<f64>, rows: usize, inversion: Inversion) -> (Ma
 }
 
 /// The plain inverse, if it is certain without the spectrum that no eigenvalue is below the threshold:
-/// λ_min ≥ 1/tr(A⁻¹) and λ_max ≤ tr(A).
-fn certified_inverse(a: &Matrix6<f64>, rows: usize, trace: f64, threshold: f64) -> Option<Matrix6<f64>> {
+/// λ_min ≥ 1/tr(A⁻¹), and λ_max ≤ tr(A) where that is the reference.
+fn certified_inverse(a: &Matrix6<f64>, rows: usize, reference: f64, threshold: f64) -> Option<Matrix6<f64>> {
     let inverse = positive_inverse(a)?;
     let inverse_trace: f64 = (0..rows).map(|r| inverse[(r, r)]).sum();
-    (1.0 >= threshold * trace * inverse_trace).then_some(inverse)
+    (1.0 >= threshold * reference * inverse_trace).then_some(inverse)
 }
 
 /// The inverse of a symmetric matrix by Gauss and Jordan's elimination without pivoting, which is stable if the
@@ -238,14 +236,20 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     Some(swept)
 }
 
-fn spectral_inverse(a: Matrix6<f64>, trace: f64, inversion: Inversion) -> (Matrix6<f64>, f64) {
+fn spectral_inverse(
+    a: Matrix6<f64>,
+    trace: f64,
+    inversion: Inversion,
+    reference: Option<f64>,
+) -> (Matrix6<f64>, f64) {
     let spectrum = SymmetricEigen::new(a);
     // The padding lies above the trace, all eigenvalues of the task below it.
     let largest = spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
+    let reference = reference.unwrap_or(largest);
     let mut inverse = Matrix6::zeros();
     let mut weakest_share: f64 = 1.0;
     for (&value, vector) in spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter()) {
-        let gain = inversion.reciprocal(value, largest);
+        let gain = inversion.reciprocal(value, reference);
         weakest_share = weakest_share.min((gain * value).max(0.0));
         inverse += vector * vector.transpose() * gain;
     }

@@ -3,6 +3,7 @@
 use super::motion::Motion;
 use super::{Case, Finding, short};
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
+use opspace_control::rank::{Rows, TypicalMobility};
 use opspace_control::{AXIS_NAMES, TaskParameters};
 use opspace_model::{Data, Inversion, OperationalSpace, update};
 
@@ -91,27 +92,25 @@ fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
             Some(TaskParameters::JointTracking(p)) if !p.joints.is_empty() => {
                 let mut rows = Matrix6xX::zeros(n);
                 let joints = p.joints.iter().filter_map(|name| model.joint(name).ok());
-                joints.enumerate().for_each(|(row, joint)| rows[(row, joint)] = 1.0);
-                Some((rows, p.joints.len(), 1e-3, None))
+                let joints: Vec<usize> = joints.collect();
+                joints.iter().enumerate().for_each(|(row, &joint)| rows[(row, joint)] = 1.0);
+                let typical = TypicalMobility::new(model, &Rows::Joints(&joints)).dynamic;
+                Some((rows, p.joints.len(), 1e-3, typical, None))
             }
             _ => stack.motions.iter().position(|motion| motion.name == name).map(|place| {
                 let motion: &Motion<'_> = &stack.motions[place];
                 let axes = motion.axes(model, data, motion.parameters.axes.in_task());
                 let rows = motion.rows(model, data, &axes);
                 let threshold = motion.parameters.singularity_threshold.get();
-                (rows, axes.rows(), threshold, Some((place, axes)))
+                let typical = TypicalMobility::new(model, &Rows::Axes(&axes)).dynamic;
+                (rows, axes.rows(), threshold, typical, Some((place, axes)))
             }),
         };
-        let Some((alone, rows, threshold, motion)) = selected else { continue };
+        let Some((alone, rows, threshold, typical, motion)) = selected else { continue };
         let projected = Matrix6xX::from_columns(&(&alone * &freedom).column_iter().collect::<Vec<_>>());
-        let [mobility_alone, mobility] = [&alone, &projected].map(|rows| {
-            let mut half = rows.clone();
-            data.mass_matrix_factor.mobility(&mut half)
-        });
-        // What the tasks above have taken counts as lost, not as the new measure.
-        let taken = (mobility_alone.trace() / mobility.trace()).clamp(1.0, 1e12);
-        let inversion = Inversion::Damped(threshold * taken);
-        space.update_with(&data.mass_matrix_factor, &projected, rows, inversion);
+        let mobility = data.mass_matrix_factor.mobility(&mut projected.clone());
+        let inversion = Inversion::Damped(threshold);
+        space.update_with(&data.mass_matrix_factor, &projected, rows, inversion, Some(typical));
         if let Some((motion, axes)) = motion {
             let spectrum = SymmetricEigen::new(mobility.view((0, 0), (rows, rows)).into_owned());
             let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
