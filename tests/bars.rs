@@ -38,8 +38,13 @@ impl<'a> Group<'a> {
 impl Bench {
     /// The file that the environment names, if it names one.
     fn read() -> Option<Self> {
-        let Some(path) = std::env::var_os(FILE) else {
-            let _ = writeln!(std::io::stderr(), "skipped: {FILE} names no file of `opspace bench --json`");
+        Self::read_from(FILE)
+    }
+
+    fn read_from(variable: &str) -> Option<Self> {
+        let Some(path) = std::env::var_os(variable) else {
+            let _ =
+                writeln!(std::io::stderr(), "skipped: {variable} names no file of `opspace bench --json`");
             return None;
         };
         let path = std::path::PathBuf::from(path);
@@ -165,6 +170,26 @@ fn the_hand_moves_a_compliant_arm_and_not_a_stiff_one() {
                 "{stiff:?}"
             );
             assert!(median(soft, "hand_force_rms_n") < median(stiff, "hand_force_rms_n"), "{stiff:?}");
+        }
+    }
+}
+
+/// How far a slow push of 20 N moves a spring of 400 N/m, at twelve postures: tasks/suites/stiffness.toml, run into the
+/// file that `OPSPACE_STIFFNESS_JSON` names, against 50 mm, within 1 % on the torque robot and 10 % on the position robot.
+#[test]
+fn a_stiffness_is_what_was_asked_for() {
+    let Some(bench) = Bench::read_from("OPSPACE_STIFFNESS_JSON") else { return };
+    for (backend, tolerance) in [("torque", 0.01), ("position", 0.10)] {
+        let rows: Vec<&Value> = bench.rows.iter().filter(|row| row["backend"] == backend).collect();
+        assert_eq!(rows.len(), 12, "{backend}");
+        for row in rows {
+            let given_way_m = row["metrics"]["position_max_m"].as_f64().expect("a number");
+            let stiffness = 20.0 / given_way_m;
+            assert!(
+                (stiffness / 400.0 - 1.0).abs() < tolerance,
+                "{backend}, {}: {stiffness} N/m",
+                row["label"]
+            );
         }
     }
 }
