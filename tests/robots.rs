@@ -29,12 +29,15 @@ fn robots() -> Vec<String> {
     names
 }
 
-/// The first task, by its file's name, that is for a robot.
+/// A task that a robot can do: the one in which it reaches for something; else the first, by its file's name, that is
+/// for it.
 fn first_task(robot: &str) -> PathBuf {
     let files = fs::read_dir(project("tasks")).unwrap().map(|entry| entry.unwrap().path());
     let mut tasks: Vec<PathBuf> =
         files.filter(|file| file.extension().is_some_and(|e| e == "toml")).collect();
-    tasks.sort();
+    let reaches =
+        |task: &PathBuf| task.file_stem().is_some_and(|name| name.to_string_lossy().ends_with("-reach"));
+    tasks.sort_by_key(|task| (!reaches(task), task.clone()));
     let is_for = |task: &PathBuf| {
         let task = Task::load(Files::Disk, task, &[]).unwrap_or_else(|e| panic!("{e}"));
         task.robot_path().ends_with(robot)
