@@ -168,3 +168,41 @@ fn a_task_without_any_freedom_left_asks_for_no_torque() {
         assert!(tau.iter().all(|t| t.abs() < 50.0), "{tau:?}");
     }
 }
+
+/// What a nullspace lets through to the task above it, along each eigenvector of Λ⁻¹: one less the damping's share
+/// λ g(λ), by the formula of the spectrum, below the threshold; nothing above it.
+#[test]
+fn the_leak_is_what_damping_takes_and_nothing_else() {
+    let (model, threshold, tolerance) = (seven_joints_in(1.0), 0.2, 1e-10);
+    let hand = model.frame("hand").expect("hand");
+    let mut numbers = Numbers::new(11);
+    let (mut damped, mut whole) = (0, 0);
+    for _ in 0..60 {
+        let (data, _) = at_state(&model, &numbers.vector(7, 1.5), &[0.0; 7], 0.0);
+        let mut jacobian = nalgebra::Matrix6xX::zeros(7);
+        opspace_model::frame_jacobian(&model, &data, hand, &mut jacobian);
+        let position = nalgebra::Matrix3xX::from_fn(7, |r, c| jacobian[(r, c)]);
+        let mobility =
+            &position * data.mass_matrix.clone().try_inverse().expect("regular") * position.transpose();
+        let spectrum = nalgebra::SymmetricEigen::new(mobility);
+        let floor = threshold * spectrum.eigenvalues.max();
+
+        let mut space = opspace_model::OperationalSpace::new(7);
+        space.update(&data.mass_matrix_factor, &jacobian, 3, threshold);
+        let mut above = jacobian.clone();
+        above.rows_mut(3, 3).fill(0.0);
+        let mut nullspace = nalgebra::DMatrix::zeros(7, 7);
+        space.nullspace(&above, &mut nullspace);
+        for (&value, direction) in spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter()) {
+            let alone = direction.transpose() * &position;
+            let through = &alone * &nullspace;
+            let ratio = value / floor;
+            let mu = (1.0 - ratio * ratio).max(0.0);
+            let share = if ratio < 1.0 { ratio * ratio / (ratio * ratio + mu * mu) } else { 1.0 };
+            let off = (through - &alone * (1.0 - share)).amax();
+            assert!(off < tolerance * alone.amax().max(1.0), "share {share}: off by {off}");
+            if ratio < 1.0 { damped += 1 } else { whole += 1 }
+        }
+    }
+    assert!(damped > 20 && whole > 20, "{damped} damped directions and {whole} whole ones");
+}
