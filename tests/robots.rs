@@ -35,9 +35,8 @@ fn first_task(robot: &str) -> PathBuf {
     let files = fs::read_dir(project("tasks")).unwrap().map(|entry| entry.unwrap().path());
     let mut tasks: Vec<PathBuf> =
         files.filter(|file| file.extension().is_some_and(|e| e == "toml")).collect();
-    let reaches =
-        |task: &PathBuf| task.file_stem().is_some_and(|name| name.to_string_lossy().ends_with("-reach"));
-    tasks.sort_by_key(|task| (!reaches(task), task.clone()));
+    let own = format!("{robot}-reach");
+    tasks.sort_by_key(|task| (task.file_stem().is_none_or(|name| *name != *own), task.clone()));
     let is_for = |task: &PathBuf| {
         let task = Task::load(Files::Disk, task, &[]).unwrap_or_else(|e| panic!("{e}"));
         task.robot_path().ends_with(robot)
