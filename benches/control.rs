@@ -1,4 +1,5 @@
-//! What a control tick costs, dynamics and control together, beside Pinocchio and TSID: `cargo bench --bench control`.
+//! What a control tick costs, dynamics and control together, beside Pinocchio and TSID: `cargo bench --bench control`,
+//! with the names of ticks behind `--` for those alone.
 //!
 //! Peers are measured in the same run if they have been built by `benches/pinocchio/build target/pinocchio` and
 //! `benches/tsid/build target/tsid`. All cycle over random states of a seven-joint arm with a pose task and a posture, and
@@ -51,16 +52,22 @@ fn main() {
         acceleration: vec![ACCELERATION_LIMIT_RAD_PER_S2; model.n()],
         ..JointLimits::of(&model)
     };
-    let wide = JointLimits { torque: vec![1e6; model.n()], ..JointLimits::none(model.n()) };
+    // One state after the other is a jump, which a rate would cut.
+    let wide = JointLimits { torque_rate: vec![1e9; model.n()], ..limits.clone() };
     let mut rows = Vec::new();
-    let mut row = |name: &'static str, limits: &JointLimits, states: Vec<State>| {
+    let names: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
+    let mut row = |name: &'static str, limits: &JointLimits, states: &dyn Fn() -> States| {
+        if !names.is_empty() && !names.iter().any(|n| n == name) {
+            return;
+        }
+        let states = states();
         let mut bench = Bench::new(&model, limits);
         let (damped, limited) = bench.shares(&states);
         rows.push((name, bench.measure(&states, calls), damped, limited));
     };
-    row("free", &wide, states(&model, 0.05, |share| share == 1.0));
-    row("damped", &wide, states(&model, 0.05, |share| share < 1.0));
-    row("limits", &limits, states(&model, 1.0, |_| true));
+    row("free", &wide, &|| states(&model, &wide, 0.2, false, |share, limited| share == 1.0 && !limited));
+    row("damped", &wide, &|| states(&model, &wide, 0.1, true, |share, limited| share < 1.0 && !limited));
+    row("limits", &limits, &|| states(&model, &limits, 0.9, false, |_, _| true));
 
     let peer = |name: &str| {
         let path = root.join("target").join(name).join("peer");
@@ -83,35 +90,48 @@ fn main() {
     }
 }
 
-/// A state, and where the controller was started: its reference.
-struct State {
+/// Where the controller is started, which is its reference, and states of the arm.
+struct States {
     home: Vec<f64>,
-    q: Vec<f64>,
-    dq: Vec<f64>,
+    q: Vec<Vec<f64>>,
+    dq: Vec<Vec<f64>>,
 }
 
-/// Random states within the arm's ranges, their references up to `away` (rad) from them in each joint, of which the
-/// weakest share of the pose task is as it should be.
-fn states(model: &Model, away: f64, wanted: impl Fn(f64) -> bool) -> Vec<State> {
+/// Random states within `away` (rad) of a random posture, of which the weakest share of the pose task, and whether a
+/// limit is in the way, are as they should be; with `straight`, of one with a nearly straight elbow.
+fn states(
+    model: &Model,
+    limits: &JointLimits,
+    away: f64,
+    straight: bool,
+    wanted: impl Fn(f64, bool) -> bool,
+) -> States {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut bench = Bench::new(model, &JointLimits::none(model.n()));
-    let mut states = Vec::with_capacity(STATES);
-    while states.len() < STATES {
-        let q: Vec<f64> =
-            model.joints().iter().map(|j| rng.random_range(j.limits.lower..j.limits.upper)).collect();
-        let mut q = q;
-        // Straight elbows and wrists are rare at random: every other state has one nearly so.
-        if states.len() % 2 == 1 && !wanted(1.0) {
-            q[3] = -0.1;
+    let mut bench = Bench::new(model, limits);
+    let speed = away.min(1.0);
+    loop {
+        let between = |joint: &opspace_model::Joint| {
+            let (lower, upper) = (joint.limits.lower, joint.limits.upper);
+            (lower + 0.3 * (upper - lower))..(upper - 0.3 * (upper - lower))
+        };
+        let mut home: Vec<f64> = model.joints().iter().map(|j| rng.random_range(between(j))).collect();
+        if straight {
+            home[3] = -0.15;
         }
-        let home = q.iter().map(|q| q + rng.random_range(-away..away)).collect();
-        let dq = (0..model.n()).map(|_| rng.random_range(-1.0..1.0)).collect();
-        let state = State { home, q, dq };
-        if wanted(bench.weakest_share(&state)) {
-            states.push(state);
+        bench.start(&home);
+        let mut states = States { home, q: Vec::new(), dq: Vec::new() };
+        for _ in 0..100 * STATES {
+            let q: Vec<f64> = states.home.iter().map(|q| q + rng.random_range(-away..away)).collect();
+            let dq: Vec<f64> = q.iter().map(|_| rng.random_range(-speed..speed)).collect();
+            if wanted(bench.weakest_share(&q, &dq), bench.controller.is_limited()) {
+                states.q.push(q);
+                states.dq.push(dq);
+            }
+            if states.q.len() == STATES {
+                return states;
+            }
         }
     }
-    states
 }
 
 struct Bench<'a> {
@@ -151,41 +171,40 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// The reference is the posture in the middle of all: what a tick costs doesn't depend on how far that is.
-    fn start(&mut self, state: &State) {
-        self.seen.q.copy_from_slice(&state.home);
+    fn start(&mut self, home: &[f64]) {
+        self.seen.q.copy_from_slice(home);
         self.seen.dq.fill(0.0);
-        assert!(update(self.model, &mut self.data, &state.home, self.seen.dq.as_slice()));
+        assert!(update(self.model, &mut self.data, home, self.seen.dq.as_slice()));
         self.controller.start(self.model, &self.data, &self.seen);
     }
 
     /// One tick.
-    fn run(&mut self, state: &State) {
-        self.seen.q.copy_from_slice(&state.q);
-        self.seen.dq.copy_from_slice(&state.dq);
-        assert!(update(self.model, &mut self.data, &state.q, &state.dq));
+    fn run(&mut self, q: &[f64], dq: &[f64]) {
+        self.seen.q.copy_from_slice(q);
+        self.seen.dq.copy_from_slice(dq);
+        assert!(update(self.model, &mut self.data, q, dq));
         self.controller.update(self.model, &self.data, black_box(&self.seen), &mut self.tau);
     }
 
-    fn weakest_share(&mut self, state: &State) -> f64 {
-        self.start(state);
-        self.run(state);
+    fn weakest_share(&mut self, q: &[f64], dq: &[f64]) -> f64 {
+        self.run(q, dq);
         opspace_control::Observable::sample(&self.controller, &mut opspace_control::Row::new(&mut self.row));
         self.row[self.share]
     }
 
-    /// Which share of the states is damped, and which is limited.
-    fn shares(&mut self, states: &[State]) -> (f64, f64) {
+    /// Which share of the states is damped, and which is limited, one after the other.
+    fn shares(&mut self, states: &States) -> (f64, f64) {
         let (mut damped, mut limited) = (0, 0);
-        for state in states {
-            damped += usize::from(self.weakest_share(state) < 1.0);
+        self.start(&states.home);
+        for (q, dq) in states.q.iter().zip(&states.dq) {
+            damped += usize::from(self.weakest_share(q, dq) < 1.0);
             limited += usize::from(self.controller.is_limited());
         }
-        (damped as f64 / states.len() as f64, limited as f64 / states.len() as f64)
+        (damped as f64 / STATES as f64, limited as f64 / STATES as f64)
     }
 
-    fn measure(&mut self, states: &[State], calls: usize) -> f64 {
-        let of = |bench: &mut Self| time(calls, |i| bench.run(&states[i]));
+    fn measure(&mut self, states: &States, calls: usize) -> f64 {
+        let of = |bench: &mut Self| time(calls, |i| bench.run(&states.q[i], &states.dq[i]));
         of(self);
         of(self)
     }

@@ -14,7 +14,7 @@ use opspace_model::{
     Data, FrameId, Inertia, Joint, JointKind, Limits, Model, OperationalSpace, Placement, Real, aba,
     aba_derivatives, bias, centroidal_map, cholesky, crba, forward_kinematics, frame_bias_acceleration,
     frame_jacobian, frame_placement, frame_velocity, gravity, kinematics, mass_matrix_inverse, rnea,
-    rnea_derivatives, torque_regressor,
+    rnea_derivatives, torque_regressor, update,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -138,6 +138,7 @@ impl<'a> Bench<'a> {
             assert!(cholesky(data));
             mass_matrix_inverse(black_box(data));
         });
+        row("update", &mut |i| assert!(update(model, black_box(data), &q[i], &dq[i])));
         row("osc_tick", &mut |i| tick.run(model, data, tip, black_box(&q[i]), &dq[i]));
         row("cholesky", &mut |_| assert!(cholesky(black_box(data))));
         row("derivatives_rnea", &mut |i| {

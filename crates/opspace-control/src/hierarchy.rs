@@ -10,7 +10,8 @@
 //! primitives*, Int. J. Humanoid Robotics 2(4), 2005). Torques J_pᵀ F then accelerate no task above.
 //! With the identity in M's place the same recursion is that of inverse kinematics.
 
-use nalgebra::{Matrix6, Matrix6xX, Vector6};
+use crate::products::{add_transposed, product};
+use nalgebra::{Matrix6, Matrix6xX};
 use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
 
 /// N, the freedom that the tasks so far leave, as the product of what each of them leaves: I − J̄_p J_p. The n × n
@@ -45,7 +46,7 @@ impl Nullspace {
         self.depth = depth;
     }
 
-    /// Takes away what `task` uses.
+    /// Takes away what a [finished](ProjectedTask::finish) `task` uses.
     pub(crate) fn narrow(&mut self, task: &ProjectedTask) {
         let (jacobian, jbar_transpose) = &mut self.tasks[self.depth];
         jacobian.copy_from(&task.jacobian);
@@ -71,6 +72,15 @@ impl Nullspace {
         }
     }
 
+    /// Nᵀ τ in place of the torques τ = M a, where `task` comes below all of these: without its J̄. N a in place of a, but
+    /// for what `task` takes.
+    pub(crate) fn project_above(&self, task: &ProjectedTask, acceleration: &mut [f64], torque: &mut [f64]) {
+        self.project_torque(torque);
+        self.project_velocity(acceleration);
+        let force = task.space.task_inertia * product(&task.jacobian, acceleration);
+        add_transposed(&task.jacobian, &-force, torque);
+    }
+
     /// J N in place of J.
     fn project_jacobian(&self, jacobian: &mut Matrix6xX<f64>) {
         for (above, jbar_transpose) in self.tasks() {
@@ -90,13 +100,8 @@ impl Nullspace {
 
 /// x − Aᵀ B x in place of x.
 fn remove(x: &mut [f64], b: &Matrix6xX<f64>, a: &Matrix6xX<f64>) {
-    let mut sum = Vector6::zeros();
-    for (column, &x) in b.column_iter().zip(x.iter()) {
-        sum += column * x;
-    }
-    for (x, column) in x.iter_mut().zip(a.column_iter()) {
-        *x -= column.dot(&sum);
-    }
+    let sum = product(b, x);
+    add_transposed(a, &-sum, x);
 }
 
 /// One Cartesian task within the freedom that is left to it.
@@ -113,7 +118,7 @@ impl ProjectedTask {
         Self { jacobian, space: OperationalSpace::new(n) }
     }
 
-    /// For the first `rows` rows of `jacobian`. The threshold is relative to a `reference` that doesn't depend on what
+    /// For the first `rows` rows of `jacobian`, all but J̄. The threshold is relative to a `reference` that doesn't depend on what
     /// the tasks above have taken: that counts as lost, not as the new measure.
     pub(crate) fn update(
         &mut self,
@@ -128,7 +133,12 @@ impl ProjectedTask {
         if above.depth > 0 {
             above.project_jacobian(&mut self.jacobian);
         }
-        self.space.update_with(factor, &self.jacobian, rows, inversion, Some(reference));
+        self.space.update_inertia(factor, &self.jacobian, rows, inversion, Some(reference));
+    }
+
+    /// J̄, with the same factor: once after each [`update`](Self::update), if anything comes below this task.
+    pub(crate) fn finish(&mut self, factor: &MassMatrixFactor) {
+        self.space.finish(factor);
     }
 }
 
@@ -200,6 +210,7 @@ mod tests {
                 1.0,
             );
             assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
+            projected.finish(&data.mass_matrix_factor);
             nullspace.narrow(&projected);
             let [matrix, by_torque] = matrices(&nullspace, n);
             assert!((&matrix - by_torque).amax() < tolerance, "one N for velocities and torques");

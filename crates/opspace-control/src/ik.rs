@@ -16,6 +16,7 @@ use crate::error::{ControlError, Reason};
 use crate::joint::JointTask;
 use crate::level::RowTask;
 use crate::measurement::Measurement;
+use crate::products::{add_transposed, product};
 use crate::signal::{Observable, Row, Signal};
 use crate::stacks::{PreparedStack, Shows, Stacks};
 use crate::task::{Levels, RobotFacts, Stack};
@@ -113,16 +114,13 @@ impl InverseKinematicsController {
         levels.nullspace.reset();
         for level in &mut levels.rows {
             level.project(model, &self.data, &levels.nullspace, level.typical.kinematic);
+            level.projected.finish(&self.data.mass_matrix_factor);
             let mut wanted = match &level.task {
                 RowTask::Cartesian(task) => task.velocity_at(model, &self.data, ERROR_GAIN_PER_S),
                 RowTask::Joints(task) => task.velocity(&self.q, ERROR_GAIN_PER_S),
             };
-            for (column, &v) in level.jacobian().column_iter().zip(&self.dq) {
-                wanted -= column * v;
-            }
-            for (v, column) in self.dq.iter_mut().zip(level.projected.space.jbar_transpose.column_iter()) {
-                *v += column.dot(&wanted);
-            }
+            wanted -= product(level.jacobian(), self.dq.as_slice());
+            add_transposed(&level.projected.space.jbar_transpose, &wanted, self.dq.as_mut_slice());
             levels.nullspace.narrow(&level.projected);
         }
         match &levels.joint {

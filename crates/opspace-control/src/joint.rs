@@ -10,6 +10,7 @@ use crate::error::{ControlError, Reason};
 use crate::joint_reference::{JointReference, JointTarget, JointTrajectory};
 use crate::measurement::Measurement;
 use crate::per_joint::{PerJoint, indices};
+use crate::products::multiply;
 use crate::quantity::{NonNegative, Positive};
 use crate::signal::{Row, Signal};
 use nalgebra::{DVector, Matrix6xX, Vector6};
@@ -122,24 +123,24 @@ impl JointTask {
         }
     }
 
-    /// The torque before projection (n), into `torque`; `scratch` (n) is overwritten.
-    pub(crate) fn torque(&mut self, data: &Data, time_s: f64, scratch: &mut [f64], torque: &mut [f64]) {
+    /// The joint accelerations and the torques that cause them, before projection (n).
+    pub(crate) fn update(&mut self, data: &Data, time_s: f64, acceleration: &mut [f64], torque: &mut [f64]) {
         match self {
             Self::Damping(task) => {
                 for ((t, d), dq) in torque.iter_mut().zip(&task.damping).zip(&data.dq) {
                     *t = -*d * dq;
                 }
+                acceleration.copy_from_slice(torque);
+                data.mass_matrix_factor.solve(acceleration);
                 return;
             }
             Self::Tracking(task) => {
                 task.observe(&data.q, time_s);
-                task.acceleration(data, scratch);
+                task.acceleration(data, acceleration);
             }
-            Self::Posture(task) => task.acceleration(data, scratch),
+            Self::Posture(task) => task.acceleration(data, acceleration),
         }
-        for (i, t) in torque.iter_mut().enumerate() {
-            *t = scratch.iter().enumerate().map(|(k, a)| data.mass_matrix[(i, k)] * a).sum();
-        }
+        multiply(&data.mass_matrix, acceleration, torque);
     }
 
     pub(crate) fn signals(&self) -> Vec<Signal> {

@@ -5,6 +5,7 @@ use crate::cartesian::{CartesianTask, Decoupling};
 use crate::hierarchy::{Nullspace, ProjectedTask};
 use crate::joint::SelectedJoints;
 use crate::measurement::Measurement;
+use crate::products::{add_transposed, product};
 use crate::rank::{Rows, TypicalMobility};
 use crate::signal::{Row, Signal};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
@@ -15,6 +16,15 @@ use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 pub(crate) enum RowTask {
     Cartesian(Box<CartesianTask>),
     Joints(Box<SelectedJoints>),
+}
+
+impl RowTask {
+    fn rank_rows(&self) -> Rows<'_> {
+        match self {
+            Self::Cartesian(task) => Rows::Axes(&task.axes),
+            Self::Joints(task) => Rows::Joints(task.joints()),
+        }
+    }
 }
 
 /// A task among others.
@@ -60,10 +70,7 @@ impl Level {
             RowTask::Joints(_) => None,
         };
         let zero = Vector6::zeros();
-        let typical = match &task {
-            RowTask::Cartesian(task) => TypicalMobility::new(model, &Rows::Axes(&task.axes)),
-            RowTask::Joints(task) => TypicalMobility::new(model, &Rows::Joints(task.joints())),
-        };
+        let typical = TypicalMobility::new(model, &task.rank_rows());
         Self {
             typical,
             task,
@@ -85,17 +92,11 @@ impl Level {
 
     /// What the level's rows are, whatever the state.
     pub(crate) fn rank_rows(&self) -> Rows<'_> {
-        match &self.task {
-            RowTask::Cartesian(task) => Rows::Axes(&task.axes),
-            RowTask::Joints(task) => Rows::Joints(task.joints()),
-        }
+        self.task.rank_rows()
     }
 
     pub(crate) fn rows(&self) -> usize {
-        match &self.task {
-            RowTask::Cartesian(task) => task.axes.rows(),
-            RowTask::Joints(task) => task.joints().len(),
-        }
+        self.rank_rows().count()
     }
 
     /// The rows of the task, scaled, as of the last update.
@@ -182,12 +183,8 @@ impl Level {
             }
             RowTask::Joints(task) => (task.acceleration(data), Vector6::zeros()),
         };
-        let inversion = self.inversion();
+        let (rows, inversion) = (self.rows(), self.inversion());
         if let Some(bounded) = &mut self.bounded {
-            let rows = match &self.task {
-                RowTask::Cartesian(task) => task.axes.rows(),
-                RowTask::Joints(task) => task.joints().len(),
-            };
             bounded.update(data, &self.projected.jacobian, rows, inversion, self.typical.dynamic);
         }
     }
@@ -197,9 +194,7 @@ impl Level {
     pub(crate) fn add_torque(&mut self, above: Option<&[f64]>, torque: &mut [f64]) {
         let mut wanted = self.wanted;
         if let Some(above) = above {
-            for (column, &a) in self.jacobian().column_iter().zip(above) {
-                wanted -= column * a;
-            }
+            wanted -= product(self.jacobian(), above);
         }
         let inertia = &self.projected.space.task_inertia;
         let applied: &Matrix6<f64> = self.bounded.as_ref().map_or(inertia, |b| &b.space.task_inertia);
@@ -210,9 +205,7 @@ impl Level {
             force += task.added_force(inertia);
         }
         self.force = force;
-        for (t, column) in torque.iter_mut().zip(self.projected.jacobian.column_iter()) {
-            *t += column.dot(&force);
-        }
+        add_transposed(&self.projected.jacobian, &force, torque);
     }
 
     /// The velocity of the task's rows after `horizon_s` of joint accelerations `ddq` (n), scaled.

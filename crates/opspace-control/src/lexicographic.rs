@@ -24,6 +24,7 @@ use crate::active_set::ActiveSet;
 use crate::hierarchy::Nullspace;
 use crate::interior_point::InteriorPoint;
 use crate::limits::Bounds;
+use crate::products::{dot, multiply};
 use crate::qp::{QpError, QuadraticProgram};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
@@ -57,6 +58,13 @@ pub(crate) struct SpeedBound {
     pub upper: f64,
 }
 
+impl SpeedBound {
+    /// Whether α respects it.
+    pub(crate) fn allows(&self, alpha: &[f64]) -> bool {
+        dot(self.row.as_slice(), alpha) <= self.upper
+    }
+}
+
 /// Who found the command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Solver {
@@ -87,7 +95,7 @@ impl Limits<'_> {
             self.bounds.acceleration.contains(i, alpha[i] + self.drift[i])
                 && self.bounds.torque.contains(i, torque[i] + self.own_torque[i])
         });
-        joints && self.speeds.iter().all(|s| dot(s.row.as_slice(), alpha) <= s.upper)
+        joints && self.speeds.iter().all(|speed| speed.allows(alpha))
     }
 }
 
@@ -152,8 +160,13 @@ impl Cascade {
         self.shortcut = false;
     }
 
+    /// Whether what is within the limits is left as it is.
+    pub(crate) fn has_shortcut(&self) -> bool {
+        self.shortcut
+    }
+
     /// Whether α and M α can stay as they are.
-    pub(crate) fn needs_no(&self, limits: &Limits<'_>, alpha: &[f64], torque: &[f64]) -> bool {
+    fn needs_no(&self, limits: &Limits<'_>, alpha: &[f64], torque: &[f64]) -> bool {
         self.shortcut && limits.allow(alpha, torque)
     }
 
@@ -432,16 +445,4 @@ impl Cascade {
                 (speed.upper - dot(speed.row.as_slice(), alpha.as_slice())) / length;
         }
     }
-}
-
-/// A x into `out`, for a square A.
-fn multiply(a: &DMatrix<f64>, x: &[f64], out: &mut [f64]) {
-    out.fill(0.0);
-    for (column, &x) in a.as_slice().chunks_exact(x.len()).zip(x) {
-        out.iter_mut().zip(column).for_each(|(sum, a)| *sum += a * x);
-    }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -81,6 +81,7 @@ pub mod online;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
+mod products;
 pub mod qp;
 pub mod quantity;
 pub mod ramp;

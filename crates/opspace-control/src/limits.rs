@@ -217,9 +217,44 @@ impl Bounds {
         Self::with_braking(limits, braking, period_s)
     }
 
-    fn with_braking(limits: JointLimits, braking: Vec<f64>, period_s: f64) -> Self {
+    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64) -> Self {
         let n = limits.lower.len();
+        for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
+            // Whatever brakes, within a horizon it stops.
+            *braking = braking.min(velocity.min(1e3) / HORIZON_S);
+        }
         Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
+    }
+
+    /// Whether joint accelerations and commanded torques (n) are plainly within the bounds of a state, without the
+    /// roots and the rules for bounds that contradict each other: `false` if that takes a closer look.
+    pub(crate) fn plainly_allow(
+        &self,
+        measurement: &Measurement,
+        before: &DVector<f64>,
+        acceleration: impl Fn(usize) -> f64,
+        torque: impl Fn(usize) -> f64,
+    ) -> bool {
+        let (l, h) = (&self.limits, HORIZON_S);
+        let (q, dq, added) = (&measurement.q, &measurement.dq, &measurement.added_torque);
+        let mut allowed = true;
+        // Without a branch: which side of zero a speed is on can't be foreseen.
+        for i in 0..before.len() {
+            let (a, tau, braking) = (acceleration(i), torque(i), self.braking[i]);
+            let (ahead, speed) = (q[i] + dq[i] * h, dq[i] + a * h);
+            // v ≤ √((b h)² + 2 b x) − b h without the root.
+            let stops = |left: f64, speed: f64| {
+                (left > 0.0)
+                    & ((speed <= 0.0) | (speed * (speed + 2.0 * braking * h) <= 2.0 * braking * left))
+            };
+            allowed &= stops(l.upper[i] - ahead, speed)
+                & stops(ahead - l.lower[i], -speed)
+                & (speed.abs() <= l.velocity[i])
+                & (a.abs() <= l.acceleration[i])
+                & ((tau + added[i]).abs() <= l.torque[i])
+                & ((tau - before[i]).abs() <= l.torque_rate[i] * self.period_s);
+        }
+        allowed
     }
 
     /// Those of a state, after the torques `before` (n) were commanded.
@@ -270,11 +305,9 @@ impl JointState {
         if end < f64::INFINITY {
             let left = end - self.q;
             let ahead = left - self.dq * h;
-            // Whatever brakes, within a horizon it stops.
-            let braking = self.braking.min(self.velocity.min(1e3) / h);
-            let reach = braking * h;
+            let reach = self.braking * h;
             let to_end = if ahead > 0.0 {
-                (reach * reach + 2.0 * braking * ahead).sqrt() - reach
+                (reach * reach + 2.0 * self.braking * ahead).sqrt() - reach
             } else {
                 (left.min(0.0) / RETURN_S).max(-self.velocity)
             };
@@ -351,6 +384,41 @@ mod tests {
             dq += 1e-3 * a;
         }
         assert!(q <= 1.0 + 1e-6 && q > 0.99, "{q}");
+    }
+
+    /// What is plainly allowed is within the bounds, and the other way round but where bounds contradict each other:
+    /// nowhere here, of joints that start within their ends and slow enough to stop.
+    #[test]
+    fn plainly_allowed_is_within_the_bounds() {
+        let limits = JointLimits {
+            lower: vec![-1.0],
+            upper: vec![1.0],
+            velocity: vec![2.0],
+            acceleration: vec![10.0],
+            torque: vec![5.0],
+            torque_rate: vec![1000.0],
+        };
+        let mut bounds = bounds(limits);
+        let grid = |end: f64| (-40..=40).map(move |i| end * f64::from(i) / 40.0 + 1e-4);
+        let (mut allowed, mut refused) = (0, 0);
+        for (q, dq) in grid(0.99).flat_map(|q| grid(2.0).map(move |dq| (q, dq))) {
+            let measurement = at(q, dq);
+            for (a, torque) in
+                [-12.0, -9.9, -3.0, 0.0, 5.0, 9.9, 12.0].into_iter().zip([0.5, -0.9, 1.1].into_iter().cycle())
+            {
+                let before = DVector::from_element(1, 0.0);
+                let plain = bounds.plainly_allow(&measurement, &before, |_| a, |_| torque);
+                bounds.update(&measurement, &before);
+                let within = bounds.acceleration.contains(0, a) && bounds.torque.contains(0, torque);
+                assert!(within || !plain, "{q} {dq} {a} {torque}");
+                let viable =
+                    dq.abs() <= 1.8 && dq.abs() <= (2.0 * 9.0 * (1.0 - q * dq.signum())).sqrt() - 0.2;
+                assert!(!viable || plain == within, "{q} {dq} {a} {torque}: {plain} {within}");
+                allowed += u32::from(plain);
+                refused += u32::from(!plain);
+            }
+        }
+        assert!(allowed > 1000 && refused > 1000, "{allowed} {refused}");
     }
 
     /// Every interval holds a number, whatever the state: proportion of lower to upper.

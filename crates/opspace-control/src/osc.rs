@@ -134,6 +134,7 @@ impl OperationalSpaceController {
         let levels = self.stacks.current();
         self.torque.fill(0.0);
         levels.nullspace.reset();
+        let last = levels.rows.len().saturating_sub(1);
         for (place, level) in levels.rows.iter_mut().enumerate() {
             level.update(model, data, measurement, &levels.nullspace);
             if place == 0 {
@@ -144,12 +145,17 @@ impl OperationalSpaceController {
                 data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
                 level.add_torque(Some(self.scratch.as_slice()), self.torque.as_mut_slice());
             }
-            levels.nullspace.narrow(&level.projected);
+            if place < last {
+                level.projected.finish(&data.mass_matrix_factor);
+                levels.nullspace.narrow(&level.projected);
+            }
         }
         if let Some(task) = &mut levels.joint {
-            let (scratch, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
-            task.torque(data, measurement.time_s, scratch, torque);
-            levels.nullspace.project_torque(torque);
+            let (acceleration, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
+            task.update(data, measurement.time_s, acceleration, torque);
+            if let Some(level) = levels.rows.last() {
+                levels.nullspace.project_above(&level.projected, acceleration, torque);
+            }
             self.torque += &self.joint_torque;
         }
     }
@@ -172,16 +178,23 @@ impl OperationalSpaceController {
             return;
         };
         let levels = self.stacks.current();
-        limiter.look(data, measurement, self.compensation, levels, &self.commanded);
+        limiter.look(data, self.compensation, levels);
         self.scratch.copy_from(&self.torque);
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-        let (mut limits, cascade) = limiter.limits(&self.own_torque);
-        if cascade.needs_no(&limits, self.scratch.as_slice(), self.torque.as_slice()) {
+        let (alpha, torque, own_torque) = (&self.scratch, &self.torque, &self.own_torque);
+        if limiter.plainly_allows(measurement, &self.commanded, alpha, torque, own_torque) {
             levels.rows.iter_mut().for_each(|level| level.limited = false);
-            limiter.settle(Solver::Unlimited, &self.scratch, &self.torque, &self.own_torque);
+            limiter.settle(Solver::Unlimited, alpha, torque, own_torque);
             return;
         }
+        limiter.bound(measurement, &self.commanded);
+        let (mut limits, cascade) = limiter.limits(&self.own_torque);
         cascade.begin(data);
+        // No command needed it before.
+        if let Some(level) = levels.rows.last_mut() {
+            level.projected.finish(&data.mass_matrix_factor);
+            levels.nullspace.narrow(&level.projected);
+        }
         levels.nullspace.rewind(0);
         let mut solved = Ok(());
         for (place, level) in levels.rows.iter_mut().enumerate() {
@@ -235,18 +248,8 @@ impl Limiter {
         }
     }
 
-    /// Takes in the state, and what was `commanded` before.
-    fn look(
-        &mut self,
-        data: &Data,
-        measurement: &Measurement,
-        compensation: Compensation,
-        levels: &Levels,
-        commanded: &DVector<f64>,
-    ) {
-        self.bounds.update(measurement, commanded);
-        self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
-        self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
+    /// Takes in the state, but for the joints' bounds.
+    fn look(&mut self, data: &Data, compensation: Compensation, levels: &Levels) {
         if compensation == Compensation::Gravity {
             for (drift, (gravity, bias)) in self.drift.iter_mut().zip(data.gravity.iter().zip(&data.bias)) {
                 *drift = gravity - bias;
@@ -264,6 +267,30 @@ impl Limiter {
                 }
             }
         }
+    }
+
+    /// Whether joint accelerations `alpha` (n), and the torques that cause them, can stay as they are after what was
+    /// `commanded` before.
+    fn plainly_allows(
+        &self,
+        measurement: &Measurement,
+        commanded: &DVector<f64>,
+        alpha: &DVector<f64>,
+        torque: &DVector<f64>,
+        own_torque: &DVector<f64>,
+    ) -> bool {
+        let acceleration = |i: usize| alpha[i] + self.drift[i];
+        let torque = |i: usize| torque[i] + own_torque[i];
+        self.cascade.has_shortcut()
+            && self.bounds.plainly_allow(measurement, commanded, acceleration, torque)
+            && self.speeds[..self.speed_count].iter().all(|speed| speed.allows(alpha.as_slice()))
+    }
+
+    /// The joints' bounds in this state, after what was `commanded` before.
+    fn bound(&mut self, measurement: &Measurement, commanded: &DVector<f64>) {
+        self.bounds.update(measurement, commanded);
+        self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
+        self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
     }
 
     fn limits<'a>(&'a mut self, own_torque: &'a DVector<f64>) -> (Limits<'a>, &'a mut Cascade) {

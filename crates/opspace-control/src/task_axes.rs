@@ -1,7 +1,7 @@
 //! The rows of a Cartesian task: the axes of a motion that belong to it, scaled to one unit.
 
 use crate::subject::Subject;
-use nalgebra::{Matrix3, Matrix6xX, Vector6};
+use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
 use opspace_model::Motion;
 
 /// Directions of a motion. Rotations are multiplied by a length, so that a spectrum over linear
@@ -51,11 +51,16 @@ impl TaskAxes {
     /// # Panics
     /// If the two differ in size.
     pub fn select(&self, world: &Matrix6xX<f64>, selected: &mut Matrix6xX<f64>) {
-        for (column, mut out) in world.column_iter().zip(selected.column_iter_mut()) {
-            for (row, &axis) in self.axes().iter().enumerate() {
-                let direction = self.rotation.column(axis % 3);
-                let part = column.fixed_rows::<3>(if axis < 3 { 0 } else { 3 });
-                out[row] = direction.dot(&part) * self.scale[axis];
+        assert_eq!(world.ncols(), selected.ncols(), "one column a joint");
+        let (columns, _) = world.as_slice().as_chunks::<6>();
+        let (selected, _) = selected.as_mut_slice().as_chunks_mut::<6>();
+        for (column, out) in columns.iter().zip(selected) {
+            let [x, y, z, rx, ry, rz] = *column;
+            let linear = self.rotation.tr_mul(&Vector3::new(x, y, z));
+            let angular = self.rotation.tr_mul(&Vector3::new(rx, ry, rz));
+            let turned = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            for (out, &axis) in out.iter_mut().zip(self.axes()) {
+                *out = turned[axis] * self.scale[axis];
             }
         }
     }

@@ -29,6 +29,12 @@ use crate::real::Real;
 /// subtree, as one rigid body, and only its ancestors feel it.
 pub fn crba<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composites(model, data);
+    mass_matrix(model, data);
+}
+
+/// M of the composites.
+#[inline]
+pub(crate) fn mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let mass_matrix = &mut data.mass_matrix;
     mass_matrix.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate() {
@@ -49,6 +55,12 @@ pub fn crba<T: Real>(model: &Model<T>, data: &mut Data<T>) {
 /// The inertia of every body with all that it carries.
 pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     bodies(model, data);
+    compose(model, data);
+}
+
+/// Adds to the inertia of every body those of all that it carries.
+#[inline]
+pub(crate) fn compose<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (i, body) in model.bodies.iter().enumerate().rev() {
         if let Some(p) = body.parent {
             let (before, carried) = data.composite.split_at_mut(i);

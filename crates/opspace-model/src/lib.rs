@@ -98,8 +98,10 @@ pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfW
 #[must_use]
 pub fn update<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[T]) -> bool {
     kinematics(model, data, q, dq);
-    crba(model, data);
-    bias(model, data);
-    gravity(model, data);
+    crba::bodies(model, data);
+    rnea::bias_of_bodies(model, data);
+    crba::compose(model, data);
+    crba::mass_matrix(model, data);
+    rnea::gravity_of_composites(model, data);
     cholesky(data)
 }

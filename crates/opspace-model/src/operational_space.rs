@@ -125,6 +125,23 @@ impl OperationalSpace {
         inversion: Inversion,
         reference: Option<f64>,
     ) {
+        self.update_inertia(factor, jacobian, rows, inversion, reference);
+        self.finish(factor);
+    }
+
+    /// The first half of [`update_with`](Self::update_with), for where J̄ may not be needed: Λ and the weakest share.
+    /// J̄ᵀ holds what [`finish`](Self::finish) needs.
+    ///
+    /// # Panics
+    /// As [`update`](Self::update).
+    pub fn update_inertia(
+        &mut self,
+        factor: &MassMatrixFactor,
+        jacobian: &Matrix6xX<f64>,
+        rows: usize,
+        inversion: Inversion,
+        reference: Option<f64>,
+    ) {
         assert!(rows <= 6, "a task has six rows at most");
         let half = &mut self.jbar_transpose;
         half.as_mut_slice().copy_from_slice(jacobian.as_slice());
@@ -133,6 +150,14 @@ impl OperationalSpace {
         }
         let inverse_inertia = factor.mobility(half);
         (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, inversion, reference);
+    }
+
+    /// The second half: J̄ᵀ, once after each [`update_inertia`](Self::update_inertia).
+    ///
+    /// # Panics
+    /// If the sizes differ.
+    pub fn finish(&mut self, factor: &MassMatrixFactor) {
+        let half = &mut self.jbar_transpose;
         factor.finish_solve(half);
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
         for column in columns {

@@ -85,6 +85,29 @@ pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     backward(model, &data.screw, &mut data.force, &mut data.gravity);
 }
 
+/// The same as [`bias`], from the inertias of the bodies.
+pub(crate) fn bias_of_bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    let Data { composite, velocity, bias_acceleration, force, .. } = data;
+    for (force, (inertia, (v, bias))) in
+        force.iter_mut().zip(composite.iter().zip(velocity.iter().zip(bias_acceleration.iter())))
+    {
+        let a = Motion { linear: bias.linear - model.gravity, angular: bias.angular };
+        let (rate, turned) = (inertia.apply(&a), v.cross_force(&inertia.apply(v)));
+        *force = Force { linear: rate.linear + turned.linear, angular: rate.angular + turned.angular };
+    }
+    backward(model, &data.screw, &mut data.force, &mut data.bias);
+}
+
+/// The same as [`gravity`], from the inertias of all that each joint carries: what [`crba`](crate::crba) leaves.
+pub(crate) fn gravity_of_composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
+    let up = -model.gravity;
+    data.gravity.as_mut_slice().fill(T::zero());
+    for ((body, screw), carried) in model.bodies.iter().zip(&data.screw).zip(&data.composite) {
+        let weight = Force { linear: up * carried.mass, angular: carried.first_moment.cross(&up) };
+        data.gravity[body.joint] += screw.dot(&weight);
+    }
+}
+
 /// What `ddq` and gravity add to the bias acceleration of every body. Gravity is what it feels like: the whole
 /// robot accelerating upwards.
 #[inline]

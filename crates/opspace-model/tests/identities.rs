@@ -12,8 +12,8 @@ use common::{
 };
 use nalgebra::DMatrix;
 use opspace_model::{
-    Data, OperationalSpace, aba, frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity,
-    kinematics, kinetic_energy, potential_energy, rnea,
+    Data, OperationalSpace, aba, bias, crba, frame_bias_acceleration, frame_jacobian, frame_placement,
+    frame_velocity, gravity, kinematics, kinetic_energy, potential_energy, rnea, update,
 };
 use proptest::prelude::*;
 
@@ -163,6 +163,20 @@ proptest! {
         let size = energies(0.0).iter().map(|e| e.abs()).sum::<f64>() + 100.0;
         let tolerance = DIFFERENCE + 4.0 * f64::EPSILON * size / step;
         close(&[rate], &[vector(&case.tau).dot(&vector(&case.dq))], tolerance)?;
+    }
+
+    /// What [`update`] finds in one pass, against each on its own.
+    #[test]
+    fn one_update_is_all_of_them(case in case()) {
+        let mut alone = case.evaluated();
+        bias(&case.model, &mut alone);
+        gravity(&case.model, &mut alone);
+        crba(&case.model, &mut alone);
+        let mut at_once = Data::new(&case.model);
+        prop_assert!(update(&case.model, &mut at_once, &case.q, &case.dq));
+        close(&at_once.bias, &alone.bias, ROUNDING)?;
+        close(&at_once.gravity, &alone.gravity, ROUNDING)?;
+        close(&at_once.mass_matrix, &alone.mass_matrix, ROUNDING)?;
     }
 
     /// The robot with its base and gravity turned together, and moved, against itself: only its pose changes.
