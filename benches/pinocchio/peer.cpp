@@ -3,6 +3,8 @@
 // stdout: a line for each operation, `name median_ns`. stderr: checksums, heap allocations, and how far the
 // operational-space ticks are from the textbook's formulas. How it is measured, and what each name is: README.md.
 
+#include "../common/peer.hpp"
+
 #include <pinocchio/algorithm/aba-derivatives.hpp>
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/centroidal.hpp>
@@ -14,31 +16,9 @@
 #include <pinocchio/algorithm/regressor.hpp>
 #include <pinocchio/algorithm/rnea-derivatives.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
-#include <pinocchio/parsers/urdf.hpp>
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
-
-#include <algorithm>
-#include <array>
-#include <chrono>
-#include <cmath>
-#include <cstdio>
-#include <functional>
-#include <map>
-#include <random>
-#include <stdexcept>
-#include <string>
-#include <vector>
-
-// Every allocation of the process comes by here, the shared libraries' and Eigen's too.
-static long allocations = 0;
-extern "C" void * __libc_malloc(std::size_t);
-extern "C" void * malloc(std::size_t size) noexcept
-{
-  ++allocations;
-  return __libc_malloc(size);
-}
 
 namespace
 {
@@ -51,9 +31,6 @@ namespace
   using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
   constexpr auto WORLD_ALIGNED = pinocchio::LOCAL_WORLD_ALIGNED;
-  constexpr int STATES = 1024;
-  constexpr int CALLS = 10000;
-  constexpr int REPETITIONS = 15;
   // Relative; random states come close to singularities, where digits are lost.
   constexpr double TICK_TOLERANCE = 1e-6;
   // Of the robots without a tick of their own fixed size.
@@ -72,13 +49,9 @@ namespace
     SE3 tip_desired; // near the tip's own pose
   };
 
-  /// States uniform within the limits, as the oracles of ../../tests/oracles/pinocchio are drawn.
   std::vector<State> random_states(const Model & model, Data & data, pinocchio::FrameIndex tip)
   {
-    std::mt19937_64 random(1);
-    const auto uniform = [&](double low, double high) {
-      return std::uniform_real_distribution<double>(low, high)(random);
-    };
+    Random random;
     std::vector<State> states(STATES);
     for (State & state : states)
     {
@@ -87,26 +60,17 @@ namespace
         v->resize(model.nv);
       for (int j = 1; j < model.njoints; ++j)
       {
-        const int iq = model.idx_qs[j], iv = model.idx_vs[j];
-        const bool continuous = model.nqs[j] == 2;
-        const double low = continuous ? -M_PI : std::max(model.lowerPositionLimit[iq], -M_PI);
-        const double high = continuous ? M_PI : std::min(model.upperPositionLimit[iq], M_PI);
-        const double speed = std::min(model.upperVelocityLimit[iv], 3.0);
+        const int iv = model.idx_vs[j];
+        const Range range(model, j);
         const double effort = std::min(model.upperEffortLimit[iv], 20.0);
-        state.angles[iv] = uniform(low, high);
-        if (continuous)
-          state.q.segment<2>(iq) << std::cos(state.angles[iv]), std::sin(state.angles[iv]);
-        else
-          state.q[iq] = state.angles[iv];
-        state.dq[iv] = uniform(-speed, speed);
-        state.ddq[iv] = uniform(-5.0, 5.0);
-        state.tau[iv] = uniform(-effort, effort);
+        state.angles[iv] = random.uniform(range.low, range.high);
+        set_angle(model, j, state.angles[iv], state.q);
+        state.dq[iv] = random.uniform(-range.speed, range.speed);
+        state.ddq[iv] = random.uniform(-5.0, 5.0);
+        state.tau[iv] = random.uniform(-effort, effort);
       }
       pinocchio::framesForwardKinematics(model, data, state.q);
-      Vector6 offset;
-      for (double & x : offset)
-        x = uniform(-0.1, 0.1);
-      state.tip_desired = data.oMf[tip] * pinocchio::exp6(pinocchio::Motion(offset));
+      state.tip_desired = random.near(data.oMf[tip], 0.1);
     }
     return states;
   }
@@ -230,136 +194,63 @@ namespace
     return jacobian.transpose() * lambda * (asked - bias) + nullspace.transpose() * mass_matrix * ddq + h;
   }
 
-  /// The operations and their times.
-  class Bench
-  {
-    struct Operation
-    {
-      std::string name;
-      std::function<double()> pass; // all calls of a repetition; the sum of what they return
-      double checksum = 0.0;
-      long allocated = 0;
-      std::array<double, REPETITIONS> ns = {};
-    };
-
-    const std::vector<State> & states;
-    std::vector<Operation> operations;
-
-  public:
-    explicit Bench(const std::vector<State> & states)
-    : states(states)
-    {
-    }
-
-    /// `call` takes a state and returns a number of its result. Operations of the same name are alternatives.
-    template<typename Call>
-    void add(const char * name, Call call)
-    {
-      const auto pass = [this, call]() mutable {
-        double sum = 0.0;
-        for (int i = 0; i < CALLS; ++i)
-        {
-          sum += call(states[i % STATES]);
-          asm volatile("" ::: "memory"); // all of the result counts as read
-        }
-        return sum;
-      };
-      operations.push_back({name, pass});
-    }
-
-    /// Times and prints. The repetitions go round the operations, so that a burst of other load falls on all.
-    void run()
-    {
-      for (int repetition = 0; repetition < REPETITIONS; ++repetition)
-        for (Operation & operation : operations)
-          repeat(operation, repetition);
-      std::map<std::string, double> fastest;
-      for (Operation & operation : operations)
-      {
-        std::sort(operation.ns.begin(), operation.ns.end());
-        const double median = operation.ns[REPETITIONS / 2];
-        std::fprintf(
-          stderr, "%s: min %.1f median %.1f max %.1f ns, %ld allocations, checksum %.9g\n",
-          operation.name.c_str(), operation.ns.front(), median, operation.ns.back(),
-          operation.allocated, operation.checksum);
-        if (!std::isfinite(operation.checksum))
-          throw std::runtime_error(operation.name + " gave a number that is not finite");
-        const auto [best, first] = fastest.emplace(operation.name, median);
-        best->second = std::min(best->second, median);
-      }
-      for (const auto & [name, ns] : fastest)
-        std::printf("%s %.1f\n", name.c_str(), ns);
-    }
-
-  private:
-    static void repeat(Operation & operation, int repetition)
-    {
-      if (repetition == 0)
-        operation.pass(); // warms up
-      const long allocated = allocations;
-      const auto start = std::chrono::steady_clock::now();
-      operation.checksum += operation.pass();
-      const std::chrono::duration<double, std::nano> passed = std::chrono::steady_clock::now() - start;
-      operation.ns[repetition] = passed.count() / CALLS;
-      operation.allocated += allocations - allocated;
-    }
-  };
-
   /// Pinocchio's own operations; `fixed` keeps the M that is factored.
-  void add_library(Bench & bench, const Model & model, pinocchio::FrameIndex tip, Data & data, Data & fixed)
+  void add_library(
+    Bench & bench, const std::vector<State> & states, const Model & model, pinocchio::FrameIndex tip, Data & data,
+    Data & fixed)
   {
     const int last = model.nv - 1;
-    bench.add("fk", [&](const State & s) {
+    bench.add("fk", states, [&](const State & s) {
       pinocchio::forwardKinematics(model, data, s.q);
       return data.oMi.back().translation()[0];
     });
     const Data::Matrix6x zero = Data::Matrix6x::Zero(6, model.nv);
-    bench.add("fk_jacobian", [&model, &data, tip, jacobian = zero](const State & s) mutable {
+    bench.add("fk_jacobian", states, [&model, &data, tip, jacobian = zero](const State & s) mutable {
       pinocchio::computeJointJacobians(model, data, s.q);
       pinocchio::updateFramePlacement(model, data, tip);
       pinocchio::getFrameJacobian(model, data, tip, WORLD_ALIGNED, jacobian);
       return jacobian(0, 0) + data.oMf[tip].translation()[0];
     });
-    bench.add("crba", [&](const State & s) {
+    bench.add("crba", states, [&](const State & s) {
       return pinocchio::crba(model, data, s.q, Convention::LOCAL)(0, 0);
     });
-    bench.add("rnea", [&](const State & s) {
+    bench.add("rnea", states, [&](const State & s) {
       return pinocchio::rnea(model, data, s.q, s.dq, s.ddq)[0];
     });
-    bench.add("gravity", [&](const State & s) {
+    bench.add("gravity", states, [&](const State & s) {
       return pinocchio::computeGeneralizedGravity(model, data, s.q)[1];
     });
-    bench.add("bias", [&](const State & s) {
+    bench.add("bias", states, [&](const State & s) {
       return pinocchio::nonLinearEffects(model, data, s.q, s.dq)[0];
     });
     for (const Convention convention : {Convention::LOCAL, Convention::WORLD})
-      bench.add("aba", [&, convention](const State & s) {
+      bench.add("aba", states, [&, convention](const State & s) {
         return pinocchio::aba(model, data, s.q, s.dq, s.tau, convention)[0];
       });
-    bench.add("minverse_triangle", [&](const State & s) {
+    bench.add("minverse_triangle", states, [&](const State & s) {
       return pinocchio::computeMinverse(model, data, s.q)(0, 1);
     });
-    bench.add("minverse", [&](const State & s) {
+    bench.add("minverse", states, [&](const State & s) {
       pinocchio::computeMinverse(model, data, s.q);
       data.Minv.triangularView<Eigen::StrictlyLower>() = data.Minv.transpose();
       return data.Minv(1, 0);
     });
-    bench.add("cholesky", [&](const State &) {
+    bench.add("cholesky", states, [&](const State &) {
       pinocchio::cholesky::decompose(model, fixed);
       return fixed.D[0];
     });
-    bench.add("derivatives_rnea", [&](const State & s) {
+    bench.add("derivatives_rnea", states, [&](const State & s) {
       pinocchio::computeRNEADerivatives(model, data, s.q, s.dq, s.ddq);
       return data.dtau_dq(1, 1) + data.dtau_dv(1, 1) + data.M(0, 0);
     });
-    bench.add("derivatives_aba", [&](const State & s) {
+    bench.add("derivatives_aba", states, [&](const State & s) {
       pinocchio::computeABADerivatives(model, data, s.q, s.dq, s.tau);
       return data.ddq_dq(1, 1) + data.ddq_dv(1, 1) + data.Minv(0, 0);
     });
-    bench.add("centroidal", [&](const State & s) {
+    bench.add("centroidal", states, [&](const State & s) {
       return pinocchio::ccrba(model, data, s.q, s.dq)(0, 0);
     });
-    bench.add("regressor", [&, last](const State & s) {
+    bench.add("regressor", states, [&, last](const State & s) {
       return pinocchio::computeJointTorqueRegressor(model, data, s.q, s.dq, s.ddq)(last, 10 * last + 9);
     });
   }
@@ -391,9 +282,9 @@ namespace
     if (!(error < TICK_TOLERANCE))
       throw std::runtime_error("osc_tick does not agree with the textbook");
 
-    Bench bench(states);
-    add_library(bench, model, tip, data, fixed);
-    bench.add("osc_tick", [&](const State & state) {
+    Bench bench;
+    add_library(bench, states, model, tip, data, fixed);
+    bench.add("osc_tick", states, [&](const State & state) {
       tick.update(state);
       return tick.torque[0];
     });
@@ -402,16 +293,9 @@ namespace
 
   void run(const std::string & urdf, const std::string & tip_name)
   {
-    Model model;
-    pinocchio::urdf::buildModel(urdf, model);
-    if (!model.existFrame(tip_name))
-    {
-      std::string names;
-      for (const auto & frame : model.frames)
-        names += " " + frame.name;
-      throw std::runtime_error("no frame '" + tip_name + "' in " + urdf + "; there are:" + names);
-    }
-    const auto tip = model.getFrameId(tip_name);
+    const Robot robot(urdf, tip_name);
+    const Model & model = robot.model;
+    const auto tip = robot.tip;
     if (model.frames[tip].parentJoint == 0)
       throw std::runtime_error("the frame '" + tip_name + "' does not move");
     if (model.nv < 2 || model.nv > MAX_JOINTS)
@@ -429,18 +313,5 @@ namespace
 
 int main(int argc, char ** argv)
 {
-  if (argc != 3)
-  {
-    std::fprintf(stderr, "usage: %s URDF TIP_FRAME\n", argv[0]);
-    return 2;
-  }
-  try
-  {
-    run(argv[1], argv[2]);
-  }
-  catch (const std::exception & error)
-  {
-    std::fprintf(stderr, "%s: %s\n", argv[0], error.what());
-    return 1;
-  }
+  return main_of(run, argc, argv);
 }

@@ -4,6 +4,8 @@
 // stdout: lines `name number`. stderr: smallest and largest times, heap allocations, active bounds, how far the solutions
 // are from the optimum. How it is measured, and what each name is: README.md.
 
+#include "../common/peer.hpp"
+
 #include <tsid/formulations/inverse-dynamics-formulation-acc-force.hpp>
 #include <tsid/robots/robot-wrapper.hpp>
 #include <tsid/solvers/solver-HQP-eiquadprog-fast.hpp>
@@ -18,29 +20,8 @@
 #include <pinocchio/algorithm/joint-configuration.hpp>
 #include <pinocchio/algorithm/kinematics.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
-#include <pinocchio/parsers/urdf.hpp>
 
 #include <Eigen/QR>
-
-#include <algorithm>
-#include <array>
-#include <chrono>
-#include <cmath>
-#include <cstdio>
-#include <functional>
-#include <random>
-#include <stdexcept>
-#include <string>
-#include <vector>
-
-// Every allocation of the process comes by here, the shared libraries' and Eigen's too.
-static long allocations = 0;
-extern "C" void * __libc_malloc(std::size_t);
-extern "C" void * malloc(std::size_t size) noexcept
-{
-  ++allocations;
-  return __libc_malloc(size);
-}
 
 namespace
 {
@@ -54,9 +35,6 @@ namespace
   using tsid::trajectories::TrajectorySample;
   using Vector6 = Eigen::Matrix<double, 6, 1>;
 
-  constexpr int STATES = 1024;
-  constexpr int CALLS = 10000;
-  constexpr int REPETITIONS = 15;
   // Of the torque, of a bound's violation and of the gradient at the optimum; relative.
   constexpr double TOLERANCE = 1e-6;
 
@@ -85,28 +63,23 @@ namespace
   // The posture's target, of all joints; rad.
   constexpr double POSTURE = 0.3;
 
-  /// States uniform within the limits, as ../pinocchio draws them.
-  class Random
+  /// Random states.
+  class Source
   {
     const Model & model;
     pinocchio::FrameIndex tip;
     Data data;
-    std::mt19937_64 random;
-
-    double uniform(double low, double high)
-    {
-      return std::uniform_real_distribution<double>(low, high)(random);
-    }
+    Random random;
 
   public:
-    Random(const Model & model, pinocchio::FrameIndex tip)
+    Source(const Model & model, pinocchio::FrameIndex tip)
     : model(model)
     , tip(tip)
     , data(model)
-    , random(1)
     {
     }
 
+    /// Its target off by at most `distance` in each of six coordinates, m and rad.
     State state(double distance)
     {
       State state{
@@ -115,30 +88,14 @@ namespace
       VectorXd posture(model.nq);
       for (int j = 1; j < model.njoints; ++j)
       {
-        const int iq = model.idx_qs[j], iv = model.idx_vs[j];
-        const bool continuous = model.nqs[j] == 2;
-        const double low = continuous ? -M_PI : std::max(model.lowerPositionLimit[iq], -M_PI);
-        const double high = continuous ? M_PI : std::min(model.upperPositionLimit[iq], M_PI);
-        const double speed = std::min(model.upperVelocityLimit[iv], 3.0);
-        const double angle = uniform(low, high);
-        if (continuous)
-        {
-          state.q.segment<2>(iq) << std::cos(angle), std::sin(angle);
-          posture.segment<2>(iq) << std::cos(POSTURE), std::sin(POSTURE);
-        }
-        else
-        {
-          state.q[iq] = angle;
-          posture[iq] = POSTURE;
-        }
-        state.dq[iv] = uniform(-speed, speed);
+        const Range range(model, j);
+        set_angle(model, j, random.uniform(range.low, range.high), state.q);
+        set_angle(model, j, POSTURE, posture);
+        state.dq[model.idx_vs[j]] = random.uniform(-range.speed, range.speed);
       }
       state.posture.setValue(posture);
       pinocchio::framesForwardKinematics(model, data, state.q);
-      Vector6 offset;
-      for (double & x : offset)
-        x = uniform(-distance, distance);
-      state.tip_desired = data.oMf[tip] * pinocchio::exp6(pinocchio::Motion(offset));
+      state.tip_desired = random.near(data.oMf[tip], distance);
       VectorXd value(12);
       value.head<3>() = state.tip_desired.translation();
       Eigen::Map<Eigen::Matrix3d>(value.data() + 3) = state.tip_desired.rotation();
@@ -293,12 +250,12 @@ namespace
     Set(const Model & model, pinocchio::FrameIndex tip, Tick & tick, double distance, bool only_free = false)
     {
       Data data(model);
-      Random random(model, tip);
+      Source source(model, tip);
       for (int drawn = 0; states.size() < STATES; ++drawn)
       {
         if (drawn == 100 * STATES)
           throw std::runtime_error("hardly any state has a solution, or one without an active bound");
-        State state = random.state(distance);
+        State state = source.state(distance);
         const VectorXd torques = tick.update(state);
         const HQPOutput & solution = *tick.solution;
         unsolvable += !tick.solved();
@@ -328,71 +285,6 @@ namespace
     }
   };
 
-  /// The operations and their times.
-  class Bench
-  {
-    struct Operation
-    {
-      std::string name;
-      std::function<double()> pass; // all calls of a repetition; the sum of what they return
-      double checksum = 0.0;
-      long allocated = 0;
-      std::array<double, REPETITIONS> ns = {};
-    };
-
-    std::vector<Operation> operations;
-
-  public:
-    /// `call` takes a state and returns a number of its result.
-    template<typename Call>
-    void add(const char * name, std::vector<State> & states, Call call)
-    {
-      const auto pass = [&states, call]() mutable {
-        double sum = 0.0;
-        for (int i = 0; i < CALLS; ++i)
-        {
-          sum += call(states[i % STATES]);
-          asm volatile("" ::: "memory"); // all of the result counts as read
-        }
-        return sum;
-      };
-      operations.push_back({name, pass});
-    }
-
-    /// Times and prints. The repetitions go round the operations, so that a burst of other load falls on all.
-    void run()
-    {
-      for (Operation & operation : operations)
-        operation.pass(); // warms up
-      for (int repetition = 0; repetition < REPETITIONS; ++repetition)
-        for (Operation & operation : operations)
-          repeat(operation, repetition);
-      for (Operation & operation : operations)
-      {
-        std::sort(operation.ns.begin(), operation.ns.end());
-        const double median = operation.ns[REPETITIONS / 2];
-        std::fprintf(
-          stderr, "%s: min %.1f median %.1f max %.1f ns, %.1f allocations a call, checksum %.9g\n",
-          operation.name.c_str(), operation.ns.front(), median, operation.ns.back(),
-          double(operation.allocated) / (REPETITIONS * CALLS), operation.checksum);
-        if (!std::isfinite(operation.checksum))
-          throw std::runtime_error(operation.name + " gave a number that is not finite");
-        std::printf("%s %.1f\n", operation.name.c_str(), median);
-      }
-    }
-
-  private:
-    static void repeat(Operation & operation, int repetition)
-    {
-      const long allocated = allocations;
-      const auto start = std::chrono::steady_clock::now();
-      operation.checksum += operation.pass();
-      const std::chrono::duration<double, std::nano> passed = std::chrono::steady_clock::now() - start;
-      operation.ns[repetition] = passed.count() / CALLS;
-      operation.allocated += allocations - allocated;
-    }
-  };
-
   /// A QP needs numbers, and a URDF may lack them.
   void check_limits(const Model & model)
   {
@@ -405,17 +297,10 @@ namespace
 
   void run(const std::string & urdf, const std::string & tip_name)
   {
-    Model model;
-    pinocchio::urdf::buildModel(urdf, model);
-    if (!model.existFrame(tip_name))
-    {
-      std::string names;
-      for (const auto & frame : model.frames)
-        names += " " + frame.name;
-      throw std::runtime_error("no frame '" + tip_name + "' in " + urdf + "; there are:" + names);
-    }
+    const Robot robot(urdf, tip_name);
+    const Model & model = robot.model;
+    const auto tip = robot.tip;
     check_limits(model);
-    const auto tip = model.getFrameId(tip_name);
 
     Tick tick(model, tip_name);
     Set drawn(model, tip, tick, NEAR), free(model, tip, tick, NEAR, true), far(model, tip, tick, FAR);
@@ -438,18 +323,5 @@ namespace
 
 int main(int argc, char ** argv)
 {
-  if (argc != 3)
-  {
-    std::fprintf(stderr, "usage: %s URDF TIP_FRAME\n", argv[0]);
-    return 2;
-  }
-  try
-  {
-    run(argv[1], argv[2]);
-  }
-  catch (const std::exception & error)
-  {
-    std::fprintf(stderr, "%s: %s\n", argv[0], error.what());
-    return 1;
-  }
+  return main_of(run, argc, argv);
 }
