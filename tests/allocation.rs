@@ -4,43 +4,19 @@
 //! Compared: the allocator's own count at two successive ticks. It counts this thread only, and the whole
 //! loop runs on it: plant, drives and sensors of the simulated robot included.
 
-#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
-
 mod common;
+#[path = "../crates/opspace-log/tests/counting/mod.rs"]
+mod counting;
 
 use common::{load, osc, positions, torque, torques};
+use counting::{allocations, allocations_so_far};
 use opspace_backend::{Ending, Sink, TICK};
 use opspace_control::Controller;
 use opspace_control::quantity::NonNegative;
 use opspace_experiment::files::PAPER_SUITE;
 use opspace_experiment::{Choice, Experiment, Files, Suite};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: only counts; the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: as the caller promised.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promised.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// The phase of each tick, with the allocator's count at its end.
 type Counts = Vec<(f64, usize)>;
@@ -56,7 +32,7 @@ impl Sink for Counter<'_> {
     fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
         if channel == TICK {
             assert!(self.counts.len() < self.counts.capacity(), "the sink itself must not allocate");
-            self.counts.push((row[0], ALLOCATIONS.get()));
+            self.counts.push((row[0], allocations_so_far()));
             if self.interrupt_after == Some(self.counts.len()) {
                 self.interrupt.store(true, Ordering::Relaxed);
             }
@@ -98,9 +74,7 @@ fn short(experiment: &Experiment, duration_s: f64) -> Experiment {
 
 #[test]
 fn the_counter_counts() {
-    let before = ALLOCATIONS.get();
-    drop(std::hint::black_box(vec![0_u8; 16]));
-    assert_eq!(ALLOCATIONS.get() - before, 1);
+    assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
 #[test]

@@ -465,7 +465,8 @@ impl CartesianTask {
     /// Takes in the sensed force, and lets integrals grow unless `hold`. After [`observe`](Self::observe).
     pub(crate) fn sense(&mut self, model: &Model, data: &Data, measurement: &Measurement, hold: bool) {
         if !hold {
-            self.law.integrate(&self.error);
+            let law = &mut self.law;
+            integrate(&mut law.integral, &self.error, &law.integral_step, &law.integral_limit);
         }
         if let Some(force) = &mut self.force {
             let subject = self.axes.subject;
@@ -719,12 +720,18 @@ impl Law {
         }
         Ok(())
     }
+}
 
-    fn integrate(&mut self, error: &Vector6<f64>) {
-        for i in 0..6 {
-            let sum = self.integral[i] + self.integral_step[i] * error[i];
-            self.integral[i] = sum.clamp(-self.integral_limit[i], self.integral_limit[i]);
-        }
+/// Adds the `step`-fold of an error to its integral, up to ±`limit`. An error that isn't finite counts for nothing, so that
+/// it is over with its tick.
+pub(crate) fn integrate(
+    integral: &mut Vector6<f64>,
+    error: &Vector6<f64>,
+    step: &Vector6<f64>,
+    limit: &Vector6<f64>,
+) {
+    for i in (0..6).filter(|&i| error[i].is_finite()) {
+        integral[i] = (integral[i] + step[i] * error[i]).clamp(-limit[i], limit[i]);
     }
 }
 

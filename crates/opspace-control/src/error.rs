@@ -205,7 +205,9 @@ pub enum Reason {
         is: &'static str,
     },
     /// A joint task that names no joint, or one twice.
-    #[error("`joints` must name at least one joint, and each only once")]
+    #[error(
+        "`joints` must name at least one joint, and each only once: leave it out for a task of all joints"
+    )]
     JointList,
     /// A goal that names neither a position nor an orientation.
     #[error("the goal names neither `position` nor `orientation`")]

@@ -17,20 +17,25 @@ impl<const N: usize> LowPass<N> {
         Self { share: -(-TAU * cutoff_hz * period_s).exp_m1(), state: [0.0; N] }
     }
 
-    /// Settled on `input`.
+    /// Settled on `input`, where that is finite.
     pub fn reset(&mut self, input: &[f64; N]) {
-        self.state = *input;
+        for (y, &x) in self.state.iter_mut().zip(input).filter(|(_, x)| x.is_finite()) {
+            *y = x;
+        }
     }
 
-    /// The output after one more period.
-    pub fn update(&mut self, input: &[f64; N]) -> &[f64; N] {
-        for (y, x) in self.state.iter_mut().zip(input) {
+    /// The output after one more period. It is not finite where `input` isn't, but the filter goes on as if that period
+    /// had not been.
+    pub fn update(&mut self, input: &[f64; N]) -> [f64; N] {
+        let mut output = self.state;
+        for (y, x) in output.iter_mut().zip(input) {
             *y += self.share * (x - *y);
         }
-        &self.state
+        self.reset(&output);
+        output
     }
 
-    /// The last output.
+    /// The last output that was finite.
     #[must_use]
     pub fn output(&self) -> &[f64; N] {
         &self.state
@@ -47,9 +52,28 @@ mod tests {
         let (cutoff_hz, period_s) = (100.0, 1e-3);
         let mut filter = LowPass::<1>::new(cutoff_hz, period_s);
         for k in 1..=20 {
-            let [y] = *filter.update(&[1.0]);
+            let [y] = filter.update(&[1.0]);
             let exact = 1.0 - (-TAU * cutoff_hz * period_s * f64::from(k)).exp();
             assert!((y - exact).abs() < 16.0 * f64::EPSILON, "after {k} periods: {y} against {exact}");
+        }
+    }
+
+    /// What follows a reading that isn't finite, first or later, against a filter that never saw it.
+    #[test]
+    fn what_is_not_finite_is_passed_on_and_forgotten() {
+        for broken in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let (mut filter, mut other) = (LowPass::<2>::new(100.0, 1e-3), LowPass::<1>::new(100.0, 1e-3));
+            filter.reset(&[broken, broken]);
+            assert_eq!(filter.output(), &[0.0, 0.0]);
+            for input in [1.0, 2.0, broken, 3.0, 4.0] {
+                let [y, x] = filter.update(&[input, 5.0]);
+                assert!(x.is_finite(), "the other channel goes on");
+                if input.is_finite() {
+                    assert_eq!([y], other.update(&[input]));
+                } else {
+                    assert!(!y.is_finite(), "{y} for {input}");
+                }
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Force feedback of a Cartesian task: what a sensor's reading adds on axes that are held to a force.
 
 use crate::axes::{AXIS_NAMES, AxisMode, PerAxis};
-use crate::cartesian::{CartesianParameters, required};
+use crate::cartesian::{CartesianParameters, integrate, required};
 use crate::error::{ControlError, Reason};
 use crate::filter::LowPass;
 use crate::measurement::Measurement;
@@ -171,7 +171,7 @@ impl ForceFeedback {
         hold: bool,
     ) {
         let raw = self.raw(measurement);
-        let [fx, fy, fz, mx, my, mz] = *self.filter.update(&raw);
+        let [fx, fy, fz, mx, my, mz] = self.filter.update(&raw);
         let force = Vector3::new(fx, fy, fz);
         let lever = frame_placement(model, data, self.frame).translation - point;
         let (linear, angular) =
@@ -180,10 +180,8 @@ impl ForceFeedback {
         if hold {
             return;
         }
-        for i in 0..6 {
-            let sum = self.integral[i] + self.integral_step[i] * (self.sensed[i] - self.target[i]);
-            self.integral[i] = sum.clamp(-self.integral_limit[i], self.integral_limit[i]);
-        }
+        let error = self.sensed - self.target;
+        integrate(&mut self.integral, &error, &self.integral_step, &self.integral_limit);
     }
 
     /// What is added to the task's force (N, Nm; task axes).

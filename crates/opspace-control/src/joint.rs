@@ -26,7 +26,7 @@ pub struct JointTrackingParameters {
     /// The joints that belong to the task, six at most: tasks below it may use the others. All of them if absent, and
     /// the task must then be the last.
     #[serde(default)]
-    pub joints: Vec<String>,
+    pub joints: Option<Vec<String>>,
     /// Where the joints should be.
     pub reference: JointReference,
     /// How stiffly they follow.
@@ -290,14 +290,19 @@ impl SelectedJoints {
     /// A joint alone is never singular: only what tasks above have taken is.
     pub(crate) const INVERSION: Inversion = Inversion::Damped(1e-3);
 
+    /// Of the joints named, in that order.
     pub(crate) fn new(
         name: &str,
+        names: &[String],
         parameters: &JointTrackingParameters,
         model: &Model,
     ) -> Result<Self, ControlError> {
         let key = format!("task.{name}.joint-tracking.joints");
-        let mut joints = Vec::with_capacity(parameters.joints.len());
-        for joint in &parameters.joints {
+        if names.is_empty() {
+            return Err(ControlError::new(key, Reason::JointList));
+        }
+        let mut joints = Vec::with_capacity(names.len());
+        for joint in names {
             let index = model.joint(joint).map_err(|unknown| ControlError::new(&key, unknown))?;
             if joints.contains(&index) {
                 return Err(ControlError::new(&key, Reason::JointList));

@@ -16,6 +16,7 @@ use crate::level::RowTask;
 use crate::lexicographic::{Cascade, Limits, Residual, Solver, SpeedBound};
 use crate::limits::{Bounds, HORIZON_S, Interval};
 use crate::measurement::Measurement;
+use crate::qp::QpError;
 use crate::signal::{Observable, Row, Signal};
 use crate::stacks::{PreparedStack, Shows, Stacks};
 use crate::task::{Compensation, Levels, RobotFacts, Stack};
@@ -59,6 +60,9 @@ struct Limiter {
 const LIMITED_ACCELERATION: f64 = 1.0;
 /// In the `limited` signal: the command stands at a bound of the joint's torque or its rate.
 const LIMITED_TORQUE: f64 = 2.0;
+
+/// How near to a bound a command stands at it, relative to its size and 1: far more than what solvers leave.
+const AT_BOUND: f64 = 1e-6;
 
 /// Bounds on the speed of tasks at most: two for each of the first eight tasks.
 const MAX_SPEED_BOUNDS: usize = 16;
@@ -188,41 +192,14 @@ impl OperationalSpaceController {
             return;
         }
         limiter.bound(measurement, &self.commanded);
-        let (mut limits, cascade) = limiter.limits(&self.own_torque);
-        cascade.begin(data);
-        // No command needed it before.
-        if let Some(level) = levels.rows.last_mut() {
-            level.projected.finish(&data.mass_matrix_factor);
-            levels.nullspace.narrow(&level.projected);
-        }
-        levels.nullspace.rewind(0);
-        let mut solved = Ok(());
-        for (place, level) in levels.rows.iter_mut().enumerate() {
-            self.scratch.fill(0.0);
-            level.add_torque(Some(cascade.alpha()), self.scratch.as_mut_slice());
-            data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-            cascade.ask(data, self.scratch.as_slice(), &mut limits);
-            let heading = level.heading(data, cascade.alpha(), HORIZON_S);
-            let projected = &level.projected;
-            let inertia = &projected.space.task_inertia;
-            let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
-            let kept = cascade.keep_within(data, &levels.nullspace, &residual, &mut limits);
-            level.limited = kept != Ok(false);
-            solved = solved.and(kept.map(|_| ()));
-            levels.nullspace.rewind(place + 1);
-        }
-        self.scratch.fill(0.0);
-        if levels.joint.is_some() {
-            self.scratch.copy_from(&self.joint_torque);
-            data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
-        }
-        cascade.ask(data, self.scratch.as_slice(), &mut limits);
-        let kept = cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits);
-        solved = solved.and(kept.map(|_| ()));
-        let solver = if solved.is_ok() { cascade.solver() } else { Solver::Clipped };
-        if solved.is_ok() {
-            cascade.torque_into(data, self.torque.as_mut_slice());
-        }
+        let (own_torque, scratch) = (&self.own_torque, &mut self.scratch);
+        let solver = match limiter.solve(data, levels, &self.joint_torque, own_torque, scratch) {
+            Ok(solver) => {
+                limiter.cascade.torque_into(data, self.torque.as_mut_slice());
+                solver
+            }
+            Err(_) => Solver::Clipped,
+        };
         limiter.clip(&mut self.torque, &self.own_torque);
         self.scratch.copy_from(&self.torque);
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
@@ -293,6 +270,50 @@ impl Limiter {
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
     }
 
+    /// Brings what each level asks for within the limits, by what the levels above leave free, and says who found it.
+    /// `scratch` (n) is overwritten.
+    ///
+    /// # Errors
+    /// At the first level for which no solver finds an answer. It and those below it count as limited.
+    fn solve(
+        &mut self,
+        data: &Data,
+        levels: &mut Levels,
+        joint_torque: &DVector<f64>,
+        own_torque: &DVector<f64>,
+        scratch: &mut DVector<f64>,
+    ) -> Result<Solver, QpError> {
+        let (mut limits, cascade) = self.limits(own_torque);
+        cascade.begin(data);
+        // No command needed it before.
+        if let Some(level) = levels.rows.last_mut() {
+            level.projected.finish(&data.mass_matrix_factor);
+            levels.nullspace.narrow(&level.projected);
+        }
+        levels.nullspace.rewind(0);
+        levels.rows.iter_mut().for_each(|level| level.limited = true);
+        for (place, level) in levels.rows.iter_mut().enumerate() {
+            scratch.fill(0.0);
+            level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
+            data.mass_matrix_factor.solve(scratch.as_mut_slice());
+            cascade.ask(data, scratch.as_slice(), &mut limits);
+            let heading = level.heading(data, cascade.alpha(), HORIZON_S);
+            let projected = &level.projected;
+            let inertia = &projected.space.task_inertia;
+            let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
+            level.limited = cascade.keep_within(data, &levels.nullspace, &residual, &mut limits)?;
+            levels.nullspace.rewind(place + 1);
+        }
+        scratch.fill(0.0);
+        if levels.joint.is_some() {
+            scratch.copy_from(joint_torque);
+            data.mass_matrix_factor.solve(scratch.as_mut_slice());
+        }
+        cascade.ask(data, scratch.as_slice(), &mut limits);
+        cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits)?;
+        Ok(cascade.solver())
+    }
+
     fn limits<'a>(&'a mut self, own_torque: &'a DVector<f64>) -> (Limits<'a>, &'a mut Cascade) {
         let limits = Limits {
             bounds: &mut self.bounds,
@@ -332,7 +353,7 @@ impl Limiter {
         }
         for i in 0..alpha.len() {
             let at = |interval: &Interval, value: f64| {
-                let near = 1e-6 * (1.0 + value.abs());
+                let near = AT_BOUND * (1.0 + value.abs());
                 value <= interval.lower[i] + near || value >= interval.upper[i] - near
             };
             let acceleration = at(&self.bounds.acceleration, alpha[i] + self.drift[i]);

@@ -8,6 +8,9 @@ use crate::signal::{Observable, Row, Signal};
 use crate::task::{Levels, RobotFacts, Stack};
 use opspace_model::{Data, Model};
 
+/// How early a tick may be for what is scheduled and still be in time: clocks add up periods, and round.
+const EARLY_S: f64 = 5e-10;
+
 /// A stack of tasks, built and checked for a robot: ready to be switched to.
 #[derive(Clone, Debug)]
 pub struct PreparedStack(Levels);
@@ -146,8 +149,7 @@ impl Stacks {
 
     /// Switches to what is scheduled for now.
     pub(crate) fn advance(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        // Clocks add up periods: half a nanosecond early is in time.
-        while self.scheduled.last().is_some_and(|(time_s, _)| *time_s <= measurement.time_s + 5e-10) {
+        while self.scheduled.last().is_some_and(|(time_s, _)| *time_s <= measurement.time_s + EARLY_S) {
             if let Some((_, stack)) = self.scheduled.pop() {
                 let before = self.switch(stack, model, data, measurement);
                 self.past.push(before);

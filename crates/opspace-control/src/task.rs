@@ -91,8 +91,8 @@ impl Levels {
                 TaskParameters::CenterOfMass(p) => {
                     RowTask::Cartesian(Box::new(CartesianTask::of_center_of_mass(name, p, model, robot)?))
                 }
-                TaskParameters::JointTracking(p) if !p.joints.is_empty() => {
-                    RowTask::Joints(Box::new(SelectedJoints::new(name, p, model)?))
+                TaskParameters::JointTracking(p @ JointTrackingParameters { joints: Some(joints), .. }) => {
+                    RowTask::Joints(Box::new(SelectedJoints::new(name, joints, p, model)?))
                 }
                 TaskParameters::JointTracking(p) => {
                     joint = Some(JointTask::Tracking(Box::new(Tracking::new(name, p, model)?)));

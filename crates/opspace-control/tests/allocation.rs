@@ -1,44 +1,14 @@
 //! No update allocates: every kind of task, reference and axis mode, regular and singular poses, both
 //! controllers.
 
-#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
-
 mod common;
+#[path = "../../opspace-log/tests/counting/mod.rs"]
+mod counting;
 
 use common::{File, Q0, at_state, facts, four_joints, seven_joints};
+use counting::allocations;
 use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, Row, ServoLead};
 use opspace_model::Model;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: only counts; the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: as the caller promised.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promised.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-fn allocations(mut work: impl FnMut()) -> usize {
-    let before = ALLOCATIONS.get();
-    work();
-    ALLOCATIONS.get() - before
-}
 
 /// Counts over updates and samples at several times, at a start pose and at a singular one.
 fn check(model: &Model, controller: &mut dyn Controller, start: &[f64], singular: &[f64]) {

@@ -138,6 +138,36 @@ fn errors_name_the_value_and_the_choices() {
     }
 }
 
+/// Lists of joints that name none, one twice, one that isn't there and too many, against their error; a list that is left
+/// out means all joints.
+#[test]
+fn a_task_of_some_joints_names_them() {
+    let build = |joints: &str| {
+        let text = format!(
+            "priority = [\"all\"]\n[task.all.joint-tracking]\n{joints}\nreference = \"hold\"\n\
+             gains = {{ frequency_rad_per_s = 6.0, damping_ratio = 1.0 }}"
+        );
+        let (model, file) = (seven_joints(), File::read(&text));
+        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).map(|_| ())
+    };
+    let listed =
+        "`joints` must name at least one joint, and each only once: leave it out for a task of all joints";
+    for (joints, message) in [
+        ("joints = []", listed),
+        (r#"joints = ["j4", "j2", "j4"]"#, listed),
+        (r#"joints = ["j8"]"#, "no joint 'j8'; the joints are: j1, j2, j3, j4, j5, j6, j7"),
+        (
+            r#"joints = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"]"#,
+            "a task of some joints can have 6 of them at most, not 7",
+        ),
+    ] {
+        let error = build(joints).expect_err(joints);
+        assert_eq!(error.to_string(), format!("task.all.joint-tracking.joints: {message}"));
+    }
+    assert_eq!(build(""), Ok(()));
+    assert_eq!(build(r#"joints = ["j4", "j2"]"#), Ok(()));
+}
+
 /// Each slip against the start of serde's message.
 #[test]
 fn slips_are_refused_by_the_parser() {

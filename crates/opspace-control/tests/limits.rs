@@ -848,6 +848,62 @@ fn what_is_not_a_number_gives_no_command() {
     }
 }
 
+/// The same without another start: what isn't a number is over with its tick, whatever the law remembers of what it
+/// senses and misses. Without limits, a wrench that is lost for a tick against a controller that wasn't asked in that tick.
+#[test]
+fn what_is_not_a_number_is_forgotten() {
+    type Break = fn(&mut Measurement);
+    const LOST: usize = 0;
+    let breaks: [Break; 5] = [
+        |m| {
+            m.wrenches[0].linear.fill(f64::NAN);
+            m.wrenches[0].angular.fill(f64::NAN);
+        },
+        |m| m.wrenches[0].linear.y = f64::NAN,
+        |m| m.wrenches[0].angular.z = f64::INFINITY,
+        |m| m.q[2] = f64::NAN,
+        |m| m.dq.fill(f64::NAN),
+    ];
+    let force = COMPLIANT
+        .replace("x = \"compliant\"", "x = \"force\"")
+        .replace("filter_hz = 100.0 }", "target_n = { x = 8.0 } }");
+    let both = force.replace(
+        "damping_ratio = 1.0 }",
+        "damping_ratio = 1.0, integral_per_s = 5.0, integral_limit_m = 0.1 }",
+    );
+    for (text, limits) in [(both, Some(workable())), (without_limits(&force), None)] {
+        let robot_limits = limits.clone().unwrap_or_else(|| JointLimits::none(7));
+        let command = |run: &mut Run, seen: &Measurement| {
+            // Whether M can be factored is for the backend to judge.
+            let _ = update(&run.model, &mut run.data, seen.q.as_slice(), seen.dq.as_slice());
+            run.controller.update(&run.model, &run.data, seen, run.tau.as_mut_slice());
+        };
+        for (kind, spoil) in breaks.into_iter().enumerate() {
+            let [mut run, mut spared] =
+                [(); 2].map(|()| Run::new(seven_joints(), &text, &robot_limits, &REACHED, &[0.0; 7]));
+            let mut seen = run.measurement.clone();
+            for tick in 0..20 {
+                seen.time_s = PERIOD_S * f64::from(tick);
+                seen.q[1] = REACHED[1] + 1e-4 * f64::from(tick);
+                seen.wrenches[0].linear.x = f64::from(tick);
+                if tick == 10 {
+                    let mut bad = seen.clone();
+                    spoil(&mut bad);
+                    command(&mut run, &bad);
+                    assert!(run.tau.iter().any(|t| !t.is_finite()), "case {kind}: {}", run.tau);
+                    continue;
+                }
+                command(&mut run, &seen);
+                assert!(run.tau.iter().all(|t| t.is_finite()), "case {kind}, tick {tick}: {}", run.tau);
+                command(&mut spared, &seen);
+            }
+            if kind == LOST && limits.is_none() {
+                assert_eq!(run.tau, spared.tau);
+            }
+        }
+    }
+}
+
 /// Ranges of no width: the joints stay where they are, whatever is asked of the hand.
 #[test]
 fn a_range_of_no_width_holds_its_joint() {

@@ -1,38 +1,14 @@
 //! No tick allocates that has to bring its command within limits: limits that bind, bounds that must be widened, poses from
 //! regular to singular and back. The active set solves them all.
 
-#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
-
 mod common;
+#[path = "../../opspace-log/tests/counting/mod.rs"]
+mod counting;
 
 use common::{File, at_state, facts, sampled, seven_joints};
+use counting::allocations;
 use opspace_control::{Controller, JointLimits, Observable, OperationalSpaceController, Row};
 use opspace_model::update;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: only counts; the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: as the caller promised.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promised.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const STACK: &str = r#"
 priority = ["hand", "upper", "rest"]
@@ -87,10 +63,11 @@ fn no_limited_tick_allocates() {
         measurement.wrenches[0].linear.x = 20.0 * (7.0 * time_s).sin();
         measurement.added_torque.fill(3.0 * (5.0 * time_s).cos());
         assert!(update(&model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
-        let before = ALLOCATIONS.get();
-        controller.update(&model, &data, &measurement, &mut command);
-        controller.sample(&mut Row::new(&mut row));
-        assert_eq!(ALLOCATIONS.get() - before, 0, "at {time_s} s");
+        let count = allocations(|| {
+            controller.update(&model, &data, &measurement, &mut command);
+            controller.sample(&mut Row::new(&mut row));
+        });
+        assert_eq!(count, 0, "at {time_s} s");
         assert!(command.iter().all(|c| c.is_finite()), "at {time_s} s");
         assert!(sampled(&controller, "limits_solver")[0] <= 1.0, "the active set, at {time_s} s");
         limited += usize::from(controller.is_limited());
@@ -105,7 +82,5 @@ fn no_limited_tick_allocates() {
 
 #[test]
 fn the_counter_counts() {
-    let before = ALLOCATIONS.get();
-    drop(std::hint::black_box(vec![0_u8; 16]));
-    assert_eq!(ALLOCATIONS.get() - before, 1);
+    assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }

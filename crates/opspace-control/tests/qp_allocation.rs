@@ -1,42 +1,13 @@
 //! No active-set solution allocates, nor does a failure; the interior point allocates what its documentation says.
 
-#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
+#[path = "../../opspace-log/tests/counting/mod.rs"]
+mod counting;
 
+use counting::counted;
 use nalgebra::{DMatrix, DVector};
 use opspace_control::active_set::ActiveSet;
 use opspace_control::interior_point::InteriorPoint;
 use opspace_control::qp::{QpError, QuadraticProgram};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: only counts; the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: as the caller promised.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promised.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-fn allocations<T>(work: impl FnOnce() -> T) -> (usize, T) {
-    let before = ALLOCATIONS.get();
-    let result = work();
-    (ALLOCATIONS.get() - before, result)
-}
 
 /// n variables within a box, with n rows across it, the first of them an equality.
 fn programme(n: usize, tick: usize) -> QuadraticProgram {
@@ -73,8 +44,8 @@ fn the_active_set_allocates_nothing() {
                 (&concave, Some("not convex")),
                 (&wrong, Some("not finite")),
             ] {
-                let (count, result) = allocations(|| solver.solve(program));
-                assert_eq!(count, 0, "n = {n}, {result:?}");
+                let (result, count) = counted(|| solver.solve(program));
+                assert_eq!(count.allocations, 0, "n = {n}, {result:?}");
                 let failure = result.err().map(|error| match error {
                     QpError::Infeasible { .. } => "infeasible",
                     QpError::NotConvex => "not convex",
@@ -96,8 +67,8 @@ fn the_interior_point_allocates_once_a_call() {
     for tick in 1..10 {
         for n in [1, 7, 12] {
             let program = programme(n, tick);
-            let (count, result) = allocations(|| solver.solve(&program));
-            assert_eq!((count, result), (1, Ok(())), "n = {n}");
+            let (result, count) = counted(|| solver.solve(&program));
+            assert_eq!((count.allocations, result), (1, Ok(())), "n = {n}");
         }
     }
 }

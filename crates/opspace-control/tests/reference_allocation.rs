@@ -1,47 +1,17 @@
 //! No reference allocates when it begins anew or is evaluated: a task may change within the control loop.
 
-#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
-
 mod common;
+#[path = "../../opspace-log/tests/counting/mod.rs"]
+mod counting;
 
 use common::{File, Q0, at_state, facts, four_joints};
+use counting::allocations;
 use nalgebra::Vector3;
 use opspace_control::{
     CartesianReference, Controller, OperationalSpaceController, Target, Trajectory, recorded,
 };
 use opspace_model::{Motion, Placement};
 use serde::Deserialize;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: only counts; the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: as the caller promised.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promised.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-fn allocations(mut work: impl FnMut()) -> usize {
-    let before = ALLOCATIONS.get();
-    work();
-    ALLOCATIONS.get() - before
-}
 
 #[test]
 fn the_counter_counts() {

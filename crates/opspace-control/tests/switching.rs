@@ -1,54 +1,23 @@
 //! Stacks that change while the robot moves: how far torques step, what goes on and what begins anew, what is in the
 //! log; and that nothing is allocated.
 
-#![expect(unsafe_code, reason = "the trait of a global allocator is unsafe")]
-
 mod common;
+#[path = "../../opspace-log/tests/counting/mod.rs"]
+mod counting;
 
 use common::{
     File, Numbers, accelerations, at_state, facts, frame_acceleration, sampled, seven_joints, step,
 };
+use counting::{allocations, counted};
 use nalgebra::{DVector, Rotation3, Vector3};
 use opspace_control::{
     Controller, JointLimits, Observable, OperationalSpaceController, PreparedStack, RobotFacts, Row, Signal,
 };
 use opspace_model::{Model, frame_placement};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: only counts; the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: as the caller promised.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promised.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// What `work` gives, and how often it allocates.
-fn allocations<T>(work: impl FnOnce() -> T) -> (T, usize) {
-    let before = ALLOCATIONS.get();
-    let result = work();
-    (result, ALLOCATIONS.get() - before)
-}
 
 #[test]
 fn the_counter_counts() {
-    assert_eq!(allocations(|| std::hint::black_box(vec![0_u8; 16])).1, 1);
+    assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
 /// Rounding of an acceleration, relative to its size or 1.
@@ -153,11 +122,11 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     for tick in 0..ticks {
         for (change, stack) in changes.iter().zip(&mut prepared).filter(|(change, _)| change.tick == tick) {
             let Some(stack) = stack.take() else { continue };
-            let (past, count) = allocations(|| controller.switch(stack, model, &data, &measurement));
-            assert_eq!(count, 0, "{change:?}");
+            let (past, count) = counted(|| controller.switch(stack, model, &data, &measurement));
+            assert_eq!(count.allocations, 0, "{change:?}");
             drop(past);
         }
-        let ((), count) = allocations(|| controller.update(model, &data, &measurement, &mut tau));
+        let count = allocations(|| controller.update(model, &data, &measurement, &mut tau));
         assert_eq!(count, 0, "tick {tick} of {changes:?}");
         assert!(tau.iter().all(|t| t.is_finite()), "tick {tick} of {changes:?}: {tau:?}");
         let change = changes.iter().any(|change| change.tick == tick);

@@ -5,7 +5,7 @@ mod common;
 mod counting;
 
 use common::{channels, header, is_prefix, log, row};
-use counting::allocations;
+use counting::counted;
 use opspace_log::{Header, LogError, Pace, Recording, record};
 use std::fs::File;
 use std::process::Command;
@@ -58,10 +58,9 @@ fn a_changed_byte_is_always_noticed() {
     for at in 0..bytes.len() {
         for change in [0x01, 0x80, 0xff] {
             bytes[at] ^= change;
-            let mut read = None;
-            let (_, largest) = allocations(|| read = Some(Recording::from_bytes(&bytes)));
-            assert!(largest <= 64 << 20, "{largest} bytes at once, byte {at} ^ {change:02x}");
-            if let Some(Ok(part)) = read {
+            let (read, count) = counted(|| Recording::from_bytes(&bytes));
+            assert!(count.largest <= 64 << 20, "{} bytes at once, byte {at} ^ {change:02x}", count.largest);
+            if let Ok(part) = read {
                 assert!(part.damage.is_some(), "byte {at} ^ {change:02x} unnoticed");
                 assert_prefix(&part, &whole, &format!("byte {at} ^ {change:02x}"));
             }

@@ -5,7 +5,7 @@ mod common;
 mod counting;
 
 use common::{bits, channels, row};
-use counting::allocations;
+use counting::{Count, allocations, counted};
 
 use foxglove::messages::Log;
 use mcap::MessageStream;
@@ -264,7 +264,7 @@ fn pushing_allocates_nothing() {
     let (mut recorder, writer) =
         record(Cursor::new(Vec::new()), Header::default(), channels(), Pace::Simulated).unwrap();
     let values = row(1, 9);
-    let (count, _) = allocations(|| {
+    let count = allocations(|| {
         for k in 0..20_000 {
             recorder.wait_for_room();
             recorder.push(0, k as f64 * 1e-3, &values);
@@ -276,8 +276,9 @@ fn pushing_allocates_nothing() {
     assert_eq!(writer.finish().unwrap().0.records, 40_000);
 
     let mut run = Stalled::new();
-    let (count, _) = allocations(|| (0..1000).for_each(|k| run.recorder.push(0, f64::from(k), &values)));
+    let count = allocations(|| (0..1000).for_each(|k| run.recorder.push(0, f64::from(k), &values)));
     assert_eq!((count, run.recorder.dropped()), (0, 980));
     run.sink.open();
-    assert_eq!(allocations(|| drop(std::hint::black_box(vec![1_u8]))), (1, 1));
+    let ((), one) = counted(|| drop(std::hint::black_box(vec![1_u8])));
+    assert_eq!(one, Count { allocations: 1, frees: 1, largest: 1 });
 }

@@ -206,7 +206,7 @@ fn damped_inverse(
     reference: Option<f64>,
 ) -> (Matrix6<f64>, f64) {
     let trace = a.trace();
-    if !trace.is_finite() || a.iter().any(|x| !x.is_finite()) {
+    if !trace.is_finite() {
         return (Matrix6::zeros(), 0.0);
     }
     if trace <= 0.0 {
@@ -220,6 +220,8 @@ fn damped_inverse(
     let (mut inverse, weakest_share) =
         match certified_inverse(&a, rows, reference.unwrap_or(trace), inversion.threshold()) {
             Some(inverse) => (inverse, 1.0),
+            // One that isn't finite has spoilt a pivot.
+            None if a.iter().any(|x| !x.is_finite()) => (Matrix6::zeros(), 0.0),
             None => spectral_inverse(a, trace, inversion, reference),
         };
     for r in rows..6 {

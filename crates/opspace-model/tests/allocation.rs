@@ -1,7 +1,10 @@
 //! No algorithm allocates once its scratch is there: a counting allocator against each of them.
-#![expect(unsafe_code, reason = "a global allocator can't be had without")]
 #![expect(clippy::unwrap_used, reason = "a test")]
 
+#[path = "../../opspace-log/tests/counting/mod.rs"]
+mod counting;
+
+use counting::counted;
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::batch::{self, Lanes};
 use opspace_model::{
@@ -13,47 +16,12 @@ use opspace_model::{
     point_jacobian, potential_energy, relative_jacobian, rnea, rnea_derivatives, rnea_external,
     torque_regressor, update, world_jacobian, world_jacobian_rate,
 };
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::hint::black_box;
 
-thread_local! {
-    /// This thread's only: the test harness has threads of its own.
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-fn count() {
-    ALLOCATIONS.with(|n| n.set(n.get() + 1));
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count();
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// How often `f` allocates, reallocates or frees.
-fn allocations(f: impl FnOnce()) -> usize {
-    let before = ALLOCATIONS.with(Cell::get);
-    f();
-    ALLOCATIONS.with(Cell::get) - before
+/// How often `work` allocates, reallocates or frees.
+fn allocations(work: impl FnOnce()) -> usize {
+    let ((), count) = counted(work);
+    count.allocations + count.frees
 }
 
 #[test]

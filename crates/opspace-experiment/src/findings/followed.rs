@@ -201,11 +201,12 @@ impl<'a> Follower<'a> {
                 else {
                     return;
                 };
-                for joint in tracking.joints.iter().filter_map(|name| model.joint(name).ok()) {
+                let selected = tracking.joints.iter().flatten();
+                for joint in selected.filter_map(|name| model.joint(name).ok()) {
                     let row = (0..model.n()).map(|i| f64::from(u8::from(i == joint)));
                     wanted.push(row, velocity[joint], position[joint] - q[joint]);
                 }
-                if tracking.joints.is_empty() {
+                if tracking.joints.is_none() {
                     wanted.rest_velocity.copy_from_slice(velocity);
                     for (i, rest) in wanted.rest_correction.iter_mut().enumerate() {
                         *rest = ERROR_GAIN_PER_S * (position[i] - q[i]);

@@ -4,7 +4,7 @@ use super::motion::Motion;
 use super::{Case, Finding, short};
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_control::rank::{Rows, TypicalMobility};
-use opspace_control::{AXIS_NAMES, TaskParameters};
+use opspace_control::{AXIS_NAMES, JointTrackingParameters, TaskParameters};
 use opspace_model::{Data, Inversion, OperationalSpace, update};
 
 /// In what steps, and how far, a joint is bent in search of a better start, rad or m.
@@ -20,7 +20,9 @@ pub(crate) fn undamped(case: &Case<'_>) -> Option<Finding> {
         let mut used: usize = stack.motions.iter().map(|m| m.parameters.axes.in_task().iter().filter(|a| **a).count()).sum();
         for task in in_priority() {
             match task {
-                TaskParameters::JointTracking(p) if !p.joints.is_empty() => used += p.joints.len(),
+                TaskParameters::JointTracking(JointTrackingParameters { joints: Some(joints), .. }) => {
+                    used += joints.len();
+                }
                 TaskParameters::JointTracking(_)
                 | TaskParameters::JointPosture(_)
                 | TaskParameters::JointDamping(_) => return None,
@@ -89,13 +91,13 @@ fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
     let mut found = Vec::new();
     for name in stack.priority {
         let selected = match stack.task.get(name) {
-            Some(TaskParameters::JointTracking(p)) if !p.joints.is_empty() => {
+            Some(TaskParameters::JointTracking(JointTrackingParameters { joints: Some(names), .. })) => {
                 let mut rows = Matrix6xX::zeros(n);
-                let joints = p.joints.iter().filter_map(|name| model.joint(name).ok());
+                let joints = names.iter().filter_map(|name| model.joint(name).ok());
                 let joints: Vec<usize> = joints.collect();
                 joints.iter().enumerate().for_each(|(row, &joint)| rows[(row, joint)] = 1.0);
                 let typical = TypicalMobility::new(model, &Rows::Joints(&joints)).dynamic;
-                Some((rows, p.joints.len(), 1e-3, typical, None))
+                Some((rows, names.len(), 1e-3, typical, None))
             }
             _ => stack.motions.iter().position(|motion| motion.name == name).map(|place| {
                 let motion: &Motion<'_> = &stack.motions[place];

@@ -127,8 +127,9 @@ fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &str) -> Vec<Follower<'
             axis_followers(case, stack, name)
         }
         Some(TaskParameters::JointTracking(p)) => {
-            let selected =
-                |joint| p.joints.is_empty() || p.joints.iter().any(|name| name == case.joint(joint));
+            let selected = |joint| {
+                p.joints.as_ref().is_none_or(|names| names.iter().any(|name| name == case.joint(joint)))
+            };
             joint_followers(&p.gains, &["joint-tracking", "gains", "frequency_rad_per_s"], &selected)
         }
         Some(TaskParameters::JointPosture(p)) => {

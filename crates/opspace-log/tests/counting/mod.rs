@@ -1,12 +1,22 @@
-//! An allocator that counts, thread by thread.
+//! An allocator that counts, thread by thread: the test harness has threads of its own.
 #![expect(unsafe_code, reason = "an allocator can't be written without")]
+#![allow(dead_code, reason = "each test uses some of it")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
+/// What was asked of the allocator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Count {
+    /// Reallocations as well.
+    pub allocations: usize,
+    pub frees: usize,
+    /// The largest piece, bytes.
+    pub largest: usize,
+}
+
 thread_local! {
-    static COUNT: Cell<usize> = const { Cell::new(0) };
-    static LARGEST: Cell<usize> = const { Cell::new(0) };
+    static COUNT: Cell<Count> = const { Cell::new(Count { allocations: 0, frees: 0, largest: 0 }) };
 }
 
 struct Counting;
@@ -14,42 +24,69 @@ struct Counting;
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-fn note(size: usize) {
+fn note(change: impl FnOnce(&mut Count)) {
     // Fails only while a thread ends.
-    let _ = COUNT.try_with(|c| c.set(c.get() + 1));
-    let _ = LARGEST.try_with(|c| c.set(c.get().max(size)));
+    let _ = COUNT.try_with(|cell| {
+        let mut count = cell.get();
+        change(&mut count);
+        cell.set(count);
+    });
+}
+
+fn note_allocation(size: usize) {
+    note(|count| {
+        count.allocations += 1;
+        count.largest = count.largest.max(size);
+    });
 }
 
 // SAFETY: everything is passed on to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        note(layout.size());
+        note_allocation(layout.size());
         // SAFETY: the caller's promise is passed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        note(layout.size());
+        note_allocation(layout.size());
         // SAFETY: the caller's promise is passed on.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        note(size);
+        note_allocation(size);
         // SAFETY: the caller's promise is passed on.
         unsafe { System.realloc(block, layout, size) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        note(|count| count.frees += 1);
         // SAFETY: the caller's promise is passed on.
         unsafe { System.dealloc(block, layout) }
     }
 }
 
-/// How often `f` allocated on this thread, and the largest piece, bytes.
-pub fn allocations(f: impl FnOnce()) -> (usize, usize) {
+/// How often this thread has allocated so far.
+pub fn allocations_so_far() -> usize {
+    COUNT.get().allocations
+}
+
+/// What `work` gives, and what it asked of the allocator on this thread.
+pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Count) {
     let before = COUNT.get();
-    LARGEST.set(0);
-    f();
-    (COUNT.get() - before, LARGEST.get())
+    COUNT.set(Count { largest: 0, ..before });
+    let result = work();
+    let after = COUNT.get();
+    let count = Count {
+        allocations: after.allocations - before.allocations,
+        frees: after.frees - before.frees,
+        largest: after.largest,
+    };
+    (result, count)
+}
+
+/// How often `work` allocates on this thread.
+pub fn allocations(work: impl FnOnce()) -> usize {
+    counted(work).1.allocations
 }
