@@ -10,7 +10,7 @@ mod counting;
 
 use common::{load, osc, positions, torque, torques};
 use counting::{allocations, allocations_so_far};
-use opspace_backend::{Ending, Sink, TICK};
+use opspace_backend::{Ending, Sink, TICK, TransformerKind};
 use opspace_control::Controller;
 use opspace_control::quantity::NonNegative;
 use opspace_experiment::files::PAPER_SUITE;
@@ -125,4 +125,18 @@ fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
     let (counts, ending) = count(&experiment, &mut jump, None);
     assert!(matches!(ending, Ending::Faulted { .. }), "{ending:?}");
     check(&counts, "a jump");
+}
+
+#[test]
+fn no_tick_of_any_transformer_allocates() {
+    for transformer in TransformerKind::ALL {
+        let choice = Choice { transformer: Some(transformer), ..Choice::default() };
+        let path = Path::new("tasks/compliant-x.toml");
+        let experiment = Experiment::load(Files::Embedded, path, None, choice, &[]);
+        let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);
+        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, &mut *controller, None);
+        assert_eq!(ending, Ending::Completed, "{transformer:?}");
+        check(&counts, transformer.name());
+    }
 }

@@ -193,3 +193,75 @@ fn a_stiffness_is_what_was_asked_for() {
         }
     }
 }
+
+/// What the suite of transformers must show, in the file that `OPSPACE_TRANSFORMER_JSON` names: torque errors over
+/// interface intervals and tracking, of medians over seeds, against fixed bounds and against the torque robot and inverse
+/// kinematics beside them. No seed may be worse than one and a half times a bound.
+#[test]
+fn emulating_the_servo_gives_the_torques() {
+    let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
+    let values = |task: &str, control: &[&str], profile: &str, label: &str, metric: &str| {
+        let [backend, controller, transformer] = control else { panic!("three names") };
+        let same = |row: &&Value| {
+            row["task"] == task
+                && row["backend"] == *backend
+                && row["controller"] == *controller
+                && row["transformer"].as_str().unwrap_or_default() == *transformer
+                && row["profile"] == profile
+                && row["label"].as_str().unwrap_or_default() == label
+        };
+        let rows = bench.rows.iter().filter(same);
+        let mut values: Vec<f64> = rows
+            .map(|row| {
+                assert!(row["faulted"].is_null(), "{task} {control:?} {profile} {label}: {}", row["faulted"]);
+                row["metrics"][metric].as_f64().expect("a number")
+            })
+            .collect();
+        assert!(!values.is_empty(), "no row of {task} {control:?} {profile} {label}");
+        values.sort_by(f64::total_cmp);
+        let median = 0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2]);
+        (median, values[values.len() - 1])
+    };
+    let error = "torque_error_interval";
+    let below = |(median, worst): (f64, f64), bound: f64, what: &str| {
+        assert!(median <= bound && worst <= 1.5 * bound, "{what}: {median}, at worst {worst}, of {bound}");
+    };
+    for transformer in ["emulation", "emulation+current"] {
+        let position = ["position", "osc", transformer];
+        let torque = ["torque", "osc", ""];
+        for profile in PROFILES {
+            for (task, bound) in
+                [("cartesian-tracking", 0.05), ("gravity-compensation", 0.05), ("compliant-x", 0.06)]
+            {
+                let what = format!("{task} {transformer} {profile}");
+                below(values(task, &position, profile, "", error), bound, &what);
+            }
+            let tracking =
+                |control: &[&str]| values("cartesian-tracking", control, profile, "", "position_rms_m").0;
+            assert!(tracking(&position) <= 1.5 * tracking(&torque), "{transformer} {profile}");
+            assert!(
+                tracking(&position) <= 0.25 * tracking(&["position", "ik", ""]),
+                "{transformer} {profile}"
+            );
+            let ratio = |metric: &str| {
+                let of = |control: &[&str]| values("compliant-x", control, profile, "", metric).0;
+                of(&position) / of(&torque)
+            };
+            let (force, motion, held) =
+                (ratio("hand_force_rms_n"), ratio("hand_motion_rms_m"), ratio("position_rms_m"));
+            assert!((0.9..=1.1).contains(&force), "{transformer} {profile}: hand force {force}");
+            assert!(motion >= 0.9 && held <= 1.2, "{transformer} {profile}: {motion} along x, {held} aside");
+        }
+    }
+    let current = ["position", "osc", "emulation+current"];
+    for (profile, wrong_gain) in [("a-med", 0.10), ("b-soft", 0.18)] {
+        for delay in 1..=5 {
+            let label = format!("delay {delay}");
+            below(values("cartesian-tracking", &current, profile, &label, error), 0.05, &label);
+        }
+        for label in ["kp 0.8", "kp 1.1", "kp 1.3"] {
+            below(values("cartesian-tracking", &current, profile, label, error), wrong_gain, label);
+        }
+    }
+    below(values("cartesian-tracking", &current, "b-soft", "ratio 1:1", error), 0.01, "ratio 1:1");
+}

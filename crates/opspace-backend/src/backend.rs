@@ -5,7 +5,7 @@ use crate::interface::Facts;
 use crate::robot::{Trace, Traces};
 use crate::sensing::Sensing;
 use opspace_control::Observable;
-use opspace_model::Data;
+use opspace_model::{Data, Model};
 
 /// A command for all n joints.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +35,14 @@ pub trait Backend: Observable + Send {
 
     /// The same, to observe, tare and begin.
     fn sensing_mut(&mut self) -> &mut Sensing;
+
+    /// Turns what was read into a measurement and brings `data` up to date with it. Allocates nothing.
+    ///
+    /// # Errors
+    /// As [`Sensing::observe`].
+    fn observe(&mut self, model: &Model, data: &mut Data) -> Result<(), Fault> {
+        self.sensing_mut().observe(model, data)
+    }
 
     /// Makes the robot do it. `data` is that of the last observation. Allocates nothing.
     ///

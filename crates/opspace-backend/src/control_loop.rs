@@ -246,7 +246,7 @@ impl<'a> ControlLoop<'a> {
             }
             self.record_traces(sink);
             // The fault that stopped the run may last: the rows say what is still measured.
-            let _ = self.backend.sensing_mut().observe(self.model, &mut self.data);
+            let _ = self.backend.observe(self.model, &mut self.data);
             self.record_tick(f64::NAN, sink);
             sink.between_ticks();
         }
@@ -265,7 +265,7 @@ impl<'a> ControlLoop<'a> {
         self.record_traces(sink);
         read?;
         let began = Instant::now();
-        self.backend.sensing_mut().observe(self.model, &mut self.data)?;
+        self.backend.observe(self.model, &mut self.data)?;
         Ok(began)
     }
 

@@ -5,10 +5,12 @@
 
 pub mod backend;
 pub mod control_loop;
+pub mod emulation;
 pub mod estimator;
 pub mod fault;
 pub mod friction;
 pub mod interface;
+pub mod observer;
 pub mod parameters;
 pub mod position;
 pub mod robot;
@@ -20,10 +22,12 @@ pub mod transformer;
 
 pub use backend::{Backend, Command};
 pub use control_loop::{ControlLoop, Ending, Phase, SERVO, Sink, TICK, TRUTH};
+pub use emulation::{EmulatingTransformer, EmulationSetup};
 pub use estimator::{EstimatorParameters, VelocityEstimator};
 pub use fault::Fault;
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
 pub use interface::{Facts, ForceSensor, GravityBy, InterfaceParameters, Measured};
+pub use observer::ObserverGain;
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters, SafetyParameters};
 pub use position::PositionBackend;
 pub use robot::{PositionRobot, Robot, Sample, TorqueRobot, Trace, Traces};

@@ -110,6 +110,11 @@ impl<R: PositionRobot> Backend for PositionBackend<R> {
         &mut self.sensing
     }
 
+    fn observe(&mut self, model: &Model, data: &mut Data) -> Result<(), Fault> {
+        let Self { sensing, transformer, .. } = self;
+        sensing.observe_with(model, data, |sample| transformer.observe(sample))
+    }
+
     fn command(&mut self, data: &Data, command: Command<'_>) -> Result<(), Fault> {
         if self.commanded {
             self.check_following()?;
@@ -136,6 +141,7 @@ impl<R: PositionRobot> Backend for PositionBackend<R> {
             self.speed[i] = (self.q_desired[i] - self.speed[i]) / period_s;
         }
         self.commanded = true;
+        self.transformer.sent(data, self.q_desired.as_slice());
         self.robot.set_positions(self.q_desired.as_slice())
     }
 
@@ -151,6 +157,7 @@ impl<R: PositionRobot> Backend for PositionBackend<R> {
             GravityBy::Robot => self.q_desired.copy_from(&self.sensing.measurement().q),
         }
         if check_finite(self.q_desired.as_slice()).is_ok() {
+            self.transformer.sent(data, self.q_desired.as_slice());
             // A robot that refuses keeps its last set-point: on_missed_cycle says what that means.
             let _ = self.robot.set_positions(self.q_desired.as_slice());
         }

@@ -7,6 +7,7 @@ use crate::interface::Facts;
 use crate::parameters::SafetyParameters;
 use crate::robot::Sample;
 use crate::supervisor::Supervisor;
+use nalgebra::DVector;
 use opspace_control::{Measurement, Row, Signal};
 use opspace_model::{Data, Force, Model, frame_placement, update};
 
@@ -56,6 +57,12 @@ impl Sensing {
         &self.facts
     }
 
+    /// What the robot reported last.
+    #[must_use]
+    pub fn sample(&self) -> &Sample {
+        &self.sample
+    }
+
     /// Where the robot is to be read into.
     pub fn sample_mut(&mut self) -> &mut Sample {
         &mut self.sample
@@ -100,12 +107,26 @@ impl Sensing {
     /// # Errors
     /// What the [`Supervisor`] finds, or a mass matrix that can't be factored.
     pub fn observe(&mut self, model: &Model, data: &mut Data) -> Result<(), Fault> {
+        self.observe_with(model, data, |_| None)
+    }
+
+    /// The same, with the joint velocities from elsewhere if `velocities` has any.
+    ///
+    /// # Errors
+    /// As [`observe`](Self::observe).
+    pub fn observe_with<'a>(
+        &mut self,
+        model: &Model,
+        data: &mut Data,
+        velocities: impl FnOnce(&Sample) -> Option<&'a DVector<f64>>,
+    ) -> Result<(), Fault> {
         self.supervisor.check_sample(&self.sample)?;
         let sample = &self.sample;
         let measurement = &mut self.measurement;
         measurement.time_s = self.start_s.map_or(0.0, |start| sample.time_s - start);
         measurement.q.copy_from(&sample.q);
-        measurement.dq.copy_from(self.estimator.update(&sample.q));
+        let filtered = self.estimator.update(&sample.q);
+        measurement.dq.copy_from(velocities(sample).unwrap_or(filtered));
         if let (Some(to), Some(from)) = (&mut measurement.motor_torque, &sample.motor_torque) {
             to.copy_from(from);
         }

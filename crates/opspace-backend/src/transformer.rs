@@ -3,7 +3,9 @@
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
 
+use crate::robot::Sample;
 use crate::servo::{CascadedServo, ServoParameters};
+use nalgebra::DVector;
 use opspace_control::Measurement;
 use opspace_model::Data;
 use schemars::JsonSchema;
@@ -16,15 +18,31 @@ pub enum TransformerKind {
     /// Equation (10) of the paper.
     #[default]
     Paper,
+    /// The servo emulated over the next interval, its mean torque matched.
+    Emulation,
+    /// The same, corrected by the measured motor current.
+    #[serde(rename = "emulation+current")]
+    EmulationCurrent,
 }
 
 impl TransformerKind {
+    /// All there are.
+    pub const ALL: [Self; 3] = [Self::Paper, Self::Emulation, Self::EmulationCurrent];
+
     /// Its name in files and tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper => "paper",
+            Self::Emulation => "emulation",
+            Self::EmulationCurrent => "emulation+current",
         }
+    }
+
+    /// Whether it needs the motors' current.
+    #[must_use]
+    pub fn needs_current(self) -> bool {
+        self == Self::EmulationCurrent
     }
 }
 
@@ -33,9 +51,18 @@ pub trait Transformer: Send {
     /// Which one it is.
     fn kind(&self) -> TransformerKind;
 
+    /// Takes in a new sample, before anything is made of it, and gives the joint velocities (rad/s, m/s; n) if it knows
+    /// them better than a filtered difference of positions does.
+    fn observe(&mut self, _sample: &Sample) -> Option<&DVector<f64>> {
+        None
+    }
+
     /// The set-points (rad, m; n) that make the servos produce `tau` (Nm, N; n) at the state of
     /// `measurement`, into `q_desired`. Allocates nothing.
     fn transform(&mut self, data: &Data, measurement: &Measurement, tau: &[f64], q_desired: &mut [f64]);
+
+    /// The set-points (rad, m; n) that the robot was given in the end, whoever asked for them.
+    fn sent(&mut self, _data: &Data, _q_desired: &[f64]) {}
 }
 
 /// The paper's transformer: two consecutive ones a joint, for the inner velocity loop and the outer

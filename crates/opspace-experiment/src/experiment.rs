@@ -7,10 +7,11 @@ use crate::source::FileError;
 use crate::task::Task;
 use opspace_backend::interface::CommandParameter;
 use opspace_backend::{
-    Backend, ControlLoop, Facts, FrictionCompensation, GravityBy, Measured, PaperTransformer,
-    PositionBackend, PositionRobot, ProfileParameters, Sensing, TorqueBackend, TorqueRobot, Transformer,
-    TransformerKind,
+    Backend, ControlLoop, EmulatingTransformer, EmulationSetup, Facts, FrictionCompensation,
+    FrictionCompensationParameters, GravityBy, Measured, PaperTransformer, PositionBackend, PositionRobot,
+    ProfileParameters, Sensing, TorqueBackend, TorqueRobot, Transformer, TransformerKind,
 };
+use opspace_control::quantity::NonNegative;
 use opspace_control::{
     CommandKind, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, RobotFacts, ServoLead, Stack, TaskParameters,
@@ -318,12 +319,34 @@ impl Experiment {
             BackendKind::Position => {
                 let servos = self.robot.servos(&self.profile);
                 let limits = self.robot.torque_limits();
-                let transformer: Box<dyn Transformer> =
-                    match self.choice.transformer.unwrap_or(self.profile.transformer) {
-                        TransformerKind::Paper => Box::new(PaperTransformer::new(&servos)),
-                    };
+                let kind = self.choice.transformer.unwrap_or(self.profile.transformer);
+                let transformer: Box<dyn Transformer> = match kind {
+                    TransformerKind::Paper => Box::new(PaperTransformer::new(&servos)),
+                    TransformerKind::Emulation | TransformerKind::EmulationCurrent => {
+                        Box::new(EmulatingTransformer::new(&self.emulation(kind.needs_current())))
+                    }
+                };
                 Box::new(PositionBackend::new(robot, model, sensing, transformer, &servos, &limits))
             }
+        }
+    }
+
+    fn emulation(&self, current: bool) -> EmulationSetup {
+        let joints = self.robot.joints();
+        let whole = FrictionCompensationParameters {
+            gain: NonNegative::literal(1.0),
+            ..self.task.file.friction_compensation.clone()
+        };
+        EmulationSetup {
+            servos: self.robot.servos(&self.profile),
+            friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), &whole),
+            resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
+            torque_limits: self.robot.torque_limits(),
+            servo_period_s: self.profile.servo_period_s(),
+            ratio: self.profile.ratio.get(),
+            delay: self.profile.delay_servo_ticks,
+            gravity_by: self.gravity_by(),
+            current,
         }
     }
 
@@ -385,6 +408,18 @@ impl Experiment {
             let message = "this robot takes torques, but a position robot is asked for";
             let help = Some("use --backend torque".to_owned());
             return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
+        }
+        let measures = &self.robot.file.interface.measures;
+        if let Some(kind) = self.transformer_kind()
+            && kind.needs_current()
+            && !measures.contains(&Measured::MotorCurrent)
+        {
+            let message = format!(
+                "transformer '{}' needs the motors' current, which this robot doesn't measure",
+                kind.name()
+            );
+            let help = "use 'emulation', or add \"motor-current\" if the robot does".to_owned();
+            return Err(FileError::at_key(&self.robot.source, "interface.measures", message, Some(help)));
         }
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {

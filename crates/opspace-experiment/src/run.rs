@@ -258,7 +258,7 @@ impl Experiment {
                 .find(|kind| entry("controller").is_ok_and(|name| name == kind.name()))
                 .ok_or_else(|| unknown("controller"))?,
             transformer: Some(
-                [TransformerKind::Paper]
+                TransformerKind::ALL
                     .into_iter()
                     .find(|kind| entry("transformer").is_ok_and(|name| name == kind.name()))
                     .ok_or_else(|| unknown("transformer"))?,

@@ -313,6 +313,11 @@ pub enum ControllerArg {
 pub enum TransformerArg {
     /// Equation (10) of the paper.
     Paper,
+    /// The servo emulated up to the next set-point, its mean torque matched.
+    Emulation,
+    /// The same, corrected by the measured motor current.
+    #[value(name = "emulation+current")]
+    EmulationCurrent,
 }
 
 impl From<BackendArg> for BackendKind {
@@ -338,6 +343,8 @@ impl From<TransformerArg> for opspace_backend::TransformerKind {
     fn from(arg: TransformerArg) -> Self {
         match arg {
             TransformerArg::Paper => Self::Paper,
+            TransformerArg::Emulation => Self::Emulation,
+            TransformerArg::EmulationCurrent => Self::EmulationCurrent,
         }
     }
 }
