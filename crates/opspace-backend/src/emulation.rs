@@ -277,6 +277,30 @@ impl EmulatingTransformer {
             column /= f64::from(self.ticks.ratio);
         }
     }
+
+    /// The next interface tick, if the drives are given these set-points at the present one; without any they hold those
+    /// that they have.
+    fn predict(&mut self, q_desired: Option<&[f64]>) {
+        self.rollout.copy_from(&self.state);
+        self.mean_torque.fill(0.0);
+        for tick in 0..self.ticks.ratio {
+            match q_desired {
+                Some(new) if tick >= self.ticks.delay => {
+                    self.rollout.drive(&self.drives, self.ticks.period_s, |i| new[i]);
+                }
+                _ => self.roll_old(),
+            }
+            // What the motor gives is limited, not what the emulation says of it.
+            for ((torque, drive), more) in self.rollout.torque.iter_mut().zip(&self.drives).zip(&self.surplus)
+            {
+                *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
+            }
+            self.mean_torque += &self.rollout.torque;
+            self.rollout.travel(&self.mass_inverse, &self.free, self.ticks.period_s);
+        }
+        self.mean_torque /= f64::from(self.ticks.ratio);
+        self.predicted.copy_from(&self.rollout);
+    }
 }
 
 impl Transformer for EmulatingTransformer {
@@ -285,12 +309,16 @@ impl Transformer for EmulatingTransformer {
     }
 
     fn observe(&mut self, sample: &Sample) -> Option<&DVector<f64>> {
-        self.frozen = false;
-        if self.begun {
-            self.correct(sample);
-        } else {
+        if !self.begun {
             self.stand(&sample.q);
+        } else {
+            // Nothing was sent since the last sample.
+            if !self.frozen {
+                self.predict(None);
+            }
+            self.correct(sample);
         }
+        self.frozen = false;
         Some(&self.state.dq)
     }
 
@@ -322,24 +350,7 @@ impl Transformer for EmulatingTransformer {
 
     fn sent(&mut self, data: &Data, q_desired: &[f64]) {
         self.freeze(data);
-        self.rollout.copy_from(&self.state);
-        self.mean_torque.fill(0.0);
-        for tick in 0..self.ticks.ratio {
-            if tick < self.ticks.delay {
-                self.roll_old();
-            } else {
-                self.rollout.drive(&self.drives, self.ticks.period_s, |i| q_desired[i]);
-            }
-            // What the motor gives is limited, not what the emulation says of it.
-            for ((torque, drive), more) in self.rollout.torque.iter_mut().zip(&self.drives).zip(&self.surplus)
-            {
-                *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
-            }
-            self.mean_torque += &self.rollout.torque;
-            self.rollout.travel(&self.mass_inverse, &self.free, self.ticks.period_s);
-        }
-        self.mean_torque /= f64::from(self.ticks.ratio);
-        self.predicted.copy_from(&self.rollout);
+        self.predict(Some(q_desired));
         self.active.copy_from_slice(q_desired);
         self.begun = true;
     }

@@ -10,6 +10,7 @@ use opspace_backend::{
 use opspace_control::Measurement;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 const SERVO_S: f64 = 1e-3;
 const RATIO: u32 = 5;
@@ -90,8 +91,8 @@ impl Drives {
 }
 
 /// Desired torques, and the mean torques of the intervals in which each set-point acted; how far the velocities that the
-/// transformer tells are from the true ones, at most.
-fn run(delay: u32, current: bool, kp_scale: f64) -> (Vec<[f64; 2]>, Vec<[f64; 2]>, f64) {
+/// transformer tells are from the true ones, at most. Nothing is sent in ticks that are `missed`.
+fn run(delay: u32, current: bool, kp_scale: f64, missed: Range<i32>) -> (Vec<[f64; 2]>, Vec<[f64; 2]>, f64) {
     let model = model();
     let mut data = Data::new(&model);
     let mut transformer = transformer(delay, current);
@@ -114,8 +115,10 @@ fn run(delay: u32, current: bool, kp_scale: f64) -> (Vec<[f64; 2]>, Vec<[f64; 2]
         assert!(update(&model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
         let t = f64::from(k) * SERVO_S * f64::from(RATIO);
         let tau = [(TAU * 0.7 * t).sin(), 0.4 * (TAU * 1.1 * t).sin()];
-        transformer.transform(&data, &measurement, &tau, new.as_mut_slice());
-        transformer.sent(&data, new.as_slice());
+        if !missed.contains(&k) {
+            transformer.transform(&data, &measurement, &tau, new.as_mut_slice());
+            transformer.sent(&data, new.as_slice());
+        }
         asked.push(tau);
         let mut mean = DVector::zeros(2);
         for tick in 0..RATIO {
@@ -147,11 +150,20 @@ fn error(asked: &[[f64; 2]], actual: &[[f64; 2]]) -> f64 {
 fn mean_torques_are_the_desired_ones() {
     for delay in 0..=RATIO {
         for current in [false, true] {
-            let (asked, means, off) = run(delay, current, 1.0);
+            let (asked, means, off) = run(delay, current, 1.0, 0..0);
             let error = error(&asked, &means);
             assert!(error < 1e-6, "delay {delay}, current {current}: {error}");
             assert!(off < 1e-6, "delay {delay}: {off} m/s");
         }
+    }
+}
+
+/// The velocities told while set-points fail to come, and the drives hold the last one, against the true ones.
+#[test]
+fn the_estimate_goes_on_while_set_points_are_missed() {
+    for delay in [0, 2, RATIO] {
+        let (_, _, off) = run(delay, false, 1.0, 200..230);
+        assert!(off < 1e-6, "delay {delay}: {off} m/s");
     }
 }
 
@@ -161,7 +173,7 @@ fn mean_torques_are_the_desired_ones() {
 fn measured_currents_make_up_for_a_wrong_gain() {
     for kp_scale in [0.8, 1.1] {
         let [without, with] = [false, true].map(|current| {
-            let (asked, means, _) = run(0, current, kp_scale);
+            let (asked, means, _) = run(0, current, kp_scale, 0..0);
             error(&asked, &means)
         });
         assert!(with < 0.5 * without && without > 0.1, "{kp_scale}: {with} with, {without} without");
