@@ -57,12 +57,6 @@ impl Sensing {
         &self.facts
     }
 
-    /// What the robot reported last.
-    #[must_use]
-    pub fn sample(&self) -> &Sample {
-        &self.sample
-    }
-
     /// Where the robot is to be read into.
     pub fn sample_mut(&mut self) -> &mut Sample {
         &mut self.sample

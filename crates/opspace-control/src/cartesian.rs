@@ -18,8 +18,9 @@
 use crate::axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
 use crate::error::{ControlError, Reason};
 use crate::force::{ForceFeedback, ForceParameters};
-use crate::impedance::{Impedance, ImpedanceParameters};
+use crate::impedance::ImpedanceParameters;
 use crate::joint_reference::check_times;
+use crate::law::{AxisGains, Law, integrate};
 use crate::limits::HORIZON_S;
 use crate::measurement::Measurement;
 use crate::orientation;
@@ -105,26 +106,6 @@ pub struct CenterOfMassParameters {
     pub singularity_threshold: Positive,
 }
 
-/// How an axis follows: as a unit mass on a spring and a damper, whatever the arm's inertia.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct AxisGains {
-    /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
-    pub frequency_rad_per_s: PerAxis<Positive>,
-    /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
-    pub damping_ratio: PerAxis<NonNegative>,
-    /// How much of the error is added to it each second, 1/s, until what friction and a wrong model leave is gone;
-    /// 0 if absent. Up to a quarter of ω or so.
-    #[serde(default = "no_integral")]
-    pub integral_per_s: PerAxis<NonNegative>,
-    /// How much is added at most along an axis, m; 0.05 if absent.
-    #[serde(default = "default_integral_limit")]
-    pub integral_limit_m: PerAxis<NonNegative>,
-    /// How much is added at most about an axis, rad; 0.2 if absent.
-    #[serde(default = "default_integral_limit_rad")]
-    pub integral_limit_rad: PerAxis<NonNegative>,
-}
-
 /// Which inertia turns a task's accelerations into forces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -164,18 +145,6 @@ impl Singularities {
             Self::Clamped => Inversion::Clamped(threshold),
         }
     }
-}
-
-fn no_integral() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(0.0))
-}
-
-fn default_integral_limit() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(0.05))
-}
-
-fn default_integral_limit_rad() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(0.2))
 }
 
 fn default_compliant_damping() -> PerAxis<NonNegative> {
@@ -285,19 +254,6 @@ pub(crate) struct CartesianTask {
     /// Task axes, m and rad. Displacements on all three axes; turns only about those in motion, since the
     /// others would mix into them.
     error: Vector6<f64>,
-}
-
-/// How a task follows.
-#[derive(Clone, Debug)]
-struct Law {
-    /// Of the error (1/s²) and of the velocity (1/s), in the order of the axes.
-    stiffness: Vector6<f64>,
-    damping: Vector6<f64>,
-    impedance: Option<Impedance>,
-    /// What of the error is added in a period, and at most.
-    integral_step: Vector6<f64>,
-    integral_limit: Vector6<f64>,
-    integral: Vector6<f64>,
 }
 
 impl CartesianTask {
@@ -658,86 +614,6 @@ impl CartesianTask {
             None => row.skip(6),
         }
     }
-}
-
-impl Law {
-    fn new(parameters: &CartesianParameters, period_s: f64, key: &str) -> Result<Self, ControlError> {
-        let at = |place: &'static str| move |reason| ControlError::new(format!("{key}.{place}"), reason);
-        let zero = Vector6::zeros();
-        let mut law = Self {
-            stiffness: zero,
-            damping: zero,
-            impedance: None,
-            integral_step: zero,
-            integral_limit: zero,
-            integral: zero,
-        };
-        for (axis, _) in parameters.held_to_force().iter().enumerate().filter(|(_, held)| **held) {
-            let c = required(&parameters.compliant_damping_per_s, axis);
-            law.damping[axis] = c.map_err(at("compliant_damping_per_s"))?.get();
-        }
-        let motion = parameters.motion_axes();
-        match (&parameters.gains, &parameters.impedance) {
-            (Some(_), Some(_)) => return Err(at("impedance")(Reason::GainsTwice)),
-            (None, None) if motion.contains(&true) => {
-                return Err(ControlError::new(key, Reason::NoGains));
-            }
-            (None, None) => {}
-            (None, Some(impedance)) => {
-                law.impedance = Some(Impedance::new(impedance, parameters, &format!("{key}.impedance"))?);
-            }
-            (Some(gains), None) => {
-                for axis in (0..6).filter(|&axis| motion[axis]) {
-                    law.follow(axis, gains, period_s, key)?;
-                }
-            }
-        }
-        Ok(law)
-    }
-
-    fn follow(
-        &mut self,
-        axis: usize,
-        gains: &AxisGains,
-        period_s: f64,
-        key: &str,
-    ) -> Result<(), ControlError> {
-        let at =
-            |place: &'static str| move |reason| ControlError::new(format!("{key}.gains.{place}"), reason);
-        let omega = required(&gains.frequency_rad_per_s, axis).map_err(at("frequency_rad_per_s"))?.get();
-        let zeta = required(&gains.damping_ratio, axis).map_err(at("damping_ratio"))?.get();
-        self.stiffness[axis] = omega * omega;
-        self.damping[axis] = 2.0 * zeta * omega;
-        // An axis that isn't named has none.
-        self.integral_step[axis] = gains.integral_per_s.get(axis).map_or(0.0, NonNegative::get) * period_s;
-        if self.integral_step[axis] > 0.0 {
-            let (limits, place) = if axis < 3 {
-                (&gains.integral_limit_m, "integral_limit_m")
-            } else {
-                (&gains.integral_limit_rad, "integral_limit_rad")
-            };
-            self.integral_limit[axis] = required(limits, axis).map_err(at(place))?.get();
-        }
-        Ok(())
-    }
-}
-
-/// Adds the `step`-fold of an error to its integral, up to ±`limit`. An error that isn't finite counts for nothing, so that
-/// it is over with its tick.
-pub(crate) fn integrate(
-    integral: &mut Vector6<f64>,
-    error: &Vector6<f64>,
-    step: &Vector6<f64>,
-    limit: &Vector6<f64>,
-) {
-    for i in (0..6).filter(|&i| error[i].is_finite()) {
-        integral[i] = (integral[i] + step[i] * error[i]).clamp(-limit[i], limit[i]);
-    }
-}
-
-/// The value of an axis that must have one.
-pub(crate) fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
-    values.get(axis).ok_or(Reason::MissingAxis { axis: AXIS_NAMES[axis] })
 }
 
 fn check_reference(parameters: &CartesianParameters, key: &str) -> Result<(), ControlError> {

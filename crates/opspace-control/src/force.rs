@@ -1,9 +1,10 @@
 //! Force feedback of a Cartesian task: what a sensor's reading adds on axes that are held to a force.
 
 use crate::axes::{AXIS_NAMES, AxisMode, PerAxis};
-use crate::cartesian::{CartesianParameters, integrate, required};
+use crate::cartesian::CartesianParameters;
 use crate::error::{ControlError, Reason};
 use crate::filter::LowPass;
+use crate::law::{integrate, required};
 use crate::measurement::Measurement;
 use crate::quantity::{NonNegative, Positive};
 use crate::task::RobotFacts;

@@ -11,11 +11,12 @@
 //! and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A shaped inertia m needs a force
 //! sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
 //!
-//! [`AxisGains`]: crate::cartesian::AxisGains
+//! [`AxisGains`]: crate::law::AxisGains
 
 use crate::axes::{AxisMode, PerAxis};
-use crate::cartesian::{CartesianParameters, required};
+use crate::cartesian::CartesianParameters;
 use crate::error::{ControlError, Reason};
+use crate::law::required;
 use crate::quantity::{NonNegative, Positive};
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use schemars::JsonSchema;

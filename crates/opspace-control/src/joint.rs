@@ -278,6 +278,9 @@ impl Tracking {
     }
 }
 
+/// Below which share of their typical mobility some joints' directions are damped, once tasks above have taken the rest.
+pub const JOINTS_SINGULARITY_THRESHOLD: f64 = 1e-3;
+
 /// Some joints that follow a reference, as rows of a task that may stand above others.
 #[derive(Clone, Debug)]
 pub(crate) struct SelectedJoints {
@@ -288,7 +291,7 @@ pub(crate) struct SelectedJoints {
 
 impl SelectedJoints {
     /// A joint alone is never singular: only what tasks above have taken is.
-    pub(crate) const INVERSION: Inversion = Inversion::Damped(1e-3);
+    pub(crate) const INVERSION: Inversion = Inversion::Damped(JOINTS_SINGULARITY_THRESHOLD);
 
     /// Of the joints named, in that order.
     pub(crate) fn new(

@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
+pub mod stacks;
+
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
 use opspace_control::{
     Compensation, ControlError, JointLimits, LimitParameters, Measurement, Observable, RobotFacts, Row,

@@ -3,6 +3,7 @@
 use super::motion::Motion;
 use super::{Case, Finding, short};
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
+use opspace_control::joint::JOINTS_SINGULARITY_THRESHOLD;
 use opspace_control::rank::{Rows, TypicalMobility};
 use opspace_control::{AXIS_NAMES, JointTrackingParameters, TaskParameters};
 use opspace_model::{Data, Inversion, OperationalSpace, update};
@@ -97,7 +98,7 @@ fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
                 let joints: Vec<usize> = joints.collect();
                 joints.iter().enumerate().for_each(|(row, &joint)| rows[(row, joint)] = 1.0);
                 let typical = TypicalMobility::new(model, &Rows::Joints(&joints)).dynamic;
-                Some((rows, names.len(), 1e-3, typical, None))
+                Some((rows, names.len(), JOINTS_SINGULARITY_THRESHOLD, typical, None))
             }
             _ => stack.motions.iter().position(|motion| motion.name == name).map(|place| {
                 let motion: &Motion<'_> = &stack.motions[place];
