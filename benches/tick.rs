@@ -103,7 +103,10 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
     assert!(update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
     let mut controller = experiment.controller().expect("was checked");
     controller.start(model, &data, &measurement);
-    let mut transformer = PaperTransformer::new(&experiment.robot().servos(experiment.profile().1));
+    let profile = experiment.profile().1;
+    let servos = experiment.robot().servos(profile);
+    let gains = servos.iter().map(|servo| servo.gains(profile.servo_period_s())).collect();
+    let mut transformer = PaperTransformer::new(gains);
     let mut tau = vec![0.0; model.n()];
     let mut q_desired = vec![0.0; model.n()];
     bencher.bench_local(|| {

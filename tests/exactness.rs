@@ -5,20 +5,25 @@ mod common;
 
 use common::{Run, experiment, ideal, load, osc, robot, run, task};
 use nalgebra::{Matrix2, Vector2};
-use opspace_backend::{Ending, ProfileParameters};
+use opspace_backend::{CascadedServo, Ending, ProfileParameters, ServoParameters};
 use opspace_experiment::{Choice, Experiment};
 use std::f64::consts::TAU;
 
 /// Rounding of kv kp (q_desired − q) with kv kp < 5000 Nm/rad and |q| < 2 rad: below 1e-11 Nm.
 const EXACT_NM: f64 = 1e-9;
 
+fn cascade(servo: &ServoParameters) -> CascadedServo {
+    let ServoParameters::Cascaded(servo) = servo else { panic!("the robot has cascades") };
+    *servo
+}
+
 /// Cartesian tracking on ideal drives, with the transformer's velocity the servo's own.
 fn exact(profile: &str, duration_s: f64, settings: &[String]) -> Experiment {
     let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
     let mut robot = ideal(robot(&settings));
     let own = robot.file.profile.get_mut(profile).expect("the profile");
-    let filter_hz = own.servo["elbow"].cascade().velocity_filter_hz;
-    assert!(own.servo.values().all(|s| s.cascade().velocity_filter_hz == filter_hz));
+    let filter_hz = cascade(&own.servo["elbow"]).velocity_filter_hz;
+    assert!(own.servo.values().all(|s| cascade(s).velocity_filter_hz == filter_hz));
     own.estimator.velocity_filter_hz = filter_hz;
     let choice = Choice { duration_s: Some(duration_s), ..osc(profile) };
     experiment(robot, task("cartesian-tracking", &["settle_s=0"]), choice)
@@ -79,9 +84,9 @@ fn each_condition_of_exactness_counts() {
 /// where t_e and t_w are the lags of the interface's and the servo's velocity, each that of a finite
 /// difference (half its period) and of a first-order low-pass, (1 − α)/α periods.
 fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
-    let servo = profile.servo[joint].cascade();
+    let servo = cascade(&profile.servo[joint]);
     let (kp, kv) = (servo.kp_per_s.get(), servo.kv_nms_per_rad.get());
-    let (ratio, delay) = (profile.ratio.get(), profile.delay_servo_ticks);
+    let (ratio, delay) = (profile.ratio.get(), profile.delay());
     let servo_period_s = 1.0 / profile.servo_hz.get();
     let lag = |period_s: f64, filter_hz: f64| {
         let alpha = 1.0 - (-TAU * filter_hz * period_s).exp();
@@ -99,7 +104,7 @@ fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
 /// tick at which it was given: (b, m) and the share of the error that they explain.
 fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f64) {
     let (ratio, period_s) = (profile.ratio.get() as usize, profile.period_s());
-    let delay = profile.delay_servo_ticks as usize;
+    let delay = profile.delay() as usize;
     let desired = run.signal("servo", "torque_desired");
     let actual = run.signal("servo", "motor_torque");
     let (truth_s, speed) = (&run.channel("truth").time_s, run.signal("truth", "dq"));

@@ -67,8 +67,8 @@ fn a_start_is_from_holding_still_without_a_jump() {
         if let Some(set_point) = run.channel("tick").signal("q_desired") {
             let q = run.signal("tick", "q").row(k);
             for (j, servo) in experiment.robot().servos(experiment.profile().1).iter().enumerate() {
-                let servo = servo.cascade();
-                let lead = weight[j] / (servo.kv_nms_per_rad.get() * servo.kp_per_s.get());
+                let gains = servo.gains(experiment.profile().1.servo_period_s());
+                let lead = weight[j] / gains.stiffness;
                 let jump = set_point.row(k)[j] - q[j] - lead;
                 assert!(jump.abs() < 1e-6, "joint {j} jumps by {jump} rad");
             }

@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
-use opspace_backend::{Backend, Ending, Sink};
+use opspace_backend::{Backend, Ending, Sink, TransformerKind};
 use opspace_control::{CommandKind, Controller, Layout, Measurement, Observable, Row, Signal};
 use opspace_experiment::metrics::metrics;
 use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files, Metrics, Robot, Task};
@@ -16,7 +16,8 @@ pub const ROBOT: &str = "robots/asimo-arm";
 
 /// Position robot, operational-space control, in a profile.
 pub fn osc(profile: &str) -> Choice {
-    Choice { profile: Some(profile.to_owned()), ..Choice::default() }
+    let transformer = TransformerKind::named("paper");
+    Choice { profile: Some(profile.to_owned()), transformer, ..Choice::default() }
 }
 
 /// Torque robot at the rates of a profile.

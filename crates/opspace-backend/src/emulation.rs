@@ -2,36 +2,39 @@
 //!
 //! Equation (10) of the paper is exact at the instant at which the set-point is taken. A servo that runs R times faster
 //! then meets the same set-point with other positions. Here every servo tick up to the next set-point is emulated with
-//! the drive's own law, on the arm as it stands, and the set-point is the one whose **mean** torque over the interval
-//! in which it acts is the desired one:
+//! the drive's own law, on the arm as it stands. The torques at the R ticks at which the set-point acts are
 //!
 //! ```text
-//! τ̄ = Y₀ + Y₁ q_desired        q_desired = Y₁⁻¹ (τ − δ − Y₀)
+//! τ_j = Y₀_j + Y₁_j q_desired        j = 0 … R − 1
 //! ```
 //!
-//! Y₀ holds what the state and the set-point before still do, Y₁ (n × n) what a unit of set-point does. The state at the
-//! end of the emulated interval is the prediction of the [observer](crate::observer), which so knows what the drive did
-//! within the interval. δ is how much more torque the motors give than the emulation says, where their current is
-//! measured: a disturbance observer on interval means.
+//! Y₀ holds what the state and the set-point before still do, Y₁ (n × n) what a unit of set-point does. A drive that holds
+//! its set-point gets the one whose **mean** torque is the desired one; a drive that interpolates, the one that comes
+//! closest to it at **each** tick:
+//!
+//! ```text
+//! Σ Y₁_j q_desired = Σ (τ − δ − Y₀_j)        Σ Y₁_jᵀ Y₁_j q_desired = Σ Y₁_jᵀ (τ − δ − Y₀_j)
+//! ```
+//!
+//! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which so knows what
+//! the drive did within the interval. δ is how much more torque the motors give than the emulation says, where their
+//! current is [measured](crate::current).
 
+use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
-use crate::interface::GravityBy;
-use crate::observer::ObserverGain;
+use crate::interface::{GravityBy, SetPoints};
+use crate::observer::{ObservedJoint, ObserverGain};
 use crate::robot::Sample;
 use crate::servo::ServoParameters;
-use crate::transformer::{Transformer, TransformerKind};
+use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoMemory};
+use crate::transformer::{Method, Transformer, TransformerKind};
 use nalgebra::{DMatrix, DVector};
 use opspace_control::Measurement;
 use opspace_model::Data;
-use std::f64::consts::TAU;
+use thiserror::Error;
 
-/// What of a new difference between measured and emulated torque is believed: fast enough for a wrong gain, slow enough
-/// for the noise of the current.
-const CURRENT_GAIN: f64 = 0.35;
-
-/// How far δ may go, in torque limits: it is an offset of a set-point, not a torque of a motor, and at speed a wrong gain
-/// asks for more than the motor's own torque.
-const CURRENT_LIMIT: f64 = 3.0;
+/// A servo whose inverse grows by more than this a tick isn't inverted.
+const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
 /// What is known of the robot.
 #[derive(Clone, Debug)]
@@ -42,6 +45,8 @@ pub struct EmulationSetup {
     pub friction: FrictionCompensation,
     /// Resolution of each encoder at the joint, rad.
     pub resolution_rad: Vec<f64>,
+    /// What each drive moves, kg m² (kg), at a posture like those to come: what the observer's gain is made for.
+    pub inertias: Vec<f64>,
     /// Of each drive, Nm.
     pub torque_limits: Vec<f64>,
     /// Time between two servo ticks, s.
@@ -50,10 +55,47 @@ pub struct EmulationSetup {
     pub ratio: u32,
     /// Servo ticks until a set-point acts.
     pub delay: u32,
+    /// What the drives do with a set-point until the next one comes.
+    pub set_points: SetPoints,
+    /// Which torques are matched: mean ones, or those of each tick.
+    pub matching: Matching,
     /// Who carries the weight.
     pub gravity_by: GravityBy,
     /// Whether measured motor torques are made use of.
     pub current: bool,
+}
+
+/// What of the torques under a set-point is to be as desired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Matching {
+    /// Their mean.
+    Mean,
+    /// Each, as well as can be.
+    EachTick,
+}
+
+/// A servo that can't be emulated, or not be inverted.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum EmulationError {
+    /// It can't be run at all.
+    #[error(transparent)]
+    Servo(#[from] ServoError),
+    /// Torque comes later than the next set-point.
+    #[error("a set-point makes no torque within the {ratio} servo ticks in which it acts")]
+    NoTorque {
+        /// Servo ticks per interface tick.
+        ratio: u32,
+    },
+    /// Set-points that give the torques would grow without bound.
+    #[error(
+        "its inverse is unstable: set-points for a torque would grow {growth:.3} times from one to the next (zeros \
+         outside the unit circle)"
+    )]
+    Unstable {
+        /// From one interface tick to the next.
+        growth: f64,
+    },
 }
 
 /// See the [module](self).
@@ -62,8 +104,9 @@ pub struct EmulatingTransformer {
     drives: Vec<Drive>,
     friction: FrictionCompensation,
     ticks: Ticks,
+    matching: Matching,
     gravity_by: GravityBy,
-    current: bool,
+    current: Option<CurrentObserver>,
     /// The arm and its drives at the present interface tick, as estimated.
     state: State,
     /// As predicted for the next one.
@@ -71,31 +114,31 @@ pub struct EmulatingTransformer {
     rollout: State,
     /// Unknown joint accelerations, rad/s² (n).
     disturbance: DVector<f64>,
-    /// δ, Nm (n).
-    surplus: DVector<f64>,
-    /// The set-points in force when a tick begins, rad (n).
-    active: DVector<f64>,
-    /// Whether there are any: before the first the robot holds itself.
+    in_force: InForce,
+    /// Whether anything was sent yet: before, the robot holds itself.
     begun: bool,
     /// M⁻¹, and the accelerations without any motor torque (n).
     mass_inverse: DMatrix<f64>,
     free: DVector<f64>,
     /// Whether these are of the present tick.
     frozen: bool,
-    holding: DVector<f64>,
-    response: DMatrix<f64>,
-    /// Mean emulated torque over the last interface interval, Nm (n).
+    /// Y₁ and what Y₀ lacks of the desired torque, for each tick.
+    responses: Vec<DMatrix<f64>>,
+    missing: Vec<DVector<f64>>,
+    normal: DMatrix<f64>,
+    solution: DVector<f64>,
+    /// Mean emulated torque since the last sample, Nm (n), over so many intervals.
     mean_torque: DVector<f64>,
+    intervals: f64,
     /// No acceleration but by the drives (n).
     rest: DVector<f64>,
+    /// Nothing more than is emulated (n).
+    none: DVector<f64>,
 }
 
-/// A cascaded servo with its filtered finite difference.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Drive {
-    kp: f64,
-    kv: f64,
-    filter: f64,
+    law: ServoLaw,
     torque_limit: f64,
     gain: ObserverGain,
 }
@@ -105,6 +148,31 @@ struct Ticks {
     period_s: f64,
     ratio: u32,
     delay: u32,
+    set_points: SetPoints,
+}
+
+/// Set-points that the drives have when an interface tick begins, rad (n).
+#[derive(Clone, Debug)]
+struct InForce {
+    before: DVector<f64>,
+    last: DVector<f64>,
+    /// Servo ticks since the last came in force.
+    age: u32,
+}
+
+impl InForce {
+    /// The drive's set-point at a servo tick counted from the interface tick.
+    fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
+        ticks.set_points.at(self.before[joint], self.last[joint], self.age.saturating_add(tick), ticks.ratio)
+    }
+
+    /// Where a drive goes from when a new set-point comes in force `delay` servo ticks after the interface tick.
+    fn left(&self, ticks: Ticks, joint: usize) -> f64 {
+        match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
+            Some(age) => ticks.set_points.at(self.before[joint], self.last[joint], age, ticks.ratio),
+            None => self.before[joint],
+        }
+    }
 }
 
 /// An arm and the memory of its drives, at a servo tick.
@@ -112,39 +180,32 @@ struct Ticks {
 struct State {
     q: DVector<f64>,
     dq: DVector<f64>,
-    /// The drives' velocities, and the positions that they saw last.
-    velocity: DVector<f64>,
-    last: DVector<f64>,
+    memory: Vec<ServoMemory>,
     torque: DVector<f64>,
 }
 
 impl State {
     fn new(n: usize) -> Self {
         let zero = DVector::zeros(n);
-        Self { q: zero.clone(), dq: zero.clone(), velocity: zero.clone(), last: zero.clone(), torque: zero }
+        Self { q: zero.clone(), dq: zero.clone(), memory: vec![[0.0; MAX_ORDER]; n], torque: zero }
     }
 
     fn copy_from(&mut self, other: &Self) {
         self.q.copy_from(&other.q);
         self.dq.copy_from(&other.dq);
-        self.velocity.copy_from(&other.velocity);
-        self.last.copy_from(&other.last);
+        self.memory.copy_from_slice(&other.memory);
         self.torque.copy_from(&other.torque);
     }
 
     fn clear(&mut self) {
-        [&mut self.q, &mut self.dq, &mut self.velocity, &mut self.last, &mut self.torque]
-            .into_iter()
-            .for_each(|v| v.fill(0.0));
+        [&mut self.q, &mut self.dq, &mut self.torque].into_iter().for_each(|v| v.fill(0.0));
+        self.memory.fill([0.0; MAX_ORDER]);
     }
 
-    /// The drives' torques at this tick for a set-point, without limits.
-    fn drive(&mut self, drives: &[Drive], period_s: f64, set_point: impl Fn(usize) -> f64) {
+    /// The drives' torques at this tick for their set-points, without limits.
+    fn drive(&mut self, drives: &[Drive], set_point: impl Fn(usize) -> f64) {
         for (i, drive) in drives.iter().enumerate() {
-            let difference = (self.q[i] - self.last[i]) / period_s;
-            self.velocity[i] += drive.filter * (difference - self.velocity[i]);
-            self.last[i] = self.q[i];
-            self.torque[i] = drive.kv * (drive.kp * (set_point(i) - self.q[i]) - self.velocity[i]);
+            self.torque[i] = drive.law.step(&mut self.memory[i], set_point(i), self.q[i]);
         }
     }
 
@@ -167,71 +228,78 @@ impl State {
 
 impl EmulatingTransformer {
     /// For a robot at rest.
-    #[must_use]
-    pub fn new(setup: &EmulationSetup) -> Self {
+    ///
+    /// # Errors
+    /// The first joint whose servo can't be emulated or inverted.
+    pub fn new(setup: &EmulationSetup) -> Result<Self, (usize, EmulationError)> {
         let n = setup.servos.len();
-        let ticks = Ticks { period_s: setup.servo_period_s, ratio: setup.ratio, delay: setup.delay };
-        let interface_s = f64::from(setup.ratio) * setup.servo_period_s;
-        let drive = |i: usize| {
-            let servo = setup.servos[i].cascade();
-            Drive {
-                kp: servo.kp_per_s.get(),
-                kv: servo.kv_nms_per_rad.get(),
-                filter: 1.0 - (-TAU * servo.velocity_filter_hz.get() * setup.servo_period_s).exp(),
-                torque_limit: setup.torque_limits[i],
-                gain: ObserverGain::steady(setup.resolution_rad[i], interface_s),
-            }
+        let ticks = Ticks {
+            period_s: setup.servo_period_s,
+            ratio: setup.ratio,
+            delay: setup.delay,
+            set_points: setup.set_points,
         };
+        let drive = |i: usize| -> Result<Drive, EmulationError> {
+            let law = ServoLaw::new(&setup.servos[i], setup.servo_period_s)?;
+            check_inverse(&law, ticks, setup.matching)?;
+            let gain = ObserverGain::steady(&ObservedJoint {
+                servo: &law,
+                inertia: setup.inertias[i],
+                resolution_rad: setup.resolution_rad[i],
+                servo_period_s: setup.servo_period_s,
+                ratio: setup.ratio,
+            });
+            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain })
+        };
+        let drives: Result<Vec<Drive>, _> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect();
         let zero = DVector::zeros(n);
-        Self {
-            drives: (0..n).map(drive).collect(),
+        let matrix = DMatrix::zeros(n, n);
+        let each_tick = setup.ratio as usize;
+        Ok(Self {
+            drives: drives?,
             friction: setup.friction.clone(),
             ticks,
+            matching: setup.matching,
             gravity_by: setup.gravity_by,
-            current: setup.current,
+            current: setup.current.then(|| CurrentObserver::new(&setup.torque_limits)),
             state: State::new(n),
             predicted: State::new(n),
             rollout: State::new(n),
             disturbance: zero.clone(),
-            surplus: zero.clone(),
-            active: zero.clone(),
+            in_force: InForce { before: zero.clone(), last: zero.clone(), age: setup.ratio },
             begun: false,
-            mass_inverse: DMatrix::zeros(n, n),
+            mass_inverse: matrix.clone(),
             free: zero.clone(),
             frozen: false,
-            holding: zero.clone(),
-            response: DMatrix::zeros(n, n),
+            responses: vec![matrix.clone(); each_tick],
+            missing: vec![zero.clone(); each_tick],
+            normal: matrix,
+            solution: zero.clone(),
             mean_torque: zero.clone(),
-            rest: zero,
-        }
+            intervals: 0.0,
+            rest: zero.clone(),
+            none: zero,
+        })
     }
 
-    /// At rest at the measured positions, before anything was commanded.
-    fn stand(&mut self, q: &DVector<f64>) {
-        self.state.clear();
-        self.state.q.copy_from(q);
-        self.state.last.copy_from(q);
+    fn surplus(&self) -> &DVector<f64> {
+        self.current.as_ref().map_or(&self.none, CurrentObserver::surplus)
     }
 
     /// Takes in the measured positions against the predicted ones.
     fn correct(&mut self, sample: &Sample) {
         self.state.copy_from(&self.predicted);
-        // The drive last looked one servo period before this tick.
-        let seen = f64::from(self.ticks.ratio - 1) / f64::from(self.ticks.ratio);
         for (i, drive) in self.drives.iter().enumerate() {
             let innovation = sample.q[i] - self.state.q[i];
             self.state.q[i] += drive.gain.position * innovation;
-            self.state.last[i] += drive.gain.position * seen * innovation;
             self.state.dq[i] += drive.gain.velocity * innovation;
-            self.state.velocity[i] += drive.gain.velocity * innovation;
             self.disturbance[i] += drive.gain.disturbance * innovation;
+            for (value, share) in self.state.memory[i].iter_mut().zip(&drive.gain.memory) {
+                *value += share * innovation;
+            }
         }
-        let Some(measured) = sample.motor_torque.as_ref().filter(|_| self.current) else { return };
-        for (i, drive) in self.drives.iter().enumerate() {
-            let more = measured[i] - self.mean_torque[i];
-            let limit = CURRENT_LIMIT * drive.torque_limit;
-            self.surplus[i] =
-                (self.surplus[i] + CURRENT_GAIN * (more - self.surplus[i])).clamp(-limit, limit);
+        if let (Some(current), Some(measured)) = (&mut self.current, &sample.motor_torque) {
+            current.update(measured, &self.mean_torque);
         }
     }
 
@@ -246,71 +314,119 @@ impl EmulatingTransformer {
         for i in 0..self.free.len() {
             let carried = if self.gravity_by == GravityBy::Robot { data.gravity[i] } else { 0.0 };
             let friction = self.friction.torque(i, self.state.dq[i]);
-            self.free[i] = self.surplus[i] + carried - data.bias[i] - friction;
-            self.holding[i] = data.gravity[i] - carried;
+            self.free[i] = self.surplus()[i] + carried - data.bias[i] - friction;
+            if !self.begun {
+                // The robot holds itself: its drives are as they are at rest under its weight.
+                self.hold(i, data.gravity[i] - carried);
+            }
         }
         data.mass_matrix_factor.solve(self.free.as_mut_slice());
         self.free += &self.disturbance;
     }
 
-    /// One servo tick of the rollout under the set-point that is still in force, or the robot's own hold.
-    fn roll_old(&mut self) {
-        self.rollout.drive(&self.drives, self.ticks.period_s, |i| self.active[i]);
-        if !self.begun {
-            self.rollout.torque.copy_from(&self.holding);
-        }
+    /// The drive of a joint at rest where it stands, with this torque.
+    fn hold(&mut self, joint: usize, torque: f64) {
+        let law = &self.drives[joint].law;
+        let (memory, set_point) = law.rest(self.state.q[joint], torque);
+        self.state.memory[joint] = memory;
+        self.in_force.before[joint] = set_point;
+        self.in_force.last[joint] = set_point;
     }
 
-    /// Y₁, column by column, from the drives' and the arm's linear answer.
+    /// One servo tick of the rollout under the set-point that is still in force.
+    fn roll_old(&mut self, tick: u32) {
+        let (in_force, ticks) = (&self.in_force, self.ticks);
+        self.rollout.drive(&self.drives, |i| in_force.at(ticks, i, tick));
+    }
+
+    /// Y₁ of every tick, column by column, from the drives' and the arm's linear answer.
     fn respond(&mut self) {
-        let n = self.drives.len();
-        for joint in 0..n {
+        let ticks = self.ticks;
+        for joint in 0..self.drives.len() {
             self.rollout.clear();
-            let mut column = self.response.column_mut(joint);
-            column.fill(0.0);
-            for _ in 0..self.ticks.ratio {
-                let set_point = |i: usize| if i == joint { 1.0 } else { 0.0 };
-                self.rollout.drive(&self.drives, self.ticks.period_s, set_point);
-                column += &self.rollout.torque;
-                self.rollout.travel(&self.mass_inverse, &self.rest, self.ticks.period_s);
+            for (tick, response) in (0..ticks.ratio).zip(&mut self.responses) {
+                let unit = ticks.set_points.at(0.0, 1.0, tick, ticks.ratio);
+                self.rollout.drive(&self.drives, |i| if i == joint { unit } else { 0.0 });
+                response.column_mut(joint).copy_from(&self.rollout.torque);
+                self.rollout.travel(&self.mass_inverse, &self.rest, ticks.period_s);
             }
-            column /= f64::from(self.ticks.ratio);
         }
     }
 
-    /// The next interface tick, if the drives are given these set-points at the present one; without any they hold those
+    /// The linear system whose solution is the set-point, from Y₁ and what is missing.
+    fn assemble(&mut self) {
+        self.normal.fill(0.0);
+        self.solution.fill(0.0);
+        for (response, missing) in self.responses.iter().zip(&self.missing) {
+            match self.matching {
+                Matching::Mean => {
+                    self.normal += response;
+                    self.solution += missing;
+                }
+                Matching::EachTick => {
+                    self.normal.gemm_tr(1.0, response, response, 1.0);
+                    self.solution.gemv_tr(1.0, response, missing, 1.0);
+                }
+            }
+        }
+    }
+
+    /// The next interface tick, if the drives are given these set-points at the present one; without any they keep those
     /// that they have.
     fn predict(&mut self, q_desired: Option<&[f64]>) {
+        let ticks = self.ticks;
         self.rollout.copy_from(&self.state);
-        self.mean_torque.fill(0.0);
-        for tick in 0..self.ticks.ratio {
+        self.solution.fill(0.0);
+        for tick in 0..ticks.ratio {
             match q_desired {
-                Some(new) if tick >= self.ticks.delay => {
-                    self.rollout.drive(&self.drives, self.ticks.period_s, |i| new[i]);
+                Some(new) if tick >= ticks.delay => {
+                    let in_force = &self.in_force;
+                    self.rollout.drive(&self.drives, |i| {
+                        ticks.set_points.at(in_force.left(ticks, i), new[i], tick - ticks.delay, ticks.ratio)
+                    });
                 }
-                _ => self.roll_old(),
+                _ => self.roll_old(tick),
             }
             // What the motor gives is limited, not what the emulation says of it.
-            for ((torque, drive), more) in self.rollout.torque.iter_mut().zip(&self.drives).zip(&self.surplus)
-            {
+            for (i, drive) in self.drives.iter().enumerate() {
+                let more = self.current.as_ref().map_or(0.0, |current| current.surplus()[i]);
+                let torque = &mut self.rollout.torque[i];
                 *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
             }
-            self.mean_torque += &self.rollout.torque;
-            self.rollout.travel(&self.mass_inverse, &self.free, self.ticks.period_s);
+            self.solution += &self.rollout.torque;
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
-        self.mean_torque /= f64::from(self.ticks.ratio);
+        self.solution /= f64::from(ticks.ratio);
+        self.intervals += 1.0;
+        let share = 1.0 / self.intervals;
+        self.mean_torque.axpy(share, &self.solution, 1.0 - share);
         self.predicted.copy_from(&self.rollout);
+        match q_desired {
+            Some(new) => {
+                for i in 0..new.len() {
+                    self.in_force.before[i] = self.in_force.left(ticks, i);
+                }
+                self.in_force.last.copy_from_slice(new);
+                self.in_force.age = ticks.ratio - ticks.delay;
+            }
+            None => self.in_force.age = self.in_force.age.saturating_add(ticks.ratio),
+        }
     }
 }
 
 impl Transformer for EmulatingTransformer {
     fn kind(&self) -> TransformerKind {
-        if self.current { TransformerKind::EmulationCurrent } else { TransformerKind::Emulation }
+        let method = match self.matching {
+            Matching::Mean => Method::Emulation,
+            Matching::EachTick => Method::Interpolating,
+        };
+        TransformerKind { method, current: self.current.is_some() }
     }
 
     fn observe(&mut self, sample: &Sample) -> Option<&DVector<f64>> {
         if !self.begun {
-            self.stand(&sample.q);
+            self.state.clear();
+            self.state.q.copy_from(&sample.q);
         } else {
             // Nothing was sent since the last sample.
             if !self.frozen {
@@ -319,31 +435,34 @@ impl Transformer for EmulatingTransformer {
             self.correct(sample);
         }
         self.frozen = false;
+        self.intervals = 0.0;
         Some(&self.state.dq)
     }
 
     fn transform(&mut self, data: &Data, measurement: &Measurement, tau: &[f64], q_desired: &mut [f64]) {
         self.freeze(data);
         self.respond();
+        let ticks = self.ticks;
         self.rollout.copy_from(&self.state);
-        for _ in 0..self.ticks.delay {
-            self.roll_old();
-            self.rollout.travel(&self.mass_inverse, &self.free, self.ticks.period_s);
+        for tick in 0..ticks.delay {
+            self.roll_old(tick);
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
         // Y₀, about the measured positions: small numbers keep their digits.
         q_desired.copy_from_slice(measurement.q.as_slice());
-        self.mean_torque.fill(0.0);
-        for _ in 0..self.ticks.ratio {
-            self.rollout.drive(&self.drives, self.ticks.period_s, |i| measurement.q[i]);
-            self.mean_torque += &self.rollout.torque;
-            self.rollout.travel(&self.mass_inverse, &self.free, self.ticks.period_s);
+        for tick in 0..ticks.ratio {
+            let in_force = &self.in_force;
+            self.rollout.drive(&self.drives, |i| {
+                ticks.set_points.at(in_force.left(ticks, i), measurement.q[i], tick, ticks.ratio)
+            });
+            for (i, tau) in tau.iter().enumerate() {
+                self.missing[tick as usize][i] = tau - self.surplus()[i] - self.rollout.torque[i];
+            }
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
-        self.mean_torque /= f64::from(self.ticks.ratio);
-        for (i, missing) in self.mean_torque.iter_mut().enumerate() {
-            *missing = tau[i] - self.surplus[i] - *missing;
-        }
-        eliminate(&mut self.response, self.mean_torque.as_mut_slice());
-        for (qd, more) in q_desired.iter_mut().zip(&self.mean_torque) {
+        self.assemble();
+        eliminate(&mut self.normal, self.solution.as_mut_slice());
+        for (qd, more) in q_desired.iter_mut().zip(&self.solution) {
             *qd += more;
         }
     }
@@ -351,9 +470,71 @@ impl Transformer for EmulatingTransformer {
     fn sent(&mut self, data: &Data, q_desired: &[f64]) {
         self.freeze(data);
         self.predict(Some(q_desired));
-        self.active.copy_from_slice(q_desired);
         self.begun = true;
     }
+
+    fn missed(&mut self, periods: u64) {
+        if !self.begun {
+            return;
+        }
+        if !self.frozen {
+            self.predict(None);
+        }
+        for _ in 0..periods {
+            self.state.copy_from(&self.predicted);
+            self.predict(None);
+        }
+        self.frozen = true;
+    }
+
+    fn reset(&mut self) {
+        self.begun = false;
+        self.disturbance.fill(0.0);
+        if let Some(current) = &mut self.current {
+            current.reset();
+        }
+        self.in_force.age = self.ticks.ratio;
+    }
+}
+
+/// Whether set-points that give a torque stay bounded, on a joint that is held: the growth of the servo's memory, and of
+/// the set-point that an interpolating drive comes from, when each set-point is the one that gives none.
+fn check_inverse(law: &ServoLaw, ticks: Ticks, matching: Matching) -> Result<(), EmulationError> {
+    let run = |memory: ServoMemory, before: f64, new: f64| {
+        let mut memory = memory;
+        let torques: Vec<f64> = (0..ticks.ratio)
+            .map(|tick| law.step(&mut memory, ticks.set_points.at(before, new, tick, ticks.ratio), 0.0))
+            .collect();
+        (memory, torques)
+    };
+    let (_, unit) = run([0.0; MAX_ORDER], 0.0, 1.0);
+    let weigh = |torques: &[f64]| -> f64 {
+        match matching {
+            Matching::Mean => torques.iter().sum(),
+            Matching::EachTick => torques.iter().zip(&unit).map(|(torque, unit)| torque * unit).sum(),
+        }
+    };
+    let response = weigh(&unit);
+    let largest = unit.iter().fold(0.0, |largest: f64, torque| largest.max(torque.abs()));
+    if response.abs() <= f64::EPSILON * largest || largest == 0.0 {
+        return Err(EmulationError::NoTorque { ratio: ticks.ratio });
+    }
+    // The memory, and the set-point before.
+    let order = law.order();
+    let mut growth = DMatrix::zeros(order + 1, order + 1);
+    for column in 0..=order {
+        let mut memory = [0.0; MAX_ORDER];
+        let mut before = 0.0;
+        *memory[..order].get_mut(column).unwrap_or(&mut before) = 1.0;
+        let (_, torques) = run(memory, before, 0.0);
+        let new = -weigh(&torques) / response;
+        let (after, _) = run(memory, before, new);
+        for (row, &value) in after[..order].iter().chain([&new]).enumerate() {
+            growth[(row, column)] = value;
+        }
+    }
+    let growth = growth.complex_eigenvalues().iter().map(|v| v.norm()).fold(0.0, f64::max);
+    if growth > LARGEST_GROWTH { Err(EmulationError::Unstable { growth }) } else { Ok(()) }
 }
 
 /// x of A x = b in place of b, by Gauss' elimination; A (n × n) is overwritten. Its diagonal dominates: what a set-point

@@ -37,6 +37,22 @@ pub enum CommandParameter {
 pub enum SetPoints {
     /// It holds it.
     Held,
+    /// It goes to it from the one before, a step at each servo tick, and is there when the next one acts.
+    Interpolated,
+}
+
+impl SetPoints {
+    /// What a drive takes for its set-point `age` servo ticks after `new` came in force, `before` until then; at `ratio`
+    /// servo ticks per interface tick.
+    #[must_use]
+    pub fn at(self, before: f64, new: f64, age: u32, ratio: u32) -> f64 {
+        match self {
+            Self::Interpolated if age + 1 < ratio => {
+                before + (new - before) * f64::from(age + 1) / f64::from(ratio)
+            }
+            _ => new,
+        }
+    }
 }
 
 /// What the drive does when no set-point comes in time.
@@ -83,6 +99,8 @@ pub struct Facts {
     pub command: CommandKind,
     /// Time between two interface ticks, s.
     pub period_s: f64,
+    /// What the drives do with a set-point until the next one comes.
+    pub set_points: SetPoints,
     /// Who carries the weight.
     pub gravity_by: GravityBy,
     /// What happens on a missed cycle.

@@ -5,6 +5,7 @@
 
 pub mod backend;
 pub mod control_loop;
+pub mod current;
 pub mod emulation;
 pub mod estimator;
 pub mod fault;
@@ -16,22 +17,25 @@ pub mod position;
 pub mod robot;
 pub mod sensing;
 pub mod servo;
+pub mod servo_law;
 pub mod supervisor;
 pub mod torque;
 pub mod transformer;
 
 pub use backend::{Backend, Command};
 pub use control_loop::{ControlLoop, Ending, Phase, SERVO, Sink, TICK, TRUTH};
-pub use emulation::{EmulatingTransformer, EmulationSetup};
+pub use current::{CurrentCorrected, CurrentObserver};
+pub use emulation::{EmulatingTransformer, EmulationError, EmulationSetup, Matching};
 pub use estimator::{EstimatorParameters, VelocityEstimator};
 pub use fault::Fault;
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
-pub use interface::{Facts, ForceSensor, GravityBy, InterfaceParameters, Measured};
-pub use observer::ObserverGain;
+pub use interface::{Facts, ForceSensor, GravityBy, InterfaceParameters, Measured, SetPoints};
+pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters, SafetyParameters};
 pub use position::PositionBackend;
 pub use robot::{PositionRobot, Robot, Sample, TorqueRobot, Trace, Traces};
 pub use sensing::Sensing;
-pub use servo::{CascadedServo, ServoParameters};
+pub use servo::{CascadedServo, ServoGains, ServoParameters};
+pub use servo_law::{ServoError, ServoLaw, ServoMemory};
 pub use torque::TorqueBackend;
-pub use transformer::{PaperTransformer, Transformer, TransformerKind};
+pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};

@@ -63,12 +63,13 @@ pub struct ProfileParameters {
     pub servo_hz: Positive,
     /// Servo ticks per interface tick: set-points are taken and positions given at `servo_hz / ratio`.
     pub ratio: Count,
-    /// Servo ticks from the interface tick at which a command is written until it acts; at most `ratio`.
+    /// Servo ticks from the interface tick at which a command is written until it acts; at most `ratio`. Left out where it
+    /// isn't known.
     #[serde(default)]
-    pub delay_servo_ticks: u32,
-    /// What turns torques into positions.
+    pub delay_servo_ticks: Option<u32>,
+    /// What turns torques into positions; the best for what the robot declares if absent.
     #[serde(default)]
-    pub transformer: TransformerKind,
+    pub transformer: Option<TransformerKind>,
     /// How joint velocity is estimated at the interface.
     pub estimator: EstimatorParameters,
     /// The position servo of each joint, by joint name.
@@ -80,6 +81,12 @@ impl ProfileParameters {
     #[must_use]
     pub fn servo_period_s(&self) -> f64 {
         1.0 / self.servo_hz.get()
+    }
+
+    /// The delay in servo ticks; 0 where it isn't known.
+    #[must_use]
+    pub fn delay(&self) -> u32 {
+        self.delay_servo_ticks.unwrap_or(0)
     }
 
     /// Time between two interface ticks, s.

@@ -5,7 +5,7 @@ use crate::fault::Fault;
 use crate::interface::GravityBy;
 use crate::robot::{PositionRobot, Trace, Traces};
 use crate::sensing::Sensing;
-use crate::servo::ServoParameters;
+use crate::servo::ServoGains;
 use crate::transformer::Transformer;
 use nalgebra::DVector;
 use opspace_control::{Observable, Row, Signal};
@@ -28,7 +28,7 @@ pub struct PositionBackend<R> {
 }
 
 impl<R: PositionRobot> PositionBackend<R> {
-    /// For a robot whose joints have these servos and torque limits (Nm, N).
+    /// For a robot whose joints' servos amount to these gains, with torque limits (Nm, N).
     ///
     /// # Panics
     /// If there is not one servo and one limit a joint.
@@ -38,16 +38,15 @@ impl<R: PositionRobot> PositionBackend<R> {
         model: &Model,
         sensing: Sensing,
         transformer: Box<dyn Transformer>,
-        servos: &[ServoParameters],
+        gains: &[ServoGains],
         torque_limits: &[f64],
     ) -> Self {
         let n = model.n();
-        assert!(servos.len() == n && torque_limits.len() == n, "one servo and one limit a joint");
+        assert!(gains.len() == n && torque_limits.len() == n, "one servo and one limit a joint");
         // Equation (9) solved for the distance at which the servo gives full torque at full speed.
         let reach = DVector::from_fn(n, |i, _| {
-            let servo = servos[i].cascade();
             let velocity = model.joints()[i].limits.velocity;
-            (torque_limits[i] / servo.kv_nms_per_rad.get() + velocity) / servo.kp_per_s.get()
+            (torque_limits[i] + gains[i].damping * velocity) / gains[i].stiffness
         });
         let period_s = sensing.facts().period_s;
         let step = DVector::from_fn(n, |i, _| model.joints()[i].limits.velocity * period_s);

@@ -3,46 +3,128 @@
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
 
+use crate::interface::SetPoints;
 use crate::robot::Sample;
-use crate::servo::{CascadedServo, ServoParameters};
+use crate::servo::ServoGains;
 use nalgebra::DVector;
 use opspace_control::Measurement;
 use opspace_model::Data;
-use schemars::JsonSchema;
-use serde::Deserialize;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
+use std::borrow::Cow;
 
-/// Which transformer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum TransformerKind {
+/// How torques become positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
     /// Equation (10) of the paper.
-    #[default]
     Paper,
     /// The servo emulated over the next interval, its mean torque matched.
     Emulation,
-    /// The same, corrected by the measured motor current.
-    #[serde(rename = "emulation+current")]
-    EmulationCurrent,
+    /// The same for drives that interpolate set-points, the torque of each servo tick matched.
+    Interpolating,
+}
+
+/// Which transformer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TransformerKind {
+    /// How torques become positions.
+    pub method: Method,
+    /// Whether measured motor current corrects it.
+    pub current: bool,
 }
 
 impl TransformerKind {
     /// All there are.
-    pub const ALL: [Self; 3] = [Self::Paper, Self::Emulation, Self::EmulationCurrent];
+    pub const ALL: [Self; 6] = [
+        Self::new(Method::Paper, false),
+        Self::new(Method::Paper, true),
+        Self::new(Method::Emulation, false),
+        Self::new(Method::Emulation, true),
+        Self::new(Method::Interpolating, false),
+        Self::new(Method::Interpolating, true),
+    ];
 
-    /// Its name in files and tables.
+    /// The names of all, in their order.
+    pub const NAMES: [&'static str; Self::ALL.len()] = [
+        "paper",
+        "paper+current",
+        "emulation",
+        "emulation+current",
+        "interpolating",
+        "interpolating+current",
+    ];
+
+    const fn new(method: Method, current: bool) -> Self {
+        Self { method, current }
+    }
+
+    /// Its name in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Paper => "paper",
-            Self::Emulation => "emulation",
-            Self::EmulationCurrent => "emulation+current",
-        }
+        let place = Self::ALL.iter().position(|kind| *kind == self);
+        Self::NAMES[place.unwrap_or_default()]
+    }
+
+    /// The one of that name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        let place = Self::NAMES.iter().position(|known| *known == name);
+        place.map(|place| Self::ALL[place])
+    }
+
+    /// What it does, in a line.
+    #[must_use]
+    pub fn about(self) -> String {
+        let method = match self.method {
+            Method::Paper => "equation (10) of the paper",
+            Method::Emulation => "the servo emulated up to the next set-point, its mean torque matched",
+            Method::Interpolating => "the same for drives that interpolate, every tick's torque matched",
+        };
+        let correction = if self.current { ", corrected by measured motor current" } else { "" };
+        format!("{method}{correction}")
     }
 
     /// Whether it needs the motors' current.
     #[must_use]
     pub fn needs_current(self) -> bool {
-        self == Self::EmulationCurrent
+        self.current
+    }
+
+    /// The best one for a robot that declares this of itself, and why. Without a known delay there is nothing to emulate
+    /// by, and the paper's is the most forgiving.
+    #[must_use]
+    pub fn best(set_points: SetPoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
+        let Some(delay) = delay_servo_ticks else {
+            let why = "the delay of set-points isn't known, and this one bears any".to_owned();
+            return (Self::new(Method::Paper, false), why);
+        };
+        let (method, set_points) = match set_points {
+            SetPoints::Held => (Method::Emulation, "held"),
+            SetPoints::Interpolated => (Method::Interpolating, "interpolated"),
+        };
+        let measured = if current { "measured" } else { "not measured" };
+        let why = format!(
+            "set-points are {set_points}, their delay is known ({delay} servo ticks), motor current is {measured}"
+        );
+        (Self::new(method, current), why)
+    }
+}
+
+impl<'de> Deserialize<'de> for TransformerKind {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::named(&name).ok_or_else(|| D::Error::unknown_variant(&name, &Self::NAMES))
+    }
+}
+
+impl JsonSchema for TransformerKind {
+    fn schema_name() -> Cow<'static, str> {
+        "TransformerKind".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "description": "Which transformer.", "type": "string", "enum": Self::NAMES })
     }
 }
 
@@ -63,6 +145,12 @@ pub trait Transformer: Send {
 
     /// The set-points (rad, m; n) that the robot was given in the end, whoever asked for them.
     fn sent(&mut self, _data: &Data, _q_desired: &[f64]) {}
+
+    /// That many interface periods passed without a sample and without a set-point, the drives keeping what they had.
+    fn missed(&mut self, _periods: u64) {}
+
+    /// Begins anew with the next sample, as with the very first.
+    fn reset(&mut self) {}
 }
 
 /// The paper's transformer: two consecutive ones a joint, for the inner velocity loop and the outer
@@ -71,58 +159,31 @@ pub trait Transformer: Send {
 /// ```text
 /// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                   (10)
 /// ```
+///
+/// Other servos are taken for what they amount to.
 #[derive(Clone, Debug)]
 pub struct PaperTransformer {
-    joints: Vec<(VelocityLoop, PositionLoop)>,
-}
-
-/// The inner loop, `τ = kv (v_desired − q̇)`.
-#[derive(Clone, Copy, Debug)]
-struct VelocityLoop {
-    kv: f64,
-}
-
-/// The outer loop, `v_desired = kp (q_desired − q)`.
-#[derive(Clone, Copy, Debug)]
-struct PositionLoop {
-    kp: f64,
-}
-
-impl VelocityLoop {
-    /// The velocity set-point that makes the loop produce `tau`.
-    fn invert(self, tau: f64, dq: f64) -> f64 {
-        tau / self.kv + dq
-    }
-}
-
-impl PositionLoop {
-    /// The position set-point that makes the loop ask for `dq_desired`.
-    fn invert(self, dq_desired: f64, q: f64) -> f64 {
-        dq_desired / self.kp + q
-    }
+    gains: Vec<ServoGains>,
 }
 
 impl PaperTransformer {
     /// For joints with these servos.
     #[must_use]
-    pub fn new(servos: &[ServoParameters]) -> Self {
-        let joint = |servo: &ServoParameters| {
-            let CascadedServo { kp_per_s, kv_nms_per_rad, .. } = *servo.cascade();
-            (VelocityLoop { kv: kv_nms_per_rad.get() }, PositionLoop { kp: kp_per_s.get() })
-        };
-        Self { joints: servos.iter().map(joint).collect() }
+    pub fn new(gains: Vec<ServoGains>) -> Self {
+        Self { gains }
     }
 }
 
 impl Transformer for PaperTransformer {
     fn kind(&self) -> TransformerKind {
-        TransformerKind::Paper
+        TransformerKind { method: Method::Paper, current: false }
     }
 
     fn transform(&mut self, _data: &Data, measurement: &Measurement, tau: &[f64], q_desired: &mut [f64]) {
-        for (i, (velocity_loop, position_loop)) in self.joints.iter().enumerate() {
-            let dq_desired = velocity_loop.invert(tau[i], measurement.dq[i]);
-            q_desired[i] = position_loop.invert(dq_desired, measurement.q[i]);
+        for (i, gains) in self.gains.iter().enumerate() {
+            // The inner loop, τ = kv (v_desired − q̇), both sides times kv; then the outer one, v_desired = kp (q_desired − q).
+            let kv_velocity_desired = tau[i] + gains.damping * measurement.dq[i];
+            q_desired[i] = kv_velocity_desired / gains.stiffness + measurement.q[i];
         }
     }
 }

@@ -41,7 +41,7 @@ fn backend(
     let backend: Box<dyn Backend> = match kind {
         CommandKind::Torque => Box::new(TorqueBackend::new(robot, sensing)),
         CommandKind::Position => {
-            let transformer = Box::new(PaperTransformer::new(&servos()));
+            let transformer = Box::new(PaperTransformer::new(servos()));
             Box::new(PositionBackend::new(robot, model, sensing, transformer, &servos(), &LIMITS))
         }
     };
@@ -406,7 +406,7 @@ fn a_position_robot_that_carries_its_weight_stops_where_it_stands() {
         opspace_backend::Facts { gravity_by: GravityBy::Robot, ..facts(CommandKind::Position, &model) };
     let robot = Scripted::new(facts.clone(), at_rest);
     let told = Arc::clone(&robot.told);
-    let transformer = Box::new(PaperTransformer::new(&servos()));
+    let transformer = Box::new(PaperTransformer::new(servos()));
     let mut backend =
         PositionBackend::new(robot, &model, sensing(&model, facts), transformer, &servos(), &LIMITS);
     let mut data = Data::new(&model);

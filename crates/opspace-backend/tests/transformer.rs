@@ -32,7 +32,7 @@ fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
     measurement.q.copy_from_slice(&q);
     measurement.dq.copy_from_slice(&dq);
     let mut q_desired = [0.0; 2];
-    PaperTransformer::new(&servos()).transform(&Data::new(&model()), &measurement, &tau, &mut q_desired);
+    PaperTransformer::new(servos()).transform(&Data::new(&model()), &measurement, &tau, &mut q_desired);
     q_desired
 }
 

@@ -5,17 +5,20 @@ use crate::overrides::split;
 use crate::robot::{Robot, choices};
 use crate::source::FileError;
 use crate::task::Task;
+use nalgebra::DMatrix;
 use opspace_backend::interface::CommandParameter;
 use opspace_backend::{
-    Backend, ControlLoop, EmulatingTransformer, EmulationSetup, Facts, FrictionCompensation,
-    FrictionCompensationParameters, GravityBy, Measured, PaperTransformer, PositionBackend, PositionRobot,
-    ProfileParameters, Sensing, TorqueBackend, TorqueRobot, Transformer, TransformerKind,
+    Backend, ControlLoop, CurrentCorrected, EmulatingTransformer, EmulationError, EmulationSetup, Facts,
+    FrictionCompensation, FrictionCompensationParameters, GravityBy, Matching, Measured, Method,
+    PaperTransformer, PositionBackend, PositionRobot, ProfileParameters, Sensing, ServoGains, SetPoints,
+    TorqueBackend, TorqueRobot, Transformer, TransformerKind,
 };
 use opspace_control::quantity::NonNegative;
 use opspace_control::{
     CommandKind, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, RobotFacts, ServoLead, Stack, TaskParameters,
 };
+use opspace_model::{Data, update};
 use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -184,9 +187,32 @@ impl Experiment {
     /// The transformer in use; `None` where torques or positions pass as they are.
     #[must_use]
     pub fn transformer_kind(&self) -> Option<TransformerKind> {
-        let used =
-            self.choice.backend == BackendKind::Position && self.choice.controller == ControllerKind::Osc;
-        used.then(|| self.choice.transformer.unwrap_or(self.profile.transformer))
+        self.uses_transformer().then(|| self.chosen_transformer().0)
+    }
+
+    /// Why it is that one.
+    #[must_use]
+    pub fn transformer_reason(&self) -> Option<String> {
+        self.uses_transformer().then(|| self.chosen_transformer().1)
+    }
+
+    fn uses_transformer(&self) -> bool {
+        self.choice.backend == BackendKind::Position && self.choice.controller == ControllerKind::Osc
+    }
+
+    pub(crate) fn chosen_transformer(&self) -> (TransformerKind, String) {
+        if let Some(kind) = self.choice.transformer {
+            return (kind, "asked for".to_owned());
+        }
+        if let Some(kind) = self.profile.transformer {
+            return (kind, format!("the one of profile '{}'", self.profile_name));
+        }
+        let set_points = self.robot.file.interface.set_points;
+        TransformerKind::best(set_points, self.profile.delay_servo_ticks, self.measures_current())
+    }
+
+    fn measures_current(&self) -> bool {
+        self.robot.file.interface.measures.contains(&Measured::MotorCurrent)
     }
 
     /// The seed in use.
@@ -291,7 +317,7 @@ impl Experiment {
     /// As [`simulated_arm`](Self::simulated_arm).
     pub fn simulated_backend(&self) -> Result<Box<dyn Backend>, FileError> {
         let arm = self.simulated_arm()?;
-        Ok(self.backend(arm))
+        self.backend(arm)
     }
 
     /// What the chosen robot declares of itself.
@@ -301,53 +327,99 @@ impl Experiment {
         Facts {
             command: self.command_kind(),
             period_s: self.profile.period_s(),
+            set_points: interface.set_points,
             gravity_by: interface.gravity_by,
             on_missed_cycle: interface.on_missed_cycle,
-            motor_torque: interface.measures.contains(&Measured::MotorCurrent),
+            motor_torque: self.measures_current(),
             sensors: self.robot.sensors.clone(),
         }
     }
 
     /// Any robot that can be either kind, behind the backend of the chosen one.
-    #[must_use]
-    pub fn backend<R: PositionRobot + TorqueRobot + 'static>(&self, robot: R) -> Box<dyn Backend> {
+    ///
+    /// # Errors
+    /// A servo that the transformer can't invert.
+    pub fn backend<R: PositionRobot + TorqueRobot + 'static>(
+        &self,
+        robot: R,
+    ) -> Result<Box<dyn Backend>, FileError> {
         let model = &self.robot.model;
         let facts: Facts = robot.facts().clone();
         let sensing = Sensing::new(model, facts, &self.profile.estimator, &self.robot.file.safety);
         match self.choice.backend {
-            BackendKind::Torque => Box::new(TorqueBackend::new(robot, sensing)),
+            BackendKind::Torque => Ok(Box::new(TorqueBackend::new(robot, sensing))),
             BackendKind::Position => {
-                let servos = self.robot.servos(&self.profile);
-                let limits = self.robot.torque_limits();
-                let kind = self.choice.transformer.unwrap_or(self.profile.transformer);
-                let transformer: Box<dyn Transformer> = match kind {
-                    TransformerKind::Paper => Box::new(PaperTransformer::new(&servos)),
-                    TransformerKind::Emulation | TransformerKind::EmulationCurrent => {
-                        Box::new(EmulatingTransformer::new(&self.emulation(kind.needs_current())))
-                    }
-                };
-                Box::new(PositionBackend::new(robot, model, sensing, transformer, &servos, &limits))
+                let (gains, limits) = (self.servo_gains(), self.robot.torque_limits());
+                let transformer = self.transformer()?;
+                Ok(Box::new(PositionBackend::new(robot, model, sensing, transformer, &gains, &limits)))
             }
         }
     }
 
-    fn emulation(&self, current: bool) -> EmulationSetup {
+    /// The chosen transformer.
+    ///
+    /// # Errors
+    /// A servo that it can't invert.
+    fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
+        let (TransformerKind { method, current }, _) = self.chosen_transformer();
+        let matching = match method {
+            Method::Paper => {
+                let paper = Box::new(PaperTransformer::new(self.servo_gains()));
+                if !current {
+                    return Ok(paper);
+                }
+                let (ratio, delay) = (self.profile.ratio.get(), self.profile.delay());
+                let limits = self.robot.torque_limits();
+                return Ok(Box::new(CurrentCorrected::new(paper, &limits, ratio, delay)));
+            }
+            Method::Emulation => Matching::Mean,
+            Method::Interpolating => Matching::EachTick,
+        };
+        let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
+        Ok(Box::new(emulating.map_err(|(joint, error)| self.servo_error(joint, &error))?))
+    }
+
+    fn servo_error(&self, joint: usize, error: &EmulationError) -> FileError {
+        let name = self.robot.model.joints()[joint].name.as_str();
+        let key = ["profile", &self.profile_name, "servo", name];
+        let help = "transformer = \"paper\" takes any servo for what it amounts to".to_owned();
+        FileError::at_key(&self.robot.source, key, error.to_string(), Some(help))
+    }
+
+    fn emulation(&self, matching: Matching, current: bool) -> Result<EmulationSetup, FileError> {
         let joints = self.robot.joints();
         let whole = FrictionCompensationParameters {
             gain: NonNegative::literal(1.0),
             ..self.task.file.friction_compensation.clone()
         };
-        EmulationSetup {
+        Ok(EmulationSetup {
             servos: self.robot.servos(&self.profile),
             friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), &whole),
             resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
+            inertias: self.inertias()?,
             torque_limits: self.robot.torque_limits(),
             servo_period_s: self.profile.servo_period_s(),
             ratio: self.profile.ratio.get(),
-            delay: self.profile.delay_servo_ticks,
+            delay: self.profile.delay(),
+            set_points: self.robot.file.interface.set_points,
+            matching,
             gravity_by: self.gravity_by(),
             current,
+        })
+    }
+
+    /// What each drive moves where the task starts, the other joints free: 1/(M⁻¹)ᵢᵢ.
+    fn inertias(&self) -> Result<Vec<f64>, FileError> {
+        let (model, q) = (&self.robot.model, self.start()?);
+        let mut data = Data::new(model);
+        let n = model.n();
+        let mut inverse = DMatrix::identity(n, n);
+        if !update(model, &mut data, &q, &vec![0.0; n]) {
+            let message = "the mass matrix isn't positive definite where the task starts";
+            return Err(FileError::of_file(self.robot.urdf.name(), message, None));
         }
+        data.mass_matrix_factor.solve_matrix(&mut inverse);
+        Ok(inverse.diagonal().iter().map(|mobility| 1.0 / mobility).collect())
     }
 
     /// The loop of a controller on a backend of this experiment.
@@ -386,12 +458,16 @@ impl Experiment {
     }
 
     fn servo_lead(&self) -> ServoLead {
-        let servos = self.robot.servos(&self.profile);
-        let gains = || servos.iter().map(|s| *s.cascade());
+        let gains = self.servo_gains();
         ServoLead {
-            kp_per_s: gains().map(|s| s.kp_per_s.get()).collect(),
-            stiffness_nm_per_rad: gains().map(|s| s.kp_per_s.get() * s.kv_nms_per_rad.get()).collect(),
+            kp_per_s: gains.iter().map(ServoGains::position_loop).collect(),
+            stiffness_nm_per_rad: gains.iter().map(|servo| servo.stiffness).collect(),
         }
+    }
+
+    fn servo_gains(&self) -> Vec<ServoGains> {
+        let period_s = self.profile.servo_period_s();
+        self.robot.servos(&self.profile).iter().map(|servo| servo.gains(period_s)).collect()
     }
 
     fn check_choice(&self) -> Result<(), FileError> {
@@ -409,17 +485,8 @@ impl Experiment {
             let help = Some("use --backend torque".to_owned());
             return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
         }
-        let measures = &self.robot.file.interface.measures;
-        if let Some(kind) = self.transformer_kind()
-            && kind.needs_current()
-            && !measures.contains(&Measured::MotorCurrent)
-        {
-            let message = format!(
-                "transformer '{}' needs the motors' current, which this robot doesn't measure",
-                kind.name()
-            );
-            let help = "use 'emulation', or add \"motor-current\" if the robot does".to_owned();
-            return Err(FileError::at_key(&self.robot.source, "interface.measures", message, Some(help)));
+        if let Some(kind) = self.transformer_kind() {
+            self.check_transformer(kind)?;
         }
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {
@@ -440,6 +507,37 @@ impl Experiment {
             return Err(FileError::at_key(&self.task.source, "settle_s", message, help));
         }
         Ok(())
+    }
+
+    /// What the transformer needs of the robot.
+    fn check_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
+        let (name, robot) = (kind.name(), &self.robot);
+        if kind.needs_current() && !self.measures_current() {
+            let message =
+                format!("transformer '{name}' needs the motors' current, which this robot doesn't measure");
+            let without = name.trim_end_matches("+current");
+            let help = format!("use '{without}', or add \"motor-current\" if the robot does");
+            return Err(FileError::at_key(&robot.source, "interface.measures", message, Some(help)));
+        }
+        if kind.method == Method::Interpolating && robot.file.interface.set_points == SetPoints::Held {
+            let message =
+                format!("transformer '{name}' is for drives that interpolate set-points; these hold them");
+            let help = "use 'emulation', or set_points = \"interpolated\" if the drives do".to_owned();
+            return Err(FileError::at_key(&robot.source, "interface.set_points", message, Some(help)));
+        }
+        if self.profile.delay_servo_ticks.is_none() && (kind.method != Method::Paper || kind.needs_current())
+        {
+            let message =
+                format!("transformer '{name}' needs delay_servo_ticks, which this profile leaves out");
+            let help = "measure it, or use 'paper', which bears any".to_owned();
+            return Err(FileError::at_key(
+                &robot.source,
+                ["profile", &self.profile_name],
+                message,
+                Some(help),
+            ));
+        }
+        self.transformer().map(|_| ())
     }
 
     /// Where a simulated robot starts, in joint order.
@@ -494,8 +592,9 @@ impl Experiment {
         };
         match error.key() {
             Key::Robot(key) => FileError::at_key(&self.robot.source, key, message, help),
-            Key::Profile(key) => {
-                let key = ["profile", &self.profile_name, key];
+            Key::Profile(within) => {
+                let mut key = vec!["profile".to_owned(), self.profile_name.clone()];
+                key.extend(within);
                 FileError::at_key(&self.robot.source, key, message, help)
             }
             Key::Task(mut key) => {

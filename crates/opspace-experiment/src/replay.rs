@@ -68,7 +68,7 @@ fn run_again<S: Sink>(
     let interrupt = Arc::new(AtomicBool::new(false));
     let n = experiment.robot().model.n();
     let robot = ReplayRobot::new(recording, n, experiment.facts(), Arc::clone(&interrupt))?;
-    let mut backend = experiment.backend(robot);
+    let mut backend = experiment.backend(robot)?;
     let mut controller = experiment.controller()?;
     let mut control = experiment.control_loop(&mut *backend, &mut *controller);
     let mut sink = sink(&control.layouts()[opspace_backend::TICK])?;

@@ -257,6 +257,7 @@ mod tests {
             backend: "position".to_owned(),
             controller: "osc".to_owned(),
             transformer: None,
+            transformer_reason: None,
             profile: profile.to_owned(),
             ratio: 5,
             seed,

@@ -103,7 +103,7 @@ impl Robot {
         }
         for (name, profile) in &file.profile {
             joints_of(&source, &model, &profile.servo, &["profile", name, "servo"])?;
-            let (delay, ratio) = (profile.delay_servo_ticks, profile.ratio.get());
+            let (delay, ratio) = (profile.delay(), profile.ratio.get());
             if delay > ratio {
                 let key = ["profile", name, "delay_servo_ticks"];
                 let message =

@@ -61,6 +61,8 @@ pub struct Summary {
     pub controller: String,
     /// The transformer; `None` where there is none.
     pub transformer: Option<String>,
+    /// Why it is that one.
+    pub transformer_reason: Option<String>,
     /// The robot's profile.
     pub profile: String,
     /// Servo ticks per interface tick.
@@ -173,6 +175,7 @@ impl Experiment {
             backend: self.choice().backend.name().to_owned(),
             controller: self.choice().controller.name().to_owned(),
             transformer: self.transformer_kind().map(|kind| kind.name().to_owned()),
+            transformer_reason: self.transformer_reason(),
             profile: self.profile().0.to_owned(),
             ratio: self.profile().1.ratio.get(),
             seed: self.seed(),
@@ -204,8 +207,11 @@ impl Experiment {
             ("interface_hz".to_owned(), (1.0 / self.profile().1.period_s()).to_string()),
             ("overrides".to_owned(), self.settings().join("\n")),
         ]);
-        let transformer = choice.transformer.unwrap_or(self.profile().1.transformer);
-        entries.insert("transformer".to_owned(), transformer.name().to_owned());
+        let transformer = self.chosen_transformer().0.name().to_owned();
+        entries.insert("transformer".to_owned(), transformer);
+        entries.insert("transformer_reason".to_owned(), self.transformer_reason().unwrap_or_default());
+        let asked_for = if choice.transformer.is_some() { "yes" } else { "no" };
+        entries.insert("transformer_asked_for".to_owned(), asked_for.to_owned());
         let mut files = vec![
             (ROBOT_FILE.to_owned(), "application/toml", &self.robot().source),
             (TASK_FILE.to_owned(), "application/toml", &self.task().source),
@@ -248,6 +254,8 @@ impl Experiment {
             attached(recording, &recording_file(named.file), &named.path.display().to_string())
         })?;
         let unknown = |key: &str| RunError::Incomplete { what: format!("a '{key}' that is known") };
+        let transformer =
+            TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
         let choice = Choice {
             backend: [BackendKind::Position, BackendKind::Torque]
                 .into_iter()
@@ -257,19 +265,20 @@ impl Experiment {
                 .into_iter()
                 .find(|kind| entry("controller").is_ok_and(|name| name == kind.name()))
                 .ok_or_else(|| unknown("controller"))?,
-            transformer: Some(
-                TransformerKind::ALL
-                    .into_iter()
-                    .find(|kind| entry("transformer").is_ok_and(|name| name == kind.name()))
-                    .ok_or_else(|| unknown("transformer"))?,
-            ),
+            transformer: (!entry("transformer_asked_for").is_ok_and(|asked| asked == "no"))
+                .then_some(transformer),
             profile: Some(entry("profile")?.to_owned()),
             seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
             label: None,
             duration_s: Some(entry("duration_s")?.parse().map_err(|_| unknown("duration_s"))?),
         };
-        let settings = entry("overrides")?.lines().map(str::to_owned).collect();
-        Ok(Self::new(robot, task, choice, settings)?)
+        let settings: Vec<String> = entry("overrides")?.lines().map(str::to_owned).collect();
+        let chosen = Self::new(robot.clone(), task.clone(), choice.clone(), settings.clone())?;
+        if chosen.chosen_transformer().0 == transformer {
+            return Ok(chosen);
+        }
+        // It was the best one to who wrote the log.
+        Ok(Self::new(robot, task, Choice { transformer: Some(transformer), ..choice }, settings)?)
     }
 }
 

@@ -10,12 +10,11 @@ use crate::motor::Motor;
 use crate::parameters::SimulatedParameters;
 use crate::plant::{Contact, Plant, PlantParts};
 use crate::random::{Stream, generator};
-use crate::servo::Servo;
 use crate::surroundings::{HandMotion, Surrounding, SurroundingParameters};
 use nalgebra::{DVector, Vector3};
 use opspace_backend::{
-    Facts, Fault, GravityBy, JointParameters, PositionRobot, ProfileParameters, Robot, Sample,
-    ServoParameters, TorqueRobot, Trace, Traces,
+    Facts, Fault, FrictionParameters, GravityBy, JointParameters, PositionRobot, ProfileParameters, Robot,
+    Sample, ServoError, ServoLaw, ServoMemory, ServoParameters, SetPoints, TorqueRobot, Trace, Traces,
 };
 use opspace_control::{CommandKind, Layout, Signal};
 use opspace_model::{Data, FrameId, Model, frame_placement, gravity, kinematics};
@@ -58,8 +57,7 @@ pub struct SimulatedArm {
     encoders: Vec<Option<f64>>,
     torque_limits: Option<DVector<f64>>,
     servos: Vec<Servo>,
-    active: DVector<f64>,
-    active_command: u64,
+    active: Active,
     pending: [Pending; 2],
     commands: u64,
     braked: bool,
@@ -69,6 +67,45 @@ pub struct SimulatedArm {
     asked: DVector<f64>,
     interval_torque: DVector<f64>,
     log: TraceLog,
+}
+
+/// A joint's drive and what it remembers.
+#[derive(Clone, Debug)]
+struct Servo {
+    law: ServoLaw,
+    memory: ServoMemory,
+}
+
+/// What is in force: set-points (rad, m), or torques of a torque robot.
+#[derive(Clone, Debug)]
+struct Active {
+    command: u64,
+    values: DVector<f64>,
+    /// Where interpolated set-points come from.
+    before: DVector<f64>,
+    /// Servo ticks since it came in force.
+    age: u32,
+    set_points: SetPoints,
+}
+
+impl Active {
+    fn take(&mut self, command: u64, values: &DVector<f64>, ratio: u32) {
+        // A second one at the same tick goes from where the first would have gone from.
+        if let Some(age) = self.age.checked_sub(1) {
+            self.age = age;
+            for i in 0..values.len() {
+                self.before[i] = self.set_point(i, ratio);
+            }
+        }
+        self.values.copy_from(values);
+        self.command = command;
+        self.age = 0;
+    }
+
+    /// The set-point of a joint at this servo tick.
+    fn set_point(&self, joint: usize, ratio: u32) -> f64 {
+        self.set_points.at(self.before[joint], self.values[joint], self.age, ratio)
+    }
 }
 
 /// Ticks of the servo, counted from the first.
@@ -133,8 +170,8 @@ impl SimulatedArm {
         let current_loop = simulated.current_loop_hz.map(|hz| hz.get());
         let contacts = setup.contacts(&model);
         let plant = Plant::new(PlantParts {
-            friction: (setup.joints.iter())
-                .map(|j| LuGre::new(&j.friction, &simulated.bristle, scale.friction.get()))
+            friction: (setup.true_friction().into_iter())
+                .map(|friction| LuGre::new(friction, &simulated.bristle, scale.friction.get()))
                 .collect(),
             motors: motor_start.iter().map(|&torque| Motor::new(current_loop, dt, torque)).collect(),
             end_stop: simulated.end_stop.clone(),
@@ -151,15 +188,21 @@ impl SimulatedArm {
             .map(|j| simulated.encoder_quantisation.then(|| j.rotor.resolution_rad()))
             .collect();
         let position = DVector::from_fn(n, |i, _| encode(start[i], encoders[i]));
-        let servos: Vec<Servo> = (setup.servos.iter().zip(&position))
-            .map(|(servo, &y)| {
-                Servo::new(servo.cascade(), scale.kp.get(), scale.kv.get(), timing.servo_period_s, y)
-            })
-            .collect();
-        let active = match setup.facts.command {
-            CommandKind::Position => DVector::from_fn(n, |i, _| servos[i].holding(position[i], holding[i])),
-            CommandKind::Torque => DVector::zeros(n),
+        let mut active = Active {
+            command: 0,
+            values: DVector::zeros(n),
+            before: DVector::zeros(n),
+            age: profile.ratio.get(),
+            set_points: setup.facts.set_points,
         };
+        let mut servos = Vec::new();
+        for (joint, law) in setup.true_servos(timing.servo_period_s)?.into_iter().enumerate() {
+            let (memory, set_point) = law.rest(position[joint], holding[joint]);
+            if setup.facts.command == CommandKind::Position {
+                active.values[joint] = set_point;
+            }
+            servos.push(Servo { law, memory });
+        }
         let sensors = setup.simulated_sensors(timing.servo_period_s);
         let pending = Pending { acts_at: None, number: 0, values: DVector::zeros(n) };
         let mut arm = Self {
@@ -171,7 +214,6 @@ impl SimulatedArm {
             encoders,
             servos,
             active,
-            active_command: 0,
             pending: [pending.clone(), pending],
             commands: 0,
             braked: false,
@@ -212,8 +254,7 @@ impl SimulatedArm {
         for pending in &mut self.pending {
             if pending.acts_at.is_some_and(|tick| tick <= self.timing.servo_tick) {
                 pending.acts_at = None;
-                self.active.copy_from(&pending.values);
-                self.active_command = pending.number;
+                self.active.take(pending.number, &pending.values, self.timing.ratio);
                 if self.facts.command == CommandKind::Torque && !self.braked {
                     self.plant.release();
                 }
@@ -226,21 +267,25 @@ impl SimulatedArm {
         self.read_encoders();
         for (i, servo) in self.servos.iter_mut().enumerate() {
             let torque = match self.facts.command {
-                CommandKind::Position => servo.torque(self.active[i], self.position[i]),
-                CommandKind::Torque => self.active[i],
+                CommandKind::Position => {
+                    let set_point = self.active.set_point(i, self.timing.ratio);
+                    servo.law.step(&mut servo.memory, set_point, self.position[i])
+                }
+                CommandKind::Torque => self.active.values[i],
             };
             self.asked[i] = match &self.torque_limits {
                 Some(limits) => torque.clamp(-limits[i], limits[i]),
                 None => torque,
             };
         }
+        self.active.age = self.active.age.saturating_add(1);
     }
 
     fn run_physics(&mut self) {
         let steps = self.timing.physics_per_servo;
         let dt = self.timing.servo_period_s / f64::from(steps);
         let begin_s = self.timing.time_s(self.timing.servo_tick);
-        let slot = self.log.servo_slot(self.active_command);
+        let slot = self.log.servo_slot(self.active.command);
         slot.fill(0.0);
         for step in 0..steps {
             self.plant.step(begin_s + f64::from(step) * dt, dt, self.asked.as_slice());
@@ -350,16 +395,25 @@ impl TorqueRobot for SimulatedArm {
         self.braked = true;
         self.plant.brake();
         self.pending.iter_mut().for_each(|p| p.acts_at = None);
-        self.active.fill(0.0);
+        self.active.values.fill(0.0);
         if self.commands > 0 {
             self.commands += 1;
         }
-        self.active_command = self.commands;
+        self.active.command = self.commands;
     }
 }
 
 impl Setup {
     fn check(&self) -> Result<(), SimulationError> {
+        let truths = [
+            ("servo", self.simulated.servo.keys().collect::<Vec<_>>()),
+            ("friction", self.simulated.friction.keys().collect()),
+        ];
+        for (section, joints) in truths {
+            for joint in joints {
+                self.model.joint(joint).map_err(|source| SimulationError::Joint { section, source })?;
+            }
+        }
         for sensor in &self.facts.sensors {
             if !self.simulated.force_sensor.contains_key(&sensor.name) {
                 return Err(SimulationError::UnknownSensorQuality { sensor: sensor.name.clone() });
@@ -393,9 +447,10 @@ impl Setup {
 
     fn timing(&self) -> Result<Timing, SimulationError> {
         let ratio = self.profile.ratio.get();
-        let delay = self.profile.delay_servo_ticks;
+        let believed = self.profile.delay();
+        let delay = self.simulated.delay_servo_ticks.unwrap_or(believed);
         if delay > ratio {
-            return Err(SimulationError::Delay { delay, ratio });
+            return Err(SimulationError::Delay { delay, ratio, truth: delay != believed });
         }
         let servo_hz = self.profile.servo_hz.get();
         let physics_hz = self.simulated.physics_hz.get();
@@ -413,6 +468,34 @@ impl Setup {
             servo_tick: 0,
             started: false,
         })
+    }
+
+    fn name(&self, joint: usize) -> &str {
+        &self.model.joints()[joint].name
+    }
+
+    fn true_friction(&self) -> Vec<&FrictionParameters> {
+        (self.joints.iter().enumerate())
+            .map(|(joint, believed)| {
+                self.simulated.friction.get(self.name(joint)).unwrap_or(&believed.friction)
+            })
+            .collect()
+    }
+
+    fn true_servos(&self, period_s: f64) -> Result<Vec<ServoLaw>, SimulationError> {
+        let scale = &self.simulated.scale;
+        (self.servos.iter().enumerate())
+            .map(|(joint, believed)| {
+                let servo = self.simulated.servo.get(self.name(joint)).unwrap_or(believed);
+                let servo = servo.scaled(scale.kp.get(), scale.kv.get());
+                ServoLaw::new(&servo, period_s).map_err(|source| self.servo_error(joint, source))
+            })
+            .collect()
+    }
+
+    fn servo_error(&self, joint: usize, source: ServoError) -> SimulationError {
+        let joint = self.name(joint).to_owned();
+        SimulationError::Servo { truth: self.simulated.servo.contains_key(&joint), joint, source }
     }
 
     fn true_model(&self) -> Model {

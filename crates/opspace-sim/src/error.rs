@@ -1,6 +1,7 @@
 //! What keeps an arm from being simulated.
 
-use opspace_model::UnknownFrame;
+use opspace_backend::ServoError;
+use opspace_model::{UnknownFrame, UnknownJoint};
 use thiserror::Error;
 
 /// Parameters that contradict each other.
@@ -14,6 +15,26 @@ pub enum SimulationError {
         delay: u32,
         /// `ratio`.
         ratio: u32,
+        /// Whether it is the true one that is too long, not the one that is believed.
+        truth: bool,
+    },
+    /// A truth about a joint that isn't there.
+    #[error("simulated.{section}: {source}")]
+    Joint {
+        /// The key of `[simulated]`.
+        section: &'static str,
+        /// What there is.
+        source: UnknownJoint,
+    },
+    /// A servo that can't be run.
+    #[error("the servo of joint '{joint}': {source}")]
+    Servo {
+        /// Its joint.
+        joint: String,
+        /// Whether it is the true one, not the one that is believed.
+        truth: bool,
+        /// What is wrong with it.
+        source: ServoError,
     },
     /// Physics and servo don't fit.
     #[error("physics at {physics_hz} Hz is not a whole multiple, 1 to 10000, of the servo's {servo_hz} Hz")]
@@ -63,7 +84,17 @@ impl SimulationError {
     pub fn key(&self) -> Key {
         let task = |name: &str, key: &str| Key::Task(vec!["surroundings".into(), name.into(), key.into()]);
         match self {
-            Self::Delay { .. } => Key::Profile("delay_servo_ticks"),
+            Self::Delay { truth: true, .. } => {
+                Key::Robot(vec!["simulated".into(), "delay_servo_ticks".into()])
+            }
+            Self::Delay { .. } => Key::Profile(vec!["delay_servo_ticks".into()]),
+            Self::Joint { section, source } => {
+                Key::Robot(vec!["simulated".into(), (*section).into(), source.name.clone()])
+            }
+            Self::Servo { joint, truth: true, .. } => {
+                Key::Robot(vec!["simulated".into(), "servo".into(), joint.clone()])
+            }
+            Self::Servo { joint, .. } => Key::Profile(vec!["servo".into(), joint.clone()]),
             Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
             Self::UnknownSensorQuality { sensor } => {
                 Key::Robot(vec!["simulated".into(), "force_sensor".into(), sensor.clone()])
@@ -82,7 +113,7 @@ pub enum Key {
     /// In the robot file.
     Robot(Vec<String>),
     /// In the profile of the robot file that is in use.
-    Profile(&'static str),
+    Profile(Vec<String>),
     /// In the task file.
     Task(Vec<String>),
 }

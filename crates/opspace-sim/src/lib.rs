@@ -12,7 +12,6 @@ pub mod motor;
 pub mod parameters;
 pub mod plant;
 pub mod random;
-pub mod servo;
 pub mod surroundings;
 
 pub use arm::{Setup, SimulatedArm};

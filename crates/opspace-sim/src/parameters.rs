@@ -1,6 +1,7 @@
 //! `[simulated]` in robot.toml: where the simulated robot differs from, or goes beyond, what is believed
 //! of it. The controller never sees any of this.
 
+use opspace_backend::{FrictionParameters, ServoParameters};
 use opspace_control::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -35,6 +36,16 @@ pub struct SimulatedParameters {
     /// Truth over belief.
     #[serde(default)]
     pub scale: ScaleParameters,
+    /// True servos, by joint name, where they aren't the believed ones; `scale` is of these.
+    #[serde(default)]
+    pub servo: BTreeMap<String, ServoParameters>,
+    /// True friction, by joint name, where it isn't the believed one; `scale` is of this.
+    #[serde(default)]
+    pub friction: BTreeMap<String, FrictionParameters>,
+    /// True delay of set-points in servo ticks, at most `ratio`, where it isn't the believed one; 0 if neither is
+    /// given.
+    #[serde(default)]
+    pub delay_servo_ticks: Option<u32>,
 }
 
 const fn yes() -> bool {

@@ -37,7 +37,7 @@ fn a_command_acts_after_its_delay_to_the_tick() {
     for command in [CommandKind::Position, CommandKind::Torque] {
         for delay in 0..=5_u32 {
             let mut setup = setup(command, "a-med");
-            setup.profile.delay_servo_ticks = delay;
+            setup.profile.delay_servo_ticks = Some(delay);
             let mut arm = arm(setup);
             let hold = read(&mut arm);
             let give = |arm: &mut SimulatedArm, size: f64| match command {
@@ -274,7 +274,9 @@ fn contradictions_are_refused_by_name() {
         change(&mut setup);
         SimulatedArm::new(setup).err().expect("refused")
     };
-    assert_eq!(refused(&|s| s.profile.delay_servo_ticks = 6), SimulationError::Delay { delay: 6, ratio: 5 });
+    let too_long = |truth| SimulationError::Delay { delay: 6, ratio: 5, truth };
+    assert_eq!(refused(&|s| s.profile.delay_servo_ticks = Some(6)), too_long(false));
+    assert_eq!(refused(&|s| s.simulated.delay_servo_ticks = Some(6)), too_long(true));
     let rates = refused(&|s| s.simulated.physics_hz = parsed::<Wrapped>("value = 12000.0").value);
     assert_eq!(rates, SimulationError::PhysicsRate { physics_hz: 12_000.0, servo_hz: 5000.0 });
     let sensor = refused(&|s| s.simulated.force_sensor.clear());

@@ -1,51 +1,13 @@
-//! Servo, motor, friction and encoder, each against its formula.
+//! Motor and friction, each against its formula.
 
 mod common;
 
 use common::{parsed, robot};
-use opspace_backend::{CascadedServo, FrictionParameters};
+use opspace_backend::FrictionParameters;
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
 use opspace_sim::parameters::BristleParameters;
-use opspace_sim::servo::Servo;
 use std::f64::consts::TAU;
-
-/// Rounding of sums of a few terms of order 1 to 1000.
-const ROUNDING: f64 = 1e-9;
-
-fn servo_parameters() -> CascadedServo {
-    parsed("kp_per_s = 50.0\nkv_nms_per_rad = 90.0\nvelocity_filter_hz = 200.0")
-}
-
-/// Compared: the servo's recursion, and its filter written out as a sum over all past differences.
-#[test]
-fn a_servo_is_equation_9_with_a_filtered_difference() {
-    let (period_s, scale) = (1e-3, [1.1, 0.9]);
-    let y = |k: i32| 0.3 * (0.07 * f64::from(k)).sin() + 0.01 * (1.3 * f64::from(k)).cos();
-    let desired = |k: i32| 0.4 * (0.05 * f64::from(k)).cos();
-    let mut servo = Servo::new(&servo_parameters(), scale[0], scale[1], period_s, y(0));
-    let keep = (-TAU * 200.0 * period_s).exp();
-    for k in 1..60 {
-        let velocity: f64 =
-            (1..=k).map(|j| (1.0 - keep) * keep.powi(k - j) * (y(j) - y(j - 1)) / period_s).sum();
-        let expected = 0.9 * 90.0 * (1.1 * 50.0 * (desired(k) - y(k)) - velocity);
-        let torque = servo.torque(desired(k), y(k));
-        assert!(
-            (torque - expected).abs() < ROUNDING * expected.abs().max(1.0),
-            "{k}: {torque} for {expected}"
-        );
-    }
-}
-
-/// Compared: the torque at rest, and the torque that the set-point was made for.
-#[test]
-fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
-    let mut servo = Servo::new(&servo_parameters(), 1.2, 0.8, 1e-3, 0.7);
-    let set_point = servo.holding(0.7, 3.5);
-    for _ in 0..3 {
-        assert!((servo.torque(set_point, 0.7) - 3.5).abs() < ROUNDING);
-    }
-}
 
 /// Compared: mean and end of each step, and the differential equation τ̇ = ω (asked − τ) integrated in a
 /// hundred thousand Euler steps with its mean.

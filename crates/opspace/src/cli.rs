@@ -1,7 +1,9 @@
 //! The arguments, and nothing else.
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
+use opspace_backend::TransformerKind;
 use opspace_experiment::{BackendKind, Choice, ControllerKind};
 use std::path::PathBuf;
 
@@ -144,9 +146,9 @@ pub struct RunArgs {
     #[arg(long, value_enum, default_value_t = ControllerArg::Osc)]
     pub controller: ControllerArg,
 
-    /// Another transformer from torques to positions than the profile's.
-    #[arg(long, value_enum)]
-    pub transformer: Option<TransformerArg>,
+    /// Another transformer from torques to positions than the profile's, or the best for what the robot declares.
+    #[arg(long, value_parser = transformers())]
+    pub transformer: Option<TransformerKind>,
 
     /// Another profile of the robot than its default one.
     #[arg(long)]
@@ -173,7 +175,7 @@ impl RunArgs {
         Choice {
             backend: self.backend.into(),
             controller: self.controller.into(),
-            transformer: self.transformer.map(Into::into),
+            transformer: self.transformer,
             profile: self.profile.clone(),
             seed: self.seed,
             duration_s: self.duration_s,
@@ -309,17 +311,6 @@ pub enum ControllerArg {
     IkLead,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum TransformerArg {
-    /// Equation (10) of the paper.
-    Paper,
-    /// The servo emulated up to the next set-point, its mean torque matched.
-    Emulation,
-    /// The same, corrected by the measured motor current.
-    #[value(name = "emulation+current")]
-    EmulationCurrent,
-}
-
 impl From<BackendArg> for BackendKind {
     fn from(arg: BackendArg) -> Self {
         match arg {
@@ -339,12 +330,8 @@ impl From<ControllerArg> for ControllerKind {
     }
 }
 
-impl From<TransformerArg> for opspace_backend::TransformerKind {
-    fn from(arg: TransformerArg) -> Self {
-        match arg {
-            TransformerArg::Paper => Self::Paper,
-            TransformerArg::Emulation => Self::Emulation,
-            TransformerArg::EmulationCurrent => Self::EmulationCurrent,
-        }
-    }
+/// The transformers by their names.
+fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
+    let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.about()));
+    PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
 }

@@ -6,7 +6,7 @@ use nalgebra::DVector;
 use opspace_backend::interface::MissedCycle;
 use opspace_backend::{
     EstimatorParameters, Facts, Fault, ForceSensor, GravityBy, PositionRobot, Robot, SafetyParameters,
-    Sample, Sensing, ServoParameters, Sink, TorqueRobot,
+    Sample, Sensing, ServoGains, SetPoints, Sink, TorqueRobot,
 };
 use opspace_control::{CommandKind, Controller, Measurement, Observable, Row, Signal};
 use opspace_model::{Data, Model};
@@ -43,20 +43,16 @@ pub fn parsed<T: serde::de::DeserializeOwned>(text: &str) -> T {
     toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
 }
 
-pub fn servos() -> Vec<ServoParameters> {
-    [(50.0, 90.0), (40.0, 30.0)]
-        .map(|(kp, kv)| {
-            parsed(&format!(
-                "cascaded = {{ kp_per_s = {kp:?}, kv_nms_per_rad = {kv:?}, velocity_filter_hz = 600.0 }}"
-            ))
-        })
-        .to_vec()
+/// Of servos with kp 50/s and kv 90 Nms/rad, 40/s and 30 Nms/rad.
+pub fn servos() -> Vec<ServoGains> {
+    [(50.0, 90.0), (40.0, 30.0)].map(|(kp, kv)| ServoGains { stiffness: kp * kv, damping: kv }).to_vec()
 }
 
 pub fn facts(command: CommandKind, model: &Model) -> Facts {
     Facts {
         command,
         period_s: PERIOD_S,
+        set_points: SetPoints::Held,
         gravity_by: GravityBy::Controller,
         on_missed_cycle: MissedCycle::HoldLast,
         motor_torque: true,

@@ -14,11 +14,12 @@
 //! L(s) = C(s) exp(−s d Ts) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
 //! ```
 //!
-//! A position robot holds the set-point of equation (10), and its servo (9) closes a loop of its own, with W its own
-//! velocity filter (V at Ts) and B the set-point's delay and hold over R servo ticks:
+//! A position robot holds the set-point of equation (10), of a stiffness K = kv kp and a damping D = kv, and its servo
+//! closes a loop of its own, with S its torque for a set-point, Y that for a position (for equation (9) S = kv kp and
+//! Y = −kv (kp + W), W its own velocity filter), and B the set-point's delay and hold over R servo ticks:
 //!
 //! ```text
-//! L(s) = I C B Z(Ts) / (I s² − kv Z(Ts) [(kp + V) B − (kp + W)])
+//! L(s) = I C (S/K) B Z(Ts) / (I s² − Z(Ts) [(S/K) (K + D V) B + Y])
 //! B(s) = exp(−s d Ts) (1 − exp(−s T))/(R (1 − exp(−s Ts)))
 //! ```
 //!
@@ -30,7 +31,7 @@
 use super::{Case, Finding, short};
 use crate::experiment::BackendKind;
 use nalgebra::Complex;
-use opspace_backend::{CascadedServo, ProfileParameters};
+use opspace_backend::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
 use opspace_control::{AXIS_NAMES, AxisMode, JointGains, TaskParameters};
 use std::f64::consts::{PI, TAU};
 
@@ -249,13 +250,26 @@ impl Law {
     }
 }
 
+/// A servo, and what equation (10) takes it for.
+#[derive(Clone, Copy, Debug)]
+struct Servo {
+    law: ServoLaw,
+    gains: ServoGains,
+}
+
+impl Servo {
+    fn of(servo: &ServoParameters, period_s: f64) -> Option<Self> {
+        Some(Self { law: ServoLaw::new(servo, period_s).ok()?, gains: servo.gains(period_s) })
+    }
+}
+
 /// A joint with its drive, as the law sees it.
 #[derive(Clone, Copy, Debug)]
 struct Plant {
     /// kg m².
     inertia: f64,
     /// None for a torque robot.
-    servo: Option<CascadedServo>,
+    servo: Option<Servo>,
     /// T and Ts, s.
     period_s: f64,
     servo_period_s: f64,
@@ -275,13 +289,13 @@ impl Plant {
     fn new(case: &Case<'_>, joint: usize) -> Self {
         let profile: &ProfileParameters = case.experiment.profile().1;
         let position = case.experiment.choice().backend == BackendKind::Position;
-        let servo = || *case.experiment.robot().servos(profile)[joint].cascade();
+        let servo = || Servo::of(&case.experiment.robot().servos(profile)[joint], profile.servo_period_s());
         Self {
             inertia: case.data.mass_matrix[(joint, joint)],
-            servo: position.then(servo),
+            servo: position.then(servo).flatten(),
             period_s: profile.period_s(),
             servo_period_s: profile.servo_period_s(),
-            delay_s: f64::from(profile.delay_servo_ticks) * profile.servo_period_s(),
+            delay_s: f64::from(profile.delay()) * profile.servo_period_s(),
             filter_hz: profile.estimator.velocity_filter_hz.get(),
         }
     }
@@ -314,12 +328,13 @@ impl Plant {
         let Some(servo) = self.servo else {
             return c * late * hold(s, self.period_s) / (s * s);
         };
-        let (kp, kv) = (servo.kp_per_s.get(), servo.kv_nms_per_rad.get());
-        let own_velocity = filtered_difference(s, self.servo_period_s, servo.velocity_filter_hz.get());
+        let [of_set_point, of_position] = servo.law.response((s * self.servo_period_s).exp());
         let own_hold = hold(s, self.servo_period_s);
         let set_point = late * hold(s, self.period_s) / own_hold;
-        let servo_loop = kv * own_hold * ((kp + velocity) * set_point - (kp + own_velocity));
-        self.inertia * c * set_point * own_hold / (self.inertia * s * s - servo_loop)
+        let ServoGains { stiffness, damping } = servo.gains;
+        let led = own_hold * of_set_point * set_point / stiffness;
+        let servo_loop = led * (stiffness + damping * velocity) + own_hold * of_position;
+        self.inertia * c * led / (self.inertia * s * s - servo_loop)
     }
 
     /// The smallest at any crossover; `None` where the law asks for nothing.
@@ -392,16 +407,16 @@ mod tests {
     use super::*;
     use nalgebra::DVector;
     use opspace_backend::estimator::{EstimatorParameters, VelocityEstimator};
-    use opspace_backend::{PaperTransformer, ServoParameters, Transformer};
+    use opspace_backend::{CascadedServo, PaperTransformer, Transformer};
     use opspace_control::Measurement;
     use opspace_control::quantity::Positive;
     use opspace_model::{Data, Joint, JointKind, Limits, Model};
     use opspace_model::{Inertia, Placement};
-    use opspace_sim::servo::Servo;
 
     const INERTIA: f64 = 0.4;
 
     fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<CascadedServo>) -> Plant {
+        let servo = servo.and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz));
         Plant {
             inertia: INERTIA,
             servo,
@@ -418,6 +433,7 @@ mod tests {
             kp_per_s: Positive::literal(TAU * hz / 5.0),
             kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
             velocity_filter_hz: Positive::literal(filter_hz),
+            velocity_integral_time_s: None,
         }
     }
 
@@ -430,8 +446,8 @@ mod tests {
         let parameters = EstimatorParameters { velocity_filter_hz: Positive::literal(plant.filter_hz) };
         let mut estimator = VelocityEstimator::new(1, &parameters, plant.period_s);
         let (mut q, mut dq) = (1e-3, 0.0);
-        let mut drive = plant.servo.map(|servo| Servo::new(&servo, 1.0, 1.0, ts, q));
-        let transformer = plant.servo.map(|servo| PaperTransformer::new(&[ServoParameters::Cascaded(servo)]));
+        let mut drive = plant.servo.map(|servo| (servo.law, servo.law.rest(q, 0.0).0));
+        let transformer = plant.servo.map(|servo| PaperTransformer::new(vec![servo.gains]));
         let mut model = Model::new("mass");
         let joint = Joint { name: "joint".into(), kind: JointKind::Continuous, limits: Limits::NONE };
         model.add_body(None, Placement::identity(), joint, Inertia::zero());
@@ -455,7 +471,7 @@ mod tests {
             if tick % ratio == delay % ratio && tick >= delay {
                 active = next;
             }
-            let torque = drive.as_mut().map_or(active, |drive| drive.torque(active, q));
+            let torque = drive.as_mut().map_or(active, |(law, memory)| law.step(memory, active, q));
             let a = torque / plant.inertia;
             q += ts * (dq + 0.5 * ts * a);
             dq += ts * a;

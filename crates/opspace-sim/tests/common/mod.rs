@@ -5,7 +5,8 @@
 use nalgebra::DVector;
 use opspace_backend::interface::MissedCycle;
 use opspace_backend::{
-    Facts, ForceSensor, GravityBy, JointParameters, ProfileParameters, Robot, Sample, ServoParameters, Trace,
+    Facts, ForceSensor, GravityBy, JointParameters, ProfileParameters, Robot, Sample, ServoParameters,
+    SetPoints, Trace,
 };
 use opspace_control::CommandKind;
 use opspace_model::Model;
@@ -45,6 +46,7 @@ pub fn setup(command: CommandKind, profile: &str) -> Setup {
     let facts = Facts {
         command,
         period_s: profile.period_s(),
+        set_points: SetPoints::Held,
         gravity_by: GravityBy::Controller,
         on_missed_cycle: MissedCycle::HoldLast,
         motor_torque: true,

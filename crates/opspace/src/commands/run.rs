@@ -26,6 +26,9 @@ pub fn run(args: &RunArgs, console: Console) -> Outcome {
     }
     let default =
         PathBuf::from(format!("runs/{}-{}", experiment.task().name(), args.choice().backend.name()));
+    if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
+        console.detail(&format!("transformer '{}': {reason}", kind.name()));
+    }
     let folder = prepare(&args.output, &default, console)?;
     let log = folder.join(LOG);
     let watch = interrupt::watch();

@@ -1,0 +1,262 @@
+//! A servo as it runs, one tick after the other: linear, whatever its structure.
+//!
+//! ```text
+//! τ = c x + d_r q_desired + d_y y        x ← A x + b_r q_desired + b_y y
+//! ```
+//!
+//! y is the position that the servo reads at the tick, x its memory. The simulated drives run by it, and the emulation
+//! rolls it out.
+
+use crate::servo::{CascadedServo, DerivativeOf, PidServo, ServoParameters, TransferFunctionServo};
+use nalgebra::{Complex, DMatrix, DVector};
+use std::f64::consts::TAU;
+use std::ops::{Add, Mul, Sub};
+use thiserror::Error;
+
+/// Most that a servo remembers: order of a transfer function.
+pub const MAX_ORDER: usize = 6;
+
+/// A memory or a set-point at rest beyond this is the rounding error of one that isn't there.
+const LARGEST: f64 = 1e12;
+
+/// What a servo remembers from one tick to the next.
+pub type ServoMemory = [f64; MAX_ORDER];
+
+/// A servo that can't be run.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ServoError {
+    /// Of a higher order than there is room for.
+    #[error("a transfer function of order {order}; at most {MAX_ORDER} are taken")]
+    Order {
+        /// That of the longer polynomial.
+        order: usize,
+    },
+    /// Torque that doesn't follow from errors, past or present.
+    #[error("denominator[0] is zero or missing: this torque would depend on errors to come")]
+    Improper,
+    /// No error makes a torque.
+    #[error("the numerator is zero: no position error would make a torque")]
+    NoTorque,
+    /// At rest there is no set-point for a torque.
+    #[error("this servo can't hold a torque at rest: no constant position error gives one")]
+    HoldsNothing,
+}
+
+/// The law of a servo that runs every servo period.
+#[derive(Clone, Copy, Debug)]
+pub struct ServoLaw {
+    order: usize,
+    next: [Form; MAX_ORDER],
+    torque: Form,
+    /// Memory and set-point at rest, at a position of 1 without torque, and at 0 with a torque of 1.
+    rest: [(ServoMemory, f64); 2],
+}
+
+/// A number that is a weighted sum of what a servo remembers and is given.
+#[derive(Clone, Copy, Debug, Default)]
+struct Form {
+    memory: ServoMemory,
+    set_point: f64,
+    position: f64,
+}
+
+impl Form {
+    const SET_POINT: Self = Self { memory: [0.0; MAX_ORDER], set_point: 1.0, position: 0.0 };
+    const POSITION: Self = Self { memory: [0.0; MAX_ORDER], set_point: 0.0, position: 1.0 };
+
+    fn memory(i: usize) -> Self {
+        let mut form = Self::default();
+        form.memory[i] = 1.0;
+        form
+    }
+
+    fn value(&self, memory: &[f64], set_point: f64, position: f64) -> f64 {
+        let given = self.set_point * set_point + self.position * position;
+        self.memory.iter().zip(memory).fold(given, |sum, (weight, value)| sum + weight * value)
+    }
+}
+
+impl Add for Form {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            memory: std::array::from_fn(|i| self.memory[i] + other.memory[i]),
+            set_point: self.set_point + other.set_point,
+            position: self.position + other.position,
+        }
+    }
+}
+
+impl Sub for Form {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        self + other * -1.0
+    }
+}
+
+impl Mul<f64> for Form {
+    type Output = Self;
+
+    fn mul(self, scale: f64) -> Self {
+        Self {
+            memory: self.memory.map(|weight| scale * weight),
+            set_point: scale * self.set_point,
+            position: scale * self.position,
+        }
+    }
+}
+
+impl ServoLaw {
+    /// For a servo that runs every `period_s`.
+    ///
+    /// # Errors
+    /// A transfer function that no servo can have.
+    pub fn new(servo: &ServoParameters, period_s: f64) -> Result<Self, ServoError> {
+        let law = match servo {
+            ServoParameters::Cascaded(servo) => Self::cascaded(servo, period_s),
+            ServoParameters::Pid(servo) => Self::pid(servo, period_s),
+            ServoParameters::TransferFunction(servo) => Self::transfer_function(servo)?,
+        };
+        let rest = [law.solve_rest(1.0, 0.0)?, law.solve_rest(0.0, 1.0)?];
+        Ok(Self { rest, ..law })
+    }
+
+    fn of(next: &[Form], torque: Form) -> Self {
+        let mut all = [Form::default(); MAX_ORDER];
+        all[..next.len()].copy_from_slice(next);
+        Self { order: next.len(), next: all, torque, rest: [([0.0; MAX_ORDER], 0.0); 2] }
+    }
+
+    /// Memory that stays as it is and the torque asked for: linear equations in memory and set-point.
+    fn solve_rest(&self, position: f64, torque: f64) -> Result<(ServoMemory, f64), ServoError> {
+        let n = self.order;
+        let mut a = DMatrix::zeros(n + 1, n + 1);
+        let mut b = DVector::zeros(n + 1);
+        for (i, form) in self.next[..n].iter().chain([&self.torque]).enumerate() {
+            for j in 0..n {
+                a[(i, j)] = -form.memory[j];
+            }
+            a[(i, n)] = -form.set_point;
+            b[i] = form.position * position;
+        }
+        for i in 0..n {
+            a[(i, i)] += 1.0;
+        }
+        b[n] -= torque;
+        let solved = a.lu().solve(&b).filter(|x| x.iter().all(|v| v.abs() < LARGEST));
+        let solution = solved.ok_or(ServoError::HoldsNothing)?;
+        Ok((std::array::from_fn(|i| if i < n { solution[i] } else { 0.0 }), solution[n]))
+    }
+
+    /// `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`.
+    fn cascaded(servo: &CascadedServo, period_s: f64) -> Self {
+        let (velocity, integral) = (Form::memory(0), Form::memory(2));
+        let velocity = filtered_rate(
+            velocity,
+            Form::POSITION - Form::memory(1),
+            servo.velocity_filter_hz.get(),
+            period_s,
+        );
+        let error = (Form::SET_POINT - Form::POSITION) * servo.kp_per_s.get() - velocity;
+        let kv = servo.kv_nms_per_rad.get();
+        match servo.velocity_integral_time_s {
+            None => Self::of(&[velocity, Form::POSITION], error * kv),
+            Some(time_s) => {
+                let integral = integral + error * (period_s / time_s.get());
+                Self::of(&[velocity, Form::POSITION, integral], (error + integral) * kv)
+            }
+        }
+    }
+
+    /// `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`.
+    fn pid(servo: &PidServo, period_s: f64) -> Self {
+        let error = Form::SET_POINT - Form::POSITION;
+        let differentiated = match servo.derivative_of {
+            DerivativeOf::Position => Form::POSITION * -1.0,
+            DerivativeOf::Error => error,
+        };
+        let change = differentiated - Form::memory(1);
+        let rate = filtered_rate(Form::memory(0), change, servo.derivative_filter_hz.get(), period_s);
+        let torque = error * servo.stiffness_nm_per_rad.get() + rate * servo.damping_nms_per_rad.get();
+        let gain = servo.integral_nm_per_rad_s.get();
+        if gain == 0.0 {
+            return Self::of(&[rate, differentiated], torque);
+        }
+        let integral = Form::memory(2) + error * (gain * period_s);
+        Self::of(&[rate, differentiated, integral], torque + integral)
+    }
+
+    /// The transposed direct form.
+    fn transfer_function(servo: &TransferFunctionServo) -> Result<Self, ServoError> {
+        let (b, a) = (&servo.numerator, &servo.denominator);
+        let order = b.len().max(a.len()).saturating_sub(1);
+        if order > MAX_ORDER {
+            return Err(ServoError::Order { order });
+        }
+        let Some(&first) = a.first().filter(|first| **first != 0.0) else {
+            return Err(ServoError::Improper);
+        };
+        if b.iter().all(|b| *b == 0.0) {
+            return Err(ServoError::NoTorque);
+        }
+        let weight = |coefficients: &[f64], i: usize| coefficients.get(i).map_or(0.0, |c| c / first);
+        let shifted = |i: usize| if i < order { Form::memory(i) } else { Form::default() };
+        let error = Form::SET_POINT - Form::POSITION;
+        let torque = error * weight(b, 0) + shifted(0);
+        let next: Vec<Form> =
+            (1..=order).map(|i| error * weight(b, i) - torque * weight(a, i) + shifted(i)).collect();
+        Ok(Self::of(&next, torque))
+    }
+
+    /// How many numbers it remembers.
+    #[must_use]
+    pub fn order(&self) -> usize {
+        self.order
+    }
+
+    /// The torque (Nm, N) for a set-point and the position that is read at this tick (rad, m).
+    pub fn step(&self, memory: &mut ServoMemory, set_point: f64, position: f64) -> f64 {
+        let now = *memory;
+        let now = &now[..self.order];
+        for (value, form) in memory.iter_mut().zip(&self.next[..self.order]) {
+            *value = form.value(now, set_point, position);
+        }
+        self.torque.value(now, set_point, position)
+    }
+
+    /// What it remembers, and the set-point, at rest at `position` (rad, m) with this torque (Nm, N).
+    #[must_use]
+    pub fn rest(&self, position: f64, torque: f64) -> (ServoMemory, f64) {
+        let [(displaced, there), (pushing, further)] = &self.rest;
+        let memory = std::array::from_fn(|i| position * displaced[i] + torque * pushing[i]);
+        (memory, position * there + torque * further)
+    }
+
+    /// Torque for a unit of set-point and for a unit of position, where both go with z = exp(jωTs).
+    #[must_use]
+    pub fn response(&self, z: Complex<f64>) -> [Complex<f64>; 2] {
+        let n = self.order;
+        let mut a = DMatrix::from_fn(n, n, |i, j| Complex::from(-self.next[i].memory[j]));
+        for i in 0..n {
+            a[(i, i)] += z;
+        }
+        let solve = a.lu();
+        let of = |given: fn(&Form) -> f64| {
+            let b = DVector::from_fn(n, |i, _| Complex::from(given(&self.next[i])));
+            // At an eigenvalue of its own a servo answers without bound.
+            let memory = solve.solve(&b).unwrap_or_else(|| DVector::repeat(n, Complex::from(f64::INFINITY)));
+            let remembered = memory.iter().zip(self.torque.memory).map(|(x, weight)| x * weight);
+            remembered.sum::<Complex<f64>>() + given(&self.torque)
+        };
+        [of(|form| form.set_point), of(|form| form.position)]
+    }
+}
+
+/// The filtered finite difference of what changed by `change` since the last tick, `rate` before.
+fn filtered_rate(rate: Form, change: Form, filter_hz: f64, period_s: f64) -> Form {
+    let share = 1.0 - (-TAU * filter_hz * period_s).exp();
+    rate * (1.0 - share) + change * (share / period_s)
+}
