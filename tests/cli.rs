@@ -676,7 +676,8 @@ fn check_knows_what_a_file_is() {
     assert_eq!(at("robots/asimo-arm/robot.toml"), "robots/asimo-arm/robot.toml: a robot of 4 joints\n");
     let urdf = "robots/asimo-arm/asimo-arm.urdf";
     assert_eq!(at(urdf), format!("{urdf}: a URDF of 4 moving joints\n"));
-    assert_eq!(at("tasks/compliant-x.toml"), "tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n");
+    let task = at("tasks/compliant-x.toml");
+    assert!(task.starts_with("tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n  position loops may have "));
     assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
 
     // Several: each is told of, and one that is wrong is enough.

@@ -11,6 +11,7 @@
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; freedom that nothing damps |
+//! | `servo_gain` | position loops that may hardly have more gain than is believed |
 //! | `times` | events and references that the run is too short for |
 //!
 //! The robot is the believed one, at the task's start posture, its tasks followed without error.
@@ -20,6 +21,7 @@ mod freedom;
 mod goals;
 mod limits;
 mod motion;
+mod servo_gain;
 mod speeds;
 mod stability;
 mod times;
@@ -29,6 +31,7 @@ use crate::place::dotted;
 use crate::source::FileError;
 use followed::Followed;
 use motion::{Motion, motions};
+pub use servo_gain::{GainMargin, gain_margin};
 use opspace_control::TaskParameters;
 use opspace_model::{Data, Model, update};
 use std::collections::BTreeMap;
@@ -73,7 +76,8 @@ impl Finding {
     }
 }
 
-/// Everything that will go wrong, as far as it can be told without running; empty for most.
+/// Everything that will go wrong, as far as it can be told without running; empty for most. What a [`GainMargin`] finds
+/// comes from itself.
 #[must_use]
 pub fn findings(experiment: &Experiment) -> Vec<Finding> {
     let Some(case) = Case::new(experiment) else {

@@ -3,10 +3,14 @@
 //! Statistics count from the task's `settle_s` to the end of control. Positions are the true ones where the
 //! log has them (a simulation), else the measured ones.
 
+mod ripple;
+
 use crate::experiment::{ControllerKind, Experiment};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::Phase;
+use opspace_backend::interface::SetPoints;
 use opspace_control::orientation::log;
+use opspace_control::quantity::Positive;
 use opspace_control::{CartesianParameters, Directions, Subject, TaskParameters};
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
@@ -38,6 +42,9 @@ pub struct Metrics {
     pub torque_error_interval: Option<f64>,
     /// The same, in the first servo period after each interface tick.
     pub torque_error_tick: Option<f64>,
+    /// What of the torque error is within the intervals, √(e_servo² − e_interval²) in Nm, over what a held set-point must
+    /// leave there at the speeds of the run; `None` where none is held.
+    pub hold_ripple: Option<f64>,
     /// Highest speed of a set-point, rad/s.
     pub set_point_speed_max_rad_per_s: Option<f64>,
     /// Share of ticks at which a desired torque was cut off.
@@ -131,8 +138,8 @@ impl<'a> Run<'a> {
     fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
         let tick = recording.channel("tick")?;
         let phase = tick.signal("phase")?;
-        let control = Phase::Control.code();
-        let last = (0..tick.len()).rev().find(|&k| phase.row(k)[0] == control)?;
+        let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
+        let last = (0..tick.len()).rev().find(|&k| !idle.contains(&phase.row(k)[0]))?;
         let positions = recording.channel("truth").unwrap_or(tick);
         Some(Self {
             experiment,
@@ -150,6 +157,14 @@ impl<'a> Run<'a> {
         let begin = times.partition_point(|&t| t < self.from_s - 5e-10);
         let end = times.partition_point(|&t| t <= self.to_s + 5e-10);
         begin..end.max(begin)
+    }
+
+    /// The tick at which row `k` of the joints was; none where the cycle was missed.
+    fn tick_of(&self, k: usize) -> Option<usize> {
+        let (times, _) = self.joints;
+        let ticks = &self.tick.time_s;
+        let tick = ticks.partition_point(|&t| t < times[k] - 5e-10);
+        ticks.get(tick).is_some_and(|&t| t <= times[k] + 5e-10).then_some(tick)
     }
 
     /// The pose of a task's subject and the task's axes at each settled tick, with the tick's index.
@@ -179,24 +194,22 @@ impl<'a> Run<'a> {
     fn following(&self, name: &str, task: &CartesianParameters, subject: Subject, metrics: &mut Metrics) {
         let Ok(directions) = task.axes_in.resolve(&self.experiment.robot().model, subject) else { return };
         let motion = task.motion_axes();
-        // Truth and tick rows stand at the same instants, one for one.
         if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
             && motion[..3].contains(&true)
         {
-            let poses = self.poses(subject, directions).filter(|(k, ..)| *k < reference.len());
-            let errors = poses.map(|(k, pose, axes)| {
-                let error = pose.translation - Vector3::from_column_slice(reference.row(k));
-                masked_norm(&axes.tr_mul(&error), &motion[..3])
+            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
+                let error = pose.translation - Vector3::from_column_slice(reference.row(self.tick_of(k)?));
+                Some(masked_norm(&axes.tr_mul(&error), &motion[..3]))
             });
             (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
         }
         if let Some(reference) = self.tick.signal(&format!("{name}.reference_orientation"))
             && motion[3..].contains(&true)
         {
-            let poses = self.poses(subject, directions).filter(|(k, ..)| *k < reference.len());
-            let errors = poses.map(|(k, pose, axes)| {
-                let error = log(&(pose.rotation * orientation(reference.row(k)).transpose()));
-                masked_norm(&axes.tr_mul(&error), &motion[3..])
+            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
+                let reference = orientation(reference.row(self.tick_of(k)?));
+                let error = log(&(pose.rotation * reference.transpose()));
+                Some(masked_norm(&axes.tr_mul(&error), &motion[3..]))
             });
             (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
         }
@@ -230,8 +243,9 @@ impl<'a> Run<'a> {
     fn joint_error(&self, name: &str) -> Option<f64> {
         let reference = self.tick.signal(&format!("{name}.reference"))?;
         let (times, q) = self.joints;
-        let squares = self.settled(times).filter(|k| *k < reference.len()).flat_map(|k| {
-            q.row(k).iter().zip(reference.row(k)).map(|(q, reference)| (q - reference).powi(2))
+        let ticks = self.settled(times).filter_map(|k| Some((k, self.tick_of(k)?)));
+        let squares = ticks.flat_map(|(k, tick)| {
+            q.row(k).iter().zip(reference.row(tick)).map(|(q, reference)| (q - reference).powi(2))
         });
         mean(squares).map(f64::sqrt)
     }
@@ -310,7 +324,38 @@ impl<'a> Run<'a> {
         metrics.torque_error_servo = at_servo.get();
         metrics.torque_error_interval = over_interval.get();
         metrics.torque_error_tick = at_tick.get();
+        let within = at_servo.mean_square() - over_interval.mean_square();
+        metrics.hold_ripple =
+            self.held_ripple_nm().and_then(|held| finite((n as f64 * within).sqrt() / held));
         metrics
+    }
+
+    /// √(Σ_j mean e_j²) of the torque that held set-points leave within interface intervals at the speeds of the run, Nm;
+    /// `None` where none is held for longer than a servo tick.
+    fn held_ripple_nm(&self) -> Option<f64> {
+        self.experiment.transformer_kind()?;
+        let (profile, robot) = (self.experiment.profile().1, self.experiment.robot());
+        let simulated = robot.file.simulated.as_ref()?;
+        if robot.file.interface.set_points != SetPoints::Held || profile.ratio.get() == 1 {
+            return None;
+        }
+        let servo_period_s = profile.servo_period_s();
+        let current_loop_hz = simulated.current_loop_hz.map(Positive::get);
+        let ripple_s = ripple::of_held_set_point(profile.ratio.get(), servo_period_s, current_loop_hz);
+        let positions = self.recording.channel("truth").unwrap_or(self.tick);
+        let dq = positions.signal("dq")?;
+        let scale = simulated.scale.kp.get() * simulated.scale.kv.get();
+        let true_servos =
+            robot.model.joints().iter().filter_map(|joint| {
+                simulated.servo.get(&joint.name).or_else(|| profile.servo.get(&joint.name))
+            });
+        let stiffness: Vec<f64> =
+            true_servos.map(|servo| scale * servo.gains(servo_period_s).stiffness).collect();
+        let squares = self.settled(&positions.time_s).map(|k| {
+            let torque_per_s = stiffness.iter().zip(dq.row(k)).map(|(stiffness, dq)| stiffness * dq);
+            torque_per_s.map(|rate| rate * rate).sum::<f64>()
+        });
+        mean(squares).map(|square| ripple_s * square.sqrt())
     }
 }
 
@@ -325,18 +370,27 @@ fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
 struct Relative {
     error: f64,
     size: f64,
+    count: u64,
 }
 
 impl Relative {
     fn add(&mut self, desired: f64, actual: f64) {
         self.error += (actual - desired).powi(2);
         self.size += desired.powi(2);
+        self.count += 1;
     }
 
     fn get(&self) -> Option<f64> {
-        let ratio = (self.error / self.size).sqrt();
-        ratio.is_finite().then_some(ratio)
+        finite((self.error / self.size).sqrt())
     }
+
+    fn mean_square(&self) -> f64 {
+        self.error / self.count as f64
+    }
+}
+
+fn finite(number: f64) -> Option<f64> {
+    number.is_finite().then_some(number)
 }
 
 /// The norm over those elements that count.

@@ -145,6 +145,8 @@ pub enum Measure {
     TorqueErrorInterval,
     /// The same, in the first servo period after each tick.
     TorqueErrorTick,
+    /// What of the torque error is within interface intervals, over what held set-points must leave there.
+    HoldRipple,
     /// Largest torque that the controller commanded.
     TorqueMax,
     /// Largest change of a commanded torque from tick to tick.
@@ -187,6 +189,7 @@ impl Measure {
             Self::TorqueErrorServo => ("torque error servo", "%"),
             Self::TorqueErrorInterval => ("torque error interval", "%"),
             Self::TorqueErrorTick => ("torque error tick", "%"),
+            Self::HoldRipple => ("hold ripple", "×"),
             Self::TorqueMax => ("torque max", "N·m"),
             Self::TorqueStepMax => ("torque step max", "N·m"),
             Self::SpeedMax => ("speed max", "rad/s"),
@@ -213,6 +216,7 @@ impl Measure {
             Self::TorqueErrorServo => scaled(1e2, |s| s.metrics.torque_error_servo),
             Self::TorqueErrorInterval => scaled(1e2, |s| s.metrics.torque_error_interval),
             Self::TorqueErrorTick => scaled(1e2, |s| s.metrics.torque_error_tick),
+            Self::HoldRipple => scaled(1.0, |s| s.metrics.hold_ripple),
             Self::TorqueMax => scaled(1.0, |s| s.metrics.torque_commanded_max_nm),
             Self::TorqueStepMax => scaled(1.0, |s| s.metrics.torque_step_max_nm),
             Self::SpeedMax => scaled(1.0, |s| s.metrics.speed_max_rad_per_s),

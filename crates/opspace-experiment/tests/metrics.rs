@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use opspace_control::{Layout, Signal};
 use opspace_experiment::metrics::{metrics, timing};
-use opspace_experiment::{Choice, Experiment, Files};
+use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files};
 use opspace_log::{Channel, Header, Pace, Recording, record};
 use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
@@ -35,6 +35,17 @@ fn log(
     truth: impl Fn(usize) -> Vec<f64>,
     servo: impl Fn(usize) -> Vec<f64>,
 ) -> Recording {
+    log_at(experiment, [0.0; 4], tick, truth, servo)
+}
+
+/// The same, with joints that move at these speeds.
+fn log_at(
+    experiment: &Experiment,
+    dq: [f64; 4],
+    tick: impl Fn(usize) -> Vec<f64>,
+    truth: impl Fn(usize) -> Vec<f64>,
+    servo: impl Fn(usize) -> Vec<f64>,
+) -> Recording {
     let joints: Vec<&str> = experiment.robot().model.joints().iter().map(|j| j.name.as_str()).collect();
     let layout = |name: &str, signals| Layout { channel: name.to_owned(), signals };
     let channels = [
@@ -46,7 +57,14 @@ fn log(
                 Signal::new("hand.reference", "m", &XYZ),
             ],
         ),
-        layout("truth", vec![Signal::new("q", "rad", &joints), Signal::new("operator.force", "N", &XYZ)]),
+        layout(
+            "truth",
+            vec![
+                Signal::new("q", "rad", &joints),
+                Signal::new("operator.force", "N", &XYZ),
+                Signal::new("dq", "rad/s", &joints),
+            ],
+        ),
         layout(
             "servo",
             vec![Signal::new("torque_desired", "Nm", &joints), Signal::new("motor_torque", "Nm", &joints)],
@@ -58,7 +76,7 @@ fn log(
     for k in 0..8000 {
         let t = k as f64 * 1e-3;
         recorder.push(0, t, &tick(k));
-        recorder.push(1, t, &truth(k));
+        recorder.push(1, t, &[truth(k), dq.to_vec()].concat());
         for s in 5 * k..5 * k + 5 {
             recorder.push(2, s as f64 * 2e-4, &servo(s));
         }
@@ -132,6 +150,36 @@ fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
     assert!(near(metrics.torque_error_servo, 2.0 * rms / size), "{metrics:?}");
     assert!(near(metrics.torque_error_interval, 2.0 * 0.2 / size), "{metrics:?}");
     assert!(near(metrics.torque_error_tick, 2.0 * 0.1 / size), "{metrics:?}");
+}
+
+/// The hold ripple against a sawtooth made by hand, 1.2 times as high as constant speeds make it without current loop,
+/// beside a constant error.
+#[test]
+fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_set_point_leaves() {
+    let hold_ripple = |choice: Choice, settings: &[&str]| {
+        let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
+        let path = Path::new("tasks/cartesian-tracking.toml");
+        let experiment = Experiment::load(Files::Embedded, path, None, choice, &settings).unwrap();
+        let speed = [0.5, -0.2, 0.1, 1.0];
+        let stiffness = [94.6, 89.9, 30.4, 30.3].map(|kv| 50.265 * kv);
+        let servo = |s: usize| {
+            let sawtooth = |j: usize| -1.2 * stiffness[j] * speed[j] * 2e-4 * ((s % 5) as f64 - 2.0);
+            let motor: [f64; 4] = std::array::from_fn(|j| 3.0 + sawtooth(j));
+            [[2.0; 4], motor].concat()
+        };
+        let recording = log_at(&experiment, speed, |_| vec![1.0; 5], |_| vec![0.0; 7], servo);
+        metrics(&experiment, &recording).hold_ripple
+    };
+    // The current loop smooths the sawtooth to this at 1 kHz (a recursion in another language).
+    let ripple = hold_ripple(Choice::default(), &[]).unwrap();
+    assert!((ripple * 0.534_703_767_082 / 1.2 - 1.0).abs() < 1e-11, "{ripple}");
+    // A servo that is stiffer than believed leaves more: less is beyond it.
+    let stiffer = hold_ripple(Choice::default(), &["robot.simulated.scale.kp=1.5"]);
+    assert!(near(stiffer, ripple / 1.5), "{stiffer:?}");
+    let torque = Choice { backend: BackendKind::Torque, ..Choice::default() };
+    let ik = Choice { controller: ControllerKind::Ik, ..Choice::default() };
+    assert_eq!((hold_ripple(torque, &[]), hold_ripple(ik, &[])), (None, None));
+    assert_eq!(hold_ripple(Choice::default(), &["robot.profile.a-med.ratio=1"]), None);
 }
 
 /// A run without desired torque has no torque error, rather than a number that looks like one.

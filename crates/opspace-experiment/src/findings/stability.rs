@@ -16,7 +16,8 @@
 //!
 //! A position robot holds the set-point of equation (10), of a stiffness K = kv kp and a damping D = kv, and its servo
 //! closes a loop of its own, with S its torque for a set-point, Y that for a position (for equation (9) S = kv kp and
-//! Y = −kv (kp + W), W its own velocity filter), and B the set-point's delay and hold over R servo ticks:
+//! Y = −kv (kp + W), W its own velocity filter), and B the set-point's delay and hold over R servo ticks
+//! (twice the hold where the drive interpolates):
 //!
 //! ```text
 //! L(s) = I C (S/K) B Z(Ts) / (I s² − Z(Ts) [(S/K) (K + D V) B + Y])
@@ -31,7 +32,7 @@
 use super::{Case, Finding, short};
 use crate::experiment::BackendKind;
 use nalgebra::Complex;
-use opspace_backend::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
+use opspace_backend::{ProfileParameters, ServoGains, ServoLaw, ServoParameters, SetPoints};
 use opspace_control::{AXIS_NAMES, AxisMode, JointGains, TaskParameters};
 use std::f64::consts::{PI, TAU};
 
@@ -255,11 +256,13 @@ impl Law {
 struct Servo {
     law: ServoLaw,
     gains: ServoGains,
+    set_points: SetPoints,
 }
 
 impl Servo {
-    fn of(servo: &ServoParameters, period_s: f64) -> Option<Self> {
-        Some(Self { law: ServoLaw::new(servo, period_s).ok()?, gains: servo.gains(period_s) })
+    fn of(servo: &ServoParameters, period_s: f64, set_points: SetPoints) -> Option<Self> {
+        let law = ServoLaw::new(servo, period_s).ok()?;
+        Some(Self { law, gains: servo.gains(period_s), set_points })
     }
 }
 
@@ -289,7 +292,9 @@ impl Plant {
     fn new(case: &Case<'_>, joint: usize) -> Self {
         let profile: &ProfileParameters = case.experiment.profile().1;
         let position = case.experiment.choice().backend == BackendKind::Position;
-        let servo = || Servo::of(&case.experiment.robot().servos(profile)[joint], profile.servo_period_s());
+        let robot = case.experiment.robot();
+        let set_points = robot.file.interface.set_points;
+        let servo = || Servo::of(&robot.servos(profile)[joint], profile.servo_period_s(), set_points);
         Self {
             inertia: case.data.mass_matrix[(joint, joint)],
             servo: position.then(servo).flatten(),
@@ -330,7 +335,11 @@ impl Plant {
         };
         let [of_set_point, of_position] = servo.law.response((s * self.servo_period_s).exp());
         let own_hold = hold(s, self.servo_period_s);
-        let set_point = late * hold(s, self.period_s) / own_hold;
+        let held = hold(s, self.period_s) / own_hold;
+        let set_point = match servo.set_points {
+            SetPoints::Held => late * held,
+            SetPoints::Interpolated => late * held * held,
+        };
         let ServoGains { stiffness, damping } = servo.gains;
         let led = own_hold * of_set_point * set_point / stiffness;
         let servo_loop = led * (stiffness + damping * velocity) + own_hold * of_position;
@@ -416,7 +425,7 @@ mod tests {
     const INERTIA: f64 = 0.4;
 
     fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<CascadedServo>) -> Plant {
-        let servo = servo.and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz));
+        let servo = servo.and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz, SetPoints::Held));
         Plant {
             inertia: INERTIA,
             servo,

@@ -6,6 +6,7 @@ use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use opspace_backend::interface::CommandParameter;
 use opspace_experiment::files::Kind;
+use opspace_experiment::findings::{GainMargin, gain_margin};
 use opspace_experiment::robot::load_urdf;
 use opspace_experiment::{
     BackendKind, Choice, Experiment, FileError, Files, Finding, Robot, Source, Suite, Task, findings,
@@ -22,8 +23,9 @@ pub fn check(args: &CheckArgs, console: Console) -> Outcome {
         let checked = check_one(path, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, found }) => {
+            Ok(Checked { what, margin, found }) => {
                 text += &format!("{}: {what}\n", path.display());
+                margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
                 found.iter().for_each(|found| note(console, found));
             }
             Err(error) => exit = report(&error.into()),
@@ -37,12 +39,14 @@ pub fn check(args: &CheckArgs, console: Console) -> Outcome {
 struct Checked {
     /// What kind of file it is.
     what: String,
+    /// Of a task whose torques pass through a transformer.
+    margin: Option<GainMargin>,
     found: Vec<Found>,
 }
 
 impl Checked {
     fn clean(what: String) -> Self {
-        Self { what, found: Vec::new() }
+        Self { what, margin: None, found: Vec::new() }
     }
 }
 
@@ -50,6 +54,13 @@ impl Checked {
 struct Found {
     finding: Finding,
     place: FileError,
+}
+
+impl Found {
+    fn new(finding: Finding, experiment: &Experiment) -> Self {
+        let place = finding.placed(experiment);
+        Self { finding, place }
+    }
 }
 
 /// What will go wrong with these experiments, each thing once: runs that differ in what doesn't matter to it find
@@ -66,10 +77,10 @@ fn find<'a>(experiments: impl IntoIterator<Item = &'a Experiment>) -> Vec<Found>
             continue;
         }
         for finding in findings(experiment) {
-            let place = finding.placed(experiment);
-            let same = |other: &Found| other.finding == finding && other.place.path() == place.path();
+            let new = Found::new(finding, experiment);
+            let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
             if !found.iter().any(same) {
-                found.push(Found { finding, place });
+                found.push(new);
             }
         }
     }
@@ -117,12 +128,16 @@ fn check_one(path: &Path, console: Console) -> Result<Checked, FileError> {
         Some(Kind::Suite) => {
             let suite = Suite::load(Files::Disk, path)?;
             let what = format!("a suite of {} runs", suite.experiments.len());
-            Ok(Checked { what, found: find(&suite.experiments) })
+            Ok(Checked { found: find(&suite.experiments), ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
             let experiment = Experiment::load(Files::Disk, path, None, choice(path), &[])?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
-            Ok(Checked { what, found: find([&experiment]) })
+            let margin = gain_margin(&experiment);
+            let mut found = find([&experiment]);
+            let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
+            found.extend(small.map(|finding| Found::new(finding, &experiment)));
+            Ok(Checked { what, margin, found })
         }
         Some(Kind::Robot) => robot(),
         // What a folder stands for is a robot.
@@ -146,9 +161,18 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, found }) => {
+        Ok(Checked { what, margin, found }) => {
             let findings: Vec<Value> = found.iter().map(told).collect();
-            json!({ "file": path, "ok": true, "is": what, "findings": findings })
+            let margin = margin.as_ref().map(|margin| {
+                json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
+            });
+            json!({
+                "file": path,
+                "ok": true,
+                "is": what,
+                "position_gain_margin": margin,
+                "findings": findings,
+            })
         }
         Err(error) => json!({
             "file": path,

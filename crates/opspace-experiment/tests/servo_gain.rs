@@ -1,0 +1,127 @@
+//! How much more gain than believed a position loop may have: what is told against a formula, and against runs of the
+//! simulated robot.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use opspace_backend::Ending;
+use opspace_experiment::findings::gain_margin;
+use opspace_experiment::run::Watch;
+use opspace_experiment::{BackendKind, Choice, Experiment, Files};
+use opspace_log::Recording;
+use std::io::Cursor;
+use std::path::Path;
+
+const PAPER: &str = "transformer=\"paper\"";
+const EMULATION: &str = "transformer=\"emulation\"";
+const EMULATION_CURRENT: &str = "transformer=\"emulation+current\"";
+
+/// A task on the ASIMO-like arm, with settings of its profile and others.
+fn experiment(task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
+    let choice = Choice { profile: Some(profile.to_owned()), duration_s: Some(3.0), ..Choice::default() };
+    let transformer = format!("robot.profile.{profile}.{transformer}");
+    let settings: Vec<String> = std::iter::once(transformer).chain(settings.iter().cloned()).collect();
+    let path = format!("tasks/{task}.toml");
+    Experiment::load(Files::Embedded, Path::new(&path), None, choice, &settings).unwrap()
+}
+
+fn excess(experiment: &Experiment) -> Option<f64> {
+    gain_margin(experiment).unwrap().excess
+}
+
+/// The margin of gravity compensation, where all but the joints' own damping is known, against the formula
+/// ε < ((1 − gain) b + d)/kv + (1 + ε) kp t̄ of the worst joint, with and without the hold's t̄ = (R−1)/2 Ts.
+#[test]
+fn the_margin_is_the_formulas() {
+    // 0.1 % of bisection, and what the formula leaves out: it knows neither the observer nor the filters.
+    const TOLERANCE: f64 = 0.004;
+    for (profile, kp, kv, hold_s) in [("a-med", 50.265, 94.6, 4e-4), ("b-soft", 25.133, 47.3, 2e-3)] {
+        for damping in [0.0, 2.0] {
+            for (transformer, lag_s) in [(PAPER, hold_s), (EMULATION, 0.0)] {
+                let setting = format!("task.rest.joint-damping.damping_nms_per_rad={damping:?}");
+                let margin =
+                    gain_margin(&experiment("gravity-compensation", profile, transformer, &[setting]))
+                        .unwrap();
+                let told = margin.excess.unwrap();
+                let added = (0.2 * 2.0 + damping) / kv;
+                let formula = (added + kp * lag_s) / (1.0 - kp * lag_s);
+                assert!(
+                    (told - formula).abs() < TOLERANCE,
+                    "{profile} {damping} {transformer}: {told} for {formula}"
+                );
+                assert_eq!(
+                    margin.joint.as_deref(),
+                    Some("shoulder_pitch"),
+                    "the highest kv for its friction"
+                );
+            }
+        }
+    }
+}
+
+/// With the motors' current a wrong gain shows: the margin is at least ten times that without.
+#[test]
+fn the_motors_current_lifts_the_margin() {
+    for profile in ["a-med", "b-soft"] {
+        let of = |transformer| excess(&experiment("gravity-compensation", profile, transformer, &[]));
+        let (without, with) = (of(EMULATION).unwrap(), of(EMULATION_CURRENT));
+        assert!(
+            with.is_none_or(|with| with > 10.0 * without && with > 0.5),
+            "{profile}: {with:?} for {without}"
+        );
+    }
+}
+
+/// How a run of the simulated robot ends whose position loops have that share of gain too much, and its highest speed,
+/// rad/s.
+fn run(task: &str, transformer: &str, excess: f64) -> (Ending, Option<f64>) {
+    let scale = format!("robot.simulated.scale.kp={:?}", 1.0 + excess);
+    let experiment = experiment(task, "a-med", transformer, &[scale]);
+    let finished = experiment.run(Cursor::new(Vec::new()), &Watch::default()).unwrap();
+    let recording = Recording::from_bytes(finished.sink.get_ref()).unwrap();
+    let speed = experiment.summary(&recording, &finished.ending, None).metrics.speed_max_rad_per_s;
+    (finished.ending, speed)
+}
+
+/// The margin against the simulated robot with all its friction, weight and noise: within it the arm moves on, slower
+/// than its speed limit; clearly beyond it the run ends in a fault.
+#[test]
+fn the_simulated_robot_is_stable_within_the_margin_and_not_beyond() {
+    const WITHIN: f64 = 0.8;
+    const BEYOND: f64 = 0.04;
+    const FAST_RAD_PER_S: f64 = 4.0;
+    for task in ["gravity-compensation", "cartesian-tracking"] {
+        for transformer in [PAPER, EMULATION] {
+            let margin = excess(&experiment(task, "a-med", transformer, &[])).unwrap();
+            let (ending, speed) = run(task, transformer, WITHIN * margin);
+            assert!(matches!(ending, Ending::Completed), "{task} {transformer}, within {margin}: {ending:?}");
+            assert!(
+                speed.is_some_and(|speed| speed < FAST_RAD_PER_S),
+                "{task} {transformer}: {speed:?} rad/s"
+            );
+            let (ending, _) = run(task, transformer, margin + BEYOND);
+            assert!(
+                matches!(ending, Ending::Faulted { .. }),
+                "{task} {transformer}, beyond {margin}: {ending:?}"
+            );
+        }
+    }
+}
+
+/// A small margin is told with its number and what to do; a large one isn't; and where torques pass as they are, there is
+/// none.
+#[test]
+fn a_small_margin_is_a_finding() {
+    let small = experiment("gravity-compensation", "a-med", EMULATION, &[]);
+    let finding = gain_margin(&small).unwrap().finding(&small).unwrap();
+    let told = format!("{} {} {}", finding.key, finding.message, finding.help);
+    for words in
+        ["profile.a-med", "0.4 %", "'emulation'", "'emulation+current'", "joint 'shoulder_pitch' by 4."]
+    {
+        assert!(told.contains(words), "`{words}` in {told}");
+    }
+    let large = experiment("gravity-compensation", "a-med", EMULATION_CURRENT, &[]);
+    assert_eq!(gain_margin(&large).unwrap().finding(&large), None);
+    let torque = Choice { backend: BackendKind::Torque, ..Choice::default() };
+    let path = Path::new("tasks/gravity-compensation.toml");
+    let torque = Experiment::load(Files::Embedded, path, None, torque, &[]).unwrap();
+    assert_eq!(gain_margin(&torque), None);
+}
