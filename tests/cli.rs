@@ -677,7 +677,11 @@ fn check_knows_what_a_file_is() {
     let urdf = "robots/asimo-arm/asimo-arm.urdf";
     assert_eq!(at(urdf), format!("{urdf}: a URDF of 4 moving joints\n"));
     let task = at("tasks/compliant-x.toml");
-    assert!(task.starts_with("tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n  position loops may have "));
+    assert!(
+        task.starts_with(
+            "tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n  position loops may have "
+        )
+    );
     assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
 
     // Several: each is told of, and one that is wrong is enough.

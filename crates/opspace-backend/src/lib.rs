@@ -10,6 +10,7 @@ pub mod emulation;
 pub mod estimator;
 pub mod fault;
 pub mod friction;
+pub mod identified;
 pub mod interface;
 pub mod observer;
 pub mod parameters;
@@ -29,6 +30,7 @@ pub use emulation::{EmulatingTransformer, EmulationError, EmulationSetup, Matchi
 pub use estimator::{EstimatorParameters, VelocityEstimator};
 pub use fault::Fault;
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
+pub use identified::{IdentificationError, IdentifiedJoint, LiteralTransformer, Rational};
 pub use interface::{Facts, ForceSensor, GravityBy, InterfaceParameters, Measured, SetPoints};
 pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters, SafetyParameters};

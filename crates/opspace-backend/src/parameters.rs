@@ -2,6 +2,7 @@
 
 use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
+use crate::identified::IdentifiedJoint;
 use crate::servo::ServoParameters;
 use crate::transformer::TransformerKind;
 use opspace_control::quantity::{Count, NonNegative, Positive};
@@ -74,6 +75,9 @@ pub struct ProfileParameters {
     pub estimator: EstimatorParameters,
     /// The position servo of each joint, by joint name.
     pub servo: BTreeMap<String, ServoParameters>,
+    /// What was measured of each joint's closed loop, by joint name: for the transformers `identified`.
+    #[serde(default)]
+    pub identified: BTreeMap<String, IdentifiedJoint>,
 }
 
 impl ProfileParameters {

@@ -23,6 +23,26 @@ pub enum Method {
     Emulation,
     /// The same for drives that interpolate set-points, the torque of each servo tick matched.
     Interpolating,
+    /// Equation (10) with the gains that a measured closed loop has.
+    Identified,
+    /// Equation (8) on a measured closed loop, for a single free joint.
+    IdentifiedLiteral,
+    /// Its second form, which doesn't look at the measured position.
+    IdentifiedOpenLoop,
+}
+
+impl Method {
+    /// Whether it is made from a measured closed loop.
+    #[must_use]
+    pub fn needs_identification(self) -> bool {
+        matches!(self, Self::Identified | Self::IdentifiedLiteral | Self::IdentifiedOpenLoop)
+    }
+
+    /// Whether it must know when a set-point acts.
+    #[must_use]
+    pub fn needs_delay(self) -> bool {
+        matches!(self, Self::Emulation | Self::Interpolating)
+    }
 }
 
 /// Which transformer.
@@ -36,13 +56,19 @@ pub struct TransformerKind {
 
 impl TransformerKind {
     /// All there are.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 12] = [
         Self::new(Method::Paper, false),
         Self::new(Method::Paper, true),
         Self::new(Method::Emulation, false),
         Self::new(Method::Emulation, true),
         Self::new(Method::Interpolating, false),
         Self::new(Method::Interpolating, true),
+        Self::new(Method::Identified, false),
+        Self::new(Method::Identified, true),
+        Self::new(Method::IdentifiedLiteral, false),
+        Self::new(Method::IdentifiedLiteral, true),
+        Self::new(Method::IdentifiedOpenLoop, false),
+        Self::new(Method::IdentifiedOpenLoop, true),
     ];
 
     /// The names of all, in their order.
@@ -53,6 +79,12 @@ impl TransformerKind {
         "emulation+current",
         "interpolating",
         "interpolating+current",
+        "identified",
+        "identified+current",
+        "identified-literal",
+        "identified-literal+current",
+        "identified-open-loop",
+        "identified-open-loop+current",
     ];
 
     const fn new(method: Method, current: bool) -> Self {
@@ -80,6 +112,11 @@ impl TransformerKind {
             Method::Paper => "equation (10) of the paper",
             Method::Emulation => "the servo emulated up to the next set-point, its mean torque matched",
             Method::Interpolating => "the same for drives that interpolate, every tick's torque matched",
+            Method::Identified => "equation (10) with the gains that a measured closed loop has",
+            Method::IdentifiedLiteral => {
+                "equation (8) on a measured closed loop: one joint, free of gravity and contact"
+            }
+            Method::IdentifiedOpenLoop => "its second form, blind to the measured position: drifts",
         };
         let correction = if self.current { ", corrected by measured motor current" } else { "" };
         format!("{method}{correction}")
@@ -164,19 +201,26 @@ pub trait Transformer: Send {
 #[derive(Clone, Debug)]
 pub struct PaperTransformer {
     gains: Vec<ServoGains>,
+    method: Method,
 }
 
 impl PaperTransformer {
     /// For joints with these servos.
     #[must_use]
     pub fn new(gains: Vec<ServoGains>) -> Self {
-        Self { gains }
+        Self { gains, method: Method::Paper }
+    }
+
+    /// The same with gains that were [identified](crate::identified).
+    #[must_use]
+    pub fn identified(gains: Vec<ServoGains>) -> Self {
+        Self { gains, method: Method::Identified }
     }
 }
 
 impl Transformer for PaperTransformer {
     fn kind(&self) -> TransformerKind {
-        TransformerKind { method: Method::Paper, current: false }
+        TransformerKind { method: self.method, current: false }
     }
 
     fn transform(&mut self, _data: &Data, measurement: &Measurement, tau: &[f64], q_desired: &mut [f64]) {

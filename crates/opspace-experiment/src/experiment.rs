@@ -8,10 +8,10 @@ use crate::task::Task;
 use nalgebra::DMatrix;
 use opspace_backend::interface::CommandParameter;
 use opspace_backend::{
-    Backend, ControlLoop, CurrentCorrected, EmulatingTransformer, EmulationError, EmulationSetup, Facts,
-    FrictionCompensation, FrictionCompensationParameters, GravityBy, Matching, Measured, Method,
-    PaperTransformer, PositionBackend, PositionRobot, ProfileParameters, Sensing, ServoGains, SetPoints,
-    TorqueBackend, TorqueRobot, Transformer, TransformerKind,
+    Backend, ControlLoop, CurrentCorrected, EmulatingTransformer, EmulationSetup, Facts,
+    FrictionCompensation, FrictionCompensationParameters, GravityBy, IdentifiedJoint, LiteralTransformer,
+    Matching, Measured, Method, PaperTransformer, PositionBackend, PositionRobot, ProfileParameters, Sensing,
+    ServoGains, SetPoints, TorqueBackend, TorqueRobot, Transformer, TransformerKind,
 };
 use opspace_control::quantity::NonNegative;
 use opspace_control::{
@@ -362,27 +362,43 @@ impl Experiment {
     /// A servo that it can't invert.
     fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
-        let matching = match method {
-            Method::Paper => {
-                let paper = Box::new(PaperTransformer::new(self.servo_gains()));
-                if !current {
-                    return Ok(paper);
-                }
-                let (ratio, delay) = (self.profile.ratio.get(), self.profile.delay());
-                let limits = self.robot.torque_limits();
-                return Ok(Box::new(CurrentCorrected::new(paper, &limits, ratio, delay)));
-            }
-            Method::Emulation => Matching::Mean,
-            Method::Interpolating => Matching::EachTick,
+        let joints = || self.robot.identified(&self.profile);
+        let literal = |measured| {
+            let transformer = LiteralTransformer::new(&joints(), measured, self.profile.period_s());
+            transformer.map_err(|(joint, error)| self.joint_error("identified", joint, &error))
         };
-        let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
-        Ok(Box::new(emulating.map_err(|(joint, error)| self.servo_error(joint, &error))?))
+        let plain: Box<dyn Transformer> = match method {
+            Method::Paper => Box::new(PaperTransformer::new(self.servo_gains())),
+            Method::Identified => {
+                let split = |(joint, of): (usize, &IdentifiedJoint)| {
+                    of.split().map_err(|error| self.joint_error("identified", joint, &error))
+                };
+                let gains: Result<Vec<ServoGains>, FileError> =
+                    joints().iter().enumerate().map(split).collect();
+                Box::new(PaperTransformer::identified(gains?))
+            }
+            Method::IdentifiedLiteral => Box::new(literal(true)?),
+            Method::IdentifiedOpenLoop => Box::new(literal(false)?),
+            Method::Emulation => return self.emulating(Matching::Mean, current),
+            Method::Interpolating => return self.emulating(Matching::EachTick, current),
+        };
+        if !current {
+            return Ok(plain);
+        }
+        let (ratio, delay) = (self.profile.ratio.get(), self.profile.delay());
+        Ok(Box::new(CurrentCorrected::new(plain, &self.robot.torque_limits(), ratio, delay)))
     }
 
-    fn servo_error(&self, joint: usize, error: &EmulationError) -> FileError {
+    fn emulating(&self, matching: Matching, current: bool) -> Result<Box<dyn Transformer>, FileError> {
+        let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
+        Ok(Box::new(emulating.map_err(|(joint, error)| self.joint_error("servo", joint, &error))?))
+    }
+
+    /// What is wrong with a joint's entry in a table of the profile.
+    fn joint_error(&self, table: &str, joint: usize, error: &dyn std::error::Error) -> FileError {
         let name = self.robot.model.joints()[joint].name.as_str();
-        let key = ["profile", &self.profile_name, "servo", name];
         let help = "transformer = \"paper\" takes any servo for what it amounts to".to_owned();
+        let key = ["profile", &self.profile_name, table, name];
         FileError::at_key(&self.robot.source, key, error.to_string(), Some(help))
     }
 

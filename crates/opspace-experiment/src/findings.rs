@@ -31,9 +31,9 @@ use crate::place::dotted;
 use crate::source::FileError;
 use followed::Followed;
 use motion::{Motion, motions};
-pub use servo_gain::{GainMargin, gain_margin};
 use opspace_control::TaskParameters;
 use opspace_model::{Data, Model, update};
+pub use servo_gain::{GainMargin, gain_margin};
 use std::collections::BTreeMap;
 
 /// Something that will go wrong.

@@ -6,8 +6,8 @@ use crate::overrides;
 use crate::source::{FileError, Source, parse};
 use crate::tool::{self, ToolFile};
 use opspace_backend::{
-    ForceSensor, InterfaceParameters, JointParameters, Measured, ProfileParameters, SafetyParameters,
-    ServoParameters,
+    ForceSensor, IdentifiedJoint, InterfaceParameters, JointParameters, Measured, ProfileParameters,
+    SafetyParameters, ServoParameters,
 };
 use opspace_control::JointLimits;
 use opspace_control::quantity::Positive;
@@ -103,6 +103,9 @@ impl Robot {
         }
         for (name, profile) in &file.profile {
             joints_of(&source, &model, &profile.servo, &["profile", name, "servo"])?;
+            if !profile.identified.is_empty() {
+                joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
+            }
             let (delay, ratio) = (profile.delay(), profile.ratio.get());
             if delay > ratio {
                 let key = ["profile", name, "delay_servo_ticks"];
@@ -154,6 +157,12 @@ impl Robot {
     #[must_use]
     pub fn servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
         self.in_order(&profile.servo)
+    }
+
+    /// What a profile has of the joints' measured closed loops, in the model's joint order; empty if it has none.
+    #[must_use]
+    pub fn identified(&self, profile: &ProfileParameters) -> Vec<IdentifiedJoint> {
+        self.in_order(&profile.identified)
     }
 
     /// The drives' torque limits, in the model's joint order, Nm (N).

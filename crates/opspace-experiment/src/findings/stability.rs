@@ -425,7 +425,8 @@ mod tests {
     const INERTIA: f64 = 0.4;
 
     fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<CascadedServo>) -> Plant {
-        let servo = servo.and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz, SetPoints::Held));
+        let servo = servo
+            .and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz, SetPoints::Held));
         Plant {
             inertia: INERTIA,
             servo,
