@@ -10,6 +10,7 @@ pub mod emulation;
 pub mod estimator;
 pub mod fault;
 pub mod friction;
+pub mod identification;
 pub mod identified;
 pub mod interface;
 pub mod observer;

@@ -39,6 +39,10 @@ pub struct Panel {
     pub series: Vec<Series>,
     /// Instants worth a vertical line, with a word: (x, `fault`).
     pub marks: Vec<(f64, String)>,
+    /// How abscissae are spread: evenly, or over decades.
+    pub x_scale: Scale,
+    /// How ordinates are.
+    pub y_scale: Scale,
 }
 
 /// A line: `y` over `x`, of equal lengths; a value that is not finite interrupts it.
@@ -64,6 +68,8 @@ pub enum Style {
     Desired,
     /// What stands behind: raw signals, bounds.
     Thin,
+    /// Samples that no line joins: points of a measured frequency response.
+    Dots,
 }
 
 /// Dots on one scale: a row for each thing compared, a colour for each way of doing it.
@@ -102,6 +108,16 @@ pub enum Scale {
     Log,
 }
 
+impl Scale {
+    /// Values as they stand on the axis: their logarithms where it is spread over decades, not a number for none.
+    fn of(self, values: &[f64]) -> Vec<f64> {
+        match self {
+            Self::Linear => values.to_vec(),
+            Self::Log => values.iter().map(|v| if *v > 0.0 { v.log10() } else { f64::NAN }).collect(),
+        }
+    }
+}
+
 impl Series {
     /// A solid line.
     pub fn new(label: impl Into<String>, x: Vec<f64>, y: Vec<f64>) -> Self {
@@ -135,6 +151,8 @@ const WIDTH: i32 = px(960);
 const LEGEND_ROW: i32 = px(24);
 /// Length of a line in the legend.
 const SAMPLE: i32 = px(28);
+/// Radius of a measured point.
+const DOT: i32 = px(3);
 
 const fn px(pixels: i32) -> i32 {
     pixels * FINENESS
@@ -158,8 +176,12 @@ impl Figure {
         canvas(&self.title, &self.caption, height, |root| {
             let (strip, grid) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| {
+                let (label, style) = entries[place];
+                if self.is_dotted(label) {
+                    return area.draw(&Circle::new((SAMPLE / 2, LEGEND_ROW / 2), DOT, style.filled()));
+                }
                 let line = vec![(0, LEGEND_ROW / 2), (SAMPLE, LEGEND_ROW / 2)];
-                area.draw(&PathElement::new(line, entries[place].1))
+                area.draw(&PathElement::new(line, style))
             })?;
             if self.panels.is_empty() {
                 say(&grid, "no data")?;
@@ -167,6 +189,11 @@ impl Figure {
             let areas = grid.split_evenly((rows, columns));
             self.panels.iter().zip(&areas).try_for_each(|(panel, area)| panel.draw(area, &entries))
         })
+    }
+
+    fn is_dotted(&self, label: &str) -> bool {
+        let mut series = self.panels.iter().flat_map(|panel| &panel.series);
+        series.any(|series| series.label == label && series.style == Style::Dots)
     }
 
     /// Labels in the order in which they appear, and how each is drawn throughout the figure.
@@ -178,7 +205,7 @@ impl Figure {
                 continue;
             }
             let (place, width, opacity) = match series.style {
-                Style::Solid => (&mut others, 10, 1.0),
+                Style::Solid | Style::Dots => (&mut others, 10, 1.0),
                 Style::Desired => (&mut desired, 5, 1.0),
                 Style::Thin => (&mut others, 4, 0.7),
             };
@@ -197,6 +224,17 @@ impl Figure {
 
 impl Panel {
     fn draw(&self, area: &Area<'_>, legend: &[(&str, ShapeStyle)]) -> Drawn {
+        // From here on logarithms stand for what is spread over decades.
+        let scaled = Self {
+            series: (self.series.iter())
+                .map(|s| Series { x: self.x_scale.of(&s.x), y: self.y_scale.of(&s.y), ..s.clone() })
+                .collect(),
+            ..self.clone()
+        };
+        scaled.draw_scaled(area, legend)
+    }
+
+    fn draw_scaled(&self, area: &Area<'_>, legend: &[(&str, ShapeStyle)]) -> Drawn {
         let samples = || {
             let samples = self.series.iter().flat_map(|series| series.x.iter().zip(&series.y));
             samples.filter(|(x, y)| x.is_finite() && y.is_finite())
@@ -209,10 +247,18 @@ impl Panel {
         else {
             return say(area, &title);
         };
-        let y = Axis::linear(y, 0.06, &self.y_label, 7);
+        let y = match self.y_scale {
+            Scale::Linear => Axis::linear(y, 0.06, &self.y_label, 7),
+            Scale::Log => Axis::decades(y, &self.y_label),
+        };
         // Panels below one another begin at the same place, unless one has numbers of many digits.
         let left = px(72).max(px(28) + y.widest());
-        let x = Axis::linear(x, 0.005, &self.x_label, (area.dim_in_pixel().0 as i32 - left) / px(70));
+        let x = match self.x_scale {
+            Scale::Linear => {
+                Axis::linear(x, 0.005, &self.x_label, (area.dim_in_pixel().0 as i32 - left) / px(70))
+            }
+            Scale::Log => Axis::decades(x, &self.x_label),
+        };
         let mut chart = chart(area, &title, left, &x, &y)?;
         let mut series: Vec<&Series> = self.series.iter().collect();
         series.sort_by_key(|series| series.style == Style::Desired);
@@ -221,7 +267,7 @@ impl Panel {
             series.draw(&mut chart, &x, &y, style.unwrap_or(INK.into()))?;
         }
         for (at, label) in &self.marks {
-            self.mark(&mut chart, x.place(*at), &y, label)?;
+            self.mark(&mut chart, x.place(self.x_scale.of(&[*at])[0]), &y, label)?;
         }
         Ok(())
     }
@@ -276,6 +322,11 @@ impl Series {
         let columns = chart.plotting_area().dim_in_pixel().0 / FINENESS as u32;
         let placed_x: Vec<f64> = self.x.iter().map(|value| x.place(*value)).collect();
         let placed_y: Vec<f64> = self.y.iter().map(|value| y.place(*value)).collect();
+        if self.style == Style::Dots {
+            let dots = placed_x.into_iter().zip(placed_y).filter(|(x, y)| x.is_finite() && y.is_finite());
+            chart.draw_series(dots.map(|at| Circle::new(at, DOT, style.filled())))?;
+            return Ok(());
+        }
         for stretch in decimate(&placed_x, &placed_y, (x.range.start, x.range.end), columns as usize) {
             // A sample between gaps, which no line leads to.
             if let [alone] = stretch[..] {

@@ -4,6 +4,7 @@ pub mod experiment;
 pub mod figure;
 pub mod files;
 pub mod findings;
+pub mod identify;
 pub mod metrics;
 pub mod names;
 pub mod overrides;

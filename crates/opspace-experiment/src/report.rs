@@ -121,7 +121,7 @@ fn torques(recording: &Recording, tick: &ChannelData) -> Option<Figure> {
                 .into_iter()
                 .filter_map(|(label, style, column)| series(label, &channel.time_s, &column?, j, style))
                 .collect(),
-            marks: Vec::new(),
+            ..Panel::default()
         })
         .collect();
     Some(Figure {
@@ -163,7 +163,7 @@ fn positions(
             .into_iter()
             .flatten()
             .collect(),
-            marks: Vec::new(),
+            ..Panel::default()
         })
         .collect();
     Some(Figure {
@@ -182,7 +182,7 @@ fn forces(tick: &ChannelData, task: &str, sensor: Option<&str>) -> Option<Figure
             x_label: "time (s)".to_owned(),
             y_label: "force (N)".to_owned(),
             series: series("sensed", &tick.time_s, &wrench, axis, Style::Solid).into_iter().collect(),
-            marks: Vec::new(),
+            ..Panel::default()
         })
         .collect();
     Some(Figure {
@@ -233,7 +233,7 @@ fn joint_figure(
             .into_iter()
             .flatten()
             .collect(),
-            marks: Vec::new(),
+            ..Panel::default()
         })
         .collect();
     Some(Figure { title: title.to_owned(), caption: caption.to_owned(), panels, columns: None })

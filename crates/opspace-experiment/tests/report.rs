@@ -48,7 +48,7 @@ fn panel(title: &str, series: Vec<Series>) -> Panel {
         x_label: "time (s)".to_owned(),
         y_label: "torque (N·m)".to_owned(),
         series,
-        marks: Vec::new(),
+        ..Panel::default()
     }
 }
 
@@ -112,6 +112,35 @@ fn four_joints_make_four_panels_with_one_legend() {
         assert!(pair == &looks[..2] && pair[0].0 > pair[1].0 && pair[0].1 != pair[1].1, "{looks:?}");
     }
     assert!(svg.len() < 300_000, "{} bytes", svg.len());
+}
+
+/// Points of a measured response: a dot for each that has logarithms, a decade as wide as the next.
+#[test]
+fn decades_are_of_one_width_and_points_are_dots() {
+    const TOLERANCE: f64 = 1.0;
+    let x = vec![1.0, 10.0, 100.0, 1000.0, 0.0];
+    let y = vec![1.0, 0.1, 0.01, 0.001, 5.0];
+    let panel = Panel {
+        x_scale: Scale::Log,
+        y_scale: Scale::Log,
+        ..panel("magnitude", vec![Series::new("measured", x, y).style(Style::Dots)])
+    };
+    let svg = figure(vec![panel]).svg();
+    let document = xml(&svg);
+    let number = |node: &Node<'_, '_>, name: &str| -> f64 {
+        node.attribute(name).expect(name).parse().expect("a number")
+    };
+    let dots: Vec<(f64, f64)> = (document.descendants().filter(|node| node.has_tag_name("circle")))
+        .map(|dot| (number(&dot, "cx"), number(&dot, "cy")))
+        .collect();
+    // One is in the legend.
+    let [_, points @ ..] = &dots[..] else { panic!("no dots") };
+    assert_eq!(points.len(), 4, "{dots:?}");
+    let steps: Vec<(f64, f64)> = points.windows(2).map(|p| (p[1].0 - p[0].0, p[1].1 - p[0].1)).collect();
+    for (right, down) in &steps {
+        assert!((right - steps[0].0).abs() <= TOLERANCE && *right > 0.0, "{steps:?}");
+        assert!((down - steps[0].1).abs() <= TOLERANCE && *down > 0.0, "{steps:?}");
+    }
 }
 
 /// Every drawn point lies within the picture, and panels do not overlap.

@@ -76,6 +76,20 @@ that contradict each other, a singular start, freedom that nothing damps, a run 
 `findings`.")]
     Check(CheckArgs),
 
+    /// Find a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
+    #[command(after_help = "\
+Told beforehand are the servo's structure, the rates, limits, URDF and rotors; gains, filter, delay and friction are not. \
+The scale of torque comes from the motors' current where the robot measures it, else from URDF and rotor inertia; without \
+either only ratios are written and torque mode is refused (exit code 1), as it is for a joint that can't be inverted.
+
+Writes servo.toml (the keys of robot.toml that were found), robot.toml with a copy of the URDF (the whole robot with \
+them), identification.json and report.html (Bode plots) into runs/identify-ROBOT.
+
+Examples:
+  opspace identify robots/asimo-arm
+  opspace identify robots/asimo-arm --profile b-soft --joint elbow --start-rad elbow=-1.35")]
+    Identify(IdentifyArgs),
+
     /// Print a robot's joints and frames, or compute its kinematics and dynamics at given states.
     #[command(after_help = "\
 Each line of the samples is a state:
@@ -239,6 +253,42 @@ pub struct CheckArgs {
 
     #[command(flatten)]
     pub json: JsonArgs,
+}
+
+#[derive(Debug, Args)]
+pub struct IdentifyArgs {
+    /// The robot's folder or its robot.toml.
+    pub robot: PathBuf,
+
+    /// One joint only.
+    #[arg(long)]
+    pub joint: Option<String>,
+
+    /// Another profile than the robot's default one.
+    #[arg(long)]
+    pub profile: Option<String>,
+
+    /// Where joints stand, rad or m; the others in the middle of their range.
+    #[arg(long, value_name = "JOINT=VALUE", value_delimiter = ',', value_parser = joint_value)]
+    pub start_rad: Vec<(String, f64)>,
+
+    /// Of the excitation's phases, and of everything random in the simulation.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+
+    /// Change a value of the robot file: `robot.key=value`. Can be given again.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+fn joint_value(text: &str) -> Result<(String, f64), String> {
+    let wrong = || "expected the name of a joint and a number: elbow=-1.35".to_owned();
+    let (name, value) = text.split_once('=').ok_or_else(wrong)?;
+    let value: f64 = value.trim().parse().map_err(|_| wrong())?;
+    if value.is_finite() { Ok((name.trim().to_owned(), value)) } else { Err(wrong()) }
 }
 
 #[derive(Debug, Args)]

@@ -20,6 +20,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => commands::replay::replay(args, console),
         Command::Report(args) => commands::report::report(args, console),
         Command::Check(args) => commands::check::check(args, console),
+        Command::Identify(args) => commands::identify::identify(args, console),
         Command::Model(args) => commands::model::model(args, console),
         Command::New(args) => commands::new::new(args, console),
         Command::Schema(args) => commands::schema::schema(args.kind),

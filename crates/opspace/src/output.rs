@@ -16,6 +16,12 @@ pub const REPORT: &str = "report.html";
 pub const SUMMARY: &str = "summary.json";
 /// The rows of a suite.
 pub const ROWS: &str = "bench.json";
+/// The numbers of an identification.
+pub const IDENTIFICATION: &str = "identification.json";
+/// The identified keys of a robot file.
+pub const SERVO_FILE: &str = "servo.toml";
+/// A robot file with them.
+pub const ROBOT_FILE: &str = "robot.toml";
 
 /// Makes the folder for results. A default one that holds some is moved aside; one that was asked for is
 /// only reused with `--force`.
@@ -36,7 +42,7 @@ pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<Pa
 }
 
 fn holds_results(folder: &Path) -> bool {
-    [LOG, SUMMARY, ROWS].iter().any(|name| folder.join(name).exists())
+    [LOG, SUMMARY, ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists())
 }
 
 /// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
@@ -54,12 +60,16 @@ fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Removes what a run or a suite wrote, and nothing else.
+/// Removes what a run, a suite or an identification wrote, and nothing else.
 fn clear(folder: &Path) -> Result<(), Failure> {
+    let identified = folder.join(IDENTIFICATION).exists();
     let logs = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let ours = logs.filter(|path| {
-        let named = [LOG, REPORT, SUMMARY, ROWS].iter().any(|name| path.ends_with(name));
-        named || path.extension().is_some_and(|e| e == "mcap")
+        let named = |names: &[&str]| names.iter().any(|name| path.ends_with(name));
+        // A robot file is ours only beside an identification.
+        named(&[LOG, REPORT, SUMMARY, ROWS, IDENTIFICATION])
+            || identified && named(&[SERVO_FILE, ROBOT_FILE])
+            || path.extension().is_some_and(|e| e == "mcap")
     });
     for path in ours {
         fs::remove_file(&path).map_err(|e| Failure::io("can't be replaced", &path, &e))?;

@@ -1,0 +1,400 @@
+//! `opspace identify`: a robot's servos, found by moving its joints, and what is written of them.
+//!
+//! The identification itself is [`opspace_backend::identification`]; here it is given a robot from its file, and its
+//! results become a section of that file, a whole file, numbers, and a page.
+
+mod page;
+mod written;
+
+use crate::robot::{Robot, choices};
+use crate::run::Watch;
+use crate::source::FileError;
+use crate::table::{Cell, Table};
+use nalgebra::DMatrix;
+use opspace_backend::identification::response::Point;
+use opspace_backend::identification::session::{Session, Stop};
+use opspace_backend::identification::{Identification, Plan, Told, TorqueScale, identify};
+use opspace_backend::interface::CommandParameter;
+use opspace_backend::servo::DerivativeOf;
+use opspace_backend::{Facts, Measured, PositionRobot, ProfileParameters, ServoParameters};
+use opspace_control::CommandKind;
+use opspace_model::{Data, crba, kinematics};
+use opspace_sim::{Setup, SimulatedArm};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+
+/// What is to be identified.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// The profile; the robot's default one if absent.
+    pub profile: Option<String>,
+    /// One joint; all of them if absent.
+    pub joint: Option<String>,
+    /// Where joints stand, by name, rad or m; in the middle of their range where they aren't named.
+    pub start_rad: Vec<(String, f64)>,
+    /// How they are excited.
+    pub plan: Plan,
+}
+
+/// A robot whose servos are to be identified: everything checked.
+#[derive(Clone, Debug)]
+pub struct Identifying {
+    robot: Robot,
+    profile_name: String,
+    profile: ProfileParameters,
+    start: Vec<f64>,
+    joints: Vec<usize>,
+    plan: Plan,
+}
+
+/// A joint that was identified.
+#[derive(Clone, Debug, Serialize)]
+pub struct IdentifiedJoint {
+    /// Its name.
+    #[serde(skip)]
+    pub name: String,
+    /// What was known of it.
+    #[serde(skip)]
+    pub told: Told,
+    /// What the servo is said to be.
+    #[serde(skip)]
+    pub structure: Structure,
+    /// Where it stood, rad (m).
+    pub position_rad: f64,
+    /// Its inertia from URDF and rotor, with the other joints free and held, kg m² (kg).
+    pub urdf_inertia_kg_m2: Option<[f64; 2]>,
+    /// What was found.
+    #[serde(flatten)]
+    pub found: Identification,
+    /// D* as measured at the largest amplitude, Nm/rad: frequency (Hz), real and imaginary part.
+    pub effective_servo: Vec<[f64; 3]>,
+    /// Why it can't be driven by torques; null if it can.
+    pub no_torque_mode: Option<String>,
+}
+
+/// The structures of servos that can be identified.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Structure {
+    /// A proportional velocity loop within a proportional position loop.
+    Cascaded,
+    /// The same with its gains multiplied out: stiffness and damping.
+    Pid,
+}
+
+/// All that was identified of a robot.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    robot: Robot,
+    profile_name: String,
+    profile: ProfileParameters,
+    /// In the order in which they were identified.
+    pub joints: Vec<IdentifiedJoint>,
+    /// How long the robot was moved, s on its own clock.
+    pub robot_s: f64,
+    seed: u64,
+}
+
+/// `identification.json`.
+#[derive(Serialize)]
+struct Json<'a> {
+    schema: &'static str,
+    opspace_version: &'static str,
+    robot: String,
+    profile: &'a str,
+    servo_hz: f64,
+    ratio: u32,
+    seed: u64,
+    robot_s: f64,
+    /// Null where the joints don't agree.
+    delay_servo_ticks: Option<u32>,
+    joints: BTreeMap<&'a str, &'a IdentifiedJoint>,
+}
+
+impl Identifying {
+    /// Checks what is asked for.
+    ///
+    /// # Errors
+    /// Names that the robot doesn't have, positions outside its limits, a robot that takes no positions, and servos of a
+    /// structure that can't be identified.
+    pub fn new(robot: Robot, request: Request) -> Result<Self, FileError> {
+        let (name, profile) = robot.profile(request.profile.as_deref())?;
+        let (profile_name, profile) = (name.to_owned(), profile.clone());
+        if robot.file.interface.command != CommandParameter::Position {
+            let message = "this robot takes torques: it has no position servos to identify";
+            return Err(FileError::at_key(&robot.source, "interface.command", message, None));
+        }
+        let joint = |name: &str| {
+            robot.model.joint(name).map_err(|unknown| {
+                let message = format!("this robot has no joint '{name}'");
+                FileError::of_file(robot.source.name(), message, Some(choices(name, &unknown.known)))
+            })
+        };
+        let joints = match &request.joint {
+            Some(name) => vec![joint(name)?],
+            None => (0..robot.model.n()).collect(),
+        };
+        let mut start: Vec<f64> = (robot.model.joints().iter())
+            .map(|j| 0.5 * (j.limits.lower + j.limits.upper))
+            .map(|middle| if middle.is_finite() { middle } else { 0.0 })
+            .collect();
+        for (name, value) in &request.start_rad {
+            let at = joint(name)?;
+            let limits = &robot.model.joints()[at].limits;
+            if !(limits.lower..=limits.upper).contains(value) {
+                let message = format!("joint '{name}' can't stand at {value}: that is outside its limits");
+                let help = Some(format!("from {} to {}", limits.lower, limits.upper));
+                return Err(FileError::of_file(robot.source.name(), message, help));
+            }
+            start[at] = *value;
+        }
+        let identifying = Self { robot, profile_name, profile, start, joints, plan: request.plan };
+        for &joint in &identifying.joints {
+            identifying.structure(joint)?;
+        }
+        Ok(identifying)
+    }
+
+    /// The robot.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The joints that will be identified.
+    #[must_use]
+    pub fn joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// The simulated robot, at rest where it is to be identified.
+    ///
+    /// # Errors
+    /// A robot file without `[simulated]`, or parameters that contradict each other.
+    pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
+        let robot = &self.robot;
+        let Some(simulated) = robot.file.simulated.clone() else {
+            let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
+            let message = "this robot has no [simulated] section, so there is no robot to identify";
+            return Err(FileError::of_file(robot.source.name(), message, Some(help)));
+        };
+        let setup = Setup {
+            model: robot.model.clone(),
+            joints: robot.joints(),
+            servos: robot.servos(&self.profile),
+            profile: self.profile.clone(),
+            facts: self.facts(),
+            simulated,
+            surroundings: Vec::new(),
+            start: self.start.clone(),
+            rest_s: 0.0,
+            seed: self.plan.seed,
+        };
+        SimulatedArm::new(setup).map_err(|e| FileError::of_file(robot.source.name(), e.to_string(), None))
+    }
+
+    /// Identifies the joints, one after the other, on any robot that stands where it is to be identified. `begun` is told
+    /// the name of each.
+    ///
+    /// # Errors
+    /// The fault of the robot, or the interruption, that ended it.
+    pub fn run(
+        &self,
+        robot: &mut dyn PositionRobot,
+        watch: &Watch,
+        mut begun: impl FnMut(&str),
+    ) -> Result<Identified, Stop> {
+        let ended = |ticks: u64| {
+            watch.ticks.store(ticks, Ordering::Relaxed);
+            watch.interrupt.load(Ordering::Relaxed)
+        };
+        let n = self.robot.model.n();
+        let mut session = Session::begin(robot, n, &ended)?;
+        let mut joints = Vec::new();
+        for &joint in &self.joints {
+            let name = &self.robot.model.joints()[joint].name;
+            begun(name);
+            let told = self.told(joint);
+            let found = identify(&mut session, &told, &self.plan)?;
+            joints.push(IdentifiedJoint {
+                name: name.clone(),
+                structure: self.structure(joint).unwrap_or(Structure::Cascaded),
+                position_rad: session.posture(joint),
+                urdf_inertia_kg_m2: told.inertia,
+                effective_servo: effective_servo(&found),
+                no_torque_mode: found.no_torque_mode(),
+                told,
+                found,
+            });
+        }
+        Ok(Identified {
+            robot: self.robot.clone(),
+            profile_name: self.profile_name.clone(),
+            profile: self.profile.clone(),
+            robot_s: session.ticks() as f64 * session.period_s(),
+            joints,
+            seed: self.plan.seed,
+        })
+    }
+
+    fn facts(&self) -> Facts {
+        let interface = &self.robot.file.interface;
+        Facts {
+            command: CommandKind::Position,
+            period_s: self.profile.period_s(),
+            gravity_by: interface.gravity_by,
+            on_missed_cycle: interface.on_missed_cycle,
+            motor_torque: interface.measures.contains(&Measured::MotorCurrent),
+            set_points: interface.set_points,
+            sensors: self.robot.sensors.clone(),
+        }
+    }
+
+    /// What is known of a joint, its servo's gains, its friction and the delay not among it.
+    fn told(&self, joint: usize) -> Told {
+        let limits = &self.robot.model.joints()[joint].limits;
+        let drive = &self.robot.joints()[joint];
+        let rotor_known = drive.rotor.inertia_kg_m2.get() > 0.0;
+        Told {
+            joint,
+            servo_period_s: self.profile.servo_period_s(),
+            ratio: self.profile.ratio.get(),
+            set_points: self.robot.file.interface.set_points,
+            lower: limits.lower,
+            upper: limits.upper,
+            speed_limit: limits.velocity,
+            torque_limit: drive.torque_limit_nm.get(),
+            resolution: drive.rotor.resolution_rad(),
+            inertia: rotor_known.then(|| self.inertia(joint)),
+        }
+    }
+
+    /// A joint's inertia where the robot stands: the others free, 1/(M⁻¹)_ii, and held, M_ii.
+    fn inertia(&self, joint: usize) -> [f64; 2] {
+        let model = &self.robot.model;
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
+        crba(model, &mut data);
+        let mass: &DMatrix<f64> = &data.mass_matrix;
+        let held = mass[(joint, joint)];
+        let free = mass.clone().try_inverse().map_or(held, |inverse| 1.0 / inverse[(joint, joint)]);
+        [free, held]
+    }
+
+    fn structure(&self, joint: usize) -> Result<Structure, FileError> {
+        let name = &self.robot.model.joints()[joint].name;
+        let what = match &self.robot.servos(&self.profile)[joint] {
+            ServoParameters::Cascaded(servo) if servo.velocity_integral_time_s.is_none() => {
+                return Ok(Structure::Cascaded);
+            }
+            ServoParameters::Pid(servo)
+                if servo.integral_nm_per_rad_s.get() == 0.0
+                    && servo.derivative_of == DerivativeOf::Position =>
+            {
+                return Ok(Structure::Pid);
+            }
+            ServoParameters::Cascaded(_) => "a cascade with an integral",
+            ServoParameters::Pid(_) => "a PID servo with an integral, or with the derivative of the error",
+            ServoParameters::TransferFunction(_) => "a transfer function",
+        };
+        let key = ["profile", &self.profile_name, "servo", name];
+        let message = format!("the servo of '{name}' is {what}, which can't be identified");
+        let help =
+            "cascades without an integral can, and PID servos with the derivative of the position alone";
+        Err(FileError::at_key(&self.robot.source, key, message, Some(help.to_owned())))
+    }
+}
+
+fn effective_servo(found: &Identification) -> Vec<[f64; 3]> {
+    let points = found.measured.first().map_or(&[][..], |m| &m.position);
+    let point = |p: &Point| found.effective_servo(p.hz, p.value).map(|d| [p.hz, d.re, d.im]);
+    points.iter().filter_map(point).collect()
+}
+
+impl Identified {
+    /// Whether every joint can be driven by torques.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.joints.iter().all(|j| j.no_torque_mode.is_none())
+    }
+
+    /// The delay in servo ticks that most joints were found to have, and whether all have it.
+    fn delay(&self) -> Option<(u32, bool)> {
+        let delays: Vec<u32> =
+            self.joints.iter().filter_map(|j| j.found.servo.as_ref()).map(|s| s.delay).collect();
+        let count = |delay: u32| delays.iter().filter(|d| **d == delay).count();
+        let most = delays.iter().copied().max_by_key(|&d| count(d))?;
+        Some((most, count(most) == delays.len()))
+    }
+
+    /// Joint by joint, what was found.
+    #[must_use]
+    pub fn table(&self) -> Table {
+        let mut table = Table::new(&[
+            ("joint", ""),
+            ("kp", "1/s"),
+            ("kv", "Nms/rad"),
+            ("filter", "Hz"),
+            ("delay", "ticks"),
+            ("inertia", "kg m²"),
+            ("Coulomb", "Nm"),
+            ("static", "Nm"),
+            ("viscous", "Nms/rad"),
+            ("torque from", ""),
+            ("trusted to", "Hz"),
+            ("T off by", "%"),
+            ("torque off by", "%"),
+            ("distortion", "%"),
+            ("torque mode", ""),
+        ]);
+        for joint in &self.joints {
+            let servo = joint.found.servo.as_ref();
+            let trust = joint.found.trust.as_ref();
+            let friction = servo.and_then(|s| s.friction);
+            let percent = |share: f64| Cell::Number(100.0 * share);
+            let scale = match joint.found.scale {
+                TorqueScale::MotorCurrent => "motor current",
+                TorqueScale::Urdf => "URDF and rotor",
+                TorqueScale::Unknown => "nowhere: per inertia",
+            };
+            table.push(vec![
+                joint.name.as_str().into(),
+                servo.map(|s| s.kp).into(),
+                servo.map(|s| s.kv).into(),
+                servo.map(|s| s.velocity_filter_hz).into(),
+                servo.map(|s| u64::from(s.delay)).into(),
+                servo.map(|s| s.inertia).into(),
+                friction.map(|f| f.coulomb).into(),
+                friction.map(|f| f.static_friction).into(),
+                friction.map(|f| f.viscous).into(),
+                scale.into(),
+                trust.map(|t| t.bandwidth_hz).into(),
+                trust.map_or(Cell::Empty, |t| percent(t.position_residual)),
+                trust.and_then(|t| t.torque_residual).map_or(Cell::Empty, percent),
+                joint.found.measured.first().map_or(Cell::Empty, |m| percent(m.distortion.total())),
+                match &joint.no_torque_mode {
+                    None => Cell::Pass("can be used".to_owned()),
+                    Some(_) => Cell::Fail("refused".to_owned()),
+                },
+            ]);
+        }
+        table
+    }
+
+    /// All numbers.
+    #[must_use]
+    pub fn json(&self) -> impl Serialize + '_ {
+        Json {
+            schema: "opspace.identification/1",
+            opspace_version: env!("CARGO_PKG_VERSION"),
+            robot: self.robot.name(),
+            profile: &self.profile_name,
+            servo_hz: self.profile.servo_hz.get(),
+            ratio: self.profile.ratio.get(),
+            seed: self.seed,
+            robot_s: self.robot_s,
+            delay_servo_ticks: self.delay().and_then(|(delay, all)| all.then_some(delay)),
+            joints: self.joints.iter().map(|j| (j.name.as_str(), j)).collect(),
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! The page of an identification: Bode plots of T and D*, joint by joint, and friction over speed.
+
+use super::{Identified, IdentifiedJoint};
+use crate::figure::{Figure, Panel, Scale, Series, Style};
+use crate::page::Page;
+use nalgebra::Complex;
+use opspace_backend::identification::TorqueScale;
+
+/// Points of a drawn curve.
+const CURVE: usize = 300;
+
+impl Identified {
+    /// The page.
+    #[must_use]
+    pub fn page(&self) -> String {
+        let title = format!("Servos of {}, profile {}", self.robot.name(), self.profile_name);
+        let lead = "Each joint was excited about where it stood by odd random-phase multisines at two amplitudes, while \
+                    the others held. Points are measured; curves are the identified models.";
+        let mut page = Page::new(title).lead(lead);
+        for joint in &self.joints {
+            if let Some(reason) = &joint.no_torque_mode {
+                page = page.warning(&format!("{}: no torque mode. {reason}.", joint.name));
+            }
+        }
+        page = page.section("Results").table(
+            "What was identified of each joint",
+            &self.table(),
+            &[
+                "Torque mode is refused for a joint that can't be inverted, and where the scale of torque is not known: \
+                 all torques are then per inertia.",
+                "T off by: relative error of the modelled T at the largest amplitude, rms over coherent frequencies. Torque \
+                 off by: the same of the motor's torque, from set-points and measured positions. Distortion: motion outside \
+                 the excited frequencies over that at them.",
+            ],
+        );
+        for joint in &self.joints {
+            page = self.joint(page.section(&joint.name), joint);
+        }
+        page.render()
+    }
+
+    fn joint(&self, mut page: Page, joint: &IdentifiedJoint) -> Page {
+        if !joint.found.measured.is_empty() {
+            page = page.figure(&position(joint)).figure(&effective(joint));
+        }
+        if let Some(figure) = friction(joint) {
+            page = page.figure(&figure);
+        }
+        page.facts(self.facts(joint))
+    }
+
+    fn facts(&self, joint: &IdentifiedJoint) -> Vec<(&'static str, String)> {
+        let mut facts = vec![("stood at", format!("{:.3} rad (m)", joint.position_rad))];
+        for measured in &joint.found.measured {
+            let d = &measured.distortion;
+            facts.push((
+                "amplitude (rms), and what came out at even, other odd lines, and of noise",
+                format!("{:.2e} rad: {:.1e}, {:.1e}, {:.1e}", measured.rms, d.even, d.odd, d.noise),
+            ));
+        }
+        if let Some([free, held]) = joint.urdf_inertia_kg_m2 {
+            facts.push((
+                "inertia from URDF and rotor, other joints free and held",
+                format!("{free:.4} and {held:.4} kg m²"),
+            ));
+        }
+        if let Some(trust) = &joint.found.trust {
+            let [kp, kv] = trust.deviation;
+            facts.push((
+                "standard deviation of kp and kv",
+                format!("{:.2} % and {:.2} %", 100.0 * kp, 100.0 * kv),
+            ));
+            facts.push(("the next best delay explains", format!("{:.1} times worse", trust.delay_margin)));
+            if let Some(ratio) = trust.inertia_over_urdf {
+                facts.push(("inertia over that of URDF and rotor", format!("{ratio:.3}")));
+            }
+        }
+        if let Some(rational) = &joint.found.rational {
+            let list = |c: &[f64]| c.iter().map(|v| format!("{v:.4e}")).collect::<Vec<_>>().join(", ");
+            facts.push((
+                "rational T behind hold and delay: coefficients from s⁰ on",
+                format!(
+                    "({}) / ({}); off by {:.1} %",
+                    list(&rational.numerator),
+                    list(&rational.denominator),
+                    100.0 * joint.found.rational_residual.unwrap_or(f64::NAN)
+                ),
+            ));
+        }
+        facts
+    }
+}
+
+/// T, measured and modelled.
+fn position(joint: &IdentifiedJoint) -> Figure {
+    let mut curves = measured(joint, |_, t| Some(t));
+    let hz = frequencies(joint);
+    if let Some(rational) = &joint.found.rational {
+        curves.push(curve("rational", Style::Thin, &hz, |hz| Some(rational.at(hz))));
+    }
+    curves.push(curve("servo", Style::Desired, &hz, |hz| joint.found.model(&joint.told, hz)));
+    Figure {
+        title: format!("T of {}: position over set-point", joint.name),
+        caption: "Measured at two amplitudes; the rational model; the identified servo with the friction of the largest \
+                  amplitude, between interface ticks as it runs."
+            .to_owned(),
+        panels: bode(curves, "|T| (1)"),
+        columns: Some(2),
+    }
+}
+
+/// D*, from measured and modelled T.
+fn effective(joint: &IdentifiedJoint) -> Figure {
+    let found = &joint.found;
+    let mut curves = measured(joint, |hz, t| found.effective_servo(hz, t));
+    let hz = frequencies(joint);
+    if let Some(rational) = &found.rational {
+        curves.push(curve("rational", Style::Thin, &hz, |hz| found.effective_servo(hz, rational.at(hz))));
+    }
+    curves.push(curve("servo", Style::Desired, &hz, |hz| {
+        found.effective_servo(hz, found.model(&joint.told, hz)?)
+    }));
+    let unit = match found.scale {
+        TorqueScale::Unknown => "|D*| over inertia (1/s²)",
+        _ => "|D*| (N·m/rad)",
+    };
+    Figure {
+        title: format!("D* of {}: the effective servo of equation (6)", joint.name),
+        caption: "T/(G* (1 − T)), with G* of the identified inertia and viscous friction. Where Coulomb friction is most of \
+                  the torque, at low frequencies, it depends on the amplitude."
+            .to_owned(),
+        panels: bode(curves, unit),
+        columns: Some(2),
+    }
+}
+
+/// Label, look, and values over frequency, Hz.
+type Curve = (String, Style, Vec<(f64, Option<Complex<f64>>)>);
+
+/// What is made of T at each amplitude.
+fn measured(joint: &IdentifiedJoint, of: impl Fn(f64, Complex<f64>) -> Option<Complex<f64>>) -> Vec<Curve> {
+    (joint.found.measured.iter())
+        .map(|m| {
+            let points = m.position.iter().map(|p| (p.hz, of(p.hz, p.value))).collect();
+            (format!("measured, {:.1e} rad rms", m.rms), Style::Dots, points)
+        })
+        .collect()
+}
+
+fn curve(label: &str, style: Style, hz: &[f64], of: impl Fn(f64) -> Option<Complex<f64>>) -> Curve {
+    (label.to_owned(), style, hz.iter().map(|&hz| (hz, of(hz))).collect())
+}
+
+/// Evenly over the decades that were excited.
+fn frequencies(joint: &IdentifiedJoint) -> Vec<f64> {
+    let points = joint.found.measured.first().map_or(&[][..], |m| &m.position);
+    let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
+    let ratio = last.hz / first.hz;
+    (0..CURVE).map(|k| first.hz * ratio.powf(k as f64 / (CURVE - 1) as f64)).collect()
+}
+
+/// Magnitude and phase.
+fn bode(curves: Vec<Curve>, magnitude: &str) -> Vec<Panel> {
+    let panel = |title: &str, y_label: &str, y_scale: Scale, of: fn(Complex<f64>) -> f64| Panel {
+        title: title.to_owned(),
+        x_label: "frequency (Hz)".to_owned(),
+        y_label: y_label.to_owned(),
+        series: (curves.iter())
+            .map(|(label, style, points)| {
+                let x = points.iter().map(|(hz, _)| *hz).collect();
+                let y = points.iter().map(|(_, v)| v.map_or(f64::NAN, of)).collect();
+                let y = if y_scale == Scale::Linear { unwrapped(y) } else { y };
+                Series::new(label.as_str(), x, y).style(*style)
+            })
+            .collect(),
+        x_scale: Scale::Log,
+        y_scale,
+        ..Panel::default()
+    };
+    vec![
+        panel("magnitude", magnitude, Scale::Log, |v| v.norm()),
+        panel("phase", "phase (°)", Scale::Linear, |v| v.arg().to_degrees()),
+    ]
+}
+
+/// Phases without the jumps of a whole turn.
+fn unwrapped(mut degrees: Vec<f64>) -> Vec<f64> {
+    for k in 1..degrees.len() {
+        let turns = ((degrees[k] - degrees[k - 1]) / 360.0).round();
+        if turns.is_finite() {
+            degrees[k] -= 360.0 * turns;
+        }
+    }
+    degrees
+}
+
+fn friction(joint: &IdentifiedJoint) -> Option<Figure> {
+    let servo = joint.found.servo.as_ref()?;
+    let curve = servo.friction?;
+    let fastest = servo.passes.iter().map(|p| p.speed).fold(0.0, f64::max);
+    let speeds: Vec<f64> = (1..=CURVE).map(|k| fastest * k as f64 / CURVE as f64).collect();
+    let torques = speeds.iter().map(|&v| curve.at(v)).collect();
+    let (x, y) = servo.passes.iter().map(|p| (p.speed, p.torque)).unzip();
+    Some(Figure {
+        title: format!("Friction of {}", joint.name),
+        caption: "Half the difference of the torques in both directions at constant speed.".to_owned(),
+        panels: vec![Panel {
+            x_label: "speed (rad/s)".to_owned(),
+            y_label: match joint.found.scale {
+                TorqueScale::Unknown => "friction over inertia (rad/s²)".to_owned(),
+                _ => "friction (N·m)".to_owned(),
+            },
+            series: vec![
+                Series::new("measured", x, y).style(Style::Dots),
+                Series::new("fitted", speeds, torques).style(Style::Desired),
+            ],
+            ..Panel::default()
+        }],
+        columns: None,
+    })
+}

@@ -1,0 +1,171 @@
+//! A joint of the simulated arm identified through its interface, against the parameters that the simulation runs with.
+
+use opspace_backend::identification::{Plan, TorqueScale};
+use opspace_experiment::identify::{Identified, Identifying, Request};
+use opspace_experiment::run::Watch;
+use opspace_experiment::{Files, Robot, Source};
+use std::path::Path;
+
+const ROBOT: &str = "robots/asimo-arm";
+
+fn identified_of(robot: Robot, request: Request) -> Identified {
+    let identifying = Identifying::new(robot, request).unwrap_or_else(|e| panic!("{e}"));
+    let mut arm = identifying.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
+    identifying.run(&mut arm, &Watch::default(), |_| {}).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn robot(settings: &[&str]) -> Robot {
+    let settings: Vec<String> = settings.iter().map(|s| (*s).to_owned()).collect();
+    Robot::load(Files::Embedded, Path::new(ROBOT), &settings).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// Shorter than what is usual: a test.
+fn short(profile: &str) -> Request {
+    Request {
+        profile: Some(profile.to_owned()),
+        joint: Some("elbow".to_owned()),
+        plan: Plan { period_s: 1.0, realisations: 1, speeds: 5, ..Plan::default() },
+        ..Request::default()
+    }
+}
+
+struct Bar {
+    kp: f64,
+    kv: f64,
+}
+
+/// What was found against what the file says of the plant, whatever is believed: kp and kv relative, the delay in ticks.
+#[track_caller]
+fn assert_identified(profile: &str, settings: &[&str], delay: u32, truth: [f64; 2], bar: &Bar) -> Identified {
+    let found = identified_of(robot(settings), short(profile));
+    let joint = &found.joints[0];
+    assert_eq!(joint.no_torque_mode, None);
+    let servo = joint.found.servo.as_ref().expect("a servo");
+    let [kp, kv] = truth;
+    assert!((servo.kp / kp - 1.0).abs() < bar.kp, "kp {} of {kp}", servo.kp);
+    assert!((servo.kv / kv - 1.0).abs() < bar.kv, "kv {} of {kv}", servo.kv);
+    assert!(servo.delay.abs_diff(delay) <= 1, "delay {} of {delay}", servo.delay);
+    found
+}
+
+#[test]
+fn a_fast_servo_is_found() {
+    let bar = Bar { kp: 0.03, kv: 0.03 };
+    let found = assert_identified("a-med", &[], 0, [50.265, 30.3], &bar);
+    let joint = &found.joints[0].found;
+    assert_eq!(joint.scale, TorqueScale::MotorCurrent);
+    let friction = joint.servo.as_ref().and_then(|s| s.friction).expect("friction");
+    // Coulomb and viscous friction of the plant.
+    assert!((friction.coulomb / 1.1 - 1.0).abs() < 0.1, "{friction:?}");
+    assert!((friction.viscous / 1.2 - 1.0).abs() < 0.1, "{friction:?}");
+    // The inertia of the model of which the plant is made.
+    let trust = joint.trust.as_ref().expect("trust");
+    assert!((trust.inertia_over_urdf.expect("a rotor") - 1.0).abs() < 0.1, "{trust:?}");
+    assert!(trust.bandwidth_hz > 50.0, "{trust:?}");
+}
+
+#[test]
+fn a_slow_servo_with_a_delay_is_found_though_the_file_believes_another() {
+    let bar = Bar { kp: 0.05, kv: 0.08 };
+    let settings = [
+        "robot.simulated.scale.kp=1.3",
+        "robot.simulated.scale.kv=0.8",
+        "robot.profile.b-soft.delay_servo_ticks=3",
+    ];
+    assert_identified("b-soft", &settings, 3, [1.3 * 25.133, 0.8 * 15.15], &bar);
+}
+
+#[test]
+fn a_drive_that_interpolates_set_points_is_found() {
+    let bar = Bar { kp: 0.03, kv: 0.03 };
+    let settings = [
+        "robot.interface.set_points=\"interpolated\"",
+        "robot.profile.a-med.delay_servo_ticks=2",
+        "robot.profile.a-med.servo.elbow={pid={stiffness_nm_per_rad=1500.0,damping_nms_per_rad=30.0,derivative_filter_hz=500.0}}",
+    ];
+    let found = assert_identified("a-med", &settings, 2, [50.0, 30.0], &bar);
+    assert!(found.servo_toml().contains("elbow = { pid = {"), "{}", found.servo_toml());
+}
+
+/// Without current the scale comes from the inertia, here the true one; viscous friction is within kv.
+#[test]
+fn without_current_the_scale_comes_from_the_inertia() {
+    const KP: f64 = 0.10;
+    const KV: f64 = 0.15;
+    let settings = ["robot.interface.measures=[\"position\"]"];
+    let found = identified_of(robot(&settings), short("a-med"));
+    let joint = &found.joints[0];
+    let servo = joint.found.servo.as_ref().expect("a servo");
+    assert_eq!(joint.found.scale, TorqueScale::Urdf);
+    assert!((servo.kp / 50.265 - 1.0).abs() < KP, "{}", servo.kp);
+    assert!((servo.kv / (30.3 + 1.2) - 1.0).abs() < KV, "{}", servo.kv);
+    assert!(servo.delay <= 1);
+}
+
+#[test]
+fn without_current_and_rotor_only_ratios_are_written() {
+    let settings = ["robot.interface.measures=[\"position\"]", "robot.joint.elbow.rotor.inertia_kg_m2=0.0"];
+    let found = identified_of(robot(&settings), short("a-med"));
+    let joint = &found.joints[0];
+    assert_eq!(joint.found.scale, TorqueScale::Unknown);
+    assert!(joint.no_torque_mode.as_ref().is_some_and(|r| r.contains("only ratios")));
+    assert!(!found.is_complete());
+    assert_eq!(found.robot_toml("arm.urdf").expect("it can be edited"), None);
+    let section = found.servo_toml();
+    assert!(section.contains("kv over inertia") && !section.contains("kv_nms_per_rad"), "{section}");
+}
+
+#[test]
+fn a_joint_that_does_not_move_is_refused_with_the_reason() {
+    // It sticks with more than its motor gives.
+    let settings = ["robot.simulated.scale.friction=40.0"];
+    let found = identified_of(robot(&settings), short("a-med"));
+    let joint = &found.joints[0];
+    let reason = joint.no_torque_mode.as_ref().expect("it is refused");
+    assert!(reason.contains("does not follow") || reason.contains("within its limits"), "{reason}");
+    assert_eq!(found.robot_toml("arm.urdf").expect("it can be edited"), None);
+}
+
+/// It is said to be a cascade of gains, and its velocity loop integrates.
+#[test]
+fn a_servo_that_is_not_what_it_is_said_to_be_is_refused() {
+    let settings = [
+        "robot.simulated.servo.elbow={cascaded={kp_per_s=50.0,kv_nms_per_rad=30.0,velocity_filter_hz=600.0,velocity_integral_time_s=0.03}}",
+    ];
+    let found = identified_of(robot(&settings), short("a-med"));
+    let reason = found.joints[0].no_torque_mode.as_ref().expect("it is refused");
+    assert!(reason.contains("no cascaded servo explains"), "{reason}");
+}
+
+/// The file that is written is a robot whose plant is the one that was identified, and whose belief is what was found.
+#[test]
+fn the_written_robot_has_the_same_plant_and_the_identified_belief() {
+    const ROUNDING: f64 = 1e-3;
+    let found = identified_of(robot(&[]), short("a-med"));
+    let text = found.robot_toml(&found.urdf_name()).expect("it can be edited").expect("it is complete");
+    let urdf = Source::new(found.urdf_name(), found.urdf());
+    let written =
+        Robot::from_sources(Source::new("robot.toml", text), urdf).unwrap_or_else(|e| panic!("{e}"));
+    let before = robot(&[]);
+    let (name, profile) = written.profile(None).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(name, "a-med");
+    let servo = found.joints[0].found.servo.as_ref().expect("a servo");
+    let believed = profile.servo["elbow"].gains(profile.servo_period_s());
+    assert!((believed.damping / servo.kv - 1.0).abs() < ROUNDING);
+    assert!((believed.position_loop() / servo.kp - 1.0).abs() < ROUNDING);
+    let simulated = written.file.simulated.as_ref().expect("a plant");
+    assert_eq!(simulated.servo["elbow"], before.file.profile["a-med"].servo["elbow"]);
+    assert_eq!(simulated.delay_servo_ticks, Some(0));
+    let (true_friction, old) = (&simulated.friction["elbow"], &before.file.joint["elbow"].friction);
+    assert_eq!(true_friction.coulomb_nm.get(), old.coulomb_nm.get());
+    let new = written.file.joint["elbow"].friction.coulomb_nm.get();
+    let measured = servo.friction.expect("friction").coulomb;
+    assert!((new / measured - 1.0).abs() < ROUNDING);
+}
+
+#[test]
+fn a_servo_of_another_structure_is_refused_at_its_line() {
+    let settings = ["robot.profile.a-med.servo.elbow.cascaded.velocity_integral_time_s=0.1"];
+    let error = Identifying::new(robot(&settings), Request::default()).map(|_| ()).expect_err("an integral");
+    assert!(error.message().contains("integral") && error.message().contains("elbow"), "{error}");
+}
