@@ -24,8 +24,9 @@ use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
 use crate::interface::{GravityBy, SetPoints};
 use crate::observer::{ObservedJoint, ObserverGain};
+use crate::refine::{Refinement, RefinementParameters};
 use crate::robot::Sample;
-use crate::servo::ServoParameters;
+use crate::servo::{ServoGains, ServoParameters};
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoMemory};
 use crate::transformer::{Method, Transformer, TransformerKind};
 use nalgebra::{DMatrix, DVector};
@@ -63,6 +64,8 @@ pub struct EmulationSetup {
     pub gravity_by: GravityBy,
     /// Whether measured motor torques are made use of.
     pub current: bool,
+    /// How gains are refined from them.
+    pub refine: Option<RefinementParameters>,
 }
 
 /// What of the torques under a set-point is to be as desired.
@@ -130,6 +133,8 @@ pub struct EmulatingTransformer {
     /// Mean emulated torque since the last sample, Nm (n), over so many intervals.
     mean_torque: DVector<f64>,
     intervals: f64,
+    /// Mean emulated position error over the same time, rad (m) (n).
+    mean_error: DVector<f64>,
     /// No acceleration but by the drives (n).
     rest: DVector<f64>,
     /// Nothing more than is emulated (n).
@@ -141,6 +146,30 @@ struct Drive {
     law: ServoLaw,
     torque_limit: f64,
     gain: ObserverGain,
+    refined: Option<Refined>,
+}
+
+/// A drive whose gains are refined while it runs: as believed at first, and as they are now.
+#[derive(Clone, Copy, Debug)]
+struct Refined {
+    refinement: Refinement,
+    believed: ServoGains,
+    now: ServoGains,
+}
+
+impl Refined {
+    /// Takes in the mean torque that was measured, where `emulated` was expected of a mean position error; gives what is
+    /// expected now.
+    fn update(&mut self, law: &mut ServoLaw, measured: f64, emulated: f64, error: f64) -> f64 {
+        let (before, believed) = (self.now, self.believed);
+        let velocity = (before.stiffness * error - emulated) / before.damping;
+        let [stiffness, damping] =
+            self.refinement.update(measured, believed.stiffness * error, believed.damping * velocity);
+        self.now =
+            ServoGains { stiffness: stiffness * believed.stiffness, damping: damping * believed.damping };
+        law.retune(before, self.now);
+        self.now.stiffness * error - self.now.damping * velocity
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -239,6 +268,7 @@ impl EmulatingTransformer {
             delay: setup.delay,
             set_points: setup.set_points,
         };
+        let interface_s = f64::from(setup.ratio) * setup.servo_period_s;
         let drive = |i: usize| -> Result<Drive, EmulationError> {
             let law = ServoLaw::new(&setup.servos[i], setup.servo_period_s)?;
             check_inverse(&law, ticks, setup.matching)?;
@@ -249,7 +279,14 @@ impl EmulatingTransformer {
                 servo_period_s: setup.servo_period_s,
                 ratio: setup.ratio,
             });
-            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain })
+            let two = ServoLaw::two_gains(&setup.servos[i], setup.servos[i].gains(setup.servo_period_s));
+            let refined =
+                setup.refine.filter(|_| setup.current).zip(two).map(|(parameters, gains)| Refined {
+                    refinement: Refinement::new(&parameters, setup.torque_limits[i], interface_s),
+                    believed: gains,
+                    now: gains,
+                });
+            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, refined })
         };
         let drives: Result<Vec<Drive>, _> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect();
         let zero = DVector::zeros(n);
@@ -277,6 +314,7 @@ impl EmulatingTransformer {
             solution: zero.clone(),
             mean_torque: zero.clone(),
             intervals: 0.0,
+            mean_error: zero.clone(),
             rest: zero.clone(),
             none: zero,
         })
@@ -298,9 +336,15 @@ impl EmulatingTransformer {
                 *value += share * innovation;
             }
         }
-        if let (Some(current), Some(measured)) = (&mut self.current, &sample.motor_torque) {
-            current.update(measured, &self.mean_torque);
+        let (Some(current), Some(measured)) = (&mut self.current, &sample.motor_torque) else { return };
+        // Gains first: what they explain is no surplus.
+        for (i, drive) in self.drives.iter_mut().enumerate() {
+            if let Some(refined) = &mut drive.refined {
+                let (torque, error) = (&mut self.mean_torque[i], self.mean_error[i]);
+                *torque = refined.update(&mut drive.law, measured[i], *torque, error);
+            }
         }
+        current.update(measured, &self.mean_torque);
     }
 
     /// The arm as it stands, for a whole interval: M⁻¹ and what accelerates it beside the drives.
@@ -375,31 +419,38 @@ impl EmulatingTransformer {
     /// that they have.
     fn predict(&mut self, q_desired: Option<&[f64]>) {
         let ticks = self.ticks;
+        let share = 1.0 / f64::from(ticks.ratio);
         self.rollout.copy_from(&self.state);
-        self.solution.fill(0.0);
+        if self.intervals == 0.0 {
+            self.mean_torque.fill(0.0);
+            self.mean_error.fill(0.0);
+        }
+        self.mean_torque *= self.intervals;
+        self.mean_error *= self.intervals;
         for tick in 0..ticks.ratio {
-            match q_desired {
+            let in_force = &self.in_force;
+            let set_point = |i: usize| match q_desired {
                 Some(new) if tick >= ticks.delay => {
-                    let in_force = &self.in_force;
-                    self.rollout.drive(&self.drives, |i| {
-                        ticks.set_points.at(in_force.left(ticks, i), new[i], tick - ticks.delay, ticks.ratio)
-                    });
+                    ticks.set_points.at(in_force.left(ticks, i), new[i], tick - ticks.delay, ticks.ratio)
                 }
-                _ => self.roll_old(tick),
+                _ => in_force.at(ticks, i, tick),
+            };
+            for (i, error) in self.mean_error.iter_mut().enumerate() {
+                *error += share * (set_point(i) - self.rollout.q[i]);
             }
+            self.rollout.drive(&self.drives, set_point);
             // What the motor gives is limited, not what the emulation says of it.
             for (i, drive) in self.drives.iter().enumerate() {
                 let more = self.current.as_ref().map_or(0.0, |current| current.surplus()[i]);
                 let torque = &mut self.rollout.torque[i];
                 *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
+                self.mean_torque[i] += share * *torque;
             }
-            self.solution += &self.rollout.torque;
             self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
-        self.solution /= f64::from(ticks.ratio);
         self.intervals += 1.0;
-        let share = 1.0 / self.intervals;
-        self.mean_torque.axpy(share, &self.solution, 1.0 - share);
+        self.mean_torque /= self.intervals;
+        self.mean_error /= self.intervals;
         self.predicted.copy_from(&self.rollout);
         match q_desired {
             Some(new) => {

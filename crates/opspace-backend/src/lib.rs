@@ -16,6 +16,7 @@ pub mod interface;
 pub mod observer;
 pub mod parameters;
 pub mod position;
+pub mod refine;
 pub mod robot;
 pub mod sensing;
 pub mod servo;
@@ -36,6 +37,7 @@ pub use interface::{Facts, ForceSensor, GravityBy, InterfaceParameters, Measured
 pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters, SafetyParameters};
 pub use position::PositionBackend;
+pub use refine::{Refinement, RefinementParameters};
 pub use robot::{PositionRobot, Robot, Sample, TorqueRobot, Trace, Traces};
 pub use sensing::Sensing;
 pub use servo::{CascadedServo, ServoGains, ServoParameters};

@@ -3,6 +3,7 @@
 use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
 use crate::identified::IdentifiedJoint;
+use crate::refine::RefinementParameters;
 use crate::servo::ServoParameters;
 use crate::transformer::TransformerKind;
 use opspace_control::quantity::{Count, NonNegative, Positive};
@@ -71,6 +72,9 @@ pub struct ProfileParameters {
     /// What turns torques into positions; the best for what the robot declares if absent.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
+    /// Gains refined from measured motor current while running; not at all if absent.
+    #[serde(default)]
+    pub refine: Option<RefinementParameters>,
     /// How joint velocity is estimated at the interface.
     pub estimator: EstimatorParameters,
     /// The position servo of each joint, by joint name.

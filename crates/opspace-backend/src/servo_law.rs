@@ -7,7 +7,9 @@
 //! y is the position that the servo reads at the tick, x its memory. The simulated drives run by it, and the emulation
 //! rolls it out.
 
-use crate::servo::{CascadedServo, DerivativeOf, PidServo, ServoParameters, TransferFunctionServo};
+use crate::servo::{
+    CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo,
+};
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
 use std::ops::{Add, Mul, Sub};
@@ -215,6 +217,32 @@ impl ServoLaw {
     #[must_use]
     pub fn order(&self) -> usize {
         self.order
+    }
+
+    /// The torque as it follows from error and velocity alone, where it does: of a cascade or a PID servo without an integral,
+    /// that damps the measured velocity. The torque for an error of 1, and for the velocity that is remembered first.
+    #[must_use]
+    pub fn two_gains(servo: &ServoParameters, gains: ServoGains) -> Option<ServoGains> {
+        let two = match servo {
+            ServoParameters::Cascaded(servo) => servo.velocity_integral_time_s.is_none(),
+            ServoParameters::Pid(servo) => {
+                servo.integral_nm_per_rad_s.get() == 0.0
+                    && servo.derivative_of == DerivativeOf::Position
+                    && servo.damping_nms_per_rad.get() > 0.0
+            }
+            ServoParameters::TransferFunction(_) => false,
+        };
+        two.then_some(gains)
+    }
+
+    /// The same law with a stiffness and a damping `to` in place of `from`, where it has [two gains](Self::two_gains). Allocates
+    /// nothing.
+    pub fn retune(&mut self, from: ServoGains, to: ServoGains) {
+        let error = Form::SET_POINT - Form::POSITION;
+        // What the torque is beside K e is the damping.
+        let damped = self.torque - error * from.stiffness;
+        self.torque = error * to.stiffness + damped * (to.damping / from.damping);
+        self.rest[1].1 = 1.0 / to.stiffness;
     }
 
     /// The torque (Nm, N) for a set-point and the position that is read at this tick (rad, m).

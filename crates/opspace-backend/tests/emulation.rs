@@ -85,10 +85,17 @@ struct Case {
     delay: u32,
     current: bool,
     kp_scale: f64,
+    refined: bool,
 }
 
-const CASE: Case =
-    Case { servo: Servo::Cascade, set_points: SetPoints::Held, delay: 0, current: false, kp_scale: 1.0 };
+const CASE: Case = Case {
+    servo: Servo::Cascade,
+    set_points: SetPoints::Held,
+    delay: 0,
+    current: false,
+    kp_scale: 1.0,
+    refined: false,
+};
 
 fn setup(case: Case) -> EmulationSetup {
     let none: FrictionParameters = toml::from_str(
@@ -102,7 +109,7 @@ fn setup(case: Case) -> EmulationSetup {
         resolution_rad: vec![1e-9; 2],
         // Of each alone, the other one free.
         inertias: vec![0.3, 0.12],
-        torque_limits: vec![1e3; 2],
+        torque_limits: vec![10.0; 2],
         servo_period_s: SERVO_S,
         ratio: RATIO,
         delay: case.delay,
@@ -110,6 +117,7 @@ fn setup(case: Case) -> EmulationSetup {
         matching: if case.set_points == SetPoints::Held { Matching::Mean } else { Matching::EachTick },
         gravity_by: GravityBy::Controller,
         current: case.current,
+        refine: case.refined.then(|| toml::from_str("time_s = 1.0\nwithin = 0.4").unwrap()),
     }
 }
 
@@ -320,6 +328,16 @@ fn measured_currents_make_up_for_a_wrong_gain() {
         let [without, with] =
             [false, true].map(|current| run(Case { kp_scale, current, ..CASE }, 0..0).error());
         assert!(with < 0.5 * without && without > 0.1, "{kp_scale}: {with} with, {without} without");
+    }
+}
+
+/// The same with the gains refined while running: what is left once they are found, against the current alone.
+#[test]
+fn refined_gains_make_up_for_more() {
+    for kp_scale in [0.7, 1.3] {
+        let [alone, refined] =
+            [false, true].map(|refined| run(Case { kp_scale, refined, current: true, ..CASE }, 0..0).error());
+        assert!(refined < 0.1 * alone, "{kp_scale}: {refined} refined, {alone} without");
     }
 }
 

@@ -421,6 +421,7 @@ impl Experiment {
             matching,
             gravity_by: self.gravity_by(),
             current,
+            refine: self.profile.refine,
         })
     }
 

@@ -5,7 +5,7 @@ use crate::source::FileError;
 use opspace_backend::identification::TorqueScale;
 use std::fmt::Write as _;
 use std::path::Path;
-use toml_edit::{DocumentMut, InlineTable, Item, Table, Value};
+use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
 
 impl Identified {
     /// The keys of robot.toml that were identified, to be copied there; of joints that can't be driven by torques, what is
@@ -32,6 +32,16 @@ impl Identified {
                 None => format!("# {}\n{} = {}\n", remark(joint), joint.name, servo(joint)),
                 Some(reason) => format!("# {}: {reason}.\n{}", joint.name, ratios(joint)),
             };
+        }
+        for joint in usable() {
+            if let Some(identified) = identified(joint) {
+                let _ = writeln!(
+                    text,
+                    "\n[profile.{profile}.identified.{}]\n{}",
+                    joint.name,
+                    identified.to_string().trim_end()
+                );
+            }
         }
         for joint in usable() {
             if let Some(friction) = friction(joint) {
@@ -68,6 +78,16 @@ impl Identified {
         let servos = table(driven, "servo").ok_or_else(|| wrong("`servo` is no table"))?;
         for joint in &self.joints {
             put(servos, &joint.name, servo(joint));
+        }
+        // All joints or none: a transformer takes them together.
+        let measured: Option<Vec<Table>> = self.joints.iter().map(identified).collect();
+        if let Some(measured) = measured {
+            let mut joints = Table::new();
+            joints.set_implicit(true);
+            for (joint, measured) in self.joints.iter().zip(measured) {
+                joints.insert(&joint.name, Item::Table(measured));
+            }
+            driven.insert("identified", Item::Table(joints));
         }
         let joints = table(file, "joint").ok_or_else(|| wrong("`joint` is no table"))?;
         for joint in &self.joints {
@@ -201,6 +221,31 @@ fn ratios(joint: &IdentifiedJoint) -> String {
         rounded(servo.velocity_filter_hz),
         servo.delay
     )
+}
+
+/// T as it was fitted, behind hold and delay, and the ideal joint G* of equation (5): for the transformers `identified`. A
+/// joint that nothing loads goes where it is told to: T(0) = 1.
+fn identified(joint: &IdentifiedJoint) -> Option<Table> {
+    let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
+    let trusted_hz = joint.found.trust.as_ref()?.bandwidth_hz;
+    let from_hz = joint.found.measured.first()?.position.first()?.hz;
+    // T was measured with all friction, at the largest amplitude: so is the joint it is put together with.
+    let viscous = joint.found.equivalent_friction;
+    let static_gain = t.numerator.first()? / t.denominator.first()?;
+    let polynomials = |numerator: &[f64], denominator: &[f64]| {
+        let list = |p: &[f64]| p.iter().copied().collect::<Array>();
+        let mut rational = InlineTable::new();
+        rational.insert("numerator", list(numerator).into());
+        rational.insert("denominator", list(denominator).into());
+        Item::Value(rational.into())
+    };
+    let numerator: Vec<f64> = t.numerator.iter().map(|b| b / static_gain).collect();
+    let mut table = Table::new();
+    table.insert("closed_loop", polynomials(&numerator, &t.denominator));
+    table.insert("open_loop", polynomials(&[1.0], &[0.0, viscous, servo.inertia]));
+    table.insert("from_hz", Item::Value(rounded(from_hz)));
+    table.insert("to_hz", Item::Value(rounded(trusted_hz)));
+    Some(table)
 }
 
 fn friction(joint: &IdentifiedJoint) -> Option<Value> {
