@@ -111,8 +111,9 @@ fn the_second_form_is_blind() {
 
 #[test]
 fn what_cannot_be_inverted_is_refused_with_the_reason() {
-    let refused =
-        |joint: &IdentifiedJoint| LiteralTransformer::new(&[joint.clone()], true, 1e-3).unwrap_err().1;
+    let refused = |joint: &IdentifiedJoint| {
+        LiteralTransformer::new(std::slice::from_ref(joint), true, 1e-3).unwrap_err().1
+    };
     // A zero in the right half-plane.
     let behind = joint(&format!("[{}, -20.0]", KV * KP));
     assert!(matches!(refused(&behind), IdentificationError::Unstable { at } if (at - 120.0).abs() < EXACT));
