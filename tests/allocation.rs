@@ -8,13 +8,13 @@ mod common;
 #[path = "../crates/opspace-log/tests/counting/mod.rs"]
 mod counting;
 
-use common::{load, osc, positions, torque, torques};
+use common::{ik, load, osc, positions, torque, torques};
 use counting::{allocations, allocations_so_far};
-use opspace_backend::{Ending, Sink, TICK, TransformerKind};
+use opspace_backend::{Ending, Fault, Phase, Sink, TICK, TransformerKind};
 use opspace_control::Controller;
 use opspace_control::quantity::NonNegative;
 use opspace_experiment::files::PAPER_SUITE;
-use opspace_experiment::{Choice, Experiment, Files, Suite};
+use opspace_experiment::{Choice, ControllerKind, Experiment, Files, Suite};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -125,6 +125,32 @@ fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
     let (counts, ending) = count(&experiment, &mut jump, None);
     assert!(matches!(ending, Ending::Faulted { .. }), "{ending:?}");
     check(&counts, "a jump");
+}
+
+/// Cycles that are bridged, a dropout from which it resumes, and one that is too long.
+#[test]
+fn no_tick_of_a_run_with_missed_cycles_allocates() {
+    let dropouts =
+        "robot.simulated.bus.dropouts=[{ at_s = 0.2, duration_s = 0.1 }, { at_s = 1.0, duration_s = 1.5 }]";
+    let settings = [dropouts, "robot.simulated.bus.lost_cycles_share=0.05"];
+    for (task, choice) in [
+        ("compliant-x", osc("a-med")),
+        ("compliant-x", torque("a-med")),
+        ("joint-tracking", osc("b-soft")),
+        ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
+    ] {
+        let experiment = short(&load(task, choice, &settings), 3.0);
+        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, &mut *controller, None);
+        assert!(matches!(ending, Ending::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
+        let phase = |phase: Phase| counts.iter().filter(|(p, _)| *p == phase.code()).count();
+        assert!(phase(Phase::Held) > 9 && phase(Phase::Resuming) > 30, "{task}: it was held, and resumed");
+        // After the ramp it is in control again: no start, which alone may allocate.
+        let start = counts.iter().position(|(p, _)| *p == Phase::Control.code()).expect("control");
+        let after = &counts[start..];
+        let allocated = after.last().map_or(0, |last| last.1) - after[0].1;
+        assert_eq!(allocated, 0, "{task}");
+    }
 }
 
 #[test]

@@ -52,6 +52,16 @@ fn a_run_with_other_settings_comes_out_again() {
     comes_out_again("compliant-x", &["--seed", "7", "--set", set, "--set", "robot.simulated.scale.kp=1.02"]);
 }
 
+#[test]
+fn a_run_with_missed_cycles_comes_out_again() {
+    let dead = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
+    let lost = "robot.simulated.bus.lost_cycles_share=0.02";
+    let options = ["--set", dead, "--set", lost, "--transformer", "emulation+current"];
+    comes_out_again("cartesian-tracking", &options);
+    comes_out_again("cartesian-tracking", &["--set", lost, "--backend", "torque"]);
+    comes_out_again("joint-tracking", &["--set", dead, "--controller", "ik-lead"]);
+}
+
 /// A push that the arm can't withstand.
 const PUSH: [&str; 2] = [
     "surroundings.operator.spring.motion.random.rms_m=2.0",

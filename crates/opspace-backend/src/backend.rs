@@ -50,6 +50,13 @@ pub trait Backend: Observable + Send {
     /// A command that is not finite, that this robot doesn't take, or that it can't follow.
     fn command(&mut self, data: &Data, command: Command<'_>) -> Result<(), Fault>;
 
+    /// Keeps the robot where it is while no controller commands it, from tick to tick: a position robot is told its last
+    /// set-points again, a torque robot brakes.
+    ///
+    /// # Errors
+    /// The fault for which the robot didn't take it.
+    fn hold(&mut self) -> Result<(), Fault>;
+
     /// Brings the robot into its safe state: a position robot holds where it is, a torque robot brakes.
     fn stop(&mut self, data: &Data);
 

@@ -2,6 +2,10 @@
 //!
 //! Nothing here allocates, locks or formats after the start; what a tick did goes to a [`Sink`] as one row
 //! of numbers.
+//!
+//! Cycles in which no sample came are told from the robot's clock. A few are bridged: time goes on, and so do
+//! references. After more the robot is held until it stands still; then estimates begin anew, references join their paths
+//! from where the robot is, and torques come in as at the start.
 
 use crate::backend::{Backend, Command};
 use crate::fault::Fault;
@@ -9,8 +13,9 @@ use crate::friction::FrictionCompensation;
 use crate::interface::GravityBy;
 use crate::parameters::SafetyParameters;
 use crate::robot::Trace;
+use crate::supervisor::Continuity;
 use nalgebra::DVector;
-use opspace_control::{CommandKind, Controller, Layout, Row, Signal};
+use opspace_control::{CommandKind, Controller, Layout, Measurement, Row, Signal};
 use opspace_model::{Data, Model};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -43,6 +48,10 @@ pub enum Phase {
     Control,
     /// After a stop: the robot is in its safe state.
     Stopped,
+    /// After a dropout: the robot is held until it stands still.
+    Held,
+    /// The controller commands again, its torques coming in.
+    Resuming,
 }
 
 impl Phase {
@@ -53,6 +62,8 @@ impl Phase {
             Self::Rest => 0.0,
             Self::Control => 1.0,
             Self::Stopped => 2.0,
+            Self::Held => 3.0,
+            Self::Resuming => 4.0,
         }
     }
 }
@@ -92,7 +103,42 @@ pub struct ControlLoop<'a> {
     row: Vec<f64>,
     servo_row: Vec<f64>,
     phase: Phase,
+    /// When torques began to come in, s.
+    ramp_from_s: f64,
+    standstill: Standstill,
     fault: Option<Fault>,
+}
+
+/// Whether a robot that is held stands still: whether it has hardly moved for a while.
+struct Standstill {
+    held_from_s: f64,
+    /// Where it was (n), and when, s.
+    q: DVector<f64>,
+    from_s: f64,
+}
+
+impl Standstill {
+    /// How long it must not move, s.
+    const LASTS_S: f64 = 0.05;
+    /// What is no movement, rad (m): a mean speed of 0.02 rad/s, some ten counts of a coarse encoder.
+    const MOVES: f64 = 1e-3;
+
+    fn begin(&mut self, measurement: &Measurement) {
+        self.held_from_s = measurement.time_s;
+        self.look_again(measurement);
+    }
+
+    fn look_again(&mut self, measurement: &Measurement) {
+        self.q.copy_from(&measurement.q);
+        self.from_s = measurement.time_s;
+    }
+
+    /// The joint that moves most, if any does.
+    fn moving(&self, measurement: &Measurement) -> Option<usize> {
+        let moved = |joint: &usize| (measurement.q[*joint] - self.q[*joint]).abs();
+        let joint = (0..self.q.len()).max_by(|a, b| moved(a).total_cmp(&moved(b)))?;
+        (moved(&joint) > Self::MOVES).then_some(joint)
+    }
 }
 
 /// The desired torques of the last commands, by which the drives' rows are told what was asked of them
@@ -152,6 +198,8 @@ impl<'a> ControlLoop<'a> {
             row: Vec::new(),
             servo_row: Vec::new(),
             phase: Phase::Rest,
+            ramp_from_s: 0.0,
+            standstill: Standstill { held_from_s: 0.0, q: DVector::zeros(n), from_s: 0.0 },
             fault: None,
         };
         let layouts = new.layouts();
@@ -194,10 +242,10 @@ impl<'a> ControlLoop<'a> {
     /// happens, the robot is left in its safe state and every tick is in the sink.
     pub fn run(&mut self, duration_s: f64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Ending {
         let period_s = self.backend.facts().period_s;
-        let ticks = |seconds: f64| (seconds / period_s).round() as u64;
+        let periods = |seconds: f64| (seconds / period_s).round() as u64;
         let ending = self
-            .rest(ticks(self.safety.tare_s.get()), interrupt, sink)
-            .and_then(|()| self.control(ticks(duration_s), interrupt, sink))
+            .rest(periods(self.safety.tare_s.get()), interrupt, sink)
+            .and_then(|()| self.control(periods(duration_s), interrupt, sink))
             .map_or_else(|ending| ending, |()| Ending::Completed);
         self.backend.stop(&self.data);
         self.phase = Phase::Stopped;
@@ -205,42 +253,107 @@ impl<'a> ControlLoop<'a> {
         self.command.fill(f64::NAN);
         self.history.push(&self.torque_desired);
         if ending != Ending::Completed {
-            self.aftermath(ticks(AFTERMATH_S), sink);
+            self.aftermath(periods(AFTERMATH_S), sink);
         }
         ending
     }
 
     /// The robot holds itself while its sensors are tared.
-    fn rest(&mut self, ticks: u64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<(), Ending> {
-        for _ in 0..ticks {
+    fn rest(&mut self, periods: u64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<(), Ending> {
+        let mut passed = 0;
+        while passed < periods {
             let observed = self.observe(sink);
+            passed = passed.saturating_add(self.periods());
             self.backend.sensing_mut().tare();
             self.finish_tick(observed, interrupt, sink)?;
         }
         Ok(())
     }
 
-    fn control(&mut self, ticks: u64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<(), Ending> {
-        for tick in 0..ticks {
-            self.phase = Phase::Control;
-            let commanded = match self.observe(sink) {
-                Ok(began) => {
-                    if tick == 0 {
-                        self.start();
-                    }
-                    let commanded = self.command();
-                    commanded.map(|()| began)
+    fn control(&mut self, periods: u64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<(), Ending> {
+        self.phase = Phase::Control;
+        let mut passed = 0;
+        while passed < periods {
+            let commanded = self.observe(sink).and_then(|began| {
+                if passed == 0 {
+                    self.start();
                 }
-                Err(fault) => Err(fault),
-            };
+                self.act().map(|()| began)
+            });
+            passed = passed.saturating_add(self.periods());
             self.finish_tick(commanded, interrupt, sink)?;
         }
         Ok(())
     }
 
+    /// How many interface periods the present sample came after the last, the first one included.
+    fn periods(&self) -> u64 {
+        self.backend.sensing().continuity().missed().saturating_add(1)
+    }
+
+    /// Commands, unless the robot must be held.
+    fn act(&mut self) -> Result<(), Fault> {
+        let measurement = self.backend.sensing().measurement();
+        if let Continuity::Broken { .. } = self.backend.sensing().continuity() {
+            self.phase = Phase::Held;
+            self.standstill.begin(measurement);
+        }
+        if self.phase == Phase::Held {
+            if !self.stands_still()? {
+                return self.hold();
+            }
+            self.resume();
+        }
+        let since_s = self.backend.sensing().measurement().time_s - self.ramp_from_s;
+        if self.phase == Phase::Resuming && since_s >= self.safety.torque_ramp_s.get() {
+            self.phase = Phase::Control;
+        }
+        self.command()
+    }
+
+    /// Whether the robot that is held has stood still for long enough.
+    fn stands_still(&mut self) -> Result<bool, Fault> {
+        let measurement = self.backend.sensing().measurement();
+        let period_s = self.backend.facts().period_s;
+        // Half a period: times are multiples of one, rounded.
+        let looked_s = measurement.time_s - self.standstill.from_s + 0.5 * period_s;
+        if looked_s < Standstill::LASTS_S.max(2.0 * period_s) {
+            return Ok(false);
+        }
+        let Some(joint) = self.standstill.moving(measurement) else {
+            return Ok(true);
+        };
+        let held_s = measurement.time_s - self.standstill.held_from_s;
+        if held_s > self.safety.longest_dropout_s.get() {
+            return Err(Fault::NotHeld { joint, held_s });
+        }
+        self.standstill.look_again(measurement);
+        Ok(false)
+    }
+
+    /// Leaves the robot as it is, without a command of the controller's.
+    fn hold(&mut self) -> Result<(), Fault> {
+        let measurement = self.backend.sensing().measurement();
+        self.controller.look_on(self.model, &self.data, measurement);
+        self.command.fill(f64::NAN);
+        self.torque_desired.fill(f64::NAN);
+        self.saturated.fill(0.0);
+        self.backend.hold()?;
+        self.history.push(&self.torque_desired);
+        Ok(())
+    }
+
+    /// Lets the controller command again, from where the robot is held.
+    fn resume(&mut self) {
+        let measurement = self.backend.sensing().measurement();
+        self.phase = Phase::Resuming;
+        self.ramp_from_s = measurement.time_s;
+        self.controller.resume(self.model, &self.data, measurement);
+    }
+
     /// Reads on for a while, so that the log shows how the robot stopped.
-    fn aftermath(&mut self, ticks: u64, sink: &mut dyn Sink) {
-        for _ in 0..ticks {
+    fn aftermath(&mut self, periods: u64, sink: &mut dyn Sink) {
+        for _ in 0..periods {
             if self.backend.read().is_err() {
                 return;
             }
@@ -294,7 +407,8 @@ impl<'a> ControlLoop<'a> {
         let facts = self.backend.facts();
         let measurement = self.backend.sensing().measurement();
         let ramp_s = self.safety.torque_ramp_s.get();
-        let share = if measurement.time_s < ramp_s { measurement.time_s / ramp_s } else { 1.0 };
+        let since_s = measurement.time_s - self.ramp_from_s;
+        let share = if since_s < ramp_s { since_s / ramp_s } else { 1.0 };
         for i in 0..self.command.len() {
             let holding = match facts.gravity_by {
                 GravityBy::Controller => self.data.gravity[i],

@@ -17,7 +17,7 @@ pub struct EstimatorParameters {
     pub velocity_filter_hz: Positive,
 }
 
-/// `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`, for n joints.
+/// `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`, for n joints; T is longer where samples are missed.
 #[derive(Clone, Debug)]
 pub struct VelocityEstimator {
     period_s: f64,
@@ -37,13 +37,26 @@ impl VelocityEstimator {
 
     /// The velocity (rad/s or m/s) with the new positions `q` (n; rad or m); 0 with the first.
     pub fn update(&mut self, q: &DVector<f64>) -> &DVector<f64> {
+        self.update_after(1, q)
+    }
+
+    /// The same with positions that come that many periods after the last.
+    pub fn update_after(&mut self, periods: u64, q: &DVector<f64>) -> &DVector<f64> {
+        let elapsed_s = periods as f64 * self.period_s;
+        let gain = if periods == 1 { self.gain } else { 1.0 - (1.0 - self.gain).powf(periods as f64) };
         for i in 0..q.len() {
-            let difference = (q[i] - self.last[i]) / self.period_s;
+            let difference = (q[i] - self.last[i]) / elapsed_s;
             if difference.is_finite() {
-                self.velocity[i] += self.gain * (difference - self.velocity[i]);
+                self.velocity[i] += gain * (difference - self.velocity[i]);
             }
         }
         self.last.copy_from(q);
         &self.velocity
+    }
+
+    /// Forgets all: the next positions are the first.
+    pub fn reset(&mut self) {
+        self.last.fill(f64::NAN);
+        self.velocity.fill(0.0);
     }
 }

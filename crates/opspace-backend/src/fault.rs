@@ -32,6 +32,32 @@ pub enum Fault {
         /// This tick, s.
         now_s: f64,
     },
+    /// The robot was silent for too long.
+    #[error("the robot was silent for {silent_s} s, and a run bears {longest_s} s")]
+    Dropout {
+        /// How long no sample came, s.
+        silent_s: f64,
+        /// `longest_dropout_s`.
+        longest_s: f64,
+    },
+    /// After a dropout, a joint that should be held goes on moving.
+    #[error("joint {joint}: held after a dropout, it still moves after {held_s} s")]
+    NotHeld {
+        /// Joint index.
+        joint: usize,
+        /// For how long it was held, s.
+        held_s: f64,
+    },
+    /// A measured position is further from the one before than any speed explains.
+    #[error("joint {joint}: the measured position jumped by {step}, limit {limit}")]
+    PositionSlip {
+        /// Joint index.
+        joint: usize,
+        /// From one sample to the next, rad or m.
+        step: f64,
+        /// Limit, rad or m.
+        limit: f64,
+    },
     /// A joint is outside its limits.
     #[error("joint {joint}: position {q} is outside its limits {lower} to {upper}")]
     JointLimit {
@@ -64,6 +90,26 @@ pub enum Fault {
         /// Limit, rad or m.
         limit: f64,
     },
+    /// The motor of a position robot gives another torque than the one that its set-points were made for.
+    #[error("joint {joint}: the motor's torque is {deviation} Nm from what is asked for, limit {limit}")]
+    TorqueDeviation {
+        /// Joint index.
+        joint: usize,
+        /// Measured less desired, as a mean over the watchdog's time, Nm or N.
+        deviation: f64,
+        /// Limit, Nm or N.
+        limit: f64,
+    },
+    /// The motor of a position robot drives its joint with more power than was asked for.
+    #[error("joint {joint}: the motor puts in {power} W more than is asked for, limit {limit}")]
+    SurplusPower {
+        /// Joint index.
+        joint: usize,
+        /// (τ_motor − τ_desired) q̇ as a mean over the watchdog's time, W.
+        power: f64,
+        /// Limit, W.
+        limit: f64,
+    },
     /// The mass matrix can't be factored.
     #[error("the mass matrix is not positive definite at the measured position")]
     MassMatrix,
@@ -94,6 +140,11 @@ impl Fault {
             Self::WrongCommand => 9,
             Self::Diverged => 10,
             Self::EndOfLog => 11,
+            Self::Dropout { .. } => 12,
+            Self::NotHeld { .. } => 13,
+            Self::PositionSlip { .. } => 14,
+            Self::TorqueDeviation { .. } => 15,
+            Self::SurplusPower { .. } => 16,
         }
     }
 
@@ -112,7 +163,11 @@ impl Fault {
             | Self::CommandNotFinite { joint }
             | Self::JointLimit { joint, .. }
             | Self::Speed { joint, .. }
-            | Self::FollowingError { joint, .. } => joint,
+            | Self::FollowingError { joint, .. }
+            | Self::NotHeld { joint, .. }
+            | Self::PositionSlip { joint, .. }
+            | Self::TorqueDeviation { joint, .. }
+            | Self::SurplusPower { joint, .. } => joint,
             _ => return text,
         };
         text.replacen(&format!("joint {joint}"), &format!("joint '{}'", model.joints()[joint].name), 1)

@@ -24,6 +24,7 @@ pub mod servo_law;
 pub mod supervisor;
 pub mod torque;
 pub mod transformer;
+pub mod watchdog;
 
 pub use backend::{Backend, Command};
 pub use control_loop::{ControlLoop, Ending, Phase, SERVO, Sink, TICK, TRUTH};
@@ -42,5 +43,7 @@ pub use robot::{PositionRobot, Robot, Sample, TorqueRobot, Trace, Traces};
 pub use sensing::Sensing;
 pub use servo::{CascadedServo, ServoGains, ServoParameters};
 pub use servo_law::{ServoError, ServoLaw, ServoMemory};
+pub use supervisor::Continuity;
 pub use torque::TorqueBackend;
 pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};
+pub use watchdog::{Watchdog, WatchdogParameters};

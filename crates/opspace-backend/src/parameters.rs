@@ -6,6 +6,7 @@ use crate::identified::IdentifiedJoint;
 use crate::refine::RefinementParameters;
 use crate::servo::ServoParameters;
 use crate::transformer::TransformerKind;
+use crate::watchdog::WatchdogParameters;
 use opspace_control::quantity::{Count, NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -117,6 +118,16 @@ pub struct SafetyParameters {
     /// How far beyond the URDF's joint limits a measured position is a fault, rad (m).
     #[serde(default)]
     pub limit_margin_rad: NonNegative,
+    /// How many interface cycles in a row may be missed while control goes on. After more the robot is held, and control
+    /// resumed when it stands still.
+    #[serde(default = "default_bridged_cycles")]
+    pub bridged_cycles: u32,
+    /// How long the robot may be silent, or take to stand still after it was, s. A longer time is a fault.
+    #[serde(default = "default_dropout")]
+    pub longest_dropout_s: NonNegative,
+    /// Watchdogs of a position robot that measures its motors' torque.
+    #[serde(default)]
+    pub watchdog: WatchdogParameters,
 }
 
 impl Default for SafetyParameters {
@@ -125,10 +136,21 @@ impl Default for SafetyParameters {
             torque_ramp_s: default_ramp(),
             tare_s: default_ramp(),
             limit_margin_rad: NonNegative::default(),
+            bridged_cycles: default_bridged_cycles(),
+            longest_dropout_s: default_dropout(),
+            watchdog: WatchdogParameters::default(),
         }
     }
 }
 
 const fn default_ramp() -> NonNegative {
     NonNegative::literal(0.2)
+}
+
+const fn default_bridged_cycles() -> u32 {
+    3
+}
+
+const fn default_dropout() -> NonNegative {
+    NonNegative::literal(1.0)
 }

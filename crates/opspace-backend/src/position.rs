@@ -6,7 +6,9 @@ use crate::interface::GravityBy;
 use crate::robot::{PositionRobot, Trace, Traces};
 use crate::sensing::Sensing;
 use crate::servo::ServoGains;
+use crate::supervisor::Continuity;
 use crate::transformer::Transformer;
+use crate::watchdog::Watchdog;
 use nalgebra::DVector;
 use opspace_control::{Observable, Row, Signal};
 use opspace_model::{Data, Model};
@@ -25,6 +27,12 @@ pub struct PositionBackend<R> {
     speed: DVector<f64>,
     clamped: DVector<f64>,
     commanded: bool,
+    /// No controller commands: the set-points stay what they are.
+    held: bool,
+    watchdog: Watchdog,
+    /// What the set-points in force were made for, Nm, N (n), and whether they were made for torques at all.
+    torque_desired: DVector<f64>,
+    watching: bool,
 }
 
 impl<R: PositionRobot> PositionBackend<R> {
@@ -49,6 +57,8 @@ impl<R: PositionRobot> PositionBackend<R> {
             (torque_limits[i] + gains[i].damping * velocity) / gains[i].stiffness
         });
         let period_s = sensing.facts().period_s;
+        let speeds: Vec<f64> = model.joints().iter().map(|j| j.limits.velocity).collect();
+        let watchdog = Watchdog::new(&sensing.safety().watchdog, torque_limits, &speeds, period_s);
         let step = DVector::from_fn(n, |i, _| model.joints()[i].limits.velocity * period_s);
         Self {
             robot,
@@ -61,6 +71,10 @@ impl<R: PositionRobot> PositionBackend<R> {
             speed: DVector::zeros(n),
             clamped: DVector::zeros(n),
             commanded: false,
+            held: false,
+            watchdog,
+            torque_desired: DVector::zeros(n),
+            watching: false,
         }
     }
 
@@ -75,7 +89,7 @@ impl<R: PositionRobot> PositionBackend<R> {
         let q = &self.sensing.measurement().q;
         for joint in 0..q.len() {
             let error = (self.q_desired[joint] - q[joint]).abs();
-            let limit = self.reach[joint] + self.step[joint];
+            let limit = self.reach[joint] + self.step[joint] * self.periods();
             if error > limit {
                 return Err(Fault::FollowingError { joint, error, limit });
             }
@@ -83,10 +97,38 @@ impl<R: PositionRobot> PositionBackend<R> {
         Ok(())
     }
 
-    /// Set-points for `tau`, no further from the measured position than full torque at full speed asks.
+    /// How many interface periods went by since the last sample but one.
+    fn periods(&self) -> f64 {
+        (self.sensing.continuity().missed() + 1) as f64
+    }
+
+    /// Stops comparing what the motors give with what they were asked for.
+    fn stop_watching(&mut self) {
+        self.watching = false;
+        self.watchdog.reset();
+    }
+
+    /// Compares them, where every sample came and the set-points in force were made for torques.
+    fn watch(&mut self) -> Result<(), Fault> {
+        let measurement = self.sensing.measurement();
+        match &measurement.motor_torque {
+            Some(torque) if self.watching && self.sensing.continuity().missed() == 0 => {
+                self.watchdog.check(torque, &self.torque_desired, &measurement.dq)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Set-points for `tau`, as far as they may go.
     fn transform(&mut self, data: &Data, tau: &[f64]) {
         let measurement = self.sensing.measurement();
         self.transformer.transform(data, measurement, tau, self.q_desired.as_mut_slice());
+        self.keep_within_reach();
+    }
+
+    /// No further from the measured position than full torque at full speed asks.
+    fn keep_within_reach(&mut self) {
+        let measurement = self.sensing.measurement();
         for (i, qd) in self.q_desired.iter_mut().enumerate() {
             let (q, reach) = (measurement.q[i], self.reach[i]);
             let allowed = qd.clamp(q - reach, q + reach);
@@ -110,8 +152,17 @@ impl<R: PositionRobot> Backend for PositionBackend<R> {
     }
 
     fn observe(&mut self, model: &Model, data: &mut Data) -> Result<(), Fault> {
-        let Self { sensing, transformer, .. } = self;
-        sensing.observe_with(model, data, |sample| transformer.observe(sample))
+        let Self { sensing, transformer, held, .. } = self;
+        sensing.observe_with(model, data, |sample, continuity| {
+            match continuity {
+                Continuity::Bridged { missed: 0 } => {}
+                Continuity::Bridged { missed } => transformer.missed(missed),
+                Continuity::Broken { .. } => transformer.reset(),
+            }
+            // Of a robot that it doesn't command it believes that it stands still.
+            transformer.observe(sample).filter(|_| !*held)
+        })?;
+        self.watch()
     }
 
     fn command(&mut self, data: &Data, command: Command<'_>) -> Result<(), Fault> {
@@ -127,34 +178,58 @@ impl<R: PositionRobot> Backend for PositionBackend<R> {
         match command {
             Command::Torque(tau) => {
                 check_finite(tau)?;
+                self.torque_desired.copy_from_slice(tau);
+                self.watching = true;
                 self.transform(data, tau);
             }
             Command::Position(q_desired) => {
                 check_finite(q_desired)?;
+                self.watching = false;
                 self.q_desired.copy_from_slice(q_desired);
                 self.check_following()?;
             }
         }
-        let period_s = self.sensing.facts().period_s;
+        let elapsed_s = self.sensing.facts().period_s * self.periods();
         for i in 0..n {
-            self.speed[i] = (self.q_desired[i] - self.speed[i]) / period_s;
+            self.speed[i] = (self.q_desired[i] - self.speed[i]) / elapsed_s;
         }
         self.commanded = true;
+        self.held = false;
         self.transformer.sent(data, self.q_desired.as_slice());
         self.robot.set_positions(self.q_desired.as_slice())
     }
 
+    fn hold(&mut self) -> Result<(), Fault> {
+        self.held = true;
+        self.stop_watching();
+        if !self.commanded {
+            return Ok(());
+        }
+        self.check_following()?;
+        self.speed.fill(0.0);
+        self.robot.set_positions(self.q_desired.as_slice())
+    }
+
     fn stop(&mut self, data: &Data) {
-        // One last set-point that carries the weight and brakes, then frozen: the stiff servo stops
-        // the arm. A state that can't be read leaves the last one.
+        self.stop_watching();
+        // One last set-point that carries the weight and leads by v/kp, then frozen: the stiff servo stops the arm. A
+        // state that can't be read, or that was long ago, leaves the last one: it is as good a place to hold.
         let readable = self.sensing.measurement().q.iter().all(|q| q.is_finite());
-        if !readable || data.q.iter().any(|q| !q.is_finite()) {
+        if !readable || self.sensing.is_outdated() || data.q.iter().any(|q| !q.is_finite()) {
             return;
         }
         match self.sensing.facts().gravity_by {
-            GravityBy::Controller => self.transform(data, data.gravity.as_slice()),
-            GravityBy::Robot => self.q_desired.copy_from(&self.sensing.measurement().q),
+            GravityBy::Controller => self.torque_desired.copy_from(&data.gravity),
+            GravityBy::Robot => self.torque_desired.fill(0.0),
         }
+        let measurement = self.sensing.measurement();
+        self.transformer.transform(
+            data,
+            measurement,
+            self.torque_desired.as_slice(),
+            self.q_desired.as_mut_slice(),
+        );
+        self.keep_within_reach();
         if check_finite(self.q_desired.as_slice()).is_ok() {
             self.transformer.sent(data, self.q_desired.as_slice());
             // A robot that refuses keeps its last set-point: on_missed_cycle says what that means.

@@ -39,7 +39,8 @@ pub trait Robot: Send {
     /// What the robot declares of itself.
     fn facts(&self) -> &Facts;
 
-    /// Waits for the next interface tick and reads the robot into `sample`.
+    /// Waits for the next interface tick and reads the robot into `sample`. A robot of which cycles are missed comes back
+    /// later, its clock so much further on, and has meanwhile held what it was given last.
     ///
     /// # Errors
     /// The fault that keeps the robot from being read.
@@ -51,7 +52,7 @@ pub trait Robot: Send {
         None
     }
 
-    /// Visits the rows that came with the last [`read`](Self::read), in the order of time.
+    /// Visits the rows that came with the last [`read`](Self::read), those of missed cycles as well, in the order of time.
     fn visit_traces(&self, _visit: &mut dyn FnMut(Trace<'_>)) {}
 }
 
@@ -102,6 +103,7 @@ pub trait TorqueRobot: Robot {
     /// The fault for which the robot didn't take them.
     fn set_torques(&mut self, tau: &[f64]) -> Result<(), Fault>;
 
-    /// Stops the joints and holds them without torque commands: this robot's safe state.
+    /// Stops the joints and holds them without torque commands: this robot's safe state. May be told again; the next torques
+    /// end it.
     fn brake(&mut self);
 }

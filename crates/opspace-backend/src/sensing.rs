@@ -6,7 +6,7 @@ use crate::friction::FrictionCompensation;
 use crate::interface::Facts;
 use crate::parameters::SafetyParameters;
 use crate::robot::Sample;
-use crate::supervisor::Supervisor;
+use crate::supervisor::{Continuity, Supervisor};
 use nalgebra::DVector;
 use opspace_control::{Measurement, Row, Signal};
 use opspace_model::{Data, Force, Model, frame_placement, update};
@@ -17,6 +17,7 @@ const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 /// world axes, and the checks of each.
 pub struct Sensing {
     facts: Facts,
+    safety: SafetyParameters,
     estimator: VelocityEstimator,
     supervisor: Supervisor,
     sample: Sample,
@@ -24,6 +25,9 @@ pub struct Sensing {
     tare: Vec<Force>,
     tare_count: f64,
     start_s: Option<f64>,
+    continuity: Continuity,
+    /// Whether the measurement is that of the last sample.
+    current: bool,
 }
 
 impl Sensing {
@@ -41,12 +45,15 @@ impl Sensing {
         measurement.q.fill(f64::NAN);
         Self {
             estimator: VelocityEstimator::new(n, estimator, facts.period_s),
-            supervisor: Supervisor::new(model, safety),
+            supervisor: Supervisor::new(model, safety, facts.period_s),
             sample: Sample::new(n, &facts),
             measurement,
             tare: vec![Force::zero(); facts.sensors.len()],
             tare_count: 0.0,
             start_s: None,
+            continuity: Continuity::Bridged { missed: 0 },
+            current: false,
+            safety: safety.clone(),
             facts,
         }
     }
@@ -55,6 +62,12 @@ impl Sensing {
     #[must_use]
     pub fn facts(&self) -> &Facts {
         &self.facts
+    }
+
+    /// What makes runs of this robot safe.
+    #[must_use]
+    pub fn safety(&self) -> &SafetyParameters {
+        &self.safety
     }
 
     /// Where the robot is to be read into.
@@ -72,6 +85,18 @@ impl Sensing {
     #[must_use]
     pub fn measurement(&self) -> &Measurement {
         &self.measurement
+    }
+
+    /// How the last sample followed the one before.
+    #[must_use]
+    pub fn continuity(&self) -> Continuity {
+        self.continuity
+    }
+
+    /// Whether the measurement is too old to move a robot by: there was a dropout, and what came after it was refused.
+    #[must_use]
+    pub fn is_outdated(&self) -> bool {
+        !self.current && matches!(self.continuity, Continuity::Broken { .. })
     }
 
     /// Takes the present reading of the force sensors as one of those at rest.
@@ -101,7 +126,7 @@ impl Sensing {
     /// # Errors
     /// What the [`Supervisor`] finds, or a mass matrix that can't be factored.
     pub fn observe(&mut self, model: &Model, data: &mut Data) -> Result<(), Fault> {
-        self.observe_with(model, data, |_| None)
+        self.observe_with(model, data, |_, _| None)
     }
 
     /// The same, with the joint velocities from elsewhere if `velocities` has any.
@@ -112,15 +137,21 @@ impl Sensing {
         &mut self,
         model: &Model,
         data: &mut Data,
-        velocities: impl FnOnce(&Sample) -> Option<&'a DVector<f64>>,
+        velocities: impl FnOnce(&Sample, Continuity) -> Option<&'a DVector<f64>>,
     ) -> Result<(), Fault> {
-        self.supervisor.check_sample(&self.sample)?;
         let sample = &self.sample;
         let measurement = &mut self.measurement;
+        self.current = false;
+        self.continuity = self.supervisor.check_clock(sample)?;
+        self.supervisor.check_sample(sample, &measurement.q, self.continuity)?;
+        self.current = true;
         measurement.time_s = self.start_s.map_or(0.0, |start| sample.time_s - start);
         measurement.q.copy_from(&sample.q);
-        let filtered = self.estimator.update(&sample.q);
-        measurement.dq.copy_from(velocities(sample).unwrap_or(filtered));
+        if let Continuity::Broken { .. } = self.continuity {
+            self.estimator.reset();
+        }
+        let filtered = self.estimator.update_after(self.continuity.missed().saturating_add(1), &sample.q);
+        measurement.dq.copy_from(velocities(sample, self.continuity).unwrap_or(filtered));
         if let (Some(to), Some(from)) = (&mut measurement.motor_torque, &sample.motor_torque) {
             to.copy_from(from);
         }
@@ -132,13 +163,14 @@ impl Sensing {
             let tared = sample.wrenches[s] - self.tare[s];
             measurement.wrenches[s] = Force { linear: axes * tared.linear, angular: axes * tared.angular };
         }
+        self.supervisor.check_silence(self.continuity)?;
         self.supervisor.check_state(measurement)
     }
 
     /// What [`sample_row`](Self::sample_row) puts: first what the robot reported, then what was made of it.
     #[must_use]
     pub fn signals(&self, joints: &[String]) -> Vec<Signal> {
-        let mut signals = vec![Signal::new("q", "rad", joints)];
+        let mut signals = vec![Signal::scalar("missed_cycles", "1"), Signal::new("q", "rad", joints)];
         if self.facts.motor_torque {
             signals.push(Signal::new("motor_torque", "Nm", joints));
         }
@@ -158,6 +190,7 @@ impl Sensing {
             row.put(w.linear.as_slice());
             row.put(w.angular.as_slice());
         };
+        row.put_one(self.continuity.missed() as f64);
         row.put(self.sample.q.as_slice());
         if let Some(torque) = &self.sample.motor_torque {
             row.put(torque.as_slice());

@@ -49,6 +49,11 @@ impl<R: TorqueRobot> Backend for TorqueBackend<R> {
         }
     }
 
+    fn hold(&mut self) -> Result<(), Fault> {
+        self.robot.brake();
+        Ok(())
+    }
+
     fn stop(&mut self, _data: &Data) {
         self.robot.brake();
     }

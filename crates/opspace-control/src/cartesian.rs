@@ -246,6 +246,8 @@ pub(crate) struct CartesianTask {
     pub jacobian: Matrix6xX<f64>,
     /// Coordinates of the subject.
     pub target: Target,
+    /// Where the file's reference is, whether or not the target has joined it.
+    path: Target,
     placement: Placement,
     /// Of the subject, in the task's axes (m/s, rad/s).
     pub velocity: Vector6<f64>,
@@ -327,6 +329,7 @@ impl CartesianTask {
             world_jacobian: Matrix6xX::zeros(model.n()),
             jacobian: Matrix6xX::zeros(model.n()),
             target: origin,
+            path: origin,
             placement: origin.placement,
             velocity: Vector6::zeros(),
             linear_velocity: Vector3::zeros(),
@@ -342,6 +345,24 @@ impl CartesianTask {
         self.law.integral.fill(0.0);
         let axes = self.directions.rotation(model, data, subject);
         self.trajectory.start(&self.home, &Target::at_rest(self.home), &axes);
+        if let Some(force) = &mut self.force {
+            force.start(measurement);
+        }
+        self.observe(model, data, measurement.time_s);
+    }
+
+    /// Joins its reference from the state of `data`, at rest; a goal is set out for anew. What was integrated is forgotten.
+    pub(crate) fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        let subject = self.axes.subject;
+        let from = Target::at_rest(subject.placement(model, data));
+        if let CartesianReference::Goal(_) = self.reference {
+            let axes = self.directions.rotation(model, data, subject);
+            self.trajectory.start(&self.home, &from, &axes);
+            self.start_s = measurement.time_s;
+        } else {
+            self.trajectory.join(measurement.time_s - self.start_s, &from);
+        }
+        self.law.integral.fill(0.0);
         if let Some(force) = &mut self.force {
             force.start(measurement);
         }
@@ -410,7 +431,9 @@ impl CartesianTask {
     pub(crate) fn observe(&mut self, model: &Model, data: &Data, time_s: f64) {
         let subject = self.axes.subject;
         self.axes.rotation = self.directions.rotation(model, data, subject);
-        self.target = self.trajectory.at(time_s - self.start_s);
+        let time_s = time_s - self.start_s;
+        self.path = self.trajectory.reference_at(time_s);
+        self.target = self.trajectory.joined(&self.path, time_s);
         self.placement = subject.placement(model, data);
         let velocity = subject.velocity(model, data);
         self.linear_velocity = velocity.linear;
@@ -591,11 +614,11 @@ impl CartesianTask {
     }
 
     pub(crate) fn sample_motion(&self, row: &mut Row<'_>) {
-        row.put(self.target.placement.translation.as_slice());
+        row.put(self.path.placement.translation.as_slice());
         row.put(self.placement.translation.as_slice());
-        row.put(self.target.velocity.linear.as_slice());
+        row.put(self.path.velocity.linear.as_slice());
         row.put(self.linear_velocity.as_slice());
-        for rotation in [&self.target.placement.rotation, &self.placement.rotation] {
+        for rotation in [&self.path.placement.rotation, &self.placement.rotation] {
             let q = orientation::quaternion(rotation);
             row.put(&[q.w, q.i, q.j, q.k]);
         }

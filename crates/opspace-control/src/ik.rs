@@ -49,6 +49,8 @@ pub struct InverseKinematicsController {
     q: DVector<f64>,
     dq: DVector<f64>,
     scratch: DVector<f64>,
+    /// What was streamed last (n).
+    streamed: DVector<f64>,
     own_signals: Vec<Signal>,
 }
 
@@ -88,6 +90,7 @@ impl InverseKinematicsController {
             q: DVector::zeros(n),
             dq: DVector::zeros(n),
             scratch: DVector::zeros(n),
+            streamed: DVector::zeros(n),
             own_signals,
         })
     }
@@ -141,15 +144,24 @@ impl InverseKinematicsController {
     }
 
     /// q_ref with what the servo needs to be led by.
-    fn stream(&self, command: &mut [f64]) {
+    fn stream(&mut self, command: &mut [f64]) {
         for (i, out) in command.iter_mut().enumerate() {
             *out = self.q[i];
             if let Some(lead) = &self.lead {
                 *out += self.dq[i] / lead.kp_per_s[i];
-                if !self.robot.gravity_by_robot {
-                    *out += self.data.gravity[i] / lead.stiffness_nm_per_rad[i];
-                }
             }
+            *out += self.sag(i);
+        }
+        self.streamed.copy_from_slice(command);
+    }
+
+    /// What a set-point makes up for of the servo's sag at `data`'s posture.
+    fn sag(&self, joint: usize) -> f64 {
+        match &self.lead {
+            Some(lead) if !self.robot.gravity_by_robot => {
+                self.data.gravity[joint] / lead.stiffness_nm_per_rad[joint]
+            }
+            _ => 0.0,
         }
     }
 }
@@ -165,6 +177,22 @@ impl Controller for InverseKinematicsController {
         self.stacks.start(model, data, measurement);
     }
 
+    fn look_on(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.stacks.advance(model, data, measurement);
+        self.stacks.current().observe(model, data, measurement);
+    }
+
+    /// Goes on from the set-points that held the robot, not from where they left it: so they don't jump.
+    fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.stacks.advance(model, data, measurement);
+        self.dq.fill(0.0);
+        for i in 0..self.q.len() {
+            self.q[i] = self.streamed[i] - self.sag(i);
+        }
+        kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
+        self.stacks.current().resume(model, &self.data, measurement);
+    }
+
     fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
         self.stacks.advance(model, data, measurement);
         let levels = self.stacks.current();
@@ -173,7 +201,7 @@ impl Controller for InverseKinematicsController {
         }
         let in_joints = levels.rows.is_empty();
         if let Some(JointTask::Tracking(task)) = &mut levels.joint {
-            task.observe(&measurement.q, measurement.time_s);
+            task.observe(measurement.q.as_slice(), measurement.time_s);
             // With nothing above it there is nothing to solve, and no integration to drift.
             if in_joints {
                 self.q.copy_from(&task.reference);

@@ -135,7 +135,7 @@ impl JointTask {
                 return;
             }
             Self::Tracking(task) => {
-                task.observe(&data.q, time_s);
+                task.observe(data.q.as_slice(), time_s);
                 task.acceleration(data, acceleration);
             }
             Self::Posture(task) => task.acceleration(data, acceleration),
@@ -177,6 +177,9 @@ pub(crate) struct Tracking {
     pub reference_velocity: DVector<f64>,
     reference_acceleration: DVector<f64>,
     error: DVector<f64>,
+    /// Where the file's reference is, whether or not the joints have joined it.
+    path: DVector<f64>,
+    path_velocity: DVector<f64>,
 }
 
 impl Tracking {
@@ -199,7 +202,9 @@ impl Tracking {
             reference: zero.clone(),
             reference_velocity: zero.clone(),
             reference_acceleration: zero.clone(),
-            error: zero,
+            error: zero.clone(),
+            path: zero.clone(),
+            path_velocity: zero,
         })
     }
 
@@ -208,45 +213,62 @@ impl Tracking {
         self.reference.copy_from(&measurement.q);
         self.reference_velocity.fill(0.0);
         self.reference_acceleration.fill(0.0);
-        self.begin(measurement);
+        self.begin(measurement.q.as_slice(), measurement.time_s);
+    }
+
+    /// Joins the reference from `q` (n), at rest; sets out for a goal anew.
+    pub(crate) fn resume(&mut self, q: &[f64], time_s: f64) {
+        if self.trajectory.is_online() {
+            self.reference.copy_from_slice(q);
+            self.reference_velocity.fill(0.0);
+            self.reference_acceleration.fill(0.0);
+            self.begin(q, time_s);
+        } else {
+            self.trajectory.join(time_s - self.start_s, q);
+            self.observe(q, time_s);
+        }
     }
 
     /// The same reference goes on; another one begins where that one was.
     fn take_over(&mut self, before: &mut Self, measurement: &Measurement) {
-        before.observe(&measurement.q, measurement.time_s);
+        before.observe(measurement.q.as_slice(), measurement.time_s);
         self.home.copy_from(&before.home);
         if self.parameters == before.parameters {
             std::mem::swap(&mut self.trajectory, &mut before.trajectory);
             self.start_s = before.start_s;
-            self.observe(&measurement.q, measurement.time_s);
+            self.observe(measurement.q.as_slice(), measurement.time_s);
             return;
         }
         self.reference.copy_from(&before.reference);
         self.reference_velocity.copy_from(&before.reference_velocity);
         self.reference_acceleration.copy_from(&before.reference_acceleration);
-        self.begin(measurement);
+        self.begin(measurement.q.as_slice(), measurement.time_s);
     }
 
     /// The trajectory begins at the reference as it stands.
-    fn begin(&mut self, measurement: &Measurement) {
-        self.start_s = measurement.time_s;
+    fn begin(&mut self, q: &[f64], time_s: f64) {
+        self.start_s = time_s;
         let from = JointTarget {
             position: self.reference.as_slice(),
             velocity: self.reference_velocity.as_slice(),
             acceleration: self.reference_acceleration.as_slice(),
         };
         self.trajectory.start(self.home.as_slice(), &from);
-        self.observe(&measurement.q, measurement.time_s);
+        self.observe(q, time_s);
     }
 
     /// Takes in where the joints are and where they should be.
-    pub(crate) fn observe(&mut self, q: &DVector<f64>, time_s: f64) {
-        for i in 0..q.len() {
-            let [reference, velocity, acceleration] = self.trajectory.at(i, time_s - self.start_s);
-            self.reference[i] = reference;
-            self.reference_velocity[i] = velocity;
-            self.reference_acceleration[i] = acceleration;
-            self.error[i] = reference - q[i];
+    pub(crate) fn observe(&mut self, q: &[f64], time_s: f64) {
+        let time_s = time_s - self.start_s;
+        for (i, q) in q.iter().enumerate() {
+            let [position, velocity, acceleration] = self.trajectory.reference_at(i, time_s);
+            let away = self.trajectory.away(i, time_s);
+            self.path[i] = position;
+            self.path_velocity[i] = velocity;
+            self.reference[i] = position + away[0];
+            self.reference_velocity[i] = velocity + away[1];
+            self.reference_acceleration[i] = acceleration + away[2];
+            self.error[i] = self.reference[i] - q;
         }
     }
 
@@ -272,8 +294,8 @@ impl Tracking {
     }
 
     fn sample(&self, row: &mut Row<'_>) {
-        row.put(self.reference.as_slice());
-        row.put(self.reference_velocity.as_slice());
+        row.put(self.path.as_slice());
+        row.put(self.path_velocity.as_slice());
         row.put(self.error.as_slice());
     }
 }
@@ -340,11 +362,15 @@ impl SelectedJoints {
         self.tracking.start(measurement);
     }
 
+    pub(crate) fn resume(&mut self, q: &[f64], time_s: f64) {
+        self.tracking.resume(q, time_s);
+    }
+
     pub(crate) fn take_over(&mut self, before: &mut Self, measurement: &Measurement) {
         self.tracking.take_over(&mut before.tracking, measurement);
     }
 
-    pub(crate) fn observe(&mut self, q: &DVector<f64>, time_s: f64) {
+    pub(crate) fn observe(&mut self, q: &[f64], time_s: f64) {
         self.tracking.observe(q, time_s);
     }
 

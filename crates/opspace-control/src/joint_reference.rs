@@ -7,8 +7,8 @@ use crate::error::{ControlError, Reason};
 use crate::online::{MotionLimits, OnlineMotion};
 use crate::per_joint::{PerJoint, indices};
 use crate::quantity::{NonNegative, Positive};
-use crate::ramp::{minimum_jerk, product};
-use crate::reference::default_ramp_s;
+use crate::ramp::{Quintic, minimum_jerk, product};
+use crate::reference::{JOINS_S, default_ramp_s};
 use crate::wave::{self, AngularWave, Wave};
 use nalgebra::DVector;
 use opspace_model::Model;
@@ -98,6 +98,9 @@ pub(crate) struct JointTrajectory {
     /// The reference at the start.
     from: DVector<f64>,
     path: Path,
+    /// When each joint (n) began to join the reference from somewhere else, s, and what it is away from it since.
+    joining: Option<f64>,
+    away: Vec<Quintic>,
 }
 
 /// Where the joints should be and how they should move, each n long.
@@ -172,7 +175,8 @@ impl JointTrajectory {
                 }
             }
         };
-        Ok(Self { from: DVector::zeros(model.n()), path })
+        let away = vec![Quintic::default(); model.n()];
+        Ok(Self { from: DVector::zeros(model.n()), path, joining: None, away })
     }
 
     /// Begins now: time 0 of [`at`](Self::at) is this instant. It doesn't allocate, so that a task may change
@@ -182,6 +186,7 @@ impl JointTrajectory {
     /// reference in force, at the start of a run `home` at rest.
     pub(crate) fn start(&mut self, home: &[f64], from: &JointTarget<'_>) {
         self.from.as_mut_slice().copy_from_slice(from.position);
+        self.joining = None;
         match &mut self.path {
             Path::Legs(legs) => {
                 for k in 0..legs.len() {
@@ -206,8 +211,31 @@ impl JointTrajectory {
         }
     }
 
-    /// Position, velocity and acceleration of a joint at `time_s` after the start.
-    pub(crate) fn at(&self, joint: usize, time_s: f64) -> [f64; 3] {
+    /// From now on, `time_s` after the start, the joints join the reference from `q` (n), at rest,
+    /// within [`JOINS_S`]. It doesn't allocate.
+    pub(crate) fn join(&mut self, time_s: f64, q: &[f64]) {
+        for (joint, q) in q.iter().enumerate() {
+            let [x, v, a] = self.reference_at(joint, time_s);
+            self.away[joint] = Quintic::new([q - x, -v, -a], 0.0, JOINS_S);
+        }
+        self.joining = Some(time_s);
+    }
+
+    /// What the joints should be away from the reference, `time_s` after the start: position, velocity and acceleration.
+    pub(crate) fn away(&self, joint: usize, time_s: f64) -> [f64; 3] {
+        match self.joining {
+            Some(begin_s) if time_s < begin_s + JOINS_S => self.away[joint].at(time_s - begin_s),
+            _ => [0.0; 3],
+        }
+    }
+
+    /// Whether it goes to a goal from any state.
+    pub(crate) fn is_online(&self) -> bool {
+        matches!(self.path, Path::Online { .. })
+    }
+
+    /// Position, velocity and acceleration of a joint's reference at `time_s` after the start.
+    pub(crate) fn reference_at(&self, joint: usize, time_s: f64) -> [f64; 3] {
         let start = self.from[joint];
         match &self.path {
             Path::Legs(legs) => match legs.iter().rev().find(|leg| leg.begin_s <= time_s) {
@@ -306,18 +334,19 @@ mod tests {
         let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];
         let goal = begun(GOAL, &[0.1, 0.2], from);
         for (joint, acceleration) in [2.0, 4.0].into_iter().enumerate() {
-            assert_eq!(goal.at(joint, 0.0), from.map(|quantity| quantity[joint]));
+            assert_eq!(goal.reference_at(joint, 0.0), from.map(|quantity| quantity[joint]));
             let step = 0.01;
             for k in 0..500 {
-                let [now, next] = [0.0, step].map(|ahead| goal.at(joint, step * f64::from(k) + ahead));
+                let [now, next] =
+                    [0.0, step].map(|ahead| goal.reference_at(joint, step * f64::from(k) + ahead));
                 assert!(now[1].abs() <= 1.0 + 1e-9 && now[2].abs() <= acceleration + 1e-9, "{now:?}");
                 assert!((next[2] - now[2]).abs() <= 20.0 * step + 1e-8, "{now:?}");
                 let mean = (now[1] + next[1]) / 2.0 * step;
                 assert!((next[0] - now[0] - mean).abs() <= 20.0 * step.powi(3) / 12.0 + 1e-9, "{now:?}");
             }
         }
-        assert_eq!(goal.at(0, 9.0), [0.3, 0.0, 0.0]);
-        assert_eq!(goal.at(1, 9.0), [0.2 + 0.5, 0.0, 0.0]);
+        assert_eq!(goal.reference_at(0, 9.0), [0.3, 0.0, 0.0]);
+        assert_eq!(goal.reference_at(1, 9.0), [0.2 + 0.5, 0.0, 0.0]);
     }
 
     /// References begun away from home: they begin where they are, and offsets count from home.
@@ -339,8 +368,8 @@ mod tests {
         ] {
             let trajectory = begun(reference, &[0.1, 0.2], from);
             for joint in 0..2 {
-                assert_eq!(trajectory.at(joint, 0.0)[0], from[0][joint], "{reference}");
-                let last = trajectory.at(joint, 9.0);
+                assert_eq!(trajectory.reference_at(joint, 0.0)[0], from[0][joint], "{reference}");
+                let last = trajectory.reference_at(joint, 9.0);
                 assert!(
                     (last[0] - end[joint]).abs() < 1e-15 && last[1..] == [0.0; 2],
                     "{reference}: {last:?}"

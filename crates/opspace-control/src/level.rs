@@ -121,6 +121,15 @@ impl Level {
         }
     }
 
+    /// Joins its reference from the state of `data`, at rest.
+    pub(crate) fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.limited = false;
+        match &mut self.task {
+            RowTask::Cartesian(task) => task.resume(model, data, measurement),
+            RowTask::Joints(task) => task.resume(data.q.as_slice(), measurement.time_s),
+        }
+    }
+
     /// Goes on from where a level of the same name in another stack stands.
     pub(crate) fn take_over(
         &mut self,
@@ -144,7 +153,7 @@ impl Level {
     pub(crate) fn observe(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
         match &mut self.task {
             RowTask::Cartesian(task) => task.observe(model, data, measurement.time_s),
-            RowTask::Joints(task) => task.observe(&measurement.q, measurement.time_s),
+            RowTask::Joints(task) => task.observe(measurement.q.as_slice(), measurement.time_s),
         }
     }
 

@@ -7,6 +7,7 @@
 //! motion is computed when it starts; nothing here allocates.
 
 use crate::quantity::Positive;
+use crate::ramp::Quintic;
 use crate::reference::{OrientationGoal, PositionGoal};
 use nalgebra::{Matrix3, Vector3};
 use rsruckig::block::Block;
@@ -135,18 +136,13 @@ const PIECES: usize = 9;
 #[derive(Clone, Copy, Debug, Default)]
 struct Piece {
     begin_s: f64,
-    /// Of t⁰ to t⁵, t from the piece's begin.
-    coefficients: [f64; 6],
+    /// Of the time since then.
+    polynomial: Quintic,
 }
 
 impl Piece {
     fn at(&self, time_s: f64) -> [f64; 3] {
-        let ([c0, c1, c2, c3, c4, c5], t) = (self.coefficients, time_s - self.begin_s);
-        [
-            c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
-            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
-            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
-        ]
+        self.polynomial.at(time_s - self.begin_s)
     }
 }
 
@@ -170,19 +166,8 @@ impl OnlineMotion {
 
     /// From `from` to rest at `goal` in `duration_s`: the polynomial of the fifth degree.
     pub(crate) fn quintic(from: [f64; 3], goal: f64, duration_s: f64) -> Self {
-        let [x, v, a] = from;
-        let t = duration_s;
-        // In u = t/duration: what is left of the way, and of the velocity, once the start's state has run on.
-        let way = goal - x - v * t - 0.5 * a * t * t;
-        let speed = -(v + a * t) * t;
-        let bend = -a * t * t;
-        let c3 = 10.0 * way - 4.0 * speed + 0.5 * bend;
-        let c4 = -15.0 * way + 7.0 * speed - bend;
-        let c5 = 6.0 * way - 3.0 * speed + 0.5 * bend;
-        let cubed = t * t * t;
-        let coefficients = [x, v, 0.5 * a, c3 / cubed, c4 / (cubed * t), c5 / (cubed * t * t)];
         let mut pieces = [Piece::default(); PIECES];
-        pieces[0] = Piece { begin_s: 0.0, coefficients };
+        pieces[0] = Piece { begin_s: 0.0, polynomial: Quintic::new(from, goal, duration_s) };
         Self { goal, duration_s, pieces, count: 1 }
     }
 
@@ -219,7 +204,8 @@ impl OnlineMotion {
                 return None;
             }
             let [x, v, a] = state;
-            let piece = Piece { begin_s, coefficients: [x, v, a / 2.0, jerk / 6.0, 0.0, 0.0] };
+            let polynomial = Quintic { coefficients: [x, v, a / 2.0, jerk / 6.0, 0.0, 0.0] };
+            let piece = Piece { begin_s, polynomial };
             pieces[count] = piece;
             count += 1;
             begin_s += lasts_s;

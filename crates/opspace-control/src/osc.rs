@@ -119,6 +119,13 @@ impl OperationalSpaceController {
         self.stacks.schedule(time_s, stack);
     }
 
+    /// Torque comes in from holding still.
+    fn hold_still(&mut self, data: &Data) {
+        for (i, commanded) in self.commanded.iter_mut().enumerate() {
+            *commanded = if self.robot.gravity_by_robot { 0.0 } else { data.gravity[i] };
+        }
+    }
+
     /// Whether a limit changed the last command.
     #[must_use]
     pub fn is_limited(&self) -> bool {
@@ -371,10 +378,18 @@ impl Controller for OperationalSpaceController {
 
     fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
         self.stacks.start(model, data, measurement);
-        // The torque comes in from holding still.
-        for (i, commanded) in self.commanded.iter_mut().enumerate() {
-            *commanded = if self.robot.gravity_by_robot { 0.0 } else { data.gravity[i] };
-        }
+        self.hold_still(data);
+    }
+
+    fn look_on(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.stacks.advance(model, data, measurement);
+        self.stacks.current().observe(model, data, measurement);
+    }
+
+    fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.stacks.advance(model, data, measurement);
+        self.stacks.current().resume(model, data, measurement);
+        self.hold_still(data);
     }
 
     fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {

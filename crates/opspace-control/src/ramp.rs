@@ -1,4 +1,4 @@
-//! The minimum-jerk ramp, and the product rule that brings it into a reference.
+//! The minimum-jerk ramp, the product rule that brings it into a reference, and the quintic that joins any state.
 //!
 //! A quantity and its first and second time derivative stand together as `[x, ẋ, ẍ]`.
 
@@ -24,4 +24,38 @@ pub fn minimum_jerk(t: f64, duration: f64) -> [f64; 3] {
 #[must_use]
 pub fn product(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + 2.0 * a[1] * b[1] + a[0] * b[2]]
+}
+
+/// The polynomial of the fifth degree from any state to rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Quintic {
+    /// Of t⁰ to t⁵.
+    pub coefficients: [f64; 6],
+}
+
+impl Quintic {
+    /// From `from` (position, velocity, acceleration) to rest at `goal` in `duration`.
+    pub(crate) fn new(from: [f64; 3], goal: f64, duration: f64) -> Self {
+        let [x, v, a] = from;
+        let t = duration;
+        // In u = t/duration: what is left of the way, and of the velocity, once the start's state has run on.
+        let way = goal - x - v * t - 0.5 * a * t * t;
+        let speed = -(v + a * t) * t;
+        let bend = -a * t * t;
+        let c3 = 10.0 * way - 4.0 * speed + 0.5 * bend;
+        let c4 = -15.0 * way + 7.0 * speed - bend;
+        let c5 = 6.0 * way - 3.0 * speed + 0.5 * bend;
+        let cubed = t * t * t;
+        Self { coefficients: [x, v, 0.5 * a, c3 / cubed, c4 / (cubed * t), c5 / (cubed * t * t)] }
+    }
+
+    /// Position, velocity and acceleration at `t` after the start.
+    pub(crate) fn at(&self, t: f64) -> [f64; 3] {
+        let [c0, c1, c2, c3, c4, c5] = self.coefficients;
+        [
+            c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        ]
+    }
 }

@@ -7,7 +7,7 @@
 use crate::online::{OnlineGoal, OnlineVector};
 use crate::orientation::{self, rotation_vector_rates};
 use crate::quantity::{NonNegative, Positive, exactly};
-use crate::ramp::{minimum_jerk, product};
+use crate::ramp::{Quintic, minimum_jerk, product};
 use crate::recorded::{RecordedMotion, RecordedPath};
 use crate::wave::{self, AngularWave, LinearWave, Wave};
 use nalgebra::{Matrix3, Vector3};
@@ -162,6 +162,67 @@ pub struct Trajectory {
     /// The target at the start.
     from: Placement,
     path: Path,
+    joining: Option<Joining>,
+}
+
+/// How long a target takes to join its reference from somewhere else, s: a way of 0.1 m then has a speed of 0.19 m/s and an
+/// acceleration of 0.6 m/s² at most.
+pub const JOINS_S: f64 = 1.0;
+
+/// What a target is away from its reference, fading: a displacement (m) and a rotation vector (rad), in world axes.
+#[derive(Clone, Debug)]
+struct Joining {
+    begin_s: f64,
+    line: [Quintic; 3],
+    turn: [Quintic; 3],
+}
+
+impl Joining {
+    fn new(begin_s: f64, from: &Target, reference: &Target) -> Self {
+        let line = [
+            from.placement.translation - reference.placement.translation,
+            from.velocity.linear - reference.velocity.linear,
+            from.acceleration.linear - reference.acceleration.linear,
+        ];
+        let away = from.placement.rotation * reference.placement.rotation.transpose();
+        // ω = ω_away + E ω_reference with E = exp(φ), and its derivative; ω_away and its derivative are linear in φ̇ and φ̈.
+        let phi = orientation::log(&away);
+        let carried = away * reference.velocity.angular;
+        let omega = from.velocity.angular - carried;
+        let alpha = from.acceleration.angular - away * reference.acceleration.angular - omega.cross(&carried);
+        let zero = Vector3::zeros();
+        let columns = [Vector3::x(), Vector3::y(), Vector3::z()]
+            .map(|axis| rotation_vector_rates(&phi, &axis, &zero).0);
+        // Invertible up to a whole turn, and a logarithm is at most half of one.
+        let inverse = Matrix3::from_columns(&columns).try_inverse().unwrap_or_else(Matrix3::identity);
+        let dphi = inverse * omega;
+        let ddphi = inverse * (alpha - rotation_vector_rates(&phi, &dphi, &zero).1);
+        let fading =
+            |[x, v, a]: [Vector3<f64>; 3]| [0, 1, 2].map(|i| Quintic::new([x[i], v[i], a[i]], 0.0, JOINS_S));
+        Self { begin_s, line: fading(line), turn: fading([phi, dphi, ddphi]) }
+    }
+
+    fn target(&self, reference: &Target, time_s: f64) -> Target {
+        let at = |part: &[Quintic; 3]| {
+            let [x, y, z] = [0, 1, 2].map(|i| part[i].at(time_s - self.begin_s));
+            [0, 1, 2].map(|k| Vector3::new(x[k], y[k], z[k]))
+        };
+        let (line, [phi, dphi, ddphi]) = (at(&self.line), at(&self.turn));
+        let (omega, alpha) = rotation_vector_rates(&phi, &dphi, &ddphi);
+        let away = orientation::exp(&phi);
+        let carried = away * reference.velocity.angular;
+        Target {
+            placement: Placement {
+                rotation: away * reference.placement.rotation,
+                translation: reference.placement.translation + line[0],
+            },
+            velocity: Motion { linear: reference.velocity.linear + line[1], angular: omega + carried },
+            acceleration: Motion {
+                linear: reference.acceleration.linear + line[2],
+                angular: alpha + away * reference.acceleration.angular + omega.cross(&carried),
+            },
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -245,7 +306,7 @@ impl Trajectory {
                 motion.map_or_else(|| goals(Vec::new()), |motion| Path::Recorded(Box::new(motion)))
             }
         };
-        Self { axes: Matrix3::identity(), from: Placement::identity(), path }
+        Self { axes: Matrix3::identity(), from: Placement::identity(), path, joining: None }
     }
 
     /// Begins now: time 0 of [`at`](Self::at) is this instant. It doesn't allocate, so that a task may change
@@ -257,6 +318,7 @@ impl Trajectory {
     pub fn start(&mut self, home: &Placement, from: &Target, axes: &Matrix3<f64>) {
         self.axes = *axes;
         self.from = from.placement;
+        self.joining = None;
         match &mut self.path {
             Path::Legs { goals, legs } => {
                 legs.clear();
@@ -282,9 +344,29 @@ impl Trajectory {
         }
     }
 
+    /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`JOINS_S`], and without a
+    /// jump in velocity or acceleration. It doesn't allocate.
+    pub fn join(&mut self, time_s: f64, from: &Target) {
+        self.joining = Some(Joining::new(time_s, from, &self.reference_at(time_s)));
+    }
+
     /// The target at `time_s` after the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Target {
+        self.joined(&self.reference_at(time_s), time_s)
+    }
+
+    /// The target for a reference at `time_s` after the start.
+    pub(crate) fn joined(&self, reference: &Target, time_s: f64) -> Target {
+        match &self.joining {
+            Some(joining) if time_s < joining.begin_s + JOINS_S => joining.target(reference, time_s),
+            _ => *reference,
+        }
+    }
+
+    /// Where the reference itself is, `time_s` after the start.
+    #[must_use]
+    pub fn reference_at(&self, time_s: f64) -> Target {
         match &self.path {
             Path::Legs { legs, .. } => match legs.iter().rev().find(|leg| leg.begin_s <= time_s) {
                 None => Target::at_rest(self.from),

@@ -125,6 +125,22 @@ impl Levels {
         }
     }
 
+    /// Takes in where the robot is and where it should be.
+    pub(crate) fn observe(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.rows.iter_mut().for_each(|level| level.observe(model, data, measurement));
+        if let Some(JointTask::Tracking(task)) = &mut self.joint {
+            task.observe(measurement.q.as_slice(), measurement.time_s);
+        }
+    }
+
+    /// Joins its references from the state of `data`, at rest. Allocates nothing.
+    pub(crate) fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+        self.rows.iter_mut().for_each(|level| level.resume(model, data, measurement));
+        if let Some(JointTask::Tracking(task)) = &mut self.joint {
+            task.resume(data.q.as_slice(), measurement.time_s);
+        }
+    }
+
     /// Goes on from where another stack stands: tasks of the same name from each other, new ones from where the robot
     /// is. Allocates nothing.
     pub(crate) fn take_over(

@@ -153,6 +153,32 @@ fn difference(a: &Motion, b: &Motion) -> f64 {
 }
 
 /// Pose, velocity and acceleration at time 0 against the start's, at rest.
+/// Compared: the target of a trajectory that is joined, at that instant with where it is joined from, and a second later
+/// with the reference itself; in between, its derivatives with differences.
+#[test]
+fn a_reference_is_joined_from_anywhere_without_a_jump() {
+    /// Before the first instant at which derivatives are looked at.
+    const JOINED_S: f64 = 0.05;
+    for text in REFERENCES {
+        let alone = trajectory(text);
+        let mut joined = alone.clone();
+        let from = Target::at_rest(Placement::from_rpy([1.1, 0.2, -2.0], [0.5, -0.1, 0.3]));
+        joined.join(JOINED_S, &from);
+        let begin = joined.at(JOINED_S);
+        assert!((begin.placement.translation - from.placement.translation).norm() < 1e-14, "{text}");
+        assert!((begin.placement.rotation - from.placement.rotation).norm() < 1e-13, "{text}");
+        assert!(difference(&begin.velocity, &Motion::zero()) < 1e-12, "{text}");
+        assert!(difference(&begin.acceleration, &Motion::zero()) < 1e-11, "{text}");
+        check_derivatives(&joined, text);
+        for time_s in [JOINED_S + 1.0, 2.9] {
+            assert_eq!(joined.at(time_s), alone.at(time_s), "{text}");
+            assert_eq!(joined.reference_at(time_s), alone.at(time_s), "{text}");
+        }
+        joined.start(&start(), &Target::at_rest(start()), &axes());
+        assert_eq!(joined.at(JOINED_S), alone.at(JOINED_S), "a start forgets it: {text}");
+    }
+}
+
 #[test]
 fn every_reference_begins_at_the_start_pose_at_rest() {
     for text in REFERENCES {

@@ -272,6 +272,8 @@ mod tests {
             fault_time_s: None,
             interrupted: false,
             rows_lost: 0,
+            missed_cycles: 0,
+            resumed: 0,
             metrics: crate::Metrics::default(),
             timing: crate::Timing::default(),
         };

@@ -5,7 +5,7 @@ use crate::metrics::{Metrics, Timing, metrics, timing};
 use crate::robot::Robot;
 use crate::source::{FileError, Source};
 use crate::task::Task;
-use opspace_backend::{Ending, Sink, TransformerKind};
+use opspace_backend::{Ending, Phase, Sink, TransformerKind};
 use opspace_log::{
     Attachment, Channel, Header, LogError, Pace, Recorder, Recording, Writer, Written, record,
 };
@@ -83,6 +83,10 @@ pub struct Summary {
     pub interrupted: bool,
     /// Rows lost on the way to the log.
     pub rows_lost: u64,
+    /// Interface cycles in which no sample came.
+    pub missed_cycles: u64,
+    /// How often control was resumed after a dropout.
+    pub resumed: u64,
     /// How well it went.
     pub metrics: Metrics,
     /// How long things took: not reproducible.
@@ -165,6 +169,7 @@ impl Experiment {
     /// What is said of a run of this experiment with that log.
     #[must_use]
     pub fn summary(&self, recording: &Recording, ending: &Ending, realtime_factor: Option<f64>) -> Summary {
+        let (missed_cycles, resumed) = continuity(recording);
         let (faulted, fault_time_s) = match ending {
             Ending::Faulted { fault, time_s } => (Some(fault.describe(&self.robot().model)), Some(*time_s)),
             _ => (None, None),
@@ -186,6 +191,8 @@ impl Experiment {
             fault_time_s,
             interrupted: matches!(ending, Ending::Interrupted { .. }),
             rows_lost: recording.dropped(),
+            missed_cycles,
+            resumed,
             metrics: metrics(self, recording),
             timing: timing(recording, realtime_factor),
         }
@@ -280,6 +287,17 @@ impl Experiment {
         // It was the best one to who wrote the log.
         Ok(Self::new(robot, task, Choice { transformer: Some(transformer), ..choice }, settings)?)
     }
+}
+
+/// How many cycles a log says were missed, and how often control was resumed.
+fn continuity(recording: &Recording) -> (u64, u64) {
+    let Some(tick) = recording.channel("tick") else { return (0, 0) };
+    let missed = tick.signal("missed_cycles").map_or(0.0, |missed| missed.rows().map(|row| row[0]).sum());
+    let resuming = Phase::Resuming.code();
+    let resumed = tick.signal("phase").map_or(0, |phase| {
+        (1..phase.len()).filter(|&k| phase.row(k)[0] == resuming && phase.row(k - 1)[0] != resuming).count()
+    });
+    (missed as u64, resumed as u64)
 }
 
 /// A file out of a log, under the name it had.

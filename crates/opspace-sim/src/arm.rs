@@ -1,8 +1,10 @@
 //! The simulated arm behind its interface: drives at servo rate, everything else at the interface rate.
 //!
 //! At interface tick k the encoders are read; the command written then acts from `delay` servo ticks later
-//! until the next one does. Between two interface ticks nothing is seen of the arm but by its own drives.
+//! until the next one does. Between two interface ticks nothing is seen of the arm but by its own drives, nor at ticks
+//! whose cycle the [bus](crate::bus) loses.
 
+use crate::bus::{Bus, LONGEST_DROPOUT_S};
 use crate::error::SimulationError;
 use crate::force_sensor::SimulatedForceSensor;
 use crate::friction::LuGre;
@@ -54,6 +56,7 @@ pub struct SimulatedArm {
     facts: Facts,
     plant: Plant,
     timing: Timing,
+    bus: Bus,
     encoders: Vec<Option<f64>>,
     torque_limits: Option<DVector<f64>>,
     servos: Vec<Servo>,
@@ -135,14 +138,14 @@ struct Pending {
     values: DVector<f64>,
 }
 
-/// What the last interface period left behind.
+/// What the interface periods since the last sample left behind.
 struct TraceLog {
     joints: Vec<String>,
     contacts: Vec<String>,
     truth: Vec<f64>,
+    truth_width: usize,
     servo: Vec<f64>,
     servo_commands: Vec<u64>,
-    first_servo_tick: u64,
 }
 
 impl SimulatedArm {
@@ -208,6 +211,7 @@ impl SimulatedArm {
         let mut arm = Self {
             facts: setup.facts.clone(),
             timing,
+            bus: Bus::new(&simulated.bus, setup.seed),
             torque_limits: simulated
                 .torque_saturation
                 .then(|| DVector::from_iterator(n, setup.joints.iter().map(limit))),
@@ -222,7 +226,7 @@ impl SimulatedArm {
             position,
             asked: DVector::zeros(n),
             interval_torque: motor_start,
-            log: TraceLog::new(&setup, profile.ratio.get()),
+            log: TraceLog::new(&setup),
             plant,
         };
         if setup.facts.command == CommandKind::Torque {
@@ -239,15 +243,12 @@ impl SimulatedArm {
 
     /// One interface period: `ratio` servo ticks and the physics between them.
     fn advance(&mut self) {
-        self.interval_torque.fill(0.0);
-        self.log.begin(self.timing.servo_tick);
         for _ in 0..self.timing.ratio {
             self.take_pending();
             self.servo_tick();
             self.run_physics();
             self.timing.servo_tick += 1;
         }
-        self.interval_torque /= f64::from(self.timing.ratio);
     }
 
     fn take_pending(&mut self) {
@@ -286,15 +287,11 @@ impl SimulatedArm {
         let dt = self.timing.servo_period_s / f64::from(steps);
         let begin_s = self.timing.time_s(self.timing.servo_tick);
         let slot = self.log.servo_slot(self.active.command);
-        slot.fill(0.0);
         for step in 0..steps {
             self.plant.step(begin_s + f64::from(step) * dt, dt, self.asked.as_slice());
             for (sum, torque) in slot.iter_mut().zip(self.plant.motor_torque()) {
                 *sum += torque / f64::from(steps);
             }
-        }
-        for (sum, mean) in self.interval_torque.iter_mut().zip(slot.iter()) {
-            *sum += mean;
         }
         for (frame, sensor) in &mut self.sensors {
             sensor.follow(&self.plant.contact_wrench(*frame));
@@ -307,10 +304,24 @@ impl SimulatedArm {
         }
     }
 
+    /// The motors' mean torque since the last sample; what they gave at rest at the first.
+    fn average_torque(&mut self) {
+        let rows = self.log.servo_commands.len();
+        if rows == 0 {
+            return;
+        }
+        self.interval_torque.fill(0.0);
+        for row in self.log.servo.chunks_exact(self.interval_torque.len()) {
+            self.interval_torque.iter_mut().zip(row).for_each(|(sum, torque)| *sum += torque);
+        }
+        self.interval_torque /= rows as f64;
+    }
+
     fn measure(&mut self, sample: &mut Sample) {
         self.read_encoders();
         sample.time_s = self.timing.time_s(self.timing.servo_tick);
         sample.q.copy_from(&self.position);
+        self.average_torque();
         let (noise, random) = &mut self.torque_noise;
         if let Some(measured) = &mut sample.motor_torque {
             for (to, torque) in measured.iter_mut().zip(&self.interval_torque) {
@@ -321,13 +332,12 @@ impl SimulatedArm {
         for (to, (_, sensor)) in sample.wrenches.iter_mut().zip(&mut self.sensors) {
             *to = sensor.read();
         }
-        self.log.truth(&self.plant);
     }
 
     /// Takes a command given at the present interface tick.
     fn accept(&mut self, values: &[f64]) {
         self.commands += 1;
-        let acts_at = Some(self.timing.servo_tick + u64::from(self.timing.delay));
+        let acts_at = Some(self.timing.servo_tick + u64::from(self.timing.delay + self.bus.late()));
         // A second command at the same tick takes the place of the first; else one of the two is free.
         let same = self.pending.iter().position(|p| p.acts_at == acts_at);
         let free = self.pending.iter().position(|p| p.acts_at.is_none());
@@ -344,17 +354,22 @@ impl Robot for SimulatedArm {
     }
 
     fn read(&mut self, sample: &mut Sample) -> Result<(), Fault> {
-        if self.timing.started {
-            self.advance();
-        }
-        self.timing.started = true;
-        let finite = self.plant.q().iter().chain(self.plant.dq().iter()).all(|v| v.is_finite());
-        if !finite {
+        self.log.clear();
+        loop {
+            if self.timing.started {
+                self.advance();
+            }
+            self.timing.started = true;
             self.log.truth(&self.plant);
-            return Err(Fault::Diverged);
+            let finite = self.plant.q().iter().chain(self.plant.dq().iter()).all(|v| v.is_finite());
+            if !finite {
+                return Err(Fault::Diverged);
+            }
+            if self.bus.passes(self.timing.time_s(self.timing.servo_tick)) {
+                self.measure(sample);
+                return Ok(());
+            }
         }
-        self.measure(sample);
-        Ok(())
     }
 
     fn traces(&self) -> Option<Traces> {
@@ -362,12 +377,18 @@ impl Robot for SimulatedArm {
     }
 
     fn visit_traces(&self, visit: &mut dyn FnMut(Trace<'_>)) {
-        let n = self.log.joints.len();
-        for (k, &command) in self.log.servo_commands.iter().enumerate() {
-            let time_s = self.timing.time_s(self.log.first_servo_tick + k as u64);
-            visit(Trace::Servo { time_s, command, row: &self.log.servo[k * n..(k + 1) * n] });
+        let (n, ratio) = (self.log.joints.len(), u64::from(self.timing.ratio));
+        let rows = self.log.servo_commands.iter().zip(self.log.servo.chunks_exact(n));
+        let mut rows = (self.timing.servo_tick - rows.len() as u64..).zip(rows);
+        // Each period's rows of the drives, then the truth at its end.
+        let truths = self.log.truth.chunks_exact(self.log.truth_width);
+        let first = self.timing.servo_tick - (truths.len() as u64 - 1) * ratio;
+        for (tick, truth) in (first..).step_by(self.timing.ratio as usize).zip(truths) {
+            for (servo_tick, (&command, row)) in rows.by_ref().take(self.timing.ratio as usize) {
+                visit(Trace::Servo { time_s: self.timing.time_s(servo_tick), command, row });
+            }
+            visit(Trace::Truth { time_s: self.timing.time_s(tick), row: truth });
         }
-        visit(Trace::Truth { time_s: self.timing.time_s(self.timing.servo_tick), row: &self.log.truth });
     }
 }
 
@@ -452,6 +473,17 @@ impl Setup {
         if delay > ratio {
             return Err(SimulationError::Delay { delay, ratio, truth: delay != believed });
         }
+        let bus = &self.simulated.bus;
+        if bus.lost_cycles_share.get() >= 1.0 {
+            return Err(SimulationError::LostCycles { share: bus.lost_cycles_share.get() });
+        }
+        if let Some(long) = bus.dropouts.iter().find(|d| d.duration_s.get() > LONGEST_DROPOUT_S) {
+            let duration_s = long.duration_s.get();
+            return Err(SimulationError::Dropout { duration_s, longest_s: LONGEST_DROPOUT_S });
+        }
+        if bus.jitter_servo_ticks > 0 && bus.jitter_servo_ticks >= ratio {
+            return Err(SimulationError::Jitter { jitter: bus.jitter_servo_ticks, ratio });
+        }
         let servo_hz = self.profile.servo_hz.get();
         let physics_hz = self.simulated.physics_hz.get();
         let steps = physics_hz / servo_hz;
@@ -532,16 +564,21 @@ impl Setup {
 }
 
 impl TraceLog {
-    fn new(setup: &Setup, ratio: u32) -> Self {
+    fn new(setup: &Setup) -> Self {
+        /// Cycles that may be lost in a row, beside dropouts, before room must be made for them.
+        const LOST: usize = 64;
         let joints: Vec<String> = setup.model.joints().iter().map(|j| j.name.clone()).collect();
         let n = joints.len();
-        let rows = ratio as usize;
+        let silent_s: f64 = setup.simulated.bus.dropouts.iter().map(|d| d.duration_s.get()).sum();
+        let periods = (silent_s / setup.profile.period_s()).ceil() as usize + LOST;
+        let rows = periods * setup.profile.ratio.get() as usize;
+        let truth_width = 2 * n + 3 * setup.surroundings.len();
         Self {
-            truth: vec![0.0; 2 * n + 3 * setup.surroundings.len()],
-            servo: vec![0.0; rows * n],
+            truth: Vec::with_capacity(periods * truth_width),
+            truth_width,
+            servo: Vec::with_capacity(rows * n),
             servo_commands: Vec::with_capacity(rows),
             contacts: setup.surroundings.iter().map(|(name, _)| name.clone()).collect(),
-            first_servo_tick: 0,
             joints,
         }
     }
@@ -556,26 +593,25 @@ impl TraceLog {
         }
     }
 
-    fn begin(&mut self, servo_tick: u64) {
+    fn clear(&mut self) {
         self.servo_commands.clear();
-        self.first_servo_tick = servo_tick;
+        self.servo.clear();
+        self.truth.clear();
     }
 
-    /// Room for the motors' torques of the next servo period.
+    /// Room for the motors' torques of the next servo period, all zero.
     fn servo_slot(&mut self, command: u64) -> &mut [f64] {
-        let n = self.joints.len();
-        let k = self.servo_commands.len();
+        let begin = self.servo.len();
         self.servo_commands.push(command);
-        &mut self.servo[k * n..(k + 1) * n]
+        self.servo.resize(begin + self.joints.len(), 0.0);
+        &mut self.servo[begin..]
     }
 
+    /// The truth at the end of a period.
     fn truth(&mut self, plant: &Plant) {
-        let n = self.joints.len();
-        self.truth[..n].copy_from_slice(plant.q().as_slice());
-        self.truth[n..2 * n].copy_from_slice(plant.dq().as_slice());
-        for (slot, contact) in self.truth[2 * n..].chunks_exact_mut(3).zip(plant.contacts()) {
-            slot.copy_from_slice(contact.force().as_slice());
-        }
+        self.truth.extend_from_slice(plant.q().as_slice());
+        self.truth.extend_from_slice(plant.dq().as_slice());
+        plant.contacts().iter().for_each(|contact| self.truth.extend_from_slice(contact.force().as_slice()));
     }
 }
 

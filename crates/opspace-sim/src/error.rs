@@ -44,6 +44,28 @@ pub enum SimulationError {
         /// `servo_hz`.
         servo_hz: f64,
     },
+    /// A bus on which nothing passes.
+    #[error("a bus that loses {share} of its cycles passes nothing: less than 1")]
+    LostCycles {
+        /// `lost_cycles_share`.
+        share: f64,
+    },
+    /// A dropout that is too long to be kept.
+    #[error("a dropout of {duration_s} s is longer than {longest_s} s")]
+    Dropout {
+        /// `duration_s`.
+        duration_s: f64,
+        /// What is the longest.
+        longest_s: f64,
+    },
+    /// A set-point would act after the next one.
+    #[error("a jitter of {jitter} servo ticks is not fewer than the {ratio} of an interface period")]
+    Jitter {
+        /// `jitter_servo_ticks`.
+        jitter: u32,
+        /// `ratio`.
+        ratio: u32,
+    },
     /// A sensor of the robot has no quality in the simulation.
     #[error("force sensor '{sensor}' is declared, but [simulated.force_sensor.{sensor}] is missing")]
     UnknownSensorQuality {
@@ -83,6 +105,7 @@ impl SimulationError {
     #[must_use]
     pub fn key(&self) -> Key {
         let task = |name: &str, key: &str| Key::Task(vec!["surroundings".into(), name.into(), key.into()]);
+        let bus = |key: &str| Key::Robot(vec!["simulated".into(), "bus".into(), key.into()]);
         match self {
             Self::Delay { truth: true, .. } => {
                 Key::Robot(vec!["simulated".into(), "delay_servo_ticks".into()])
@@ -96,6 +119,9 @@ impl SimulationError {
             }
             Self::Servo { joint, .. } => Key::Profile(vec!["servo".into(), joint.clone()]),
             Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
+            Self::LostCycles { .. } => bus("lost_cycles_share"),
+            Self::Dropout { .. } => bus("dropouts"),
+            Self::Jitter { .. } => bus("jitter_servo_ticks"),
             Self::UnknownSensorQuality { sensor } => {
                 Key::Robot(vec!["simulated".into(), "force_sensor".into(), sensor.clone()])
             }

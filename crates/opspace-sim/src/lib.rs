@@ -4,6 +4,7 @@
 //! interface.
 
 pub mod arm;
+pub mod bus;
 pub mod error;
 pub mod force_sensor;
 pub mod friction;
@@ -15,6 +16,7 @@ pub mod random;
 pub mod surroundings;
 
 pub use arm::{Setup, SimulatedArm};
+pub use bus::{Bus, BusParameters, DropoutParameters};
 pub use error::{Key, SimulationError};
 pub use integrator::RungeKutta;
 pub use parameters::SimulatedParameters;

@@ -1,6 +1,7 @@
 //! `[simulated]` in robot.toml: where the simulated robot differs from, or goes beyond, what is believed
 //! of it. The controller never sees any of this.
 
+use crate::bus::BusParameters;
 use opspace_backend::{FrictionParameters, ServoParameters};
 use opspace_control::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
@@ -36,6 +37,9 @@ pub struct SimulatedParameters {
     /// Truth over belief.
     #[serde(default)]
     pub scale: ScaleParameters,
+    /// What the field bus loses and delays; nothing if absent.
+    #[serde(default)]
+    pub bus: BusParameters,
     /// True servos, by joint name, where they aren't the believed ones; `scale` is of these.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,

@@ -8,6 +8,8 @@ use rand_chacha::ChaCha8Rng;
 pub enum Stream {
     /// Noise of the motor-torque measurement.
     MotorTorque,
+    /// What the bus loses and delays.
+    Bus,
     /// A force sensor, by its index.
     ForceSensor(u32),
     /// A surrounding, by its index in the order of names.
@@ -20,6 +22,7 @@ pub fn generator(seed: u64, stream: Stream) -> ChaCha8Rng {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);
     generator.set_stream(match stream {
         Stream::MotorTorque => 1,
+        Stream::Bus => 2,
         Stream::ForceSensor(i) => (1 << 32) | u64::from(i),
         Stream::Surrounding(i) => (2 << 32) | u64::from(i),
     });
