@@ -10,7 +10,7 @@ mod counting;
 
 use common::{ik, load, osc, positions, torque, torques};
 use counting::{allocations, allocations_so_far};
-use opspace_backend::{Ending, Fault, Phase, Sink, TICK, TransformerKind};
+use opspace_backend::{Ending, Fault, Method, Phase, Sink, TICK, TransformerKind};
 use opspace_control::Controller;
 use opspace_control::quantity::NonNegative;
 use opspace_experiment::files::PAPER_SUITE;
@@ -153,12 +153,33 @@ fn no_tick_of_a_run_with_missed_cycles_allocates() {
     }
 }
 
+/// Every transformer that an arm can have; the literal ones are for a single joint, and refused.
 #[test]
 fn no_tick_of_any_transformer_allocates() {
+    let closed_loop = "closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]}";
+    let joint = format!(
+        "{{{closed_loop},open_loop={{numerator=[1.0],denominator=[0.0,2.0,0.3]}},from_hz=0.5,to_hz=50.0}}"
+    );
+    let joints =
+        ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"].map(|name| format!("{name}={joint}"));
+    let identified = format!("robot.profile.a-med.identified={{{}}}", joints.join(","));
     for transformer in TransformerKind::ALL {
         let choice = Choice { transformer: Some(transformer), ..Choice::default() };
         let path = Path::new("tasks/compliant-x.toml");
-        let experiment = Experiment::load(Files::Embedded, path, None, choice, &[]);
+        let mut settings = vec![identified.clone()];
+        match transformer.method {
+            Method::Interpolating => settings.push("robot.interface.set_points=\"interpolated\"".to_owned()),
+            Method::Emulation if transformer.current => {
+                settings.push("robot.profile.a-med.refine={time_s=1.0,within=0.3}".to_owned());
+            }
+            _ => {}
+        }
+        let experiment = Experiment::load(Files::Embedded, path, None, choice, &settings);
+        if matches!(transformer.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop) {
+            let refused = experiment.err().map(|e| e.to_string()).unwrap_or_default();
+            assert!(refused.contains("one joint alone"), "{transformer:?}: {refused}");
+            continue;
+        }
         let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);
         let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
         let (counts, ending) = count(&experiment, &mut *controller, None);

@@ -194,74 +194,169 @@ fn a_stiffness_is_what_was_asked_for() {
     }
 }
 
-/// What the suite of transformers must show, in the file that `OPSPACE_TRANSFORMER_JSON` names: torque errors over
-/// interface intervals and tracking, of medians over seeds, against fixed bounds and against the torque robot and inverse
-/// kinematics beside them. No seed may be worse than one and a half times a bound.
-#[test]
-fn emulating_the_servo_gives_the_torques() {
-    let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
-    let values = |task: &str, control: &[&str], profile: &str, label: &str, metric: &str| {
-        let [backend, controller, transformer] = control else { panic!("three names") };
+/// The rows of a suite's file that the environment names, by what tells them apart.
+struct Rows(Bench);
+
+impl Rows {
+    /// Median and worst of a metric over the seeds of a row: task, robot and control, profile and label.
+    fn values(&self, task: &str, control: [&str; 3], profile: &str, label: &str, metric: &str) -> (f64, f64) {
+        let [backend, controller, transformer] = control;
         let same = |row: &&Value| {
             row["task"] == task
-                && row["backend"] == *backend
-                && row["controller"] == *controller
-                && row["transformer"].as_str().unwrap_or_default() == *transformer
+                && row["backend"] == backend
+                && row["controller"] == controller
+                && row["transformer"].as_str().unwrap_or_default() == transformer
                 && row["profile"] == profile
                 && row["label"].as_str().unwrap_or_default() == label
         };
-        let rows = bench.rows.iter().filter(same);
-        let mut values: Vec<f64> = rows
+        let what = format!("{task} {control:?} {profile} {label}");
+        let mut values: Vec<f64> = (self.0.rows.iter().filter(same))
             .map(|row| {
-                assert!(row["faulted"].is_null(), "{task} {control:?} {profile} {label}: {}", row["faulted"]);
-                row["metrics"][metric].as_f64().expect("a number")
+                assert!(row["faulted"].is_null(), "{what}: {}", row["faulted"]);
+                row["metrics"][metric].as_f64().unwrap_or_else(|| panic!("{what}: no {metric}"))
             })
             .collect();
-        assert!(!values.is_empty(), "no row of {task} {control:?} {profile} {label}");
+        assert!(!values.is_empty(), "no row of {what}");
         values.sort_by(f64::total_cmp);
         let median = 0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2]);
         (median, values[values.len() - 1])
-    };
-    let error = "torque_error_interval";
-    let below = |(median, worst): (f64, f64), bound: f64, what: &str| {
-        assert!(median <= bound && worst <= 1.5 * bound, "{what}: {median}, at worst {worst}, of {bound}");
-    };
-    for transformer in ["emulation", "emulation+current"] {
-        let position = ["position", "osc", transformer];
-        let torque = ["torque", "osc", ""];
+    }
+
+    /// The median of a metric is at most `bound`, and no seed's is more than one and a half times it.
+    fn below(&self, bound: f64, row: (&str, [&str; 3], &str, &str), metric: &str) {
+        let (task, control, profile, label) = row;
+        let (median, worst) = self.values(task, control, profile, label, metric);
+        assert!(
+            median <= bound && worst <= 1.5 * bound,
+            "{row:?}: {metric} {median}, at worst {worst}, of {bound}"
+        );
+    }
+}
+
+const INTERVAL: &str = "torque_error_interval";
+const TORQUE: [&str; 3] = ["torque", "osc", ""];
+
+fn through(transformer: &str) -> [&str; 3] {
+    ["position", "osc", transformer]
+}
+
+/// What the suite of transformers must show, in the file that `OPSPACE_TRANSFORMER_JSON` names: torque errors and tracking of
+/// each transformer on the experiments of the paper, against fixed bounds, the torque robot and inverse kinematics.
+#[test]
+fn emulating_the_servo_gives_the_torques() {
+    let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
+    let rows = Rows(bench);
+    let held = [("emulation", ""), ("emulation+current", "")];
+    let interpolated = [("interpolating", "interpolated"), ("interpolating+current", "interpolated")];
+    for (transformer, label) in held.into_iter().chain(interpolated) {
+        let position = through(transformer);
         for profile in PROFILES {
-            for (task, bound) in
-                [("cartesian-tracking", 0.05), ("gravity-compensation", 0.05), ("compliant-x", 0.06)]
-            {
-                let what = format!("{task} {transformer} {profile}");
-                below(values(task, &position, profile, "", error), bound, &what);
+            let bars = [("cartesian-tracking", 0.05), ("gravity-compensation", 0.05), ("compliant-x", 0.06)];
+            for (task, bound) in bars {
+                rows.below(bound, (task, position, profile, label), INTERVAL);
+                if label == "interpolated" {
+                    rows.below(0.07, (task, position, profile, label), "torque_error_servo");
+                }
             }
-            let tracking =
-                |control: &[&str]| values("cartesian-tracking", control, profile, "", "position_rms_m").0;
-            assert!(tracking(&position) <= 1.5 * tracking(&torque), "{transformer} {profile}");
-            assert!(
-                tracking(&position) <= 0.25 * tracking(&["position", "ik", ""]),
-                "{transformer} {profile}"
-            );
-            let ratio = |metric: &str| {
-                let of = |control: &[&str]| values("compliant-x", control, profile, "", metric).0;
-                of(&position) / of(&torque)
+            let tracking = |control: [&str; 3], label: &str| {
+                rows.values("cartesian-tracking", control, profile, label, "position_rms_m").0
             };
-            let (force, motion, held) =
+            let own = tracking(position, label);
+            assert!(own <= 1.5 * tracking(TORQUE, ""), "{transformer} {profile}: {own} m");
+            assert!(own <= 0.25 * tracking(["position", "ik", ""], ""), "{transformer} {profile}: {own} m");
+            let ratio = |metric: &str| {
+                let of = |control: [&str; 3], label: &str| {
+                    rows.values("compliant-x", control, profile, label, metric).0
+                };
+                of(position, label) / of(TORQUE, "")
+            };
+            let (force, motion, aside) =
                 (ratio("hand_force_rms_n"), ratio("hand_motion_rms_m"), ratio("position_rms_m"));
             assert!((0.9..=1.1).contains(&force), "{transformer} {profile}: hand force {force}");
-            assert!(motion >= 0.9 && held <= 1.2, "{transformer} {profile}: {motion} along x, {held} aside");
+            assert!(
+                motion >= 0.9 && aside <= 1.2,
+                "{transformer} {profile}: {motion} along x, {aside} aside"
+            );
         }
     }
-    let current = ["position", "osc", "emulation+current"];
+}
+
+/// What a held set-point leaves within an interval, over what the drive's timing predicts. Not of compliant-x on the stiff
+/// drives: it moves so slowly that what encoder counts leave in the servo's own velocity is as large.
+#[test]
+fn what_is_left_is_the_ripple_of_a_held_set_point() {
+    let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
+    let rows = Rows(bench);
+    for transformer in ["emulation", "emulation+current"] {
+        for (task, profile) in [
+            ("cartesian-tracking", "a-med"),
+            ("cartesian-tracking", "b-soft"),
+            ("gravity-compensation", "a-med"),
+            ("gravity-compensation", "b-soft"),
+            ("compliant-x", "b-soft"),
+        ] {
+            rows.below(1.15, (task, through(transformer), profile, ""), "hold_ripple");
+        }
+    }
+}
+
+/// The same suite: known delays, other ratios, wrong gains without and with their refinement, other servos, other robots.
+#[test]
+fn torques_come_whatever_the_drives_are() {
+    let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
+    let rows = Rows(bench);
+    let task = "cartesian-tracking";
+    let current = through("emulation+current");
     for (profile, wrong_gain) in [("a-med", 0.10), ("b-soft", 0.18)] {
-        for delay in 1..=5 {
-            let label = format!("delay {delay}");
-            below(values("cartesian-tracking", &current, profile, &label, error), 0.05, &label);
+        for transformer in ["emulation", "emulation+current", "interpolating+current"] {
+            for delay in 1..=5 {
+                let label = format!("delay {delay}");
+                rows.below(0.05, (task, through(transformer), profile, &label), INTERVAL);
+            }
         }
-        for label in ["kp 0.8", "kp 1.1", "kp 1.3"] {
-            below(values("cartesian-tracking", &current, profile, label, error), wrong_gain, label);
+        for gain in ["kp 0.8", "kp 1.1", "kp 1.3"] {
+            rows.below(wrong_gain, (task, current, profile, gain), INTERVAL);
+            rows.below(0.04, (task, current, profile, &format!("{gain} refined")), INTERVAL);
+        }
+        rows.below(0.05, (task, current, profile, "P-PI"), INTERVAL);
+        rows.below(0.05, (task, through("paper+current"), profile, ""), INTERVAL);
+    }
+    rows.below(0.05, (task, current, "a-med", "PID"), INTERVAL);
+    rows.below(0.01, (task, current, "b-soft", "ratio 1:1"), INTERVAL);
+    for transformer in ["emulation", "emulation+current"] {
+        for task in ["ur5e-reach", "ur5e-tracking", "ur5e-compliant"] {
+            rows.below(0.07, (task, through(transformer), "industrial", "UR5e, stiff"), INTERVAL);
+            rows.below(0.05, (task, through(transformer), "fieldbus-125hz", "UR5e, 125 Hz"), INTERVAL);
+        }
+        for task in ["panda-reach", "panda-tracking", "panda-compliant"] {
+            rows.below(0.05, (task, through(transformer), "uneven", "Panda, uneven"), INTERVAL);
         }
     }
-    below(values("cartesian-tracking", &current, "b-soft", "ratio 1:1", error), 0.01, "ratio 1:1");
+}
+
+/// The suite of what is borne, in the file that `OPSPACE_ROBUSTNESS_JSON` names. With the current every row ends, the hand
+/// within 15 mm of its path unless the bus was dead or the motors too weak; without it a position loop that is 30 % too stiff
+/// is stopped, and the cause is named.
+#[test]
+fn one_thing_that_is_not_as_it_should_be_is_borne() {
+    let Some(bench) = Bench::read_from("OPSPACE_ROBUSTNESS_JSON") else { return };
+    const NEAR_M: f64 = 0.015;
+    const INTERRUPTED_M: f64 = 0.05;
+    let mut stopped = 0;
+    for row in &bench.rows {
+        let label = row["label"].as_str().unwrap_or_default();
+        let what = format!("{} {} {label}", row["transformer"], row["profile"]);
+        if row["transformer"] == "paper" && label == "kp 1.3" {
+            let cause = row["faulted"].as_str().unwrap_or_default();
+            assert!(cause.contains("more than is asked for"), "{what}: {cause}");
+            stopped += 1;
+            continue;
+        }
+        assert!(row["faulted"].is_null(), "{what}: {}", row["faulted"]);
+        let error = row["metrics"]["position_rms_m"].as_f64().expect("a Cartesian task");
+        let interrupted = label.starts_with("dead") || label == "torque limits 20 %";
+        let bound = if interrupted { INTERRUPTED_M } else { NEAR_M };
+        assert!(row["transformer"] == "paper" || error < bound, "{what}: {error} m");
+    }
+    assert_eq!(stopped, 6, "three seeds of two profiles");
 }

@@ -118,7 +118,7 @@ refused! {
         ["missing key `torque_limit_nm`", "N·m"];
     a_sensor_on_an_unknown_link: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
         ["no link 'palm'", "hand"];
-    an_unknown_transformer: "robot.toml", "transformer = \"paper\"" => "transformer = \"peper\"", Some("peper"),
+    an_unknown_transformer: "robot.toml", "ratio = 5" => "ratio = 5\ntransformer = \"peper\"", Some("peper"),
         ["`paper`"];
     a_missing_urdf: "robot.toml", "asimo-arm.urdf" => "asimo-arn.urdf", Some("asimo-arn.urdf"),
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
@@ -164,6 +164,39 @@ fn a_setting_errs_as_a_file_does() {
     set("damping_ratio", &["a setting needs a `=`"]);
     set("=1", &["--set"]);
     set("", &["--set"]);
+}
+
+/// What each transformer needs of the robot.
+#[test]
+fn a_transformer_that_the_robot_cannot_have_is_refused() {
+    let folder = arm();
+    let refused = |transformer: &str, settings: &[&str], words: &[&str]| {
+        let mut arguments = vec!["run", "task.toml", "--transformer", transformer];
+        settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
+        opspace(folder.path(), &arguments).exits(2).says(words);
+    };
+    refused("interpolating", &[], &["robot.toml", "set_points", "these hold them", "use 'emulation'"]);
+    let blind = r#"robot.interface.measures=["position"]"#;
+    refused("paper+current", &[blind], &["motors' current", "use 'paper'"]);
+    refused("identified", &[], &["[profile.a-med]", "opspace identify"]);
+    refused(
+        "paper",
+        &["robot.profile.a-med.refine={time_s=1.0,within=0.3}"],
+        &["refine", "emulation+current"],
+    );
+    let servo = |rational: &str| format!("robot.profile.a-med.servo.elbow={{transfer-function={rational}}}");
+    let unstable = servo("{numerator=[-1500.0,1600.0],denominator=[1.0,-0.5]}");
+    refused("emulation", &[&unstable], &["its inverse is unstable", "outside the unit circle"]);
+    let improper = servo("{numerator=[1.0],denominator=[0.0,1.0]}");
+    refused("paper", &[&improper], &["errors to come"]);
+    let joint = "{closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]},\
+                 open_loop={numerator=[1.0],denominator=[0.0,2.0,0.3]},from_hz=0.5,to_hz=50.0}";
+    let joints = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
+    let all: Vec<String> = joints.iter().map(|name| format!("{name}={joint}")).collect();
+    let identified = format!("robot.profile.a-med.identified={{{}}}", all.join(","));
+    refused("identified-literal", &[&identified], &["one joint alone", "use 'identified'"]);
+    let one = format!("robot.profile.a-med.identified={{{}}}", all[0]);
+    refused("identified", &[&one], &["joint 'shoulder_roll'", "missing"]);
 }
 
 /// The arm's URDF with one thing wrong.

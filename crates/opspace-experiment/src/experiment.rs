@@ -528,31 +528,54 @@ impl Experiment {
 
     /// What the transformer needs of the robot.
     fn check_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
-        let (name, robot) = (kind.name(), &self.robot);
+        let (name, method, robot) = (kind.name(), kind.method, &self.robot);
+        let interface = |key: &str| vec!["interface".to_owned(), key.to_owned()];
+        let profile = |key: &[&str]| {
+            let own = ["profile", &self.profile_name];
+            own.iter().chain(key).map(|part| (*part).to_owned()).collect::<Vec<_>>()
+        };
+        let wrong = |key: Vec<String>, message: String, help: String| {
+            Err(FileError::at_key(&robot.source, key, message, Some(help)))
+        };
         if kind.needs_current() && !self.measures_current() {
             let message =
                 format!("transformer '{name}' needs the motors' current, which this robot doesn't measure");
             let without = name.trim_end_matches("+current");
             let help = format!("use '{without}', or add \"motor-current\" if the robot does");
-            return Err(FileError::at_key(&robot.source, "interface.measures", message, Some(help)));
+            return wrong(interface("measures"), message, help);
         }
-        if kind.method == Method::Interpolating && robot.file.interface.set_points == SetPoints::Held {
+        if method == Method::Interpolating && robot.file.interface.set_points == SetPoints::Held {
             let message =
                 format!("transformer '{name}' is for drives that interpolate set-points; these hold them");
             let help = "use 'emulation', or set_points = \"interpolated\" if the drives do".to_owned();
-            return Err(FileError::at_key(&robot.source, "interface.set_points", message, Some(help)));
+            return wrong(interface("set_points"), message, help);
         }
-        if self.profile.delay_servo_ticks.is_none() && (kind.method != Method::Paper || kind.needs_current())
-        {
+        if method.needs_identification() && self.profile.identified.is_empty() {
+            let message =
+                format!("transformer '{name}' needs what `opspace identify` measures of each joint");
+            let help = format!("add [profile.{}.identified.JOINT] for each joint", self.profile_name);
+            return wrong(profile(&[]), message, help);
+        }
+        let literal = matches!(method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop);
+        if literal && robot.model.n() > 1 {
+            let message = format!(
+                "transformer '{name}' takes a torque for all that moves its joint, which is so for one joint alone; \
+                 this robot has {}",
+                robot.model.n()
+            );
+            let help = "use 'identified', which measures the velocity instead of predicting it".to_owned();
+            return wrong(profile(&[]), message, help);
+        }
+        if self.profile.refine.is_some() && !(method.needs_delay() && kind.needs_current()) {
+            let message = format!("gains can't be refined with transformer '{name}'");
+            let help = "take 'emulation+current' or 'interpolating+current', or leave refine out".to_owned();
+            return wrong(profile(&["refine"]), message, help);
+        }
+        if self.profile.delay_servo_ticks.is_none() && (method.needs_delay() || kind.needs_current()) {
             let message =
                 format!("transformer '{name}' needs delay_servo_ticks, which this profile leaves out");
             let help = "measure it, or use 'paper', which bears any".to_owned();
-            return Err(FileError::at_key(
-                &robot.source,
-                ["profile", &self.profile_name],
-                message,
-                Some(help),
-            ));
+            return wrong(profile(&[]), message, help);
         }
         self.transformer().map(|_| ())
     }

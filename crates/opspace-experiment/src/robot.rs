@@ -7,7 +7,7 @@ use crate::source::{FileError, Source, parse};
 use crate::tool::{self, ToolFile};
 use opspace_backend::{
     ForceSensor, IdentifiedJoint, InterfaceParameters, JointParameters, Measured, ProfileParameters,
-    SafetyParameters, ServoParameters,
+    SafetyParameters, ServoLaw, ServoParameters,
 };
 use opspace_control::JointLimits;
 use opspace_control::quantity::Positive;
@@ -103,6 +103,12 @@ impl Robot {
         }
         for (name, profile) in &file.profile {
             joints_of(&source, &model, &profile.servo, &["profile", name, "servo"])?;
+            for (joint, servo) in &profile.servo {
+                ServoLaw::new(servo, profile.servo_period_s()).map_err(|error| {
+                    let key = ["profile", name, "servo", joint.as_str()];
+                    FileError::at_key(&source, key, error.to_string(), None)
+                })?;
+            }
             if !profile.identified.is_empty() {
                 joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
             }

@@ -51,12 +51,26 @@ pub struct SuiteRun {
     /// One run for each seed; the tasks' own if absent.
     #[serde(default)]
     pub seeds: Vec<u64>,
-    /// Settings as on the command line: `robot.` ones change the robot file, others the task.
+    /// Settings as on the command line: `robot.` ones change the robot file, others the task. `{profile}` in them stands for
+    /// the profile's name.
     #[serde(default)]
     pub set: Vec<String>,
     /// What the table calls these settings.
     #[serde(default)]
     pub label: Option<String>,
+    /// The same runs again with further settings, once for each; as they are if absent.
+    #[serde(default)]
+    pub case: Vec<SuiteCase>,
+}
+
+/// Further settings for the runs of a suite.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteCase {
+    /// What the table calls them.
+    pub label: String,
+    /// As those of the run.
+    pub set: Vec<String>,
 }
 
 /// A suite, read: every experiment in it checked.
@@ -68,7 +82,7 @@ pub struct Suite {
     pub title: String,
     /// The columns of its table.
     pub columns: Vec<Measure>,
-    /// Its experiments, in the order of the file: tasks, then profiles, then seeds.
+    /// Its experiments, in the order of the file: tasks, then cases, profiles, seeds.
     pub experiments: Vec<Experiment>,
 }
 
@@ -87,9 +101,12 @@ impl Suite {
             for (place, task) in run.tasks.iter().enumerate() {
                 let key = ["run", &number.to_string(), "tasks", &place.to_string()];
                 files.read_named(&beside(path, task), &source, key)?;
-                for profile in or_default(profiles) {
-                    for seed in or_default(&run.seeds) {
-                        experiments.push(run.experiment(files, path, task, profile.clone(), seed)?);
+                for case in or_default(&run.case) {
+                    for profile in or_default(profiles) {
+                        for seed in or_default(&run.seeds) {
+                            let choice = run.choice(case.as_ref(), profile.clone(), seed);
+                            experiments.push(run.experiment(files, path, task, case.as_ref(), choice)?);
+                        }
                     }
                 }
             }
@@ -103,25 +120,32 @@ impl Suite {
 }
 
 impl SuiteRun {
-    fn experiment(
-        &self,
-        files: Files,
-        suite: &Path,
-        task: &Path,
-        profile: Option<String>,
-        seed: Option<u64>,
-    ) -> Result<Experiment, FileError> {
-        let choice = Choice {
+    fn choice(&self, case: Option<&SuiteCase>, profile: Option<String>, seed: Option<u64>) -> Choice {
+        Choice {
             backend: self.backend,
             controller: self.controller,
             transformer: self.transformer,
             profile,
             seed,
             duration_s: None,
-            label: self.label.clone(),
-        };
+            label: case.map(|case| case.label.clone()).or_else(|| self.label.clone()),
+        }
+    }
+
+    fn experiment(
+        &self,
+        files: Files,
+        suite: &Path,
+        task: &Path,
+        case: Option<&SuiteCase>,
+        choice: Choice,
+    ) -> Result<Experiment, FileError> {
         let robot = self.robot.as_ref().map(|robot| beside(suite, robot));
-        Experiment::load(files, &beside(suite, task), robot.as_deref(), choice, &self.set)
+        let further = case.map_or(&[][..], |case| &case.set);
+        let profile = choice.profile.as_deref().unwrap_or("{profile}");
+        let set: Vec<String> =
+            self.set.iter().chain(further).map(|set| set.replace("{profile}", profile)).collect();
+        Experiment::load(files, &beside(suite, task), robot.as_deref(), choice, &set)
     }
 }
 

@@ -81,7 +81,7 @@ impl Identified {
         }
         // All joints or none: a transformer takes them together.
         let measured: Option<Vec<Table>> = self.joints.iter().map(identified).collect();
-        if let Some(measured) = measured {
+        if let Some(measured) = measured.filter(|measured| measured.len() == self.robot.model.n()) {
             let mut joints = Table::new();
             joints.set_implicit(true);
             for (joint, measured) in self.joints.iter().zip(measured) {
