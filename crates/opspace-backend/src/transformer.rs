@@ -107,19 +107,22 @@ impl TransformerKind {
 
     /// What it does, in a line.
     #[must_use]
-    pub fn about(self) -> String {
-        let method = match self.method {
+    pub fn about(self) -> &'static str {
+        if self.current {
+            return "the same, corrected by measured motor current";
+        }
+        match self.method {
             Method::Paper => "equation (10) of the paper",
             Method::Emulation => "the servo emulated up to the next set-point, its mean torque matched",
-            Method::Interpolating => "the same for drives that interpolate, every tick's torque matched",
+            Method::Interpolating => {
+                "the servo emulated where drives interpolate, every tick's torque matched"
+            }
             Method::Identified => "equation (10) with the gains that a measured closed loop has",
             Method::IdentifiedLiteral => {
                 "equation (8) on a measured closed loop: one joint, free of gravity and contact"
             }
             Method::IdentifiedOpenLoop => "its second form, blind to the measured position: drifts",
-        };
-        let correction = if self.current { ", corrected by measured motor current" } else { "" };
-        format!("{method}{correction}")
+        }
     }
 
     /// Whether it needs the motors' current.

@@ -99,9 +99,11 @@ impl fmt::Display for GainMargin {
                     100.0 * excess
                 )?;
             }
-            _ => {
-                write!(f, "position loops may have {} times the gain that the file says", 1.0 + MOST_EXCESS)?
-            }
+            _ => write!(
+                f,
+                "position loops may have {} times the gain that the file says, or more",
+                1.0 + MOST_EXCESS
+            )?,
         }
         write!(f, ", with transformer '{}'", self.transformer)
     }

@@ -229,8 +229,8 @@ fn identified(joint: &IdentifiedJoint) -> Option<Table> {
     let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
     let trusted_hz = joint.found.trust.as_ref()?.bandwidth_hz;
     let from_hz = joint.found.measured.first()?.position.first()?.hz;
-    // T was measured with all friction, at the largest amplitude: so is the joint it is put together with.
-    let viscous = joint.found.equivalent_friction;
+    // Linear friction alone, as equation (5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
+    let viscous = servo.friction.map_or(0.0, |friction| friction.viscous);
     let static_gain = t.numerator.first()? / t.denominator.first()?;
     let polynomials = |numerator: &[f64], denominator: &[f64]| {
         let list = |p: &[f64]| p.iter().copied().collect::<Array>();
