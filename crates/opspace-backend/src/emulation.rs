@@ -23,19 +23,16 @@
 use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
 use crate::interface::{GravityBy, SetPoints};
+use crate::inverse::{EmulationError, Matching, Ticks, check_inverse};
 use crate::observer::{ObservedJoint, ObserverGain};
 use crate::refine::{Refinement, RefinementParameters};
 use crate::robot::Sample;
 use crate::servo::{ServoGains, ServoParameters};
-use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoMemory};
+use crate::servo_law::{MAX_ORDER, ServoLaw, ServoMemory};
 use crate::transformer::{Method, Transformer, TransformerKind};
 use nalgebra::{DMatrix, DVector};
 use opspace_control::Measurement;
 use opspace_model::Data;
-use thiserror::Error;
-
-/// A servo whose inverse grows by more than this a tick isn't inverted.
-const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
 /// What is known of the robot.
 #[derive(Clone, Debug)]
@@ -66,39 +63,6 @@ pub struct EmulationSetup {
     pub current: bool,
     /// How gains are refined from them.
     pub refine: Option<RefinementParameters>,
-}
-
-/// What of the torques under a set-point is to be as desired.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Matching {
-    /// Their mean.
-    Mean,
-    /// Each, as well as can be.
-    EachTick,
-}
-
-/// A servo that can't be emulated, or not be inverted.
-#[derive(Clone, Debug, PartialEq, Error)]
-#[non_exhaustive]
-pub enum EmulationError {
-    /// It can't be run at all.
-    #[error(transparent)]
-    Servo(#[from] ServoError),
-    /// Torque comes later than the next set-point.
-    #[error("a set-point makes no torque within the {ratio} servo ticks in which it acts")]
-    NoTorque {
-        /// Servo ticks per interface tick.
-        ratio: u32,
-    },
-    /// Set-points that give the torques would grow without bound.
-    #[error(
-        "its inverse is unstable: set-points for a torque would grow {growth:.3} times from one to the next (zeros \
-         outside the unit circle)"
-    )]
-    Unstable {
-        /// From one interface tick to the next.
-        growth: f64,
-    },
 }
 
 /// See the [module](self).
@@ -170,14 +134,6 @@ impl Refined {
         law.retune(before, self.now);
         self.now.stiffness * error - self.now.damping * velocity
     }
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Ticks {
-    period_s: f64,
-    ratio: u32,
-    delay: u32,
-    set_points: SetPoints,
 }
 
 /// Set-points that the drives have when an interface tick begins, rad (n).
@@ -279,13 +235,13 @@ impl EmulatingTransformer {
                 servo_period_s: setup.servo_period_s,
                 ratio: setup.ratio,
             });
-            let two = ServoLaw::two_gains(&setup.servos[i], setup.servos[i].gains(setup.servo_period_s));
-            let refined =
-                setup.refine.filter(|_| setup.current).zip(two).map(|(parameters, gains)| Refined {
-                    refinement: Refinement::new(&parameters, setup.torque_limits[i], interface_s),
-                    believed: gains,
-                    now: gains,
-                });
+            let servo = &setup.servos[i];
+            let refine = setup.refine.filter(|_| setup.current && servo.has_two_gains());
+            let refined = refine.map(|parameters| {
+                let gains = servo.gains(setup.servo_period_s);
+                let refinement = Refinement::new(&parameters, setup.torque_limits[i], interface_s);
+                Refined { refinement, believed: gains, now: gains }
+            });
             Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, refined })
         };
         let drives: Result<Vec<Drive>, _> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect();
@@ -546,46 +502,6 @@ impl Transformer for EmulatingTransformer {
         }
         self.in_force.age = self.ticks.ratio;
     }
-}
-
-/// Whether set-points that give a torque stay bounded, on a joint that is held: the growth of the servo's memory, and of
-/// the set-point that an interpolating drive comes from, when each set-point is the one that gives none.
-fn check_inverse(law: &ServoLaw, ticks: Ticks, matching: Matching) -> Result<(), EmulationError> {
-    let run = |memory: ServoMemory, before: f64, new: f64| {
-        let mut memory = memory;
-        let torques: Vec<f64> = (0..ticks.ratio)
-            .map(|tick| law.step(&mut memory, ticks.set_points.at(before, new, tick, ticks.ratio), 0.0))
-            .collect();
-        (memory, torques)
-    };
-    let (_, unit) = run([0.0; MAX_ORDER], 0.0, 1.0);
-    let weigh = |torques: &[f64]| -> f64 {
-        match matching {
-            Matching::Mean => torques.iter().sum(),
-            Matching::EachTick => torques.iter().zip(&unit).map(|(torque, unit)| torque * unit).sum(),
-        }
-    };
-    let response = weigh(&unit);
-    let largest = unit.iter().fold(0.0, |largest: f64, torque| largest.max(torque.abs()));
-    if response.abs() <= f64::EPSILON * largest || largest == 0.0 {
-        return Err(EmulationError::NoTorque { ratio: ticks.ratio });
-    }
-    // The memory, and the set-point before.
-    let order = law.order();
-    let mut growth = DMatrix::zeros(order + 1, order + 1);
-    for column in 0..=order {
-        let mut memory = [0.0; MAX_ORDER];
-        let mut before = 0.0;
-        *memory[..order].get_mut(column).unwrap_or(&mut before) = 1.0;
-        let (_, torques) = run(memory, before, 0.0);
-        let new = -weigh(&torques) / response;
-        let (after, _) = run(memory, before, new);
-        for (row, &value) in after[..order].iter().chain([&new]).enumerate() {
-            growth[(row, column)] = value;
-        }
-    }
-    let growth = growth.complex_eigenvalues().iter().map(|v| v.norm()).fold(0.0, f64::max);
-    if growth > LARGEST_GROWTH { Err(EmulationError::Unstable { growth }) } else { Ok(()) }
 }
 
 /// x of A x = b in place of b, by Gauss' elimination; A (n × n) is overwritten. Its diagonal dominates: what a set-point

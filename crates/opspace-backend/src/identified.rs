@@ -20,6 +20,7 @@
 //!
 //! which is equation (10) with kp = 1/β and kv = β/α.
 
+use crate::polynomial::{product, roots, value};
 use crate::robot::Sample;
 use crate::servo::ServoGains;
 use crate::transformer::{Method, Transformer, TransformerKind};
@@ -119,20 +120,6 @@ fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
     polynomial
 }
 
-fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
-    let mut product = vec![0.0; (a.len() + b.len()).saturating_sub(1)];
-    for (i, a) in a.iter().enumerate() {
-        for (j, b) in b.iter().enumerate() {
-            product[i + j] += a * b;
-        }
-    }
-    product
-}
-
-fn value(polynomial: &[f64], s: Complex<f64>) -> Complex<f64> {
-    polynomial.iter().rev().fold(Complex::new(0.0, 0.0), |sum, &c| sum * s + c)
-}
-
 impl Rational {
     fn at(&self, s: Complex<f64>) -> Complex<f64> {
         value(&self.numerator, s) / value(&self.denominator, s)
@@ -154,16 +141,7 @@ impl Rational {
 
     /// The largest real part of a pole.
     fn slowest_pole(&self) -> Option<f64> {
-        let order = self.denominator.len().checked_sub(2)? + 1;
-        let leading = *self.denominator.last()?;
-        let mut companion = nalgebra::DMatrix::<f64>::zeros(order, order);
-        for i in 0..order {
-            companion[(i, order - 1)] = -self.denominator[i] / leading;
-            if i > 0 {
-                companion[(i, i - 1)] = 1.0;
-            }
-        }
-        companion.complex_eigenvalues().iter().map(|pole| pole.re).max_by(f64::total_cmp)
+        roots(&self.denominator).iter().map(|pole| pole.re).max_by(f64::total_cmp)
     }
 }
 

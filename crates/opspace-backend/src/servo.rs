@@ -2,6 +2,7 @@
 //!
 //! How each of them runs, tick by tick, is its [`ServoLaw`](crate::servo_law::ServoLaw).
 
+use crate::polynomial::value;
 use nalgebra::Complex;
 use opspace_control::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
@@ -120,6 +121,20 @@ impl ServoParameters {
         }
     }
 
+    /// Whether it is those two gains alone, on the error and on the measured velocity, behind its filter.
+    #[must_use]
+    pub fn has_two_gains(&self) -> bool {
+        match self {
+            Self::Cascaded(servo) => servo.velocity_integral_time_s.is_none(),
+            Self::Pid(servo) => {
+                servo.integral_nm_per_rad_s.get() == 0.0
+                    && servo.derivative_of == DerivativeOf::Position
+                    && servo.damping_nms_per_rad.get() > 0.0
+            }
+            Self::TransferFunction(_) => false,
+        }
+    }
+
     /// The same servo with the gain of its position loop and that of all of it multiplied.
     #[must_use]
     pub fn scaled(&self, kp: f64, kv: f64) -> Self {
@@ -149,9 +164,6 @@ impl ServoParameters {
 impl TransferFunctionServo {
     /// Its value for `delay` = z⁻¹.
     fn at(&self, delay: Complex<f64>) -> Complex<f64> {
-        let polynomial = |coefficients: &[f64]| -> Complex<f64> {
-            (coefficients.iter().rev()).fold(Complex::new(0.0, 0.0), |sum, &c| sum * delay + c)
-        };
-        polynomial(&self.numerator) / polynomial(&self.denominator)
+        value(&self.numerator, delay) / value(&self.denominator, delay)
     }
 }

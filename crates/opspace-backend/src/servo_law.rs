@@ -219,24 +219,8 @@ impl ServoLaw {
         self.order
     }
 
-    /// The torque as it follows from error and velocity alone, where it does: of a cascade or a PID servo without an integral,
-    /// that damps the measured velocity. The torque for an error of 1, and for the velocity that is remembered first.
-    #[must_use]
-    pub fn two_gains(servo: &ServoParameters, gains: ServoGains) -> Option<ServoGains> {
-        let two = match servo {
-            ServoParameters::Cascaded(servo) => servo.velocity_integral_time_s.is_none(),
-            ServoParameters::Pid(servo) => {
-                servo.integral_nm_per_rad_s.get() == 0.0
-                    && servo.derivative_of == DerivativeOf::Position
-                    && servo.damping_nms_per_rad.get() > 0.0
-            }
-            ServoParameters::TransferFunction(_) => false,
-        };
-        two.then_some(gains)
-    }
-
-    /// The same law with a stiffness and a damping `to` in place of `from`, where it has [two gains](Self::two_gains). Allocates
-    /// nothing.
+    /// Gives it a stiffness and a damping `to` in place of `from`: of a servo that
+    /// [has two gains](ServoParameters::has_two_gains). Allocates nothing.
     pub fn retune(&mut self, from: ServoGains, to: ServoGains) {
         let error = Form::SET_POINT - Form::POSITION;
         // What the torque is beside K e is the damping.

@@ -19,6 +19,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
 /// Ticks at rest before the controller starts.
+/// Of sums of times and positions of order 1, s and rad/s.
+const ROUNDING: f64 = 1e-9;
+
 const REST: u64 = 10;
 /// The read before which cycles are missed, counted from the first.
 const AFTER: u64 = 60;
@@ -124,10 +127,11 @@ fn a_few_missed_cycles_are_bridged() {
         let seen = seen.lock().expect("one thread");
         // The filter of 150 Hz began at zero: what is left of that after 40 ms is e^-38.
         let settled = seen.iter().filter(|(time_s, _)| *time_s > 0.04);
-        settled.for_each(|(time_s, dq)| assert!((dq - SPEED).abs() < 1e-9, "{missed}: {dq} at {time_s} s"));
+        settled
+            .for_each(|(time_s, dq)| assert!((dq - SPEED).abs() < ROUNDING, "{missed}: {dq} at {time_s} s"));
         assert_eq!(seen.len() as u64 + missed, 200, "as long as it was to last");
         let last_s = seen.last().expect("ticks").0;
-        assert!((last_s - 0.199).abs() < 1e-9, "{last_s} s");
+        assert!((last_s - 0.199).abs() < ROUNDING, "{last_s} s");
     }
 }
 

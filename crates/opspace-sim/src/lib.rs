@@ -13,11 +13,13 @@ pub mod motor;
 pub mod parameters;
 pub mod plant;
 pub mod random;
+pub mod setup;
 pub mod surroundings;
 
-pub use arm::{Setup, SimulatedArm};
+pub use arm::SimulatedArm;
 pub use bus::{Bus, BusParameters, DropoutParameters};
 pub use error::{Key, SimulationError};
 pub use integrator::RungeKutta;
 pub use parameters::SimulatedParameters;
+pub use setup::Setup;
 pub use surroundings::{SpringParameters, Surrounding, SurroundingParameters, WorldAxis};

@@ -7,6 +7,7 @@
 //! C. K. Sanathanan, J. Koerner, *Transfer function synthesis as a ratio of two complex polynomials*, IEEE Trans. Automatic
 //! Control 8(1), 1963: linear least squares in the coefficients, weighted by the denominator of the round before.
 
+use crate::polynomial::{roots, value};
 use nalgebra::{Complex, DMatrix, DVector};
 use serde::Serialize;
 use std::f64::consts::TAU;
@@ -42,8 +43,7 @@ impl Rational {
     #[must_use]
     pub fn at(&self, hz: f64) -> Complex<f64> {
         let s = Complex::new(0.0, TAU * hz);
-        held(hz, self.hold_s, self.delay_s) * polynomial(&self.numerator, s)
-            / polynomial(&self.denominator, s)
+        held(hz, self.hold_s, self.delay_s) * value(&self.numerator, s) / value(&self.denominator, s)
     }
 
     /// Whether all poles decay.
@@ -88,16 +88,16 @@ pub fn fit(targets: &[Target], degrees: (usize, usize), hold_s: f64, delay_s: f6
         let mut right = DVector::zeros(2 * targets.len());
         for (k, target) in targets.iter().enumerate() {
             let s = Complex::new(0.0, TAU * target.hz / scale);
-            let value = target.value / held(target.hz, hold_s, delay_s);
-            let weight = target.weight / polynomial(&before, s).norm();
+            let bare = target.value / held(target.hz, hold_s, delay_s);
+            let weight = target.weight / value(&before, s).norm();
             for power in 0..=m {
                 put(&mut rows, k, power, s.powu(power as u32) * weight);
             }
             for power in 1..=n {
-                put(&mut rows, k, m + power, -value * s.powu(power as u32) * weight);
+                put(&mut rows, k, m + power, -bare * s.powu(power as u32) * weight);
             }
-            right[2 * k] = value.re * weight;
-            right[2 * k + 1] = value.im * weight;
+            right[2 * k] = bare.re * weight;
+            right[2 * k + 1] = bare.im * weight;
         }
         let solved = rows.svd(true, true).solve(&right, 1e-12).ok()?;
         let numerator: Vec<f64> = solved.iter().take(m + 1).copied().collect();
@@ -130,26 +130,13 @@ pub fn held(hz: f64, hold_s: f64, delay_s: f64) -> Complex<f64> {
     Complex::from_polar(sinc, -half - TAU * hz * delay_s)
 }
 
-fn polynomial(coefficients: &[f64], s: Complex<f64>) -> Complex<f64> {
-    coefficients.iter().rev().fold(Complex::new(0.0, 0.0), |sum, c| sum * s + *c)
-}
-
-/// Roots of a polynomial given from its constant on: eigenvalues of its companion.
-fn roots(coefficients: &[f64]) -> Vec<Complex<f64>> {
-    let degree = coefficients.iter().rposition(|c| *c != 0.0).unwrap_or(0);
-    let mut companion = DMatrix::zeros(degree, degree);
-    for k in 0..degree {
-        companion[(k, degree - 1)] = -coefficients[k] / coefficients[degree];
-        if k > 0 {
-            companion[(k, k - 1)] = 1.0;
-        }
-    }
-    if degree == 0 { Vec::new() } else { companion.complex_eigenvalues().iter().copied().collect() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// How many times worse a fit with a wrong delay is, at least, than what rounding leaves of the right one.
+    const WORSE: f64 = 1e3;
+    const ROUNDING: f64 = 1e-12;
 
     /// The fitted coefficients against those from which the response was computed.
     #[test]
@@ -172,7 +159,10 @@ mod tests {
             assert!((f / t - 1.0).abs() < TOLERANCE, "{found:?}");
         }
         let late = fit(&targets, (1, 3), 1e-3, 2e-3).expect("determined");
-        assert!(late.residual(&targets) > 1e3 * found.residual(&targets).max(1e-12), "a wrong delay shows");
+        assert!(
+            late.residual(&targets) > WORSE * found.residual(&targets).max(ROUNDING),
+            "a wrong delay shows"
+        );
     }
 
     #[test]
