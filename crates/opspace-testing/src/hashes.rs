@@ -1,0 +1,140 @@
+//! Every signal of a run as one hash.
+
+use opspace_log::{ChannelData, Recording};
+use sha2::{Digest, Sha256};
+
+/// The signal that is wall-clock time, and no result.
+const WALL_CLOCK: &str = "tick_time";
+
+/// The name under which the time stamps of a channel's rows stand, beside its signals.
+pub const TIME: &str = "(time)";
+
+/// What a signal was over a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hash {
+    /// The channel.
+    pub channel: String,
+    /// The signal.
+    pub signal: String,
+    /// How many numbers stand in a row.
+    pub elements: usize,
+    /// How many rows there are.
+    pub rows: usize,
+    /// The first 64 bits of the SHA-256 of all numbers, row by row; a text for what is no signal.
+    pub hash: String,
+}
+
+impl Hash {
+    /// A fact of a run that is no signal.
+    #[must_use]
+    pub fn fact(name: &str, text: &str) -> Self {
+        let hash = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        Self { channel: FACT.to_owned(), signal: name.to_owned(), elements: 0, rows: 0, hash }
+    }
+}
+
+/// The channel of what is no signal.
+pub const FACT: &str = "-";
+
+/// The hashes of all signals of a log.
+#[must_use]
+pub fn of(recording: &Recording) -> Vec<Hash> {
+    recording.channels.iter().flat_map(channel).collect()
+}
+
+fn channel(data: &ChannelData) -> Vec<Hash> {
+    let hash = |signal: &str, elements, hash| Hash {
+        channel: data.layout.channel.clone(),
+        signal: signal.to_owned(),
+        elements,
+        rows: data.len(),
+        hash,
+    };
+    let mut hashes = vec![hash(TIME, 1, of_numbers(&data.time_s))];
+    for name in signals(data) {
+        if let Some(column) = data.signal(name) {
+            hashes.push(hash(name, column.elements().len(), of_numbers(column.rows().flatten())));
+        }
+    }
+    hashes
+}
+
+/// The names of a channel's signals that are results.
+pub fn signals(data: &ChannelData) -> impl Iterator<Item = &str> {
+    data.layout.signals.iter().map(|signal| signal.name.as_str()).filter(|name| *name != WALL_CLOCK)
+}
+
+/// The bits of a number; of all that are none, the same ones.
+#[must_use]
+pub fn bits(number: f64) -> u64 {
+    if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }
+}
+
+fn of_numbers<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> String {
+    let mut hasher = Sha256::new();
+    for number in numbers {
+        hasher.update(bits(*number).to_le_bytes());
+    }
+    hasher.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Hash, TIME, of};
+    use opspace_control::{Layout, Signal};
+    use opspace_log::{ChannelData, Recording};
+
+    fn recording(rows: Vec<f64>) -> Recording {
+        let signals = vec![Signal::new("q", "rad", &["a", "b"]), Signal::scalar("tick_time", "ns")];
+        let layout = Layout { channel: "tick".to_owned(), signals };
+        let data = ChannelData { layout, time_s: vec![0.0, 0.1], rows };
+        Recording { channels: vec![data], ..Recording::default() }
+    }
+
+    fn flipped(number: f64, bit: u32) -> f64 {
+        f64::from_bits(number.to_bits() ^ (1 << bit))
+    }
+
+    #[test]
+    fn each_bit_of_each_element_counts() {
+        let rows = vec![0.5, -0.0, 7.0, 1.5, 2.5, 8.0];
+        let whole = of(&recording(rows.clone()));
+        assert_eq!(whole.iter().map(|h| (h.elements, h.rows)).collect::<Vec<_>>(), [(1, 2), (2, 2)]);
+        for place in [0, 1, 3, 4] {
+            for bit in [0, 31, 51, 63] {
+                let mut rows = rows.clone();
+                rows[place] = flipped(rows[place], bit);
+                let changed = of(&recording(rows));
+                assert_eq!(changed[0], whole[0], "the times");
+                assert_ne!(changed[1].hash, whole[1].hash, "bit {bit} of number {place}");
+            }
+        }
+    }
+
+    #[test]
+    fn order_and_time_count_and_the_wall_clock_does_not() {
+        let hash = |rows: [f64; 6]| of(&recording(rows.to_vec()));
+        let first = hash([1.0, 2.0, 7.0, 3.0, 4.0, 8.0]);
+        assert_ne!(first, hash([2.0, 1.0, 7.0, 3.0, 4.0, 8.0]));
+        assert_eq!(first, hash([1.0, 2.0, 70.0, 3.0, 4.0, 80.0]));
+        let mut later = recording(vec![1.0, 2.0, 7.0, 3.0, 4.0, 8.0]);
+        later.channels[0].time_s[1] = flipped(0.1, 0);
+        let later = of(&later);
+        assert_eq!(
+            (later[0].signal.as_str(), later[0] == first[0], later[1] == first[1]),
+            (TIME, false, true)
+        );
+    }
+
+    #[test]
+    fn all_that_is_no_number_is_the_same() {
+        let other = f64::from_bits(f64::NAN.to_bits() ^ (1 << 63) ^ 5);
+        let hash = |x: f64| of(&recording(vec![x, 2.0, 7.0, 3.0, 4.0, 8.0]));
+        assert!(other.is_nan() && hash(other) == hash(f64::NAN) && hash(f64::NAN) != hash(0.0));
+    }
+
+    #[test]
+    fn a_fact_is_one_field_of_one_line() {
+        assert_eq!(Hash::fact("faulted", "a\tb\n c").hash, "a b c");
+    }
+}

@@ -1,0 +1,86 @@
+//! Where two logs of one run part.
+
+use crate::hashes::{TIME, bits, signals};
+use crate::signals::{Fate, Table};
+use opspace_log::{ChannelData, Recording};
+
+/// The first difference of a signal.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Its row, from 0.
+    pub row: usize,
+    /// That row's time, s.
+    pub time_s: f64,
+    /// Channel and signal as the old build calls them, and the element.
+    pub name: String,
+    /// What it was.
+    pub old: f64,
+    /// What it is.
+    pub new: f64,
+}
+
+/// The first difference of each signal that both logs have, the earliest first.
+#[must_use]
+pub fn differences(old: &Recording, new: &Recording, table: &Table) -> Vec<Difference> {
+    let mut differences: Vec<Difference> =
+        old.channels.iter().flat_map(|channel| of_channel(channel, new, table)).collect();
+    differences.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    differences
+}
+
+fn of_channel(old: &ChannelData, new: &Recording, table: &Table) -> Vec<Difference> {
+    let names = std::iter::once(TIME).chain(signals(old));
+    names.filter_map(|name| of_signal(old, name, new, table)).collect()
+}
+
+fn of_signal(old: &ChannelData, signal: &str, new: &Recording, table: &Table) -> Option<Difference> {
+    let name = format!("{}/{signal}", old.layout.channel);
+    let Fate::Called(called) = table.fate(&name) else { return None };
+    let (channel, new_signal) = called.split_once('/')?;
+    let new = new.channel(channel)?;
+    let (old_rows, new_rows) = (rows(old, signal)?, rows(new, new_signal)?);
+    let differ = |(old, new): (&f64, &f64)| bits(*old) != bits(*new);
+    for (row, (old_row, new_row)) in old_rows.iter().zip(&new_rows).enumerate() {
+        if let Some(element) = old_row.iter().zip(*new_row).position(differ) {
+            let (time_s, old_value) = (old.time_s[row], old_row[element]);
+            let element_name = old.signal(signal).and_then(|s| s.elements().get(element));
+            let name = element_name.map_or_else(|| name.clone(), |element| format!("{name}[{element}]"));
+            return Some(Difference { row, time_s, name, old: old_value, new: new_row[element] });
+        }
+    }
+    None
+}
+
+/// A signal's rows; for the name of the time stamps, these.
+fn rows<'a>(channel: &'a ChannelData, signal: &str) -> Option<Vec<&'a [f64]>> {
+    if signal == TIME {
+        return Some(channel.time_s.chunks_exact(1).collect());
+    }
+    Some(channel.signal(signal)?.rows().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Difference, differences};
+    use crate::signals::Table;
+    use opspace_control::{Layout, Signal};
+    use opspace_log::{ChannelData, Recording};
+
+    fn recording(name: &str, rows: [f64; 6]) -> Recording {
+        let signals = vec![Signal::new(name, "rad", &["a", "b"])];
+        let layout = Layout { channel: "tick".to_owned(), signals };
+        let data = ChannelData { layout, time_s: vec![0.0, 0.1, 0.2], rows: rows.to_vec() };
+        Recording { channels: vec![data], ..Recording::default() }
+    }
+
+    #[test]
+    fn the_first_row_and_element_that_differ() {
+        let old = recording("q", [1.0, 2.0, 3.0, 0.0, 5.0, 6.0]);
+        let new = recording("p", [1.0, 2.0, 3.0, -0.0, 5.5, 6.0]);
+        let table = Table::parse("tick/q -> tick/p").unwrap_or_default();
+        let name = "tick/q[b]".to_owned();
+        let first = Difference { row: 1, time_s: 0.1, name, old: 0.0, new: -0.0 };
+        assert_eq!(differences(&old, &new, &table), [first]);
+        assert_eq!(differences(&old, &old, &Table::default()), []);
+    }
+}
