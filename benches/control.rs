@@ -158,7 +158,7 @@ impl<'a> Bench<'a> {
         let robot =
             RobotFacts { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits: limits.clone() };
         let controller = OperationalSpaceController::new(model, &stack, &robot).expect("a good stack");
-        let signals = opspace_control::Observable::signals(&controller);
+        let signals = opspace_backend::Observable::signals(&controller);
         let before = signals.iter().take_while(|s| s.name != "hand.weakest_share");
         Self {
             model,
@@ -188,7 +188,7 @@ impl<'a> Bench<'a> {
 
     fn weakest_share(&mut self, q: &[f64], dq: &[f64]) -> f64 {
         self.run(q, dq);
-        opspace_control::Observable::sample(&self.controller, &mut opspace_control::Row::new(&mut self.row));
+        opspace_backend::Observable::sample(&self.controller, &mut opspace_backend::Row::new(&mut self.row));
         self.row[self.share]
     }
 

@@ -2,12 +2,12 @@
 
 use divan::{Bencher, black_box};
 use nalgebra::Matrix6xX;
-use opspace::backend::{PaperTransformer, Transformer};
 use opspace::control::Measurement;
 use opspace::experiment::{Choice, Experiment, Files};
 use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
 };
+use opspace::transformer::{PaperTransformer, Transformer};
 use std::path::Path;
 
 fn main() {
@@ -112,6 +112,6 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
     bencher.bench_local(|| {
         measurement.time_s += 1e-3;
         controller.update(model, &data, black_box(&measurement), &mut tau);
-        transformer.transform(&data, &measurement, &tau, &mut q_desired);
+        transformer.transform(&data, &tau, &mut q_desired);
     });
 }

@@ -10,11 +10,13 @@ mod counting;
 
 use common::{ik, load, osc, positions, torque, torques};
 use counting::{allocations, allocations_so_far};
-use opspace_backend::{Ending, Fault, Method, Phase, Sink, TICK, TransformerKind};
+use opspace_backend::quantity::NonNegative;
+use opspace_backend::{Sink, TICK};
 use opspace_control::Controller;
-use opspace_control::quantity::NonNegative;
-use opspace_experiment::files::PAPER_SUITE;
+use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::{Choice, ControllerKind, Experiment, Files, Suite};
+use opspace_loop::{Ending, Fault, Phase};
+use opspace_transformer::{Method, TransformerKind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -5,10 +5,11 @@
 mod common;
 
 use common::{Run, ik, load, osc, run, torque};
-use opspace_backend::{Ending, Fault, Phase, TransformerKind};
-use opspace_experiment::metrics::metrics;
+use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{Choice, ControllerKind, Experiment};
 use opspace_log::Recording;
+use opspace_loop::{Ending, Fault, Phase};
+use opspace_transformer::TransformerKind;
 
 /// When the bus is dead, s.
 const DEAD: (f64, f64) = (3.0, 3.3);

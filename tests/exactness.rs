@@ -5,8 +5,9 @@ mod common;
 
 use common::{Run, experiment, ideal, load, osc, robot, run, task};
 use nalgebra::{Matrix2, Vector2};
-use opspace_backend::{CascadedServo, Ending, ProfileParameters, ServoParameters};
 use opspace_experiment::{Choice, Experiment};
+use opspace_loop::Ending;
+use opspace_transformer::{CascadedServo, ProfileParameters, ServoParameters};
 use std::f64::consts::TAU;
 
 /// Rounding of kv kp (q_desired − q) with kv kp < 5000 Nm/rad and |q| < 2 rad: below 1e-11 Nm.

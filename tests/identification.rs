@@ -1,9 +1,9 @@
 //! A joint of the simulated arm identified through its interface, against the parameters that the simulation runs with.
 
-use opspace_backend::identification::{Plan, TorqueScale};
 use opspace_experiment::identify::{Identified, Identifying, Request};
-use opspace_experiment::run::Watch;
+use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{Files, Robot, Source};
+use opspace_loop::identification::{Plan, TorqueScale};
 use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm";

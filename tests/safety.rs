@@ -7,9 +7,9 @@ mod common;
 
 use common::{Run, experiment, ik, load, osc, positions, robot, run, run_with, task, torque, torques};
 use nalgebra::DVector;
-use opspace_backend::{Ending, Fault};
-use opspace_control::quantity::NonNegative;
+use opspace_backend::quantity::NonNegative;
 use opspace_experiment::{Choice, ControllerKind, Experiment, Robot, Source};
+use opspace_loop::{Ending, Fault};
 use opspace_model::{Data, Model, kinematics, potential_energy};
 use opspace_sim::SurroundingParameters;
 

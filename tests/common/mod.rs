@@ -2,13 +2,16 @@
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
-use opspace_backend::{Backend, Ending, Sink, TransformerKind};
-use opspace_control::{CommandKind, Controller, Layout, Measurement, Observable, Row, Signal};
-use opspace_experiment::metrics::metrics;
+use opspace_backend::Sink;
+use opspace_backend::{CommandKind, Layout, Observable, Row, Signal};
+use opspace_control::{Controller, Measurement};
+use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files, Metrics, Robot, Task};
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
+use opspace_loop::{Backend, Ending};
 use opspace_model::{Data, Model};
+use opspace_transformer::TransformerKind;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -2,9 +2,9 @@
 //! differ between them.
 
 use crate::orientation;
-use crate::quantity::exactly;
 use crate::subject::Subject;
 use nalgebra::Matrix3;
+use opspace_backend::quantity::exactly;
 use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;

@@ -1,17 +1,8 @@
 //! The trait of everything that commands a robot.
 
 use crate::measurement::Measurement;
-use crate::signal::Observable;
+use opspace_backend::{CommandKind, Observable};
 use opspace_model::{Data, Model};
-
-/// What a controller's numbers mean.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CommandKind {
-    /// Joint torques, Nm (forces of prismatic joints, N), gravity included as the task asks.
-    Torque,
-    /// Joint positions, rad or m.
-    Position,
-}
 
 /// Measurements in, commands out. Never knows which robot it drives.
 pub trait Controller: Observable + Send {

@@ -11,16 +11,17 @@
 //! J⁺ is the dynamically consistent inverse of an arm whose mass matrix is the identity, damped near
 //! singularities as the torque controller's is.
 
-use crate::controller::{CommandKind, Controller};
+use crate::controller::Controller;
 use crate::error::{ControlError, Reason};
 use crate::joint::JointTask;
 use crate::level::RowTask;
 use crate::measurement::Measurement;
 use crate::products::{add_transposed, product};
-use crate::signal::{Observable, Row, Signal};
 use crate::stacks::{PreparedStack, Shows, Stacks};
 use crate::task::{Levels, RobotFacts, Stack};
 use nalgebra::DVector;
+use opspace_backend::CommandKind;
+use opspace_backend::{Observable, Row, Signal};
 use opspace_model::{Data, Model, gravity, kinematics};
 
 /// How fast the error of a reference is worked off, 1/s.

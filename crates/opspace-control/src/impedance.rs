@@ -17,8 +17,8 @@ use crate::axes::{AxisMode, PerAxis};
 use crate::cartesian::CartesianParameters;
 use crate::error::{ControlError, Reason};
 use crate::law::required;
-use crate::quantity::{NonNegative, Positive};
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
+use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 

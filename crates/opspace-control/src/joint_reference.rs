@@ -6,11 +6,12 @@
 use crate::error::{ControlError, Reason};
 use crate::online::{MotionLimits, OnlineMotion};
 use crate::per_joint::{PerJoint, indices};
-use crate::quantity::{NonNegative, Positive};
 use crate::ramp::{Quintic, minimum_jerk, product};
 use crate::reference::{JOINS_S, default_ramp_s};
-use crate::wave::{self, AngularWave, Wave};
+use crate::wave;
+use crate::wave::{AngularWave, Wave};
 use nalgebra::DVector;
+use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
 use schemars::JsonSchema;
 use serde::Deserialize;

@@ -4,8 +4,8 @@ use crate::axes::{AXIS_NAMES, PerAxis};
 use crate::cartesian::CartesianParameters;
 use crate::error::{ControlError, Reason};
 use crate::impedance::Impedance;
-use crate::quantity::{NonNegative, Positive};
 use nalgebra::Vector6;
+use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 

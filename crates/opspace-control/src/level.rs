@@ -7,8 +7,8 @@ use crate::joint::SelectedJoints;
 use crate::measurement::Measurement;
 use crate::products::{add_transposed, product};
 use crate::rank::{Rows, TypicalMobility};
-use crate::signal::{Row, Signal};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
+use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
 /// What a level carries out.

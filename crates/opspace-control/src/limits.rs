@@ -14,9 +14,9 @@
 //! commanded torque. Where these contradict each other torques win, then what brakes.
 
 use crate::measurement::Measurement;
-use crate::quantity::{NonNegative, Positive};
 use crate::rank::configuration;
 use nalgebra::DVector;
+use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Data, Model, update};
 use schemars::JsonSchema;
 use serde::Deserialize;

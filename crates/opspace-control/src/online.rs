@@ -6,10 +6,10 @@
 //! Trajectory Generation with Arbitrary Target States*; the crate `rsruckig` finds the pieces). A whole
 //! motion is computed when it starts; nothing here allocates.
 
-use crate::quantity::Positive;
 use crate::ramp::Quintic;
 use crate::reference::{OrientationGoal, PositionGoal};
 use nalgebra::{Matrix3, Vector3};
+use opspace_backend::quantity::Positive;
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
 use rsruckig::profile::Profile;

@@ -10,17 +10,18 @@
 //! [limits](crate::limits), they are the command; else each level comes as near to its own as the limits and the
 //! levels above allow.
 
-use crate::controller::{CommandKind, Controller};
+use crate::controller::Controller;
 use crate::error::ControlError;
 use crate::level::RowTask;
 use crate::lexicographic::{Cascade, Limits, Residual, Solver, SpeedBound};
 use crate::limits::{Bounds, HORIZON_S, Interval};
 use crate::measurement::Measurement;
 use crate::qp::QpError;
-use crate::signal::{Observable, Row, Signal};
 use crate::stacks::{PreparedStack, Shows, Stacks};
 use crate::task::{Compensation, Levels, RobotFacts, Stack};
 use nalgebra::DVector;
+use opspace_backend::CommandKind;
+use opspace_backend::{Observable, Row, Signal};
 use opspace_model::{Data, Model};
 
 /// Tasks to torques.

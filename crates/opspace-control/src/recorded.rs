@@ -3,11 +3,12 @@
 //! This crate touches no file: who reads a task file also reads the recorded file that it names, by
 //! [`parse`], into [`RecordedPath::samples`].
 
-use crate::orientation::{self, rotation_vector_rates};
-use crate::quantity::Positive;
+use crate::orientation;
+use crate::orientation::rotation_vector_rates;
 use crate::ramp::minimum_jerk;
 use crate::reference::Target;
 use nalgebra::{Matrix3, Quaternion, SVector, UnitQuaternion, Vector3, Vector4};
+use opspace_backend::quantity::Positive;
 use opspace_model::{Motion, Placement};
 use schemars::JsonSchema;
 use serde::Deserialize;

@@ -5,12 +5,14 @@
 //! motion too; the others set out from rest.
 
 use crate::online::{OnlineGoal, OnlineVector};
-use crate::orientation::{self, rotation_vector_rates};
-use crate::quantity::{NonNegative, Positive, exactly};
+use crate::orientation;
+use crate::orientation::rotation_vector_rates;
 use crate::ramp::{Quintic, minimum_jerk, product};
 use crate::recorded::{RecordedMotion, RecordedPath};
-use crate::wave::{self, AngularWave, LinearWave, Wave};
+use crate::wave;
+use crate::wave::{AngularWave, LinearWave, Wave};
 use nalgebra::{Matrix3, Vector3};
+use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use opspace_model::{Motion, Placement};
 use schemars::JsonSchema;
 use serde::Deserialize;

@@ -4,8 +4,8 @@
 use crate::error::{ControlError, Reason};
 use crate::level::RowTask;
 use crate::measurement::Measurement;
-use crate::signal::{Observable, Row, Signal};
 use crate::task::{Levels, RobotFacts, Stack};
+use opspace_backend::{Observable, Row, Signal};
 use opspace_model::{Data, Model};
 
 /// How early a tick may be for what is scheduled and still be in time: clocks add up periods, and round.

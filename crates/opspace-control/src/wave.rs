@@ -1,6 +1,6 @@
 //! Sums of sines, from which circles, Lissajous figures and sweeps are made.
 
-use crate::quantity::NonNegative;
+use opspace_backend::quantity::NonNegative;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;

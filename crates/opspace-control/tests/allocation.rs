@@ -7,7 +7,8 @@ mod counting;
 
 use common::{File, Q0, at_state, facts, four_joints, seven_joints};
 use counting::allocations;
-use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, Row, ServoLead};
+use opspace_backend::Row;
+use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, ServoLead};
 use opspace_model::Model;
 
 /// Counts over updates and samples at several times, at a start pose and at a singular one.

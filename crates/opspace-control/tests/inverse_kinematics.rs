@@ -5,9 +5,8 @@ mod common;
 
 use common::{File, Q0, at_state, facts, four_joints, seven_joints};
 use nalgebra::Vector3;
-use opspace_control::{
-    CommandKind, Controller, InverseKinematicsController, Observable, Row, ServoLead, orientation,
-};
+use opspace_backend::{CommandKind, Observable, Row};
+use opspace_control::{Controller, InverseKinematicsController, ServoLead, orientation};
 use opspace_model::{Data, Model, frame_placement, gravity, kinematics};
 use std::f64::consts::PI;
 

@@ -566,7 +566,7 @@ fn a_wrench_is_carried_from_the_sensor_to_the_task_frame() {
 }
 
 fn signal(controller: &OperationalSpaceController, name: &str) -> Vec<f64> {
-    use opspace_control::{Observable, Row};
+    use opspace_backend::{Observable, Row};
     let signals = controller.signals();
     let mut values = vec![0.0; signals.iter().map(|s| s.len()).sum()];
     let mut row = Row::new(&mut values);

@@ -8,10 +8,9 @@ use common::{
     File, Numbers, accelerations, at_state, facts, frame_acceleration, jacobian, random_arm, sampled,
 };
 use nalgebra::{DMatrix, DVector};
+use opspace_backend::Observable;
 use opspace_control::limits::HORIZON_S;
-use opspace_control::{
-    Controller, JointLimits, Measurement, Observable, OperationalSpaceController, RobotFacts,
-};
+use opspace_control::{Controller, JointLimits, Measurement, OperationalSpaceController, RobotFacts};
 use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity};
 
 /// Two solutions of one programme, by methods with tolerances of 1e-9 and smaller, relative to their size.

@@ -7,7 +7,8 @@ mod counting;
 
 use common::{File, at_state, facts, sampled, seven_joints};
 use counting::allocations;
-use opspace_control::{Controller, JointLimits, Observable, OperationalSpaceController, Row};
+use opspace_backend::{Observable, Row};
+use opspace_control::{Controller, JointLimits, OperationalSpaceController};
 use opspace_model::update;
 
 const STACK: &str = r#"

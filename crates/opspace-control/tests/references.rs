@@ -5,10 +5,10 @@ mod common;
 
 use common::{File, Q0, at_state, facts, four_joints};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
-use opspace_control::{
-    CartesianReference, Controller, Observable, OperationalSpaceController, Row, Target, Trajectory,
-};
-use opspace_control::{orientation, ramp::minimum_jerk, recorded};
+use opspace_backend::{Observable, Row};
+use opspace_control::ramp::minimum_jerk;
+use opspace_control::{CartesianReference, Controller, OperationalSpaceController, Target, Trajectory};
+use opspace_control::{orientation, recorded};
 use opspace_model::{Motion, Placement};
 use proptest::prelude::*;
 use serde::Deserialize;

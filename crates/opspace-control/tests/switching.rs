@@ -10,9 +10,8 @@ use common::{
 };
 use counting::{allocations, counted};
 use nalgebra::{DVector, Rotation3, Vector3};
-use opspace_control::{
-    Controller, JointLimits, Observable, OperationalSpaceController, PreparedStack, RobotFacts, Row, Signal,
-};
+use opspace_backend::{Observable, Row, Signal};
+use opspace_control::{Controller, JointLimits, OperationalSpaceController, PreparedStack, RobotFacts};
 use opspace_model::{Model, frame_placement};
 
 #[test]

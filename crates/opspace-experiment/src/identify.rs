@@ -1,25 +1,27 @@
 //! `opspace identify`: a robot's servos, found by moving its joints, and what is written of them.
 //!
-//! The identification itself is [`opspace_backend::identification`]; here it is given a robot from its file, and its
+//! The identification itself is [`opspace_loop::identification`]; here it is given a robot from its file, and its
 //! results become a section of that file, a whole file, numbers, and a page.
 
 mod page;
-mod written;
+mod toml_output;
 
-use crate::robot::{Robot, choices};
-use crate::run::Watch;
-use crate::source::FileError;
-use crate::table::{Cell, Table};
+use crate::evaluate::table::{Cell, Table};
+use crate::files::robot::{Robot, choices};
+use crate::files::source::FileError;
+use crate::run::execute::Watch;
 use nalgebra::DMatrix;
-use opspace_backend::identification::response::Point;
-use opspace_backend::identification::session::{Session, Stop};
-use opspace_backend::identification::{Identification, Plan, Told, TorqueScale, identify};
-use opspace_backend::interface::CommandParameter;
-use opspace_backend::servo::DerivativeOf;
-use opspace_backend::{Facts, Measured, PositionRobot, ProfileParameters, ServoParameters};
-use opspace_control::CommandKind;
+use opspace_backend::CommandKind;
+use opspace_backend::Measured;
+use opspace_loop::identification::response::Point;
+use opspace_loop::identification::session::{Session, Stop};
+use opspace_loop::identification::{Identification, Plan, Told, TorqueScale, identify};
+use opspace_loop::interface::CommandParameter;
+use opspace_loop::{Facts, PositionRobot};
 use opspace_model::{Data, crba, kinematics};
 use opspace_sim::{Setup, SimulatedArm};
+use opspace_transformer::servo::DerivativeOf;
+use opspace_transformer::{ProfileParameters, ServoParameters};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;

@@ -1,34 +1,20 @@
 //! Robot and task files, experiments assembled from them, suites, metrics and reports.
 
-pub mod experiment;
-pub mod figure;
-pub mod files;
-pub mod findings;
-pub mod identify;
-pub mod metrics;
-pub mod names;
-pub mod overrides;
-pub mod page;
-mod place;
-pub mod replay;
-pub mod report;
-pub mod results;
-pub mod robot;
-pub mod run;
-pub mod source;
-pub mod suite;
-pub mod table;
-pub mod task;
-pub mod template;
-pub mod tool;
-mod words;
+#![forbid(unsafe_code)]
 
-pub use experiment::{BackendKind, Choice, ControllerKind, Experiment};
-pub use files::Files;
-pub use findings::{Finding, findings};
-pub use metrics::{Metrics, Timing};
-pub use robot::Robot;
-pub use run::{RunError, Summary};
-pub use source::{FileError, Source};
-pub use suite::Suite;
-pub use task::Task;
+pub mod evaluate;
+pub mod files;
+pub mod identify;
+pub mod preflight;
+pub mod report;
+pub mod run;
+
+pub use evaluate::metrics::{Metrics, Timing};
+pub use files::origin::Files;
+pub use files::robot::Robot;
+pub use files::source::{FileError, Source};
+pub use files::suite::Suite;
+pub use files::task::Task;
+pub use preflight::{Finding, findings};
+pub use run::execute::{RunError, Summary};
+pub use run::experiment::{BackendKind, Choice, ControllerKind, Experiment};

@@ -1,12 +1,12 @@
 //! What is found before anything moves: each kind in a file that has it, and none in the files that are shipped.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use opspace_backend::Ending;
 use opspace_control::rank::reach;
-use opspace_experiment::metrics::metrics;
-use opspace_experiment::run::Watch;
+use opspace_experiment::evaluate::metrics::metrics;
+use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{BackendKind, Choice, Experiment, Files, Finding, findings};
 use opspace_log::Recording;
+use opspace_loop::Ending;
 use opspace_model::{Data, frame_placement, kinematics};
 use std::fs;
 use std::path::{Path, PathBuf};

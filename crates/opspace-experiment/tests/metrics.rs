@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use nalgebra::Vector3;
-use opspace_control::{Layout, Signal};
-use opspace_experiment::metrics::{metrics, timing};
+use opspace_backend::{Layout, Signal};
+use opspace_experiment::evaluate::metrics::{metrics, timing};
 use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files};
 use opspace_log::{Channel, Header, Pace, Recording, record};
 use opspace_model::{Data, frame_placement, kinematics};

@@ -1,7 +1,7 @@
 //! Settings from the command line against the same file edited by hand: equal values, errors that name them.
 
-use opspace_experiment::overrides::{apply, apply_below, split};
-use opspace_experiment::source::{FileError, Source, parse};
+use opspace_experiment::files::overrides::{apply, apply_below, split};
+use opspace_experiment::files::source::{FileError, Source, parse};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 

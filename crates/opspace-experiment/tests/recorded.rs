@@ -1,8 +1,8 @@
 //! Recorded paths: read beside the task file, run, kept in the log, and replayed from it.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use opspace_experiment::replay::replay;
-use opspace_experiment::run::Watch;
+use opspace_experiment::run::execute::Watch;
+use opspace_experiment::run::replay::replay;
 use opspace_experiment::{Choice, Experiment, Files};
 use opspace_log::Recording;
 use std::fs;

@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use opspace_experiment::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate};
-use opspace_experiment::page::Page;
-use opspace_experiment::table::{Cell, Table, format_number};
+use opspace_experiment::evaluate::table::{Cell, Table, format_number};
+use opspace_experiment::report::figure::{
+    Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate,
+};
+use opspace_experiment::report::html::Page;
 use roxmltree::{Document, Node, ParsingOptions};
 
 const SVG: &str = "http://www.w3.org/2000/svg";

@@ -2,11 +2,11 @@
 //! simulated robot.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use opspace_backend::Ending;
-use opspace_experiment::findings::gain_margin;
-use opspace_experiment::run::Watch;
+use opspace_experiment::preflight::gain_margin;
+use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{BackendKind, Choice, Experiment, Files};
 use opspace_log::Recording;
+use opspace_loop::Ending;
 use std::io::Cursor;
 use std::path::Path;
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use miette::Diagnostic;
-use opspace_experiment::names::{nearest, unit_symbol};
-use opspace_experiment::source::{FileError, Source, parse};
+use opspace_experiment::files::source::{FileError, Source, parse};
+use opspace_experiment::files::suggest::{nearest, unit_symbol};
 use serde::Deserialize;
 
 #[derive(Debug, Deserialize)]

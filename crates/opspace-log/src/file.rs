@@ -12,7 +12,7 @@ use foxglove::Encode;
 use foxglove::messages::{FrameTransforms, JointStates, Log};
 use mcap::records::MessageHeader;
 use mcap::write::{Metadata, NoSeek};
-use opspace_control::Layout;
+use opspace_backend::Layout;
 use serde_json::{Value, json};
 use std::borrow::Cow;
 use std::collections::BTreeMap;

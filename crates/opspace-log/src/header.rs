@@ -1,6 +1,6 @@
 //! What stands in a log beside the rows.
 
-use opspace_control::Layout;
+use opspace_backend::Layout;
 use opspace_model::Model;
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -5,7 +5,7 @@
 //! what is good of it if it is damaged.
 //!
 //! ```
-//! use opspace_control::{Layout, Signal};
+//! use opspace_backend::{Layout, Signal};
 //! use opspace_log::{Attachment, Channel, Header, Pace, Recording, record};
 //! use std::io::Cursor;
 //!

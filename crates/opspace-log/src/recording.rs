@@ -10,7 +10,7 @@ use crate::records::{Raw, Record, Records, checksum};
 use crate::schema;
 use mcap::MAGIC;
 use mcap::records::op;
-use opspace_control::{Layout, Signal};
+use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 

@@ -3,10 +3,9 @@
 
 use crate::error::LogError;
 use crate::recording::{ChannelData, Column, Recording};
-use nalgebra::Vector3;
-use opspace_backend::{Facts, Fault, Phase, PositionRobot, Robot, Sample, Sink, TICK, TorqueRobot};
-use opspace_control::Layout;
-use opspace_model::Force;
+use opspace_backend::Layout;
+use opspace_backend::{Sample, Sink, TICK};
+use opspace_loop::{Facts, Fault, Phase, PositionRobot, Robot, TorqueRobot};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,7 +27,7 @@ struct Tick {
     time_s: f64,
     q: Vec<f64>,
     motor_torque: Option<Vec<f64>>,
-    wrenches: Vec<Force>,
+    wrenches: Vec<[f64; 6]>,
     /// A fault that the robot itself had here.
     fault: Option<Fault>,
     /// The run was asked to stop after this tick.
@@ -80,9 +79,8 @@ impl ReplayRobot {
     }
 }
 
-fn wrench(column: &Column<'_>, k: usize) -> Force {
-    let row = column.row(k);
-    Force { linear: Vector3::from_column_slice(&row[..3]), angular: Vector3::from_column_slice(&row[3..6]) }
+fn wrench(column: &Column<'_>, k: usize) -> [f64; 6] {
+    std::array::from_fn(|i| column.row(k)[i])
 }
 
 fn tick_channel(recording: &Recording) -> Result<&ChannelData, LogError> {

@@ -4,7 +4,7 @@
 //! `repeated double` a signal, in the layout's order. Doubles keep their bits. Names that protobuf can't
 //! spell, units and element labels stand as JSON in the channel's metadata.
 
-use opspace_control::{Layout, Signal};
+use opspace_backend::{Layout, Signal};
 use prost::Message;
 use prost::encoding::{WireType, decode_key, decode_varint, double};
 use prost_types::field_descriptor_proto::{Label, Type};

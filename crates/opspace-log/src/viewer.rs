@@ -7,7 +7,7 @@ use foxglove::messages::{
     FrameTransform, FrameTransforms, JointState, JointStates, Log, Quaternion, Timestamp, Vector3, log,
 };
 use nalgebra::{Rotation3, UnitQuaternion};
-use opspace_control::Layout;
+use opspace_backend::Layout;
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
 use std::ops::Range;
 use std::sync::Arc;
@@ -144,6 +144,6 @@ fn timestamp(ns: u64) -> Timestamp {
 
 fn columns(layout: &Layout, name: &str) -> Option<Range<usize>> {
     let index = layout.signals.iter().position(|s| s.name == name)?;
-    let start = layout.signals[..index].iter().map(opspace_control::Signal::len).sum();
+    let start = layout.signals[..index].iter().map(opspace_backend::Signal::len).sum();
     Some(start..start + layout.signals[index].len())
 }

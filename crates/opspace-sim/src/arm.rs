@@ -13,12 +13,11 @@ use crate::plant::{Plant, PlantParts};
 use crate::random::{Stream, generator};
 use crate::setup::{Setup, Timing};
 use nalgebra::DVector;
-use opspace_backend::{
-    Facts, Fault, JointParameters, PositionRobot, Robot, Sample, ServoLaw, ServoMemory, SetPoints,
-    TorqueRobot, Trace, Traces,
-};
-use opspace_control::{CommandKind, Layout, Signal};
+use opspace_backend::{CommandKind, Layout, Signal};
+use opspace_backend::{Sample, Setpoints};
+use opspace_loop::{Facts, Fault, PositionRobot, Robot, TorqueRobot, Trace, Traces};
 use opspace_model::{Data, FrameId, Model, gravity, kinematics};
+use opspace_transformer::{JointParameters, ServoLaw, ServoMemory};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -59,7 +58,7 @@ struct Active {
     before: DVector<f64>,
     /// Servo ticks since it came in force.
     age: u32,
-    set_points: SetPoints,
+    set_points: Setpoints,
 }
 
 impl Active {
@@ -272,7 +271,7 @@ impl SimulatedArm {
     fn measure(&mut self, sample: &mut Sample) {
         self.read_encoders();
         sample.time_s = self.timing.time_s(self.timing.servo_tick);
-        sample.q.copy_from(&self.position);
+        sample.q.copy_from_slice(self.position.as_slice());
         self.average_torque();
         let (noise, random) = &mut self.torque_noise;
         if let Some(measured) = &mut sample.motor_torque {
@@ -282,7 +281,9 @@ impl SimulatedArm {
             }
         }
         for (to, (_, sensor)) in sample.wrenches.iter_mut().zip(&mut self.sensors) {
-            *to = sensor.read();
+            let wrench = sensor.read();
+            to[..3].copy_from_slice(wrench.linear.as_slice());
+            to[3..].copy_from_slice(wrench.angular.as_slice());
         }
     }
 

@@ -4,7 +4,7 @@
 //! controller waits for the next sample that comes. Until the controller starts, every cycle passes.
 
 use crate::random::{Stream, generator};
-use opspace_control::quantity::{NonNegative, Positive};
+use opspace_backend::quantity::{NonNegative, Positive};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;

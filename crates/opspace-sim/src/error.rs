@@ -1,7 +1,7 @@
 //! What keeps an arm from being simulated.
 
-use opspace_backend::ServoError;
 use opspace_model::{UnknownFrame, UnknownJoint};
+use opspace_transformer::ServoError;
 use thiserror::Error;
 
 /// Parameters that contradict each other.

@@ -8,7 +8,7 @@
 //! ```
 
 use crate::parameters::BristleParameters;
-use opspace_backend::FrictionParameters;
+use opspace_transformer::FrictionParameters;
 
 /// Friction of one joint, with the deflection of its bristles.
 #[derive(Clone, Debug)]

@@ -2,8 +2,8 @@
 //! of it. The controller never sees any of this.
 
 use crate::bus::BusParameters;
-use opspace_backend::{FrictionParameters, ServoParameters};
-use opspace_control::quantity::{NonNegative, Positive};
+use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_transformer::{FrictionParameters, ServoParameters};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;

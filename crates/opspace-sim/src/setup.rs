@@ -8,11 +8,12 @@ use crate::plant::Contact;
 use crate::random::{Stream, generator};
 use crate::surroundings::{HandMotion, Surrounding, SurroundingParameters};
 use nalgebra::Vector3;
-use opspace_backend::{
-    Facts, FrictionParameters, GravityBy, JointParameters, ProfileParameters, ServoError, ServoLaw,
-    ServoParameters,
-};
+use opspace_backend::GravityBy;
+use opspace_loop::Facts;
 use opspace_model::{Data, FrameId, Model, frame_placement, kinematics};
+use opspace_transformer::{
+    FrictionParameters, JointParameters, ProfileParameters, ServoError, ServoLaw, ServoParameters,
+};
 
 /// Most physics steps per servo tick: more is a slip in a rate, and the run would not come back.
 const MAX_STEPS: f64 = 10_000.0;

@@ -2,7 +2,7 @@
 //! task file.
 
 use nalgebra::Vector3;
-use opspace_control::quantity::{NonNegative, Positive, exactly};
+use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use opspace_control::ramp::minimum_jerk;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

@@ -3,8 +3,9 @@
 mod common;
 
 use common::{arm, parsed, read, setup};
-use opspace_backend::{PositionRobot, Robot, Sample, Trace};
-use opspace_control::CommandKind;
+use opspace_backend::CommandKind;
+use opspace_backend::Sample;
+use opspace_loop::{PositionRobot, Robot, Trace};
 use opspace_sim::{Setup, SimulatedArm, SimulationError};
 
 const PERIOD_S: f64 = 1e-3;
@@ -108,7 +109,7 @@ fn set_points_come_late_but_in_order() {
         let mut acts = Vec::new();
         let mut servo_tick = 0;
         for _ in 0..400 {
-            let mut sample = Sample::new(4, arm.facts());
+            let mut sample = Sample::new(4, true, 1);
             arm.read(&mut sample).expect("the arm can be read");
             for (_, command) in traced(&arm).1 {
                 if command as usize > acts.len() {
@@ -130,7 +131,7 @@ fn set_points_come_late_but_in_order() {
 }
 
 /// The profile with a delay.
-fn parsed_profile(setup: &Setup, delay: u32) -> opspace_backend::ProfileParameters {
+fn parsed_profile(setup: &Setup, delay: u32) -> opspace_transformer::ProfileParameters {
     let mut profile = setup.profile.clone();
     profile.delay_servo_ticks = Some(delay);
     profile

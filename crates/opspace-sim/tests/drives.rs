@@ -3,10 +3,10 @@
 mod common;
 
 use common::{parsed, robot};
-use opspace_backend::FrictionParameters;
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
 use opspace_sim::parameters::BristleParameters;
+use opspace_transformer::FrictionParameters;
 use std::f64::consts::TAU;
 
 /// Compared: mean and end of each step, and the differential equation τ̇ = ω (asked − τ) integrated in a

@@ -4,7 +4,7 @@ mod common;
 
 use common::{START, robot, setup};
 use nalgebra::DVector;
-use opspace_control::CommandKind;
+use opspace_backend::CommandKind;
 use opspace_model::{Data, Limits, Model, kinematics, kinetic_energy, potential_energy};
 use opspace_sim::RungeKutta;
 use opspace_sim::friction::LuGre;

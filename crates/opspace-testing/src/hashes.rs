@@ -81,7 +81,7 @@ fn of_numbers<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::{Hash, TIME, of};
-    use opspace_control::{Layout, Signal};
+    use opspace_backend::{Layout, Signal};
     use opspace_log::{ChannelData, Recording};
 
     fn recording(rows: Vec<f64>) -> Recording {

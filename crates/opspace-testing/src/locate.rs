@@ -63,7 +63,7 @@ fn rows<'a>(channel: &'a ChannelData, signal: &str) -> Option<Vec<&'a [f64]>> {
 mod tests {
     use super::{Difference, differences};
     use crate::signals::Table;
-    use opspace_control::{Layout, Signal};
+    use opspace_backend::{Layout, Signal};
     use opspace_log::{ChannelData, Recording};
 
     fn recording(name: &str, rows: [f64; 6]) -> Recording {

@@ -5,9 +5,9 @@
 pub mod stacks;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
+use opspace_backend::{Observable, Row};
 use opspace_control::{
-    Compensation, ControlError, JointLimits, LimitParameters, Measurement, Observable, RobotFacts, Row,
-    Stack, TaskParameters,
+    Compensation, ControlError, JointLimits, LimitParameters, Measurement, RobotFacts, Stack, TaskParameters,
 };
 use opspace_model::model::z_onto;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};

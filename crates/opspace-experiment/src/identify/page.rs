@@ -1,10 +1,10 @@
 //! The page of an identification: Bode plots of T and D*, joint by joint, and friction over speed.
 
 use super::{Identified, IdentifiedJoint};
-use crate::figure::{Figure, Panel, Scale, Series, Style};
-use crate::page::Page;
+use crate::report::figure::{Figure, Panel, Scale, Series, Style};
+use crate::report::html::Page;
 use nalgebra::Complex;
-use opspace_backend::identification::TorqueScale;
+use opspace_loop::identification::TorqueScale;
 
 /// Points of a drawn curve.
 const CURVE: usize = 300;

@@ -1,7 +1,7 @@
 //! Rows to be recorded, and recording them to memory.
 #![allow(dead_code, reason = "each test file uses a part")]
 
-use opspace_control::{Layout, Signal};
+use opspace_backend::{Layout, Signal};
 use opspace_log::{Attachment, Channel, ChannelData, Header, Pace, Written, record};
 use std::collections::BTreeMap;
 use std::io::Cursor;

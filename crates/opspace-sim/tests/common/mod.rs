@@ -3,14 +3,13 @@
 #![allow(dead_code, reason = "each test uses some of it")]
 
 use nalgebra::DVector;
-use opspace_backend::interface::MissedCycle;
-use opspace_backend::{
-    Facts, ForceSensor, GravityBy, JointParameters, ProfileParameters, Robot, Sample, ServoParameters,
-    SetPoints, Trace,
-};
-use opspace_control::CommandKind;
+use opspace_backend::CommandKind;
+use opspace_backend::MissedCycle;
+use opspace_backend::{GravityBy, Sample, Setpoints};
+use opspace_loop::{Facts, ForceSensor, Robot, Trace};
 use opspace_model::Model;
 use opspace_sim::{Setup, SimulatedArm, SimulatedParameters, SurroundingParameters};
+use opspace_transformer::{JointParameters, ProfileParameters, ServoParameters};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
@@ -46,7 +45,7 @@ pub fn setup(command: CommandKind, profile: &str) -> Setup {
     let facts = Facts {
         command,
         period_s: profile.period_s(),
-        set_points: SetPoints::Held,
+        set_points: Setpoints::Held,
         gravity_by: GravityBy::Controller,
         on_missed_cycle: MissedCycle::HoldLast,
         motor_torque: true,
@@ -82,7 +81,7 @@ pub fn surrounding(text: &str) -> SurroundingParameters {
 
 /// The next interface tick.
 pub fn read(arm: &mut SimulatedArm) -> Sample {
-    let mut sample = Sample::new(4, arm.facts());
+    let mut sample = Sample::new(4, arm.facts().motor_torque, arm.facts().sensors.len());
     arm.read(&mut sample).expect("the arm can be read");
     sample
 }

@@ -1,0 +1,149 @@
+//! Quantities that a file may hold: a value out of range is refused where it stands in the file.
+//!
+//! With the feature `schema` they are read by serde and described by schemars.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+#[cfg(feature = "schema")]
+use serde::{
+    Deserialize, Deserializer,
+    de::{Error, IgnoredAny, SeqAccess, Visitor},
+};
+
+/// A number above zero.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(try_from = "f64"))]
+pub struct Positive(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
+
+/// A number not below zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(try_from = "f64"))]
+pub struct NonNegative(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
+
+/// A whole number above zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(try_from = "u32"))]
+pub struct Count(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] u32);
+
+impl TryFrom<f64> for Positive {
+    type Error = String;
+
+    fn try_from(value: f64) -> Result<Self, String> {
+        if value.is_finite() && value > 0.0 {
+            Ok(Self(value))
+        } else {
+            Err(format!("expected a number above 0, got {value}"))
+        }
+    }
+}
+
+impl TryFrom<f64> for NonNegative {
+    type Error = String;
+
+    fn try_from(value: f64) -> Result<Self, String> {
+        if value.is_finite() && value >= 0.0 {
+            Ok(Self(value))
+        } else {
+            Err(format!("expected a number not below 0, got {value}"))
+        }
+    }
+}
+
+impl TryFrom<u32> for Count {
+    type Error = String;
+
+    fn try_from(value: u32) -> Result<Self, String> {
+        if value > 0 { Ok(Self(value)) } else { Err("expected a whole number above 0, got 0".to_owned()) }
+    }
+}
+
+impl Positive {
+    /// The number.
+    #[must_use]
+    pub const fn get(self) -> f64 {
+        self.0
+    }
+
+    /// For defaults in code.
+    ///
+    /// # Panics
+    /// If `value` is not above zero (at compile time in a `const`).
+    #[must_use]
+    pub const fn literal(value: f64) -> Self {
+        assert!(value > 0.0);
+        Self(value)
+    }
+}
+
+impl From<Positive> for NonNegative {
+    fn from(value: Positive) -> Self {
+        Self(value.0)
+    }
+}
+
+impl NonNegative {
+    /// The number.
+    #[must_use]
+    pub const fn get(self) -> f64 {
+        self.0
+    }
+
+    /// For defaults in code.
+    ///
+    /// # Panics
+    /// If `value` is below zero (at compile time in a `const`).
+    #[must_use]
+    pub const fn literal(value: f64) -> Self {
+        assert!(value >= 0.0);
+        Self(value)
+    }
+}
+
+impl Count {
+    /// The number.
+    #[must_use]
+    pub const fn get(self) -> u32 {
+        self.0
+    }
+}
+
+/// Reads exactly N values: TOML's reader alone would take the first N of more.
+///
+/// # Errors
+/// Fewer or more values than N.
+#[cfg(feature = "schema")]
+pub fn exactly<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    struct Exactly<T, const N: usize>(std::marker::PhantomData<T>);
+
+    impl<'de, T: Deserialize<'de>, const N: usize> Visitor<'de> for Exactly<T, N> {
+        type Value = [T; N];
+
+        fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            write!(f, "{N} values")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut values: A) -> Result<[T; N], A::Error> {
+            let mut read = Vec::with_capacity(N);
+            while read.len() < N {
+                match values.next_element()? {
+                    Some(value) => read.push(value),
+                    None => return Err(A::Error::invalid_length(read.len(), &self)),
+                }
+            }
+            let mut count = N;
+            while values.next_element::<IgnoredAny>()?.is_some() {
+                count += 1;
+            }
+            if count > N {
+                return Err(A::Error::invalid_length(count, &self));
+            }
+            read.try_into().map_err(|_| A::Error::invalid_length(count, &self))
+        }
+    }
+
+    deserializer.deserialize_seq(Exactly(std::marker::PhantomData))
+}

@@ -1,0 +1,187 @@
+//! `opspace check`: files, and files against each other, without running anything; and what will go wrong with a task
+//! before anything moves.
+
+use crate::cli::CheckArgs;
+use crate::console::{Console, Exit, Outcome, report};
+use crate::output::pretty;
+use opspace_experiment::files::origin::Kind;
+use opspace_experiment::files::robot::load_urdf;
+use opspace_experiment::preflight::{GainMargin, gain_margin};
+use opspace_experiment::{
+    BackendKind, Choice, Experiment, FileError, Files, Finding, Robot, Source, Suite, Task, findings,
+};
+use opspace_loop::interface::CommandParameter;
+use opspace_model::{Model, UrdfOptions, UrdfWarning, suspicions};
+use serde_json::{Value, json};
+use std::collections::HashSet;
+use std::path::Path;
+
+pub fn check(args: &CheckArgs, console: Console) -> Outcome {
+    let mut exit = Exit::Done;
+    let (mut text, mut files) = (String::new(), Vec::new());
+    for path in &args.files {
+        let checked = check_one(path, console);
+        files.push(as_json(path, &checked));
+        match checked {
+            Ok(Checked { what, margin, found }) => {
+                text += &format!("{}: {what}\n", path.display());
+                margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
+                found.iter().for_each(|found| note(console, found));
+            }
+            Err(error) => exit = report(&error.into()),
+        }
+    }
+    args.json.print(|| pretty(&json!({ "schema": "opspace.check/1", "files": files })), || text)?;
+    Ok(exit)
+}
+
+/// A file in which nothing is wrong, and what will go wrong with it.
+struct Checked {
+    /// What kind of file it is.
+    what: String,
+    /// Of a task whose torques pass through a transformer.
+    margin: Option<GainMargin>,
+    found: Vec<Found>,
+}
+
+impl Checked {
+    fn clean(what: String) -> Self {
+        Self { what, margin: None, found: Vec::new() }
+    }
+}
+
+/// A finding and its place.
+struct Found {
+    finding: Finding,
+    place: FileError,
+}
+
+impl Found {
+    fn new(finding: Finding, experiment: &Experiment) -> Self {
+        let place = finding.placed(experiment);
+        Self { finding, place }
+    }
+}
+
+/// What will go wrong with these experiments, each thing once: runs that differ in what doesn't matter to it find
+/// the same.
+fn find<'a>(experiments: impl IntoIterator<Item = &'a Experiment>) -> Vec<Found> {
+    let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
+    for experiment in experiments {
+        // All but the seed and the transformer, which no finding depends on.
+        let Choice { backend, controller, duration_s, .. } = experiment.choice();
+        let sources = [&experiment.task().source, &experiment.robot().source].map(|s| s.text().to_owned());
+        let profile = experiment.profile().0.to_owned();
+        let names = [experiment.task().source.name().to_owned(), experiment.robot().source.name().to_owned()];
+        if !looked_at.insert((names, sources, *backend, *controller, profile, duration_s.map(f64::to_bits))) {
+            continue;
+        }
+        for finding in findings(experiment) {
+            let new = Found::new(finding, experiment);
+            let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
+            if !found.iter().any(same) {
+                found.push(new);
+            }
+        }
+    }
+    found
+}
+
+fn note(console: Console, found: &Found) {
+    console.note(&format!("{}\n  help: {}", found.place, found.finding.help));
+}
+
+/// What in a URDF, or in the model that it makes, deserves a second look.
+fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
+    warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w}")));
+    suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
+}
+
+/// What a task's robot is: one that takes torques alone can't be a position robot.
+fn choice(task: &Path) -> Choice {
+    let robot =
+        Task::load(Files::Disk, task, &[]).and_then(|task| Robot::load(Files::Disk, &task.robot_path(), &[]));
+    match robot {
+        Ok(robot) if robot.file.interface.command == CommandParameter::Torque => {
+            Choice { backend: BackendKind::Torque, ..Choice::default() }
+        }
+        // What is wrong with them is told when they are put together.
+        _ => Choice::default(),
+    }
+}
+
+fn check_one(path: &Path, console: Console) -> Result<Checked, FileError> {
+    if path.extension().is_some_and(|e| e == "urdf") {
+        let source = Source::read(path)?;
+        let loaded = load_urdf(&source, UrdfOptions::default())?;
+        warn(console, source.name(), &loaded.warnings, &loaded.model);
+        return Ok(Checked::clean(format!("a URDF of {} moving joints", loaded.model.n())));
+    }
+    let file = Files::Disk.robot_file(path);
+    let source = Source::read(&file)?;
+    let robot = || {
+        let robot = Robot::load(Files::Disk, path, &[])?;
+        warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
+        Ok(Checked::clean(format!("a robot of {} joints", robot.model.n())))
+    };
+    match Kind::of(source.text()) {
+        Some(Kind::Suite) => {
+            let suite = Suite::load(Files::Disk, path)?;
+            let what = format!("a suite of {} runs", suite.experiments.len());
+            Ok(Checked { found: find(&suite.experiments), ..Checked::clean(what) })
+        }
+        Some(Kind::Task) => {
+            let experiment = Experiment::load(Files::Disk, path, None, choice(path), &[])?;
+            let what = format!("a task for the robot '{}'", experiment.robot().name());
+            let margin = gain_margin(&experiment);
+            let mut found = find([&experiment]);
+            let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
+            found.extend(small.map(|finding| Found::new(finding, &experiment)));
+            Ok(Checked { what, margin, found })
+        }
+        Some(Kind::Robot) => robot(),
+        // What a folder stands for is a robot.
+        None if path.is_dir() => robot(),
+        None => {
+            let help = "a robot file has `urdf`, a task file has `robot` and `priority`, a suite has [[run]]";
+            let message = "is neither a robot, a task nor a suite";
+            Err(FileError::of_file(source.name(), message, Some(help.to_owned())))
+        }
+    }
+}
+
+fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
+    let told = |found: &Found| {
+        json!({
+            "at": found.place.path(),
+            "line": found.place.line(),
+            "key": found.finding.key,
+            "message": found.finding.message,
+            "help": found.finding.help,
+        })
+    };
+    match checked {
+        Ok(Checked { what, margin, found }) => {
+            let findings: Vec<Value> = found.iter().map(told).collect();
+            let margin = margin.as_ref().map(|margin| {
+                json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
+            });
+            json!({
+                "file": path,
+                "ok": true,
+                "is": what,
+                "position_gain_margin": margin,
+                "findings": findings,
+            })
+        }
+        Err(error) => json!({
+            "file": path,
+            "ok": false,
+            // The fault may stand in a file that this one names.
+            "at": error.path(),
+            "line": error.line(),
+            "message": error.message(),
+            "help": error.help(),
+        }),
+    }
+}

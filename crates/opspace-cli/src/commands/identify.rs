@@ -1,0 +1,96 @@
+//! `opspace identify`: the servos of a robot's joints, found by moving them.
+
+use crate::cli::IdentifyArgs;
+use crate::commands::run::style;
+use crate::console::{Console, Exit, Failure, Outcome, render};
+use crate::interrupt;
+use crate::output::{IDENTIFICATION, REPORT, ROBOT_FILE, SERVO_FILE, prepare, pretty, write};
+use indicatif::ProgressBar;
+use opspace_experiment::identify::{Identified, Identifying, Request};
+use opspace_experiment::{Files, Robot};
+use opspace_loop::identification::Plan;
+use opspace_loop::identification::session::Stop;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
+    let robot = Robot::load(Files::Disk, &args.robot, &args.set)?;
+    for warning in &robot.warnings {
+        console.detail(&format!("{}: {warning}", robot.urdf.name()));
+    }
+    let request = Request {
+        profile: args.profile.clone(),
+        joint: args.joint.clone(),
+        start_rad: args.start_rad.clone(),
+        plan: Plan { seed: args.seed, ..Plan::default() },
+    };
+    let identifying = Identifying::new(robot, request)?;
+    let mut arm = identifying.simulated_arm()?;
+    let default = PathBuf::from(format!("runs/identify-{}", identifying.robot().name()));
+    let folder = prepare(&args.output, &default, console)?;
+    let watch = interrupt::watch();
+    let identified = with_progress(&identifying, console, |begun| identifying.run(&mut arm, &watch, begun));
+    let identified = identified.map_err(|stop| match stop {
+        Stop::Interrupted => {
+            Failure::Other("interrupted before all was identified".to_owned(), Exit::Interrupted)
+        }
+        Stop::Fault(fault) => Failure::Other(fault.describe(&identifying.robot().model), Exit::Failed),
+        other => Failure::Other(other.to_string(), Exit::Failed),
+    })?;
+    let written = write_results(&folder, &identified)?;
+    args.output.json.print(|| pretty(&identified.json()), || render(&identified.table()))?;
+    for joint in &identified.joints {
+        if let Some(reason) = &joint.no_torque_mode {
+            console.note(&format!("{}: no torque mode: {reason}", joint.name));
+        }
+    }
+    console.note(&format!(
+        "moved the robot for {:.0} s of its own time; wrote {}",
+        identified.robot_s,
+        written.join(", ")
+    ));
+    Ok(if identified.is_complete() { Exit::Done } else { Exit::Failed })
+}
+
+/// Writes everything, and gives the paths.
+fn write_results(folder: &Path, identified: &Identified) -> Result<Vec<String>, Failure> {
+    let mut files = vec![
+        (SERVO_FILE.to_owned(), identified.servo_toml()),
+        (IDENTIFICATION.to_owned(), pretty(&identified.json())),
+        (REPORT.to_owned(), identified.page()),
+    ];
+    let urdf = identified.urdf_name();
+    if let Some(robot) = identified.robot_toml(&urdf)? {
+        files.push((ROBOT_FILE.to_owned(), robot));
+        files.push((urdf, identified.urdf().to_owned()));
+    }
+    let mut paths = Vec::new();
+    for (name, text) in files {
+        let path = folder.join(name);
+        write(&path, &text)?;
+        paths.push(path.display().to_string());
+    }
+    Ok(paths)
+}
+
+/// Shows which joint is being identified. How long each takes depends on the joint: the bar counts joints.
+fn with_progress<T>(
+    identifying: &Identifying,
+    console: Console,
+    work: impl FnOnce(&mut dyn FnMut(&str)) -> T,
+) -> T {
+    if !console.shows_progress() {
+        return work(&mut |_| {});
+    }
+    let bar = ProgressBar::new(identifying.joints() as u64);
+    bar.set_style(style("{pos:>4}/{len} {wide_bar} {elapsed} {msg}"));
+    bar.enable_steady_tick(Duration::from_millis(100));
+    let mut done = 0;
+    let result = work(&mut |joint| {
+        bar.set_position(done);
+        bar.set_message(joint.to_owned());
+        done += 1;
+    });
+    bar.finish_and_clear();
+    result
+}

@@ -1,0 +1,330 @@
+//! `opspace model`: a robot as tables, with what looks wrong with it; or its kinematics and dynamics at given states.
+
+use crate::cli::ModelArgs;
+use crate::console::{Console, Exit, Failure, Outcome, print, render};
+use crate::output::pretty;
+use opspace_experiment::evaluate::table::{Cell, Table};
+use opspace_experiment::files::robot::load_urdf;
+use opspace_experiment::{Files, Robot, Source};
+use opspace_model::samples::{Sample, evaluate};
+use opspace_model::{
+    Body, Frame, JointKind, Loaded, Model, UrdfOptions, UrdfWarning, principal_moments, suspicions,
+};
+use serde_json::{Value, json};
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader};
+use std::path::Path;
+
+pub fn model(args: &ModelArgs, console: Console) -> Outcome {
+    let shown = load(args)?;
+    if let (Some(tip), Some(samples)) = (&args.tip, &args.samples) {
+        return evaluate_samples(&shown.model, tip, samples, args.json.json.as_deref());
+    }
+    args.json.print(|| pretty(&as_json(&shown)), || describe(&shown))?;
+    shown.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", shown.file)));
+    Ok(Exit::Done)
+}
+
+/// A model, and what there is to say of it.
+struct Shown {
+    /// The URDF.
+    file: String,
+    model: Model,
+    /// What links that can't move weigh; the model has none of them.
+    standing_kg: f64,
+    /// The reader's, then those of the model as a whole.
+    warnings: Vec<String>,
+}
+
+impl Shown {
+    fn new(urdf: &Source, model: Model, standing_kg: f64, warnings: &[UrdfWarning]) -> Self {
+        let warnings = warnings.iter().map(ToString::to_string);
+        let warnings = warnings.chain(suspicions(&model).iter().map(ToString::to_string)).collect();
+        Self { file: urdf.name().to_owned(), model, standing_kg, warnings }
+    }
+}
+
+fn load(args: &ModelArgs) -> Result<Shown, Failure> {
+    let options = UrdfOptions { floating_base: args.floating, fold_mimics: args.fold_mimics };
+    if args.robot.extension().is_some_and(|e| e == "urdf") {
+        let urdf = Source::read(&args.robot)?;
+        let Loaded { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
+        return Ok(Shown::new(&urdf, model, standing_kg, &warnings));
+    }
+    let robot = Robot::load(Files::Disk, &args.robot, &[])?;
+    if options != UrdfOptions::default() {
+        let option = if args.floating { "--floating" } else { "--fold-mimics" };
+        let (file, urdf) = (args.robot.display(), robot.urdf.name());
+        let text =
+            format!("{option} is for a URDF, and {file} is a robot that is controlled as it is: give {urdf}");
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    let standing_kg = load_urdf(&robot.urdf, options)?.standing_kg;
+    Ok(Shown::new(&robot.urdf, robot.model, standing_kg, &robot.warnings))
+}
+
+fn describe(shown: &Shown) -> String {
+    let model = &shown.model;
+    let (joints, base) = match model.is_floating() {
+        true => (model.n() - 6, "floating"),
+        false => (model.n(), "fixed"),
+    };
+    format!(
+        "{}: {joints} moving joints on a {base} base, {:.3} kg in motion, {:.3} kg in all\n\n{}\n{}\n{}",
+        model.name(),
+        model.total_mass(),
+        model.total_mass() + shown.standing_kg,
+        render(&joint_table(model)),
+        render(&body_table(model)),
+        render(&frame_table(model))
+    )
+}
+
+fn joint_table(model: &Model) -> Table {
+    let mut columns = vec![
+        ("joint", ""),
+        ("kind", ""),
+        ("carried by", ""),
+        ("lower", ""),
+        ("upper", ""),
+        ("velocity", "/s"),
+        ("effort", ""),
+    ];
+    // A URDF alone knows none.
+    let rotors = model.rotor_inertia().iter().any(|&rotor| rotor != 0.0);
+    if rotors {
+        columns.push(("rotor", "kg m²"));
+    }
+    let mut table = Table::new(&columns);
+    let limit = |kind: JointKind, value: f64| match (kind, value.is_finite()) {
+        (JointKind::Floating, _) => Cell::Empty,
+        (_, true) => value.into(),
+        (_, false) => "none".into(),
+    };
+    for (i, joint) in model.joints().iter().enumerate() {
+        let kind = match joint.kind {
+            JointKind::Revolute => "revolute (rad, Nm)",
+            JointKind::Continuous => "continuous (rad, Nm)",
+            JointKind::Prismatic => "prismatic (m, N)",
+            JointKind::Floating => "floating base",
+        };
+        let mut row: Vec<Cell> = vec![joint.name.clone().into(), kind.into()];
+        row.push(carried_by(model, i).unwrap_or("the world").into());
+        let limits = joint.limits;
+        let limits = [limits.lower, limits.upper, limits.velocity, limits.effort];
+        row.extend(limits.map(|value| limit(joint.kind, value)));
+        row.extend(rotors.then(|| model.rotor_inertia()[i].into()));
+        table.push(row);
+    }
+    table
+}
+
+fn body_table(model: &Model) -> Table {
+    let mut table = Table::new(&[
+        ("body", ""),
+        ("moved by", ""),
+        ("mass", "kg"),
+        ("com x", "m"),
+        ("com y", "m"),
+        ("com z", "m"),
+        ("moment 1", "kg m²"),
+        ("moment 2", "kg m²"),
+        ("moment 3", "kg m²"),
+    ]);
+    for (number, body) in bodies(model) {
+        let mut row: Vec<Cell> = vec![link(model, Some(number)).into(), mover(model, body).into()];
+        row.push(body.inertia.mass.into());
+        row.extend(centre(model, number).map(Cell::from));
+        row.extend(moments(body).map(Cell::from));
+        table.push(row);
+    }
+    table
+}
+
+fn frame_table(model: &Model) -> Table {
+    let mut table = Table::new(&[
+        ("frame", ""),
+        ("moves with", ""),
+        ("fixed to", ""),
+        ("x", "m"),
+        ("y", "m"),
+        ("z", "m"),
+    ]);
+    for frame in model.frames() {
+        let mut row: Vec<Cell> = vec![frame.name.clone().into()];
+        row.push(match frame.body {
+            None => "the base (fixed)".into(),
+            Some(body) => mover(model, &model.bodies()[body]).into(),
+        });
+        let link = link(model, frame.body);
+        if link == frame.name {
+            row.extend(["–".into(), Cell::Empty, Cell::Empty, Cell::Empty]);
+        } else {
+            row.push(link.into());
+            row.extend(offset(model, frame).map(Cell::from));
+        }
+        table.push(row);
+    }
+    table
+}
+
+/// The bodies with their numbers; of a floating base's six only the one that is there.
+fn bodies(model: &Model) -> impl Iterator<Item = (usize, &Body)> {
+    let first = if model.is_floating() { 5 } else { 0 };
+    model.bodies().iter().enumerate().skip(first)
+}
+
+/// The frame of the link that a body is called after, which is the one that its joint moves.
+fn link_frame(model: &Model, body: Option<usize>) -> Option<&Frame> {
+    model.frames().iter().find(|frame| frame.body == body)
+}
+
+fn link(model: &Model, body: Option<usize>) -> &str {
+    link_frame(model, body).map_or("the base", |frame| &frame.name)
+}
+
+/// The link on which a joint stands; of several that follow it, its own. `None` for a floating base.
+fn carried_by(model: &Model, joint: usize) -> Option<&str> {
+    if model.joints()[joint].kind == JointKind::Floating {
+        return None;
+    }
+    let own = model.bodies().iter().find(|body| body.joint == joint && !body.follows);
+    own.map(|body| link(model, body.parent))
+}
+
+/// The joint of a body, with what it makes of the joint's position if it follows that of another.
+fn mover(model: &Model, body: &Body) -> String {
+    let name = &model.joints()[body.joint].name;
+    match (body.kind, body.ratio, body.offset) {
+        (JointKind::Floating, ..) => "the base (floating)".to_owned(),
+        (_, 1.0, 0.0) => name.clone(),
+        (_, ratio, 0.0) => format!("{ratio} {name}"),
+        (_, ratio, offset) => format!("{ratio} {name} {offset:+}"),
+    }
+}
+
+/// Below this a position is what rounding left of zero, m; a moment too, as a part of the largest.
+const ROUNDING: f64 = 1e-9;
+
+fn rounded(value: f64, scale: f64) -> f64 {
+    if value.abs() < ROUNDING * scale { 0.0 } else { value }
+}
+
+/// The centre of mass of a body in the frame of its link, m.
+fn centre(model: &Model, body: usize) -> [f64; 3] {
+    let com = model.bodies()[body].inertia.com;
+    let in_link = link_frame(model, Some(body)).map_or(com, |link| link.placement.inverse().act_point(&com));
+    [in_link.x, in_link.y, in_link.z].map(|x| rounded(x, 1.0))
+}
+
+/// Ascending, kg m².
+fn moments(body: &Body) -> [f64; 3] {
+    let moments = principal_moments(&body.inertia.rotational);
+    moments.map(|moment| rounded(moment, moments[2]))
+}
+
+/// Where a frame is in that of the link to which it is fixed, m.
+fn offset(model: &Model, frame: &Frame) -> [f64; 3] {
+    let point = frame.placement.translation;
+    let at = link_frame(model, frame.body).map_or(point, |link| link.placement.inverse().act_point(&point));
+    [at.x, at.y, at.z].map(|x| rounded(x, 1.0))
+}
+
+fn as_json(shown: &Shown) -> Value {
+    let model = &shown.model;
+    // JSON has no infinity: null is no limit.
+    let joints: Vec<Value> = (model.joints().iter().enumerate())
+        .map(|(i, joint)| {
+            let moved = model.bodies().iter().filter(|body| body.joint == i);
+            json!({
+                "name": joint.name,
+                "kind": match joint.kind {
+                    JointKind::Revolute => "revolute",
+                    JointKind::Continuous => "continuous",
+                    JointKind::Prismatic => "prismatic",
+                    JointKind::Floating => "floating",
+                },
+                "lower": joint.limits.lower,
+                "upper": joint.limits.upper,
+                "velocity": joint.limits.velocity,
+                "effort": joint.limits.effort,
+                "mass_kg": moved.map(|body| body.inertia.mass).sum::<f64>(),
+                "rotor_inertia": model.rotor_inertia()[i],
+                "carried_by": carried_by(model, i),
+            })
+        })
+        .collect();
+    let bodies: Vec<Value> = bodies(model)
+        .map(|(number, body)| {
+            json!({
+                "link": link(model, Some(number)),
+                "joint": model.joints()[body.joint].name,
+                "ratio": body.ratio,
+                "offset": body.offset,
+                "mass_kg": body.inertia.mass,
+                "com_m": centre(model, number),
+                "principal_moments_kg_m2": moments(body),
+            })
+        })
+        .collect();
+    let carrier = |body: usize| model.joints()[model.bodies()[body].joint].name.as_str();
+    let frames: Vec<Value> = (model.frames().iter())
+        .map(|frame| {
+            json!({
+                "name": frame.name,
+                "moves_with": frame.body.map(carrier),
+                "fixed_to": link(model, frame.body),
+                "offset_m": offset(model, frame),
+            })
+        })
+        .collect();
+    json!({
+        "schema": "opspace.model/1",
+        "name": model.name(),
+        "base": if model.is_floating() { "floating" } else { "fixed" },
+        "moving_mass_kg": model.total_mass(),
+        "total_mass_kg": model.total_mass() + shown.standing_kg,
+        "joints": joints,
+        "bodies": bodies,
+        "frames": frames,
+        "warnings": shown.warnings,
+    })
+}
+
+/// Writes a line for each state, to `out` or stdout. A file is written when all went well, and not before.
+fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>) -> Outcome {
+    let bad = |text: String| Failure::Other(text, Exit::Bad);
+    let out = out.filter(|path| *path != Path::new("-"));
+    let frame = model.frame(tip).map_err(|unknown| bad(format!("--tip {tip}: {unknown}")))?;
+    let name = samples.display();
+    let reader: Box<dyn BufRead> = if samples == Path::new("-") {
+        Box::new(io::stdin().lock())
+    } else {
+        let file = File::open(samples).map_err(|e| Failure::io("can't be read", samples, &e))?;
+        Box::new(BufReader::new(file))
+    };
+    if let Some(out) = out
+        && let (Ok(a), Ok(b)) = (out.canonicalize(), samples.canonicalize())
+        && a == b
+    {
+        return Err(bad(format!("--json {}: these are the samples; give another file", out.display())));
+    }
+    let mut results = String::new();
+    for (line, text) in (1..).zip(reader.lines()) {
+        let text = text.map_err(|e| Failure::io("can't be read", samples, &e))?;
+        if text.trim().is_empty() {
+            continue;
+        }
+        let sample: Sample = serde_json::from_str(&text).map_err(|e| bad(format!("{name}:{line}: {e}")))?;
+        let quantities = evaluate(model, frame, &sample).map_err(|e| bad(format!("{name}:{line}: {e}")))?;
+        let json = serde_json::to_string(&quantities).map_err(|e| bad(format!("{name}:{line}: {e}")))? + "\n";
+        match out {
+            None => print(&json)?,
+            Some(_) => results += &json,
+        }
+    }
+    if let Some(out) = out {
+        fs::write(out, results).map_err(|e| Failure::io("can't be written", out, &e))?;
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,124 @@
+//! `opspace replay`: recompute every command of a log.
+
+use crate::cli::ReplayArgs;
+use crate::console::{Console, Exit, Failure, Outcome};
+use crate::output::{pretty, read_log};
+use opspace_experiment::run::replay::{Replayed, replay as recompute};
+use opspace_experiment::{Experiment, Files, RunError, Task};
+use opspace_log::Recording;
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+pub fn replay(args: &ReplayArgs, console: Console) -> Outcome {
+    let (log, recording) = read_log(&args.log)?;
+    let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
+    let logged = Experiment::of_log(&recording).map_err(bad)?;
+    if let Some(damage) = &recording.damage {
+        console.note(&format!("{}: damaged: {damage}", log.display()));
+    }
+    let other = match &args.task {
+        None => None,
+        Some(path) => {
+            let task = Task::load(Files::Disk, path, &[])?;
+            let (robot, choice) = (logged.robot().clone(), logged.choice().clone());
+            Some(Experiment::new(robot, task, choice, Vec::new())?)
+        }
+    };
+    let experiment = other.as_ref().unwrap_or(&logged);
+    let replayed = recompute(experiment, &recording).map_err(bad)?;
+    let open_loop = other.is_some();
+    args.json.print(
+        || pretty(&as_json(&log, experiment, &recording, &replayed, open_loop)),
+        || match open_loop {
+            true => what_if(experiment, &recording, &replayed),
+            false => verdict(&log, &replayed),
+        },
+    )?;
+    let differs = replayed.first_difference.is_some()
+        || replayed.compared < replayed.logged
+        || !replayed.unmatched.is_empty();
+    Ok(if differs && !open_loop {
+        Exit::Failed
+    } else if recording.damage.is_some() || recording.dropped() > 0 {
+        Exit::DataLost
+    } else {
+        Exit::Done
+    })
+}
+
+/// Whether the log is what comes out, or where first it isn't.
+fn verdict(log: &Path, replayed: &Replayed) -> String {
+    let (log, Replayed { compared, logged, differing, .. }) = (log.display(), replayed);
+    match &replayed.first_difference {
+        Some(d) => format!(
+            "{log}: differs in {differing} of {compared} ticks, first at tick {} ({:.6} s): \
+             {} of '{}' was {:?}, is {:?}\n",
+            d.tick, d.time_s, d.signal, d.element, d.logged, d.recomputed,
+        ),
+        None if !replayed.unmatched.is_empty() => format!(
+            "{log}: not the same signals: only the log or only the replay has {}\n",
+            replayed.unmatched.join(", ")
+        ),
+        None if compared < logged => format!("{log}: the replay ended after {compared} of {logged} ticks\n"),
+        None if *logged == 0 => format!("{log}: there is no tick to compare\n"),
+        None => format!("{log}: all {compared} ticks are the same, bit for bit\n"),
+    }
+}
+
+/// What another task would have commanded.
+fn what_if(experiment: &Experiment, recording: &Recording, replayed: &Replayed) -> String {
+    let (name, compared) = (experiment.task().name(), replayed.compared);
+    let mut text = format!(
+        "open loop: what '{name}' would have commanded on the logged measurements, over {compared} ticks\n"
+    );
+    if compared < replayed.logged {
+        text += &format!("it would have ended there; the log has {} ticks\n", replayed.logged);
+    }
+    let units = recording.channel("tick").map_or(&[][..], |tick| &tick.layout.signals);
+    for (signal, elements) in &replayed.rms {
+        let unit = units.iter().find(|s| s.name == *signal).map_or("", |s| s.unit.as_ref());
+        for (element, rms) in elements {
+            text += &format!("  {signal} of '{element}': {rms:.6} {unit} rms from the log\n");
+        }
+    }
+    text
+}
+
+fn as_json(
+    log: &Path,
+    experiment: &Experiment,
+    recording: &Recording,
+    replayed: &Replayed,
+    open_loop: bool,
+) -> Value {
+    let first = replayed.first_difference.as_ref().map(|d| {
+        json!({
+            "tick": d.tick,
+            "time_s": d.time_s,
+            "signal": d.signal,
+            "element": d.element,
+            "logged": d.logged,
+            "recomputed": d.recomputed,
+        })
+    });
+    let rms: Map<String, Value> = (replayed.rms.iter())
+        .map(|(signal, elements)| {
+            let elements = elements.iter().map(|(element, rms)| (element.clone(), json!(rms)));
+            (signal.clone(), Value::Object(elements.collect()))
+        })
+        .collect();
+    json!({
+        "schema": "opspace.replay/1",
+        "log": log,
+        "task": experiment.task().name(),
+        "open_loop": open_loop,
+        "ticks_logged": replayed.logged,
+        "ticks_compared": replayed.compared,
+        "ticks_differing": replayed.differing,
+        "first_difference": first,
+        "unmatched_signals": replayed.unmatched,
+        "rms_difference": rms,
+        "damage": recording.damage.as_ref().map(ToString::to_string),
+        "rows_lost": recording.dropped(),
+    })
+}

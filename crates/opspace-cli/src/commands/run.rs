@@ -1,0 +1,113 @@
+//! `opspace run`: one task on one robot.
+
+use crate::cli::RunArgs;
+use crate::console::{Console, Exit, Failure, Outcome, results};
+use crate::interrupt;
+use crate::output::{LOG, REPORT, SUMMARY, prepare, pretty, write};
+use indicatif::{ProgressBar, ProgressStyle};
+use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::report::page::{Shown, page};
+use opspace_experiment::run::execute::Watch;
+use opspace_experiment::{Experiment, Files, Summary};
+use opspace_log::Recording;
+use opspace_loop::Ending;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+pub fn run(args: &RunArgs, console: Console) -> Outcome {
+    let experiment =
+        Experiment::load(Files::Disk, &args.task, args.robot.as_deref(), args.choice(), &args.set)?;
+    for warning in &experiment.robot().warnings {
+        console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
+    }
+    let default =
+        PathBuf::from(format!("runs/{}-{}", experiment.task().name(), args.choice().backend.name()));
+    if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
+        console.detail(&format!("transformer '{}': {reason}", kind.name()));
+    }
+    let folder = prepare(&args.output, &default, console)?;
+    let log = folder.join(LOG);
+    let watch = interrupt::watch();
+    let file = File::create_new(&log).map_err(|e| Failure::io("can't be made", &log, &e))?;
+    let finished =
+        with_progress(&experiment, &watch, console, || experiment.run(BufWriter::new(file), &watch))?;
+    let recording = Recording::read(&log).map_err(|e| Failure::Other(e.to_string(), Exit::Failed))?;
+    let summary = experiment.summary(&recording, &finished.ending, Some(finished.realtime_factor));
+    write_results(&folder, &experiment, &recording, &summary)?;
+    args.output
+        .json
+        .print(|| pretty(&summary), || results(console, std::slice::from_ref(&summary), MEASURES))?;
+    if let Ending::Interrupted { time_s } = finished.ending {
+        console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
+    }
+    if let Some(fault) = &summary.faulted {
+        let time = summary.fault_time_s.unwrap_or(f64::NAN);
+        console.note(&format!("stopped at {time:.3} s: {fault}"));
+    }
+    console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", log.display()));
+    Ok(exit_code(&summary))
+}
+
+/// 1 outranks 130 outranks 3.
+pub fn exit_code(summary: &Summary) -> Exit {
+    if summary.faulted.is_some() {
+        Exit::Failed
+    } else if summary.interrupted {
+        Exit::Interrupted
+    } else if summary.rows_lost > 0 {
+        Exit::DataLost
+    } else {
+        Exit::Done
+    }
+}
+
+fn write_results(
+    folder: &Path,
+    experiment: &Experiment,
+    recording: &Recording,
+    summary: &Summary,
+) -> Result<(), Failure> {
+    let shown = Shown::new(experiment, recording, summary.clone());
+    let lead = "One run of a simulated robot, with what it was asked and what it did.";
+    let html = page(&shown.title.clone(), lead, std::slice::from_ref(summary), MEASURES, &[shown]);
+    write(&folder.join(REPORT), &html)?;
+    write(&folder.join(SUMMARY), &pretty(summary))
+}
+
+/// Shows how far a run is while it goes on.
+fn with_progress<T>(
+    experiment: &Experiment,
+    watch: &Arc<Watch>,
+    console: Console,
+    work: impl FnOnce() -> T,
+) -> T {
+    if !console.shows_progress() {
+        return work();
+    }
+    let bar = ProgressBar::new(experiment.ticks());
+    bar.set_style(style("{msg} {wide_bar} {percent:>3} %"));
+    bar.set_message(experiment.task().name());
+    let done = AtomicBool::new(false);
+    let result = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !done.load(Ordering::Relaxed) {
+                bar.set_position(watch.ticks.load(Ordering::Relaxed));
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        let result = work();
+        done.store(true, Ordering::Relaxed);
+        result
+    });
+    bar.finish_and_clear();
+    result
+}
+
+/// A progress bar's look; a template that isn't one leaves the plain look.
+pub fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}

@@ -1,0 +1,273 @@
+//! Results to stdout, everything else to stderr; a closed pipe ends quietly.
+
+use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
+use miette::{GraphicalReportHandler, GraphicalTheme};
+use opspace_experiment::evaluate::results::{Measure, NOTES, table};
+use opspace_experiment::evaluate::table::{Cell, Table};
+use opspace_experiment::{FileError, RunError, Summary};
+use std::io::{self, IsTerminal, Write};
+use std::process::ExitCode;
+
+/// Why a command didn't do what was asked.
+#[derive(Debug)]
+pub enum Failure {
+    /// A file is wrong.
+    File(FileError),
+    /// Something is wrong that has no place in a file: the message, and the exit code.
+    Other(String, Exit),
+    /// Nobody reads our output any more.
+    ClosedPipe,
+}
+
+/// How a command ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// All well.
+    Done,
+    /// The run failed: a fault, a divergence, a difference.
+    Failed,
+    /// Bad arguments, or a bad file.
+    Bad,
+    /// Done, but data was lost or a log is damaged.
+    DataLost,
+    /// Interrupted, log closed.
+    Interrupted,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(match exit {
+            Exit::Done => 0,
+            Exit::Failed => 1,
+            Exit::Bad => 2,
+            Exit::DataLost => 3,
+            Exit::Interrupted => 130,
+        })
+    }
+}
+
+pub type Outcome = Result<Exit, Failure>;
+
+impl From<FileError> for Failure {
+    fn from(error: FileError) -> Self {
+        Self::File(error)
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Self {
+        match error {
+            RunError::File(error) => Self::File(error),
+            RunError::Incomplete { .. } => Self::Other(error.to_string(), Exit::Bad),
+            other => Self::Other(other.to_string(), Exit::Failed),
+        }
+    }
+}
+
+impl Failure {
+    /// A file that can't be written or made, with what the system says.
+    pub fn io(what: &str, path: &std::path::Path, error: &io::Error) -> Self {
+        Self::Other(format!("{}: {what}: {error}", path.display()), Exit::Bad)
+    }
+}
+
+/// What may be said where.
+#[derive(Clone, Copy, Debug)]
+pub struct Console {
+    pub verbose: bool,
+    pub quiet: bool,
+}
+
+impl Console {
+    /// A word on the way, to stderr.
+    pub fn note(self, text: &str) {
+        if !self.quiet {
+            let _ = writeln!(io::stderr(), "{text}");
+        }
+    }
+
+    /// A word for those who want to know more, to stderr.
+    pub fn detail(self, text: &str) {
+        if self.verbose {
+            let _ = writeln!(io::stderr(), "{text}");
+        }
+    }
+
+    /// Whether a progress bar is welcome.
+    pub fn shows_progress(self) -> bool {
+        !self.quiet && io::stderr().is_terminal()
+    }
+}
+
+/// A result, to stdout.
+pub fn print(text: &str) -> Result<(), Failure> {
+    let mut out = io::stdout().lock();
+    out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| match error.kind() {
+        io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
+        _ => Failure::Other(format!("can't write to standard output: {error}"), Exit::Failed),
+    })
+}
+
+/// Results as a table with its notes.
+pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) -> String {
+    let mut text = render(&table(summaries, measures));
+    if !console.quiet {
+        let width = usize::from(width().unwrap_or(100));
+        for note in NOTES {
+            text += &format!("\n{}\n", wrap(note, width));
+        }
+    }
+    text
+}
+
+/// A table as text. Columns that the terminal is too narrow for follow below, beside the first column again.
+pub fn render(table: &Table) -> String {
+    let texts = table.texts();
+    let heads: Vec<String> = (0..table.columns.len()).map(|place| head(table, place)).collect();
+    let widths: Vec<usize> = (0..heads.len())
+        .map(|place| {
+            let cells = texts.iter().filter_map(|row| row.get(place)).map(String::as_str);
+            cells.chain(heads[place].lines()).map(|line| line.chars().count() + PADDING).max().unwrap_or(0)
+        })
+        .collect();
+    let blocks = blocks(&widths, width().map(usize::from));
+    let drawn: Vec<String> = blocks.iter().map(|block| draw(table, &texts, &heads, block)).collect();
+    drawn.join("\n")
+}
+
+/// A column's head: above numbers a word on each line, for these are narrow.
+fn head(table: &Table, place: usize) -> String {
+    let column = &table.columns[place];
+    let mut lines = column.title.replace(' ', if is_numeric(table, place) { "\n" } else { " " });
+    if !column.unit.is_empty() {
+        lines += &format!("\n({})", column.unit);
+    }
+    lines
+}
+
+fn is_numeric(table: &Table, place: usize) -> bool {
+    table.rows.iter().filter_map(|row| row.get(place)).all(Cell::is_numeric)
+}
+
+/// A line below the heads, blanks between columns.
+const STYLE: TableStyle = TableStyle::new().header_separator(LineStyle::none().fill('─'));
+
+/// A blank on each side of a cell.
+const PADDING: usize = 2;
+
+/// Which columns stand side by side: as many as fit, each time with the first.
+fn blocks(widths: &[usize], most: Option<usize>) -> Vec<Vec<usize>> {
+    let most = most.unwrap_or(usize::MAX);
+    let first = widths.first().copied().unwrap_or(0);
+    let (mut blocks, mut used) = (vec![vec![0]], first);
+    for (place, &width) in widths.iter().enumerate().skip(1) {
+        let last = blocks.len() - 1;
+        if used + width > most && blocks[last].len() > 1 {
+            blocks.push(vec![0, place]);
+            used = first + width;
+        } else {
+            blocks[last].push(place);
+            used += width;
+        }
+    }
+    blocks
+}
+
+fn draw(table: &Table, texts: &[Vec<String>], heads: &[String], places: &[usize]) -> String {
+    let mut drawn = comfy_table::Table::new();
+    drawn.load_style(STYLE);
+    drawn.set_content_arrangement(ContentArrangement::Disabled);
+    let aligned = |text: &str, right: bool| {
+        let alignment = if right { CellAlignment::Right } else { CellAlignment::Left };
+        comfy_table::Cell::new(text).set_alignment(alignment)
+    };
+    drawn.set_header(places.iter().map(|&place| aligned(&heads[place], is_numeric(table, place))));
+    for (cells, texts) in table.rows.iter().zip(texts) {
+        drawn.add_row(places.iter().map(|&place| match cells.get(place) {
+            Some(cell) => aligned(&texts[place], cell.is_numeric()),
+            None => aligned("", false),
+        }));
+    }
+    drawn.lines().map(|line| line.trim_end().to_owned() + "\n").collect()
+}
+
+/// An error, to stderr: one line, then the place in its file and the remedy.
+pub fn report(failure: &Failure) -> Exit {
+    let mut err = io::stderr().lock();
+    match failure {
+        Failure::ClosedPipe => Exit::Done,
+        Failure::Other(message, exit) => {
+            let _ = writeln!(err, "error: {message}");
+            *exit
+        }
+        Failure::File(error) => {
+            let theme = if colours(&io::stderr()) {
+                GraphicalTheme::unicode()
+            } else {
+                GraphicalTheme::unicode_nocolor()
+            };
+            let mut text = String::new();
+            let handler = GraphicalReportHandler::new_themed(theme)
+                .with_links(false)
+                .with_width(usize::from(width().unwrap_or(100)));
+            let _ = handler.render_report(&mut text, error);
+            let _ = writeln!(err, "error: {error}");
+            // What comes before the frame is the message again.
+            let frame: Vec<&str> = text.lines().skip_while(|line| !line.contains(FRAME)).collect();
+            if error.line().is_none() || frame.is_empty() {
+                let help = error.help().map(|help| help.replace('\n', "\n        "));
+                let _ = help.map(|help| writeln!(err, "  help: {help}"));
+            } else {
+                let _ = writeln!(err, "{}", frame.join("\n"));
+            }
+            Exit::Bad
+        }
+    }
+}
+
+/// With what the frame about a line of a file begins.
+const FRAME: &str = "╭─";
+
+/// Whether a stream takes colours.
+fn colours(stream: &impl IsTerminal) -> bool {
+    stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+}
+
+/// Columns of the terminal; `None` without one.
+fn width() -> Option<u16> {
+    io::stdout().is_terminal().then(|| terminal_size::terminal_size().map(|(width, _)| width.0)).flatten()
+}
+
+/// Text in lines no longer than `width`.
+fn wrap(text: &str, width: usize) -> String {
+    let mut lines: Vec<String> = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last = lines.len() - 1;
+        if !lines[last].is_empty() && lines[last].chars().count() + 1 + word.chars().count() > width {
+            lines.push(word.to_owned());
+        } else {
+            if !lines[last].is_empty() {
+                lines[last].push(' ');
+            }
+            lines[last].push_str(word);
+        }
+    }
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::blocks;
+
+    #[test]
+    fn columns_that_dont_fit_go_on_below_beside_the_first_again() {
+        assert_eq!(blocks(&[10, 5, 5, 5], None), [vec![0, 1, 2, 3]]);
+        assert_eq!(blocks(&[10, 5, 5, 5], Some(25)), [vec![0, 1, 2, 3]]);
+        assert_eq!(blocks(&[10, 5, 5, 5], Some(24)), [vec![0, 1, 2], vec![0, 3]]);
+        assert_eq!(
+            blocks(&[10, 5, 5, 5], Some(3)),
+            [vec![0, 1], vec![0, 2], vec![0, 3]],
+            "never none at all"
+        );
+    }
+}

@@ -1,0 +1,14 @@
+//! Ctrl-C asks for a safe stop.
+
+use opspace_experiment::run::execute::Watch;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+/// A watch whose run stops safely when the user interrupts the program.
+pub fn watch() -> Arc<Watch> {
+    let watch = Arc::new(Watch::default());
+    let seen = Arc::clone(&watch);
+    // Without the handler Ctrl-C ends the program at once; the log is readable up to then.
+    let _ = ctrlc::set_handler(move || seen.interrupt.store(true, Ordering::Relaxed));
+    watch
+}

@@ -1,0 +1,414 @@
+//! How well a run went, from its log alone.
+//!
+//! Statistics count from the task's `settle_s` to the end of control. Positions are the true ones where the
+//! log has them (a simulation), else the measured ones.
+
+mod ripple;
+
+use crate::run::experiment::{ControllerKind, Experiment};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use opspace_backend::Setpoints;
+use opspace_backend::quantity::Positive;
+use opspace_control::orientation::log;
+use opspace_control::{CartesianParameters, Directions, Subject, TaskParameters};
+use opspace_log::{ChannelData, Column, Recording};
+use opspace_loop::Phase;
+use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
+use opspace_sim::{SurroundingParameters, WorldAxis};
+use serde::Serialize;
+
+/// What is said of a run; `None` where it has no meaning for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Distance from the reference over the motion axes, rms, m.
+    pub position_rms_m: Option<f64>,
+    /// The same, largest, m.
+    pub position_max_m: Option<f64>,
+    /// Angle from the reference over the motion axes, rms, rad.
+    pub orientation_rms_rad: Option<f64>,
+    /// The same, largest, rad.
+    pub orientation_max_rad: Option<f64>,
+    /// Joint error of a joint task, rms over time and joints, rad.
+    pub joint_rms_rad: Option<f64>,
+    /// Error of the true contact force on force axes, rms, N.
+    pub force_rms_n: Option<f64>,
+    /// True force of the simulated hand over the axes it reports, rms, N.
+    pub hand_force_rms_n: Option<f64>,
+    /// How far it moves its frame from the start over those axes, rms, m.
+    pub hand_motion_rms_m: Option<f64>,
+    /// Motor torque against desired torque at servo rate, relative.
+    pub torque_error_servo: Option<f64>,
+    /// The same, of the means over each interface interval.
+    pub torque_error_interval: Option<f64>,
+    /// The same, in the first servo period after each interface tick.
+    pub torque_error_tick: Option<f64>,
+    /// What of the torque error is within the intervals, √(e_servo² − e_interval²) in Nm, over what a held set-point must
+    /// leave there at the speeds of the run; `None` where none is held.
+    pub hold_ripple: Option<f64>,
+    /// Highest speed of a set-point, rad/s.
+    pub set_point_speed_max_rad_per_s: Option<f64>,
+    /// Share of ticks at which a desired torque was cut off.
+    pub torque_saturated_share: Option<f64>,
+    /// Largest torque that the controller commanded to a joint, before anything cut it off, Nm.
+    pub torque_commanded_max_nm: Option<f64>,
+    /// Largest change of a commanded torque from one tick to the next, Nm.
+    pub torque_step_max_nm: Option<f64>,
+    /// Highest speed of a joint, rad/s.
+    pub speed_max_rad_per_s: Option<f64>,
+    /// Share of ticks at which a limit changed the command.
+    pub limited_share: Option<f64>,
+}
+
+/// How long things took: not reproducible.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Timing {
+    /// One controller tick with estimator, model, control and transformer, median, ns.
+    pub tick_ns_median: f64,
+    /// The same, 99th percentile, ns.
+    pub tick_ns_p99: f64,
+    /// The same, largest, ns.
+    pub tick_ns_max: f64,
+    /// Simulated time over wall time.
+    pub realtime_factor: Option<f64>,
+}
+
+/// What a log says of how well its run went.
+#[must_use]
+pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
+    let Some(run) = Run::new(experiment, recording) else { return Metrics::default() };
+    let mut metrics = run.torque_errors();
+    for name in &experiment.task().file.priority {
+        match experiment.task().file.task.get(name) {
+            Some(TaskParameters::Cartesian(task)) if metrics.position_rms_m.is_none() => {
+                run.cartesian(name, task, &mut metrics);
+            }
+            Some(TaskParameters::CenterOfMass(task)) if metrics.position_rms_m.is_none() => {
+                run.following(name, &task.as_cartesian(), Subject::CenterOfMass, &mut metrics);
+            }
+            Some(TaskParameters::JointTracking(_)) => metrics.joint_rms_rad = run.joint_error(name),
+            _ => {}
+        }
+    }
+    run.hand(&mut metrics);
+    metrics.set_point_speed_max_rad_per_s = run.tick.signal("set_point_speed").map(|speeds| {
+        run.settled(&run.tick.time_s).flat_map(|k| speeds.row(k)).fold(0.0, |max: f64, v| max.max(v.abs()))
+    });
+    metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
+        mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
+    });
+    run.peaks(&mut metrics);
+    metrics
+}
+
+/// What a log says of how long its ticks took.
+#[must_use]
+pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
+    let mut ticks: Vec<f64> = Vec::new();
+    if let Some(tick) = recording.channel("tick")
+        && let (Some(phase), Some(time)) = (tick.signal("phase"), tick.signal("tick_time"))
+    {
+        let controlled = phase.rows().zip(time.rows()).filter(|(p, t)| p[0] == 1.0 && t[0].is_finite());
+        ticks.extend(controlled.map(|(_, t)| t[0]));
+    }
+    ticks.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let index = (share * ticks.len().saturating_sub(1) as f64).round() as usize;
+        ticks.get(index).copied().unwrap_or(f64::NAN)
+    };
+    Timing {
+        tick_ns_median: quantile(0.5),
+        tick_ns_p99: quantile(0.99),
+        tick_ns_max: quantile(1.0),
+        realtime_factor,
+    }
+}
+
+/// A log being evaluated.
+struct Run<'a> {
+    experiment: &'a Experiment,
+    recording: &'a Recording,
+    tick: &'a ChannelData,
+    /// Where the joints were and when: truth if the log has it.
+    joints: (&'a [f64], Column<'a>),
+    from_s: f64,
+    to_s: f64,
+}
+
+impl<'a> Run<'a> {
+    fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
+        let tick = recording.channel("tick")?;
+        let phase = tick.signal("phase")?;
+        let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
+        let last = (0..tick.len()).rev().find(|&k| !idle.contains(&phase.row(k)[0]))?;
+        let positions = recording.channel("truth").unwrap_or(tick);
+        Some(Self {
+            experiment,
+            recording,
+            tick,
+            joints: (&positions.time_s, positions.signal("q")?),
+            from_s: experiment.task().file.settle_s.get(),
+            to_s: tick.time_s[last],
+        })
+    }
+
+    /// The indices of the times that count.
+    fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
+        // Half a nanosecond: times are multiples of a period, rounded.
+        let begin = times.partition_point(|&t| t < self.from_s - 5e-10);
+        let end = times.partition_point(|&t| t <= self.to_s + 5e-10);
+        begin..end.max(begin)
+    }
+
+    /// The tick at which row `k` of the joints was; none where the cycle was missed.
+    fn tick_of(&self, k: usize) -> Option<usize> {
+        let (times, _) = self.joints;
+        let ticks = &self.tick.time_s;
+        let tick = ticks.partition_point(|&t| t < times[k] - 5e-10);
+        ticks.get(tick).is_some_and(|&t| t <= times[k] + 5e-10).then_some(tick)
+    }
+
+    /// The pose of a task's subject and the task's axes at each settled tick, with the tick's index.
+    fn poses(
+        &self,
+        subject: Subject,
+        directions: Directions,
+    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
+        let model = &self.experiment.robot().model;
+        let mut data = Data::new(model);
+        let rest = vec![0.0; model.n()];
+        let (times, q) = self.joints;
+        self.settled(times).map(move |k| {
+            kinematics(model, &mut data, q.row(k), &rest);
+            let axes = directions.rotation(model, &data, subject);
+            (k, subject.placement(model, &data), axes)
+        })
+    }
+
+    fn cartesian(&self, name: &str, task: &CartesianParameters, metrics: &mut Metrics) {
+        let model = &self.experiment.robot().model;
+        let Ok(subject) = task.subject(model) else { return };
+        self.following(name, task, subject, metrics);
+    }
+
+    /// How far a task's subject is from its reference, over its axes in motion.
+    fn following(&self, name: &str, task: &CartesianParameters, subject: Subject, metrics: &mut Metrics) {
+        let Ok(directions) = task.axes_in.resolve(&self.experiment.robot().model, subject) else { return };
+        let motion = task.motion_axes();
+        if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
+            && motion[..3].contains(&true)
+        {
+            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
+                let error = pose.translation - Vector3::from_column_slice(reference.row(self.tick_of(k)?));
+                Some(masked_norm(&axes.tr_mul(&error), &motion[..3]))
+            });
+            (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
+        }
+        if let Some(reference) = self.tick.signal(&format!("{name}.reference_orientation"))
+            && motion[3..].contains(&true)
+        {
+            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
+                let reference = orientation(reference.row(self.tick_of(k)?));
+                let error = log(&(pose.rotation * reference.transpose()));
+                Some(masked_norm(&axes.tr_mul(&error), &motion[3..]))
+            });
+            (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
+        }
+    }
+
+    /// The largest torques and speeds.
+    fn peaks(&self, metrics: &mut Metrics) {
+        let largest = |values: &mut dyn Iterator<Item = f64>| {
+            values.filter(|v| v.is_finite()).map(f64::abs).reduce(f64::max)
+        };
+        let ticks = self.settled(&self.tick.time_s);
+        let torques = self.experiment.choice().controller == ControllerKind::Osc;
+        if let Some(command) = self.tick.signal("command").filter(|_| torques) {
+            metrics.torque_commanded_max_nm =
+                largest(&mut ticks.clone().flat_map(|k| command.row(k).iter().copied()));
+            let steps = ticks.clone().skip(1).flat_map(|k| {
+                command.row(k).iter().zip(command.row(k - 1)).map(|(now, before)| now - before)
+            });
+            metrics.torque_step_max_nm = largest(&mut { steps });
+        }
+        let positions = self.recording.channel("truth").unwrap_or(self.tick);
+        if let Some(dq) = positions.signal("dq") {
+            let settled = self.settled(&positions.time_s);
+            metrics.speed_max_rad_per_s = largest(&mut settled.flat_map(|k| dq.row(k).iter().copied()));
+        }
+        if let Some(solver) = self.tick.signal("limits_solver") {
+            metrics.limited_share = mean(ticks.map(|k| f64::from(u8::from(solver.row(k)[0] != 0.0))));
+        }
+    }
+
+    fn joint_error(&self, name: &str) -> Option<f64> {
+        let reference = self.tick.signal(&format!("{name}.reference"))?;
+        let (times, q) = self.joints;
+        let ticks = self.settled(times).filter_map(|k| Some((k, self.tick_of(k)?)));
+        let squares = ticks.flat_map(|(k, tick)| {
+            q.row(k).iter().zip(reference.row(tick)).map(|(q, reference)| (q - reference).powi(2))
+        });
+        mean(squares).map(f64::sqrt)
+    }
+
+    /// The first simulated hand.
+    fn hand(&self, metrics: &mut Metrics) {
+        let springs = self.experiment.task().file.surroundings.iter();
+        let Some((name, spring)) = springs.into_iter().find_map(|(name, s)| match s {
+            SurroundingParameters::Spring(spring) => Some((name, spring)),
+            _ => None,
+        }) else {
+            return;
+        };
+        let axes = [WorldAxis::X, WorldAxis::Y, WorldAxis::Z].map(|axis| spring.report.contains(&axis));
+        if let Some(truth) = self.recording.channel("truth")
+            && let Some(force) = truth.signal(&format!("{name}.force"))
+        {
+            let forces = self.settled(&truth.time_s).map(|k| {
+                let force = Vector3::from_column_slice(force.row(k));
+                masked_norm(&force, &axes)
+            });
+            metrics.hand_force_rms_n = rms_and_max(forces).0;
+        }
+        let Ok(frame) = self.experiment.robot().model.frame(&spring.frame) else { return };
+        if let Some(home) = self.start_pose(frame) {
+            let world = Directions::Still(Matrix3::identity());
+            let poses = self.poses(Subject::Frame(frame), world);
+            let moved = poses.map(|(_, pose, _)| masked_norm(&(pose.translation - home.translation), &axes));
+            metrics.hand_motion_rms_m = rms_and_max(moved).0;
+        }
+    }
+
+    /// Where a frame was when the controller started.
+    fn start_pose(&self, frame: FrameId) -> Option<Placement> {
+        let model = &self.experiment.robot().model;
+        let (times, q) = self.joints;
+        let k = times.iter().position(|&t| t >= -5e-10)?;
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, q.row(k), &vec![0.0; model.n()]);
+        Some(frame_placement(model, &data, frame))
+    }
+
+    /// √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo periods.
+    fn torque_errors(&self) -> Metrics {
+        let mut metrics = Metrics::default();
+        let Some(servo) = self.recording.channel("servo") else { return metrics };
+        let (Some(desired), Some(motor)) = (servo.signal("torque_desired"), servo.signal("motor_torque"))
+        else {
+            return metrics;
+        };
+        let ratio = self.experiment.profile().1.ratio.get() as usize;
+        let (mut at_servo, mut at_tick, mut over_interval) =
+            (Relative::default(), Relative::default(), Relative::default());
+        let n = motor.elements().len();
+        let mut sums = vec![(0.0, 0.0); n];
+        let settled = self.settled(&servo.time_s);
+        // Rows come an interface interval at a time, and begin with an interval.
+        let first = settled.start.div_ceil(ratio) * ratio;
+        // Before the first command acts, and after a stop, no torque is asked for.
+        let asked = |k: usize| desired.row(k).iter().all(|d| d.is_finite());
+        let whole = |k: &usize| k + ratio <= settled.end && (*k..k + ratio).all(asked);
+        for interval in (first..settled.end).step_by(ratio).filter(whole) {
+            sums.fill((0.0, 0.0));
+            for k in interval..interval + ratio {
+                for (j, sum) in sums.iter_mut().enumerate() {
+                    let (d, m) = (desired.row(k)[j], motor.row(k)[j]);
+                    at_servo.add(d, m);
+                    if k == interval {
+                        at_tick.add(d, m);
+                    }
+                    *sum = (sum.0 + d / ratio as f64, sum.1 + m / ratio as f64);
+                }
+            }
+            sums.iter().for_each(|&(d, m)| over_interval.add(d, m));
+        }
+        metrics.torque_error_servo = at_servo.get();
+        metrics.torque_error_interval = over_interval.get();
+        metrics.torque_error_tick = at_tick.get();
+        let within = at_servo.mean_square() - over_interval.mean_square();
+        metrics.hold_ripple =
+            self.held_ripple_nm().and_then(|held| finite((n as f64 * within).sqrt() / held));
+        metrics
+    }
+
+    /// √(Σ_j mean e_j²) of the torque that held set-points leave within interface intervals at the speeds of the run, Nm;
+    /// `None` where none is held for longer than a servo tick.
+    fn held_ripple_nm(&self) -> Option<f64> {
+        self.experiment.transformer_kind()?;
+        let (profile, robot) = (self.experiment.profile().1, self.experiment.robot());
+        let simulated = robot.file.simulated.as_ref()?;
+        if robot.file.interface.set_points != Setpoints::Held || profile.ratio.get() == 1 {
+            return None;
+        }
+        let servo_period_s = profile.servo_period_s();
+        let current_loop_hz = simulated.current_loop_hz.map(Positive::get);
+        let ripple_s = ripple::of_held_set_point(profile.ratio.get(), servo_period_s, current_loop_hz);
+        let positions = self.recording.channel("truth").unwrap_or(self.tick);
+        let dq = positions.signal("dq")?;
+        let scale = simulated.scale.kp.get() * simulated.scale.kv.get();
+        let true_servos =
+            robot.model.joints().iter().filter_map(|joint| {
+                simulated.servo.get(&joint.name).or_else(|| profile.servo.get(&joint.name))
+            });
+        let stiffness: Vec<f64> =
+            true_servos.map(|servo| scale * servo.gains(servo_period_s).stiffness).collect();
+        let squares = self.settled(&positions.time_s).map(|k| {
+            let torque_per_s = stiffness.iter().zip(dq.row(k)).map(|(stiffness, dq)| stiffness * dq);
+            torque_per_s.map(|rate| rate * rate).sum::<f64>()
+        });
+        mean(squares).map(|square| ripple_s * square.sqrt())
+    }
+}
+
+/// A logged orientation: a quaternion, real part first.
+fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
+    let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+    UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
+}
+
+/// Squares of an error and of what it is relative to.
+#[derive(Default)]
+struct Relative {
+    error: f64,
+    size: f64,
+    count: u64,
+}
+
+impl Relative {
+    fn add(&mut self, desired: f64, actual: f64) {
+        self.error += (actual - desired).powi(2);
+        self.size += desired.powi(2);
+        self.count += 1;
+    }
+
+    fn get(&self) -> Option<f64> {
+        finite((self.error / self.size).sqrt())
+    }
+
+    fn mean_square(&self) -> f64 {
+        self.error / self.count as f64
+    }
+}
+
+fn finite(number: f64) -> Option<f64> {
+    number.is_finite().then_some(number)
+}
+
+/// The norm over those elements that count.
+fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
+    v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (count, sum) = values.fold((0_u64, 0.0), |(count, sum), v| (count + 1, sum + v));
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn rms_and_max(values: impl Iterator<Item = f64>) -> (Option<f64>, Option<f64>) {
+    let mut max = None;
+    let squares = values.map(|v| {
+        max = Some(max.map_or(v, |m: f64| m.max(v)));
+        v * v
+    });
+    let rms = mean(squares).map(f64::sqrt);
+    (rms, max)
+}

@@ -1,0 +1,320 @@
+//! Summaries side by side: the table that every command prints.
+
+use crate::evaluate::table::{Cell, Table};
+use crate::run::execute::Summary;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// What stands under every table of results.
+pub const NOTES: &[&str] = &[
+    "Every figure is from a simulation: one plant, one interface rate, one measurement and one estimator for \
+     position and torque robots alike. Parameters of the arm are partly assumed; its robot.toml says which.",
+    "Tracking alone is not the case for torque control: with velocity lead, inverse kinematics tracks as well. \
+     Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
+     could move.",
+    "Torque error: motor torque against desired torque, relative, at servo rate, on the mean over each interface \
+     interval, and in the first servo period after the tick. The last alone hides what the held set-point does \
+     between ticks.",
+];
+
+/// Summaries that differ only in their seed, and the medians of what they say.
+#[derive(Clone, Debug)]
+pub struct Group<'a> {
+    /// All of them, in the order given.
+    pub runs: Vec<&'a Summary>,
+}
+
+impl<'a> Group<'a> {
+    /// What they have in common.
+    #[must_use]
+    pub fn first(&self) -> &'a Summary {
+        self.runs[0]
+    }
+
+    /// The median over the runs that have that number.
+    pub fn median(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<f64> {
+        let mut values: Vec<f64> = self.runs.iter().filter_map(|run| number(run)).collect();
+        values.sort_by(f64::total_cmp);
+        let middle = values.len() / 2;
+        match values.len() {
+            0 => None,
+            n if n % 2 == 1 => Some(values[middle]),
+            _ => Some(0.5 * (values[middle - 1] + values[middle])),
+        }
+    }
+}
+
+/// Groups runs that differ only in their seed; tasks and, within them, profiles stand together.
+#[must_use]
+pub fn group(summaries: &[Summary]) -> Vec<Group<'_>> {
+    let mut groups: Vec<Group<'_>> = Vec::new();
+    for summary in summaries {
+        match groups.iter_mut().find(|group| same(group.first(), summary)) {
+            Some(group) => group.runs.push(summary),
+            None => groups.push(Group { runs: vec![summary] }),
+        }
+    }
+    let first_of = |same: &dyn Fn(&Summary) -> bool| summaries.iter().position(same);
+    groups.sort_by_key(|group| {
+        let own = group.first();
+        (
+            first_of(&|s| s.robot == own.robot && s.task == own.task),
+            first_of(&|s| s.profile == own.profile),
+            first_of(&|s| same(s, own)),
+        )
+    });
+    groups
+}
+
+fn same(a: &Summary, b: &Summary) -> bool {
+    a.task == b.task
+        && a.robot == b.robot
+        && a.backend == b.backend
+        && a.controller == b.controller
+        && a.transformer == b.transformer
+        && a.profile == b.profile
+        && a.ratio == b.ratio
+        && a.duration_s == b.duration_s
+        && a.overrides == b.overrides
+        && a.label == b.label
+}
+
+/// The table of results: one row a group, each task a line of its own above its rows, and a column a measure.
+#[must_use]
+pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
+    let mut heads = vec![("robot, control", ""), ("profile", ""), ("runs", "")];
+    heads.extend(measures.iter().map(|measure| measure.head()));
+    heads.push(("stopped", ""));
+    let mut table = Table::new(&heads);
+    let mut task = None;
+    for group in group(summaries) {
+        let first = group.first();
+        if task.replace((&first.task, &first.robot)) != Some((&first.task, &first.robot)) {
+            // The cells that are missing in a short row stay blank.
+            table.push(vec![first.task.clone().into()]);
+        }
+        let runs = group.runs.len();
+        let mut row: Vec<Cell> = vec![
+            format!("  {} {}", first.backend, control(first)).into(),
+            profile(first).into(),
+            if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty },
+        ];
+        row.extend(measures.iter().map(|measure| measure.cell(&group)));
+        row.push(stopped(&group));
+        table.push(row);
+    }
+    drop_empty_columns(&mut table);
+    table
+}
+
+fn control(summary: &Summary) -> String {
+    let mut text = summary.controller.clone();
+    for more in [&summary.transformer, &summary.label].into_iter().flatten() {
+        text += &format!(" + {more}");
+    }
+    text
+}
+
+fn profile(summary: &Summary) -> String {
+    format!("{} 1:{}", summary.profile, summary.ratio)
+}
+
+/// A column of measured numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Measure {
+    /// Distance from the reference, rms.
+    PositionRms,
+    /// Distance from the reference, largest.
+    PositionMax,
+    /// Angle from the reference, rms.
+    OrientationRms,
+    /// Angle from the reference, largest.
+    OrientationMax,
+    /// Joint error, rms.
+    JointRms,
+    /// Error of the contact force on force axes, rms.
+    ForceRms,
+    /// Force of the simulated hand, rms.
+    HandForce,
+    /// How far the simulated hand moves its frame, rms.
+    HandMotion,
+    /// Motor torque against desired torque, at servo rate.
+    TorqueErrorServo,
+    /// The same, of the means over each interface interval.
+    TorqueErrorInterval,
+    /// The same, in the first servo period after each tick.
+    TorqueErrorTick,
+    /// What of the torque error is within interface intervals, over what held set-points must leave there.
+    HoldRipple,
+    /// Largest torque that the controller commanded.
+    TorqueMax,
+    /// Largest change of a commanded torque from tick to tick.
+    TorqueStepMax,
+    /// Largest speed of a joint.
+    SpeedMax,
+    /// Share of ticks at which a limit changed the command.
+    Limited,
+    /// One tick of the controller.
+    TickTime,
+    /// Simulated time over wall time.
+    RealTime,
+}
+
+/// What is shown where nothing else is asked for.
+pub const MEASURES: &[Measure] = &[
+    Measure::PositionRms,
+    Measure::JointRms,
+    Measure::HandForce,
+    Measure::HandMotion,
+    Measure::TorqueErrorServo,
+    Measure::TorqueErrorInterval,
+    Measure::TorqueErrorTick,
+    Measure::TickTime,
+    Measure::RealTime,
+];
+
+impl Measure {
+    /// Title and unit of its column.
+    fn head(self) -> (&'static str, &'static str) {
+        match self {
+            Self::PositionRms => ("position rms", "mm"),
+            Self::PositionMax => ("position max", "mm"),
+            Self::OrientationRms => ("orientation rms", "mrad"),
+            Self::OrientationMax => ("orientation max", "mrad"),
+            Self::JointRms => ("joint rms", "mrad"),
+            Self::ForceRms => ("force rms", "N"),
+            Self::HandForce => ("hand force", "N"),
+            Self::HandMotion => ("hand motion", "mm"),
+            Self::TorqueErrorServo => ("torque error servo", "%"),
+            Self::TorqueErrorInterval => ("torque error interval", "%"),
+            Self::TorqueErrorTick => ("torque error tick", "%"),
+            Self::HoldRipple => ("hold ripple", "×"),
+            Self::TorqueMax => ("torque max", "N·m"),
+            Self::TorqueStepMax => ("torque step max", "N·m"),
+            Self::SpeedMax => ("speed max", "rad/s"),
+            Self::Limited => ("limited", "%"),
+            Self::TickTime => ("tick time", "µs"),
+            Self::RealTime => ("real time", "×"),
+        }
+    }
+
+    /// Its median over runs, in the unit of its column.
+    fn cell(self, group: &Group<'_>) -> Cell {
+        let scaled = |factor: f64, number: fn(&Summary) -> Option<f64>| {
+            Cell::from(group.median(number).map(|value| factor * value))
+        };
+        match self {
+            Self::PositionRms => scaled(1e3, |s| s.metrics.position_rms_m),
+            Self::PositionMax => scaled(1e3, |s| s.metrics.position_max_m),
+            Self::OrientationRms => scaled(1e3, |s| s.metrics.orientation_rms_rad),
+            Self::OrientationMax => scaled(1e3, |s| s.metrics.orientation_max_rad),
+            Self::JointRms => scaled(1e3, |s| s.metrics.joint_rms_rad),
+            Self::ForceRms => scaled(1.0, |s| s.metrics.force_rms_n),
+            Self::HandForce => scaled(1.0, |s| s.metrics.hand_force_rms_n),
+            Self::HandMotion => scaled(1e3, |s| s.metrics.hand_motion_rms_m),
+            Self::TorqueErrorServo => scaled(1e2, |s| s.metrics.torque_error_servo),
+            Self::TorqueErrorInterval => scaled(1e2, |s| s.metrics.torque_error_interval),
+            Self::TorqueErrorTick => scaled(1e2, |s| s.metrics.torque_error_tick),
+            Self::HoldRipple => scaled(1.0, |s| s.metrics.hold_ripple),
+            Self::TorqueMax => scaled(1.0, |s| s.metrics.torque_commanded_max_nm),
+            Self::TorqueStepMax => scaled(1.0, |s| s.metrics.torque_step_max_nm),
+            Self::SpeedMax => scaled(1.0, |s| s.metrics.speed_max_rad_per_s),
+            Self::Limited => scaled(1e2, |s| s.metrics.limited_share),
+            Self::TickTime => scaled(1e-3, |s| Some(s.timing.tick_ns_median)),
+            Self::RealTime => scaled(1.0, |s| s.timing.realtime_factor),
+        }
+    }
+}
+
+fn stopped(group: &Group<'_>) -> Cell {
+    let faulted = group.runs.iter().filter(|run| run.faulted.is_some()).count();
+    let interrupted = group.runs.iter().filter(|run| run.interrupted).count();
+    match (faulted, interrupted) {
+        (0, 0) => Cell::Empty,
+        (0, n) => Cell::Fail(format!("{n} interrupted")),
+        (n, _) => Cell::Fail(format!("{n} faulted")),
+    }
+}
+
+/// A quantity that none of the rows has isn't shown.
+fn drop_empty_columns(table: &mut Table) {
+    for place in (0..table.columns.len()).rev() {
+        if table.rows.iter().all(|row| row.get(place).is_none_or(|cell| *cell == Cell::Empty)) {
+            table.columns.remove(place);
+            for row in table.rows.iter_mut().filter(|row| place < row.len()) {
+                row.remove(place);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{MEASURES, group, table};
+    use crate::run::execute::Summary;
+
+    fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
+        let mut summary = Summary {
+            task: task.to_owned(),
+            robot: "arm".to_owned(),
+            backend: "position".to_owned(),
+            controller: "osc".to_owned(),
+            transformer: None,
+            transformer_reason: None,
+            profile: profile.to_owned(),
+            ratio: 5,
+            seed,
+            duration_s: 1.0,
+            overrides: Vec::new(),
+            label: None,
+            faulted: None,
+            fault_time_s: None,
+            interrupted: false,
+            rows_lost: 0,
+            missed_cycles: 0,
+            resumed: 0,
+            metrics: crate::Metrics::default(),
+            timing: crate::Timing::default(),
+        };
+        summary.metrics.position_rms_m = Some(position);
+        summary
+    }
+
+    #[test]
+    fn runs_of_one_kind_are_one_row_with_the_median_and_tasks_stand_together() {
+        let runs = [
+            summary("a", "p", 1, 0.1),
+            summary("b", "p", 1, 1.0),
+            summary("a", "p", 2, 0.3),
+            summary("a", "q", 1, 0.5),
+            summary("a", "p", 3, 0.2),
+        ];
+        let groups = group(&runs);
+        let heads: Vec<(&str, &str, usize)> = (groups.iter())
+            .map(|g| (g.first().task.as_str(), g.first().profile.as_str(), g.runs.len()))
+            .collect();
+        assert_eq!(heads, [("a", "p", 3), ("a", "q", 1), ("b", "p", 1)]);
+        assert_eq!(groups[0].median(|s| s.metrics.position_rms_m), Some(0.2));
+        assert_eq!(groups[0].median(|s| s.metrics.joint_rms_rad), None);
+    }
+
+    #[test]
+    fn a_quantity_that_no_run_has_is_no_column() {
+        let titles: Vec<String> =
+            table(&[summary("a", "p", 1, 0.1)], MEASURES).columns.into_iter().map(|c| c.title).collect();
+        assert!(titles.contains(&"position rms".to_owned()));
+        assert!(!titles.contains(&"hand force".to_owned()));
+    }
+
+    /// The rows against those written out by hand: the task above its rows, the median in its column.
+    #[test]
+    fn a_task_stands_above_its_rows() {
+        let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
+        let texts = table(&runs, MEASURES).texts();
+        let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
+        assert_eq!(firsts, ["a", "  position osc", "b", "  position osc"]);
+        assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);
+        assert_eq!(texts[3][1..4], ["q 1:5", "1", "5.000"]);
+    }
+}

@@ -1,0 +1,187 @@
+//! Where files are read from: the disk, or the examples inside the binary.
+
+use crate::files::source::{FileError, KeyPath, Source};
+use std::collections::BTreeSet;
+use std::path::{Component, Path, PathBuf};
+
+/// A place to read files from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Files {
+    /// The disk, relative to the working directory.
+    Disk,
+    /// The paper's robot, tasks and suite, carried in the binary under the paths they have in the project.
+    Embedded,
+}
+
+macro_rules! embedded {
+    ($($path:literal),* $(,)?) => {
+        &[$(($path, include_str!(concat!("../../../../", $path)))),*]
+    };
+}
+
+const EMBEDDED: &[(&str, &str)] = embedded![
+    "robots/asimo-arm/asimo-arm.urdf",
+    "robots/asimo-arm/robot.toml",
+    "tasks/cartesian-tracking.toml",
+    "tasks/compliant-x.toml",
+    "tasks/gravity-compensation.toml",
+    "tasks/joint-tracking.toml",
+    "tasks/suites/paper.toml",
+];
+
+/// The suite of the paper's experiments, among the embedded files.
+pub const PAPER_SUITE: &str = "tasks/suites/paper.toml";
+
+impl Files {
+    /// Reads a text file.
+    ///
+    /// # Errors
+    /// As [`Source::read`].
+    pub fn read(self, path: &Path) -> Result<Source, FileError> {
+        match self {
+            Self::Disk => Source::read(path),
+            Self::Embedded => {
+                let found = EMBEDDED.iter().find(|(name, _)| Path::new(name) == path);
+                found.map(|(name, text)| Source::new(*name, *text)).ok_or_else(|| {
+                    let name = path.display().to_string();
+                    FileError::of_file(name, "is not one of the files inside the program", None)
+                })
+            }
+        }
+    }
+
+    /// Reads a text file that another file names at `key`: one that isn't there is an error of that other.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub(crate) fn read_named(self, path: &Path, by: &Source, key: impl KeyPath) -> Result<Source, FileError> {
+        self.read(path).map_err(|error| {
+            let message = format!("`{}`: {}", error.path(), error.message());
+            FileError::at_key(by, key, message, error.help().map(str::to_owned))
+        })
+    }
+
+    /// The file that a robot is named by: a folder stands for the `robot.toml` in it.
+    #[must_use]
+    pub fn robot_file(self, path: &Path) -> PathBuf {
+        let folder = match self {
+            Self::Disk => path.is_dir(),
+            Self::Embedded => path.extension().is_none(),
+        };
+        if folder { path.join("robot.toml") } else { path.to_owned() }
+    }
+}
+
+/// What a file describes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A robot: its `robot.toml`.
+    Robot,
+    /// A task.
+    Task,
+    /// A suite.
+    Suite,
+}
+
+impl Kind {
+    /// The kind whose own keys stand at the top of a text, which need not be right otherwise; `None` if there
+    /// are none, or of several kinds.
+    #[must_use]
+    pub fn of(text: &str) -> Option<Self> {
+        const KEYS: [(Kind, &[&str]); 3] = [
+            (Kind::Robot, &["urdf", "default_profile", "interface", "joint", "simulated"]),
+            (Kind::Task, &["robot", "duration_s", "priority", "task", "surroundings"]),
+            (Kind::Suite, &["title", "profiles", "run"]),
+        ];
+        let mut tops = BTreeSet::new();
+        let mut inside = false;
+        for line in text.lines().map(str::trim_start) {
+            let table = line.starts_with('[');
+            if table || !inside {
+                let word = line.trim_start_matches(['[', ' ']);
+                let key = word.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-'));
+                tops.extend(key.take(1));
+            }
+            inside |= table;
+        }
+        let mut kinds = KEYS.iter().filter(|(_, keys)| keys.iter().any(|key| tops.contains(key)));
+        match (kinds.next(), kinds.next()) {
+            (Some((kind, _)), None) => Some(*kind),
+            _ => None,
+        }
+    }
+
+    /// As a user would say it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Robot => "a robot file",
+            Self::Task => "a task file",
+            Self::Suite => "a suite file",
+        }
+    }
+
+    /// That a text is of this kind, or can't be told.
+    ///
+    /// # Errors
+    /// If it clearly is of another.
+    pub(crate) fn require(self, source: &Source) -> Result<(), FileError> {
+        match Self::of(source.text()) {
+            Some(kind) if kind != self => {
+                let message = format!("is {}; {} is meant here", kind.name(), self.name());
+                Err(FileError::of_file(source.name(), message, None))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The path that stands in a file as `relative`, which counts from that file's folder.
+#[must_use]
+pub fn beside(file: &Path, relative: &Path) -> PathBuf {
+    let mut path = file.parent().unwrap_or(Path::new("")).to_owned();
+    for part in relative.components() {
+        match part {
+            Component::CurDir => {}
+            // Only what is a plain folder can be stepped back from without asking the disk.
+            Component::ParentDir if matches!(path.components().next_back(), Some(Component::Normal(_))) => {
+                path.pop();
+            }
+            other => path.push(other),
+        }
+    }
+    if path.as_os_str().is_empty() { PathBuf::from(".") } else { path }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{EMBEDDED, Kind, beside};
+    use std::path::Path;
+
+    #[test]
+    fn paths_in_a_file_count_from_its_folder() {
+        let from = |file: &str, relative: &str| beside(Path::new(file), Path::new(relative));
+        assert_eq!(from("tasks/a.toml", "../robots/r"), Path::new("robots/r"));
+        assert_eq!(from("a.toml", "../robots/r"), Path::new("../robots/r"));
+        assert_eq!(from("../x/a.toml", "../../r"), Path::new("../../r"));
+        assert_eq!(from("tasks/a.toml", "/abs/r"), Path::new("/abs/r"));
+        assert_eq!(from("a.toml", "."), Path::new("."));
+        assert_eq!(from("tasks/a.toml", ".."), Path::new("."));
+    }
+
+    #[test]
+    fn what_a_file_is_shows_in_its_own_keys() {
+        for (path, text) in EMBEDDED.iter().filter(|(path, _)| path.ends_with(".toml")) {
+            let kind = match path {
+                _ if path.contains("suites") => Kind::Suite,
+                _ if path.contains("robots") => Kind::Robot,
+                _ => Kind::Task,
+            };
+            assert_eq!(Kind::of(text), Some(kind), "{path}");
+        }
+        assert_eq!(Kind::of("[workspace]\nmembers = []\n[profile.dev]\nurdf = 1"), None);
+        assert_eq!(Kind::of("duration_s = "), Some(Kind::Task), "though it is no TOML");
+        assert_eq!(Kind::of("[a]\nrobot = 1"), None, "not at the top");
+        assert_eq!(Kind::of("robot = 1\nurdf = 1"), None, "which of the two?");
+    }
+}

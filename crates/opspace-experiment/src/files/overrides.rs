@@ -1,0 +1,255 @@
+//! Settings from the command line: `--set task.hand.gains.damping_ratio=0.7`.
+//!
+//! A setting edits the text of a file, so that what it says is read and refused exactly as if the file said
+//! it. The tag of a kind may be left out: where a key is missing from a table that holds one table and
+//! nothing else, that one is stepped through (`[task.hand.cartesian]` in the example).
+
+use std::ops::Range;
+
+use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Key, TableLike, Value};
+
+use crate::files::source::{FileError, Setting, Source, check_syntax};
+use crate::files::suggest::nearest;
+use crate::files::toml_path::{Part, dotted};
+
+/// Files are flat; what is deeper is a slip.
+const MAX_DEPTH: usize = 32;
+
+/// Applies `key=value` settings, in order; a later one wins.
+///
+/// A value is TOML; a bare word stands for itself as text. Keys that are not there are added: whether they
+/// may be is for [`crate::files::source::parse`] to judge.
+///
+/// # Errors
+/// A file that is not TOML; a setting without `=`, or whose key leads through something that holds no keys.
+/// The error names the setting.
+pub fn apply(source: &Source, settings: &[String]) -> Result<Source, FileError> {
+    edit(source, settings, None)
+}
+
+/// As [`apply`], for settings that all begin with `root.`: the rest of the key is the key in this file, and
+/// errors name the setting as it was written.
+///
+/// # Errors
+/// As [`apply`], and if a setting does not begin with `root.`.
+pub fn apply_below(source: &Source, root: &str, settings: &[String]) -> Result<Source, FileError> {
+    edit(source, settings, Some(root))
+}
+
+/// Parts the settings that begin with `root.` from the others, keeping their order.
+#[must_use]
+pub fn split(settings: &[String], root: &str) -> (Vec<String>, Vec<String>) {
+    settings.iter().cloned().partition(|setting| {
+        let key = setting.split('=').next().unwrap_or_default();
+        key.split_once('.').is_some_and(|(first, _)| first.trim() == root)
+    })
+}
+
+fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Source, FileError> {
+    check_syntax(source)?;
+    let mut source = source.clone();
+    for spelling in settings {
+        let (mut keys, at) = key_of(spelling)?;
+        let mut setting = Setting { spelling: spelling.clone(), key: at, path: Vec::new() };
+        let refuse =
+            |setting: &Setting, part, (message, help)| FileError::of_setting(setting, part, message, help);
+        if let Some(root) = root {
+            if keys.len() < 2 || keys[0] != root {
+                let message = format!("this setting must begin with `{root}.`");
+                return Err(refuse(&setting, Part::Key, (message, None)));
+            }
+            keys.remove(0);
+        }
+        if keys.len() > MAX_DEPTH {
+            let message = format!("a key of {} parts is too deep", keys.len());
+            return Err(refuse(&setting, Part::Key, (message, None)));
+        }
+        let value =
+            value_of(&spelling[setting.key.end + 1..]).map_err(|e| refuse(&setting, Part::Value, e))?;
+        // `check_syntax` read the same text with the same grammar.
+        let mut document: DocumentMut = source
+            .text()
+            .parse()
+            .map_err(|error| FileError::of_file(source.name(), format!("not TOML: {error}"), None))?;
+        let mut path = Vec::new();
+        put(Node::Table(document.as_table_mut()), &keys, &value, &mut path)
+            .map_err(|error| refuse(&setting, Part::Key, error))?;
+        setting.path = path;
+        source = source.with_setting(document.to_string(), setting);
+    }
+    Ok(source)
+}
+
+/// Message and help of a refusal.
+type Refusal = (String, Option<String>);
+
+/// The key of a setting and its bytes; `=` may stand within quotes.
+fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {
+    let equals = spelling.match_indices('=').map(|(index, _)| index);
+    for end in equals.clone() {
+        if let Ok(keys) = Key::parse(spelling[..end].trim()) {
+            return Ok((keys.iter().map(|key| key.get().to_owned()).collect(), 0..end));
+        }
+    }
+    let help = Some("a setting is `key=value`: `--set task.hand.gains.damping_ratio=0.7`".to_owned());
+    let message = match equals.min() {
+        None => "a setting needs a `=`".to_owned(),
+        Some(end) => format!("`{}` is not a key", spelling[..end].trim()),
+    };
+    let setting = Setting { spelling: spelling.to_owned(), key: 0..spelling.len(), path: Vec::new() };
+    Err(FileError::of_setting(&setting, Part::Key, message, help))
+}
+
+fn value_of(text: &str) -> Result<Value, Refusal> {
+    let text = text.trim();
+    if text.is_empty() {
+        return Err((
+            "a value is missing after `=`".to_owned(),
+            Some("for no text, write `\"\"`".to_owned()),
+        ));
+    }
+    if let Ok(value) = text.parse::<Value>() {
+        return Ok(value);
+    }
+    // `.7` and `1.` are not TOML, and clear.
+    if let Ok(number) = text.parse::<f64>() {
+        return Ok(number.into());
+    }
+    let starts = text.starts_with(|c: char| c.is_alphabetic() || "_/~".contains(c));
+    if (starts || text.starts_with("./") || text.starts_with("../"))
+        && text.chars().all(|c| c.is_alphanumeric() || "_-./~:+".contains(c))
+    {
+        return Ok(text.into());
+    }
+    let help = "write a number without its unit, which belongs to the key's name, or text in quotes";
+    Err((format!("`{text}` is neither a TOML value nor a bare word"), Some(help.to_owned())))
+}
+
+/// What a key can lead into.
+enum Node<'a> {
+    Table(&'a mut dyn TableLike),
+    Array(&'a mut Array),
+    Tables(&'a mut ArrayOfTables),
+    Leaf(&'static str),
+}
+
+fn within(item: &mut Item) -> Node<'_> {
+    match item {
+        Item::Table(table) => Node::Table(table),
+        Item::ArrayOfTables(tables) => Node::Tables(tables),
+        Item::Value(value) => within_value(value),
+        Item::None => Node::Leaf("nothing"),
+    }
+}
+
+fn within_value(value: &mut Value) -> Node<'_> {
+    match value {
+        Value::InlineTable(table) => Node::Table(table),
+        Value::Array(array) => Node::Array(array),
+        other => Node::Leaf(other.type_name()),
+    }
+}
+
+/// Puts `value` at `keys` under `node`; `path` gains the keys gone through, tags included.
+fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -> Result<(), Refusal> {
+    let Some((key, rest)) = keys.split_first() else { return Ok(()) };
+    let mut table = match node {
+        Node::Table(table) => table,
+        Node::Array(array) => {
+            let element = element(key, array.len(), path).map(|index| array.get_mut(index))?;
+            path.push(key.clone());
+            return match element {
+                Some(element) if rest.is_empty() => {
+                    replace(element, value);
+                    Ok(())
+                }
+                Some(element) => put(within_value(element), rest, value, path),
+                None => Ok(()),
+            };
+        }
+        Node::Tables(tables) => {
+            let table = element(key, tables.len(), path).map(|index| tables.get_mut(index))?;
+            path.push(key.clone());
+            return match table {
+                Some(_) if rest.is_empty() => {
+                    Err((format!("`{}` is one of several tables: set its keys", dotted(path)), None))
+                }
+                Some(table) => put(Node::Table(table), rest, value, path),
+                None => Ok(()),
+            };
+        }
+        Node::Leaf(kind) => {
+            return Err((format!("`{}` is of type {kind}: it has no key `{key}`", dotted(path)), None));
+        }
+    };
+    for tag in tags_left_out(table, key, rest.is_empty(), path) {
+        match table.get_mut(&tag).and_then(Item::as_table_like_mut) {
+            Some(inner) => table = inner,
+            None => return Ok(()),
+        }
+        path.push(tag);
+    }
+    path.push(key.clone());
+    if rest.is_empty() {
+        match table.get_mut(key) {
+            Some(Item::Value(old)) => replace(old, value),
+            Some(item) => *item = Item::Value(value.clone()),
+            None => {
+                table.insert(key, Item::Value(value.clone()));
+            }
+        }
+        return Ok(());
+    }
+    if !table.contains_key(key) {
+        table.insert(key, Item::Value(InlineTable::new().into()));
+    }
+    match table.get_mut(key) {
+        Some(item) => put(within(item), rest, value, path),
+        None => Ok(()),
+    }
+}
+
+/// The tags between this table and `key` that a setting left out.
+fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) -> Vec<String> {
+    // At the root no kind is chosen.
+    if path.is_empty() || table.contains_key(key) {
+        return Vec::new();
+    }
+    let mut tags = Vec::new();
+    let mut inner = table;
+    while let Some((tag, next)) = sole_table(inner) {
+        tags.push(tag.to_owned());
+        inner = next;
+        if inner.contains_key(key) {
+            return tags;
+        }
+    }
+    // The key is nowhere. A value is added where it was said; a table to hold it, within the kind, unless
+    // the tag itself was misspelt.
+    tags.truncate(1);
+    tags.retain(|tag| !last && nearest(key, [tag.as_str()]).is_none());
+    tags
+}
+
+/// The one table that this one holds, if it holds nothing else.
+fn sole_table(table: &dyn TableLike) -> Option<(&str, &dyn TableLike)> {
+    let mut entries = table.iter().filter(|(_, item)| !item.is_none());
+    match (entries.next(), entries.next()) {
+        (Some((key, item)), None) => item.as_table_like().map(|inner| (key, inner)),
+        _ => None,
+    }
+}
+
+/// Keeps the comment after the value.
+fn replace(old: &mut Value, new: &Value) {
+    let decor = old.decor().clone();
+    *old = new.clone();
+    *old.decor_mut() = decor;
+}
+
+fn element(key: &str, length: usize, path: &[String]) -> Result<usize, Refusal> {
+    match key.parse::<usize>() {
+        Ok(index) if index < length => Ok(index),
+        _ => Err((format!("`{}` has elements 0 to {}, no `{key}`", dotted(path), length.max(1) - 1), None)),
+    }
+}

@@ -1,0 +1,317 @@
+//! robot.toml: what is believed of a robot, and what its simulation is beyond that.
+
+use crate::files::origin::{Files, Kind, beside};
+use crate::files::overrides;
+use crate::files::source::{FileError, Source, parse};
+use crate::files::suggest::nearest;
+use crate::files::tool::{self, ToolFile};
+use opspace_backend::Measured;
+use opspace_backend::quantity::Positive;
+use opspace_control::JointLimits;
+use opspace_loop::{ForceSensor, InterfaceParameters, SafetyParameters};
+use opspace_model::{Loaded, Model, UrdfOptions, UrdfWarning};
+use opspace_sim::SimulatedParameters;
+use opspace_transformer::{IdentifiedJoint, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A robot file, as it is written.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RobotFile {
+    /// The robot's URDF; the path counts from this file.
+    pub urdf: PathBuf,
+    /// The profile that is used where none is asked for.
+    pub default_profile: String,
+    /// What the robot's interface offers.
+    pub interface: InterfaceParameters,
+    /// The drive of each moving joint of the URDF, by joint name.
+    pub joint: BTreeMap<String, JointParameters>,
+    /// The ways in which the robot can be driven, by name.
+    pub profile: BTreeMap<String, ProfileParameters>,
+    /// The force sensors, by name.
+    #[serde(default)]
+    pub force_sensor: BTreeMap<String, ForceSensorFile>,
+    /// What is mounted on it, by name: a gripper, a screwdriver, a load.
+    #[serde(default)]
+    pub tool: BTreeMap<String, ToolFile>,
+    /// What makes a run safe.
+    #[serde(default)]
+    pub safety: SafetyParameters,
+    /// The simulated robot; without it the robot can't be simulated.
+    pub simulated: Option<SimulatedParameters>,
+}
+
+/// A six-axis force sensor.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ForceSensorFile {
+    /// The URDF link at whose origin, and in whose axes, it measures.
+    pub frame: String,
+}
+
+/// A robot, read and checked.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    /// Its file's text, settings applied.
+    pub source: Source,
+    /// Its URDF's text.
+    pub urdf: Source,
+    /// Its file.
+    pub file: RobotFile,
+    /// Its rigid bodies, rotors and tools included.
+    pub model: Model,
+    /// What its URDF deserves a second look for.
+    pub warnings: Vec<UrdfWarning>,
+    /// Its force sensors, in the order of their names.
+    pub sensors: Vec<ForceSensor>,
+}
+
+impl Robot {
+    /// Reads a robot: a folder with a `robot.toml`, or that file. `settings` change values in it.
+    ///
+    /// # Errors
+    /// What is wrong in the file or its URDF, with its place.
+    pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
+        let path = files.robot_file(path);
+        let source = files.read(&path)?;
+        Kind::Robot.require(&source)?;
+        let source = overrides::apply_below(&source, "robot", settings)?;
+        let file: RobotFile = parse(&source)?;
+        let urdf = files.read_named(&beside(&path, &file.urdf), &source, "urdf")?;
+        Self::new(source, file, urdf)
+    }
+
+    /// A robot from the texts of its files.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn from_sources(source: Source, urdf: Source) -> Result<Self, FileError> {
+        let file = parse(&source)?;
+        Self::new(source, file, urdf)
+    }
+
+    fn new(source: Source, file: RobotFile, urdf: Source) -> Result<Self, FileError> {
+        let loaded = load_urdf(&urdf, UrdfOptions::default())?;
+        let mut model = loaded.model;
+        let mut rotors = Vec::new();
+        for joint in joints_of(&source, &model, &file.joint, &["joint"])? {
+            rotors.push(joint.rotor.reflected_inertia());
+        }
+        for (name, profile) in &file.profile {
+            joints_of(&source, &model, &profile.servo, &["profile", name, "servo"])?;
+            for (joint, servo) in &profile.servo {
+                ServoLaw::new(servo, profile.servo_period_s()).map_err(|error| {
+                    let key = ["profile", name, "servo", joint.as_str()];
+                    FileError::at_key(&source, key, error.to_string(), None)
+                })?;
+            }
+            if !profile.identified.is_empty() {
+                joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
+            }
+            let (delay, ratio) = (profile.delay(), profile.ratio.get());
+            if delay > ratio {
+                let key = ["profile", name, "delay_servo_ticks"];
+                let message =
+                    format!("a delay of {delay} servo ticks is longer than an interface period of {ratio}");
+                return Err(FileError::at_key(&source, key, message, None));
+            }
+        }
+        check_values(&source, &file, &model)?;
+        tool::mount(&source, &mut model, &file.tool)?;
+        let sensors = force_sensors(&source, &model, &file.force_sensor)?;
+        let model = model.with_rotor_inertia(&rotors);
+        let robot = Self { source, urdf, file, model, warnings: loaded.warnings, sensors };
+        robot.profile(None)?;
+        Ok(robot)
+    }
+
+    /// The robot's name: that of its folder, or its URDF's.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let folder = Path::new(self.source.name()).parent().and_then(Path::file_name);
+        folder.map_or_else(|| self.model.name().to_owned(), |n| n.to_string_lossy().into_owned())
+    }
+
+    /// A profile by its name, or the default one, with its name.
+    ///
+    /// # Errors
+    /// If there is none of that name.
+    pub fn profile(&self, name: Option<&str>) -> Result<(&str, &ProfileParameters), FileError> {
+        let wanted = name.unwrap_or(&self.file.default_profile);
+        let found = self.file.profile.get_key_value(wanted);
+        found.map(|(name, profile)| (name.as_str(), profile)).ok_or_else(|| {
+            let message = format!("no profile '{wanted}'");
+            let help = Some(choices(wanted, self.file.profile.keys()));
+            match name {
+                None => FileError::at_key(&self.source, "default_profile", message, help),
+                Some(_) => FileError::of_file(self.source.name(), message, help),
+            }
+        })
+    }
+
+    /// The drives, in the model's joint order.
+    #[must_use]
+    pub fn joints(&self) -> Vec<JointParameters> {
+        self.in_order(&self.file.joint)
+    }
+
+    /// The servos of a profile, in the model's joint order.
+    #[must_use]
+    pub fn servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
+        self.in_order(&profile.servo)
+    }
+
+    /// What a profile has of the joints' measured closed loops, in the model's joint order; empty if it has none.
+    #[must_use]
+    pub fn identified(&self, profile: &ProfileParameters) -> Vec<IdentifiedJoint> {
+        self.in_order(&profile.identified)
+    }
+
+    /// The drives' torque limits, in the model's joint order, Nm (N).
+    #[must_use]
+    pub fn torque_limits(&self) -> Vec<f64> {
+        self.joints().iter().map(|j| j.torque_limit_nm.get()).collect()
+    }
+
+    /// What the joints can do, in the model's joint order: position and velocity from the URDF, the rest from the robot
+    /// file.
+    #[must_use]
+    pub fn joint_limits(&self) -> JointLimits {
+        let joints = self.joints();
+        let given = |of: fn(&JointParameters) -> Option<Positive>| {
+            joints.iter().map(|j| of(j).map_or(f64::INFINITY, Positive::get)).collect()
+        };
+        JointLimits {
+            torque: self.torque_limits(),
+            torque_rate: given(|j| j.torque_rate_limit_nm_per_s),
+            acceleration: given(|j| j.acceleration_limit_rad_per_s2),
+            ..JointLimits::of(&self.model)
+        }
+    }
+
+    fn in_order<T: Clone>(&self, by_name: &BTreeMap<String, T>) -> Vec<T> {
+        self.model.joints().iter().filter_map(|j| by_name.get(&j.name).cloned()).collect()
+    }
+}
+
+/// A URDF with its warnings.
+///
+/// # Errors
+/// What is wrong with it, with the line.
+pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<Loaded, FileError> {
+    Model::from_urdf_with(urdf.text(), options).map_err(|error| {
+        let line = error.line().and_then(|line| usize::try_from(line).ok());
+        FileError::at_line(urdf, line, error.kind().to_string(), None)
+    })
+}
+
+/// Most servo ticks per interface tick: more is a slip in a rate.
+const MAX_RATIO: u32 = 10_000;
+
+/// Longest rest before a start, s: more is a slip in a unit.
+const MAX_TARE_S: f64 = 60.0;
+
+/// What single values can't say of themselves.
+fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), FileError> {
+    if !file.interface.measures.contains(&Measured::Position) {
+        let message = "a robot that doesn't measure its positions can't be controlled";
+        let help =
+            Some("measures = [\"position\"], with \"motor-current\" if it measures that too".to_owned());
+        return Err(FileError::at_key(source, "interface.measures", message, help));
+    }
+    if file.safety.tare_s.get() > MAX_TARE_S {
+        let message = format!("a rest of more than {MAX_TARE_S} s before the start");
+        return Err(FileError::at_key(
+            source,
+            "safety.tare_s",
+            message,
+            Some("give it in seconds".to_owned()),
+        ));
+    }
+    for (name, profile) in &file.profile {
+        if profile.ratio.get() > MAX_RATIO {
+            let message = format!("more than {MAX_RATIO} servo ticks per interface tick");
+            return Err(FileError::at_key(source, ["profile", name, "ratio"], message, None));
+        }
+    }
+    for joint in model.joints() {
+        let name = joint.name.as_str();
+        let friction = file.joint.get(name).map(|j| &j.friction);
+        if friction.is_some_and(|f| f.static_nm < f.coulomb_nm) {
+            let key = ["joint", name, "friction", "static_nm"];
+            let message = "static friction below Coulomb friction: a joint at rest doesn't slide more easily";
+            return Err(FileError::at_key(source, key, message, Some("give at least coulomb_nm".to_owned())));
+        }
+        if !(joint.limits.velocity.is_finite() && joint.limits.velocity > 0.0) {
+            let message =
+                format!("the URDF gives joint '{name}' no speed limit, without which no run is safe");
+            let help = "add velocity=\"...\" (rad/s, m/s; above 0) to the joint's <limit>".to_owned();
+            return Err(FileError::at_key(source, ["joint", name], message, Some(help)));
+        }
+    }
+    Ok(())
+}
+
+/// The values of a map by joint name in the model's order: one for each joint, none for others.
+fn joints_of<'a, T>(
+    source: &Source,
+    model: &Model,
+    map: &'a BTreeMap<String, T>,
+    table: &[&str],
+) -> Result<Vec<&'a T>, FileError> {
+    let names = || model.joints().iter().map(|j| j.name.as_str());
+    if let Some(unknown) = map.keys().find(|name| model.joint(name).is_err()) {
+        let key: Vec<&str> = table.iter().copied().chain([unknown.as_str()]).collect();
+        let message = format!("the URDF has no moving joint '{unknown}'");
+        return Err(FileError::at_key(source, key, message, Some(choices(unknown, names()))));
+    }
+    let mut values = Vec::new();
+    for name in names() {
+        let Some(value) = map.get(name) else {
+            let message = format!("joint '{name}' of the URDF is missing in `{}`", table.join("."));
+            let help =
+                format!("add [{}.{name}]; each of these needs one: {}", table.join("."), list(names()));
+            return Err(FileError::at_key(source, table.to_vec(), message, Some(help)));
+        };
+        values.push(value);
+    }
+    Ok(values)
+}
+
+fn force_sensors(
+    source: &Source,
+    model: &Model,
+    sensors: &BTreeMap<String, ForceSensorFile>,
+) -> Result<Vec<ForceSensor>, FileError> {
+    let mut found = Vec::new();
+    for (name, sensor) in sensors {
+        let frame = model.frame(&sensor.frame).map_err(|unknown| {
+            let key = ["force_sensor", name.as_str(), "frame"];
+            let help = choices(&unknown.name, &unknown.known);
+            FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))
+        })?;
+        found.push(ForceSensor { name: name.clone(), frame });
+    }
+    Ok(found)
+}
+
+/// What could have been meant, and what there is.
+pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
+    name: &str,
+    known: impl IntoIterator<Item = &'a S>,
+) -> String {
+    let all: Vec<&str> = known.into_iter().map(AsRef::as_ref).collect();
+    let listed = list(all.iter().copied());
+    match nearest(name, all) {
+        Some(near) => format!("did you mean '{near}'? There are: {listed}"),
+        None => format!("there are: {listed}"),
+    }
+}
+
+fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}

@@ -1,0 +1,486 @@
+//! The text of a file, and errors that point into it.
+//!
+//! [`parse`] reads TOML strictly: finite numbers only, unknown keys refused. What is wrong in a way that
+//! only a later step sees (a frame that the robot does not have) is reported by [`FileError::at_key`] at
+//! the line of its key. Settings from the command line ([`crate::files::overrides`]) err in the same words.
+
+use std::fmt;
+use std::io::Read;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use miette::{Diagnostic, LabeledSpan, NamedSource, SourceCode};
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue};
+
+use crate::files::explain::{list, syntax_words, words};
+use crate::files::suggest::nearest;
+use crate::files::toml_path::{Part, depth_of, dotted, keys_at, path_at, span_of};
+
+/// Files are written by hand; a larger one is a log or a mesh given by mistake.
+const MAX_BYTES: u64 = 4 << 20;
+
+/// A file's text and where it came from.
+#[derive(Clone, Debug)]
+pub struct Source {
+    name: String,
+    text: Arc<str>,
+    /// As read, before settings: an error outside them is shown where the user finds it.
+    pub(crate) base: Arc<str>,
+    settings: Vec<Setting>,
+}
+
+/// A `--set` that went into a [`Source`].
+#[derive(Clone, Debug)]
+pub(crate) struct Setting {
+    /// As the user wrote it.
+    pub(crate) spelling: String,
+    /// The bytes of `spelling` left of `=`.
+    pub(crate) key: Range<usize>,
+    /// The keys in the file that it set, tags included.
+    pub(crate) path: Vec<String>,
+}
+
+impl Source {
+    /// A text under a name: a path as the user wrote it, or what else the user knows it by.
+    pub fn new(name: impl Into<String>, text: impl Into<Arc<str>>) -> Self {
+        let text = text.into();
+        Self { name: name.into(), base: Arc::clone(&text), text, settings: Vec::new() }
+    }
+
+    /// Reads a text file.
+    ///
+    /// # Errors
+    /// If it is missing (near names in its folder are suggested), a folder, unreadable, not UTF-8 or larger
+    /// than 4 MiB.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, FileError> {
+        let path = path.as_ref();
+        let name = path.display().to_string();
+        if path.is_dir() {
+            return Err(FileError::of_file(name, "is a folder; a file is meant here", files_in(path)));
+        }
+        let mut bytes = Vec::new();
+        let read =
+            std::fs::File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+        match read {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Err(missing_file(path, name));
+            }
+            Err(error) => return Err(FileError::of_file(name, format!("cannot be read: {error}"), None)),
+            Ok(_) if bytes.len() as u64 > MAX_BYTES => {
+                return Err(FileError::of_file(
+                    name,
+                    "is larger than 4 MiB: is it the file you meant?",
+                    None,
+                ));
+            }
+            Ok(_) => {}
+        }
+        match String::from_utf8(bytes) {
+            Ok(text) => Ok(Self::new(name, text)),
+            Err(error) => {
+                let at = error.utf8_error().valid_up_to();
+                let line = 1 + error.as_bytes()[..at].iter().filter(|&&byte| byte == b'\n').count();
+                let help = Some("save the file as UTF-8".to_owned());
+                Err(FileError::of_file(name, format!("is not UTF-8 (line {line})"), help))
+            }
+        }
+    }
+
+    /// What the user knows the text by: a path.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The text, settings applied.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    pub(crate) fn with_setting(&self, text: String, setting: Setting) -> Self {
+        let mut settings = self.settings.clone();
+        settings.push(setting);
+        Self { name: self.name.clone(), text: text.into(), base: Arc::clone(&self.base), settings }
+    }
+}
+
+/// What is wrong in a file or a setting: the place, what stands there, and the remedy.
+///
+/// Displays as one line, `tasks/reach.toml:7: unknown key ...`; as a [`Diagnostic`] it carries the line
+/// itself, underlined, and the help.
+pub struct FileError(Box<Inner>);
+
+struct Inner {
+    path: String,
+    source: NamedSource<Arc<str>>,
+    span: Option<Range<usize>>,
+    line: Option<usize>,
+    message: String,
+    help: Option<String>,
+}
+
+impl FileError {
+    /// An error of a file as a whole.
+    pub fn of_file(path: impl Into<String>, message: impl Into<String>, help: Option<String>) -> Self {
+        let path = path.into();
+        let source = NamedSource::new(&path, Arc::from(""));
+        Self(Box::new(Inner { path, source, span: None, line: None, message: message.into(), help }))
+    }
+
+    /// An error at a line of a text (from 1) that is not TOML, or of the text as a whole.
+    #[must_use]
+    pub fn at_line(
+        source: &Source,
+        line: Option<usize>,
+        message: impl Into<String>,
+        help: Option<String>,
+    ) -> Self {
+        let span = line.and_then(|line| {
+            let begin: usize =
+                source.text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
+            let text = source.text.get(begin..)?.lines().next()?;
+            let indent = text.len() - text.trim_start().len();
+            Some(begin + indent..begin + text.trim_end().len())
+        });
+        let path = source.name.clone();
+        let named = NamedSource::new(&path, Arc::clone(&source.text));
+        Self(Box::new(Inner { path, source: named, span, line, message: message.into(), help }))
+    }
+
+    /// An error found after parsing, at a key: `"task.hand.cartesian.frame"`, or its segments where a key
+    /// may hold dots: `["joint", "arm.1"]`. An array's element is its index, from 0. If the key is not there,
+    /// the error points at the nearest table around it; if a setting wrote it, at the setting.
+    pub fn at_key(
+        source: &Source,
+        key: impl KeyPath,
+        message: impl Into<String>,
+        help: Option<String>,
+    ) -> Self {
+        let path = key.segments();
+        let message = message.into();
+        if let Some(setting) = setting_at(source, &path) {
+            return Self::of_setting(setting, Part::Value, message, help);
+        }
+        let inside = source.settings.iter().rfind(|setting| setting.path.starts_with(&path));
+        let note = inside.map(|setting| format!("`--set {}` changed it", setting.spelling));
+        Self::in_base(source, &path, Part::Value, message, join(help, note))
+    }
+
+    /// At `span` of `text`.
+    fn at_span(
+        name: &str,
+        text: &Arc<str>,
+        span: Range<usize>,
+        message: String,
+        help: Option<String>,
+    ) -> Self {
+        let start = span.start.min(text.len());
+        let line = 1 + text.as_bytes()[..start].iter().filter(|&&byte| byte == b'\n').count();
+        let inner = Inner {
+            path: name.to_owned(),
+            source: NamedSource::new(name, Arc::clone(text)),
+            span: Some(start..span.end.clamp(start, text.len())),
+            line: Some(line),
+            message,
+            help,
+        };
+        Self(Box::new(inner))
+    }
+
+    /// At a key of the file as it was read; settings may have shifted the lines of what was parsed.
+    fn in_base(source: &Source, path: &[String], part: Part, message: String, help: Option<String>) -> Self {
+        let span = DeTable::parse(&source.base).ok().map(|document| span_of(document.get_ref(), path, part));
+        match span.flatten() {
+            Some(span) => Self::at_span(&source.name, &source.base, span, message, help),
+            None => Self::of_file(source.name.clone(), message, help),
+        }
+    }
+
+    pub(crate) fn of_setting(setting: &Setting, part: Part, message: String, help: Option<String>) -> Self {
+        let span = match part {
+            Part::Key => setting.key.clone(),
+            Part::Value => (setting.key.end + 1).min(setting.spelling.len())..setting.spelling.len(),
+        };
+        let inner = Inner {
+            path: "--set".to_owned(),
+            source: NamedSource::new("--set", Arc::from(setting.spelling.as_str())),
+            span: Some(span),
+            line: None,
+            message,
+            help,
+        };
+        Self(Box::new(inner))
+    }
+
+    /// The file, as the user named it; `--set` for a setting.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.0.path
+    }
+
+    /// The line, from 1; `None` for a setting and for a file as a whole.
+    #[must_use]
+    pub fn line(&self) -> Option<usize> {
+        self.0.line
+    }
+
+    /// What is wrong, without the place.
+    #[must_use]
+    pub fn message(&self) -> &str {
+        &self.0.message
+    }
+
+    /// What to do about it.
+    #[must_use]
+    pub fn help(&self) -> Option<&str> {
+        self.0.help.as_deref()
+    }
+}
+
+impl fmt::Display for FileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Inner { path, line, message, span, source, .. } = &*self.0;
+        match (line, span) {
+            (Some(line), _) => write!(f, "{path}:{line}: {message}"),
+            (None, Some(_)) => write!(f, "{path} {}: {message}", source.inner()),
+            (None, None) => write!(f, "{path}: {message}"),
+        }
+    }
+}
+
+impl fmt::Debug for FileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "FileError({self}; help: {:?})", self.0.help)
+    }
+}
+
+impl std::error::Error for FileError {}
+
+impl Diagnostic for FileError {
+    fn help(&self) -> Option<Box<dyn fmt::Display + '_>> {
+        self.0.help.as_ref().map(|help| Box::new(help) as Box<dyn fmt::Display>)
+    }
+
+    fn source_code(&self) -> Option<&dyn SourceCode> {
+        self.0.span.as_ref().map(|_| &self.0.source as &dyn SourceCode)
+    }
+
+    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
+        let span = self.0.span.clone()?;
+        Some(Box::new(std::iter::once(LabeledSpan::new_primary_with_span(None, span))))
+    }
+}
+
+/// Names a key within nested tables.
+pub trait KeyPath {
+    /// The keys from the file's root inwards.
+    fn segments(&self) -> Vec<String>;
+}
+
+/// A dotted key as TOML writes it; a segment that holds dots is quoted: `joint."arm.1"`.
+impl KeyPath for str {
+    fn segments(&self) -> Vec<String> {
+        match toml_edit::Key::parse(self) {
+            Ok(keys) => keys.iter().map(|key| key.get().to_owned()).collect(),
+            Err(_) => self.split('.').map(str::to_owned).collect(),
+        }
+    }
+}
+
+impl KeyPath for String {
+    fn segments(&self) -> Vec<String> {
+        self.as_str().segments()
+    }
+}
+
+impl<S: AsRef<str>> KeyPath for [S] {
+    fn segments(&self) -> Vec<String> {
+        self.iter().map(|segment| segment.as_ref().to_owned()).collect()
+    }
+}
+
+impl<S: AsRef<str>, const N: usize> KeyPath for [S; N] {
+    fn segments(&self) -> Vec<String> {
+        self.as_slice().segments()
+    }
+}
+
+impl<S: AsRef<str>> KeyPath for Vec<S> {
+    fn segments(&self) -> Vec<String> {
+        self.as_slice().segments()
+    }
+}
+
+impl<K: KeyPath + ?Sized> KeyPath for &K {
+    fn segments(&self) -> Vec<String> {
+        (**self).segments()
+    }
+}
+
+/// Reads a TOML text into `T`.
+///
+/// `T` decides on unknown keys (`#[serde(deny_unknown_fields)]`); enums must be tagged externally, or the
+/// line of an error is lost.
+///
+/// # Errors
+/// Text that is not TOML, a number that is not finite, and what `T` refuses, each at its place.
+pub fn parse<T: DeserializeOwned>(source: &Source) -> Result<T, FileError> {
+    let document = check_syntax(source)?;
+    check_finite(document.get_ref(), &mut Vec::new()).map_err(|(path, number)| {
+        FileError::at_key(source, path, format!("expected a finite number, got {number}"), None)
+    })?;
+    T::deserialize(toml::de::Deserializer::from(document.clone()))
+        .map_err(|error| explain::<T>(source, document.get_ref(), &error))
+}
+
+type Document<'a> = toml::Spanned<DeTable<'a>>;
+
+/// The document, or where it is not TOML.
+pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
+    DeTable::parse(&source.text).map_err(|error| {
+        let span = error.span().unwrap_or(0..0);
+        let (message, help) = syntax_words(error.message(), &source.text, &span);
+        FileError::at_span(&source.name, &source.text, span, message, help)
+    })
+}
+
+/// The key path and text of the first number that is not finite.
+fn check_finite(table: &DeTable<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
+    for (key, value) in table {
+        path.push(key.get_ref().to_string());
+        check_finite_value(value.get_ref(), path)?;
+        path.pop();
+    }
+    Ok(())
+}
+
+fn check_finite_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
+    match value {
+        // 1e400 is TOML, and parses to infinity.
+        DeValue::Float(number) if !number.as_str().parse().is_ok_and(f64::is_finite) => {
+            Err((path.clone(), number.as_str().to_owned()))
+        }
+        DeValue::Array(array) => {
+            for (index, element) in array.iter().enumerate() {
+                path.push(index.to_string());
+                check_finite_value(element.get_ref(), path)?;
+                path.pop();
+            }
+            Ok(())
+        }
+        DeValue::Table(table) => check_finite(table, path),
+        _ => Ok(()),
+    }
+}
+
+/// A deserialiser's error, placed and in the user's words.
+fn explain<T: DeserializeOwned>(
+    source: &Source,
+    document: &DeTable<'_>,
+    error: &toml::de::Error,
+) -> FileError {
+    let span = error.span().unwrap_or(0..0);
+    let path = path_at(document, &span);
+    let words = words(error.message(), source, document, &path);
+    let (message, help, part) = (words.message, words.help, words.part);
+    if source.settings.is_empty() {
+        // An empty span is the root's: the file as a whole.
+        if span.is_empty() {
+            return FileError::of_file(source.name.clone(), message, help);
+        }
+        return FileError::at_span(&source.name, &source.text, span, message, help);
+    }
+    if let Some(setting) = setting_at(source, &path) {
+        return FileError::of_setting(setting, part, message, join(help, made_here(source, setting)));
+    }
+    // A key too many spoils the table around it, which stands in the file.
+    let inside = source.settings.iter().rfind(|setting| setting.path.starts_with(&path));
+    if let Some(setting) = inside
+        && parse::<T>(&Source::new(source.name.clone(), Arc::clone(&source.base))).is_ok()
+    {
+        return FileError::of_setting(setting, Part::Key, message, join(help, made_here(source, setting)));
+    }
+    FileError::in_base(source, &path, part, message, help)
+}
+
+/// The last setting that wrote what stands at `path`.
+fn setting_at<'a>(source: &'a Source, path: &[String]) -> Option<&'a Setting> {
+    let wrote = source.settings.iter().rfind(|setting| path.starts_with(&setting.path));
+    wrote.or_else(|| {
+        let base = DeTable::parse(&source.base).ok()?;
+        let depth = depth_of(base.get_ref(), path);
+        if depth == path.len() {
+            return None;
+        }
+        source.settings.iter().rfind(|setting| setting.path.len() > depth && setting.path.starts_with(path))
+    })
+}
+
+/// Where a setting made a table that the file does not have: likely a slip in its name.
+fn made_here(source: &Source, setting: &Setting) -> Option<String> {
+    let base = DeTable::parse(&source.base).ok()?;
+    let depth = depth_of(base.get_ref(), &setting.path);
+    let made = setting.path.get(depth).filter(|_| depth + 1 < setting.path.len())?;
+    let siblings = keys_at(base.get_ref(), &setting.path[..depth]);
+    let within =
+        if depth == 0 { "the file".to_owned() } else { format!("`{}`", dotted(&setting.path[..depth])) };
+    let mut note = format!("{within} has no `{made}` yet");
+    if !siblings.is_empty() {
+        note += &format!("; it has {}", list(&siblings));
+    }
+    if let Some(near) = nearest(made, &siblings) {
+        note += &format!(": did you mean `{near}`?");
+    }
+    Some(note)
+}
+
+fn join(first: Option<String>, second: Option<String>) -> Option<String> {
+    match (first, second) {
+        (Some(first), Some(second)) => Some(format!("{first}\n{second}")),
+        (first, second) => first.or(second),
+    }
+}
+
+fn missing_file(path: &Path, name: String) -> FileError {
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
+        _ => PathBuf::from("."),
+    };
+    if !folder.is_dir() {
+        let message = format!("there is no such file, nor a folder `{}`", folder.display());
+        return FileError::of_file(name, message, None);
+    }
+    let wanted = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let present = names_in(&folder);
+    let whole = nearest(&wanted, &present);
+    // `compliant-x` for `compliant-x.toml`.
+    let near = whole.or_else(|| {
+        present.iter().map(String::as_str).find(|other| Path::new(other).file_stem() == path.file_name())
+    });
+    let help = match near {
+        Some(near) => Some(format!("did you mean `{}`?", path.with_file_name(near).display())),
+        None => files_in(&folder),
+    };
+    FileError::of_file(name, "there is no such file", help)
+}
+
+fn names_in(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+/// The TOML files of a folder, as a help.
+fn files_in(folder: &Path) -> Option<String> {
+    let mut names = names_in(folder);
+    names.retain(|name| name.ends_with(".toml"));
+    let more = names.len().saturating_sub(12);
+    names.truncate(12);
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    (!names.is_empty()).then(|| format!("`{}` holds {}{rest}", folder.display(), list(&names)))
+}

@@ -1,0 +1,155 @@
+//! Suites: which tasks run on which robots under which controllers.
+
+use crate::evaluate::results::{MEASURES, Measure};
+use crate::files::origin::{Files, Kind, beside};
+use crate::files::source::{FileError, Source, parse};
+use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use opspace_transformer::TransformerKind;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// A suite file, as it is written.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteFile {
+    /// What the suite is about, in a line.
+    pub title: String,
+    /// The profiles of the robot that each run takes; its default one if absent.
+    #[serde(default)]
+    pub profiles: Vec<String>,
+    /// The columns of its table; those of every table if absent.
+    #[serde(default = "every_table")]
+    pub columns: Vec<Measure>,
+    /// The runs.
+    pub run: Vec<SuiteRun>,
+}
+
+fn every_table() -> Vec<Measure> {
+    MEASURES.to_vec()
+}
+
+/// Runs of a suite that share robot, controller and settings.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteRun {
+    /// Task files; the paths count from the suite file.
+    pub tasks: Vec<PathBuf>,
+    /// Another robot than the tasks'; the path counts from the suite file.
+    #[serde(default)]
+    pub robot: Option<PathBuf>,
+    /// Which kind of robot.
+    pub backend: BackendKind,
+    /// Which controller.
+    pub controller: ControllerKind,
+    /// Another transformer than the profile's.
+    #[serde(default)]
+    pub transformer: Option<TransformerKind>,
+    /// Other profiles than the suite's.
+    #[serde(default)]
+    pub profiles: Option<Vec<String>>,
+    /// One run for each seed; the tasks' own if absent.
+    #[serde(default)]
+    pub seeds: Vec<u64>,
+    /// Settings as on the command line: `robot.` ones change the robot file, others the task. `{profile}` in them stands for
+    /// the profile's name.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// What the table calls these settings.
+    #[serde(default)]
+    pub label: Option<String>,
+    /// The same runs again with further settings, once for each; as they are if absent.
+    #[serde(default)]
+    pub case: Vec<SuiteCase>,
+}
+
+/// Further settings for the runs of a suite.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteCase {
+    /// What the table calls them.
+    pub label: String,
+    /// As those of the run.
+    pub set: Vec<String>,
+}
+
+/// A suite, read: every experiment in it checked.
+#[derive(Clone, Debug)]
+pub struct Suite {
+    /// Its file's text.
+    pub source: Source,
+    /// What it is about.
+    pub title: String,
+    /// The columns of its table.
+    pub columns: Vec<Measure>,
+    /// Its experiments, in the order of the file: tasks, then cases, profiles, seeds.
+    pub experiments: Vec<Experiment>,
+}
+
+impl Suite {
+    /// Reads a suite and everything it names.
+    ///
+    /// # Errors
+    /// What is wrong in any of the files, with its place.
+    pub fn load(files: Files, path: &Path) -> Result<Self, FileError> {
+        let source = files.read(path)?;
+        Kind::Suite.require(&source)?;
+        let file: SuiteFile = parse(&source)?;
+        let mut experiments = Vec::new();
+        for (number, run) in file.run.iter().enumerate() {
+            let profiles = run.profiles.as_ref().unwrap_or(&file.profiles);
+            for (place, task) in run.tasks.iter().enumerate() {
+                let key = ["run", &number.to_string(), "tasks", &place.to_string()];
+                files.read_named(&beside(path, task), &source, key)?;
+                for case in or_default(&run.case) {
+                    for profile in or_default(profiles) {
+                        for seed in or_default(&run.seeds) {
+                            let choice = run.choice(case.as_ref(), profile.clone(), seed);
+                            experiments.push(run.experiment(files, path, task, case.as_ref(), choice)?);
+                        }
+                    }
+                }
+            }
+        }
+        if experiments.is_empty() {
+            let help = Some("add a [[run]] with tasks".to_owned());
+            return Err(FileError::of_file(source.name(), "this suite runs nothing", help));
+        }
+        Ok(Self { source, title: file.title, columns: file.columns, experiments })
+    }
+}
+
+impl SuiteRun {
+    fn choice(&self, case: Option<&SuiteCase>, profile: Option<String>, seed: Option<u64>) -> Choice {
+        Choice {
+            backend: self.backend,
+            controller: self.controller,
+            transformer: self.transformer,
+            profile,
+            seed,
+            duration_s: None,
+            label: case.map(|case| case.label.clone()).or_else(|| self.label.clone()),
+        }
+    }
+
+    fn experiment(
+        &self,
+        files: Files,
+        suite: &Path,
+        task: &Path,
+        case: Option<&SuiteCase>,
+        choice: Choice,
+    ) -> Result<Experiment, FileError> {
+        let robot = self.robot.as_ref().map(|robot| beside(suite, robot));
+        let further = case.map_or(&[][..], |case| &case.set);
+        let profile = choice.profile.as_deref().unwrap_or("{profile}");
+        let set: Vec<String> =
+            self.set.iter().chain(further).map(|set| set.replace("{profile}", profile)).collect();
+        Experiment::load(files, &beside(suite, task), robot.as_deref(), choice, &set)
+    }
+}
+
+/// Each of the list, or once without any.
+fn or_default<T: Clone>(list: &[T]) -> Vec<Option<T>> {
+    if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
+}

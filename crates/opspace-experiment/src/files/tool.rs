@@ -1,0 +1,99 @@
+//! What is mounted on a robot: a tool or a load, with its mass, and the frame at its tip.
+
+use crate::files::robot::choices;
+use crate::files::source::{FileError, Source};
+use nalgebra::{Matrix3, Vector3};
+use opspace_backend::quantity::{NonNegative, exactly};
+use opspace_model::{Inertia, Model, Placement, principal_moments};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// A rigid body that is fixed to a link. Tasks can lead its frame, which has its name.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ToolFile {
+    /// The URDF link that carries it.
+    pub on: String,
+    /// Where its frame (its tip) is, in the axes of that link, m; at the link's origin if absent.
+    #[serde(default, deserialize_with = "exactly")]
+    pub xyz_m: [f64; 3],
+    /// How its frame is turned against that link: roll, pitch and yaw as in a URDF, rad; not at all if absent.
+    #[serde(default, deserialize_with = "exactly")]
+    pub rpy_rad: [f64; 3],
+    /// Mass, kg; none if absent: a frame and nothing more.
+    #[serde(default)]
+    pub mass_kg: NonNegative,
+    /// Centre of mass, from the link's origin in the link's axes, m; at the origin if absent.
+    #[serde(default, deserialize_with = "exactly")]
+    pub com_m: [f64; 3],
+    /// xx, xy, xz, yy, yz, zz about the centre of mass, in the link's axes, kg m²; a point mass if absent.
+    #[serde(default, deserialize_with = "exactly")]
+    pub inertia_kg_m2: [f64; 6],
+}
+
+/// Moments are compared relative to the largest: data sheets print few digits.
+const INERTIA_TOLERANCE: f64 = 1e-3;
+
+impl ToolFile {
+    /// In the axes of the link.
+    fn inertia(&self) -> Inertia {
+        let [xx, xy, xz, yy, yz, zz] = self.inertia_kg_m2;
+        Inertia {
+            mass: self.mass_kg.get(),
+            com: Vector3::from(self.com_m),
+            rotational: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+        }
+    }
+}
+
+/// Mounts every tool of a robot file: its mass on the body that carries it, its frame under its name.
+pub(crate) fn mount(
+    source: &Source,
+    model: &mut Model,
+    tools: &BTreeMap<String, ToolFile>,
+) -> Result<(), FileError> {
+    for (name, tool) in tools {
+        let refuse = |key: &str, message: String, help: Option<String>| {
+            Err(FileError::at_key(source, ["tool", name, key], message, help))
+        };
+        let carrier = match model.frame(&tool.on) {
+            Ok(frame) => frame,
+            Err(unknown) => {
+                let help = Some(choices(&unknown.name, &unknown.known));
+                return refuse("on", format!("the URDF has no link '{}'", unknown.name), help);
+            }
+        };
+        if model.frame(name).is_ok() {
+            let message = format!("the robot has a link or tool '{name}' already");
+            return Err(FileError::at_key(
+                source,
+                ["tool", name],
+                message,
+                Some("give it another name".to_owned()),
+            ));
+        }
+        let moments = principal_moments(&tool.inertia().rotational);
+        let tolerance = INERTIA_TOLERANCE * moments[2].abs().max(moments[0].abs());
+        if moments[0] < -tolerance || moments[0] + moments[1] < moments[2] - tolerance {
+            let message = format!(
+                "no body has the principal moments {:.3e}, {:.3e}, {:.3e} kg m²: none is negative, and no two sum to less \
+                 than the third",
+                moments[0], moments[1], moments[2]
+            );
+            let help = "the order is xx, xy, xz, yy, yz, zz, about the centre of mass".to_owned();
+            return refuse("inertia_kg_m2", message, Some(help));
+        }
+        if tool.mass_kg.get() == 0.0 && moments[2] > 0.0 {
+            return refuse(
+                "inertia_kg_m2",
+                "a tool without mass has no inertia".to_owned(),
+                Some("give mass_kg".to_owned()),
+            );
+        }
+        let offset = Placement::from_rpy(tool.rpy_rad, tool.xyz_m);
+        let frame = model.add_frame_on(name, carrier, offset);
+        model.set_payload(frame, offset.inverse().act_inertia(&tool.inertia()));
+    }
+    Ok(())
+}

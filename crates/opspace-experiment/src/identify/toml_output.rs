@@ -1,0 +1,268 @@
+//! What is identified, as robot.toml says it: the section of the servos, and a whole file.
+
+use super::{Identified, IdentifiedJoint, Structure};
+use crate::files::source::FileError;
+use opspace_loop::identification::TorqueScale;
+use std::fmt::Write as _;
+use std::path::Path;
+use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
+
+impl Identified {
+    /// The keys of robot.toml that were identified, to be copied there; of joints that can't be driven by torques, what is
+    /// known of them and why, as comments.
+    #[must_use]
+    pub fn servo_toml(&self) -> String {
+        let profile = &self.profile_name;
+        let mut text = format!(
+            "# Servos of {}, profile {profile}, as `opspace identify` found them: keys of its robot.toml.\n",
+            self.robot.name()
+        );
+        if self.joints.iter().any(|j| j.no_torque_mode.is_some()) {
+            text += "# Not all joints can be driven by torques; the comments say which, and why.\n";
+        }
+        let usable = || self.joints.iter().filter(|j| j.no_torque_mode.is_none());
+        if let Some((delay, all)) = self.delay().filter(|_| usable().next().is_some()) {
+            let doubt = if all { "" } else { " # most joints; the others were found to have another" };
+            // Writing to a String cannot fail.
+            let _ = writeln!(text, "\n[profile.{profile}]\ndelay_servo_ticks = {delay}{doubt}");
+        }
+        let _ = writeln!(text, "\n[profile.{profile}.servo]");
+        for joint in &self.joints {
+            text += &match &joint.no_torque_mode {
+                None => format!("# {}\n{} = {}\n", remark(joint), joint.name, servo(joint)),
+                Some(reason) => format!("# {}: {reason}.\n{}", joint.name, ratios(joint)),
+            };
+        }
+        for joint in usable() {
+            if let Some(identified) = identified(joint) {
+                let _ = writeln!(
+                    text,
+                    "\n[profile.{profile}.identified.{}]\n{}",
+                    joint.name,
+                    identified.to_string().trim_end()
+                );
+            }
+        }
+        for joint in usable() {
+            if let Some(friction) = friction(joint) {
+                let _ = writeln!(text, "\n[joint.{}]\nfriction = {friction}", joint.name);
+            }
+        }
+        text
+    }
+
+    /// The robot's whole file with what was identified in place of what was believed, beside a URDF of the name `urdf`. The
+    /// plant of the simulation stays what it was: what was believed of it until now stands in `[simulated]`. `None` if a
+    /// joint can't be driven by torques.
+    ///
+    /// # Errors
+    /// If the robot's file can't be edited, which it can if it was read.
+    pub fn robot_toml(&self, urdf: &str) -> Result<Option<String>, FileError> {
+        if !self.is_complete() {
+            return Ok(None);
+        }
+        let wrong = |what: &str| FileError::of_file(self.robot.source.name(), what.to_owned(), None);
+        let mut document: DocumentMut =
+            self.robot.source.text().parse().map_err(|e| wrong(&format!("not TOML: {e}")))?;
+        let profile = self.profile_name.as_str();
+        let file = document.as_table_mut();
+        put(file, "urdf", urdf.into());
+        put(file, "default_profile", profile.into());
+        self.keep_plant(file).ok_or_else(|| wrong("its tables can't be edited"))?;
+        let profiles = table(file, "profile").ok_or_else(|| wrong("`profile` is no table"))?;
+        profiles.retain(|name, _| name == profile);
+        let driven = table(profiles, profile).ok_or_else(|| wrong("its profile is no table"))?;
+        if let Some((delay, _)) = self.delay() {
+            put(driven, "delay_servo_ticks", i64::from(delay).into());
+        }
+        let servos = table(driven, "servo").ok_or_else(|| wrong("`servo` is no table"))?;
+        for joint in &self.joints {
+            put(servos, &joint.name, servo(joint));
+        }
+        // All joints or none: a transformer takes them together.
+        let measured: Option<Vec<Table>> = self.joints.iter().map(identified).collect();
+        if let Some(measured) = measured.filter(|measured| measured.len() == self.robot.model.n()) {
+            let mut joints = Table::new();
+            joints.set_implicit(true);
+            for (joint, measured) in self.joints.iter().zip(measured) {
+                joints.insert(&joint.name, Item::Table(measured));
+            }
+            driven.insert("identified", Item::Table(joints));
+        }
+        let joints = table(file, "joint").ok_or_else(|| wrong("`joint` is no table"))?;
+        for joint in &self.joints {
+            if let Some(friction) = friction(joint) {
+                let drive = table(joints, &joint.name).ok_or_else(|| wrong("a joint is no table"))?;
+                put(drive, "friction", friction);
+            }
+        }
+        let head = format!(
+            "# As `opspace identify` found it: {}. The plant of the simulation is the one that was identified.\n",
+            self.joints.iter().map(|j| j.name.as_str()).collect::<Vec<_>>().join(", ")
+        );
+        Ok(Some(head + &without_schema(&document.to_string())))
+    }
+
+    /// The name of the URDF's copy.
+    #[must_use]
+    pub fn urdf_name(&self) -> String {
+        let name = Path::new(self.robot.urdf.name()).file_name().unwrap_or_default();
+        name.to_string_lossy().into_owned()
+    }
+
+    /// The URDF's text.
+    #[must_use]
+    pub fn urdf(&self) -> &str {
+        self.robot.urdf.text()
+    }
+
+    /// Writes what was believed into `[simulated]`, where nothing else is said to be true.
+    fn keep_plant(&self, file: &mut Table) -> Option<()> {
+        let mut servos = Vec::new();
+        let mut frictions = Vec::new();
+        for joint in &self.joints {
+            let believed = table(table(table(file, "profile")?, &self.profile_name)?, "servo")?;
+            servos.push((joint.name.clone(), inline(believed.get(&joint.name)?.clone())?));
+            let drive = table(table(file, "joint")?, &joint.name)?;
+            frictions.push((joint.name.clone(), inline(drive.get("friction")?.clone())?));
+        }
+        let simulated = table(file, "simulated")?;
+        let delay = i64::from(self.profile.delay());
+        simulated.entry("delay_servo_ticks").or_insert(Item::Value(delay.into()));
+        for (key, values) in [("servo", servos), ("friction", frictions)] {
+            let known = simulated.entry(key).or_insert(Item::Table(Table::new()));
+            for (name, value) in values {
+                known.as_table_like_mut()?.entry(&name).or_insert(Item::Value(value.into()));
+            }
+        }
+        Some(())
+    }
+}
+
+/// A table below another; inline ones become tables of their own.
+fn table<'a>(parent: &'a mut Table, key: &str) -> Option<&'a mut Table> {
+    let item = parent.get_mut(key)?;
+    if item.is_inline_table() {
+        let inner = std::mem::take(item);
+        *item = Item::Table(inner.into_table().ok()?);
+    }
+    item.as_table_mut()
+}
+
+fn inline(item: Item) -> Option<InlineTable> {
+    item.into_value().ok()?.as_inline_table().cloned().map(|mut table| {
+        table.fmt();
+        table
+    })
+}
+
+/// Replaces a value; a comment beside it was about another.
+fn put(table: &mut Table, key: &str, value: Value) {
+    table.insert(key, Item::Value(value));
+}
+
+/// The line for editors points to a schema that isn't here.
+fn without_schema(text: &str) -> String {
+    text.lines().filter(|line| !line.starts_with("#:schema")).map(|line| line.to_owned() + "\n").collect()
+}
+
+/// Where a servo's scale comes from and how far it holds.
+fn remark(joint: &IdentifiedJoint) -> String {
+    let scale = match joint.found.scale {
+        TorqueScale::MotorCurrent => "the motor's current",
+        TorqueScale::Urdf => "URDF and rotor inertia, with viscous friction within kv",
+        TorqueScale::Unknown => "nothing",
+    };
+    let trust = joint.found.trust.as_ref().map_or_else(String::new, |t| {
+        format!(
+            "; trusted up to {:.0} Hz, T off by {:.1} %{}",
+            t.bandwidth_hz,
+            100.0 * t.position_residual,
+            t.torque_residual.map_or_else(String::new, |r| format!(", torque by {:.1} %", 100.0 * r))
+        )
+    });
+    format!("torque from {scale}{trust}")
+}
+
+fn servo(joint: &IdentifiedJoint) -> Value {
+    let (mut kind, mut values) = (InlineTable::new(), InlineTable::new());
+    if let Some(servo) = &joint.found.servo {
+        let filter = rounded(servo.velocity_filter_hz);
+        match joint.structure {
+            Structure::Cascaded => {
+                values.insert("kp_per_s", rounded(servo.kp));
+                values.insert("kv_nms_per_rad", rounded(servo.kv));
+                values.insert("velocity_filter_hz", filter);
+                kind.insert("cascaded", values.into());
+            }
+            Structure::Pid => {
+                values.insert("stiffness_nm_per_rad", rounded(servo.kp * servo.kv));
+                values.insert("damping_nms_per_rad", rounded(servo.kv));
+                values.insert("derivative_filter_hz", filter);
+                kind.insert("pid", values.into());
+            }
+        }
+    }
+    kind.into()
+}
+
+/// What is known of a servo whose scale of torque isn't.
+fn ratios(joint: &IdentifiedJoint) -> String {
+    let Some(servo) = joint.found.servo.as_ref().filter(|_| joint.found.scale == TorqueScale::Unknown) else {
+        return String::new();
+    };
+    let coulomb = servo.friction.map_or_else(String::new, |f| {
+        format!(", Coulomb friction over inertia {} rad/s2", rounded(f.coulomb))
+    });
+    format!(
+        "#   kp {} 1/s, kv over inertia {} 1/s, filter {} Hz, delay {} servo ticks{coulomb}\n",
+        rounded(servo.kp),
+        rounded(servo.kv),
+        rounded(servo.velocity_filter_hz),
+        servo.delay
+    )
+}
+
+/// T as it was fitted, behind hold and delay, and the ideal joint G* of equation (5): for the transformers `identified`. A
+/// joint that nothing loads goes where it is told to: T(0) = 1.
+fn identified(joint: &IdentifiedJoint) -> Option<Table> {
+    let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
+    let trusted_hz = joint.found.trust.as_ref()?.bandwidth_hz;
+    let from_hz = joint.found.measured.first()?.position.first()?.hz;
+    // Linear friction alone, as equation (5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
+    let viscous = servo.friction.map_or(0.0, |friction| friction.viscous);
+    let static_gain = t.numerator.first()? / t.denominator.first()?;
+    let polynomials = |numerator: &[f64], denominator: &[f64]| {
+        let list = |p: &[f64]| p.iter().copied().collect::<Array>();
+        let mut rational = InlineTable::new();
+        rational.insert("numerator", list(numerator).into());
+        rational.insert("denominator", list(denominator).into());
+        Item::Value(rational.into())
+    };
+    let numerator: Vec<f64> = t.numerator.iter().map(|b| b / static_gain).collect();
+    let mut table = Table::new();
+    table.insert("closed_loop", polynomials(&numerator, &t.denominator));
+    table.insert("open_loop", polynomials(&[1.0], &[0.0, viscous, servo.inertia]));
+    table.insert("from_hz", Item::Value(rounded(from_hz)));
+    table.insert("to_hz", Item::Value(rounded(trusted_hz)));
+    Some(table)
+}
+
+fn friction(joint: &IdentifiedJoint) -> Option<Value> {
+    let friction = joint.found.servo.as_ref()?.friction?;
+    let mut values = InlineTable::new();
+    values.insert("coulomb_nm", rounded(friction.coulomb));
+    values.insert("static_nm", rounded(friction.static_friction));
+    values.insert("stribeck_rad_per_s", rounded(friction.stribeck));
+    values.insert("viscous_nms_per_rad", rounded(friction.viscous));
+    Some(values.into())
+}
+
+/// Four digits: more were not measured.
+fn rounded(value: f64) -> Value {
+    if value == 0.0 || !value.is_finite() {
+        return 0.0.into();
+    }
+    let digits = 10f64.powi(3 - value.abs().log10().floor() as i32);
+    Value::from((value * digits).round() / digits)
+}

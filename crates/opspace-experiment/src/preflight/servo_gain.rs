@@ -1,0 +1,262 @@
+//! How much higher than believed the gains of position loops may be: the stability margin of a transformer.
+//!
+//! A transformer takes the servo's own stiffness and damping away; of a position loop whose gain is (1 + ε) kp, and not
+//! kp, it takes away too little position and leaves ε kv q̇ in the direction of motion. With what damps the joints beside
+//! it, a run stays bounded as long as
+//!
+//! ```text
+//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite        t̄ = (d + (R−1)/2) Ts, 0 where held set-points are emulated
+//! ```
+//!
+//! with Kv, Kp the believed gains, B the viscous friction, B̂ the part of it that is compensated and D = −∂τ/∂q̇ of the
+//! task's law (n × n, the others diagonal); of one joint
+//!
+//! ```text
+//! 1 + ε < 1 + (1 + ε) kp t̄ + (b − b̂ + d)/kv
+//! ```
+//!
+//! The bound that is told is not the formula's but that of the run itself: the experiment's own backend and transformer on
+//! a simulated arm without gravity, Coulomb friction, limits and noise at the task's start, nudged, under −D q̇ and the
+//! compensation of B, with one ε for all joints, halved in between until it neither dies out nor grows. So a disturbance
+//! observer on the motors' current counts as what it is.
+//!
+//! Not in it: Coulomb friction, which only ever brakes while no more of it is compensated than there is; but the slope that
+//! a compensation has at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
+
+use super::{Finding, short};
+use crate::run::experiment::Experiment;
+use nalgebra::{DMatrix, DVector, Vector3};
+use opspace_backend::Measured;
+use opspace_backend::quantity::NonNegative;
+use opspace_control::{Controller, Measurement};
+use opspace_loop::Command;
+use opspace_model::{Data, update};
+use opspace_sim::SimulatedParameters;
+use std::fmt;
+
+/// Below it a gear that is a little stiffer, or a gain that was rounded, makes the run unstable.
+const LEAST_EXCESS: f64 = 0.05;
+
+/// As far as is looked: three times the believed gains.
+const MOST_EXCESS: f64 = 2.0;
+
+/// The bound is told as exactly as this.
+const RESOLUTION: f64 = 1e-3;
+
+/// How long a nudge is followed, s: a negative damping of 1 % of kv has doubled it within a few tenths.
+const FOLLOWED_S: f64 = 4.0;
+
+/// How fast the arm moves after the nudge, rad/s: far from where products of speeds count.
+const NUDGE_RAD_PER_S: f64 = 1e-3;
+
+/// How long it is nudged, ticks.
+const NUDGED_TICKS: u32 = 10;
+
+/// Speeds, relative to that after the nudge, at which it has grown or died out for certain.
+const GROWN: f64 = 30.0;
+const GONE: f64 = 1e-4;
+
+/// How much higher than believed the gains of position loops may be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GainMargin {
+    /// Largest share by which all of them may be higher at once; `None` beyond three times their value.
+    pub excess: Option<f64>,
+    /// The joint that becomes unstable first, if one does.
+    pub joint: Option<String>,
+    /// Of which transformer it is.
+    pub transformer: String,
+}
+
+/// The margin of an experiment's position loops in the tasks that it starts with; `None` where torques or positions pass
+/// as they are.
+#[must_use]
+pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
+    let transformer = experiment.transformer_kind()?.name().to_owned();
+    let damping = law_damping(experiment)?;
+    let (mut low, mut high) = (0.0, MOST_EXCESS);
+    let Nudge::Grows(mut first) = nudge(experiment, &damping, high)? else {
+        return Some(GainMargin { excess: None, joint: None, transformer });
+    };
+    while high - low > RESOLUTION {
+        // Most margins are small.
+        let share = if high > 4.0 * LEAST_EXCESS { 0.25 } else { 0.5 };
+        let middle = low + share * (high - low);
+        match nudge(experiment, &damping, middle)? {
+            Nudge::DiesOut => low = middle,
+            Nudge::Grows(joint) => (high, first) = (middle, joint),
+        }
+    }
+    let joint = Some(experiment.robot().model.joints()[first].name.clone());
+    Some(GainMargin { excess: Some(low), joint, transformer })
+}
+
+impl fmt::Display for GainMargin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.excess, &self.joint) {
+            (Some(excess), Some(joint)) => {
+                write!(
+                    f,
+                    "position loops may have up to {:.1} % more gain than the file says (joint '{joint}' first)",
+                    100.0 * excess
+                )?;
+            }
+            _ => write!(
+                f,
+                "position loops may have {} times the gain that the file says, or more",
+                1.0 + MOST_EXCESS
+            )?,
+        }
+        write!(f, ", with transformer '{}'", self.transformer)
+    }
+}
+
+impl GainMargin {
+    /// The finding that it is too small.
+    #[must_use]
+    pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
+        let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
+        let joint = self.joint.as_ref()?;
+        let message = format!(
+            "position loops may have only {:.1} % more gain than the file says, with transformer '{}': beyond that the run \
+             is unstable, joint '{joint}' first",
+            100.0 * excess,
+            self.transformer,
+        );
+        let (profile, parameters) = experiment.profile();
+        let robot = experiment.robot();
+        let servo = &parameters.servo[joint];
+        let damping = (LEAST_EXCESS - excess) * servo.gains(parameters.servo_period_s()).damping;
+        let measured = robot.file.interface.measures.contains(&Measured::MotorCurrent);
+        let name = if self.transformer.starts_with("paper") { "emulation" } else { &self.transformer };
+        let current = match self.transformer.ends_with("+current") || !measured {
+            true => String::new(),
+            false => {
+                format!("take '{name}+current', which sees in the motors' current that a gain is wrong, or ")
+            }
+        };
+        let help = format!(
+            "{current}damp joint '{joint}' by {} Nms/rad more, or believe the gains to be higher than they are: that only \
+             makes the arm sluggish",
+            short(damping),
+        );
+        Some(Finding::new(&["profile", profile, "transformer"], message, help).of_robot())
+    }
+}
+
+/// D = −∂τ/∂q̇ of the task's law where it starts, Nms/rad (n × n).
+fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
+    const SPEED: f64 = 1e-3;
+    let model = &experiment.robot().model;
+    let n = model.n();
+    let mut measurement = Measurement::new(n, experiment.robot().sensors.len(), false);
+    measurement.q.copy_from_slice(&experiment.start().ok()?);
+    let (mut data, rest) = (Data::new(model), vec![0.0; n]);
+    let mut torque = |dq: DVector<f64>| {
+        let mut controller = experiment.unlimited_controller(experiment.profile().1.period_s())?;
+        update(model, &mut data, measurement.q.as_slice(), &rest).then_some(())?;
+        measurement.dq.fill(0.0);
+        controller.start(model, &data, &measurement);
+        measurement.dq = dq;
+        update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()).then_some(())?;
+        let mut torque = DVector::zeros(n);
+        controller.update(model, &data, &measurement, torque.as_mut_slice());
+        Some(torque)
+    };
+    let mut damping = DMatrix::zeros(n, n);
+    for joint in 0..n {
+        let at = |speed: f64| DVector::from_fn(n, |i, _| if i == joint { speed } else { 0.0 });
+        // What goes with the square of the speed falls out.
+        let slope = (torque(at(-SPEED))? - torque(at(SPEED))?) / (2.0 * SPEED);
+        damping.set_column(joint, &slope);
+    }
+    Some(damping)
+}
+
+/// What becomes of a nudge.
+enum Nudge {
+    DiesOut,
+    /// Into this joint the wrong gain feeds most power.
+    Grows(usize),
+}
+
+/// What becomes of a nudge at that ε; `None` where nothing can be run.
+fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option<Nudge> {
+    let bare = bare(experiment, 1.0 + excess)?;
+    let (robot, profile) = (bare.robot(), bare.profile().1);
+    let (model, n) = (&robot.model, robot.model.n());
+    let gain = bare.task().file.friction_compensation.gain.get();
+    let compensated = robot.joints().iter().map(|j| gain * j.friction.viscous_nms_per_rad.get()).collect();
+    let law = DMatrix::from_diagonal(&DVector::from_vec(compensated)) - damping;
+    let servos = robot.servos(profile);
+    let kv: Vec<f64> = servos.iter().map(|s| s.gains(profile.servo_period_s()).damping).collect();
+    let grows = |dq: &DVector<f64>| {
+        let fed = |joint: &usize| kv[*joint] * dq[*joint] * dq[*joint];
+        (0..n).max_by(|a, b| fed(a).total_cmp(&fed(b))).map(Nudge::Grows)
+    };
+
+    let mut data = Data::new(model);
+    update(model, &mut data, &bare.start().ok()?, &vec![0.0; n]).then_some(())?;
+    let acceleration = NUDGE_RAD_PER_S / (f64::from(NUDGED_TICKS) * profile.period_s());
+    let push =
+        &data.mass_matrix * DVector::from_fn(n, |i, _| acceleration * if i % 2 == 0 { 1.0 } else { -0.7 });
+
+    let mut backend = bare.simulated_backend().ok()?;
+    let quarter = (FOLLOWED_S / profile.period_s()) as u32 / 4;
+    // Highest speeds of the second and the last quarter.
+    let (mut before, mut after, mut dq) = (0.0_f64, 0.0_f64, DVector::zeros(n));
+    for tick in 0..4 * quarter {
+        // A fault: what was nudged so little has gone far.
+        if backend.read().and_then(|()| backend.observe(model, &mut data)).is_err() {
+            return grows(&dq);
+        }
+        dq.copy_from(&backend.sensing().measurement().dq);
+        let speed = dq.amax() / NUDGE_RAD_PER_S;
+        match tick / quarter {
+            _ if speed > GROWN => return grows(&dq),
+            1 => before = before.max(speed),
+            3 => after = after.max(speed),
+            _ => {}
+        }
+        if tick >= 2 * quarter && before < GONE {
+            return Some(Nudge::DiesOut);
+        }
+        let mut torque = &law * &dq;
+        if tick < NUDGED_TICKS {
+            torque += &push;
+        }
+        if backend.command(&data, Command::Torque(torque.as_slice())).is_err() {
+            return grows(&dq);
+        }
+    }
+    if after > before { grows(&dq) } else { Some(Nudge::DiesOut) }
+}
+
+/// The experiment on the arm that is believed, its position loops' gains times `kp`, without anything that hides whether a
+/// nudge grows.
+fn bare(experiment: &Experiment, kp: f64) -> Option<Experiment> {
+    let (mut robot, mut task) = (experiment.robot().clone(), experiment.task().clone());
+    let servo_hz = experiment.profile().1.servo_hz.get();
+    let current_loop_hz = robot.file.simulated.as_ref().and_then(|s| s.current_loop_hz);
+    let lag = current_loop_hz.map_or_else(String::new, |hz| format!("current_loop_hz = {:?}\n", hz.get()));
+    let sensors = robot.file.force_sensor.keys().map(|name| {
+        format!(
+            "[force_sensor.{name:?}]\nbandwidth_hz = 1e4\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0\n"
+        )
+    });
+    let plant = format!(
+        "physics_hz = {servo_hz:?}\n{lag}encoder_quantisation = false\ntorque_saturation = false\n\
+         bristle = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0, damping_fades_over_rad_per_s = 1.0 }}\n\
+         end_stop = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
+         brake = {{ slips_at_torque_limits = 1.0, stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
+         scale = {{ kp = {kp:?} }}\n{}",
+        sensors.collect::<String>()
+    );
+    robot.file.simulated = Some(toml::from_str::<SimulatedParameters>(&plant).ok()?);
+    robot.file.joint.values_mut().for_each(|joint| {
+        joint.friction.coulomb_nm = NonNegative::default();
+        joint.friction.static_nm = NonNegative::default();
+    });
+    robot.model = robot.model.with_gravity(Vector3::zeros());
+    task.file.surroundings.clear();
+    Experiment::new(robot, task, experiment.choice().clone(), Vec::new()).ok()
+}

@@ -1,0 +1,563 @@
+//! Gains that are too high for the rate, the delay and the servo of the robot: the phase margin of the loop.
+//!
+//! One joint of inertia I is led by a law C(s) that the task's gains are; what comes between is taken as it is
+//! sampled. With T the interface period, Ts that of the servo, d its delay in servo ticks, R = T/Ts,
+//!
+//! ```text
+//! C(s) = k (1 + i/s) + c V(s)          V(s) = a (1 − z⁻¹)/T / (1 − (1 − a) z⁻¹),  z = exp(s T)
+//! ```
+//!
+//! where V is the velocity estimate: a finite difference and a low-pass, whose group delay is T/2 + T (1 − a)/a. A
+//! torque robot holds the torque for a period:
+//!
+//! ```text
+//! L(s) = C(s) exp(−s d Ts) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
+//! ```
+//!
+//! A position robot holds the set-point of equation (10), of a stiffness K = kv kp and a damping D = kv, and its servo
+//! closes a loop of its own, with S its torque for a set-point, Y that for a position (for equation (9) S = kv kp and
+//! Y = −kv (kp + W), W its own velocity filter), and B the set-point's delay and hold over R servo ticks
+//! (twice the hold where the drive interpolates):
+//!
+//! ```text
+//! L(s) = I C (S/K) B Z(Ts) / (I s² − Z(Ts) [(S/K) (K + D V) B + Y])
+//! B(s) = exp(−s d Ts) (1 − exp(−s T))/(R (1 − exp(−s Ts)))
+//! ```
+//!
+//! The bracket is zero without hold and lag: then the servo is inverted. With them it acts as added damping and
+//! inertia (its first terms in s), that is, as a servo that lags. The phase margin is 180° + arg L where |L| = 1. Not
+//! in it: the coupling of joints, friction and the motor's own lag. Two things aren't looked at: force feedback, where
+//! the stiffness of the surroundings decides, and impedances, where the arm's inertia along the axis does.
+
+use super::{Case, Finding, short};
+use crate::run::experiment::BackendKind;
+use nalgebra::Complex;
+use opspace_backend::Setpoints;
+use opspace_control::{AXIS_NAMES, AxisMode, JointGains, TaskParameters};
+use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
+use std::f64::consts::{PI, TAU};
+
+/// Below it a loop rings, and a few per cent of wrong inertia or delay make it unstable.
+const LEAST_MARGIN_DEG: f64 = 30.0;
+
+/// What is proposed instead.
+const GOOD_MARGIN_DEG: f64 = 45.0;
+
+/// The worst axis or joint of each task whose gains are too high, whichever stack it is in.
+pub(crate) fn stiff_gains(case: &Case<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
+    for stack in 0..case.stacks.len() {
+        for name in case.stacks[stack].priority {
+            let finding = stiff_task(case, stack, name);
+            found.extend(finding.filter(|new| !found.iter().any(|old| old.key == new.key)));
+        }
+    }
+    found
+}
+
+fn stiff_task(case: &Case<'_>, stack: usize, name: &str) -> Option<Finding> {
+    let worst = followers(case, stack, name).into_iter().filter_map(|follower| {
+        let margin = follower.plant.margin(&follower.law)?;
+        // Less than half of what the gains themselves have is lost to delay, not to little damping.
+        let ideal = Plant::ideal().margin(&follower.law).map_or(90.0, |ideal| ideal.degrees);
+        (margin.degrees < LEAST_MARGIN_DEG.min(0.5 * ideal)).then_some((follower, margin))
+    });
+    let (follower, margin) = worst.min_by(|a, b| a.1.degrees.total_cmp(&b.1.degrees))?;
+    let Follower { law, plant, of, joint, key, quantity, value } = &follower;
+    let how = if margin.degrees < 0.0 {
+        format!("would be unstable on this robot: the phase margin is {:.0}°", margin.degrees)
+    } else {
+        format!("would ring on this robot: only {:.0}° of phase margin are left", margin.degrees)
+    };
+    let message = format!(
+        "task '{name}': {of} {how} at {} Hz, on joint '{joint}', with {} ms from measurement to torque{}",
+        short(margin.crossover_rad_per_s / TAU),
+        short(1e3 * plant.delay_s()),
+        if plant.servo.is_some() { " beside the servo's lag" } else { "" },
+    );
+    let help = match plant.highest_scale(law) {
+        Some(scale) => format!("{quantity} = {} has {GOOD_MARGIN_DEG:.0}°", rounded_down(scale * value)),
+        None => "raise damping_ratio: no stiffness has enough margin with this one".to_owned(),
+    };
+    Some(Finding::new(&case.key(stack, name, key), message, help))
+}
+
+/// Two digits, never more than `value`.
+fn rounded_down(value: f64) -> String {
+    let unit = 10f64.powi(value.log10().floor() as i32 - 1);
+    short((value / unit).floor() * unit)
+}
+
+/// What an axis or a joint is led by.
+struct Follower<'a> {
+    law: Law,
+    plant: Plant,
+    /// What has these gains.
+    of: String,
+    joint: &'a str,
+    key: &'static [&'static str],
+    /// Which number makes it stiff, and what it is.
+    quantity: &'static str,
+    value: f64,
+}
+
+/// All that a task leads by gains.
+fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &str) -> Vec<Follower<'a>> {
+    let in_force = &case.stacks[stack];
+    let joint_followers = |gains: &JointGains,
+                           key: &'static [&'static str],
+                           counted: &dyn Fn(usize) -> bool| {
+        let (Ok(omega), Ok(zeta)) =
+            (gains.frequency_rad_per_s.resolve(case.model, ""), gains.damping_ratio.resolve(case.model, ""))
+        else {
+            return Vec::new();
+        };
+        (0..case.model.n())
+            .filter(|&joint| counted(joint))
+            .map(|joint| Follower {
+                law: Law::of(omega[joint].get(), zeta[joint].get(), 0.0),
+                plant: Plant::new(case, joint),
+                of: format!("frequency_rad_per_s = {}", short(omega[joint].get())),
+                joint: case.joint(joint),
+                key,
+                quantity: "frequency_rad_per_s",
+                value: omega[joint].get(),
+            })
+            .collect()
+    };
+    match in_force.task.get(name) {
+        Some(TaskParameters::Cartesian(_) | TaskParameters::CenterOfMass(_)) => {
+            axis_followers(case, stack, name)
+        }
+        Some(TaskParameters::JointTracking(p)) => {
+            let selected = |joint| {
+                p.joints.as_ref().is_none_or(|names| names.iter().any(|name| name == case.joint(joint)))
+            };
+            joint_followers(&p.gains, &["joint-tracking", "gains", "frequency_rad_per_s"], &selected)
+        }
+        Some(TaskParameters::JointPosture(p)) => {
+            let gains = JointGains {
+                frequency_rad_per_s: p.frequency_rad_per_s.clone(),
+                damping_ratio: p.damping_ratio.clone(),
+            };
+            joint_followers(&gains, &["joint-posture", "frequency_rad_per_s"], &|_| true)
+        }
+        Some(TaskParameters::JointDamping(p)) => {
+            let Ok(damping) = p.damping_nms_per_rad.resolve(case.model, "") else { return Vec::new() };
+            (0..case.model.n())
+                .filter(|&joint| damping[joint].get() > 0.0)
+                .map(|joint| {
+                    let plant = Plant::new(case, joint);
+                    Follower {
+                        law: Law {
+                            stiffness: 0.0,
+                            damping: damping[joint].get() / plant.inertia,
+                            integral: 0.0,
+                        },
+                        plant,
+                        of: format!("damping_nms_per_rad = {}", short(damping[joint].get())),
+                        joint: case.joint(joint),
+                        key: &["joint-damping", "damping_nms_per_rad"],
+                        quantity: "damping_nms_per_rad",
+                        value: damping[joint].get(),
+                    }
+                })
+                .collect()
+        }
+        None => Vec::new(),
+    }
+}
+
+/// Every axis with every joint that moves it.
+fn axis_followers<'a>(case: &'a Case<'_>, stack: usize, name: &str) -> Vec<Follower<'a>> {
+    let Some(motion) = case.stacks[stack].motions.iter().find(|motion| motion.name == name) else {
+        return Vec::new();
+    };
+    let p = &motion.parameters;
+    let in_cartesian = motion.kind == "cartesian";
+    let mut followers = Vec::new();
+    for (axis, mode) in p.axes.modes().into_iter().enumerate() {
+        let mut one = [false; 6];
+        one[axis] = true;
+        let axes = motion.axes(case.model, &case.data, one);
+        let row = motion.rows(case.model, &case.data, &axes);
+        let largest = row.row(0).amax();
+        let joints = (0..case.model.n()).filter(|&joint| row[(0, joint)].abs() > 1e-6 * largest);
+        let (law, of, key, quantity, value): (_, _, &[&str], _, _) = match (mode, &p.gains) {
+            (AxisMode::Motion, Some(gains)) => {
+                let (Some(omega), Some(zeta)) =
+                    (gains.frequency_rad_per_s.get(axis), gains.damping_ratio.get(axis))
+                else {
+                    continue;
+                };
+                let integral = gains.integral_per_s.get(axis).map_or(0.0, |i| i.get());
+                let of = format!("frequency_rad_per_s = {} along {}", short(omega.get()), AXIS_NAMES[axis]);
+                let key: &[&str] = if in_cartesian {
+                    &["cartesian", "gains", "frequency_rad_per_s"]
+                } else {
+                    &["center-of-mass", "gains", "frequency_rad_per_s"]
+                };
+                (Law::of(omega.get(), zeta.get(), integral), of, key, "frequency_rad_per_s", omega.get())
+            }
+            (AxisMode::Compliant | AxisMode::Force, _) if in_cartesian => {
+                let Some(damping) = p.compliant_damping_per_s.get(axis).filter(|c| c.get() > 0.0) else {
+                    continue;
+                };
+                let of =
+                    format!("compliant_damping_per_s = {} along {}", short(damping.get()), AXIS_NAMES[axis]);
+                let law = Law { stiffness: 0.0, damping: damping.get(), integral: 0.0 };
+                let key: &[&str] = &["cartesian", "compliant_damping_per_s"];
+                (law, of, key, "compliant_damping_per_s", damping.get())
+            }
+            _ => continue,
+        };
+        followers.extend(joints.map(|joint| Follower {
+            law,
+            plant: Plant::new(case, joint),
+            of: of.clone(),
+            joint: case.joint(joint),
+            key,
+            quantity,
+            value,
+        }));
+    }
+    followers
+}
+
+/// Acceleration for an error: k (1 + i/s) of the position, c of the velocity.
+#[derive(Clone, Copy, Debug)]
+struct Law {
+    /// 1/s².
+    stiffness: f64,
+    /// 1/s.
+    damping: f64,
+    /// 1/s.
+    integral: f64,
+}
+
+impl Law {
+    fn of(omega: f64, zeta: f64, integral: f64) -> Self {
+        Self { stiffness: omega * omega, damping: 2.0 * zeta * omega, integral }
+    }
+
+    /// With its frequency times `scale`.
+    fn scaled(self, scale: f64) -> Self {
+        Self { stiffness: scale * scale * self.stiffness, damping: scale * self.damping, ..self }
+    }
+
+    /// Where it crosses over without any delay, rad/s.
+    fn bandwidth(&self) -> f64 {
+        let half = 0.5 * self.damping * self.damping;
+        (half + (half * half + self.stiffness * self.stiffness).sqrt()).sqrt()
+    }
+}
+
+/// A servo, and what equation (10) takes it for.
+#[derive(Clone, Copy, Debug)]
+struct Servo {
+    law: ServoLaw,
+    gains: ServoGains,
+    set_points: Setpoints,
+}
+
+impl Servo {
+    fn of(servo: &ServoParameters, period_s: f64, set_points: Setpoints) -> Option<Self> {
+        let law = ServoLaw::new(servo, period_s).ok()?;
+        Some(Self { law, gains: servo.gains(period_s), set_points })
+    }
+}
+
+/// A joint with its drive, as the law sees it.
+#[derive(Clone, Copy, Debug)]
+struct Plant {
+    /// kg m².
+    inertia: f64,
+    /// None for a torque robot.
+    servo: Option<Servo>,
+    /// T and Ts, s.
+    period_s: f64,
+    servo_period_s: f64,
+    delay_s: f64,
+    /// Of the velocity estimate, Hz.
+    filter_hz: f64,
+}
+
+/// How far a loop is from instability.
+#[derive(Clone, Copy, Debug)]
+struct Margin {
+    degrees: f64,
+    crossover_rad_per_s: f64,
+}
+
+impl Plant {
+    fn new(case: &Case<'_>, joint: usize) -> Self {
+        let profile: &ProfileParameters = case.experiment.profile().1;
+        let position = case.experiment.choice().backend == BackendKind::Position;
+        let robot = case.experiment.robot();
+        let set_points = robot.file.interface.set_points;
+        let servo = || Servo::of(&robot.servos(profile)[joint], profile.servo_period_s(), set_points);
+        Self {
+            inertia: case.data.mass_matrix[(joint, joint)],
+            servo: position.then(servo).flatten(),
+            period_s: profile.period_s(),
+            servo_period_s: profile.servo_period_s(),
+            delay_s: f64::from(profile.delay()) * profile.servo_period_s(),
+            filter_hz: profile.estimator.velocity_filter_hz.get(),
+        }
+    }
+
+    /// Without any delay to speak of: a tick of a microsecond.
+    fn ideal() -> Self {
+        let tick_s = 1e-6;
+        Self {
+            inertia: 1.0,
+            servo: None,
+            period_s: tick_s,
+            servo_period_s: tick_s,
+            delay_s: 0.0,
+            filter_hz: 1e6,
+        }
+    }
+
+    /// From a position to the middle of the torque that answers it, and to the velocity that is estimated from it, s.
+    fn delay_s(&self) -> f64 {
+        let pole = (-TAU * self.filter_hz * self.period_s).exp();
+        self.delay_s + self.period_s + self.period_s * pole / (1.0 - pole)
+    }
+
+    /// L at an angular frequency, rad/s.
+    fn open_loop(&self, law: &Law, omega: f64) -> Complex<f64> {
+        let s = Complex::new(0.0, omega);
+        let velocity = filtered_difference(s, self.period_s, self.filter_hz);
+        let c = law.damping * velocity + law.stiffness * (1.0 + law.integral / s);
+        let late = (-s * self.delay_s).exp();
+        let Some(servo) = self.servo else {
+            return c * late * hold(s, self.period_s) / (s * s);
+        };
+        let [of_set_point, of_position] = servo.law.response((s * self.servo_period_s).exp());
+        let own_hold = hold(s, self.servo_period_s);
+        let held = hold(s, self.period_s) / own_hold;
+        let set_point = match servo.set_points {
+            Setpoints::Held => late * held,
+            Setpoints::Interpolated => late * held * held,
+        };
+        let ServoGains { stiffness, damping } = servo.gains;
+        let led = own_hold * of_set_point * set_point / stiffness;
+        let servo_loop = led * (stiffness + damping * velocity) + own_hold * of_position;
+        self.inertia * c * led / (self.inertia * s * s - servo_loop)
+    }
+
+    /// The smallest at any crossover; `None` where the law asks for nothing.
+    fn margin(&self, law: &Law) -> Option<Margin> {
+        const STEPS: i32 = 600;
+        if law.stiffness <= 0.0 && law.damping <= 0.0 {
+            return None;
+        }
+        // Half the sampling rate is as far as the loop sees.
+        let last = PI / self.period_s;
+        let first = (1e-3 * law.bandwidth()).min(0.1 * last);
+        let at = |step: f64| first * (last / first).powf(step / f64::from(STEPS));
+        let mut before = self.open_loop(law, first);
+        let mut phase = if before.arg() > 0.0 { before.arg() - TAU } else { before.arg() };
+        let mut least: Option<Margin> = None;
+        let mut note = |phase: f64, omega: f64| {
+            let margin = Margin { degrees: 180.0 + phase.to_degrees(), crossover_rad_per_s: omega };
+            if least.is_none_or(|least| margin.degrees < least.degrees) {
+                least = Some(margin);
+            }
+        };
+        for step in 1..=STEPS {
+            let now = self.open_loop(law, at(f64::from(step)));
+            let next_phase = phase + (now / before).arg();
+            if (before.norm() > 1.0) != (now.norm() > 1.0) {
+                let (from, to) = (before.norm().ln(), now.norm().ln());
+                let share = from / (from - to);
+                note(phase + share * (next_phase - phase), at(f64::from(step) - 1.0 + share));
+            }
+            (before, phase) = (now, next_phase);
+        }
+        // Still more than 1 as far as it sees.
+        if before.norm() > 1.0 {
+            note(phase.min(-PI), last);
+        }
+        least
+    }
+
+    /// By how much the frequency may be multiplied for a good margin, up to 1.
+    fn highest_scale(&self, law: &Law) -> Option<f64> {
+        let good = |scale: f64| {
+            self.margin(&law.scaled(scale)).is_some_and(|margin| margin.degrees >= GOOD_MARGIN_DEG)
+        };
+        let (mut low, mut high) = (1e-4, 1.0);
+        if !good(low) {
+            return None;
+        }
+        for _ in 0..40 {
+            let middle = (low * high).sqrt();
+            if good(middle) { low = middle } else { high = middle }
+        }
+        Some(low)
+    }
+}
+
+/// A finite difference over `period_s` and a low-pass, sampled.
+fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Complex<f64> {
+    let pole = (-TAU * cutoff_hz * period_s).exp();
+    let back = (-s * period_s).exp();
+    (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
+}
+
+/// What is held over `period_s`.
+fn hold(s: Complex<f64>, period_s: f64) -> Complex<f64> {
+    (1.0 - (-s * period_s).exp()) / (s * period_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use opspace_backend::quantity::Positive;
+    use opspace_model::{Data, Joint, JointKind, Limits, Model};
+    use opspace_model::{Inertia, Placement};
+    use opspace_transformer::estimator::{EstimatorParameters, VelocityEstimator};
+    use opspace_transformer::{CascadedServo, PaperTransformer, Transformer};
+
+    const INERTIA: f64 = 0.4;
+
+    fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<CascadedServo>) -> Plant {
+        let servo = servo
+            .and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz, Setpoints::Held));
+        Plant {
+            inertia: INERTIA,
+            servo,
+            period_s: f64::from(ratio) / servo_hz,
+            servo_period_s: 1.0 / servo_hz,
+            delay_s: f64::from(delay) / servo_hz,
+            filter_hz,
+        }
+    }
+
+    /// As in the profiles of the robots: a velocity loop of `hz` about the inertia, a position loop of a fifth.
+    fn servo(hz: f64, filter_hz: f64) -> CascadedServo {
+        CascadedServo {
+            kp_per_s: Positive::literal(TAU * hz / 5.0),
+            kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
+            velocity_filter_hz: Positive::literal(filter_hz),
+            velocity_integral_time_s: None,
+        }
+    }
+
+    /// How much of the error at the start is left after a while: the sampled loop itself, tick by tick, with the
+    /// estimator, transformer and servo that robots run on, and a mass that is integrated exactly.
+    fn simulated(plant: &Plant, law: &Law, duration_s: f64) -> f64 {
+        let ratio = (plant.period_s / plant.servo_period_s).round() as usize;
+        let delay = (plant.delay_s / plant.servo_period_s).round() as usize;
+        let ts = plant.servo_period_s;
+        let parameters = EstimatorParameters { velocity_filter_hz: Positive::literal(plant.filter_hz) };
+        let mut estimator = VelocityEstimator::new(1, &parameters, plant.period_s);
+        let (mut q, mut dq) = (1e-3, 0.0);
+        let mut drive = plant.servo.map(|servo| (servo.law, servo.law.rest(q, 0.0).0));
+        let transformer = plant.servo.map(|servo| PaperTransformer::new(vec![servo.gains]));
+        let mut model = Model::new("mass");
+        let joint = Joint { name: "joint".into(), kind: JointKind::Continuous, limits: Limits::NONE };
+        model.add_body(None, Placement::identity(), joint, Inertia::zero());
+        let (mut data, mut transformer) = (Data::new(&model), transformer);
+        // A set-point that holds, or no torque.
+        let (mut active, mut next) = (if drive.is_some() { q } else { 0.0 }, 0.0);
+        let mut largest = 0.0_f64;
+        let ticks = (duration_s / ts) as usize;
+        for tick in 0..ticks {
+            if tick % ratio == 0 {
+                data.q[0] = q;
+                data.dq[0] = estimator.update(&[q])[0];
+                let torque = -plant.inertia * (law.stiffness * q + law.damping * data.dq[0]);
+                let mut command = [torque];
+                if let Some(transformer) = &mut transformer {
+                    transformer.transform(&data, &[torque], &mut command);
+                }
+                next = command[0];
+            }
+            if tick % ratio == delay % ratio && tick >= delay {
+                active = next;
+            }
+            let torque = drive.as_mut().map_or(active, |(law, memory)| law.step(memory, active, q));
+            let a = torque / plant.inertia;
+            q += ts * (dq + 0.5 * ts * a);
+            dq += ts * a;
+            if tick > 3 * ticks / 4 {
+                largest = largest.max(q.abs());
+            }
+            if q.abs() > 1e3 {
+                return f64::INFINITY;
+            }
+        }
+        largest / 1e-3
+    }
+
+    fn grid() -> Vec<(Plant, Law)> {
+        let mut grid = Vec::new();
+        for (servo_hz, ratio, delay, filter_hz) in [
+            (5000.0, 5, 0, 150.0),
+            (5000.0, 5, 4, 150.0),
+            (2500.0, 5, 2, 150.0),
+            (1000.0, 5, 0, 80.0),
+            (1000.0, 1, 0, 400.0),
+        ] {
+            for hz in [None, Some(8.0), Some(20.0)] {
+                let servo = hz.map(|hz| servo(hz, 0.15 * servo_hz));
+                for zeta in [0.4, 0.7, 1.0, 2.0] {
+                    for step in 0..14 {
+                        let omega = 10.0 * 1.5_f64.powi(step);
+                        let plant = plant(servo_hz, ratio, delay, filter_hz, servo);
+                        grid.push((plant, Law::of(omega, zeta, 0.0)));
+                    }
+                }
+            }
+        }
+        grid
+    }
+
+    /// The sign of the margin of the closed form against what the sampled loop does. Between 0° and 10° the formula
+    /// needn't be right: it knows nothing of what lies beyond half the sampling rate.
+    #[test]
+    fn the_margin_tells_which_loops_are_stable() {
+        let (mut stable, mut unstable) = (0, 0);
+        for (plant, law) in grid() {
+            let margin = plant.margin(&law).expect("a law").degrees;
+            let bandwidth = law.bandwidth().min(PI / plant.period_s);
+            let left = simulated(&plant, &law, 400.0 / bandwidth + 200.0 * plant.period_s);
+            if margin < 0.0 {
+                unstable += 1;
+                assert!(left > 1.0, "{margin:.1}° and {left} left: {plant:?} {law:?}");
+            } else if margin > 10.0 {
+                stable += 1;
+                assert!(left < 1.0, "{margin:.1}° and {left} left: {plant:?} {law:?}");
+            }
+        }
+        assert!(stable > 100 && unstable > 100, "both are tried: {stable} and {unstable}");
+    }
+
+    /// The margin of a loop without delay against the textbook's: tan φ = 2ζ w/ω at the crossover w.
+    #[test]
+    fn without_delay_the_margin_is_the_textbooks() {
+        for zeta in [0.2, 0.7, 1.0] {
+            let law = Law::of(30.0, zeta, 0.0);
+            let margin = Plant::ideal().margin(&law).expect("a law");
+            let w = law.bandwidth();
+            let exact = (2.0 * zeta * w / 30.0).atan().to_degrees();
+            // Interpolated between two of 600 steps.
+            assert!((margin.degrees - exact).abs() < 0.05, "{} against {exact}", margin.degrees);
+            assert!((margin.crossover_rad_per_s / w - 1.0).abs() < 1e-3);
+        }
+    }
+
+    /// The margin at the proposed frequency against what was promised, and a little above it.
+    #[test]
+    fn the_proposed_frequency_has_the_margin() {
+        let plant = plant(1000.0, 5, 0, 80.0, None);
+        let law = Law::of(200.0, 1.0, 0.0);
+        let scale = plant.highest_scale(&law).expect("some frequency");
+        let degrees = |scale: f64| plant.margin(&law.scaled(scale)).expect("a law").degrees;
+        assert!(degrees(1.0) < LEAST_MARGIN_DEG && degrees(scale) >= GOOD_MARGIN_DEG);
+        assert!(degrees(1.02 * scale) < GOOD_MARGIN_DEG);
+    }
+}

@@ -1,0 +1,207 @@
+//! A report as one HTML page that needs nothing else: no network, no script, no font.
+//!
+//! It is XML as well as HTML, follows the reader's light or dark scheme, and prints.
+
+use std::fmt::Write as _;
+
+use plotters::style::RGBColor;
+
+use crate::evaluate::table::{Cell, Table};
+use crate::report::figure::{Comparison, Figure, INK, PALETTE, escape};
+
+/// A page under construction; blocks appear in the order in which they are added.
+#[derive(Clone, Debug)]
+#[must_use]
+pub struct Page {
+    title: String,
+    body: String,
+    tables: usize,
+    figures: usize,
+}
+
+impl Page {
+    /// An empty page.
+    pub fn new(title: impl Into<String>) -> Self {
+        Self { title: title.into(), body: String::new(), tables: 0, figures: 0 }
+    }
+
+    /// What the page says, in a sentence or two: the first thing read.
+    pub fn lead(self, text: &str) -> Self {
+        self.block(&format!("<p class=\"lead\">{}</p>", escape(text)))
+    }
+
+    /// A heading; what follows belongs to it.
+    pub fn section(self, heading: &str) -> Self {
+        self.block(&format!("<h2>{}</h2>", escape(heading)))
+    }
+
+    /// A paragraph of text.
+    pub fn paragraph(self, text: &str) -> Self {
+        self.block(&format!("<p>{}</p>", escape(text)))
+    }
+
+    /// A run that failed, or lost data: said where it cannot be missed.
+    pub fn warning(self, text: &str) -> Self {
+        self.block(&format!(
+            "<p class=\"warning\" role=\"note\"><strong>Warning.</strong> {}</p>",
+            escape(text)
+        ))
+    }
+
+    /// Terms and what they are: seeds, versions, files.
+    pub fn facts<T: AsRef<str>, D: AsRef<str>>(self, facts: impl IntoIterator<Item = (T, D)>) -> Self {
+        let fact = |(term, text): (T, D)| {
+            format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escape(term.as_ref()), escape(text.as_ref()))
+        };
+        let list: String = facts.into_iter().map(fact).collect();
+        self.block(&format!("<dl>\n{list}</dl>"))
+    }
+
+    /// A table, numbered; notes stand below it.
+    pub fn table(mut self, caption: &str, table: &Table, notes: &[&str]) -> Self {
+        self.tables += 1;
+        let number = self.tables;
+        let mut html = format!(
+            "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Table {number}\"><table>\n\
+             <caption><b>Table {number}.</b> {}</caption>\n<thead><tr>",
+            escape(caption)
+        );
+        for (place, column) in table.columns.iter().enumerate() {
+            let numeric = table.rows.iter().filter_map(|row| row.get(place)).all(Cell::is_numeric);
+            let class = if numeric && !table.rows.is_empty() { " class=\"number\"" } else { "" };
+            let unit = match column.unit.as_str() {
+                "" => String::new(),
+                unit => format!(" <span class=\"unit\">{}</span>", escape(unit)),
+            };
+            // Writing to a String cannot fail.
+            let _ = write!(html, "<th scope=\"col\"{class}>{}{unit}</th>", escape(&column.title));
+        }
+        html.push_str("</tr></thead>\n<tbody>\n");
+        let width = table.rows.iter().map(Vec::len).chain([table.columns.len()]).max().unwrap_or(0);
+        for (row, texts) in table.rows.iter().zip(table.texts()) {
+            html.push_str("<tr>");
+            for place in 0..width {
+                html.push_str(&cell(row.get(place), texts.get(place), place));
+            }
+            html.push_str("</tr>\n");
+        }
+        if table.rows.is_empty() {
+            let _ = writeln!(html, "<tr><td colspan=\"{}\">no rows</td></tr>", width.max(1));
+        }
+        html.push_str("</tbody></table></div>");
+        for note in notes {
+            let _ = write!(html, "\n<p class=\"note\">{}</p>", escape(note));
+        }
+        self.block(&html)
+    }
+
+    /// A figure, numbered.
+    pub fn figure(self, figure: &Figure) -> Self {
+        self.drawing(&figure.svg(), &figure.title, &figure.caption)
+    }
+
+    /// A comparison, numbered among the figures.
+    pub fn comparison(self, comparison: &Comparison) -> Self {
+        self.drawing(&comparison.svg(), &comparison.title, &comparison.caption)
+    }
+
+    /// The whole page.
+    #[must_use]
+    pub fn render(&self) -> String {
+        let title = escape(&self.title);
+        format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
+             <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>{title}</title>\n\
+             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n</body>\n</html>\n",
+            dark_figures(),
+            self.body
+        )
+    }
+
+    fn drawing(mut self, svg: &str, title: &str, caption: &str) -> Self {
+        self.figures += 1;
+        let number = self.figures;
+        let html = format!(
+            "<figure>\n<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Figure {number}\">{svg}</div>\n\
+             <figcaption><b>Figure {number}. {}.</b> {}</figcaption>\n</figure>",
+            escape(title.trim_end_matches('.')),
+            escape(caption)
+        );
+        self.block(&html)
+    }
+
+    fn block(mut self, html: &str) -> Self {
+        self.body.push_str(html);
+        self.body.push('\n');
+        self
+    }
+}
+
+/// The first cell of a row is its head.
+fn cell(cell: Option<&Cell>, text: Option<&String>, place: usize) -> String {
+    let text = text.map_or_else(String::new, |text| escape(text));
+    let class = match cell {
+        Some(Cell::Pass(_)) => " class=\"pass\"",
+        Some(Cell::Fail(_)) => " class=\"fail\"",
+        Some(cell) if cell.is_numeric() => " class=\"number\"",
+        _ => "",
+    };
+    match place {
+        0 => format!("<th scope=\"row\"{class}>{text}</th>"),
+        _ => format!("<td{class}>{text}</td>"),
+    }
+}
+
+/// Where the page is dark, the figures' colours give way to others: known by what `plotters` writes.
+fn dark_figures() -> String {
+    let rule = |(RGBColor(r, g, b), dark): (RGBColor, &str)| {
+        format!(
+            "svg [stroke='#{r:02X}{g:02X}{b:02X}'] {{ stroke: {dark} }} \
+             svg [fill='#{r:02X}{g:02X}{b:02X}'] {{ fill: {dark} }}\n"
+        )
+    };
+    let rules: String = PALETTE.into_iter().chain([(INK, "var(--ink)")]).map(rule).collect();
+    format!("@media screen and (prefers-color-scheme: dark) {{\n{rules}}}\n")
+}
+
+const STYLE: &str = "\
+:root { color-scheme: light dark; --ink: #1c2024; --soft: #5b636b; --line: #d6dade; --back: #ffffff; --stripe: #f5f7f8;
+  --pass: #00704f; --fail: #b03a00; --warn: #fff3e4 }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e6e8ea; --soft: #a2abb3; --line: #3a4147; --back: #15181b; --stripe: #1d2125;
+    --pass: #4fd0a5; --fail: #ff9a5c; --warn: #3a2a18 }
+}
+* { box-sizing: border-box }
+body { margin: 0; background: var(--back); color: var(--ink); font: 16px/1.55 system-ui, sans-serif }
+main { max-width: 62rem; margin: 0 auto; padding: 2.5rem 1.25rem 4rem }
+h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 0.75rem }
+h2 { font-size: 1.3rem; margin: 2.75rem 0 0.75rem; padding-top: 0.9rem; border-top: 1px solid var(--line) }
+p { max-width: 46rem }
+.lead { font-size: 1.12rem; color: var(--soft); margin: 0 0 1.75rem }
+.warning { background: var(--warn); border-left: 4px solid var(--fail); padding: 0.6rem 0.9rem }
+.scroll { overflow-x: auto }
+table { border-collapse: collapse; width: 100%; font-size: 0.85rem; margin: 1rem 0 0.4rem }
+caption { text-align: left; padding-bottom: 0.5rem; color: var(--ink) }
+th, td { padding: 0.35rem 0.5rem; text-align: left; vertical-align: baseline; border-bottom: 1px solid var(--line) }
+thead th { border-bottom: 2px solid var(--ink); font-weight: 600; vertical-align: bottom }
+thead th.number { white-space: normal }
+tbody th { font-weight: 500; white-space: pre }
+tbody td { white-space: nowrap }
+tbody tr:nth-child(even) { background: var(--stripe) }
+.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
+.unit { font-weight: 400; color: var(--soft); white-space: nowrap }
+.pass { color: var(--pass) } .pass::before { content: '\u{2713} ' }
+.fail { color: var(--fail); font-weight: 600; min-width: 12rem } .fail::before { content: '\u{2717} ' }
+p.note { font-size: 0.86rem; color: var(--soft); margin: 0.2rem 0 }
+figure { margin: 1.75rem 0 2.25rem; break-inside: avoid }
+figure svg { display: block; width: 100%; min-width: 40rem; height: auto }
+figcaption { font-size: 0.92rem; max-width: 50rem; margin-top: 0.6rem; color: var(--soft) }
+figcaption b { color: var(--ink) }
+figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
+dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 0.5rem 1.5rem; font-size: 0.92rem }
+dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
+dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere }
+@media print { main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
+  h2 { break-after: avoid } tr { break-inside: avoid } }
+";

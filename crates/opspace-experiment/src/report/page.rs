@@ -1,0 +1,313 @@
+//! Reports: the figures of a run, laid out as the paper's, and pages of them.
+
+use crate::evaluate::results::{Group, Measure, NOTES, group, table};
+use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
+use crate::report::html::Page;
+use crate::run::execute::Summary;
+use crate::run::experiment::Experiment;
+use opspace_control::TaskParameters;
+use opspace_log::{ChannelData, Column, Recording};
+use opspace_model::{Data, frame_placement, kinematics};
+
+/// A run that a page shows in full.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// What it is, in a line.
+    pub title: String,
+    /// Its summary.
+    pub summary: Summary,
+    /// Its figures.
+    pub figures: Vec<Figure>,
+    /// What a reader should know of the log: damage, lost rows.
+    pub warnings: Vec<String>,
+    /// Where it came from: files, seed, versions.
+    pub facts: Vec<(String, String)>,
+}
+
+impl Shown {
+    /// Draws a run from its log.
+    #[must_use]
+    pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
+        let mut warnings = Vec::new();
+        if let Some(damage) = &recording.damage {
+            warnings.push(format!("The log is damaged; what is shown was read before. {damage}"));
+        }
+        if recording.dropped() > 0 {
+            warnings.push(format!("{} rows were lost on the way to the log.", recording.dropped()));
+        }
+        if let Some(fault) = &summary.faulted {
+            let time = summary.fault_time_s.unwrap_or(f64::NAN);
+            warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
+        }
+        let metadata = recording.metadata(crate::run::execute::RUN).into_iter().flatten();
+        Self {
+            title: title(&summary),
+            figures: figures(experiment, recording),
+            summary,
+            warnings,
+            facts: metadata.filter(|(_, v)| !v.is_empty()).map(|(k, v)| (k.clone(), v.clone())).collect(),
+        }
+    }
+}
+
+/// A page about runs: one table, then each shown run with its figures.
+#[must_use]
+pub fn page(title: &str, lead: &str, summaries: &[Summary], measures: &[Measure], shown: &[Shown]) -> String {
+    let mut page = Page::new(title).lead(lead).section("Results").table(
+        "Medians over the runs of each row, counted from the end of settling",
+        &table(summaries, measures),
+        NOTES,
+    );
+    if summaries.len() > 1 {
+        for comparison in comparisons(summaries) {
+            page = page.comparison(&comparison);
+        }
+    }
+    for run in shown {
+        page = page.section(&run.title);
+        for warning in &run.warnings {
+            page = page.warning(warning);
+        }
+        for figure in &run.figures {
+            page = page.figure(figure);
+        }
+        page = page.facts(run.facts.iter().map(|(term, text)| (term.as_str(), text.as_str())));
+    }
+    page.render()
+}
+
+fn title(summary: &Summary) -> String {
+    let by = summary.transformer.as_ref().map_or_else(String::new, |t| format!(" through '{t}'"));
+    format!(
+        "{}: {} robot, {}{by}, {} 1:{}, seed {}",
+        summary.task, summary.backend, summary.controller, summary.profile, summary.ratio, summary.seed
+    )
+}
+
+/// The figures of a run: torques by joint, then what its tasks and sensors saw.
+#[must_use]
+pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
+    let Some(tick) = recording.channel("tick") else { return Vec::new() };
+    let truth = recording.channel("truth").unwrap_or(tick);
+    let mut figures: Vec<Figure> = torques(recording, tick).into_iter().collect();
+    for name in &experiment.task().file.priority {
+        match experiment.task().file.task.get(name) {
+            Some(TaskParameters::Cartesian(task)) => {
+                figures.extend(positions(experiment, tick, truth, name, &task.frame));
+                figures.extend(forces(tick, name, task.force.as_ref().map(|f| f.sensor.as_str())));
+            }
+            Some(TaskParameters::JointTracking(_)) => figures.extend(joints(tick, truth, name)),
+            _ => {}
+        }
+    }
+    figures.extend(set_points(tick));
+    figures
+}
+
+/// Desired and motor torque of each joint: at servo rate where the log has it.
+fn torques(recording: &Recording, tick: &ChannelData) -> Option<Figure> {
+    let (channel, caption) = match recording.channel("servo") {
+        Some(servo) => (servo, "True motor torque, mean over each servo period, and the torque asked for."),
+        None => (tick, "Motor torque as measured by current, and the torque asked for."),
+    };
+    let motor = channel.signal("motor_torque")?;
+    let desired = channel.signal("torque_desired");
+    let panels = (motor.elements().iter().enumerate())
+        .map(|(j, joint)| Panel {
+            title: joint.clone(),
+            x_label: "time (s)".to_owned(),
+            y_label: "torque (N·m)".to_owned(),
+            series: [("motor", Style::Solid, Some(motor)), ("desired", Style::Desired, desired)]
+                .into_iter()
+                .filter_map(|(label, style, column)| series(label, &channel.time_s, &column?, j, style))
+                .collect(),
+            ..Panel::default()
+        })
+        .collect();
+    Some(Figure {
+        title: "Desired and motor torque".to_owned(),
+        caption: caption.to_owned(),
+        panels,
+        columns: None,
+    })
+}
+
+fn positions(
+    experiment: &Experiment,
+    tick: &ChannelData,
+    truth: &ChannelData,
+    task: &str,
+    frame_name: &str,
+) -> Option<Figure> {
+    let reference = tick.signal(&format!("{task}.reference"))?;
+    let model = &experiment.robot().model;
+    let frame = model.frame(frame_name).ok()?;
+    let q = truth.signal("q")?;
+    let mut data = Data::new(model);
+    let rest = vec![0.0; model.n()];
+    let path: Vec<[f64; 3]> = (0..q.len())
+        .map(|k| {
+            kinematics(model, &mut data, q.row(k), &rest);
+            frame_placement(model, &data, frame).translation.into()
+        })
+        .collect();
+    let panels = (0..3)
+        .map(|axis| Panel {
+            title: ["x", "y", "z"][axis].to_owned(),
+            x_label: "time (s)".to_owned(),
+            y_label: "position (m)".to_owned(),
+            series: [
+                Some(Series::new("true", truth.time_s.clone(), path.iter().map(|p| p[axis]).collect())),
+                series("reference", &tick.time_s, &reference, axis, Style::Desired),
+            ]
+            .into_iter()
+            .flatten()
+            .collect(),
+            ..Panel::default()
+        })
+        .collect();
+    Some(Figure {
+        title: format!("Position of '{frame_name}'"),
+        caption: "World axes. On a compliant axis the reference is where the frame started.".to_owned(),
+        panels,
+        columns: None,
+    })
+}
+
+fn forces(tick: &ChannelData, task: &str, sensor: Option<&str>) -> Option<Figure> {
+    let wrench = tick.signal(&format!("{}.wrench", sensor?))?;
+    let panels = (0..3)
+        .map(|axis| Panel {
+            title: ["x", "y", "z"][axis].to_owned(),
+            x_label: "time (s)".to_owned(),
+            y_label: "force (N)".to_owned(),
+            series: series("sensed", &tick.time_s, &wrench, axis, Style::Solid).into_iter().collect(),
+            ..Panel::default()
+        })
+        .collect();
+    Some(Figure {
+        title: format!("Contact force sensed by task '{task}'"),
+        caption: "World axes, on the robot, tared at the start.".to_owned(),
+        panels,
+        columns: None,
+    })
+}
+
+fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure> {
+    let reference = tick.signal(&format!("{task}.reference"))?;
+    joint_figure(
+        "Joint positions",
+        "True positions and their references.",
+        (truth, "q", "true"),
+        (tick, &reference),
+    )
+}
+
+/// How far ahead of the joints their set-points must be.
+fn set_points(tick: &ChannelData) -> Option<Figure> {
+    let set_points = tick.signal("q_desired")?;
+    joint_figure(
+        "Set-points",
+        "The positions that the robot was given, and where its joints were measured.",
+        (tick, "q", "measured"),
+        (tick, &set_points),
+    )
+}
+
+fn joint_figure(
+    title: &str,
+    caption: &str,
+    (channel, name, label): (&ChannelData, &str, &str),
+    (desired_channel, desired): (&ChannelData, &Column<'_>),
+) -> Option<Figure> {
+    let actual = channel.signal(name)?;
+    let panels = (actual.elements().iter().enumerate())
+        .map(|(j, joint)| Panel {
+            title: joint.clone(),
+            x_label: "time (s)".to_owned(),
+            y_label: "position (rad)".to_owned(),
+            series: [
+                series(label, &channel.time_s, &actual, j, Style::Solid),
+                series("desired", &desired_channel.time_s, desired, j, Style::Desired),
+            ]
+            .into_iter()
+            .flatten()
+            .collect(),
+            ..Panel::default()
+        })
+        .collect();
+    Some(Figure { title: title.to_owned(), caption: caption.to_owned(), panels, columns: None })
+}
+
+/// One element of a signal over time, from the controller's start on: before, references and tared forces mean
+/// nothing yet. `None` if it never is a number.
+fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, style: Style) -> Option<Series> {
+    let begun = |t: &f64| *t >= 0.0;
+    let y: Vec<f64> = time_s
+        .iter()
+        .zip(column.rows())
+        .map(|(t, row)| if begun(t) { row[element] } else { f64::NAN })
+        .collect();
+    let any = y.iter().any(|v| v.is_finite());
+    any.then(|| Series::new(label, time_s.to_vec(), y).style(style))
+}
+
+/// Each quantity on one scale: a row for each task and profile, a colour for each way of controlling.
+fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
+    type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
+    let quantities: [Quantity; 4] = [
+        ("Tracking", "position error, rms (mm)", Scale::Log, |s| s.metrics.position_rms_m.map(|v| 1e3 * v)),
+        ("Hand force", "force of the hand, rms (N)", Scale::Linear, |s| s.metrics.hand_force_rms_n),
+        ("Hand motion", "motion that the hand achieved, rms (mm)", Scale::Log, |s| {
+            s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
+        }),
+        ("Torque error", "on interval means (%)", Scale::Log, |s| {
+            s.metrics.torque_error_interval.map(|v| 1e2 * v)
+        }),
+    ];
+    let groups = group(summaries);
+    quantities
+        .into_iter()
+        .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
+        // One way of controlling is nothing to compare.
+        .filter(|comparison| comparison.series.len() > 1)
+        .collect()
+}
+
+fn comparison(
+    groups: &[Group<'_>],
+    title: &str,
+    x_label: &str,
+    scale: Scale,
+    number: fn(&Summary) -> Option<f64>,
+) -> Comparison {
+    let control = |s: &Summary| format!("{} {}", s.backend, s.controller);
+    let place = |s: &Summary| format!("{}, {} 1:{}", s.task, s.profile, s.ratio);
+    let mut controls: Vec<String> = Vec::new();
+    let mut rows: Vec<ComparisonRow> = Vec::new();
+    for group in groups {
+        let first = group.first();
+        let Some(value) = group.median(number) else { continue };
+        let column = controls.iter().position(|c| *c == control(first)).unwrap_or_else(|| {
+            controls.push(control(first));
+            controls.len() - 1
+        });
+        let label = place(first);
+        let at = rows.iter().position(|row| row.label == label).unwrap_or_else(|| {
+            rows.push(ComparisonRow { label, values: Vec::new() });
+            rows.len() - 1
+        });
+        let values = &mut rows[at].values;
+        values.resize(values.len().max(column + 1), None);
+        values[column] = Some(value);
+    }
+    rows.iter_mut().for_each(|row| row.values.resize(controls.len(), None));
+    Comparison {
+        title: title.to_owned(),
+        caption: String::new(),
+        x_label: x_label.to_owned(),
+        series: controls,
+        rows,
+        scale,
+    }
+}

@@ -1,0 +1,491 @@
+//! A task on a robot: everything put together from the two files.
+
+use crate::files::origin::Files;
+use crate::files::overrides::split;
+use crate::files::robot::{Robot, choices};
+use crate::files::source::FileError;
+use crate::files::task::Task;
+use opspace_backend::CommandKind;
+use opspace_backend::GravityBy;
+use opspace_control::{
+    ControlError, Controller, InverseKinematicsController, LimitParameters, OperationalSpaceController,
+    Reason, RobotFacts, ServoLead, Stack, TaskParameters,
+};
+use opspace_loop::interface::CommandParameter;
+use opspace_loop::{
+    Backend, ControlLoop, Facts, PositionBackend, PositionRobot, Sensing, TorqueBackend, TorqueRobot,
+};
+use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
+use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, TransformerKind};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Which kind of robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum BackendKind {
+    /// A position robot, through the transformer where the controller gives torques.
+    Position,
+    /// A torque robot.
+    Torque,
+}
+
+impl BackendKind {
+    /// Its name in files, tables and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position",
+            Self::Torque => "torque",
+        }
+    }
+}
+
+/// Which controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ControllerKind {
+    /// Operational-space control: torques.
+    Osc,
+    /// Inverse kinematics: positions.
+    Ik,
+    /// Inverse kinematics with velocity lead and gravity sag made up for.
+    IkLead,
+}
+
+impl ControllerKind {
+    /// Its name in files, tables and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Osc => "osc",
+            Self::Ik => "ik",
+            Self::IkLead => "ik-lead",
+        }
+    }
+}
+
+/// What is chosen beside the two files.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Choice {
+    /// Which kind of robot.
+    pub backend: BackendKind,
+    /// Which controller.
+    pub controller: ControllerKind,
+    /// Another transformer than the profile's.
+    pub transformer: Option<TransformerKind>,
+    /// Another profile than the robot's default.
+    pub profile: Option<String>,
+    /// Another seed than the task's.
+    pub seed: Option<u64>,
+    /// Another duration than the task's, s.
+    pub duration_s: Option<f64>,
+    /// What a suite calls the settings of this run.
+    pub label: Option<String>,
+}
+
+impl Default for Choice {
+    fn default() -> Self {
+        Self {
+            backend: BackendKind::Position,
+            controller: ControllerKind::Osc,
+            transformer: None,
+            profile: None,
+            seed: None,
+            duration_s: None,
+            label: None,
+        }
+    }
+}
+
+/// A task on a robot, checked: every part of it can be built.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    pub(super) robot: Robot,
+    pub(super) task: Task,
+    pub(super) choice: Choice,
+    settings: Vec<String>,
+    pub(super) profile_name: String,
+    pub(super) profile: ProfileParameters,
+}
+
+impl Experiment {
+    /// Reads the task and its robot (or another one) and puts them together. Of `settings`, those that begin
+    /// with `robot.` go to the robot file, the others to the task file.
+    ///
+    /// # Errors
+    /// What is wrong in either file, or between them, with its place.
+    pub fn load(
+        files: Files,
+        task: &Path,
+        robot: Option<&Path>,
+        choice: Choice,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
+        let (robot_settings, task_settings) = split(settings, "robot");
+        let task = Task::load(files, task, &task_settings)?;
+        if robot.is_none() {
+            files.read_named(&files.robot_file(&task.robot_path()), &task.source, "robot")?;
+        }
+        let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
+        let robot = Robot::load(files, &robot_path, &robot_settings)?;
+        Self::new(robot, task, choice, settings.to_vec())
+    }
+
+    /// Puts a task on a robot. `settings` are only told of, not applied.
+    ///
+    /// # Errors
+    /// What is wrong between the two, with its place.
+    pub fn new(robot: Robot, task: Task, choice: Choice, settings: Vec<String>) -> Result<Self, FileError> {
+        let (name, profile) = robot.profile(choice.profile.as_deref())?;
+        let (profile_name, profile) = (name.to_owned(), profile.clone());
+        let experiment = Self { robot, task, choice, settings, profile_name, profile };
+        experiment.check_choice()?;
+        experiment.start()?;
+        experiment.controller()?;
+        if experiment.robot.file.simulated.is_some() {
+            experiment.simulated_arm()?;
+        }
+        Ok(experiment)
+    }
+
+    /// The robot.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The task.
+    #[must_use]
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// What was chosen beside the files.
+    #[must_use]
+    pub fn choice(&self) -> &Choice {
+        &self.choice
+    }
+
+    /// The settings that were applied to the files.
+    #[must_use]
+    pub fn settings(&self) -> &[String] {
+        &self.settings
+    }
+
+    /// The profile in use.
+    #[must_use]
+    pub fn profile(&self) -> (&str, &ProfileParameters) {
+        (&self.profile_name, &self.profile)
+    }
+
+    /// The seed in use.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.choice.seed.unwrap_or(self.task.file.seed)
+    }
+
+    /// How long the controller runs, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.choice.duration_s.unwrap_or(self.task.file.duration_s.get())
+    }
+
+    /// The controller, about to start.
+    ///
+    /// # Errors
+    /// What in the task doesn't fit the robot.
+    pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
+        let facts = self.robot_facts(self.profile.period_s());
+        let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
+        let stack = self.stack(&file.priority, &file.task);
+        let wrong = |e: ControlError| self.control_error(&e);
+        match self.choice.controller {
+            ControllerKind::Osc => {
+                let mut osc = OperationalSpaceController::new(model, &stack, &facts).map_err(wrong)?;
+                for (number, event) in events.iter().enumerate() {
+                    let stack = osc.prepare(model, &self.stack(&event.priority, &event.task));
+                    osc.schedule(event.time_s, stack.map_err(|e| self.event_error(number, &e))?);
+                }
+                Ok(Box::new(osc))
+            }
+            ControllerKind::Ik | ControllerKind::IkLead => {
+                let lead = (self.choice.controller == ControllerKind::IkLead).then(|| self.servo_lead());
+                let mut ik = InverseKinematicsController::new(model, &stack, &facts, lead).map_err(wrong)?;
+                for (number, event) in events.iter().enumerate() {
+                    let stack = ik.prepare(model, &self.stack(&event.priority, &event.task));
+                    ik.schedule(event.time_s, stack.map_err(|e| self.event_error(number, &e))?);
+                }
+                Ok(Box::new(ik))
+            }
+        }
+    }
+
+    /// The torque controller of the task, as if the robot had no limits, updated every `period_s`: for what its
+    /// references ask for. `None` where the task doesn't fit the robot.
+    pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
+        let (model, facts) = (&self.robot.model, self.robot_facts(period_s));
+        let limits = LimitParameters { enforce: false, ..self.task.file.limits };
+        let file = &self.task.file;
+        let stack = Stack { limits, ..self.stack(&file.priority, &file.task) };
+        let mut osc = OperationalSpaceController::new(model, &stack, &facts).ok()?;
+        for event in &self.task.events {
+            let stack = osc.prepare(model, &self.stack(&event.priority, &event.task)).ok()?;
+            osc.schedule(event.time_s, stack);
+        }
+        Some(osc)
+    }
+
+    fn robot_facts(&self, period_s: f64) -> RobotFacts {
+        RobotFacts {
+            period_s,
+            sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
+            gravity_by_robot: self.gravity_by() == GravityBy::Robot,
+            limits: self.robot.joint_limits(),
+        }
+    }
+
+    fn stack<'a>(&'a self, priority: &'a [String], task: &'a BTreeMap<String, TaskParameters>) -> Stack<'a> {
+        let file = &self.task.file;
+        Stack { priority, task, compensation: file.compensation, limits: file.limits }
+    }
+
+    /// The simulated robot of the chosen kind, at rest at its start.
+    ///
+    /// # Errors
+    /// A robot file without `[simulated]`, or parameters that contradict each other.
+    pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
+        let Some(simulated) = self.robot.file.simulated.clone() else {
+            let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
+            let message = "this robot has no [simulated] section, so it can't be simulated";
+            return Err(FileError::of_file(self.robot.source.name(), message, Some(help)));
+        };
+        let setup = Setup {
+            model: self.robot.model.clone(),
+            joints: self.robot.joints(),
+            servos: self.robot.servos(&self.profile),
+            profile: self.profile.clone(),
+            simulated,
+            facts: self.facts(),
+            surroundings: self.task.file.surroundings.clone().into_iter().collect(),
+            start: self.start()?,
+            rest_s: self.robot.file.safety.tare_s.get(),
+            seed: self.seed(),
+        };
+        SimulatedArm::new(setup).map_err(|e| self.simulation_error(&e))
+    }
+
+    /// The simulated robot behind its backend.
+    ///
+    /// # Errors
+    /// As [`simulated_arm`](Self::simulated_arm).
+    pub fn simulated_backend(&self) -> Result<Box<dyn Backend>, FileError> {
+        let arm = self.simulated_arm()?;
+        self.backend(arm)
+    }
+
+    /// What the chosen robot declares of itself.
+    #[must_use]
+    pub fn facts(&self) -> Facts {
+        let interface = &self.robot.file.interface;
+        Facts {
+            command: self.command_kind(),
+            period_s: self.profile.period_s(),
+            set_points: interface.set_points,
+            gravity_by: interface.gravity_by,
+            on_missed_cycle: interface.on_missed_cycle,
+            motor_torque: self.measures_current(),
+            sensors: self.robot.sensors.clone(),
+        }
+    }
+
+    /// Any robot that can be either kind, behind the backend of the chosen one.
+    ///
+    /// # Errors
+    /// A servo that the transformer can't invert.
+    pub fn backend<R: PositionRobot + TorqueRobot + 'static>(
+        &self,
+        robot: R,
+    ) -> Result<Box<dyn Backend>, FileError> {
+        let model = &self.robot.model;
+        let facts: Facts = robot.facts().clone();
+        let sensing = Sensing::new(model, facts, &self.profile.estimator, &self.robot.file.safety);
+        match self.choice.backend {
+            BackendKind::Torque => Ok(Box::new(TorqueBackend::new(robot, sensing))),
+            BackendKind::Position => {
+                let (gains, limits) = (self.servo_gains(), self.robot.torque_limits());
+                let transformer = self.transformer()?;
+                Ok(Box::new(PositionBackend::new(robot, model, sensing, transformer, &gains, &limits)))
+            }
+        }
+    }
+
+    /// The loop of a controller on a backend of this experiment.
+    #[must_use]
+    pub fn control_loop<'a>(
+        &'a self,
+        backend: &'a mut dyn Backend,
+        controller: &'a mut dyn Controller,
+    ) -> ControlLoop<'a> {
+        let joints = self.robot.joints();
+        let friction = FrictionCompensation::new(
+            joints.iter().map(|j| &j.friction),
+            &self.task.file.friction_compensation,
+        );
+        ControlLoop::new(
+            &self.robot.model,
+            backend,
+            controller,
+            friction,
+            &self.robot.torque_limits(),
+            self.robot.file.safety.clone(),
+        )
+    }
+
+    /// What the chosen robot takes.
+    #[must_use]
+    pub fn command_kind(&self) -> CommandKind {
+        match self.choice.backend {
+            BackendKind::Position => CommandKind::Position,
+            BackendKind::Torque => CommandKind::Torque,
+        }
+    }
+
+    pub(super) fn gravity_by(&self) -> GravityBy {
+        self.robot.file.interface.gravity_by
+    }
+
+    fn servo_lead(&self) -> ServoLead {
+        let gains = self.servo_gains();
+        ServoLead {
+            kp_per_s: gains.iter().map(ServoGains::position_loop).collect(),
+            stiffness_nm_per_rad: gains.iter().map(|servo| servo.stiffness).collect(),
+        }
+    }
+
+    fn check_choice(&self) -> Result<(), FileError> {
+        let torque = self.choice.backend == BackendKind::Torque;
+        if torque && self.choice.controller != ControllerKind::Osc {
+            let message = format!(
+                "controller '{}' commands positions, which a torque robot doesn't take",
+                self.choice.controller.name()
+            );
+            let help = Some("use --backend position, or --controller osc".to_owned());
+            return Err(FileError::of_file(self.task.source.name(), message, help));
+        }
+        if !torque && self.robot.file.interface.command == CommandParameter::Torque {
+            let message = "this robot takes torques, but a position robot is asked for";
+            let help = Some("use --backend torque".to_owned());
+            return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
+        }
+        if let Some(kind) = self.transformer_kind() {
+            self.check_transformer(kind)?;
+        }
+        let counted_s = self.duration_s() - self.task.file.settle_s.get();
+        if counted_s > 0.0 && counted_s < self.profile.period_s() {
+            let message = format!(
+                "{} s of control after settling is less than one tick of {} s",
+                counted_s,
+                self.profile.period_s()
+            );
+            return Err(FileError::at_key(&self.task.source, "duration_s", message, None));
+        }
+        if counted_s <= 0.0 {
+            let message = format!(
+                "settle_s = {} leaves nothing of a run of {} s",
+                self.task.file.settle_s.get(),
+                self.duration_s()
+            );
+            let help = Some("make it last longer, or settle_s shorter".to_owned());
+            return Err(FileError::at_key(&self.task.source, "settle_s", message, help));
+        }
+        Ok(())
+    }
+
+    /// Where a simulated robot starts, in joint order.
+    pub(crate) fn start(&self) -> Result<Vec<f64>, FileError> {
+        let model = &self.robot.model;
+        let mut start = vec![0.0; model.n()];
+        for (name, &value) in &self.task.file.start_rad {
+            let at = |message, help| {
+                FileError::at_key(&self.task.source, ["start_rad", name.as_str()], message, help)
+            };
+            let joint = model.joint(name).map_err(|unknown| {
+                at(format!("this robot has no joint '{name}'"), Some(choices(name, &unknown.known)))
+            })?;
+            let limits = &model.joints()[joint].limits;
+            if value < limits.lower || value > limits.upper {
+                let message = format!("{value} is outside the joint's limits");
+                return Err(at(message, Some(format!("from {} to {}", limits.lower, limits.upper))));
+            }
+            start[joint] = value;
+        }
+        for (joint, &value) in model.joints().iter().zip(&start) {
+            if value < joint.limits.lower || value > joint.limits.upper {
+                let (lower, upper) = (joint.limits.lower, joint.limits.upper);
+                let message = format!("joint '{}' would start at 0, which is outside its limits", joint.name);
+                let help = Some(format!("add `{} = ...`, from {lower} to {upper}", joint.name));
+                return Err(FileError::at_key(&self.task.source, "start_rad", message, help));
+            }
+        }
+        Ok(start)
+    }
+
+    fn control_error(&self, error: &ControlError) -> FileError {
+        let (message, help) = explained(error);
+        FileError::at_key(&self.task.source, error.key(), message, help)
+    }
+
+    /// What doesn't fit once an event has changed it.
+    fn event_error(&self, number: usize, error: &ControlError) -> FileError {
+        let (message, help) = explained(error);
+        let message = format!("after this event, `{}`: {message}", error.key());
+        FileError::at_key(&self.task.source, ["event", &number.to_string(), "set"], message, help)
+    }
+
+    fn simulation_error(&self, error: &SimulationError) -> FileError {
+        let help = match error {
+            SimulationError::Frame { source, .. } => Some(choices(&source.name, &source.known)),
+            _ => None,
+        };
+        let message = match error {
+            SimulationError::Frame { source, .. } => format!("this robot has no frame '{}'", source.name),
+            other => other.to_string(),
+        };
+        match error.key() {
+            Key::Robot(key) => FileError::at_key(&self.robot.source, key, message, help),
+            Key::Profile(within) => {
+                let mut key = vec!["profile".to_owned(), self.profile_name.clone()];
+                key.extend(within);
+                FileError::at_key(&self.robot.source, key, message, help)
+            }
+            Key::Task(mut key) => {
+                // The kind's own table stands between the name and the key.
+                if let Some(surrounding) = self.task.file.surroundings.get(&key[1]) {
+                    key.insert(2, surrounding.kind().to_owned());
+                }
+                FileError::at_key(&self.task.source, key, message, help)
+            }
+        }
+    }
+}
+
+/// What is wrong with a task, and what could be meant.
+fn explained(error: &ControlError) -> (String, Option<String>) {
+    let help = match error.reason() {
+        Reason::Frame(unknown) => Some(choices(&unknown.name, &unknown.known)),
+        Reason::Joint(unknown) => Some(choices(&unknown.name, &unknown.known)),
+        Reason::Sensor { name, known } | Reason::UnknownTask { name, known } => Some(choices(name, known)),
+        _ => None,
+    };
+    let message = match error.reason() {
+        Reason::Frame(unknown) => format!("this robot has no frame '{}'", unknown.name),
+        Reason::Joint(unknown) => format!("this robot has no joint '{}'", unknown.name),
+        Reason::Sensor { name, .. } => format!("this robot has no force sensor '{name}'"),
+        Reason::UnknownTask { name, .. } => format!("there is no task '{name}'"),
+        other => other.to_string(),
+    };
+    (message, help)
+}

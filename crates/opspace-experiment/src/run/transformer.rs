@@ -1,0 +1,188 @@
+//! Which transformer an experiment uses, why, whether the robot can have it, and how it is made.
+
+use crate::files::source::FileError;
+use crate::run::experiment::{BackendKind, ControllerKind, Experiment};
+use nalgebra::DMatrix;
+use opspace_backend::quantity::NonNegative;
+use opspace_backend::{Measured, Setpoints};
+use opspace_model::{Data, update};
+use opspace_transformer::{
+    CurrentCorrected, EmulatingTransformer, EmulationSetup, FrictionCompensation,
+    FrictionCompensationParameters, IdentifiedJoint, LiteralTransformer, Matching, Method, PaperTransformer,
+    ServoGains, Transformer, TransformerKind,
+};
+
+impl Experiment {
+    /// The transformer in use; `None` where torques or positions pass as they are.
+    #[must_use]
+    pub fn transformer_kind(&self) -> Option<TransformerKind> {
+        self.uses_transformer().then(|| self.chosen_transformer().0)
+    }
+
+    /// Why it is that one.
+    #[must_use]
+    pub fn transformer_reason(&self) -> Option<String> {
+        self.uses_transformer().then(|| self.chosen_transformer().1)
+    }
+
+    fn uses_transformer(&self) -> bool {
+        self.choice.backend == BackendKind::Position && self.choice.controller == ControllerKind::Osc
+    }
+
+    pub(crate) fn chosen_transformer(&self) -> (TransformerKind, String) {
+        if let Some(kind) = self.choice.transformer {
+            return (kind, "asked for".to_owned());
+        }
+        if let Some(kind) = self.profile.transformer {
+            return (kind, format!("the one of profile '{}'", self.profile_name));
+        }
+        let set_points = self.robot.file.interface.set_points;
+        TransformerKind::best(set_points, self.profile.delay_servo_ticks, self.measures_current())
+    }
+
+    pub(crate) fn measures_current(&self) -> bool {
+        self.robot.file.interface.measures.contains(&Measured::MotorCurrent)
+    }
+
+    /// The chosen transformer.
+    ///
+    /// # Errors
+    /// A servo that it can't invert.
+    pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
+        let (TransformerKind { method, current }, _) = self.chosen_transformer();
+        let joints = || self.robot.identified(&self.profile);
+        let literal = |measured| {
+            let transformer = LiteralTransformer::new(&joints(), measured, self.profile.period_s());
+            transformer.map_err(|(joint, error)| self.joint_error("identified", joint, &error))
+        };
+        let plain: Box<dyn Transformer> = match method {
+            Method::Paper => Box::new(PaperTransformer::new(self.servo_gains())),
+            Method::Identified => {
+                let split = |(joint, of): (usize, &IdentifiedJoint)| {
+                    of.split().map_err(|error| self.joint_error("identified", joint, &error))
+                };
+                let gains: Result<Vec<ServoGains>, FileError> =
+                    joints().iter().enumerate().map(split).collect();
+                Box::new(PaperTransformer::new(gains?))
+            }
+            Method::IdentifiedLiteral => Box::new(literal(true)?),
+            Method::IdentifiedOpenLoop => Box::new(literal(false)?),
+            Method::Emulation => return self.emulating(Matching::Mean, current),
+            Method::Interpolating => return self.emulating(Matching::EachTick, current),
+        };
+        if !current {
+            return Ok(plain);
+        }
+        let (ratio, delay) = (self.profile.ratio.get(), self.profile.delay());
+        Ok(Box::new(CurrentCorrected::new(plain, &self.robot.torque_limits(), ratio, delay)))
+    }
+
+    fn emulating(&self, matching: Matching, current: bool) -> Result<Box<dyn Transformer>, FileError> {
+        let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
+        Ok(Box::new(emulating.map_err(|(joint, error)| self.joint_error("servo", joint, &error))?))
+    }
+
+    /// What is wrong with a joint's entry in a table of the profile.
+    fn joint_error(&self, table: &str, joint: usize, error: &dyn std::error::Error) -> FileError {
+        let name = self.robot.model.joints()[joint].name.as_str();
+        let help = "transformer = \"paper\" takes any servo for what it amounts to".to_owned();
+        let key = ["profile", &self.profile_name, table, name];
+        FileError::at_key(&self.robot.source, key, error.to_string(), Some(help))
+    }
+
+    fn emulation(&self, matching: Matching, current: bool) -> Result<EmulationSetup, FileError> {
+        let joints = self.robot.joints();
+        let whole = FrictionCompensationParameters {
+            gain: NonNegative::literal(1.0),
+            ..self.task.file.friction_compensation.clone()
+        };
+        Ok(EmulationSetup {
+            servos: self.robot.servos(&self.profile),
+            friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), &whole),
+            resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
+            inertias: self.inertias()?,
+            torque_limits: self.robot.torque_limits(),
+            servo_period_s: self.profile.servo_period_s(),
+            ratio: self.profile.ratio.get(),
+            delay: self.profile.delay(),
+            set_points: self.robot.file.interface.set_points,
+            matching,
+            gravity_by: self.gravity_by(),
+            current,
+            refine: self.profile.refine,
+        })
+    }
+
+    /// What each drive moves where the task starts, the other joints free: 1/(M⁻¹)ᵢᵢ.
+    fn inertias(&self) -> Result<Vec<f64>, FileError> {
+        let (model, q) = (&self.robot.model, self.start()?);
+        let mut data = Data::new(model);
+        let n = model.n();
+        let mut inverse = DMatrix::identity(n, n);
+        if !update(model, &mut data, &q, &vec![0.0; n]) {
+            let message = "the mass matrix isn't positive definite where the task starts";
+            return Err(FileError::of_file(self.robot.urdf.name(), message, None));
+        }
+        data.mass_matrix_factor.solve_matrix(&mut inverse);
+        Ok(inverse.diagonal().iter().map(|mobility| 1.0 / mobility).collect())
+    }
+
+    pub(crate) fn servo_gains(&self) -> Vec<ServoGains> {
+        let period_s = self.profile.servo_period_s();
+        self.robot.servos(&self.profile).iter().map(|servo| servo.gains(period_s)).collect()
+    }
+
+    /// What the transformer needs of the robot.
+    pub(crate) fn check_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
+        let (name, method, robot) = (kind.name(), kind.method, &self.robot);
+        let interface = |key: &str| vec!["interface".to_owned(), key.to_owned()];
+        let profile = |key: &[&str]| {
+            let own = ["profile", &self.profile_name];
+            own.iter().chain(key).map(|part| (*part).to_owned()).collect::<Vec<_>>()
+        };
+        let wrong = |key: Vec<String>, message: String, help: String| {
+            Err(FileError::at_key(&robot.source, key, message, Some(help)))
+        };
+        if kind.needs_current() && !self.measures_current() {
+            let message =
+                format!("transformer '{name}' needs the motors' current, which this robot doesn't measure");
+            let without = name.trim_end_matches("+current");
+            let help = format!("use '{without}', or add \"motor-current\" if the robot does");
+            return wrong(interface("measures"), message, help);
+        }
+        if method == Method::Interpolating && robot.file.interface.set_points == Setpoints::Held {
+            let message =
+                format!("transformer '{name}' is for drives that interpolate set-points; these hold them");
+            let help = "use 'emulation', or set_points = \"interpolated\" if the drives do".to_owned();
+            return wrong(interface("set_points"), message, help);
+        }
+        if method.needs_identification() && self.profile.identified.is_empty() {
+            let message =
+                format!("transformer '{name}' needs what `opspace identify` measures of each joint");
+            let help = format!("add [profile.{}.identified.JOINT] for each joint", self.profile_name);
+            return wrong(profile(&[]), message, help);
+        }
+        let literal = matches!(method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop);
+        if literal && robot.model.n() > 1 {
+            let message = format!(
+                "transformer '{name}' takes a torque for all that moves its joint, which is so for one joint alone; \
+                 this robot has {}",
+                robot.model.n()
+            );
+            let help = "use 'identified', which measures the velocity instead of predicting it".to_owned();
+            return wrong(profile(&[]), message, help);
+        }
+        if self.profile.refine.is_some() && !(method.needs_delay() && kind.needs_current()) {
+            let message = format!("gains can't be refined with transformer '{name}'");
+            let help = "take 'emulation+current' or 'interpolating+current', or leave refine out".to_owned();
+            return wrong(profile(&["refine"]), message, help);
+        }
+        if self.profile.delay_servo_ticks.is_none() && (method.needs_delay() || kind.needs_current()) {
+            let message =
+                format!("transformer '{name}' needs delay_servo_ticks, which this profile leaves out");
+            let help = "measure it, or use 'paper', which bears any".to_owned();
+            return wrong(profile(&[]), message, help);
+        }
+        self.transformer().map(|_| ())
+    }
+}

@@ -1,0 +1,282 @@
+//! What a drive and its joint do within an interface interval, exactly: servo ticks, held or interpolated set-point, delay, current loop.
+//!
+//! A joint of inertia I under motor torque m and a smooth force F, its servo run R times for each set-point:
+//!
+//! ```text
+//! w += a ((y − y₋)/Ts − w)     u = kv [kp (q_desired − y) − w]     ṁ = (u − m)/T_m     I q̈ = m + F
+//! ```
+//!
+//! At a frequency of the set-points both outputs, the position at the interface tick and the mean torque over the interval,
+//! are linear in set-point and force, aliases included:
+//!
+//! ```text
+//! y = A q_desired + B F        τ̄ = C q_desired + D F
+//! ```
+//!
+//! Eliminating F gives the torque from what was commanded **and measured**, whatever the joint is held back or moved by:
+//! friction, gravity, other joints. I is then left in what happens within the interval alone.
+
+use nalgebra::{Complex, SMatrix, SVector};
+use opspace_backend::Setpoints;
+use std::f64::consts::TAU;
+
+/// Rates and delay, which are counted in servo ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Time between two servo ticks, s.
+    pub servo_period_s: f64,
+    /// Servo ticks per interface tick.
+    pub ratio: u32,
+    /// Servo ticks until a set-point acts, at most `ratio`.
+    pub delay: u32,
+    /// What the drive does with set-points until the next one comes.
+    pub set_points: Setpoints,
+}
+
+impl Rates {
+    /// Time between two interface ticks, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        f64::from(self.ratio) * self.servo_period_s
+    }
+}
+
+/// A drive and its joint.
+#[derive(Clone, Copy, Debug)]
+pub struct Drive {
+    /// Position gain, 1/s.
+    pub kp: f64,
+    /// Velocity gain, Nms/rad (Ns/m).
+    pub kv: f64,
+    /// Cut-off of the velocity filter, Hz.
+    pub velocity_filter_hz: f64,
+    /// Bandwidth of the current loop, Hz; infinite where the motor follows at once.
+    pub current_loop_hz: f64,
+    /// Kg m² (kg).
+    pub inertia: f64,
+}
+
+/// Memory of an interval: q, q̇, w, y₋, m, the set-point before and the one before that.
+const MEMORY: usize = 7;
+type Memory = SVector<f64, MEMORY>;
+type ComplexMatrix = SMatrix<Complex<f64>, MEMORY, MEMORY>;
+
+/// The four responses at one frequency.
+#[derive(Clone, Copy, Debug)]
+pub struct Responses {
+    /// A: position at the tick, of the set-point.
+    pub position_of_set_point: Complex<f64>,
+    /// B: position at the tick, of the force.
+    pub position_of_force: Complex<f64>,
+    /// C: mean torque, of the set-point.
+    pub torque_of_set_point: Complex<f64>,
+    /// D: mean torque, of the force.
+    pub torque_of_force: Complex<f64>,
+}
+
+impl Responses {
+    /// The force, over the set-point, that explains a measured position response.
+    #[must_use]
+    pub fn force(&self, position: Complex<f64>) -> Complex<f64> {
+        (position - self.position_of_set_point) / self.position_of_force
+    }
+
+    /// The mean torque, over the set-point, that goes with a measured position response.
+    #[must_use]
+    pub fn torque(&self, position: Complex<f64>) -> Complex<f64> {
+        self.torque_of_set_point + self.torque_of_force * self.force(position)
+    }
+
+    /// The position response where the only force is viscous friction `b` (Nms/rad) at angular frequency `omega`.
+    #[must_use]
+    pub fn position_with_friction(&self, b: f64, omega: f64) -> Complex<f64> {
+        let one = Complex::new(1.0, 0.0);
+        self.position_of_set_point / (one + self.position_of_force * Complex::new(0.0, b * omega))
+    }
+}
+
+/// The interval as a linear map, for one drive and its rates.
+#[derive(Clone, Debug)]
+pub struct Interval {
+    rates: Rates,
+    /// From memory to memory, and to the mean torque.
+    memory: SMatrix<f64, MEMORY, MEMORY>,
+    memory_torque: Memory,
+    /// From the set-point.
+    set_point: Memory,
+    set_point_torque: f64,
+    /// From a force during each servo period.
+    force: Vec<(Memory, f64)>,
+}
+
+impl Interval {
+    /// For a drive at these rates.
+    #[must_use]
+    pub fn new(drive: &Drive, rates: Rates) -> Self {
+        let tick = Tick::new(drive, rates.servo_period_s);
+        let mut memory = SMatrix::<f64, MEMORY, MEMORY>::zeros();
+        let mut memory_torque = Memory::zeros();
+        for i in 0..MEMORY {
+            let mut unit = Memory::zeros();
+            unit[i] = 1.0;
+            let (end, torque) = tick.roll(unit, &rates, 0.0, None);
+            memory.set_column(i, &end);
+            memory_torque[i] = torque;
+        }
+        let (set_point, set_point_torque) = tick.roll(Memory::zeros(), &rates, 1.0, None);
+        let force = (0..rates.ratio).map(|j| tick.roll(Memory::zeros(), &rates, 0.0, Some(j))).collect();
+        Self { rates, memory, memory_torque, set_point, set_point_torque, force }
+    }
+
+    /// The responses at a frequency, Hz.
+    ///
+    /// `None` where the map has a pole at that very frequency.
+    #[must_use]
+    pub fn responses(&self, hz: f64) -> Option<Responses> {
+        let omega = TAU * hz;
+        let z = Complex::from_polar(1.0, omega * self.rates.period_s());
+        let mut pencil: ComplexMatrix = self.memory.map(|v| Complex::new(-v, 0.0));
+        for i in 0..MEMORY {
+            pencil[(i, i)] += z;
+        }
+        let mut push = SVector::<Complex<f64>, MEMORY>::zeros();
+        let mut push_torque = Complex::new(0.0, 0.0);
+        for (j, (end, torque)) in self.force.iter().enumerate() {
+            let phase = Complex::from_polar(1.0, omega * (j as f64 + 0.5) * self.rates.servo_period_s);
+            push += end.map(|v| phase * v);
+            push_torque += phase * *torque;
+        }
+        let factor = pencil.lu();
+        let of_set_point = factor.solve(&self.set_point.map(|v| Complex::new(v, 0.0)))?;
+        let of_force = factor.solve(&push)?;
+        let torque = |x: &SVector<Complex<f64>, MEMORY>| -> Complex<f64> {
+            x.iter().zip(self.memory_torque.iter()).map(|(x, c)| x * *c).sum()
+        };
+        Some(Responses {
+            position_of_set_point: of_set_point[0],
+            position_of_force: of_force[0],
+            torque_of_set_point: torque(&of_set_point) + self.set_point_torque,
+            torque_of_force: torque(&of_force) + push_torque,
+        })
+    }
+}
+
+/// One servo period.
+#[derive(Clone, Copy, Debug)]
+struct Tick {
+    period_s: f64,
+    kp: f64,
+    kv: f64,
+    filter: f64,
+    inertia: f64,
+    /// Of the motor's lag over a period: what is left of it, its time integral and the integral of that.
+    lag: f64,
+    lag_s: f64,
+    lag_s2: f64,
+}
+
+impl Tick {
+    fn new(drive: &Drive, period_s: f64) -> Self {
+        let time_s = 1.0 / (TAU * drive.current_loop_hz);
+        let lag = (-period_s / time_s).exp();
+        let lag_s = time_s * (1.0 - lag);
+        Self {
+            period_s,
+            kp: drive.kp,
+            kv: drive.kv,
+            filter: 1.0 - (-TAU * drive.velocity_filter_hz * period_s).exp(),
+            inertia: drive.inertia,
+            lag,
+            lag_s,
+            lag_s2: time_s * (period_s - lag_s),
+        }
+    }
+
+    /// An interval from `memory` on under a set-point, with a force of 1 during the servo period `pushed`: the memory at
+    /// its end and the mean torque.
+    fn roll(&self, memory: Memory, rates: &Rates, set_point: f64, pushed: Option<u32>) -> (Memory, f64) {
+        let [mut q, mut dq, mut w, mut last, mut motor, before, earlier] = memory.data.0[0];
+        let t = self.period_s;
+        let mut sum = 0.0;
+        for j in 0..rates.ratio {
+            let wanted = if j >= rates.delay {
+                rates.set_points.at(before, set_point, j - rates.delay, rates.ratio)
+            } else {
+                rates.set_points.at(earlier, before, rates.ratio - rates.delay + j, rates.ratio)
+            };
+            w += self.filter * ((q - last) / t - w);
+            last = q;
+            let asked = self.kv * (self.kp * (wanted - q) - w);
+            let gap = motor - asked;
+            let force = if pushed == Some(j) { 1.0 } else { 0.0 };
+            sum += asked + gap * self.lag_s / t;
+            q += t * dq + (0.5 * t * t * (asked + force) + gap * self.lag_s2) / self.inertia;
+            dq += (t * (asked + force) + gap * self.lag_s) / self.inertia;
+            motor = asked + gap * self.lag;
+        }
+        (Memory::from([q, dq, w, last, motor, set_point, before]), sum / f64::from(rates.ratio))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATES: Rates = Rates { servo_period_s: 1e-3, ratio: 5, delay: 2, set_points: Setpoints::Held };
+
+    fn drive() -> Drive {
+        Drive { kp: 25.0, kv: 47.0, velocity_filter_hz: 200.0, current_loop_hz: 1000.0, inertia: 0.38 }
+    }
+
+    /// The frequency response against the same recursion run in time under a sine, to which it settles.
+    #[test]
+    fn the_responses_are_what_a_sine_settles_to() {
+        const TOLERANCE: f64 = 1e-6;
+        let tick = Tick::new(&drive(), RATES.servo_period_s);
+        let interval = Interval::new(&drive(), RATES);
+        // A whole number of periods in a second.
+        for hz in [3.0, 11.0, 40.0] {
+            let mut memory = Memory::zeros();
+            let (mut y, mut tau) = (Complex::<f64>::default(), Complex::<f64>::default());
+            for k in 0..2000 {
+                let back = Complex::from_polar(1.0, -TAU * hz * f64::from(k) * RATES.period_s());
+                let set_point = back.conj().re;
+                let position = memory[0];
+                let (end, torque) = tick.roll(memory, &RATES, set_point, None);
+                memory = end;
+                if k >= 1800 {
+                    y += back * position * 2.0 / 200.0;
+                    tau += back * torque * 2.0 / 200.0;
+                }
+            }
+            let expected = interval.responses(hz).expect("no pole there");
+            assert!((y - expected.position_of_set_point).norm() < TOLERANCE, "{hz} Hz: {y}");
+            let error = (tau - expected.torque_of_set_point).norm();
+            assert!(error < TOLERANCE * expected.torque_of_set_point.norm().max(1.0), "{hz} Hz: {error}");
+        }
+    }
+
+    /// Torque from set-point and position, against the torque of the same drive with other forces on its joint.
+    #[test]
+    fn the_torque_follows_from_set_point_and_position_whatever_else_acts_on_the_joint() {
+        const TOLERANCE: f64 = 1e-9;
+        let interval = Interval::new(&drive(), RATES);
+        for hz in [0.5, 7.0, 60.0] {
+            let r = interval.responses(hz).expect("no pole there");
+            for force in [Complex::new(0.0, 0.0), Complex::new(30.0, -12.0)] {
+                let y = r.position_of_set_point + r.position_of_force * force;
+                let tau = r.torque_of_set_point + r.torque_of_force * force;
+                assert!((r.torque(y) - tau).norm() < TOLERANCE * tau.norm());
+                assert!((r.force(y) - force).norm() < TOLERANCE * (1.0 + force.norm()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_motor_without_lag_is_the_limit_of_a_fast_one() {
+        const TOLERANCE: f64 = 1e-4;
+        let at = |current_loop_hz| Interval::new(&Drive { current_loop_hz, ..drive() }, RATES).responses(9.0);
+        let (fast, none) = (at(1e7).expect("no pole there"), at(f64::INFINITY).expect("no pole there"));
+        assert!((fast.position_of_set_point - none.position_of_set_point).norm() < TOLERANCE);
+    }
+}

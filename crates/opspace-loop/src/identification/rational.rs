@@ -1,0 +1,180 @@
+//! A rational model of a measured frequency response, with delay and hold taken out.
+//!
+//! ```text
+//! T(jω) ≈ hold(jω) e^{−jω t_d} N(jω)/D(jω)        hold(jω) = (1 − e^{−jωT})/(jωT)
+//! ```
+//!
+//! C. K. Sanathanan, J. Koerner, *Transfer function synthesis as a ratio of two complex polynomials*, IEEE Trans. Automatic
+//! Control 8(1), 1963: linear least squares in the coefficients, weighted by the denominator of the round before.
+
+use nalgebra::{Complex, DMatrix, DVector};
+use opspace_transformer::polynomial::{roots, value};
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+const ROUNDS: usize = 30;
+
+/// A measured value of the response.
+#[derive(Clone, Copy, Debug)]
+pub struct Target {
+    /// Hz.
+    pub hz: f64,
+    /// T.
+    pub value: Complex<f64>,
+    /// How much it counts.
+    pub weight: f64,
+}
+
+/// N(s)/D(s) behind a hold and a delay.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rational {
+    /// Coefficients of N from s⁰ on.
+    pub numerator: Vec<f64>,
+    /// Coefficients of D from s⁰ on; the first is 1.
+    pub denominator: Vec<f64>,
+    /// Over which the input is held, s.
+    pub hold_s: f64,
+    /// Until it acts, s.
+    pub delay_s: f64,
+}
+
+impl Rational {
+    /// The response at a frequency, Hz.
+    #[must_use]
+    pub fn at(&self, hz: f64) -> Complex<f64> {
+        let s = Complex::new(0.0, TAU * hz);
+        held(hz, self.hold_s, self.delay_s) * value(&self.numerator, s) / value(&self.denominator, s)
+    }
+
+    /// Whether all poles decay.
+    #[must_use]
+    pub fn is_stable(&self) -> bool {
+        roots(&self.denominator).iter().all(|p| p.re < 0.0)
+    }
+
+    /// Whether the inverse would be stable: all zeros decay.
+    #[must_use]
+    pub fn is_minimum_phase(&self) -> bool {
+        roots(&self.numerator).iter().all(|p| p.re < 0.0)
+    }
+
+    /// Relative error over targets, rms.
+    #[must_use]
+    pub fn residual(&self, targets: &[Target]) -> f64 {
+        relative(targets.iter().map(|t| (self.at(t.hz), t.value)))
+    }
+}
+
+/// The rms of |model − measured|/|measured|.
+pub fn relative(pairs: impl Iterator<Item = (Complex<f64>, Complex<f64>)>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (model, measured) in pairs {
+        sum += ((model - measured) / measured).norm_sqr();
+        count += 1.0;
+    }
+    if count > 0.0 { f64::sqrt(sum / count) } else { f64::INFINITY }
+}
+
+/// Fits a numerator and a denominator of these degrees; `None` where the response doesn't determine them.
+#[must_use]
+pub fn fit(targets: &[Target], degrees: (usize, usize), hold_s: f64, delay_s: f64) -> Option<Rational> {
+    let (m, n) = degrees;
+    // Frequencies about 1 keep the powers of s alike.
+    let scale = TAU * (targets.iter().map(|t| t.hz.ln()).sum::<f64>() / targets.len() as f64).exp();
+    let mut before = vec![1.0];
+    let mut best: Option<(f64, Rational)> = None;
+    for _ in 0..ROUNDS {
+        let mut rows = DMatrix::zeros(2 * targets.len(), m + 1 + n);
+        let mut right = DVector::zeros(2 * targets.len());
+        for (k, target) in targets.iter().enumerate() {
+            let s = Complex::new(0.0, TAU * target.hz / scale);
+            let bare = target.value / held(target.hz, hold_s, delay_s);
+            let weight = target.weight / value(&before, s).norm();
+            for power in 0..=m {
+                put(&mut rows, k, power, s.powu(power as u32) * weight);
+            }
+            for power in 1..=n {
+                put(&mut rows, k, m + power, -bare * s.powu(power as u32) * weight);
+            }
+            right[2 * k] = bare.re * weight;
+            right[2 * k + 1] = bare.im * weight;
+        }
+        let solved = rows.svd(true, true).solve(&right, 1e-12).ok()?;
+        let numerator: Vec<f64> = solved.iter().take(m + 1).copied().collect();
+        let denominator: Vec<f64> = [1.0].into_iter().chain(solved.iter().skip(m + 1).copied()).collect();
+        let back = |c: &[f64]| -> Vec<f64> {
+            c.iter().enumerate().map(|(power, c)| c / scale.powi(power as i32)).collect()
+        };
+        let rational =
+            Rational { numerator: back(&numerator), denominator: back(&denominator), hold_s, delay_s };
+        let cost: f64 =
+            targets.iter().map(|t| (t.weight * (rational.at(t.hz) - t.value).norm()).powi(2)).sum();
+        if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
+            best = Some((cost, rational));
+        }
+        before = denominator;
+    }
+    best.map(|(_, rational)| rational)
+}
+
+fn put(rows: &mut DMatrix<f64>, target: usize, column: usize, value: Complex<f64>) {
+    rows[(2 * target, column)] = value.re;
+    rows[(2 * target + 1, column)] = value.im;
+}
+
+/// What a hold and a delay do to a response.
+#[must_use]
+pub fn held(hz: f64, hold_s: f64, delay_s: f64) -> Complex<f64> {
+    let half = 0.5 * TAU * hz * hold_s;
+    let sinc = if half.abs() < 1e-9 { 1.0 } else { half.sin() / half };
+    Complex::from_polar(sinc, -half - TAU * hz * delay_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How many times worse a fit with a wrong delay is, at least, than what rounding leaves of the right one.
+    const WORSE: f64 = 1e3;
+    const ROUNDING: f64 = 1e-12;
+
+    /// The fitted coefficients against those from which the response was computed.
+    #[test]
+    fn a_rational_function_behind_hold_and_delay_comes_back() {
+        const TOLERANCE: f64 = 1e-6;
+        let truth = Rational {
+            numerator: vec![1.0, 2e-3],
+            denominator: vec![1.0, 0.025, 1.2e-4, 2e-7],
+            hold_s: 1e-3,
+            delay_s: 6e-4,
+        };
+        assert!(truth.is_stable() && truth.is_minimum_phase());
+        let targets: Vec<Target> = (0..40)
+            .map(|k| 0.5 * 1.18f64.powi(k))
+            .map(|hz| Target { hz, value: truth.at(hz), weight: 1.0 })
+            .collect();
+        let found = fit(&targets, (1, 3), 1e-3, 6e-4).expect("determined");
+        let pairs = found.numerator.iter().zip(&truth.numerator);
+        for (f, t) in pairs.chain(found.denominator.iter().zip(&truth.denominator)) {
+            assert!((f / t - 1.0).abs() < TOLERANCE, "{found:?}");
+        }
+        let late = fit(&targets, (1, 3), 1e-3, 2e-3).expect("determined");
+        assert!(
+            late.residual(&targets) > WORSE * found.residual(&targets).max(ROUNDING),
+            "a wrong delay shows"
+        );
+    }
+
+    #[test]
+    fn stability_and_phase_are_told_from_the_roots() {
+        let with = |numerator: &[f64], denominator: &[f64]| Rational {
+            numerator: numerator.to_vec(),
+            denominator: denominator.to_vec(),
+            hold_s: 0.0,
+            delay_s: 0.0,
+        };
+        assert!(with(&[1.0], &[1.0, 0.1, 0.01]).is_stable());
+        assert!(!with(&[1.0], &[1.0, -0.1, 0.01]).is_stable());
+        assert!(!with(&[1.0, -0.1], &[1.0, 0.1]).is_minimum_phase());
+    }
+}

@@ -1,0 +1,56 @@
+//! Parameters that make a run safe: `[safety]` of robot.toml.
+
+use crate::watchdog::WatchdogParameters;
+use opspace_backend::quantity::NonNegative;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// What makes a run safe.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SafetyParameters {
+    /// Time over which the task's torque comes in from holding still, s.
+    #[serde(default = "default_ramp")]
+    pub torque_ramp_s: NonNegative,
+    /// Time at rest before the start over which force sensors are tared, s.
+    #[serde(default = "default_ramp")]
+    pub tare_s: NonNegative,
+    /// How far beyond the URDF's joint limits a measured position is a fault, rad (m).
+    #[serde(default)]
+    pub limit_margin_rad: NonNegative,
+    /// How many interface cycles in a row may be missed while control goes on. After more the robot is held, and control
+    /// resumed when it stands still.
+    #[serde(default = "default_bridged_cycles")]
+    pub bridged_cycles: u32,
+    /// How long the robot may be silent, or take to stand still after it was, s. A longer time is a fault.
+    #[serde(default = "default_dropout")]
+    pub longest_dropout_s: NonNegative,
+    /// Watchdogs of a position robot that measures its motors' torque.
+    #[serde(default)]
+    pub watchdog: WatchdogParameters,
+}
+
+impl Default for SafetyParameters {
+    fn default() -> Self {
+        Self {
+            torque_ramp_s: default_ramp(),
+            tare_s: default_ramp(),
+            limit_margin_rad: NonNegative::default(),
+            bridged_cycles: default_bridged_cycles(),
+            longest_dropout_s: default_dropout(),
+            watchdog: WatchdogParameters::default(),
+        }
+    }
+}
+
+const fn default_ramp() -> NonNegative {
+    NonNegative::literal(0.2)
+}
+
+const fn default_bridged_cycles() -> u32 {
+    3
+}
+
+const fn default_dropout() -> NonNegative {
+    NonNegative::literal(1.0)
+}

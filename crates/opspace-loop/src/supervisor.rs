@@ -1,0 +1,156 @@
+//! What a measured state must satisfy for a run to go on, and how much of it was missed.
+
+use crate::fault::Fault;
+use crate::safety::SafetyParameters;
+use nalgebra::DVector;
+use opspace_backend::Sample;
+use opspace_control::Measurement;
+use opspace_model::Model;
+
+/// Checks every tick; allocates nothing.
+#[derive(Clone, Debug)]
+pub struct Supervisor {
+    joints: Vec<Bounds>,
+    period_s: f64,
+    bridged_cycles: u64,
+    longest_dropout_s: f64,
+    last_time_s: f64,
+}
+
+/// How a sample follows the one before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Continuity {
+    /// So few interface cycles after it that control goes on: one, unless some were missed.
+    Bridged {
+        /// How many cycles came without a sample.
+        missed: u64,
+    },
+    /// So late that nothing that was estimated holds any more.
+    Broken {
+        /// How many cycles came without a sample.
+        missed: u64,
+    },
+}
+
+impl Continuity {
+    /// How many cycles came without a sample.
+    #[must_use]
+    pub fn missed(self) -> u64 {
+        match self {
+            Self::Bridged { missed } | Self::Broken { missed } => missed,
+        }
+    }
+}
+
+/// How much faster than its limit a joint would have to be for a measured position to be a slip of the encoder.
+const SLIP: f64 = 2.0;
+
+/// What an encoder may be off by beside, rad (m).
+const SLIP_RAD: f64 = 1e-3;
+
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    lower: f64,
+    upper: f64,
+    velocity: f64,
+}
+
+impl Supervisor {
+    /// For the limits in the URDF, widened by the margin, and a robot that is read every `period_s`.
+    #[must_use]
+    pub fn new(model: &Model, safety: &SafetyParameters, period_s: f64) -> Self {
+        let margin = safety.limit_margin_rad.get();
+        let joints = (model.joints().iter())
+            .map(|j| Bounds {
+                lower: j.limits.lower - margin,
+                upper: j.limits.upper + margin,
+                velocity: j.limits.velocity,
+            })
+            .collect();
+        Self {
+            joints,
+            period_s,
+            bridged_cycles: u64::from(safety.bridged_cycles),
+            longest_dropout_s: safety.longest_dropout_s.get(),
+            last_time_s: f64::NEG_INFINITY,
+        }
+    }
+
+    /// Tells from the robot's clock how many cycles went by without a sample. Less than half a period is jitter.
+    ///
+    /// # Errors
+    /// A clock that didn't move on.
+    pub fn check_clock(&mut self, sample: &Sample) -> Result<Continuity, Fault> {
+        let before_s = std::mem::replace(&mut self.last_time_s, sample.time_s);
+        // A clock that is no number moves nowhere.
+        if sample.time_s.is_nan() || sample.time_s <= before_s {
+            return Err(Fault::Clock { before_s, now_s: sample.time_s });
+        }
+        if before_s == f64::NEG_INFINITY {
+            return Ok(Continuity::Bridged { missed: 0 });
+        }
+        let missed = (((sample.time_s - before_s) / self.period_s).round() as u64).saturating_sub(1);
+        let bridged = missed <= self.bridged_cycles;
+        Ok(if bridged { Continuity::Bridged { missed } } else { Continuity::Broken { missed } })
+    }
+
+    /// Whether the robot was silent for longer than is borne.
+    ///
+    /// # Errors
+    /// If it was.
+    pub fn check_silence(&self, continuity: Continuity) -> Result<(), Fault> {
+        let (silent_s, longest_s) = (continuity.missed() as f64 * self.period_s, self.longest_dropout_s);
+        if silent_s > longest_s { Err(Fault::Dropout { silent_s, longest_s }) } else { Ok(()) }
+    }
+
+    /// Checks what the robot reported, before anything is computed from it, against the positions (n) before it if
+    /// those are known.
+    ///
+    /// # Errors
+    /// Numbers that are not finite; a position that no joint can have reached.
+    pub fn check_sample(
+        &self,
+        sample: &Sample,
+        before: &DVector<f64>,
+        continuity: Continuity,
+    ) -> Result<(), Fault> {
+        let not_finite = |v: &f64| !v.is_finite();
+        if let Some(joint) = sample.q.iter().position(not_finite) {
+            return Err(Fault::MeasurementNotFinite { joint });
+        }
+        if let Some(joint) = sample.motor_torque.iter().flatten().position(not_finite) {
+            return Err(Fault::MeasurementNotFinite { joint });
+        }
+        let broken = sample.wrenches.iter().position(|w| w.iter().any(not_finite));
+        if let Some(sensor) = broken {
+            return Err(Fault::SensorNotFinite { sensor });
+        }
+        let elapsed_s = (continuity.missed() + 1) as f64 * self.period_s;
+        for (joint, bounds) in self.joints.iter().enumerate() {
+            let step = (sample.q[joint] - before[joint]).abs();
+            let limit = SLIP * bounds.velocity * elapsed_s + SLIP_RAD;
+            // NaN passes: there was no position before.
+            if step > limit {
+                return Err(Fault::PositionSlip { joint, step, limit });
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks the state against the robot's limits.
+    ///
+    /// # Errors
+    /// The first joint beyond a limit.
+    pub fn check_state(&self, measurement: &Measurement) -> Result<(), Fault> {
+        for (joint, bounds) in self.joints.iter().enumerate() {
+            let (q, dq) = (measurement.q[joint], measurement.dq[joint]);
+            if q < bounds.lower || q > bounds.upper {
+                return Err(Fault::JointLimit { joint, q, lower: bounds.lower, upper: bounds.upper });
+            }
+            if dq.abs() > bounds.velocity {
+                return Err(Fault::Speed { joint, dq, limit: bounds.velocity });
+            }
+        }
+        Ok(())
+    }
+}

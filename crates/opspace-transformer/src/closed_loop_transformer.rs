@@ -1,0 +1,313 @@
+//! The paper's steps 1) to 5): a transformer from a joint's measured closed loop T(s), without knowing its servo.
+//!
+//! With H(s) the joint from torque to position as one chooses to see it, E is the servo that would explain T, and D* where H
+//! is the ideal joint G* of equation (5):
+//!
+//! ```text
+//! E = T/(H (1 − T))                                                  (6), step 3)
+//! q_desired = τ/E + q                                                (8), first form
+//! q_desired = τ/(E (1 − T)) = H τ/T                                  (8), second form
+//! ```
+//!
+//! **Literally**, τ is the net torque on a joint that is alone and free: what gravity, other joints and contact add isn't in
+//! it, and 1/E predicts a motion that doesn't happen. The second form doesn't even look at q, and drifts. **Split**, 1/E is a
+//! compliance α and a velocity per torque, β s H; with the velocity measured, and not predicted from the torque, it is good
+//! for arms under gravity and contact:
+//!
+//! ```text
+//! 1/E = α + β s H        q_desired = q + α τ + β q̇
+//! ```
+//!
+//! which is equation (10) with kp = 1/β and kv = β/α.
+
+use crate::polynomial::{product, roots, value};
+use crate::servo::ServoGains;
+use crate::transformer::Transformer;
+use nalgebra::{Complex, DVector, Matrix2, Vector2};
+use opspace_backend::Sample;
+use opspace_backend::quantity::Positive;
+use opspace_model::Data;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+use thiserror::Error;
+
+/// A coefficient that is nothing beside the largest of its polynomial.
+const NOTHING: f64 = 1e-9;
+
+/// Frequencies at which 1/E is split.
+const POINTS: u32 = 60;
+
+/// Most that a share of 1/E may be explained wrong by its split.
+const WORST_SPLIT: f64 = 0.3;
+
+/// A ratio of polynomials in s, coefficients from the constant up.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Rational {
+    /// b₀, b₁, … of b₀ + b₁ s + …
+    pub numerator: Vec<f64>,
+    /// a₀, a₁, …
+    pub denominator: Vec<f64>,
+}
+
+/// What was measured of a joint in closed loop, and how it is seen.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct IdentifiedJoint {
+    /// T(s), from set-point to position.
+    pub closed_loop: Rational,
+    /// H(s), from torque (Nm, N) to position (rad, m).
+    pub open_loop: Rational,
+    /// The lowest frequency at which T can be trusted, Hz.
+    pub from_hz: Positive,
+    /// The highest one, Hz.
+    pub to_hz: Positive,
+}
+
+/// A joint that can't be inverted from what was identified.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum IdentificationError {
+    /// A polynomial that is zero, or isn't there.
+    #[error("{what} is zero or empty")]
+    Zero {
+        /// Which.
+        what: &'static str,
+    },
+    /// A band from a higher to a lower frequency.
+    #[error("to_hz isn't above from_hz")]
+    Band,
+    /// q_desired would follow the rate of the torque.
+    #[error(
+        "closed_loop falls off faster than open_loop (by {excess} powers of s): set-points would follow the rate of \
+         the torque"
+    )]
+    Improper {
+        /// By how many powers of s.
+        excess: usize,
+    },
+    /// Set-points would grow by themselves.
+    #[error(
+        "set-points would grow without bound: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
+    )]
+    Unstable {
+        /// Its real part, rad/s.
+        at: f64,
+    },
+    /// It is no compliance and velocity.
+    #[error(
+        "1/E isn't a compliance and a velocity within the band: {left:.2} of it is left over, alpha = {alpha:.3e} rad/Nm, \
+         beta = {beta:.3e} s"
+    )]
+    Split {
+        /// α.
+        alpha: f64,
+        /// β.
+        beta: f64,
+        /// Share that they don't explain.
+        left: f64,
+    },
+}
+
+/// Coefficients up to the highest that counts.
+fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
+    let largest = polynomial.iter().fold(0.0, |largest: f64, c| largest.max(c.abs()));
+    while polynomial.last().is_some_and(|c| c.abs() <= NOTHING * NOTHING * largest) {
+        polynomial.pop();
+    }
+    polynomial
+}
+
+impl Rational {
+    fn at(&self, s: Complex<f64>) -> Complex<f64> {
+        value(&self.numerator, s) / value(&self.denominator, s)
+    }
+
+    /// The ratio of two polynomials without what both have of s.
+    fn reduced(numerator: Vec<f64>, denominator: Vec<f64>) -> Self {
+        let (mut numerator, mut denominator) = (trimmed(numerator), trimmed(denominator));
+        let rooted_at_zero = |p: &[f64]| {
+            let largest = p.iter().fold(0.0, |largest: f64, c| largest.max(c.abs()));
+            p.len() > 1 && p[0].abs() <= NOTHING * largest
+        };
+        while rooted_at_zero(&numerator) && rooted_at_zero(&denominator) {
+            numerator.remove(0);
+            denominator.remove(0);
+        }
+        Self { numerator, denominator }
+    }
+
+    /// The largest real part of a pole.
+    fn slowest_pole(&self) -> Option<f64> {
+        roots(&self.denominator).iter().map(|pole| pole.re).max_by(f64::total_cmp)
+    }
+}
+
+impl IdentifiedJoint {
+    /// 1/E.
+    fn inverse_servo(&self) -> Rational {
+        let (t, h) = (&self.closed_loop, &self.open_loop);
+        let order = t.numerator.len().max(t.denominator.len());
+        let of = |p: &[f64], i: usize| p.get(i).copied().unwrap_or(0.0);
+        let rest = (0..order).map(|i| of(&t.denominator, i) - of(&t.numerator, i)).collect::<Vec<f64>>();
+        Rational::reduced(product(&h.numerator, &rest), product(&h.denominator, &t.numerator))
+    }
+
+    fn check(&self) -> Result<(), IdentificationError> {
+        let polynomials = [
+            ("closed_loop.numerator", &self.closed_loop.numerator),
+            ("closed_loop.denominator", &self.closed_loop.denominator),
+            ("open_loop.numerator", &self.open_loop.numerator),
+            ("open_loop.denominator", &self.open_loop.denominator),
+        ];
+        if let Some((what, _)) = polynomials.iter().find(|(_, p)| p.iter().all(|c| *c == 0.0)) {
+            return Err(IdentificationError::Zero { what });
+        }
+        if self.to_hz <= self.from_hz {
+            return Err(IdentificationError::Band);
+        }
+        Ok(())
+    }
+
+    /// α (rad/Nm) and β (s) as the stiffness 1/α and the damping β/α: least squares of 1/E relative to itself, over the band.
+    ///
+    /// # Errors
+    /// If 1/E isn't that.
+    pub fn split(&self) -> Result<ServoGains, IdentificationError> {
+        self.check()?;
+        let inverse = self.inverse_servo();
+        let (from, to) = (TAU * self.from_hz.get(), TAU * self.to_hz.get());
+        let points = || {
+            (0..POINTS).map(|k| {
+                let s = Complex::new(0.0, from * (to / from).powf(f64::from(k) / f64::from(POINTS - 1)));
+                let whole = inverse.at(s);
+                (1.0 / whole, s * self.open_loop.at(s) / whole)
+            })
+        };
+        let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
+        for (x, y) in points() {
+            for row in [Vector2::new(x.re, y.re), Vector2::new(x.im, y.im)] {
+                normal += row * row.transpose();
+            }
+            right += Vector2::new(x.re, y.re);
+        }
+        let solved = normal.lu().solve(&right).unwrap_or_default();
+        let (alpha, beta) = (solved.x, solved.y);
+        let left = points().map(|(x, y)| (x * alpha + y * beta - 1.0).norm_sqr()).sum::<f64>();
+        let left = (left / f64::from(POINTS)).sqrt();
+        if !(alpha > 0.0 && beta >= 0.0 && left <= WORST_SPLIT) {
+            return Err(IdentificationError::Split { alpha, beta, left });
+        }
+        Ok(ServoGains { stiffness: 1.0 / alpha, damping: beta / alpha })
+    }
+}
+
+/// A filter in s as it runs every `period_s`, by Tustin's rule.
+#[derive(Clone, Debug)]
+struct Filter {
+    numerator: Vec<f64>,
+    denominator: Vec<f64>,
+    memory: Vec<f64>,
+}
+
+impl Filter {
+    fn new(rational: &Rational, period_s: f64) -> Self {
+        let order = rational.denominator.len() - 1;
+        let discrete = |p: &[f64]| {
+            let mut sum = vec![0.0; order + 1];
+            for (i, c) in p.iter().enumerate() {
+                // c (2/T)^i (1 − z⁻¹)^i (1 + z⁻¹)^(order − i)
+                let mut term = vec![c * (2.0 / period_s).powi(i as i32)];
+                for k in 0..order {
+                    term = product(&term, if k < i { &[1.0, -1.0] } else { &[1.0, 1.0] });
+                }
+                sum.iter_mut().zip(term).for_each(|(sum, c)| *sum += c);
+            }
+            sum
+        };
+        let (mut numerator, mut denominator) =
+            (discrete(&rational.numerator), discrete(&rational.denominator));
+        let first = denominator[0];
+        numerator.iter_mut().chain(&mut denominator).for_each(|c| *c /= first);
+        Self { numerator, denominator, memory: vec![0.0; order + 1] }
+    }
+
+    /// The transposed direct form.
+    fn step(&mut self, input: f64) -> f64 {
+        let output = self.numerator[0] * input + self.memory[0];
+        for i in 1..self.numerator.len() {
+            self.memory[i - 1] = self.numerator[i] * input - self.denominator[i] * output + self.memory[i];
+        }
+        output
+    }
+}
+
+/// Equation (8), literally: for a single joint that is free.
+#[derive(Clone, Debug)]
+pub struct LiteralTransformer {
+    joints: Vec<Filter>,
+    /// Whether q is measured; else where it was at the start.
+    measured: bool,
+    start: DVector<f64>,
+    begun: bool,
+}
+
+impl LiteralTransformer {
+    /// For joints of which this was identified, told every `period_s`; with the measured position or without.
+    ///
+    /// # Errors
+    /// The first joint that can't be inverted.
+    pub fn new(
+        joints: &[IdentifiedJoint],
+        measured: bool,
+        period_s: f64,
+    ) -> Result<Self, (usize, IdentificationError)> {
+        let filter = |joint: &IdentifiedJoint| {
+            joint.check()?;
+            let (t, h) = (&joint.closed_loop, &joint.open_loop);
+            let rational = if measured {
+                joint.inverse_servo()
+            } else {
+                let numerator = product(&h.numerator, &t.denominator);
+                Rational::reduced(numerator, product(&h.denominator, &t.numerator))
+            };
+            if let Some(excess) = rational.numerator.len().checked_sub(rational.denominator.len() + 1) {
+                return Err(IdentificationError::Improper { excess: excess + 1 });
+            }
+            // A joint's own integration from velocity to position is no growth.
+            let slowest = rational.slowest_pole().unwrap_or(f64::NEG_INFINITY);
+            if slowest > NOTHING {
+                return Err(IdentificationError::Unstable { at: slowest });
+            }
+            Ok(Filter::new(&rational, period_s))
+        };
+        let joints: Result<Vec<Filter>, _> =
+            joints.iter().enumerate().map(|(i, joint)| filter(joint).map_err(|e| (i, e))).collect();
+        let joints = joints?;
+        let start = DVector::zeros(joints.len());
+        Ok(Self { joints, measured, start, begun: false })
+    }
+}
+
+impl Transformer for LiteralTransformer {
+    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
+        if !self.begun {
+            self.start.copy_from_slice(&sample.q);
+        }
+        None
+    }
+
+    fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
+        self.begun = true;
+        let from = if self.measured { &data.q } else { &self.start };
+        for (i, filter) in self.joints.iter_mut().enumerate() {
+            q_desired[i] = from[i] + filter.step(tau[i]);
+        }
+    }
+
+    fn reset(&mut self) {
+        self.begun = false;
+        self.joints.iter_mut().for_each(|filter| filter.memory.fill(0.0));
+    }
+}

@@ -1,0 +1,82 @@
+//! Joint friction: the model, and its compensation (equation 11 of the paper).
+
+use nalgebra::DVector;
+use opspace_backend::quantity::{NonNegative, Positive};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Friction of one joint: `Fc` and `Fs` with Stribeck's fall from one to the other, and viscous.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FrictionParameters {
+    /// Coulomb friction Fc while moving, Nm (N).
+    pub coulomb_nm: NonNegative,
+    /// Static friction Fs, at which the joint breaks away, Nm (N).
+    pub static_nm: NonNegative,
+    /// Speed over which static friction falls to Coulomb friction, rad/s (m/s).
+    pub stribeck_rad_per_s: Positive,
+    /// Viscous friction Fv, Nms/rad (Ns/m).
+    pub viscous_nms_per_rad: NonNegative,
+}
+
+/// How much of the friction model is compensated.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FrictionCompensationParameters {
+    /// Share of the modelled friction that is compensated. More than the true friction drives the joint by
+    /// itself: 0.65 leaves room for friction a third below the model.
+    #[serde(default = "default_gain")]
+    pub gain: NonNegative,
+    /// Speed over which the compensation of Coulomb friction changes sign, rad/s (m/s).
+    #[serde(default = "default_smoothing")]
+    pub smoothing_rad_per_s: Positive,
+}
+
+impl Default for FrictionCompensationParameters {
+    fn default() -> Self {
+        Self { gain: default_gain(), smoothing_rad_per_s: default_smoothing() }
+    }
+}
+
+const fn default_gain() -> NonNegative {
+    NonNegative::literal(0.65)
+}
+
+const fn default_smoothing() -> Positive {
+    Positive::literal(0.05)
+}
+
+/// The estimate n̂ of equation (11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
+/// backend, the same for position and torque robots.
+#[derive(Clone, Debug)]
+pub struct FrictionCompensation {
+    coulomb: DVector<f64>,
+    viscous: DVector<f64>,
+    smoothing: f64,
+}
+
+impl FrictionCompensation {
+    /// For joints with the friction that is believed of them.
+    #[must_use]
+    pub fn new<'a>(
+        joints: impl Iterator<Item = &'a FrictionParameters> + Clone,
+        parameters: &FrictionCompensationParameters,
+    ) -> Self {
+        let gain = parameters.gain.get();
+        let collect = |f: fn(&FrictionParameters) -> f64| {
+            DVector::from_iterator(joints.clone().count(), joints.clone().map(|j| gain * f(j)))
+        };
+        Self {
+            coulomb: collect(|j| j.coulomb_nm.get()),
+            viscous: collect(|j| j.viscous_nms_per_rad.get()),
+            smoothing: parameters.smoothing_rad_per_s.get(),
+        }
+    }
+
+    /// n̂ of one joint at the velocity `dq`, Nm (N).
+    #[inline]
+    #[must_use]
+    pub fn torque(&self, joint: usize, dq: f64) -> f64 {
+        self.coulomb[joint] * (dq / self.smoothing).tanh() + self.viscous[joint] * dq
+    }
+}

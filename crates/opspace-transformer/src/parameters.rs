@@ -1,0 +1,105 @@
+//! What is believed of a robot's drives: the parts of robot.toml that describe joints and profiles.
+
+use crate::closed_loop_transformer::IdentifiedJoint;
+use crate::estimator::EstimatorParameters;
+use crate::friction::FrictionParameters;
+use crate::refine::RefinementParameters;
+use crate::servo::ServoParameters;
+use crate::transformer::TransformerKind;
+use opspace_backend::quantity::{Count, NonNegative, Positive};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+/// One joint's drive.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointParameters {
+    /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
+    pub torque_limit_nm: Positive,
+    /// Highest rate of the commanded torque, Nm/s (N/s); the whole torque in 10 ms if absent.
+    #[serde(default)]
+    pub torque_rate_limit_nm_per_s: Option<Positive>,
+    /// Highest acceleration, with which the joint can also brake, rad/s² (m/s²); without it, joints are braked before
+    /// their ends with half of what the torque limit leaves beside gravity in the worst of many postures.
+    #[serde(default)]
+    pub acceleration_limit_rad_per_s2: Option<Positive>,
+    /// The motor's rotor and encoder.
+    pub rotor: RotorParameters,
+    /// Friction at the joint.
+    pub friction: FrictionParameters,
+}
+
+/// The motor's side of a joint.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RotorParameters {
+    /// Inertia of all that turns at motor speed, kg m².
+    pub inertia_kg_m2: NonNegative,
+    /// Motor turns per joint turn.
+    pub gear_ratio: Positive,
+    /// Encoder counts per motor turn.
+    pub encoder_counts_per_turn: Count,
+}
+
+impl RotorParameters {
+    /// Inertia felt at the joint: the gear ratio squared times the rotor's, kg m².
+    #[must_use]
+    pub fn reflected_inertia(&self) -> f64 {
+        self.gear_ratio.get().powi(2) * self.inertia_kg_m2.get()
+    }
+
+    /// One encoder count at the joint, rad.
+    #[must_use]
+    pub fn resolution_rad(&self) -> f64 {
+        TAU / (f64::from(self.encoder_counts_per_turn.get()) * self.gear_ratio.get())
+    }
+}
+
+/// How a robot is driven: rates, servo gains and what is made of them. A robot may have several profiles.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileParameters {
+    /// Rate at which the drives close their loops, Hz.
+    pub servo_hz: Positive,
+    /// Servo ticks per interface tick: set-points are taken and positions given at `servo_hz / ratio`.
+    pub ratio: Count,
+    /// Servo ticks from the interface tick at which a command is written until it acts; at most `ratio`. Left out where it
+    /// isn't known.
+    #[serde(default)]
+    pub delay_servo_ticks: Option<u32>,
+    /// What turns torques into positions; the best for what the robot declares if absent.
+    #[serde(default)]
+    pub transformer: Option<TransformerKind>,
+    /// Gains refined from measured motor current while running; not at all if absent.
+    #[serde(default)]
+    pub refine: Option<RefinementParameters>,
+    /// How joint velocity is estimated at the interface.
+    pub estimator: EstimatorParameters,
+    /// The position servo of each joint, by joint name.
+    pub servo: BTreeMap<String, ServoParameters>,
+    /// What was measured of each joint's closed loop, by joint name: for the transformers `identified`.
+    #[serde(default)]
+    pub identified: BTreeMap<String, IdentifiedJoint>,
+}
+
+impl ProfileParameters {
+    /// Time between two servo ticks, s.
+    #[must_use]
+    pub fn servo_period_s(&self) -> f64 {
+        1.0 / self.servo_hz.get()
+    }
+
+    /// The delay in servo ticks; 0 where it isn't known.
+    #[must_use]
+    pub fn delay(&self) -> u32 {
+        self.delay_servo_ticks.unwrap_or(0)
+    }
+
+    /// Time between two interface ticks, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        f64::from(self.ratio.get()) / self.servo_hz.get()
+    }
+}

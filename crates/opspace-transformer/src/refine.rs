@@ -1,0 +1,133 @@
+//! Gains of a servo refined while it runs: recursive least squares of measured motor torque.
+//!
+//! Over an interface interval a servo of a stiffness K and a damping D gives the mean torque
+//!
+//! ```text
+//! τ̄ = K ē − D w̄ = a x₁ − b x₂        x₁ = K₀ ē, x₂ = D₀ w̄
+//! ```
+//!
+//! with e the position error and w the servo's velocity, both as emulated, and a and b the gains over those that are believed.
+//! They wander slowly at random, are bounded, and stay where nothing excites them.
+
+use nalgebra::{Matrix2, Vector2};
+use opspace_backend::quantity::Positive;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// Noise of a mean torque that the model doesn't explain, as a share of the torque limit, rms.
+const NOISE: f64 = 0.01;
+
+/// What the gains are believed to be off by before anything is measured, rms, as a share of them.
+const UNCERTAIN: f64 = 0.1;
+
+/// How gains are refined while running.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RefinementParameters {
+    /// Time over which gains may change by a tenth, s: what is older counts less.
+    pub time_s: Positive,
+    /// How far they may go from what the file says, as a share of it, below 1.
+    pub within: Share,
+}
+
+/// A share above 0 and below 1.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(try_from = "f64")]
+pub struct Share(#[schemars(range(min = 0.0, max = 1.0))] f64);
+
+impl TryFrom<f64> for Share {
+    type Error = String;
+
+    fn try_from(value: f64) -> Result<Self, String> {
+        if value > 0.0 && value < 1.0 {
+            Ok(Self(value))
+        } else {
+            Err(format!("expected a share above 0 and below 1, got {value}"))
+        }
+    }
+}
+
+/// Stiffness and damping of one joint's servo over what is believed of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Refinement {
+    /// a and −b.
+    scales: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    wander: f64,
+    within: f64,
+    noise: f64,
+}
+
+impl Refinement {
+    /// For a drive of this torque limit (Nm, N), measured every `period_s`.
+    #[must_use]
+    pub fn new(parameters: &RefinementParameters, torque_limit: f64, period_s: f64) -> Self {
+        Self {
+            scales: Vector2::new(1.0, -1.0),
+            covariance: Matrix2::from_diagonal_element(UNCERTAIN * UNCERTAIN),
+            wander: UNCERTAIN * UNCERTAIN * period_s / parameters.time_s.get(),
+            within: parameters.within.0,
+            noise: (NOISE * torque_limit).powi(2),
+        }
+    }
+
+    /// Takes in a mean torque (Nm, N) with x₁ and x₂, and gives the scales of stiffness and damping.
+    pub fn update(&mut self, measured: f64, of_position: f64, of_velocity: f64) -> [f64; 2] {
+        let x = Vector2::new(of_position, of_velocity);
+        let p = self.covariance * x;
+        let gain = p / (self.noise + x.dot(&p));
+        self.scales += gain * (measured - x.dot(&self.scales));
+        self.scales.x = self.scales.x.clamp(1.0 - self.within, 1.0 + self.within);
+        self.scales.y = self.scales.y.clamp(-1.0 - self.within, -1.0 + self.within);
+        self.covariance -= gain * p.transpose();
+        // Without excitation the uncertainty grows to what it was at the start, not beyond.
+        for i in 0..2 {
+            if self.covariance[(i, i)] < UNCERTAIN * UNCERTAIN {
+                self.covariance[(i, i)] += self.wander;
+            }
+        }
+        [self.scales.x, -self.scales.y]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the gains' own wandering leaves.
+    const FOUND: f64 = 1e-3;
+
+    fn refinement(within: f64) -> Refinement {
+        let parameters = RefinementParameters {
+            time_s: Positive::literal(1.0),
+            within: Share::try_from(within).expect("a share"),
+        };
+        Refinement::new(&parameters, 40.0, 1e-3)
+    }
+
+    /// Torques of a servo with other gains than believed, and the scales found from them.
+    #[test]
+    fn gains_are_found_from_torques() {
+        let mut refinement = refinement(0.5);
+        let mut found = [0.0; 2];
+        for k in 0..5000 {
+            let t = f64::from(k) * 1e-3;
+            let (x1, x2) = (30.0 * (3.0 * t).sin(), 20.0 * (5.0 * t).cos());
+            found = refinement.update(0.8 * x1 - 1.2 * x2, x1, x2);
+        }
+        assert!((found[0] - 0.8).abs() < FOUND && (found[1] - 1.2).abs() < FOUND, "{found:?}");
+    }
+
+    /// Scales of a servo that is further off than allowed, and of one that nothing moves.
+    #[test]
+    fn scales_are_bounded_and_stay_at_rest() {
+        let mut bounded = refinement(0.3);
+        let found = (0..5000).map(|k| {
+            let x = 30.0 * (3e-3 * f64::from(k)).sin();
+            bounded.update(2.0 * x, x, 0.0)
+        });
+        assert_eq!(found.last().expect("some")[0], 1.3);
+        let mut still = refinement(0.3);
+        assert_eq!((0..5000).map(|_| still.update(0.5, 0.0, 0.0)).last(), Some([1.0, 1.0]));
+    }
+}

@@ -1,0 +1,169 @@
+//! The position servos of drives, as they are known: what a transformer inverts.
+//!
+//! How each of them runs, tick by tick, is its [`ServoLaw`](crate::servo_law::ServoLaw).
+
+use crate::polynomial::value;
+use nalgebra::Complex;
+use opspace_backend::quantity::{NonNegative, Positive};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+
+/// A joint's position servo.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum ServoParameters {
+    /// A position loop around a velocity loop.
+    Cascaded(CascadedServo),
+    /// One loop: proportional, derivative, and integral where there is one.
+    Pid(PidServo),
+    /// Any other linear one: torque over position error.
+    TransferFunction(TransferFunctionServo),
+}
+
+/// Equation (9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; with an integral the velocity loop has one.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CascadedServo {
+    /// Gain of the outer position loop, 1/s.
+    pub kp_per_s: Positive,
+    /// Gain of the inner velocity loop, Nms/rad (Ns/m).
+    pub kv_nms_per_rad: Positive,
+    /// Cut-off of the servo's own low-pass on its finite-difference velocity, Hz.
+    pub velocity_filter_hz: Positive,
+    /// Time over which the velocity loop's integral gives as much as its gain, s; without it there is no integral.
+    #[serde(default)]
+    pub velocity_integral_time_s: Option<Positive>,
+}
+
+/// `τ = K e + D ė + Ki ∫ e`, with e = q_desired − q, and ė or −q̇ from a filtered finite difference.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PidServo {
+    /// K, Nm/rad (N/m).
+    pub stiffness_nm_per_rad: Positive,
+    /// D, Nms/rad (Ns/m).
+    pub damping_nms_per_rad: NonNegative,
+    /// Cut-off of the low-pass on the finite difference, Hz.
+    pub derivative_filter_hz: Positive,
+    /// What is differentiated.
+    #[serde(default)]
+    pub derivative_of: DerivativeOf,
+    /// Ki, Nm/(rad s) (N/(m s)).
+    #[serde(default)]
+    pub integral_nm_per_rad_s: NonNegative,
+}
+
+/// What the derivative of a PID servo is of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum DerivativeOf {
+    /// The measured position: a set-point that jumps gives no kick.
+    #[default]
+    Position,
+    /// The position error.
+    Error,
+}
+
+/// Torque (Nm, N) over position error (rad, m) at servo rate:
+/// `(b₀ + b₁ z⁻¹ + …)/(a₀ + a₁ z⁻¹ + …)`.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TransferFunctionServo {
+    /// b₀, b₁, …
+    pub numerator: Vec<f64>,
+    /// a₀, a₁, …
+    pub denominator: Vec<f64>,
+}
+
+/// What a servo amounts to where its integral, its filters and its delays don't count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ServoGains {
+    /// Torque for a position error, Nm/rad (N/m): `kv kp` of a cascade.
+    pub stiffness: f64,
+    /// Torque against a velocity, Nms/rad (Ns/m): `kv` of a cascade.
+    pub damping: f64,
+}
+
+impl ServoGains {
+    /// Gain of the position loop around the velocity loop, 1/s: `kp` of a cascade.
+    #[must_use]
+    pub fn position_loop(&self) -> f64 {
+        self.stiffness / self.damping
+    }
+}
+
+/// A transfer function is taken for a stiffness and a damping at this share of the servo's rate: above most integrals, below
+/// most filters.
+const GAINS_AT: f64 = 0.01;
+
+impl ServoParameters {
+    /// What it amounts to; of a transfer function that runs every `period_s`, at a hundredth of that rate.
+    #[must_use]
+    pub fn gains(&self, period_s: f64) -> ServoGains {
+        match self {
+            Self::Cascaded(servo) => {
+                let damping = servo.kv_nms_per_rad.get();
+                ServoGains { stiffness: damping * servo.kp_per_s.get(), damping }
+            }
+            Self::Pid(servo) => ServoGains {
+                stiffness: servo.stiffness_nm_per_rad.get(),
+                damping: servo.damping_nms_per_rad.get(),
+            },
+            Self::TransferFunction(servo) => {
+                let delay = Complex::from_polar(1.0, -TAU * GAINS_AT);
+                let value = servo.at(delay);
+                ServoGains {
+                    stiffness: value.re.abs(),
+                    damping: (value.im * period_s / (TAU * GAINS_AT)).abs(),
+                }
+            }
+        }
+    }
+
+    /// Whether it is those two gains alone, on the error and on the measured velocity, behind its filter.
+    #[must_use]
+    pub fn has_two_gains(&self) -> bool {
+        match self {
+            Self::Cascaded(servo) => servo.velocity_integral_time_s.is_none(),
+            Self::Pid(servo) => {
+                servo.integral_nm_per_rad_s.get() == 0.0
+                    && servo.derivative_of == DerivativeOf::Position
+                    && servo.damping_nms_per_rad.get() > 0.0
+            }
+            Self::TransferFunction(_) => false,
+        }
+    }
+
+    /// The same servo with the gain of its position loop and that of all of it multiplied.
+    #[must_use]
+    pub fn scaled(&self, kp: f64, kv: f64) -> Self {
+        let times = |value: Positive, scale: f64| Positive::try_from(value.get() * scale).unwrap_or(value);
+        let or_zero =
+            |value: NonNegative, scale: f64| NonNegative::try_from(value.get() * scale).unwrap_or(value);
+        match self {
+            Self::Cascaded(servo) => Self::Cascaded(CascadedServo {
+                kp_per_s: times(servo.kp_per_s, kp),
+                kv_nms_per_rad: times(servo.kv_nms_per_rad, kv),
+                ..*servo
+            }),
+            Self::Pid(servo) => Self::Pid(PidServo {
+                stiffness_nm_per_rad: times(servo.stiffness_nm_per_rad, kp * kv),
+                damping_nms_per_rad: or_zero(servo.damping_nms_per_rad, kv),
+                integral_nm_per_rad_s: or_zero(servo.integral_nm_per_rad_s, kp * kv),
+                ..*servo
+            }),
+            Self::TransferFunction(servo) => Self::TransferFunction(TransferFunctionServo {
+                numerator: servo.numerator.iter().map(|b| b * kp * kv).collect(),
+                denominator: servo.denominator.clone(),
+            }),
+        }
+    }
+}
+
+impl TransferFunctionServo {
+    /// Its value for `delay` = z⁻¹.
+    fn at(&self, delay: Complex<f64>) -> Complex<f64> {
+        value(&self.numerator, delay) / value(&self.denominator, delay)
+    }
+}

@@ -1,0 +1,515 @@
+//! Torques into positions by emulating the servo between two interface ticks.
+//!
+//! Equation (10) of the paper is exact at the instant at which the set-point is taken. A servo that runs R times faster
+//! then meets the same set-point with other positions. Here every servo tick up to the next set-point is emulated with
+//! the drive's own law, on the arm as it stands. The torques at the R ticks at which the set-point acts are
+//!
+//! ```text
+//! τ_j = Y₀_j + Y₁_j q_desired        j = 0 … R − 1
+//! ```
+//!
+//! Y₀ holds what the state and the set-point before still do, Y₁ (n × n) what a unit of set-point does. A drive that holds
+//! its set-point gets the one whose **mean** torque is the desired one; a drive that interpolates, the one that comes
+//! closest to it at **each** tick:
+//!
+//! ```text
+//! Σ Y₁_j q_desired = Σ (τ − δ − Y₀_j)        Σ Y₁_jᵀ Y₁_j q_desired = Σ Y₁_jᵀ (τ − δ − Y₀_j)
+//! ```
+//!
+//! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which so knows what
+//! the drive did within the interval. δ is how much more torque the motors give than the emulation says, where their
+//! current is [measured](crate::current).
+
+use crate::current::CurrentObserver;
+use crate::friction::FrictionCompensation;
+use crate::observer::{ObservedJoint, ObserverGain};
+use crate::refine::{Refinement, RefinementParameters};
+use crate::servo::{ServoGains, ServoParameters};
+use crate::servo_inversion::{EmulationError, Matching, Ticks, check_inverse};
+use crate::servo_law::{MAX_ORDER, ServoLaw, ServoMemory};
+use crate::transformer::Transformer;
+use nalgebra::{DMatrix, DVector};
+use opspace_backend::Sample;
+use opspace_backend::{GravityBy, Setpoints};
+use opspace_model::Data;
+
+/// What is known of the robot.
+#[derive(Clone, Debug)]
+pub struct EmulationSetup {
+    /// The servos, one a joint.
+    pub servos: Vec<ServoParameters>,
+    /// The whole friction that is believed of the joints.
+    pub friction: FrictionCompensation,
+    /// Resolution of each encoder at the joint, rad.
+    pub resolution_rad: Vec<f64>,
+    /// What each drive moves, kg m² (kg), at a posture like those to come: what the observer's gain is made for.
+    pub inertias: Vec<f64>,
+    /// Of each drive, Nm.
+    pub torque_limits: Vec<f64>,
+    /// Time between two servo ticks, s.
+    pub servo_period_s: f64,
+    /// Servo ticks per interface tick.
+    pub ratio: u32,
+    /// Servo ticks until a set-point acts.
+    pub delay: u32,
+    /// What the drives do with a set-point until the next one comes.
+    pub set_points: Setpoints,
+    /// Which torques are matched: mean ones, or those of each tick.
+    pub matching: Matching,
+    /// Who carries the weight.
+    pub gravity_by: GravityBy,
+    /// Whether measured motor torques are made use of.
+    pub current: bool,
+    /// How gains are refined from them.
+    pub refine: Option<RefinementParameters>,
+}
+
+/// See the [module](self).
+#[derive(Clone, Debug)]
+pub struct EmulatingTransformer {
+    drives: Vec<Drive>,
+    friction: FrictionCompensation,
+    ticks: Ticks,
+    matching: Matching,
+    gravity_by: GravityBy,
+    current: Option<CurrentObserver>,
+    /// The arm and its drives at the present interface tick, as estimated.
+    state: State,
+    /// As predicted for the next one.
+    predicted: State,
+    rollout: State,
+    /// Unknown joint accelerations, rad/s² (n).
+    disturbance: DVector<f64>,
+    in_force: InForce,
+    /// Whether anything was sent yet: before, the robot holds itself.
+    begun: bool,
+    /// M⁻¹, and the accelerations without any motor torque (n).
+    mass_inverse: DMatrix<f64>,
+    free: DVector<f64>,
+    /// Whether these are of the present tick.
+    frozen: bool,
+    /// Y₁ and what Y₀ lacks of the desired torque, for each tick.
+    responses: Vec<DMatrix<f64>>,
+    missing: Vec<DVector<f64>>,
+    normal: DMatrix<f64>,
+    solution: DVector<f64>,
+    /// Mean emulated torque since the last sample, Nm (n), over so many intervals.
+    mean_torque: DVector<f64>,
+    intervals: f64,
+    /// Mean emulated position error over the same time, rad (m) (n).
+    mean_error: DVector<f64>,
+    /// No acceleration but by the drives (n).
+    rest: DVector<f64>,
+    /// Nothing more than is emulated (n).
+    none: DVector<f64>,
+}
+
+#[derive(Clone, Debug)]
+struct Drive {
+    law: ServoLaw,
+    torque_limit: f64,
+    gain: ObserverGain,
+    refined: Option<Refined>,
+}
+
+/// A drive whose gains are refined while it runs: as believed at first, and as they are now.
+#[derive(Clone, Copy, Debug)]
+struct Refined {
+    refinement: Refinement,
+    believed: ServoGains,
+    now: ServoGains,
+}
+
+impl Refined {
+    /// Takes in the mean torque that was measured, where `emulated` was expected of a mean position error; gives what is
+    /// expected now.
+    fn update(&mut self, law: &mut ServoLaw, measured: f64, emulated: f64, error: f64) -> f64 {
+        let (before, believed) = (self.now, self.believed);
+        let velocity = (before.stiffness * error - emulated) / before.damping;
+        let [stiffness, damping] =
+            self.refinement.update(measured, believed.stiffness * error, believed.damping * velocity);
+        self.now =
+            ServoGains { stiffness: stiffness * believed.stiffness, damping: damping * believed.damping };
+        law.retune(before, self.now);
+        self.now.stiffness * error - self.now.damping * velocity
+    }
+}
+
+/// Set-points that the drives have when an interface tick begins, rad (n).
+#[derive(Clone, Debug)]
+struct InForce {
+    before: DVector<f64>,
+    last: DVector<f64>,
+    /// Servo ticks since the last came in force.
+    age: u32,
+}
+
+impl InForce {
+    /// The drive's set-point at a servo tick counted from the interface tick.
+    fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
+        ticks.set_points.at(self.before[joint], self.last[joint], self.age.saturating_add(tick), ticks.ratio)
+    }
+
+    /// Where a drive goes from when a new set-point comes in force `delay` servo ticks after the interface tick.
+    fn left(&self, ticks: Ticks, joint: usize) -> f64 {
+        match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
+            Some(age) => ticks.set_points.at(self.before[joint], self.last[joint], age, ticks.ratio),
+            None => self.before[joint],
+        }
+    }
+}
+
+/// An arm and the memory of its drives, at a servo tick.
+#[derive(Clone, Debug)]
+struct State {
+    q: DVector<f64>,
+    dq: DVector<f64>,
+    memory: Vec<ServoMemory>,
+    torque: DVector<f64>,
+}
+
+impl State {
+    fn new(n: usize) -> Self {
+        let zero = DVector::zeros(n);
+        Self { q: zero.clone(), dq: zero.clone(), memory: vec![[0.0; MAX_ORDER]; n], torque: zero }
+    }
+
+    fn copy_from(&mut self, other: &Self) {
+        self.q.copy_from(&other.q);
+        self.dq.copy_from(&other.dq);
+        self.memory.copy_from_slice(&other.memory);
+        self.torque.copy_from(&other.torque);
+    }
+
+    fn clear(&mut self) {
+        [&mut self.q, &mut self.dq, &mut self.torque].into_iter().for_each(|v| v.fill(0.0));
+        self.memory.fill([0.0; MAX_ORDER]);
+    }
+
+    /// The drives' torques at this tick for their set-points, without limits.
+    fn drive(&mut self, drives: &[Drive], set_point: impl Fn(usize) -> f64) {
+        for (i, drive) in drives.iter().enumerate() {
+            self.torque[i] = drive.law.step(&mut self.memory[i], set_point(i), self.q[i]);
+        }
+    }
+
+    /// A servo period under these torques and the accelerations `free`.
+    fn travel(&mut self, mass_inverse: &DMatrix<f64>, free: &DVector<f64>, period_s: f64) {
+        let n = self.q.len();
+        for i in 0..n {
+            self.q[i] += period_s * (self.dq[i] + 0.5 * period_s * free[i]);
+            self.dq[i] += period_s * free[i];
+        }
+        for (column, &torque) in mass_inverse.as_slice().chunks_exact(n).zip(&self.torque) {
+            let (v, x) = (period_s * torque, 0.5 * period_s * period_s * torque);
+            for ((q, dq), m) in self.q.iter_mut().zip(&mut self.dq).zip(column) {
+                *q += x * m;
+                *dq += v * m;
+            }
+        }
+    }
+}
+
+impl EmulatingTransformer {
+    /// For a robot at rest.
+    ///
+    /// # Errors
+    /// The first joint whose servo can't be emulated or inverted.
+    pub fn new(setup: &EmulationSetup) -> Result<Self, (usize, EmulationError)> {
+        let n = setup.servos.len();
+        let ticks = Ticks {
+            period_s: setup.servo_period_s,
+            ratio: setup.ratio,
+            delay: setup.delay,
+            set_points: setup.set_points,
+        };
+        let interface_s = f64::from(setup.ratio) * setup.servo_period_s;
+        let drive = |i: usize| -> Result<Drive, EmulationError> {
+            let law = ServoLaw::new(&setup.servos[i], setup.servo_period_s)?;
+            check_inverse(&law, ticks, setup.matching)?;
+            let gain = ObserverGain::steady(&ObservedJoint {
+                servo: &law,
+                inertia: setup.inertias[i],
+                resolution_rad: setup.resolution_rad[i],
+                servo_period_s: setup.servo_period_s,
+                ratio: setup.ratio,
+            });
+            let servo = &setup.servos[i];
+            let refine = setup.refine.filter(|_| setup.current && servo.has_two_gains());
+            let refined = refine.map(|parameters| {
+                let gains = servo.gains(setup.servo_period_s);
+                let refinement = Refinement::new(&parameters, setup.torque_limits[i], interface_s);
+                Refined { refinement, believed: gains, now: gains }
+            });
+            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, refined })
+        };
+        let drives: Result<Vec<Drive>, _> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect();
+        let zero = DVector::zeros(n);
+        let matrix = DMatrix::zeros(n, n);
+        let each_tick = setup.ratio as usize;
+        Ok(Self {
+            drives: drives?,
+            friction: setup.friction.clone(),
+            ticks,
+            matching: setup.matching,
+            gravity_by: setup.gravity_by,
+            current: setup.current.then(|| CurrentObserver::new(&setup.torque_limits)),
+            state: State::new(n),
+            predicted: State::new(n),
+            rollout: State::new(n),
+            disturbance: zero.clone(),
+            in_force: InForce { before: zero.clone(), last: zero.clone(), age: setup.ratio },
+            begun: false,
+            mass_inverse: matrix.clone(),
+            free: zero.clone(),
+            frozen: false,
+            responses: vec![matrix.clone(); each_tick],
+            missing: vec![zero.clone(); each_tick],
+            normal: matrix,
+            solution: zero.clone(),
+            mean_torque: zero.clone(),
+            intervals: 0.0,
+            mean_error: zero.clone(),
+            rest: zero.clone(),
+            none: zero,
+        })
+    }
+
+    fn surplus(&self) -> &DVector<f64> {
+        self.current.as_ref().map_or(&self.none, CurrentObserver::surplus)
+    }
+
+    /// Takes in the measured positions against the predicted ones.
+    fn correct(&mut self, sample: &Sample) {
+        self.state.copy_from(&self.predicted);
+        for (i, drive) in self.drives.iter().enumerate() {
+            let innovation = sample.q[i] - self.state.q[i];
+            self.state.q[i] += drive.gain.position * innovation;
+            self.state.dq[i] += drive.gain.velocity * innovation;
+            self.disturbance[i] += drive.gain.disturbance * innovation;
+            for (value, share) in self.state.memory[i].iter_mut().zip(&drive.gain.memory) {
+                *value += share * innovation;
+            }
+        }
+        let (Some(current), Some(measured)) = (&mut self.current, &sample.motor_torque) else { return };
+        // Gains first: what they explain is no surplus.
+        for (i, drive) in self.drives.iter_mut().enumerate() {
+            if let Some(refined) = &mut drive.refined {
+                let (torque, error) = (&mut self.mean_torque[i], self.mean_error[i]);
+                *torque = refined.update(&mut drive.law, measured[i], *torque, error);
+            }
+        }
+        current.update(measured, &self.mean_torque);
+    }
+
+    /// The arm as it stands, for a whole interval: M⁻¹ and what accelerates it beside the drives.
+    fn freeze(&mut self, data: &Data) {
+        if self.frozen {
+            return;
+        }
+        self.frozen = true;
+        self.mass_inverse.fill_with_identity();
+        data.mass_matrix_factor.solve_matrix(&mut self.mass_inverse);
+        for i in 0..self.free.len() {
+            let carried = if self.gravity_by == GravityBy::Robot { data.gravity[i] } else { 0.0 };
+            let friction = self.friction.torque(i, self.state.dq[i]);
+            self.free[i] = self.surplus()[i] + carried - data.bias[i] - friction;
+            if !self.begun {
+                // The robot holds itself: its drives are as they are at rest under its weight.
+                self.hold(i, data.gravity[i] - carried);
+            }
+        }
+        data.mass_matrix_factor.solve(self.free.as_mut_slice());
+        self.free += &self.disturbance;
+    }
+
+    /// The drive of a joint at rest where it stands, with this torque.
+    fn hold(&mut self, joint: usize, torque: f64) {
+        let law = &self.drives[joint].law;
+        let (memory, set_point) = law.rest(self.state.q[joint], torque);
+        self.state.memory[joint] = memory;
+        self.in_force.before[joint] = set_point;
+        self.in_force.last[joint] = set_point;
+    }
+
+    /// One servo tick of the rollout under the set-point that is still in force.
+    fn roll_old(&mut self, tick: u32) {
+        let (in_force, ticks) = (&self.in_force, self.ticks);
+        self.rollout.drive(&self.drives, |i| in_force.at(ticks, i, tick));
+    }
+
+    /// Y₁ of every tick, column by column, from the drives' and the arm's linear answer.
+    fn respond(&mut self) {
+        let ticks = self.ticks;
+        for joint in 0..self.drives.len() {
+            self.rollout.clear();
+            for (tick, response) in (0..ticks.ratio).zip(&mut self.responses) {
+                let unit = ticks.set_points.at(0.0, 1.0, tick, ticks.ratio);
+                self.rollout.drive(&self.drives, |i| if i == joint { unit } else { 0.0 });
+                response.column_mut(joint).copy_from(&self.rollout.torque);
+                self.rollout.travel(&self.mass_inverse, &self.rest, ticks.period_s);
+            }
+        }
+    }
+
+    /// The linear system whose solution is the set-point, from Y₁ and what is missing.
+    fn assemble(&mut self) {
+        self.normal.fill(0.0);
+        self.solution.fill(0.0);
+        for (response, missing) in self.responses.iter().zip(&self.missing) {
+            match self.matching {
+                Matching::Mean => {
+                    self.normal += response;
+                    self.solution += missing;
+                }
+                Matching::EachTick => {
+                    self.normal.gemm_tr(1.0, response, response, 1.0);
+                    self.solution.gemv_tr(1.0, response, missing, 1.0);
+                }
+            }
+        }
+    }
+
+    /// The next interface tick, if the drives are given these set-points at the present one; without any they keep those
+    /// that they have.
+    fn predict(&mut self, q_desired: Option<&[f64]>) {
+        let ticks = self.ticks;
+        let share = 1.0 / f64::from(ticks.ratio);
+        self.rollout.copy_from(&self.state);
+        if self.intervals == 0.0 {
+            self.mean_torque.fill(0.0);
+            self.mean_error.fill(0.0);
+        }
+        self.mean_torque *= self.intervals;
+        self.mean_error *= self.intervals;
+        for tick in 0..ticks.ratio {
+            let in_force = &self.in_force;
+            let set_point = |i: usize| match q_desired {
+                Some(new) if tick >= ticks.delay => {
+                    ticks.set_points.at(in_force.left(ticks, i), new[i], tick - ticks.delay, ticks.ratio)
+                }
+                _ => in_force.at(ticks, i, tick),
+            };
+            for (i, error) in self.mean_error.iter_mut().enumerate() {
+                *error += share * (set_point(i) - self.rollout.q[i]);
+            }
+            self.rollout.drive(&self.drives, set_point);
+            // What the motor gives is limited, not what the emulation says of it.
+            for (i, drive) in self.drives.iter().enumerate() {
+                let more = self.current.as_ref().map_or(0.0, |current| current.surplus()[i]);
+                let torque = &mut self.rollout.torque[i];
+                *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
+                self.mean_torque[i] += share * *torque;
+            }
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
+        }
+        self.intervals += 1.0;
+        self.mean_torque /= self.intervals;
+        self.mean_error /= self.intervals;
+        self.predicted.copy_from(&self.rollout);
+        match q_desired {
+            Some(new) => {
+                for i in 0..new.len() {
+                    self.in_force.before[i] = self.in_force.left(ticks, i);
+                }
+                self.in_force.last.copy_from_slice(new);
+                self.in_force.age = ticks.ratio - ticks.delay;
+            }
+            None => self.in_force.age = self.in_force.age.saturating_add(ticks.ratio),
+        }
+    }
+}
+
+impl Transformer for EmulatingTransformer {
+    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
+        if !self.begun {
+            self.state.clear();
+            self.state.q.copy_from_slice(&sample.q);
+        } else {
+            // Nothing was sent since the last sample.
+            if !self.frozen {
+                self.predict(None);
+            }
+            self.correct(sample);
+        }
+        self.frozen = false;
+        self.intervals = 0.0;
+        Some(self.state.dq.as_slice())
+    }
+
+    fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
+        self.freeze(data);
+        self.respond();
+        let ticks = self.ticks;
+        self.rollout.copy_from(&self.state);
+        for tick in 0..ticks.delay {
+            self.roll_old(tick);
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
+        }
+        // Y₀, about the measured positions: small numbers keep their digits.
+        q_desired.copy_from_slice(data.q.as_slice());
+        for tick in 0..ticks.ratio {
+            let in_force = &self.in_force;
+            self.rollout.drive(&self.drives, |i| {
+                ticks.set_points.at(in_force.left(ticks, i), data.q[i], tick, ticks.ratio)
+            });
+            for (i, tau) in tau.iter().enumerate() {
+                self.missing[tick as usize][i] = tau - self.surplus()[i] - self.rollout.torque[i];
+            }
+            self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
+        }
+        self.assemble();
+        eliminate(&mut self.normal, self.solution.as_mut_slice());
+        for (qd, more) in q_desired.iter_mut().zip(&self.solution) {
+            *qd += more;
+        }
+    }
+
+    fn sent(&mut self, data: &Data, q_desired: &[f64]) {
+        self.freeze(data);
+        self.predict(Some(q_desired));
+        self.begun = true;
+    }
+
+    fn missed(&mut self, periods: u64) {
+        if !self.begun {
+            return;
+        }
+        if !self.frozen {
+            self.predict(None);
+        }
+        for _ in 0..periods {
+            self.state.copy_from(&self.predicted);
+            self.predict(None);
+        }
+        self.frozen = true;
+    }
+
+    fn reset(&mut self) {
+        self.begun = false;
+        self.disturbance.fill(0.0);
+        if let Some(current) = &mut self.current {
+            current.reset();
+        }
+        self.in_force.age = self.ticks.ratio;
+    }
+}
+
+/// x of A x = b in place of b, by Gauss' elimination; A (n × n) is overwritten. Its diagonal dominates: what a set-point
+/// does to its own drive is more than what it does to others through the arm.
+fn eliminate(a: &mut DMatrix<f64>, b: &mut [f64]) {
+    let n = b.len();
+    for k in 0..n {
+        for r in k + 1..n {
+            let factor = a[(r, k)] / a[(k, k)];
+            for c in k..n {
+                a[(r, c)] -= factor * a[(k, c)];
+            }
+            b[r] -= factor * b[k];
+        }
+    }
+    for k in (0..n).rev() {
+        let known: f64 = (k + 1..n).map(|c| a[(k, c)] * b[c]).sum();
+        b[k] = (b[k] - known) / a[(k, k)];
+    }
+}

@@ -1,0 +1,348 @@
+//! The emulating transformer against drives that are run tick by tick here, on their own: each servo written down as a
+//! recursion, not taken from the emulation.
+#![expect(clippy::unwrap_used, reason = "a test")]
+
+use nalgebra::{DVector, Matrix3, Vector3};
+use opspace_backend::{GravityBy, Sample, Setpoints};
+use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
+use opspace_transformer::{
+    EmulatingTransformer, EmulationError, EmulationSetup, FrictionCompensation,
+    FrictionCompensationParameters, FrictionParameters, Matching, ServoParameters, Transformer,
+};
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+const SERVO_S: f64 = 1e-3;
+const RATIO: u32 = 5;
+const KP: [f64; 2] = [25.0, 20.0];
+const KV: [f64; 2] = [40.0, 8.0];
+const FILTER_HZ: f64 = 200.0;
+
+/// What an observer that starts without an error leaves of one, by rounding: relative to torques, and of velocities in m/s.
+const EXACT: f64 = 1e-6;
+
+/// Two joints along the same line, one upon the other: M is the same everywhere, and couples them.
+fn model() -> Model {
+    let mut model = Model::new("lifts").with_gravity(Vector3::zeros());
+    for (i, mass) in [0.3, 0.2].into_iter().enumerate() {
+        let joint = Joint { name: format!("lift_{i}"), kind: JointKind::Prismatic, limits: Limits::NONE };
+        let inertia =
+            Inertia { mass, com: Vector3::zeros(), rotational: Matrix3::from_diagonal_element(1e-3) };
+        model.add_body(i.checked_sub(1), Placement::identity(), joint, inertia);
+    }
+    model
+}
+
+/// What the drives are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Servo {
+    Cascade,
+    /// With an integral of the velocity error.
+    CascadeIntegral,
+    Pid,
+    /// A lead of which the torque comes a tick late.
+    Late,
+}
+
+const INTEGRAL_TIME_S: f64 = 0.1;
+const SERVOS: [Servo; 4] = [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid, Servo::Late];
+
+impl Servo {
+    fn parameters(self) -> Vec<ServoParameters> {
+        let text = |i: usize| {
+            let (kp, kv) = (KP[i], KV[i]);
+            match self {
+                Self::Cascade => format!(
+                    "cascaded = {{ kp_per_s = {kp}, kv_nms_per_rad = {kv}, velocity_filter_hz = {FILTER_HZ} }}"
+                ),
+                Self::CascadeIntegral => format!(
+                    "cascaded = {{ kp_per_s = {kp}, kv_nms_per_rad = {kv}, velocity_filter_hz = {FILTER_HZ}, \
+                     velocity_integral_time_s = {INTEGRAL_TIME_S} }}"
+                ),
+                Self::Pid => format!(
+                    "pid = {{ stiffness_nm_per_rad = {}, damping_nms_per_rad = {kv}, derivative_filter_hz = \
+                     {FILTER_HZ}, integral_nm_per_rad_s = {} }}",
+                    kp * kv,
+                    kp * kv / INTEGRAL_TIME_S
+                ),
+                Self::Late => format!(
+                    "transfer-function = {{ numerator = [0.0, {}, {}], denominator = [1.0, -0.5] }}",
+                    10.0 * kv,
+                    -7.0 * kv
+                ),
+            }
+        };
+        (0..2).map(|i| toml::from_str(&text(i)).unwrap()).collect()
+    }
+}
+
+/// A robot's drives and what is made of them.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    servo: Servo,
+    set_points: Setpoints,
+    delay: u32,
+    current: bool,
+    kp_scale: f64,
+    refined: bool,
+}
+
+const CASE: Case = Case {
+    servo: Servo::Cascade,
+    set_points: Setpoints::Held,
+    delay: 0,
+    current: false,
+    kp_scale: 1.0,
+    refined: false,
+};
+
+fn setup(case: Case) -> EmulationSetup {
+    let none: FrictionParameters = toml::from_str(
+        "coulomb_nm = 0.0\nstatic_nm = 0.0\nstribeck_rad_per_s = 0.1\nviscous_nms_per_rad = 0.0",
+    )
+    .unwrap();
+    let friction = [none.clone(), none];
+    EmulationSetup {
+        servos: case.servo.parameters(),
+        friction: FrictionCompensation::new(friction.iter(), &FrictionCompensationParameters::default()),
+        resolution_rad: vec![1e-9; 2],
+        // Of each alone, the other one free.
+        inertias: vec![0.3, 0.12],
+        torque_limits: vec![10.0; 2],
+        servo_period_s: SERVO_S,
+        ratio: RATIO,
+        delay: case.delay,
+        set_points: case.set_points,
+        matching: if case.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick },
+        gravity_by: GravityBy::Controller,
+        current: case.current,
+        refine: case.refined.then(|| toml::from_str("time_s = 1.0\nwithin = 0.4").unwrap()),
+    }
+}
+
+/// The two masses and their drives, one servo period after the other.
+struct Drives {
+    case: Case,
+    q: [f64; 2],
+    dq: [f64; 2],
+    seen: [f64; 2],
+    velocity: [f64; 2],
+    integral: [f64; 2],
+    error: [f64; 2],
+    last: [f64; 2],
+}
+
+impl Drives {
+    fn new(case: Case) -> Self {
+        let q = [0.1, -0.2];
+        let none = [0.0; 2];
+        Self { case, q, dq: none, seen: q, velocity: none, integral: none, error: none, last: none }
+    }
+
+    fn torque(&mut self, i: usize, set_point: f64) -> f64 {
+        let share = 1.0 - (-TAU * FILTER_HZ * SERVO_S).exp();
+        self.velocity[i] += share * ((self.q[i] - self.seen[i]) / SERVO_S - self.velocity[i]);
+        self.seen[i] = self.q[i];
+        let (kp, kv) = (self.case.kp_scale * KP[i], KV[i]);
+        let error = set_point - self.q[i];
+        let torque = match self.case.servo {
+            Servo::Cascade => kv * (kp * error - self.velocity[i]),
+            Servo::CascadeIntegral => {
+                let wrong = kp * error - self.velocity[i];
+                self.integral[i] += wrong * SERVO_S / INTEGRAL_TIME_S;
+                kv * (wrong + self.integral[i])
+            }
+            Servo::Pid => {
+                self.integral[i] += kp * kv / INTEGRAL_TIME_S * SERVO_S * error;
+                kp * kv * error - kv * self.velocity[i] + self.integral[i]
+            }
+            Servo::Late => {
+                // `integral` is the error of two ticks ago.
+                let torque = 10.0 * kv * self.error[i] - 7.0 * kv * self.integral[i] + 0.5 * self.last[i];
+                self.integral[i] = self.error[i];
+                torque
+            }
+        };
+        self.error[i] = error;
+        self.last[i] = torque;
+        torque
+    }
+
+    fn tick(&mut self, set_point: &[f64; 2]) -> [f64; 2] {
+        let torque = [0, 1].map(|i| self.torque(i, set_point[i]));
+        // M = [0.5 0.2; 0.2 0.2].
+        let det = 0.5 * 0.2 - 0.2 * 0.2;
+        let ddq = [(0.2 * torque[0] - 0.2 * torque[1]) / det, (0.5 * torque[1] - 0.2 * torque[0]) / det];
+        for ((q, dq), ddq) in self.q.iter_mut().zip(&mut self.dq).zip(ddq) {
+            *q += SERVO_S * (*dq + 0.5 * SERVO_S * ddq);
+            *dq += SERVO_S * ddq;
+        }
+        torque
+    }
+}
+
+/// What a run gave.
+struct Run {
+    /// Desired torques, and those of the intervals in which each set-point acted: their mean, and tick by tick.
+    asked: Vec<[f64; 2]>,
+    means: Vec<[f64; 2]>,
+    torques: Vec<[f64; 2]>,
+    /// How far the velocities that the transformer tells are from the true ones, at most, m/s.
+    off: f64,
+}
+
+/// Nothing is sent in ticks that are `missed`.
+fn run(case: Case, missed: Range<i32>) -> Run {
+    let model = model();
+    let mut data = Data::new(&model);
+    let mut transformer = EmulatingTransformer::new(&setup(case)).unwrap();
+    let mut drives = Drives::new(case);
+    let mut sample = Sample::new(2, case.current, 0);
+    // At rest without a load the set-point is where the joint is.
+    let (mut from, mut to, mut new) = (drives.q, drives.q, DVector::from_column_slice(&drives.q));
+    let mut ramp = RATIO;
+    let (mut asked, mut torques, mut off) = (Vec::new(), Vec::new(), 0.0_f64);
+    for k in 0..400 {
+        sample.q.copy_from_slice(&drives.q);
+        let dq = transformer.observe(&sample).unwrap();
+        off = off.max((dq[0] - drives.dq[0]).abs()).max((dq[1] - drives.dq[1]).abs());
+        assert!(update(&model, &mut data, &sample.q, dq));
+        let t = f64::from(k) * SERVO_S * f64::from(RATIO);
+        let tau = [(TAU * 0.7 * t).sin(), 0.4 * (TAU * 1.1 * t).sin()];
+        let sent = !missed.contains(&k);
+        if sent {
+            transformer.transform(&data, &tau, new.as_mut_slice());
+            transformer.sent(&data, new.as_slice());
+        }
+        asked.push(tau);
+        let mut mean = DVector::zeros(2);
+        for tick in 0..=RATIO {
+            // With a delay of a whole interval the new one comes at the next tick's very beginning.
+            if sent && tick == case.delay {
+                (from, to, ramp) = (to, [new[0], new[1]], 0);
+            }
+            if tick == RATIO {
+                break;
+            }
+            ramp = (ramp + 1).min(RATIO);
+            let share = match case.set_points {
+                Setpoints::Held => 1.0,
+                Setpoints::Interpolated => f64::from(ramp) / f64::from(RATIO),
+            };
+            let torque = drives.tick(&[0, 1].map(|i| from[i] + share * (to[i] - from[i])));
+            torques.push(torque);
+            mean += DVector::from_column_slice(&torque) / f64::from(RATIO);
+        }
+        if let Some(measured) = &mut sample.motor_torque {
+            measured.copy_from_slice(mean.as_slice());
+        }
+    }
+    let torques = torques.split_off(case.delay as usize);
+    let windows = torques.chunks_exact(RATIO as usize);
+    let means = windows.map(|w| [0, 1].map(|i| w.iter().map(|t| t[i]).sum::<f64>() / f64::from(RATIO)));
+    Run { asked, means: means.collect(), torques, off }
+}
+
+impl Run {
+    /// Root mean square of actual − asked over that of asked, after half a second: of means.
+    fn error(&self) -> f64 {
+        relative(self.asked.iter().zip(&self.means).skip(100))
+    }
+
+    /// The same of every servo tick.
+    fn error_at_ticks(&self) -> f64 {
+        let each = self.asked.iter().flat_map(|asked| std::iter::repeat_n(asked, RATIO as usize));
+        relative(each.zip(&self.torques).skip(100 * RATIO as usize))
+    }
+}
+
+fn relative<'a>(pairs: impl Iterator<Item = (&'a [f64; 2], &'a [f64; 2])>) -> f64 {
+    let (mut off, mut size) = (0.0, 0.0);
+    for (asked, actual) in pairs {
+        off += asked.iter().zip(actual).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        size += asked.iter().map(|a| a * a).sum::<f64>();
+    }
+    (off / size).sqrt()
+}
+
+/// Mean torques of servos that are as believed against what was asked for, for every delay up to a whole interval; and
+/// the velocity between position readings 5 ms apart against the true one.
+#[test]
+fn mean_torques_are_the_desired_ones() {
+    for servo in SERVOS {
+        for delay in 0..=RATIO {
+            for current in [false, true] {
+                let case = Case { servo, delay, current, ..CASE };
+                let run = run(case, 0..0);
+                let error = run.error();
+                assert!(error < EXACT, "{case:?}: {error}");
+                assert!(run.off < EXACT, "{case:?}: {} m/s", run.off);
+            }
+        }
+    }
+}
+
+/// The torques of drives that interpolate, at every servo tick, against what was asked for: what is left is that a
+/// straight line of set-points can't give one torque all the way. Held set-points beside them.
+#[test]
+fn interpolated_set_points_give_the_torque_all_the_way() {
+    for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid] {
+        for delay in 0..=RATIO {
+            for current in [false, true] {
+                let case = Case { servo, delay, current, set_points: Setpoints::Interpolated, ..CASE };
+                let (straight, held) =
+                    (run(case, 0..0), run(Case { set_points: Setpoints::Held, ..case }, 0..0));
+                let (error, of_held) = (straight.error_at_ticks(), held.error_at_ticks());
+                assert!(error < 0.02 && error < 0.1 * of_held, "{case:?}: {error}, {of_held} held");
+                assert!(straight.off < EXACT, "{case:?}: {} m/s", straight.off);
+            }
+        }
+    }
+}
+
+/// The velocities told while set-points fail to come, and the drives hold the last one, against the true ones.
+#[test]
+fn the_estimate_goes_on_while_set_points_are_missed() {
+    for set_points in [Setpoints::Held, Setpoints::Interpolated] {
+        for delay in [0, 2, RATIO] {
+            let run = run(Case { delay, set_points, ..CASE }, 200..230);
+            assert!(run.off < EXACT, "delay {delay}: {} m/s", run.off);
+        }
+    }
+}
+
+/// A position loop that is stiffer, or softer, than believed: torque errors with the motor current made use of against
+/// those without.
+#[test]
+fn measured_currents_make_up_for_a_wrong_gain() {
+    for kp_scale in [0.8, 1.1] {
+        let [without, with] =
+            [false, true].map(|current| run(Case { kp_scale, current, ..CASE }, 0..0).error());
+        assert!(with < 0.5 * without && without > 0.1, "{kp_scale}: {with} with, {without} without");
+    }
+}
+
+/// The same with the gains refined while running: what is left once they are found, against the current alone.
+#[test]
+fn refined_gains_make_up_for_more() {
+    for kp_scale in [0.7, 1.3] {
+        let [alone, refined] =
+            [false, true].map(|refined| run(Case { kp_scale, refined, current: true, ..CASE }, 0..0).error());
+        assert!(refined < 0.1 * alone, "{kp_scale}: {refined} refined, {alone} without");
+    }
+}
+
+/// What is said of servos whose inverse grows, or that make no torque in time.
+#[test]
+fn a_servo_that_cannot_be_inverted_is_refused() {
+    let refused = |numerator: &str| {
+        let text = format!("transfer-function = {{ numerator = {numerator}, denominator = [1.0, -0.5] }}");
+        let servos = vec![toml::from_str(&text).unwrap(); 2];
+        EmulatingTransformer::new(&EmulationSetup { servos, ..setup(CASE) }).unwrap_err()
+    };
+    let (joint, unstable) = refused("[-10.0, 11.0]");
+    assert_eq!(joint, 0);
+    assert!(matches!(unstable, EmulationError::Unstable { growth } if growth > 1.0), "{unstable}");
+    let (_, late) = refused("[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0]");
+    assert_eq!(late, EmulationError::NoTorque { ratio: RATIO });
+}

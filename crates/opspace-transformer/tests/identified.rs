@@ -1,0 +1,128 @@
+//! Transformers made from a measured closed loop, on a mass with a servo that is integrated here in small steps.
+#![expect(clippy::unwrap_used, reason = "a test")]
+
+use opspace_backend::Sample;
+use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
+use opspace_transformer::{IdentificationError, IdentifiedJoint, LiteralTransformer, Transformer};
+use std::f64::consts::TAU;
+
+const INERTIA: f64 = 0.4;
+const VISCOUS: f64 = 2.0;
+const KP: f64 = 40.0;
+const KV: f64 = 60.0;
+
+/// Of numbers that are solved for in floating point.
+const EXACT: f64 = 1e-6;
+
+/// T of a mass with viscous friction under the cascade of equation (9), and H: the mass itself.
+fn joint(zeros: &str) -> IdentifiedJoint {
+    let text = format!(
+        "closed_loop = {{ numerator = {zeros}, denominator = [{}, {}, {INERTIA}] }}\n\
+         open_loop = {{ numerator = [1.0], denominator = [0.0, {VISCOUS}, {INERTIA}] }}\n\
+         from_hz = 0.1\nto_hz = 20.0",
+        KV * KP,
+        KV + VISCOUS
+    );
+    toml::from_str(&text).unwrap()
+}
+
+fn measured() -> IdentifiedJoint {
+    joint(&format!("[{}]", KV * KP))
+}
+
+/// The gains in T, and those that T was made of.
+#[test]
+fn a_closed_loop_is_split_into_the_gains_that_it_has() {
+    let gains = measured().split().unwrap();
+    assert!((gains.damping / KV - 1.0).abs() < EXACT, "{gains:?}");
+    assert!((gains.position_loop() / KP - 1.0).abs() < EXACT, "{gains:?}");
+}
+
+/// Torques of the servo, and those that were asked for, root mean square over that of the latter: a sine on the mass alone,
+/// `pushed` by a torque that nobody told of.
+fn error(measured_position: bool, pushed: f64) -> f64 {
+    const PERIOD_S: f64 = 1e-3;
+    const STEPS: u32 = 50;
+    let mut transformer = LiteralTransformer::new(&[measured()], measured_position, PERIOD_S).unwrap();
+    let mut model = Model::new("mass");
+    let kind = JointKind::Continuous;
+    let wheel = Joint { name: "joint".into(), kind, limits: Limits::NONE };
+    model.add_body(None, Placement::identity(), wheel, Inertia::zero());
+    let mut data = Data::new(&model);
+    let (mut q, mut dq, mut q_desired) = (0.3, 0.0, [0.0]);
+    let mut sample = Sample::new(1, false, 0);
+    let (mut off, mut size) = (0.0, 0.0);
+    for k in 0..4000 {
+        let t = f64::from(k) * PERIOD_S;
+        let tau = 3.0 * (TAU * 1.5 * t).sin();
+        data.q[0] = q;
+        sample.q[0] = q;
+        transformer.observe(&sample);
+        transformer.transform(&data, &[tau], &mut q_desired);
+        let mut mean = 0.0;
+        for _ in 0..STEPS {
+            let torque = KV * (KP * (q_desired[0] - q) - dq);
+            mean += torque / f64::from(STEPS);
+            dq += (torque + pushed - VISCOUS * dq) / INERTIA * PERIOD_S / f64::from(STEPS);
+            q += dq * PERIOD_S / f64::from(STEPS);
+        }
+        off += (mean - tau).powi(2);
+        size += tau * tau;
+    }
+    (off / size).sqrt()
+}
+
+/// On a joint that is alone and free both forms give the torque, but for the set-point's hold of half a period.
+#[test]
+fn a_free_joint_gives_the_torque() {
+    for measured_position in [true, false] {
+        let error = error(measured_position, 0.0);
+        assert!(error < 0.05, "{measured_position}: {error}");
+    }
+}
+
+/// A torque that nobody told of, of a sixth of the desired one's amplitude: it isn't in T, and both forms miss what it moves.
+#[test]
+fn a_push_is_not_in_it() {
+    for measured_position in [true, false] {
+        let (alone, pushed) = (error(measured_position, 0.0), error(measured_position, 0.5));
+        assert!(pushed > 3.0 * alone, "{measured_position}: {pushed}, {alone} alone");
+    }
+}
+
+/// Set-points of the second form at two measured positions.
+#[test]
+fn the_second_form_is_blind() {
+    let set_point = |q: f64| {
+        let mut transformer = LiteralTransformer::new(&[measured()], false, 1e-3).unwrap();
+        let mut model = Model::new("mass");
+        let wheel = Joint { name: "joint".into(), kind: JointKind::Continuous, limits: Limits::NONE };
+        model.add_body(None, Placement::identity(), wheel, Inertia::zero());
+        let mut data = Data::new(&model);
+        data.q[0] = q;
+        let mut q_desired = [0.0];
+        transformer.transform(&data, &[1.0], &mut q_desired);
+        q_desired[0]
+    };
+    assert_eq!(set_point(0.0), set_point(0.7));
+}
+
+#[test]
+fn what_cannot_be_inverted_is_refused_with_the_reason() {
+    let refused = |joint: &IdentifiedJoint| {
+        LiteralTransformer::new(std::slice::from_ref(joint), true, 1e-3).unwrap_err().1
+    };
+    // A zero in the right half-plane.
+    let behind = joint(&format!("[{}, -20.0]", KV * KP));
+    assert!(matches!(refused(&behind), IdentificationError::Unstable { at } if (at - 120.0).abs() < EXACT));
+    assert!(matches!(refused(&joint("[0.0]")), IdentificationError::Zero { what: "closed_loop.numerator" }));
+    let mut steep = measured();
+    steep.closed_loop.denominator.push(1e-3);
+    assert_eq!(refused(&steep), IdentificationError::Improper { excess: 1 });
+    let mut negative = measured();
+    negative.closed_loop.numerator[0] *= -1.0;
+    assert!(matches!(negative.split().unwrap_err(), IdentificationError::Split { .. }));
+    let mut band = measured();
+    std::mem::swap(&mut band.from_hz, &mut band.to_hz);
+    assert_eq!(refused(&band), IdentificationError::Band);
+}

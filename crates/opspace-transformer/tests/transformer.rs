@@ -1,0 +1,127 @@
+//! The paper's transformer, the estimator that feeds it, and friction compensation, against their equations.
+
+use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
+use opspace_transformer::{
+    EstimatorParameters, FrictionCompensation, FrictionCompensationParameters, FrictionParameters,
+    PaperTransformer, ServoGains, Transformer, VelocityEstimator,
+};
+use std::f64::consts::TAU;
+
+/// Rounding of the few operations of equation (10), relative to positions of order 1.
+const ROUNDING: f64 = 8.0 * f64::EPSILON;
+
+/// Rounding of some hundred steps of a filter, rad/s.
+const FILTERED: f64 = 1e-12;
+
+/// What is left of the filter's transient, rad/s.
+const SETTLED: f64 = 1e-9;
+
+const PERIOD_S: f64 = 1e-3;
+
+/// Two joints that move nothing: the transformer sees only q and dq of the data.
+fn two_joints() -> Model {
+    let mut model = Model::new("two");
+    for name in ["first", "second"] {
+        let joint = Joint { name: name.into(), kind: JointKind::Continuous, limits: Limits::NONE };
+        model.add_body(None, Placement::identity(), joint, Inertia::zero());
+    }
+    model
+}
+
+fn parsed<T: serde::de::DeserializeOwned>(text: &str) -> T {
+    toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// Servos with kp 50/s and kv 90 Nms/rad, 40/s and 30 Nms/rad.
+fn servos() -> Vec<ServoGains> {
+    [(50.0, 90.0), (40.0, 30.0)].map(|(kp, kv)| ServoGains { stiffness: kp * kv, damping: kv }).to_vec()
+}
+
+fn estimator() -> EstimatorParameters {
+    parsed("velocity_filter_hz = 150.0")
+}
+
+const STATES: [([f64; 2], [f64; 2], [f64; 2]); 3] = [
+    ([0.3, -1.2], [0.7, -2.1], [12.0, -7.5]),
+    ([-1.9, 0.05], [-4.0, 0.001], [-40.0, 0.3]),
+    ([1.1, 1.4], [0.0, 3.3], [0.0, 19.0]),
+];
+
+fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
+    let mut data = Data::new(&two_joints());
+    data.q.copy_from_slice(&q);
+    data.dq.copy_from_slice(&dq);
+    let mut q_desired = [0.0; 2];
+    PaperTransformer::new(servos()).transform(&data, &tau, &mut q_desired);
+    q_desired
+}
+
+/// Compared: the transformer's two loops, and equation (10) in one fraction, with the gains of the test.
+#[test]
+fn the_paper_transformer_is_equation_10() {
+    for (q, dq, tau) in STATES {
+        let found = transformed(q, dq, tau);
+        for (i, (kp, kv)) in [(50.0, 90.0), (40.0, 30.0)].into_iter().enumerate() {
+            let expected = (tau[i] + kv * dq[i] + kv * kp * q[i]) / (kv * kp);
+            assert!((found[i] - expected).abs() <= ROUNDING * 4.0, "{} for {expected}", found[i]);
+        }
+    }
+}
+
+/// Compared: the torque of equation (9) at the transformer's set-point, and the torque given to the transformer.
+#[test]
+fn the_paper_transformer_inverts_equation_9() {
+    for (q, dq, tau) in STATES {
+        let found = transformed(q, dq, tau);
+        for (i, (kp, kv)) in [(50.0, 90.0), (40.0, 30.0)].into_iter().enumerate() {
+            let torque = kv * (kp * (found[i] - q[i]) - dq[i]);
+            assert!((torque - tau[i]).abs() <= ROUNDING * kp * kv, "{torque} for {}", tau[i]);
+        }
+    }
+}
+
+/// Compared: the estimator's recursion, and its filter written out as a sum over all past differences.
+#[test]
+fn velocity_is_a_filtered_difference() {
+    let y = |k: i32| 0.5 * (0.03 * f64::from(k)).sin();
+    let mut estimate = VelocityEstimator::new(1, &estimator(), PERIOD_S);
+    let keep = (-TAU * 150.0 * PERIOD_S).exp();
+    for k in 0..80 {
+        let found = estimate.update(&[y(k)])[0];
+        let expected: f64 =
+            (1..=k).map(|j| (1.0 - keep) * keep.powi(k - j) * (y(j) - y(j - 1)) / PERIOD_S).sum();
+        assert!((found - expected).abs() < FILTERED, "{k}: {found} for {expected}");
+    }
+}
+
+/// Compared: the estimate of a steady motion, and its speed.
+#[test]
+fn a_steady_motion_has_its_speed() {
+    let mut estimate = VelocityEstimator::new(1, &estimator(), PERIOD_S);
+    let last = (0..200).map(|k| estimate.update(&[0.2 + 1.7 * f64::from(k) * PERIOD_S])[0]).last();
+    assert!(last.is_some_and(|v| (v - 1.7).abs() < SETTLED), "{last:?}");
+}
+
+/// Compared: n̂, and equation (11)'s `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.
+#[test]
+fn friction_compensation_is_its_model() {
+    let joint = |coulomb: f64, viscous: f64| -> FrictionParameters {
+        parsed(&format!(
+            "coulomb_nm = {coulomb:?}\nstatic_nm = 9.0\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = {viscous:?}"
+        ))
+    };
+    let joints = [joint(1.8, 2.0), joint(1.1, 1.2)];
+    let parameters: FrictionCompensationParameters = parsed("gain = 0.8\nsmoothing_rad_per_s = 0.04");
+    let compensation = FrictionCompensation::new(joints.iter(), &parameters);
+    for v in [-3.0, -0.04, -0.001, 0.0, 0.02, 0.5_f64] {
+        let (up, down) = ((v / 0.04).exp(), (-v / 0.04).exp());
+        let sign = (up - down) / (up + down);
+        for (i, (coulomb, viscous)) in [(1.8, 2.0), (1.1, 1.2)].into_iter().enumerate() {
+            let expected = 0.8 * (coulomb * sign + viscous * v);
+            assert!((compensation.torque(i, v) - expected).abs() < 1e-13, "joint {i} at {v}");
+        }
+    }
+    let absent: FrictionCompensationParameters = parsed("");
+    let default = FrictionCompensation::new(joints.iter(), &absent).torque(0, 100.0);
+    assert!((default - 0.65 * (1.8 + 200.0)).abs() < 1e-10, "a third is left uncompensated: {default}");
+}
