@@ -9,8 +9,8 @@
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
 use opspace_control::{
-    Compensation, Controller, JointLimits, LimitParameters, Measurement, OperationalSpaceController,
-    RobotFacts, Stack, TaskParameters,
+    Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
+    OperationalSpaceController, Stack, Targets, TaskParameters,
 };
 use opspace_model::{Data, Model, update};
 use rand::{RngExt, SeedableRng};
@@ -143,6 +143,19 @@ struct Bench<'a> {
     row: Vec<f64>,
     /// Where in a row the share of the weakest direction stands.
     share: usize,
+    targets: Targets,
+}
+
+/// The controller's input, without feed-forward torques.
+fn input<'a>(
+    model: &'a Model,
+    data: &'a Data,
+    measurement: &'a Measurement,
+    targets: &'a Targets,
+) -> ControlInput<'a> {
+    static NO_FEEDFORWARD: [f64; 32] = [0.0; 32];
+    let feedforward_torque = &NO_FEEDFORWARD[..model.n()];
+    ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
 }
 
 impl<'a> Bench<'a> {
@@ -155,9 +168,13 @@ impl<'a> Bench<'a> {
             compensation: Compensation::Bias,
             limits: LimitParameters::default(),
         };
-        let robot =
-            RobotFacts { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits: limits.clone() };
-        let controller = OperationalSpaceController::new(model, &stack, &robot).expect("a good stack");
+        let context = ControlContext {
+            period_s: 1e-3,
+            sensors: vec![],
+            gravity_by_robot: false,
+            limits: limits.clone(),
+        };
+        let controller = OperationalSpaceController::new(model, &stack, &context).expect("a good stack");
         let signals = opspace_backend::Observable::signals(&controller);
         let before = signals.iter().take_while(|s| s.name != "hand.weakest_share");
         Self {
@@ -168,6 +185,7 @@ impl<'a> Bench<'a> {
             row: vec![0.0; signals.iter().map(|s| s.len()).sum()],
             controller,
             tau: vec![0.0; model.n()],
+            targets: Targets::none(),
         }
     }
 
@@ -175,7 +193,7 @@ impl<'a> Bench<'a> {
         self.seen.q.copy_from_slice(home);
         self.seen.dq.fill(0.0);
         assert!(update(self.model, &mut self.data, home, self.seen.dq.as_slice()));
-        self.controller.start(self.model, &self.data, &self.seen);
+        self.controller.start(&input(self.model, &self.data, &self.seen, &self.targets));
     }
 
     /// One tick.
@@ -183,7 +201,8 @@ impl<'a> Bench<'a> {
         self.seen.q.copy_from_slice(q);
         self.seen.dq.copy_from_slice(dq);
         assert!(update(self.model, &mut self.data, q, dq));
-        self.controller.update(self.model, &self.data, black_box(&self.seen), &mut self.tau);
+        let input = input(self.model, &self.data, black_box(&self.seen), &self.targets);
+        self.controller.update(&input, &mut self.tau);
     }
 
     fn weakest_share(&mut self, q: &[f64], dq: &[f64]) -> f64 {

@@ -2,7 +2,7 @@
 
 use divan::{Bencher, black_box};
 use nalgebra::Matrix6xX;
-use opspace::control::Measurement;
+use opspace::control::{ControlInput, Measurement, Targets};
 use opspace::experiment::{Choice, Experiment, Files};
 use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
@@ -102,7 +102,8 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
     measurement.q.copy_from_slice(&[-0.45, -0.35, 0.25, -1.35]);
     assert!(update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
     let mut controller = experiment.controller().expect("was checked");
-    controller.start(model, &data, &measurement);
+    let (targets, feedforward) = (Targets::none(), vec![0.0; model.n()]);
+    controller.start(&input(model, &data, &measurement, &feedforward, &targets));
     let profile = experiment.profile().1;
     let servos = experiment.robot().servos(profile);
     let gains = servos.iter().map(|servo| servo.gains(profile.servo_period_s())).collect();
@@ -111,7 +112,19 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
     let mut q_desired = vec![0.0; model.n()];
     bencher.bench_local(|| {
         measurement.time_s += 1e-3;
-        controller.update(model, &data, black_box(&measurement), &mut tau);
+        let input = input(model, &data, black_box(&measurement), &feedforward, &targets);
+        controller.update(&input, &mut tau);
         transformer.transform(&data, &tau, &mut q_desired);
     });
+}
+
+/// Controller input whose clock counts from the start of control.
+fn input<'a>(
+    model: &'a Model,
+    data: &'a Data,
+    measurement: &'a Measurement,
+    feedforward_torque: &'a [f64],
+    targets: &'a Targets,
+) -> ControlInput<'a> {
+    ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
 }

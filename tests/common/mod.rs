@@ -4,13 +4,13 @@
 
 use opspace_backend::Sink;
 use opspace_backend::{CommandKind, Layout, Observable, Row, Signal};
-use opspace_control::{Controller, Measurement};
+use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files, Metrics, Robot, Task};
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
 use opspace_loop::{Backend, Ending};
-use opspace_model::{Data, Model};
+use opspace_model::Data;
 use opspace_transformer::TransformerKind;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -165,10 +165,10 @@ impl<F: FnMut(&Data, &Measurement, &mut [f64]) + Send> Controller for Told<F> {
         self.kind
     }
 
-    fn start(&mut self, _model: &Model, _data: &Data, _measurement: &Measurement) {}
+    fn start(&mut self, _input: &ControlInput<'_>) {}
 
-    fn update(&mut self, _model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
-        (self.command)(data, measurement, command);
+    fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
+        (self.command)(input.data, input.measurement, command);
     }
 }
 

@@ -11,14 +11,14 @@
 //! J⁺ is the dynamically consistent inverse of an arm whose mass matrix is the identity, damped near
 //! singularities as the torque controller's is.
 
-use crate::controller::Controller;
+use crate::context::ControlContext;
+use crate::controller::{ControlInput, Controller};
 use crate::error::{ControlError, Reason};
-use crate::joint::JointTask;
-use crate::level::RowTask;
-use crate::measurement::Measurement;
-use crate::products::{add_transposed, product};
-use crate::stacks::{PreparedStack, Shows, Stacks};
-use crate::task::{Levels, RobotFacts, Stack};
+use crate::hierarchy::level::RowTask;
+use crate::hierarchy::products::{add_transposed, product};
+use crate::hierarchy::stacks::{PreparedStack, Shows, Stacks};
+use crate::hierarchy::task::{Levels, Stack};
+use crate::tasks::joint::JointTask;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::{Observable, Row, Signal};
@@ -43,7 +43,7 @@ pub struct ServoLead {
 #[derive(Clone, Debug)]
 pub struct InverseKinematicsController {
     stacks: Stacks,
-    robot: RobotFacts,
+    robot: ControlContext,
     lead: Option<ServoLead>,
     /// Of the reference posture, with the identity in place of M's factor.
     data: Data,
@@ -64,7 +64,7 @@ impl InverseKinematicsController {
     pub fn new(
         model: &Model,
         stack: &Stack<'_>,
-        robot: &RobotFacts,
+        robot: &ControlContext,
         lead: Option<ServoLead>,
     ) -> Result<Self, ControlError> {
         let stacks = Stacks::new(model, stack, robot, Shows::Motion)?;
@@ -172,33 +172,34 @@ impl Controller for InverseKinematicsController {
         CommandKind::Position
     }
 
-    fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.q.copy_from(&measurement.q);
+    fn start(&mut self, input: &ControlInput<'_>) {
+        self.q.copy_from(&input.measurement.q);
         self.dq.fill(0.0);
-        self.stacks.start(model, data, measurement);
+        self.stacks.start(input);
     }
 
-    fn look_on(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.stacks.advance(model, data, measurement);
-        self.stacks.current().observe(model, data, measurement);
+    fn observe_while_held(&mut self, input: &ControlInput<'_>) {
+        self.stacks.advance(input);
+        self.stacks.current().observe(input);
     }
 
     /// Goes on from the set-points that held the robot, not from where they left it: so they don't jump.
-    fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.stacks.advance(model, data, measurement);
+    fn resume(&mut self, input: &ControlInput<'_>) {
+        self.stacks.advance(input);
         self.dq.fill(0.0);
         for i in 0..self.q.len() {
             self.q[i] = self.streamed[i] - self.sag(i);
         }
-        kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
-        self.stacks.current().resume(model, &self.data, measurement);
+        kinematics(input.model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
+        self.stacks.current().resume(&ControlInput { data: &self.data, ..*input });
     }
 
-    fn update(&mut self, model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
-        self.stacks.advance(model, data, measurement);
+    fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
+        let ControlInput { model, measurement, .. } = *input;
+        self.stacks.advance(input);
         let levels = self.stacks.current();
         for level in &mut levels.rows {
-            level.observe(model, data, measurement);
+            level.observe(input);
         }
         let in_joints = levels.rows.is_empty();
         if let Some(JointTask::Tracking(task)) = &mut levels.joint {

@@ -6,8 +6,8 @@
 //!
 //! ```
 //! use opspace_control::{
-//!     Compensation, Controller, JointLimits, LimitParameters, Measurement, OperationalSpaceController, RobotFacts,
-//!     Stack, TaskParameters,
+//!     Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
+//!     OperationalSpaceController, Stack, Targets, TaskParameters,
 //! };
 //! use opspace_model::{Data, Model, aba, update};
 //! use std::collections::BTreeMap;
@@ -37,22 +37,31 @@
 //!     limits: LimitParameters::default(),
 //! };
 //! let limits = JointLimits::of(&model);
-//! let robot = RobotFacts { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
-//! let mut controller = OperationalSpaceController::new(&model, &stack, &robot)?;
+//! let context = ControlContext { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
+//! let mut controller = OperationalSpaceController::new(&model, &stack, &context)?;
 //!
 //! let (mut data, mut seen, mut tau) = (Data::new(&model), Measurement::new(2, 0, false), [0.0; 2]);
 //! seen.q.copy_from_slice(&[0.3, -0.9]);
+//! let (no_targets, no_feedforward) = (Targets::none(), [0.0; 2]);
 //! for tick in 0..1500 {
-//!     seen.time_s = f64::from(tick) * robot.period_s;
+//!     seen.time_s = f64::from(tick) * context.period_s;
 //!     assert!(update(&model, &mut data, seen.q.as_slice(), seen.dq.as_slice()));
+//!     let input = ControlInput {
+//!         model: &model,
+//!         data: &data,
+//!         measurement: &seen,
+//!         feedforward_torque: &no_feedforward,
+//!         targets: &no_targets,
+//!         clock_s: seen.time_s,
+//!     };
 //!     if tick == 0 {
-//!         controller.start(&model, &data, &seen);
+//!         controller.start(&input);
 //!     }
-//!     controller.update(&model, &data, &seen, &mut tau);
+//!     controller.update(&input, &mut tau);
 //!     // In place of a robot: forward dynamics, integrated.
 //!     aba(&model, &mut data, &tau);
-//!     seen.dq += &data.ddq * robot.period_s;
-//!     seen.q += &seen.dq * robot.period_s;
+//!     seen.dq += &data.ddq * context.period_s;
+//!     seen.q += &seen.dq * context.period_s;
 //! }
 //! assert!(seen.dq.norm() < 1e-3, "the arm has arrived");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -60,58 +69,50 @@
 
 #![forbid(unsafe_code)]
 
-pub mod active_set;
-pub mod axes;
-pub mod cartesian;
+pub mod context;
 pub mod controller;
 pub mod error;
-pub mod filter;
-pub mod force;
-mod hierarchy;
+pub mod hierarchy;
 pub mod ik;
-pub mod impedance;
-pub mod interior_point;
-pub mod joint;
-pub mod joint_reference;
-pub mod law;
-mod level;
-mod lexicographic;
 pub mod limits;
 pub mod measurement;
-pub mod online;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
-mod products;
 pub mod qp;
-pub mod ramp;
-pub mod rank;
-pub mod recorded;
-pub mod reference;
-pub mod stacks;
-pub mod subject;
-pub mod task;
-pub mod task_axes;
-pub mod wave;
+pub mod references;
+pub mod targets;
+pub mod tasks;
 
-pub use axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
-pub use cartesian::{CartesianParameters, CenterOfMassParameters, Decoupling, Singularities};
-pub use controller::Controller;
+pub use context::ControlContext;
+pub use controller::{ControlInput, Controller, StaleTarget};
 pub use error::{ControlError, Reason};
-pub use force::ForceParameters;
+pub use hierarchy::rank;
+pub use hierarchy::stacks::PreparedStack;
+pub use hierarchy::task::{Compensation, Stack, TaskParameters};
 pub use ik::{InverseKinematicsController, ServoLead};
-pub use impedance::ImpedanceParameters;
-pub use joint::{JointDampingParameters, JointGains, JointPostureParameters, JointTrackingParameters};
-pub use joint_reference::JointReference;
-pub use law::AxisGains;
-pub use limits::{JointLimits, LimitParameters};
+pub use limits::joint_limits::{JointLimits, LimitParameters};
 pub use measurement::Measurement;
-pub use online::{MotionLimits, OnlineGoal};
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;
-pub use recorded::{PoseSample, RecordedError, RecordedPath, RecordedReason};
-pub use reference::{CartesianReference, Target, Trajectory};
-pub use stacks::PreparedStack;
-pub use subject::Subject;
-pub use task::{Compensation, RobotFacts, Stack, TaskParameters};
-pub use task_axes::TaskAxes;
+pub use qp::{active_set, interior_point};
+pub use references::goal::{OrientationGoal, PositionGoal};
+pub use references::joint_reference::JointReference;
+pub use references::online::{MotionLimits, OnlineGoal};
+pub use references::ramp;
+pub use references::recorded::{self, PoseSample, RecordedError, RecordedPath, RecordedReason};
+pub use references::reference::{CartesianReference, Trajectory};
+pub use references::target::Target;
+pub use targets::Targets;
+pub use tasks::axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
+pub use tasks::cartesian_parameters::{
+    CartesianParameters, CenterOfMassParameters, Decoupling, Singularities,
+};
+pub use tasks::force::ForceParameters;
+pub use tasks::gains::AxisGains;
+pub use tasks::impedance::{self, ImpedanceParameters};
+pub use tasks::joint::{
+    self, JointDampingParameters, JointGains, JointPostureParameters, JointTrackingParameters,
+};
+pub use tasks::subject::Subject;
+pub use tasks::task_axes::TaskAxes;

@@ -18,9 +18,6 @@ pub struct Measurement {
     /// Wrenches of the force sensors, in the order in which the robot declares them: world axes, at the
     /// sensor frame's origin, ON the robot, tared at start (N, Nm).
     pub wrenches: Vec<Force>,
-    /// What will be added to commanded torques once the controller has given them, Nm (n): the compensation of friction.
-    /// The torque limits hold for the sum.
-    pub added_torque: DVector<f64>,
 }
 
 impl Measurement {
@@ -33,7 +30,6 @@ impl Measurement {
             dq: DVector::zeros(n),
             motor_torque: motor_torque.then(|| DVector::zeros(n)),
             wrenches: vec![Force::zero(); sensors],
-            added_torque: DVector::zeros(n),
         }
     }
 }

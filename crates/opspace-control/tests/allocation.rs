@@ -15,14 +15,14 @@ use opspace_model::Model;
 fn check(model: &Model, controller: &mut dyn Controller, start: &[f64], singular: &[f64]) {
     let n = model.n();
     let (data, measurement) = at_state(model, start, &vec![0.0; n], 0.0);
-    controller.start(model, &data, &measurement);
+    controller.start(&common::input(model, &data, &measurement));
     let mut row = vec![0.0; controller.signals().iter().map(|s| s.len()).sum()];
     let mut command = vec![0.0; n];
     for q in [start, singular] {
         for time_s in [0.0, 0.4, 1.5, 20.0] {
             let (data, measurement) = at_state(model, q, &vec![0.3; n], time_s);
             let count = allocations(|| {
-                controller.update(model, &data, &measurement, &mut command);
+                controller.update(&common::input(model, &data, &measurement), &mut command);
                 controller.sample(&mut Row::new(&mut row));
             });
             assert_eq!(count, 0, "at {q:?} and {time_s} s");

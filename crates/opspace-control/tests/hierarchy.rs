@@ -451,7 +451,7 @@ impl Case {
         };
         let n = self.model.n();
         let (data, measurement) = at_state(&self.model, self.start.q.as_slice(), &vec![0.0; n], 0.0);
-        controller.start(&self.model, &data, &measurement);
+        controller.start(&common::input(&self.model, &data, &measurement));
         Some(self.ask(controller, &self.data))
     }
 
@@ -459,7 +459,7 @@ impl Case {
     fn ask(&self, mut controller: OperationalSpaceController, data: &Data) -> Ran {
         let (data, measurement) = at_state(&self.model, data.q.as_slice(), data.dq.as_slice(), TIME_S);
         let mut tau = vec![0.0; self.model.n()];
-        controller.update(&self.model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&self.model, &data, &measurement), &mut tau);
         let ddq = accelerations(&self.model, &data, &tau);
         Ran { controller, tau: DVector::from_vec(tau), ddq }
     }

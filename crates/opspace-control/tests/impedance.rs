@@ -144,7 +144,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
     // Settled on this wrench, so that the filter passes it on.
     measurement.wrenches[0] = sensed;
     later.wrenches[0] = sensed;
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
 
     let pose = frame_placement(&model, &now, hand);
     let turn = Rotation3::from_matrix_unchecked(pose.rotation * home.rotation.transpose()).scaled_axis();
@@ -176,7 +176,7 @@ impl Held {
     /// The acceleration of the axes under the law's torques and the force; `None` near singular poses.
     fn acceleration(&mut self) -> Option<DVector<f64>> {
         let mut tau = vec![0.0; self.model.n()];
-        self.controller.update(&self.model, &self.data, &self.measurement, &mut tau);
+        self.controller.update(&common::input(&self.model, &self.data, &self.measurement), &mut tau);
         let hand = self.model.frame("hand").expect("hand");
         let mut wrench = Vector6::zeros();
         self.axes.iter().zip(self.force.iter()).for_each(|(&axis, &f)| wrench[axis] = f);
@@ -321,10 +321,10 @@ fn bounded_decoupling_is_that_of_an_arm_without_light_joints() {
                 OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
                     .expect("a good stack");
             let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
-            controller.start(&model, &data, &measurement);
+            controller.start(&common::input(&model, &data, &measurement));
             let (data, measurement) = at_state(&model, &q, &dq, 0.4);
             let mut tau = vec![0.0; n];
-            controller.update(&model, &data, &measurement, &mut tau);
+            controller.update(&common::input(&model, &data, &measurement), &mut tau);
             (DVector::from_vec(tau), data, controller)
         };
         let (full, data, controller) = run("");
@@ -384,14 +384,14 @@ fn the_integral_grows_by_the_error_up_to_its_limit() {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame("hand").expect("hand");
     let home = frame_placement(&model, &data, hand).translation;
     let (data, measurement) = at_state(&model, &[-0.42, -0.37, 0.2, -1.3], &[0.0; 4], 0.1);
     let error = home - frame_placement(&model, &data, hand).translation;
     for tick in 1..=50 {
         let mut tau = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let moved = jacobian(&model, &data, "hand").rows(0, 3) * accelerations(&model, &data, &tau);
         let sum = error.map(|e| (f64::from(tick) * 1e-3 * per_s * e).clamp(-limit, limit));
         let wanted = (error + sum) * (omega * omega);
@@ -409,10 +409,10 @@ fn left_over(integral: &str) -> f64 {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let mut tau = [0.0; 4];
     for _ in 0..3000 {
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let disturbed: Vec<f64> = tau.iter().zip(UNKNOWN_NM).map(|(tau, unknown)| tau + unknown).collect();
         let ddq = accelerations(&model, &data, &disturbed);
         step(&model, &mut data, &mut measurement, &ddq, 1e-3);
@@ -461,13 +461,13 @@ fn the_speed_asked_for_is_bounded_and_keeps_its_direction() {
         let hand = model.frame("hand").expect("hand");
         let start = numbers.vector(n, 1.5);
         let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let home = frame_placement(&model, &data, hand);
         let way = numbers.between(0.01, 0.1);
         let q: Vec<f64> = start.iter().map(|q| q + way * numbers.next()).collect();
         let (data, measurement) = at_state(&model, &q, &numbers.vector(n, 0.5), 0.4);
         let mut tau = vec![0.0; n];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         if sampled(&controller, "hand.weakest_share") != [1.0] {
             continue;
         }
@@ -505,14 +505,14 @@ fn a_hand_sent_far_off_goes_straight_and_no_faster_than_its_limit() {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame("hand").expect("hand");
     let home = frame_placement(&model, &data, hand).translation;
     let line = Vector3::new(0.12, 0.08, 0.15).normalize();
     let (mut fastest, mut aside) = (0.0_f64, 0.0_f64);
     let mut tau = [0.0; 4];
     for _ in 0..2500 {
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let ddq = accelerations(&model, &data, &tau);
         step(&model, &mut data, &mut measurement, &ddq, 1e-3);
         fastest = fastest.max(frame_velocity(&model, &data, hand).linear.norm());

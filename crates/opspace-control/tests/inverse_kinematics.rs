@@ -53,8 +53,8 @@ fn the_streamed_positions_follow_the_figure_and_lead_by_the_servos_lag() {
     let (mut plain, mut led) = (build(None), build(Some(lead.clone())));
     assert_eq!(plain.command_kind(), CommandKind::Position);
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    plain.start(&model, &data, &measurement);
-    led.start(&model, &data, &measurement);
+    plain.start(&common::input(&model, &data, &measurement));
+    led.start(&common::input(&model, &data, &measurement));
     let hand = model.frame("hand").expect("hand");
     let start = frame_placement(&model, &data, hand).translation;
     let (mut streamed, mut ahead) = ([0.0; 4], [0.0; 4]);
@@ -62,8 +62,8 @@ fn the_streamed_positions_follow_the_figure_and_lead_by_the_servos_lag() {
     for tick in 0..4000 {
         let t = 1e-3 * f64::from(tick);
         measurement.time_s = t;
-        plain.update(&model, &data, &measurement, &mut streamed);
-        led.update(&model, &data, &measurement, &mut ahead);
+        plain.update(&common::input(&model, &data, &measurement), &mut streamed);
+        led.update(&common::input(&model, &data, &measurement), &mut ahead);
         if tick == 0 {
             assert!(streamed == Q0, "the first command is the measured posture");
         }
@@ -107,11 +107,11 @@ fn a_pose_is_reached() {
         InverseKinematicsController::new(&model, &file.stack(), &robot, Some(lead)).expect("a good stack");
     let q = [0.3, 0.7, -0.4, -1.4, 0.2, 1.1, 0.5];
     let (data, mut measurement) = at_state(&model, &q, &[0.0; 7], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let mut command = [0.0; 7];
     for tick in 0..3000 {
         measurement.time_s = 1e-3 * f64::from(tick);
-        controller.update(&model, &data, &measurement, &mut command);
+        controller.update(&common::input(&model, &data, &measurement), &mut command);
     }
     let hand = model.frame("hand").expect("hand");
     let [from, to] =
@@ -136,10 +136,10 @@ fn the_posture_is_approached_without_the_hand() {
         InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
             .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let mut q = [0.0; 4];
     for _ in 0..20_000 {
-        controller.update(&model, &data, &measurement, &mut q);
+        controller.update(&common::input(&model, &data, &measurement), &mut q);
     }
     let hand = model.frame("hand").expect("hand");
     let at = placed(&model, &q);
@@ -171,13 +171,13 @@ fn a_lower_task_follows_too() {
         InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
             .expect("a good stack");
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let elbow = model.frame("elbow").expect("elbow");
     let start = frame_placement(&model, &data, elbow).translation.y;
     let mut q = [0.0; 4];
     for tick in 0..3000 {
         measurement.time_s = 1e-3 * f64::from(tick);
-        controller.update(&model, &data, &measurement, &mut q);
+        controller.update(&common::input(&model, &data, &measurement), &mut q);
         let off = frame_placement(&model, &placed(&model, &q), elbow).translation.y - start;
         // Explicit Euler, as above.
         assert!(off.abs() < 1e-4, "{off} m at {} s", measurement.time_s);
@@ -202,10 +202,10 @@ fn joint_references_are_streamed_as_they_are() {
             InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), servo)
                 .expect("a good stack");
         measurement.time_s = 0.0;
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         measurement.time_s = 1.9;
         let mut command = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut command);
+        controller.update(&common::input(&model, &data, &measurement), &mut command);
         let omega = 2.0 * PI * 0.7;
         let mut q = Q0;
         q[3] += 0.4 * (omega * 1.9).sin();

@@ -81,7 +81,7 @@ fn tracking_torque_is_the_textbook_formula() {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame("hand").expect("hand");
     let start = frame_placement(&model, &data, hand).translation;
     let mut numbers = Numbers::new(1);
@@ -90,7 +90,7 @@ fn tracking_torque_is_the_textbook_formula() {
         let dq = numbers.vector(4, 2.0);
         let (data, measurement) = at_state(&model, &q, &dq, time_s);
         let mut tau = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
 
         let (w, t) = (PI, time_s);
         let [s, ds, dds] = if t < 1.0 { ramp(t) } else { [1.0, 0.0, 0.0] };
@@ -128,7 +128,7 @@ fn compliant_torque_is_the_textbook_formula() {
     let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "wrist"))
         .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame("hand").expect("hand");
     let start = frame_placement(&model, &data, hand).translation;
     let mut numbers = Numbers::new(2);
@@ -141,7 +141,7 @@ fn compliant_torque_is_the_textbook_formula() {
         force.linear = Vector3::new(numbers.next(), numbers.next(), numbers.next()) * 10.0;
         measurement.wrenches[0] = force;
         let mut tau = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
 
         filtered += (1.0 - (-2.0 * PI * 100.0 * 1e-3_f64).exp()) * (force.linear.x - filtered);
         let x = frame_placement(&model, &data, hand).translation;
@@ -170,11 +170,11 @@ fn joint_tracking_accelerates_as_asked_and_gravity_compensation_is_g() {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let (q, dq, t) = ([-0.3, -0.5, 0.1, -1.0], [0.5, -1.0, 1.5, 0.2], 1.7);
     let (data, measurement) = at_state(&model, &q, &dq, t);
     let mut tau = [0.0; 4];
-    controller.update(&model, &data, &measurement, &mut tau);
+    controller.update(&common::input(&model, &data, &measurement), &mut tau);
     let omega = 2.0 * PI * 0.7;
     for i in 0..4 {
         let a = if i == 3 { 0.4 } else { 0.0 };
@@ -198,8 +198,8 @@ fn joint_tracking_accelerates_as_asked_and_gravity_compensation_is_g() {
         robot.gravity_by_robot = gravity_by_robot;
         let mut controller =
             OperationalSpaceController::new(&model, &file.stack(), &robot).expect("a good stack");
-        controller.start(&model, &data, &measurement);
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.start(&common::input(&model, &data, &measurement));
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let expected = if gravity_by_robot { [0.0; 4] } else { [0, 1, 2, 3].map(|i| data.gravity[i]) };
         assert!(tau == expected);
     }
@@ -232,12 +232,12 @@ fn a_pose_task_accelerates_the_frame_as_asked() {
     while regular < 20 {
         let q = numbers.vector(7, 1.2);
         let (data, measurement) = at_state(&model, &q, &[0.0; 7], 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let start = frame_placement(&model, &data, hand);
         let q: Vec<f64> = q.iter().map(|q| q + 0.2 * numbers.next()).collect();
         let (data, measurement) = at_state(&model, &q, &numbers.vector(7, 1.0), 0.5);
         let mut tau = [0.0; 7];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         if signal(&controller, "hand.weakest_share") != [1.0] {
             continue;
         }
@@ -303,10 +303,10 @@ fn no_task_accelerates_a_task_above_it() {
             let mut controller =
                 OperationalSpaceController::new(&model, &file.stack(), &robot).expect("a good stack");
             let (data, measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
-            controller.start(&model, &data, &measurement);
+            controller.start(&common::input(&model, &data, &measurement));
             let (data, measurement) = at_state(&model, &q, &dq, 0.1);
             let mut tau = [0.0; 7];
-            controller.update(&model, &data, &measurement, &mut tau);
+            controller.update(&common::input(&model, &data, &measurement), &mut tau);
             shares.extend(signal(&controller, "hand.weakest_share"));
             shares.extend(signal(&controller, "upper.weakest_share"));
             let hand = frame_acceleration(&model, &data, "hand", &tau);
@@ -340,13 +340,13 @@ fn a_lower_task_moves_as_asked_where_it_is_free_to() {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let start = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
     let (data, measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let frame = model.frame("upper").expect("upper");
     let goal = frame_placement(&model, &data, frame).translation;
     let q = start.map(|q| q + 0.1 * (7.0 * q).sin());
     let (data, measurement) = at_state(&model, &q, &[0.4, -0.3, 0.2, 0.5, -0.6, 0.1, 0.3], 0.1);
     let mut tau = [0.0; 7];
-    controller.update(&model, &data, &measurement, &mut tau);
+    controller.update(&common::input(&model, &data, &measurement), &mut tau);
     assert!(signal(&controller, "upper.weakest_share") == [1.0]);
     let moved = frame_acceleration(&model, &data, "upper", &tau);
     let velocity = frame_velocity(&model, &data, frame).linear;
@@ -365,14 +365,14 @@ fn the_arm_follows_its_reference() {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let (period_s, mut worst) = (1e-3, 0.0_f64);
     let mut tau = [0.0; 4];
     for tick in 0..4000 {
         measurement.time_s = period_s * f64::from(tick);
         let (q, dq) = (measurement.q.as_slice(), measurement.dq.as_slice());
         assert!(opspace_model::update(&model, &mut data, q, dq));
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         assert!(signal(&controller, "hand.weakest_share") == [1.0], "damped at {} s", measurement.time_s);
         let error = signal(&controller, "hand.error");
         worst = worst.max(Vector3::new(error[0], error[1], error[2]).norm());
@@ -401,9 +401,9 @@ fn a_compliant_axis_with_a_target_balances_it() {
             .expect("a good stack");
         let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
         measurement.wrenches[0].linear.x = -5.0;
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let mut tau = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let wall = jacobian(&model, &data, "hand").row(0).transpose() * -5.0;
         let ddq = accelerations(&model, &data, (DVector::from_column_slice(&tau) + wall).as_slice());
         assert!(ddq.amax() < ROUNDING, "gain {gain}: the arm moves off at {ddq}");
@@ -426,7 +426,7 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame("hand").expect("hand");
     let surface = frame_placement(&model, &data, hand).translation.x;
     let mut tau = [0.0; 4];
@@ -444,7 +444,7 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
         if step % 10 == 0 {
             measurement.time_s = 1e-4 * f64::from(step);
             measurement.wrenches[0].linear.x = push;
-            controller.update(&model, &data, &measurement, &mut tau);
+            controller.update(&common::input(&model, &data, &measurement), &mut tau);
         }
         let caused = jacobian(&model, &data, "hand").row(0).transpose() * push;
         let total: Vec<f64> = (0..4).map(|i| tau[i] + UNKNOWN_NM[i] + caused[i]).collect();
@@ -494,9 +494,9 @@ fn joint_damping_brakes_every_joint() {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let dq = [0.5, -1.0, 1.5, 0.2];
     let (data, measurement) = at_state(&model, &Q0, &dq, 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let mut tau = [0.0; 4];
-    controller.update(&model, &data, &measurement, &mut tau);
+    controller.update(&common::input(&model, &data, &measurement), &mut tau);
     for i in 0..4 {
         assert!((tau[i] - (data.bias[i] - (i as f64 + 1.0) * dq[i])).abs() < 1e-14, "joint {i}: {}", tau[i]);
     }
@@ -524,9 +524,9 @@ fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
             .expect("a good stack");
         let (data, mut measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
         measurement.wrenches[0].angular.y = moment;
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let mut tau = [0.0; 7];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let force = DVector::from_vec(signal(&controller, "hand.force"));
         (DVector::from_column_slice(&tau), force, jacobian(&model, &data, "hand").row(4).transpose())
     };
@@ -552,8 +552,8 @@ fn a_wrench_is_carried_from_the_sensor_to_the_task_frame() {
         let mut random = || Vector3::new(numbers.next(), numbers.next(), numbers.next()) * 10.0;
         measurement.wrenches[0] = Force { linear: random(), angular: random() };
         // Settled on this wrench, so that the filter passes it on.
-        controller.start(&model, &data, &measurement);
-        controller.update(&model, &data, &measurement, &mut [0.0; 4]);
+        controller.start(&common::input(&model, &data, &measurement));
+        controller.update(&common::input(&model, &data, &measurement), &mut [0.0; 4]);
         let velocity = |name: &str| frame_velocity(&model, &data, model.frame(name).expect("frame"));
         let hand = velocity("hand");
         let axes = *Rotation3::from_euler_angles(0.3, -0.2, 0.9).matrix();

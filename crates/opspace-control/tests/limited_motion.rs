@@ -6,7 +6,7 @@ mod common;
 use common::stacks::{COMPLIANT, DAMPED, ELBOW, POSE, without_limits};
 use common::{File, Link, Numbers, arm, at_state, facts, sampled, seven_joints};
 use nalgebra::{DVector, Vector3};
-use opspace_control::{Controller, JointLimits, Measurement, OperationalSpaceController};
+use opspace_control::{ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
 
 /// By what share of itself a bound is widened between levels, some times over, and so how far a command may be beyond it.
@@ -30,7 +30,7 @@ impl Run {
         let mut controller =
             OperationalSpaceController::new(&model, &file.stack(), &robot).expect("a good stack");
         let (data, measurement) = at_state(&model, q, dq, 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let tau = DVector::zeros(model.n());
         Self { model, controller, data, measurement, tau }
     }
@@ -38,7 +38,7 @@ impl Run {
     fn step(&mut self) {
         let seen = &mut self.measurement;
         assert!(update(&self.model, &mut self.data, seen.q.as_slice(), seen.dq.as_slice()));
-        self.controller.update(&self.model, &self.data, seen, self.tau.as_mut_slice());
+        self.controller.update(&common::input(&self.model, &self.data, seen), self.tau.as_mut_slice());
         assert!(self.tau.iter().all(|t| t.is_finite()), "{} at {} s", self.tau, seen.time_s);
         aba(&self.model, &mut self.data, self.tau.as_slice());
         seen.q.axpy(PERIOD_S, &seen.dq, 1.0);
@@ -257,9 +257,12 @@ fn integrals_stand_still_while_a_limit_is_in_force() {
             seen.time_s = 2.0;
             for tick in 0..=ticks {
                 // More than the motor of the second joint has, then nothing.
-                seen.added_torque[1] = if tick == 0 || tick == ticks { 0.0 } else { load };
-                run.controller.update(&run.model, &run.data, &seen, tau.as_mut_slice());
-                assert_eq!(run.controller.is_limited(), seen.added_torque[1] != 0.0);
+                let mut feedforward_torque = [0.0; 7];
+                feedforward_torque[1] = if tick == 0 || tick == ticks { 0.0 } else { load };
+                let input = common::input(&run.model, &run.data, &seen);
+                let input = ControlInput { feedforward_torque: &feedforward_torque, ..input };
+                run.controller.update(&input, tau.as_mut_slice());
+                assert_eq!(run.controller.is_limited(), feedforward_torque[1] != 0.0);
             }
             tau
         };
@@ -289,13 +292,13 @@ fn what_is_not_a_number_gives_no_command() {
             for _ in 0..3 {
                 // Whether M can be factored is for the backend to judge.
                 let _ = update(&run.model, &mut run.data, bad.q.as_slice(), bad.dq.as_slice());
-                run.controller.update(&run.model, &run.data, &bad, run.tau.as_mut_slice());
+                run.controller.update(&common::input(&run.model, &run.data, &bad), run.tau.as_mut_slice());
                 assert!(run.tau.iter().any(|t| !t.is_finite()), "{text}: {}", run.tau);
                 assert_eq!(sampled(&run.controller, "limits_solver"), [3.0], "no solver");
             }
             let (q, dq) = (good.q.as_slice(), good.dq.as_slice());
             assert!(update(&run.model, &mut run.data, q, dq));
-            run.controller.start(&run.model, &run.data, &good);
+            run.controller.start(&common::input(&run.model, &run.data, &good));
             run.measurement = good;
             run.step();
             assert!(
@@ -304,8 +307,11 @@ fn what_is_not_a_number_gives_no_command() {
         }
         let mut run = Run::new(seven_joints(), text, &workable(), &REACHED, &[0.0; 7]);
         for added in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
-            run.measurement.added_torque[3] = added;
-            run.controller.update(&run.model, &run.data, &run.measurement, run.tau.as_mut_slice());
+            let mut feedforward_torque = [0.0; 7];
+            feedforward_torque[3] = added;
+            let input = common::input(&run.model, &run.data, &run.measurement);
+            let input = ControlInput { feedforward_torque: &feedforward_torque, ..input };
+            run.controller.update(&input, run.tau.as_mut_slice());
         }
     }
 }
@@ -338,7 +344,7 @@ fn what_is_not_a_number_is_forgotten() {
         let command = |run: &mut Run, seen: &Measurement| {
             // Whether M can be factored is for the backend to judge.
             let _ = update(&run.model, &mut run.data, seen.q.as_slice(), seen.dq.as_slice());
-            run.controller.update(&run.model, &run.data, seen, run.tau.as_mut_slice());
+            run.controller.update(&common::input(&run.model, &run.data, seen), run.tau.as_mut_slice());
         };
         for (kind, spoil) in breaks.into_iter().enumerate() {
             let [mut run, mut spared] =
@@ -471,7 +477,8 @@ fn noise_in_the_velocity_is_no_direction() {
         for _ in 0..200 {
             run.measurement.dq.copy_from_slice(&numbers.vector(7, noise));
             assert!(update(&run.model, &mut run.data, &REACHED, run.measurement.dq.as_slice()));
-            run.controller.update(&run.model, &run.data, &run.measurement, run.tau.as_mut_slice());
+            run.controller
+                .update(&common::input(&run.model, &run.data, &run.measurement), run.tau.as_mut_slice());
             assert!(run.controller.is_limited());
             if let Some(before) = before.replace(run.tau.clone()) {
                 worst = worst.max((&run.tau - before).amax());

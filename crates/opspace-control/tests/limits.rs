@@ -9,8 +9,8 @@ use common::{
 };
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::Observable;
-use opspace_control::limits::HORIZON_S;
-use opspace_control::{Controller, JointLimits, Measurement, OperationalSpaceController, RobotFacts};
+use opspace_control::limits::bounds::HORIZON_S;
+use opspace_control::{ControlContext, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity};
 
 /// Two solutions of one programme, by methods with tolerances of 1e-9 and smaller, relative to their size.
@@ -64,7 +64,7 @@ impl Scene {
         Self { model, start, data, measurement }
     }
 
-    fn robot(&self) -> RobotFacts {
+    fn robot(&self) -> ControlContext {
         facts(&self.model, "hand")
     }
 
@@ -76,13 +76,13 @@ impl Scene {
             OperationalSpaceController::new(&self.model, &file.stack(), &robot).expect("a good stack");
         let (data, mut measurement) = at_state(&self.model, &self.start, &vec![0.0; self.model.n()], 0.0);
         measurement.wrenches.clone_from(&self.measurement.wrenches);
-        controller.start(&self.model, &data, &measurement);
+        controller.start(&common::input(&self.model, &data, &measurement));
         controller
     }
 
     fn torque(&self, controller: &mut OperationalSpaceController) -> DVector<f64> {
         let mut tau = DVector::zeros(self.model.n());
-        controller.update(&self.model, &self.data, &self.measurement, tau.as_mut_slice());
+        controller.update(&common::input(&self.model, &self.data, &self.measurement), tau.as_mut_slice());
         tau
     }
 

@@ -8,7 +8,7 @@ mod counting;
 use common::{File, at_state, facts, sampled, seven_joints};
 use counting::allocations;
 use opspace_backend::{Observable, Row};
-use opspace_control::{Controller, JointLimits, OperationalSpaceController};
+use opspace_control::{ControlInput, Controller, JointLimits, OperationalSpaceController};
 use opspace_model::update;
 
 const STACK: &str = r#"
@@ -50,9 +50,9 @@ fn no_limited_tick_allocates() {
         OperationalSpaceController::new(&model, &file.stack(), &robot).unwrap_or_else(|e| panic!("{e}"));
     let pose = |u: f64| [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5].map(|q| 1.3 * q * u);
     let (mut data, mut measurement) = at_state(&model, &pose(0.6), &[0.0; 7], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let mut row = vec![0.0; controller.signals().iter().map(|s| s.len()).sum()];
-    let mut command = [0.0; 7];
+    let (mut command, mut feedforward_torque) = ([0.0; 7], [0.0; 7]);
     let [mut limited, mut singular, mut beyond] = [0; 3];
     for tick in 0..3000 {
         let time_s = 1e-3 * f64::from(tick);
@@ -62,10 +62,12 @@ fn no_limited_tick_allocates() {
         let speed = pose(-2.0 * angle.sin());
         measurement.dq.copy_from_slice(&speed);
         measurement.wrenches[0].linear.x = 20.0 * (7.0 * time_s).sin();
-        measurement.added_torque.fill(3.0 * (5.0 * time_s).cos());
+        feedforward_torque.fill(3.0 * (5.0 * time_s).cos());
         assert!(update(&model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()));
         let count = allocations(|| {
-            controller.update(&model, &data, &measurement, &mut command);
+            let input = common::input(&model, &data, &measurement);
+            let input = ControlInput { feedforward_torque: &feedforward_torque, ..input };
+            controller.update(&input, &mut command);
             controller.sample(&mut Row::new(&mut row));
         });
         assert_eq!(count, 0, "at {time_s} s");

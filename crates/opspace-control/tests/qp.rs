@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 use opspace_control::active_set::ActiveSet;
 use opspace_control::interior_point::InteriorPoint;
-use opspace_control::qp::{QpError, QuadraticProgram};
+use opspace_control::qp::quadratic_program::{QpError, QuadraticProgram};
 use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::RngSeed;

@@ -7,7 +7,7 @@ use counting::counted;
 use nalgebra::{DMatrix, DVector};
 use opspace_control::active_set::ActiveSet;
 use opspace_control::interior_point::InteriorPoint;
-use opspace_control::qp::{QpError, QuadraticProgram};
+use opspace_control::qp::quadratic_program::{QpError, QuadraticProgram};
 
 /// n variables within a box, with n rows across it, the first of them an equality.
 fn programme(n: usize, tick: usize) -> QuadraticProgram {

@@ -89,7 +89,8 @@ fn joint_references_begin_without_allocating() {
         let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
             .unwrap_or_else(|e| panic!("{e}"));
         let (data, measurement) = at_state(&model, &Q0, &[0.3; 4], 0.0);
-        let count = allocations(|| controller.start(&model, &data, &measurement));
+        let input = common::input(&model, &data, &measurement);
+        let count = allocations(|| controller.start(&input));
         assert_eq!(count, 0, "{reference}");
     }
 }

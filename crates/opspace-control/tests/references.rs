@@ -518,11 +518,11 @@ fn joint_references_move_and_arrive() {
         let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
             .unwrap_or_else(|e| panic!("{e}"));
         let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let mut at = |time_s: f64| {
             let mut measurement = measurement.clone();
             measurement.time_s = time_s;
-            controller.update(&model, &data, &measurement, &mut [0.0; 4]);
+            controller.update(&common::input(&model, &data, &measurement), &mut [0.0; 4]);
             let signals = controller.signals();
             let mut row = vec![0.0; signals.iter().map(|s| s.len()).sum()];
             controller.sample(&mut Row::new(&mut row));

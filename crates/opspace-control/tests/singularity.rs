@@ -27,14 +27,14 @@ fn through(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     let (mut largest, mut jump) = (0.0_f64, 0.0_f64);
     let mut last: Option<[f64; 4]> = None;
     for step in 0..=steps {
         let elbow = from + (to - from) * f64::from(step) / f64::from(steps);
         let (data, measurement) = at_state(&model, &[-0.45, -0.35, 0.25, elbow], &[0.1, 0.0, -0.1, 1.0], 2.0);
         let mut tau = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         for i in 0..4 {
             largest = largest.max(tau[i].abs());
             jump = jump.max(last.map_or(0.0, |before| (tau[i] - before[i]).abs()));
@@ -69,10 +69,10 @@ fn above_the_threshold_nothing_is_damped() {
         let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
             .expect("a good stack");
         let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let (data, measurement) = at_state(&model, &[-0.4, -0.3, 0.3, -1.2], &[0.5; 4], 0.4);
         let mut tau = [0.0; 4];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         tau
     });
     assert_eq!(damped.map(f64::to_bits), undamped.map(f64::to_bits));
@@ -84,12 +84,12 @@ fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f6
     let mut controller =
         OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(model, start, &vec![0.0; start.len()], 0.0);
-    controller.start(model, &data, &measurement);
+    controller.start(&common::input(model, &data, &measurement));
     (states.iter())
         .map(|(q, dq)| {
             let (data, measurement) = at_state(model, q, dq, 0.5);
             let mut tau = vec![0.0; q.len()];
-            controller.update(model, &data, &measurement, &mut tau);
+            controller.update(&common::input(model, &data, &measurement), &mut tau);
             tau
         })
         .collect()

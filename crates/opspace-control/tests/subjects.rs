@@ -215,13 +215,13 @@ fn axes_that_turn_are_followed_as_they_lie() {
         };
         let start = numbers.vector(n, 1.5);
         let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let subject = subject(&model, relative);
         let home = subject.placement(&model, &data);
         let q: Vec<f64> = start.iter().map(|q| q + 0.15 * numbers.next()).collect();
         let (data, measurement) = at_state(&model, &q, &numbers.vector(n, 1.0), 0.4);
         let mut tau = vec![0.0; n];
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         if sampled(&controller, "hand.weakest_share") != [1.0] {
             continue;
         }

@@ -11,7 +11,7 @@ use common::{
 use counting::{allocations, counted};
 use nalgebra::{DVector, Rotation3, Vector3};
 use opspace_backend::{Observable, Row, Signal};
-use opspace_control::{Controller, JointLimits, OperationalSpaceController, PreparedStack, RobotFacts};
+use opspace_control::{ControlContext, Controller, JointLimits, OperationalSpaceController, PreparedStack};
 use opspace_model::{Model, frame_placement};
 
 #[test]
@@ -83,13 +83,13 @@ fn stacks() -> Vec<String> {
     ]
 }
 
-fn robot(model: &Model, torque_rate: f64) -> RobotFacts {
+fn robot(model: &Model, torque_rate: f64) -> ControlContext {
     let limits = if torque_rate.is_finite() {
         JointLimits { torque: vec![150.0; 7], torque_rate: vec![torque_rate; 7], ..JointLimits::none(7) }
     } else {
         JointLimits::none(7)
     };
-    RobotFacts { limits, ..facts(model, "hand") }
+    ControlContext { limits, ..facts(model, "hand") }
 }
 
 /// When another stack comes into force, and whether by schedule.
@@ -114,18 +114,19 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
         controller.schedule(change.tick as f64 * PERIOD_S, stack.take().expect("prepared"));
     }
     let (mut data, mut measurement) = at_state(model, &START, &[0.0; 7], 0.0);
-    controller.start(model, &data, &measurement);
+    controller.start(&common::input(model, &data, &measurement));
     // The torque comes in from holding still.
     let mut before = data.gravity.clone();
     let (mut tau, mut steps) = ([0.0; 7], [0.0_f64; 2]);
     for tick in 0..ticks {
         for (change, stack) in changes.iter().zip(&mut prepared).filter(|(change, _)| change.tick == tick) {
             let Some(stack) = stack.take() else { continue };
-            let (past, count) = counted(|| controller.switch(stack, model, &data, &measurement));
+            let (past, count) =
+                counted(|| controller.switch(stack, &common::input(model, &data, &measurement)));
             assert_eq!(count.allocations, 0, "{change:?}");
             drop(past);
         }
-        let count = allocations(|| controller.update(model, &data, &measurement, &mut tau));
+        let count = allocations(|| controller.update(&common::input(model, &data, &measurement), &mut tau));
         assert_eq!(count, 0, "tick {tick} of {changes:?}");
         assert!(tau.iter().all(|t| t.is_finite()), "tick {tick} of {changes:?}: {tau:?}");
         let change = changes.iter().any(|change| change.tick == tick);
@@ -174,7 +175,7 @@ fn started(model: &Model, text: &str) -> OperationalSpaceController {
     let mut controller = OperationalSpaceController::new(model, &file.stack(), &robot(model, f64::INFINITY))
         .unwrap_or_else(|e| panic!("{e}\n{text}"));
     let (data, measurement) = at_state(model, &START, &[0.0; 7], 0.0);
-    controller.start(model, &data, &measurement);
+    controller.start(&common::input(model, &data, &measurement));
     controller
 }
 
@@ -182,7 +183,7 @@ fn started(model: &Model, text: &str) -> OperationalSpaceController {
 fn tick(controller: &mut OperationalSpaceController, model: &Model, time_s: f64) -> [f64; 7] {
     let (data, measurement) = at_state(model, &START.map(|q| q + 0.02), &[0.1; 7], time_s);
     let mut tau = [0.0; 7];
-    controller.update(model, &data, &measurement, &mut tau);
+    controller.update(&common::input(model, &data, &measurement), &mut tau);
     tau
 }
 
@@ -190,7 +191,7 @@ fn switch(controller: &mut OperationalSpaceController, model: &Model, text: &str
     let (data, measurement) = at_state(model, &START.map(|q| q + 0.02), &[0.1; 7], time_s);
     let stack =
         controller.prepare(model, &File::read(text).stack()).unwrap_or_else(|e| panic!("{e}\n{text}"));
-    controller.switch(stack, model, &data, &measurement);
+    controller.switch(stack, &common::input(model, &data, &measurement));
 }
 
 const SWINGING: &str = r#"
@@ -344,11 +345,11 @@ fn an_axis_that_follows_again_begins_where_the_hand_is() {
             OperationalSpaceController::new(&model, &soft.stack(), &robot).expect("a good stack");
         let stack = controller.prepare(&model, &stiff.stack()).expect("a good stack");
         let (mut data, mut measurement) = at_state(&model, &START, &[0.0; 7], 0.0);
-        controller.start(&model, &data, &measurement);
+        controller.start(&common::input(&model, &data, &measurement));
         let home = frame_placement(&model, &data, hand);
         let mut tau = [0.0; 7];
         for _ in 0..100 + numbers.below(200) {
-            controller.update(&model, &data, &measurement, &mut tau);
+            controller.update(&common::input(&model, &data, &measurement), &mut tau);
             let pushed = common::jacobian(&model, &data, "hand").rows(0, 3).tr_mul(&push);
             let total: Vec<f64> = tau.iter().zip(pushed.iter()).map(|(tau, push)| tau + push).collect();
             let ddq = accelerations(&model, &data, &total);
@@ -358,8 +359,8 @@ fn an_axis_that_follows_again_begins_where_the_hand_is() {
         let drift = axes.tr_mul(&(pose.translation - home.translation));
         assert!(drift.x > 2e-3 && drift.y.abs() > 1e-5, "case {case}: the hand has drifted by {drift}");
 
-        controller.switch(stack, &model, &data, &measurement);
-        controller.update(&model, &data, &measurement, &mut tau);
+        controller.switch(stack, &common::input(&model, &data, &measurement));
+        controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let reference =
             axes.tr_mul(&(Vector3::from_vec(sampled(&controller, "hand.reference")) - home.translation));
         let off = (reference - Vector3::new(drift.x, 0.0, 0.0)).amax();
@@ -413,7 +414,7 @@ fn the_log_keeps_its_layout_and_leaves_out_what_is_not_in_force() {
     }
     let (data, measurement) = at_state(&model, &START, &[0.0; 7], 0.0);
     let signals = controller.signals();
-    controller.start(&model, &data, &measurement);
+    controller.start(&common::input(&model, &data, &measurement));
     for (k, file) in files.iter().enumerate() {
         for time_s in [k as f64, k as f64 + 0.9] {
             tick(&mut controller, &model, time_s);

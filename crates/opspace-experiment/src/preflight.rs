@@ -31,7 +31,7 @@ use crate::files::toml_path::dotted;
 use crate::run::experiment::{ControllerKind, Experiment};
 use followed::Followed;
 use motion::{Motion, motions};
-use opspace_control::TaskParameters;
+use opspace_control::{ControlInput, Measurement, Targets, TaskParameters};
 use opspace_model::{Data, Model, update};
 pub use servo_gain::{GainMargin, gain_margin};
 use std::collections::BTreeMap;
@@ -74,6 +74,17 @@ impl Finding {
         };
         FileError::at_key(source, self.key.as_str(), &self.message, Some(self.help.clone()))
     }
+}
+
+/// Controller input whose clock counts from the start of control.
+fn input<'a>(
+    model: &'a Model,
+    data: &'a Data,
+    measurement: &'a Measurement,
+    feedforward_torque: &'a [f64],
+    targets: &'a Targets,
+) -> ControlInput<'a> {
+    ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
 }
 
 /// Everything that will go wrong, as far as it can be told without running; empty for most. What a [`GainMargin`] finds

@@ -16,7 +16,7 @@ use nalgebra::DVector;
 use opspace_backend::GravityBy;
 use opspace_backend::{CommandKind, Layout, Row, Signal};
 use opspace_backend::{SERVO, Sink, TICK, TRUTH};
-use opspace_control::{Controller, Measurement};
+use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_model::{Data, Model};
 use opspace_transformer::friction::FrictionCompensation;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -80,6 +80,9 @@ pub struct ControlLoop<'a> {
     backend: &'a mut dyn Backend,
     controller: &'a mut dyn Controller,
     friction: FrictionCompensation,
+    /// Friction compensation of this cycle, Nm or N (n).
+    feedforward_torque: DVector<f64>,
+    targets: Targets,
     torque_limits: DVector<f64>,
     safety: SafetyParameters,
     command: DVector<f64>,
@@ -175,6 +178,8 @@ impl<'a> ControlLoop<'a> {
             backend,
             controller,
             friction,
+            feedforward_torque: DVector::zeros(n),
+            targets: Targets::none(),
             torque_limits: DVector::from_column_slice(torque_limits),
             safety,
             command: nan.clone(),
@@ -319,8 +324,7 @@ impl<'a> ControlLoop<'a> {
 
     /// Leaves the robot as it is, without a command of the controller's.
     fn hold(&mut self) -> Result<(), Fault> {
-        let measurement = self.backend.sensing().measurement();
-        self.controller.look_on(self.model, &self.data, measurement);
+        self.with_input(|controller, input, _| controller.observe_while_held(input));
         self.command.fill(f64::NAN);
         self.torque_desired.fill(f64::NAN);
         self.saturated.fill(0.0);
@@ -331,10 +335,9 @@ impl<'a> ControlLoop<'a> {
 
     /// Lets the controller command again, from where the robot is held.
     fn resume(&mut self) {
-        let measurement = self.backend.sensing().measurement();
         self.phase = Phase::Resuming;
-        self.ramp_from_s = measurement.time_s;
-        self.controller.resume(self.model, &self.data, measurement);
+        self.ramp_from_s = self.backend.sensing().measurement().time_s;
+        self.with_input(|controller, input, _| controller.resume(input));
     }
 
     /// Reads on for a while, so that the log shows how the robot stopped.
@@ -353,8 +356,21 @@ impl<'a> ControlLoop<'a> {
 
     fn start(&mut self) {
         self.backend.sensing_mut().begin();
-        let measurement = self.backend.sensing().measurement();
-        self.controller.start(self.model, &self.data, measurement);
+        self.with_input(|controller, input, _| controller.start(input));
+    }
+
+    /// Calls `use_input` with the controller, its input in this cycle and the command.
+    fn with_input(&mut self, use_input: impl FnOnce(&mut dyn Controller, &ControlInput<'_>, &mut [f64])) {
+        let sensing = self.backend.sensing();
+        let input = ControlInput {
+            model: self.model,
+            data: &self.data,
+            measurement: sensing.measurement(),
+            feedforward_torque: self.feedforward_torque.as_slice(),
+            targets: &self.targets,
+            clock_s: sensing.clock_s(),
+        };
+        use_input(self.controller, &input, self.command.as_mut_slice());
     }
 
     /// Waits for the tick and brings measurement and `data` up to date; gives the instant when the
@@ -371,10 +387,12 @@ impl<'a> ControlLoop<'a> {
     /// The controller's command, and what the robot is told.
     fn command(&mut self) -> Result<(), Fault> {
         if self.controller.command_kind() == CommandKind::Torque {
-            self.backend.sensing_mut().announce(&self.friction);
+            let dq = &self.backend.sensing().measurement().dq;
+            for (i, (torque, &dq)) in self.feedforward_torque.iter_mut().zip(dq).enumerate() {
+                *torque = self.friction.torque(i, dq);
+            }
         }
-        let measurement = self.backend.sensing().measurement();
-        self.controller.update(self.model, &self.data, measurement, self.command.as_mut_slice());
+        self.with_input(|controller, input, command| controller.update(input, command));
         match self.controller.command_kind() {
             CommandKind::Torque => {
                 self.shape_torque();
@@ -402,7 +420,7 @@ impl<'a> ControlLoop<'a> {
             };
             let ramped =
                 if share < 1.0 { holding + share * (self.command[i] - holding) } else { self.command[i] };
-            let torque = ramped + measurement.added_torque[i];
+            let torque = ramped + self.feedforward_torque[i];
             let limit = self.torque_limits[i];
             // NaN passes: the backend refuses it by name.
             self.torque_desired[i] = torque.clamp(-limit, limit);

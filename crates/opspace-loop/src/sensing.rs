@@ -10,7 +10,6 @@ use opspace_backend::{Row, Signal};
 use opspace_control::Measurement;
 use opspace_model::{Data, Force, Model, frame_placement, update};
 use opspace_transformer::estimator::{EstimatorParameters, VelocityEstimator};
-use opspace_transformer::friction::FrictionCompensation;
 
 const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
@@ -112,14 +111,6 @@ impl Sensing {
     pub fn begin(&mut self) {
         self.start_s = Some(self.sample.time_s);
         self.measurement.time_s = 0.0;
-    }
-
-    /// Tells the controller what of friction will be compensated beside its torques.
-    pub fn announce(&mut self, friction: &FrictionCompensation) {
-        let Measurement { dq, added_torque, .. } = &mut self.measurement;
-        for (i, (added, &dq)) in added_torque.iter_mut().zip(dq.iter()).enumerate() {
-            *added = friction.torque(i, dq);
-        }
     }
 
     /// Turns the sample into a measurement and brings `data` up to date with it.

@@ -7,12 +7,14 @@ pub mod stacks;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
 use opspace_backend::{Observable, Row};
 use opspace_control::{
-    Compensation, ControlError, JointLimits, LimitParameters, Measurement, RobotFacts, Stack, TaskParameters,
+    Compensation, ControlContext, ControlError, ControlInput, JointLimits, LimitParameters, Measurement,
+    Stack, Targets, TaskParameters,
 };
 use opspace_model::model::z_onto;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::sync::LazyLock;
 
 /// A revolute joint as a URDF would give it: axis and inertia in axes parallel to the world's at q = 0.
 pub struct Link {
@@ -175,9 +177,9 @@ impl File {
 }
 
 /// A robot with one sensor at its frame `sensor`, at 1 kHz, without limits.
-pub fn facts(model: &Model, sensor: &str) -> RobotFacts {
+pub fn facts(model: &Model, sensor: &str) -> ControlContext {
     let frame = model.frame(sensor).expect("the sensor's frame exists");
-    RobotFacts {
+    ControlContext {
         period_s: 1e-3,
         sensors: vec![("wrist".to_owned(), frame)],
         gravity_by_robot: false,
@@ -194,6 +196,20 @@ pub fn at_state(model: &Model, q: &[f64], dq: &[f64], time_s: f64) -> (Data, Mea
     measurement.dq.copy_from_slice(dq);
     measurement.time_s = time_s;
     (data, measurement)
+}
+
+/// Controller input without feed-forward torques and streamed targets.
+pub fn input<'a>(model: &'a Model, data: &'a Data, measurement: &'a Measurement) -> ControlInput<'a> {
+    static NO_TARGETS: LazyLock<Targets> = LazyLock::new(Targets::none);
+    static NO_FEEDFORWARD: [f64; 32] = [0.0; 32];
+    ControlInput {
+        model,
+        data,
+        measurement,
+        feedforward_torque: &NO_FEEDFORWARD[..model.n()],
+        targets: &NO_TARGETS,
+        clock_s: measurement.time_s,
+    }
 }
 
 /// Numbers that look random, the same ones every time, in [-1, 1].

@@ -8,12 +8,12 @@
 //!
 //! with the axes in motion of all tasks in J, and what the task of all joints asks for in q̇_0.
 
-use super::Case;
 use super::motion::Motion;
+use super::{Case, input};
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::{Observable, Row, Signal};
 use opspace_control::ik::{ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S};
-use opspace_control::{Controller, Measurement, TaskParameters, orientation};
+use opspace_control::{Controller, Measurement, Targets, TaskParameters, orientation};
 use opspace_model::{Motion as Velocity, Placement, update};
 use std::collections::BTreeMap;
 
@@ -108,6 +108,9 @@ struct Follower<'a> {
     data: opspace_model::Data,
     step_s: f64,
     torque: Vec<f64>,
+    /// Zero (n).
+    feedforward_torque: Vec<f64>,
+    targets: Targets,
     /// The orientations that were asked for a step before, by task.
     turned: BTreeMap<&'a str, Matrix3<f64>>,
     started: bool,
@@ -129,6 +132,8 @@ impl<'a> Follower<'a> {
             data: case.data.clone(),
             step_s,
             torque: vec![0.0; n],
+            feedforward_torque: vec![0.0; n],
+            targets: Targets::none(),
             turned: BTreeMap::new(),
             started: false,
         })
@@ -141,11 +146,12 @@ impl<'a> Follower<'a> {
         if !update(model, &mut self.data, self.measurement.q.as_slice(), self.measurement.dq.as_slice()) {
             return None;
         }
+        let input = input(model, &self.data, &self.measurement, &self.feedforward_torque, &self.targets);
         if !self.started {
-            self.controller.start(model, &self.data, &self.measurement);
+            self.controller.start(&input);
             self.started = true;
         }
-        self.controller.update(model, &self.data, &self.measurement, &mut self.torque);
+        self.controller.update(&input, &mut self.torque);
         self.controller.sample(&mut Row::new(&mut self.row));
         // As the controller counts: half a nanosecond early is in time.
         let stack = case.stacks.iter().rposition(|stack| stack.from_s <= time_s + 5e-10).unwrap_or(0);

@@ -23,12 +23,12 @@
 //! Not in it: Coulomb friction, which only ever brakes while no more of it is compensated than there is; but the slope that
 //! a compensation has at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
 
-use super::{Finding, short};
+use super::{Finding, input, short};
 use crate::run::experiment::Experiment;
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::Measured;
 use opspace_backend::quantity::NonNegative;
-use opspace_control::{Controller, Measurement};
+use opspace_control::{Controller, Measurement, Targets};
 use opspace_loop::Command;
 use opspace_model::{Data, update};
 use opspace_sim::SimulatedParameters;
@@ -150,16 +150,16 @@ fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
     let n = model.n();
     let mut measurement = Measurement::new(n, experiment.robot().sensors.len(), false);
     measurement.q.copy_from_slice(&experiment.start().ok()?);
-    let (mut data, rest) = (Data::new(model), vec![0.0; n]);
+    let (mut data, rest, targets) = (Data::new(model), vec![0.0; n], Targets::none());
     let mut torque = |dq: DVector<f64>| {
         let mut controller = experiment.unlimited_controller(experiment.profile().1.period_s())?;
         update(model, &mut data, measurement.q.as_slice(), &rest).then_some(())?;
         measurement.dq.fill(0.0);
-        controller.start(model, &data, &measurement);
+        controller.start(&input(model, &data, &measurement, &rest, &targets));
         measurement.dq = dq;
         update(model, &mut data, measurement.q.as_slice(), measurement.dq.as_slice()).then_some(())?;
         let mut torque = DVector::zeros(n);
-        controller.update(model, &data, &measurement, torque.as_mut_slice());
+        controller.update(&input(model, &data, &measurement, &rest, &targets), torque.as_mut_slice());
         Some(torque)
     };
     let mut damping = DMatrix::zeros(n, n);

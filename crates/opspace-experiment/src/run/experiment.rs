@@ -8,8 +8,8 @@ use crate::files::task::Task;
 use opspace_backend::CommandKind;
 use opspace_backend::GravityBy;
 use opspace_control::{
-    ControlError, Controller, InverseKinematicsController, LimitParameters, OperationalSpaceController,
-    Reason, RobotFacts, ServoLead, Stack, TaskParameters,
+    ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
+    OperationalSpaceController, Reason, ServoLead, Stack, TaskParameters,
 };
 use opspace_loop::interface::CommandParameter;
 use opspace_loop::{
@@ -198,7 +198,7 @@ impl Experiment {
     /// # Errors
     /// What in the task doesn't fit the robot.
     pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
-        let facts = self.robot_facts(self.profile.period_s());
+        let facts = self.control_context(self.profile.period_s());
         let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
         let stack = self.stack(&file.priority, &file.task);
         let wrong = |e: ControlError| self.control_error(&e);
@@ -226,7 +226,7 @@ impl Experiment {
     /// The torque controller of the task, as if the robot had no limits, updated every `period_s`: for what its
     /// references ask for. `None` where the task doesn't fit the robot.
     pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
-        let (model, facts) = (&self.robot.model, self.robot_facts(period_s));
+        let (model, facts) = (&self.robot.model, self.control_context(period_s));
         let limits = LimitParameters { enforce: false, ..self.task.file.limits };
         let file = &self.task.file;
         let stack = Stack { limits, ..self.stack(&file.priority, &file.task) };
@@ -238,8 +238,8 @@ impl Experiment {
         Some(osc)
     }
 
-    fn robot_facts(&self, period_s: f64) -> RobotFacts {
-        RobotFacts {
+    fn control_context(&self, period_s: f64) -> ControlContext {
+        ControlContext {
             period_s,
             sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
             gravity_by_robot: self.gravity_by() == GravityBy::Robot,

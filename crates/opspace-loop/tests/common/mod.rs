@@ -6,7 +6,7 @@ use nalgebra::DVector;
 use opspace_backend::MissedCycle;
 use opspace_backend::{CommandKind, Observable, Row, Signal};
 use opspace_backend::{GravityBy, Sample, Setpoints, Sink};
-use opspace_control::{Controller, Measurement};
+use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_loop::{Facts, Fault, ForceSensor, PositionRobot, Robot, SafetyParameters, Sensing, TorqueRobot};
 use opspace_model::{Data, Model};
 use opspace_transformer::{EstimatorParameters, ServoGains};
@@ -143,10 +143,10 @@ impl<F: FnMut(&Data, &Measurement, &mut [f64]) + Send> Controller for Commanded<
         self.kind
     }
 
-    fn start(&mut self, _model: &Model, _data: &Data, _measurement: &Measurement) {}
+    fn start(&mut self, _input: &ControlInput<'_>) {}
 
-    fn update(&mut self, _model: &Model, data: &Data, measurement: &Measurement, command: &mut [f64]) {
-        (self.command)(data, measurement, command);
+    fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
+        (self.command)(input.data, input.measurement, command);
     }
 }
 

@@ -1,18 +1,20 @@
 //! Tasks, their order, and the robot they are for.
 
-use crate::axes::AXIS_NAMES;
-use crate::cartesian::{CartesianParameters, CartesianTask, CenterOfMassParameters};
+use crate::context::ControlContext;
+use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::Nullspace;
-use crate::joint::{
+use crate::hierarchy::level::{Level, RowTask};
+use crate::hierarchy::nullspace::Nullspace;
+use crate::hierarchy::rank::{Rows, orientation_is_coupled, sampled_rank};
+use crate::limits::joint_limits::LimitParameters;
+use crate::tasks::axes::AXIS_NAMES;
+use crate::tasks::cartesian::CartesianTask;
+use crate::tasks::cartesian_parameters::{CartesianParameters, CenterOfMassParameters};
+use crate::tasks::joint::{
     Damping, JointDampingParameters, JointPostureParameters, JointTask, JointTrackingParameters, Posture,
     SelectedJoints, Tracking,
 };
-use crate::level::{Level, RowTask};
-use crate::limits::{JointLimits, LimitParameters};
-use crate::measurement::Measurement;
-use crate::rank::{Rows, orientation_is_coupled, sampled_rank};
-use opspace_model::{Data, FrameId, Model};
+use opspace_model::Model;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -57,19 +59,6 @@ pub struct Stack<'a> {
     pub limits: LimitParameters,
 }
 
-/// What a controller must know of the robot besides its model.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RobotFacts {
-    /// Time from one update to the next, s.
-    pub period_s: f64,
-    /// The force sensors in the order of [`Measurement::wrenches`](crate::Measurement): name and frame.
-    pub sensors: Vec<(String, FrameId)>,
-    /// Whether the robot adds gravity's torque to those it is commanded.
-    pub gravity_by_robot: bool,
-    /// What its joints can do.
-    pub limits: JointLimits,
-}
-
 /// The tasks of one robot: those of at most six rows in the order of their priority, and one of all joints below
 /// them.
 #[derive(Clone, Debug)]
@@ -80,7 +69,11 @@ pub(crate) struct Levels {
 }
 
 impl Levels {
-    pub(crate) fn new(model: &Model, stack: &Stack<'_>, robot: &RobotFacts) -> Result<Self, ControlError> {
+    pub(crate) fn new(
+        model: &Model,
+        stack: &Stack<'_>,
+        robot: &ControlContext,
+    ) -> Result<Self, ControlError> {
         check_names(stack)?;
         let (mut rows, mut joint) = (Vec::new(), None);
         for (place, name) in stack.priority.iter().enumerate() {
@@ -118,48 +111,42 @@ impl Levels {
     }
 
     /// Begins where the robot is.
-    pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.rows.iter_mut().for_each(|level| level.start(model, data, measurement));
+    pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
+        self.rows.iter_mut().for_each(|level| level.start(input));
         if let Some(task) = &mut self.joint {
-            task.start(measurement);
+            task.start(input.measurement);
         }
     }
 
     /// Takes in where the robot is and where it should be.
-    pub(crate) fn observe(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.rows.iter_mut().for_each(|level| level.observe(model, data, measurement));
+    pub(crate) fn observe(&mut self, input: &ControlInput<'_>) {
+        self.rows.iter_mut().for_each(|level| level.observe(input));
         if let Some(JointTask::Tracking(task)) = &mut self.joint {
-            task.observe(measurement.q.as_slice(), measurement.time_s);
+            task.observe(input.measurement.q.as_slice(), input.measurement.time_s);
         }
     }
 
     /// Joins its references from the state of `data`, at rest. Allocates nothing.
-    pub(crate) fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        self.rows.iter_mut().for_each(|level| level.resume(model, data, measurement));
+    pub(crate) fn resume(&mut self, input: &ControlInput<'_>) {
+        self.rows.iter_mut().for_each(|level| level.resume(input));
         if let Some(JointTask::Tracking(task)) = &mut self.joint {
-            task.resume(data.q.as_slice(), measurement.time_s);
+            task.resume(input.data.q.as_slice(), input.measurement.time_s);
         }
     }
 
     /// Goes on from where another stack stands: tasks of the same name from each other, new ones from where the robot
     /// is. Allocates nothing.
-    pub(crate) fn take_over(
-        &mut self,
-        before: &mut Self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-    ) {
+    pub(crate) fn take_over(&mut self, before: &mut Self, input: &ControlInput<'_>) {
         for level in &mut self.rows {
             match before.rows.iter_mut().find(|other| other.name() == level.name()) {
-                Some(before) => level.take_over(before, model, data, measurement),
-                None => level.start(model, data, measurement),
+                Some(before) => level.take_over(before, input),
+                None => level.start(input),
             }
         }
         if let Some(task) = &mut self.joint {
             match before.joint.as_mut().filter(|other| other.name() == task.name()) {
-                Some(before) => task.take_over(before, measurement),
-                None => task.start(measurement),
+                Some(before) => task.take_over(before, input.measurement),
+                None => task.start(input.measurement),
             }
         }
     }

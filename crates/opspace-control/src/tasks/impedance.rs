@@ -11,12 +11,10 @@
 //! and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A shaped inertia m needs a force
 //! sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
 //!
-//! [`AxisGains`]: crate::law::AxisGains
+//! [`AxisGains`]: crate::tasks::gains::AxisGains
 
-use crate::axes::{AxisMode, PerAxis};
-use crate::cartesian::CartesianParameters;
 use crate::error::{ControlError, Reason};
-use crate::law::required;
+use crate::tasks::axes::{PerAxis, required};
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
@@ -72,11 +70,11 @@ enum Damping {
 impl Impedance {
     pub(crate) fn new(
         parameters: &ImpedanceParameters,
-        task: &CartesianParameters,
+        motion: [bool; 6],
+        sensed: bool,
         key: &str,
     ) -> Result<Self, ControlError> {
         let p = parameters;
-        let motion = task.axes.with_mode(AxisMode::Motion);
         // One value an axis in motion, from the keys of its kind.
         let values = |linear: &Option<PerAxis<f64>>, angular: &Option<PerAxis<f64>>, keys: [&str; 2]| {
             let mut out = Vector6::zeros();
@@ -108,7 +106,7 @@ impl Impedance {
         };
         let shaped = p.inertia_kg.is_some() || p.inertia_kg_m2.is_some();
         let inertia = if shaped {
-            if task.force.is_none() {
+            if !sensed {
                 return Err(ControlError::new(key, Reason::ShapedInertiaUnsensed));
             }
             let keys = ["inertia_kg", "inertia_kg_m2"];

@@ -1,12 +1,11 @@
 //! Force feedback of a Cartesian task: what a sensor's reading adds on axes that are held to a force.
 
-use crate::axes::{AXIS_NAMES, AxisMode, PerAxis};
-use crate::cartesian::CartesianParameters;
+use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
-use crate::filter::LowPass;
-use crate::law::{integrate, required};
 use crate::measurement::Measurement;
-use crate::task::RobotFacts;
+use crate::references::filter::LowPass;
+use crate::tasks::axes::{AXIS_NAMES, Axes, AxisMode, PerAxis, required};
+use crate::tasks::gains::integrate;
 use nalgebra::{Matrix3, Vector3, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Data, FrameId, Model, frame_placement};
@@ -52,6 +51,19 @@ fn default_filter_hz() -> Positive {
     Positive::literal(100.0)
 }
 
+impl ForceParameters {
+    /// Force (N) and moment (Nm) that the environment should exert ON the robot, in the task's axes; 0 on axes that are
+    /// neither compliant nor in force control.
+    #[must_use]
+    pub fn target(&self, axes: &Axes) -> Vector6<f64> {
+        let held = axes.held_to_force();
+        Vector6::from_fn(|axis, _| {
+            let targets = if axis < 3 { &self.target_n } else { &self.target_nm };
+            if held[axis] { targets.get(axis).unwrap_or(0.0) } else { 0.0 }
+        })
+    }
+}
+
 /// Of force axes whose file gives no other, 1/s.
 const INTEGRAL_PER_S: f64 = 5.0;
 
@@ -76,17 +88,18 @@ pub(crate) struct ForceFeedback {
 impl ForceFeedback {
     pub(crate) fn new(
         force: &ForceParameters,
-        task: &CartesianParameters,
-        robot: &RobotFacts,
+        axes: &Axes,
+        shapes_inertia: bool,
+        context: &ControlContext,
         key: &str,
     ) -> Result<Self, ControlError> {
         let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
-        let known = || robot.sensors.iter().map(|(name, _)| name.clone()).collect();
-        let Some(sensor) = robot.sensors.iter().position(|(name, _)| *name == force.sensor) else {
+        let known = || context.sensors.iter().map(|(name, _)| name.clone()).collect();
+        let Some(sensor) = context.sensors.iter().position(|(name, _)| *name == force.sensor) else {
             return Err(at("sensor", Reason::Sensor { name: force.sensor.clone(), known: known() }));
         };
-        let held = task.held_to_force();
-        if !held.contains(&true) && !task.shapes_inertia() {
+        let held = axes.held_to_force();
+        if !held.contains(&true) && !shapes_inertia {
             return Err(ControlError::new(key, Reason::NothingCompliant));
         }
         for (place, targets, kind, what) in [
@@ -97,12 +110,12 @@ impl ForceFeedback {
                 return Err(at(place, Reason::TargetAxis { axis: AXIS_NAMES[axis], what }));
             }
         }
-        let target = task.target_force();
+        let target = force.target(axes);
         let [mut gain, mut integral_step, mut integral_limit] = [Vector6::zeros(); 3];
         for axis in (0..6).filter(|&axis| held[axis]) {
             gain[axis] = required(&force.gain, axis).map_err(|reason| at("gain", reason))?.get();
         }
-        let in_force_control = task.axes.with_mode(AxisMode::Force);
+        let in_force_control = axes.with_mode(AxisMode::Force);
         for (place, given) in [
             ("integral_per_s", force.integral_per_s.is_some()),
             ("integral_limit", force.integral_limit.is_some()),
@@ -116,7 +129,7 @@ impl ForceFeedback {
                 None => INTEGRAL_PER_S,
                 Some(gains) => required(gains, axis).map_err(|reason| at("integral_per_s", reason))?.get(),
             };
-            integral_step[axis] = per_s * robot.period_s;
+            integral_step[axis] = per_s * context.period_s;
             integral_limit[axis] = match &force.integral_limit {
                 None => target[axis].abs(),
                 Some(limits) => required(limits, axis).map_err(|reason| at("integral_limit", reason))?.get(),
@@ -124,14 +137,14 @@ impl ForceFeedback {
         }
         Ok(Self {
             sensor,
-            frame: robot.sensors[sensor].1,
+            frame: context.sensors[sensor].1,
             target,
             gain,
             held,
             integral_step,
             integral_limit,
             integral: Vector6::zeros(),
-            filter: LowPass::new(force.filter_hz.get(), robot.period_s),
+            filter: LowPass::new(force.filter_hz.get(), context.period_s),
             sensed: Vector6::zeros(),
         })
     }

@@ -5,8 +5,8 @@
 
 use crate::orientation;
 use crate::orientation::rotation_vector_rates;
-use crate::ramp::minimum_jerk;
-use crate::reference::Target;
+use crate::references::ramp::minimum_jerk;
+use crate::references::target::Target;
 use nalgebra::{Matrix3, Quaternion, SVector, UnitQuaternion, Vector3, Vector4};
 use opspace_backend::quantity::Positive;
 use opspace_model::{Motion, Placement};

@@ -1,7 +1,7 @@
 //! Which tasks an arm can carry out at all: the rank of their axes, sampled, and the arm's reach.
 
-use crate::subject::Subject;
-use crate::task_axes::TaskAxes;
+use crate::tasks::subject::Subject;
+use crate::tasks::task_axes::TaskAxes;
 use nalgebra::{DMatrix, Matrix3, Matrix6xX};
 use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics, update};
 use std::f64::consts::PI;

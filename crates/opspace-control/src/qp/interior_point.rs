@@ -1,4 +1,4 @@
-//! An interior-point method, Clarabel's, for the programmes that [`ActiveSet`](crate::active_set::ActiveSet)
+//! An interior-point method, Clarabel's, for the programmes that [`ActiveSet`](crate::qp::active_set::ActiveSet)
 //! solves: another algorithm by other hands, some hundred times slower and less exact. A second opinion, not
 //! for the loop.
 //!
@@ -21,7 +21,7 @@
 //! large number in its place, ever reaches the solver. Rows have length one, and P's largest diagonal entry is one:
 //! Clarabel's own equilibration would be that of the numbers it was built with.
 
-use crate::qp::{QpError, QuadraticProgram, all_finite, dot};
+use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, dot};
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
 

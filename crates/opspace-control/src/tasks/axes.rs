@@ -1,8 +1,9 @@
 //! The six axes of a Cartesian task: what each does, in which directions they lie, and values that may
 //! differ between them.
 
+use crate::error::Reason;
 use crate::orientation;
-use crate::subject::Subject;
+use crate::tasks::subject::Subject;
 use nalgebra::Matrix3;
 use opspace_backend::quantity::exactly;
 use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
@@ -80,6 +81,12 @@ impl Axes {
     #[must_use]
     pub fn with_mode(&self, mode: AxisMode) -> [bool; 6] {
         self.modes().map(|m| m == mode)
+    }
+
+    /// Which axes are compliant or in force control.
+    #[must_use]
+    pub fn held_to_force(&self) -> [bool; 6] {
+        self.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
     }
 
     /// Which axes belong to the task: those that are not free.
@@ -279,4 +286,9 @@ impl<T: JsonSchema> JsonSchema for PerAxis<T> {
             ]
         })
     }
+}
+
+/// The value of an axis that must have one.
+pub(crate) fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
+    values.get(axis).ok_or(Reason::MissingAxis { axis: AXIS_NAMES[axis] })
 }

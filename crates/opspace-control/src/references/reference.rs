@@ -4,15 +4,17 @@
 //! frame's pose, at rest; in its midst at what the reference before it asked for. An [`OnlineGoal`] takes over the
 //! motion too; the others set out from rest.
 
-use crate::online::{OnlineGoal, OnlineVector};
 use crate::orientation;
 use crate::orientation::rotation_vector_rates;
-use crate::ramp::{Quintic, minimum_jerk, product};
-use crate::recorded::{RecordedMotion, RecordedPath};
-use crate::wave;
-use crate::wave::{AngularWave, LinearWave, Wave};
+use crate::references::goal::{OrientationGoal, PositionGoal, position, rotation};
+use crate::references::online::{OnlineGoal, OnlineVector};
+use crate::references::ramp::{Quintic, minimum_jerk, product};
+use crate::references::recorded::{RecordedMotion, RecordedPath};
+use crate::references::target::{BLEND_S, Target};
+use crate::references::wave;
+use crate::references::wave::{AngularWave, LinearWave, Wave, default_ramp_s};
 use nalgebra::{Matrix3, Vector3};
-use opspace_backend::quantity::{NonNegative, Positive, exactly};
+use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Motion, Placement};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -66,28 +68,6 @@ pub struct Waypoint {
     pub orientation: Option<OrientationGoal>,
 }
 
-/// A position to reach.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
-pub enum PositionGoal {
-    /// In the world, m.
-    #[serde(rename = "absolute_m")]
-    Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
-    /// From the position at the start of the run, along the task's axes, m.
-    #[serde(rename = "offset_m")]
-    Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
-}
-
-/// An orientation to reach, as roll, pitch and yaw about fixed axes, in that order.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
-pub enum OrientationGoal {
-    /// Against the world, rad.
-    #[serde(rename = "absolute_rpy_rad")]
-    Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
-    /// From the orientation at the start of the run, about the task's axes, rad.
-    #[serde(rename = "offset_rpy_rad")]
-    Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
-}
-
 /// Sums of sines along and about the task's axes, added to the start pose. The three rotations are the
 /// components of one rotation vector.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
@@ -116,31 +96,6 @@ pub struct Sinusoid {
     pub ramp_s: Positive,
 }
 
-/// How long sinusoids are faded in where the file doesn't say, s.
-#[must_use]
-pub(crate) fn default_ramp_s() -> Positive {
-    Positive::literal(1.0)
-}
-
-/// Where a frame should be and how it should move, in world axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Target {
-    /// Pose in the world.
-    pub placement: Placement,
-    /// Of the frame's origin (m/s) and of the frame (rad/s).
-    pub velocity: Motion,
-    /// The rate of change of `velocity` (m/s², rad/s²).
-    pub acceleration: Motion,
-}
-
-impl Target {
-    /// At rest at a pose.
-    #[must_use]
-    pub fn at_rest(placement: Placement) -> Self {
-        Self { placement, velocity: Motion::zero(), acceleration: Motion::zero() }
-    }
-}
-
 impl CartesianReference {
     /// Whether it asks for a turn. A recorded path doesn't: where rotations are free, its orientations are only
     /// what was recorded too.
@@ -166,10 +121,6 @@ pub struct Trajectory {
     path: Path,
     joining: Option<Joining>,
 }
-
-/// How long a target takes to join its reference from somewhere else, s: a way of 0.1 m then has a speed of 0.19 m/s and an
-/// acceleration of 0.6 m/s² at most.
-pub const JOINS_S: f64 = 1.0;
 
 /// What a target is away from its reference, fading: a displacement (m) and a rotation vector (rad), in world axes.
 #[derive(Clone, Debug)]
@@ -200,7 +151,7 @@ impl Joining {
         let dphi = inverse * omega;
         let ddphi = inverse * (alpha - rotation_vector_rates(&phi, &dphi, &zero).1);
         let fading =
-            |[x, v, a]: [Vector3<f64>; 3]| [0, 1, 2].map(|i| Quintic::new([x[i], v[i], a[i]], 0.0, JOINS_S));
+            |[x, v, a]: [Vector3<f64>; 3]| [0, 1, 2].map(|i| Quintic::new([x[i], v[i], a[i]], 0.0, BLEND_S));
         Self { begin_s, line: fading(line), turn: fading([phi, dphi, ddphi]) }
     }
 
@@ -346,7 +297,7 @@ impl Trajectory {
         }
     }
 
-    /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`JOINS_S`], and without a
+    /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`BLEND_S`], and without a
     /// jump in velocity or acceleration. It doesn't allocate.
     pub fn join(&mut self, time_s: f64, from: &Target) {
         self.joining = Some(Joining::new(time_s, from, &self.reference_at(time_s)));
@@ -361,7 +312,7 @@ impl Trajectory {
     /// The target for a reference at `time_s` after the start.
     pub(crate) fn joined(&self, reference: &Target, time_s: f64) -> Target {
         match &self.joining {
-            Some(joining) if time_s < joining.begin_s + JOINS_S => joining.target(reference, time_s),
+            Some(joining) if time_s < joining.begin_s + BLEND_S => joining.target(reference, time_s),
             _ => *reference,
         }
     }
@@ -413,36 +364,6 @@ impl OnlinePose {
                 OnlineVector::new(&velocity.angular, &acceleration.angular, &way, limits)
             }
         };
-    }
-}
-
-/// Where a goal is in the world; where `before` is if there is none.
-fn position(
-    goal: Option<&PositionGoal>,
-    axes: &Matrix3<f64>,
-    home: &Placement,
-    before: &Placement,
-) -> Vector3<f64> {
-    match goal {
-        None => before.translation,
-        Some(PositionGoal::Absolute(p)) => Vector3::from(*p),
-        Some(PositionGoal::Offset(p)) => home.translation + axes * Vector3::from(*p),
-    }
-}
-
-/// As [`position`], of the orientation.
-fn rotation(
-    goal: Option<&OrientationGoal>,
-    axes: &Matrix3<f64>,
-    home: &Placement,
-    before: &Placement,
-) -> Matrix3<f64> {
-    match goal {
-        None => before.rotation,
-        Some(OrientationGoal::Absolute(rpy)) => orientation::from_rpy(*rpy),
-        Some(OrientationGoal::Offset(rpy)) => {
-            axes * orientation::from_rpy(*rpy) * axes.transpose() * home.rotation
-        }
     }
 }
 

@@ -4,12 +4,12 @@
 //! there.
 
 use crate::error::{ControlError, Reason};
-use crate::online::{MotionLimits, OnlineMotion};
 use crate::per_joint::{PerJoint, indices};
-use crate::ramp::{Quintic, minimum_jerk, product};
-use crate::reference::{JOINS_S, default_ramp_s};
-use crate::wave;
-use crate::wave::{AngularWave, Wave};
+use crate::references::online::{MotionLimits, OnlineMotion};
+use crate::references::ramp::{Quintic, minimum_jerk, product};
+use crate::references::target::BLEND_S;
+use crate::references::wave;
+use crate::references::wave::{AngularWave, Wave, default_ramp_s};
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
@@ -213,11 +213,11 @@ impl JointTrajectory {
     }
 
     /// From now on, `time_s` after the start, the joints join the reference from `q` (n), at rest,
-    /// within [`JOINS_S`]. It doesn't allocate.
+    /// within [`BLEND_S`]. It doesn't allocate.
     pub(crate) fn join(&mut self, time_s: f64, q: &[f64]) {
         for (joint, q) in q.iter().enumerate() {
             let [x, v, a] = self.reference_at(joint, time_s);
-            self.away[joint] = Quintic::new([q - x, -v, -a], 0.0, JOINS_S);
+            self.away[joint] = Quintic::new([q - x, -v, -a], 0.0, BLEND_S);
         }
         self.joining = Some(time_s);
     }
@@ -225,7 +225,7 @@ impl JointTrajectory {
     /// What the joints should be away from the reference, `time_s` after the start: position, velocity and acceleration.
     pub(crate) fn away(&self, joint: usize, time_s: f64) -> [f64; 3] {
         match self.joining {
-            Some(begin_s) if time_s < begin_s + JOINS_S => self.away[joint].at(time_s - begin_s),
+            Some(begin_s) if time_s < begin_s + BLEND_S => self.away[joint].at(time_s - begin_s),
             _ => [0.0; 3],
         }
     }

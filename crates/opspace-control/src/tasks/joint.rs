@@ -7,10 +7,10 @@
 //! ```
 
 use crate::error::{ControlError, Reason};
-use crate::joint_reference::{JointReference, JointTarget, JointTrajectory};
+use crate::hierarchy::products::multiply;
 use crate::measurement::Measurement;
 use crate::per_joint::{PerJoint, indices};
-use crate::products::multiply;
+use crate::references::joint_reference::{JointReference, JointTarget, JointTrajectory};
 use nalgebra::{DVector, Matrix6xX, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Row, Signal};

@@ -10,218 +10,32 @@
 //!
 //! f is the sensed force ON the robot: with gain 0 the axis pushes with the target open loop, and the
 //! gain makes the hand feel 1 + gain times lighter. Moments on rotation axes likewise. In place of the unit
-//! mass an [`impedance`](crate::impedance) may be given, in newtons and metres.
+//! mass an [`impedance`](crate::tasks::impedance) may be given, in newtons and metres.
 //!
 //! A speed limit ẋ_max bounds the speed that is asked for, and keeps its direction (Khatib 1987, §VI): with the
 //! damping 2ζω taken out, a* = 2ζω (ν ẋ* − v) with ẋ* = ẋ_d + ω/(2ζ) (x_d − x) and ν = min(1, ẋ_max/|ẋ*|).
 
-use crate::axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
+use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
-use crate::force::{ForceFeedback, ForceParameters};
-use crate::impedance::ImpedanceParameters;
-use crate::joint_reference::check_times;
-use crate::law::{AxisGains, Law, integrate};
-use crate::limits::HORIZON_S;
+use crate::hierarchy::rank::characteristic_length;
+use crate::limits::bounds::HORIZON_S;
 use crate::measurement::Measurement;
 use crate::orientation;
-use crate::rank::characteristic_length;
-use crate::reference::{CartesianReference, Target, Trajectory};
-use crate::subject::Subject;
-use crate::task::RobotFacts;
-use crate::task_axes::TaskAxes;
+use crate::references::reference::{CartesianReference, Trajectory};
+use crate::references::target::Target;
+use crate::tasks::axes::{AXIS_NAMES, AxisMode, Directions};
+use crate::tasks::cartesian_parameters::{
+    CartesianParameters, CenterOfMassParameters, Decoupling, check_reference,
+};
+use crate::tasks::force::ForceFeedback;
+use crate::tasks::gains::integrate;
+use crate::tasks::law::Law;
+use crate::tasks::subject::Subject;
+use crate::tasks::task_axes::TaskAxes;
 use nalgebra::{Matrix6, Matrix6xX, Vector3, Vector6};
-use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_backend::quantity::Positive;
 use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Inversion, Model, Placement};
-use schemars::JsonSchema;
-use serde::Deserialize;
-
-/// A frame that follows a reference on some axes and gives way on others.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CartesianParameters {
-    /// The frame that is led: a link of the URDF.
-    pub frame: String,
-    /// A frame in whose coordinates pose and reference are given, though it moves as well; the world if absent.
-    #[serde(default)]
-    pub relative_to: Option<String>,
-    /// What the task does with each axis; axes that are left out are free.
-    pub axes: Axes,
-    /// In which directions the axes lie: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or
-    /// `{ rpy_rad = [...] }` against the world.
-    #[serde(default)]
-    pub axes_in: AxesIn,
-    /// Where the frame should be.
-    pub reference: CartesianReference,
-    /// How stiffly axes in motion follow the reference, as a unit mass would.
-    #[serde(default)]
-    pub gains: Option<AxisGains>,
-    /// How stiffly axes in motion follow the reference, as a spring and a damper: in place of `gains`.
-    #[serde(default)]
-    pub impedance: Option<ImpedanceParameters>,
-    /// Force feedback of the compliant and force axes; without it the compliant ones' force is zero, open loop.
-    #[serde(default)]
-    pub force: Option<ForceParameters>,
-    /// Damping of the compliant and force axes, as acceleration over velocity, 1/s; 2 if absent.
-    #[serde(default = "default_compliant_damping")]
-    pub compliant_damping_per_s: PerAxis<NonNegative>,
-    /// Which inertia turns accelerations into forces; the arm's own if absent.
-    #[serde(default)]
-    pub decoupling: Decoupling,
-    /// Highest speed along the axes in motion, m/s; none if absent.
-    #[serde(default)]
-    pub speed_limit_m_per_s: Option<Positive>,
-    /// Highest speed about the axes in motion, rad/s; none if absent.
-    #[serde(default)]
-    pub speed_limit_rad_per_s: Option<Positive>,
-    /// What becomes of directions in which the arm can hardly move the frame; damped if absent.
-    #[serde(default)]
-    pub singularities: Singularities,
-    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
-    /// middle of many postures are damped; 0.3 if absent.
-    #[serde(default = "default_singularity_threshold")]
-    pub singularity_threshold: Positive,
-    /// The length by which rotations are weighed against displacements when singular directions are
-    /// sought, m; the arm's reach if absent.
-    #[serde(default)]
-    pub characteristic_length_m: Option<Positive>,
-}
-
-/// The centre of mass, which follows a reference on some axes. It doesn't turn.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CenterOfMassParameters {
-    /// What the task does with x, y and z; axes that are left out are free.
-    pub axes: Axes,
-    /// In which directions the axes lie, as in a Cartesian task.
-    #[serde(default)]
-    pub axes_in: AxesIn,
-    /// Where the centre of mass should be.
-    pub reference: CartesianReference,
-    /// How stiffly it follows, as a unit mass would.
-    pub gains: AxisGains,
-    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
-    /// middle of many postures are damped; 0.3 if absent.
-    #[serde(default = "default_singularity_threshold")]
-    pub singularity_threshold: Positive,
-}
-
-/// Which inertia turns a task's accelerations into forces.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Decoupling {
-    /// Λ: every axis answers as if it were alone.
-    #[default]
-    Full,
-    /// Λ of an arm none of whose joints is lighter than a floor: light wrists, whose friction is larger than what
-    /// their inertia asks for, are pushed harder than by Λ.
-    Bounded {
-        /// Least inertia on the diagonal of M, kg m².
-        inertia_floor_kg_m2: Positive,
-    },
-}
-
-/// What becomes of directions in which an arm can hardly move a frame. See [`Inversion`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Singularities {
-    /// Below the threshold they are damped, smoothly and down to nothing; above it nothing is.
-    #[default]
-    Damped,
-    /// Nothing: Λ as it is. For comparisons.
-    Plain,
-    /// Damped least squares: everything is damped, everywhere. For comparisons.
-    LeastSquares,
-    /// The condition of Λ is clamped: lost directions are still pushed at. For comparisons.
-    Clamped,
-}
-
-impl Singularities {
-    fn inversion(self, threshold: f64) -> Inversion {
-        match self {
-            Self::Damped => Inversion::Damped(threshold),
-            Self::Plain => Inversion::Plain,
-            Self::LeastSquares => Inversion::LeastSquares(threshold),
-            Self::Clamped => Inversion::Clamped(threshold),
-        }
-    }
-}
-
-fn default_compliant_damping() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(2.0))
-}
-
-fn default_singularity_threshold() -> Positive {
-    Positive::literal(0.3)
-}
-
-impl CartesianParameters {
-    /// Which axes follow the reference, in the order of [`AXIS_NAMES`].
-    #[must_use]
-    pub fn motion_axes(&self) -> [bool; 6] {
-        self.axes.with_mode(AxisMode::Motion)
-    }
-
-    /// Which axes are held to a force: those that are compliant, and those in force control.
-    #[must_use]
-    pub fn held_to_force(&self) -> [bool; 6] {
-        self.axes.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
-    }
-
-    /// What the task moves on a robot.
-    ///
-    /// # Errors
-    /// A frame that the robot doesn't have, with the key by which it is named.
-    pub fn subject(&self, model: &Model) -> Result<Subject, ControlError> {
-        let frame =
-            |key: &str, name: &str| model.frame(name).map_err(|unknown| ControlError::new(key, unknown));
-        let led = frame("frame", &self.frame)?;
-        Ok(match &self.relative_to {
-            None => Subject::Frame(led),
-            Some(name) => Subject::Relative { frame: led, from: frame("relative_to", name)? },
-        })
-    }
-
-    /// The force (N) and moment (Nm) that the surroundings should exert ON the robot, in the task's axes:
-    /// 0 on axes that are not held to a force or without force feedback.
-    #[must_use]
-    pub fn target_force(&self) -> Vector6<f64> {
-        let held = self.held_to_force();
-        Vector6::from_fn(|axis, _| {
-            let targets = self.force.as_ref().map(|f| if axis < 3 { &f.target_n } else { &f.target_nm });
-            targets.filter(|_| held[axis]).and_then(|t| t.get(axis)).unwrap_or(0.0)
-        })
-    }
-
-    /// Whether the arm is to show another inertia than its own.
-    pub(crate) fn shapes_inertia(&self) -> bool {
-        self.impedance.is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
-    }
-}
-
-impl CenterOfMassParameters {
-    /// As a Cartesian task whose frame is the centre of mass.
-    #[must_use]
-    pub fn as_cartesian(&self) -> CartesianParameters {
-        CartesianParameters {
-            frame: String::new(),
-            relative_to: None,
-            axes: self.axes,
-            axes_in: self.axes_in.clone(),
-            reference: self.reference.clone(),
-            gains: Some(self.gains),
-            impedance: None,
-            force: None,
-            compliant_damping_per_s: default_compliant_damping(),
-            decoupling: Decoupling::Full,
-            speed_limit_m_per_s: None,
-            speed_limit_rad_per_s: None,
-            singularities: Singularities::Damped,
-            singularity_threshold: self.singularity_threshold,
-            characteristic_length_m: None,
-        }
-    }
-}
 
 /// A Cartesian task of one robot, and what it saw last.
 #[derive(Clone, Debug)]
@@ -263,11 +77,11 @@ impl CartesianTask {
         name: &str,
         parameters: &CartesianParameters,
         model: &Model,
-        robot: &RobotFacts,
+        context: &ControlContext,
     ) -> Result<Self, ControlError> {
         let key = format!("task.{name}.cartesian");
         let subject = parameters.subject(model).map_err(|e| e.below(&key))?;
-        Self::of_subject(name, &key, parameters, subject, model, robot)
+        Self::of_subject(name, &key, parameters, subject, model, context)
     }
 
     /// The task of the centre of mass.
@@ -275,13 +89,13 @@ impl CartesianTask {
         name: &str,
         parameters: &CenterOfMassParameters,
         model: &Model,
-        robot: &RobotFacts,
+        context: &ControlContext,
     ) -> Result<Self, ControlError> {
         let key = format!("task.{name}.center-of-mass");
         if parameters.axes.in_task()[3..].contains(&true) {
             return Err(ControlError::new(format!("{key}.axes"), Reason::CenterOfMassTurns));
         }
-        Self::of_subject(name, &key, &parameters.as_cartesian(), Subject::CenterOfMass, model, robot)
+        Self::of_subject(name, &key, &parameters.as_cartesian(), Subject::CenterOfMass, model, context)
     }
 
     fn of_subject(
@@ -290,7 +104,7 @@ impl CartesianTask {
         parameters: &CartesianParameters,
         subject: Subject,
         model: &Model,
-        robot: &RobotFacts,
+        context: &ControlContext,
     ) -> Result<Self, ControlError> {
         let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
         let directions = parameters.axes_in.resolve(model, subject).map_err(|e| at("axes_in", e.into()))?;
@@ -302,13 +116,16 @@ impl CartesianTask {
         let length_m = parameters
             .characteristic_length_m
             .map_or_else(|| characteristic_length(model, subject), Positive::get);
-        let law = Law::new(parameters, robot.period_s, key)?;
+        let law = Law::new(parameters, context.period_s, key)?;
         let force = match &parameters.force {
             None if parameters.axes.modes().contains(&AxisMode::Force) => {
                 return Err(at("force", Reason::ForceAxisUnsensed));
             }
             None => None,
-            Some(force) => Some(ForceFeedback::new(force, parameters, robot, &format!("{key}.force"))?),
+            Some(force) => {
+                let (axes, shaped) = (&parameters.axes, parameters.shapes_inertia());
+                Some(ForceFeedback::new(force, axes, shaped, context, &format!("{key}.force"))?)
+            }
         };
         let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let origin = Target::at_rest(Placement::identity());
@@ -637,32 +454,4 @@ impl CartesianTask {
             None => row.skip(6),
         }
     }
-}
-
-fn check_reference(parameters: &CartesianParameters, key: &str) -> Result<(), ControlError> {
-    match &parameters.reference {
-        CartesianReference::Hold | CartesianReference::Sinusoid(_) | CartesianReference::Goal(_) => {}
-        CartesianReference::Recorded(path) => {
-            if !path.is_read() {
-                return Err(ControlError::new(format!("{key}.recorded"), Reason::NotRead));
-            }
-        }
-        CartesianReference::PointToPoint(p) => {
-            if p.position.is_none() && p.orientation.is_none() {
-                return Err(ControlError::new(format!("{key}.point-to-point"), Reason::NoGoal));
-            }
-        }
-        CartesianReference::Waypoints(list) => {
-            let key = format!("{key}.waypoints");
-            check_times(list.iter().map(|w| w.time_s.get()), &key)?;
-            if list.iter().any(|w| w.position.is_none() && w.orientation.is_none()) {
-                return Err(ControlError::new(key, Reason::NoGoal));
-            }
-        }
-    }
-    let turnable = parameters.axes.in_task()[3..].contains(&true);
-    if parameters.reference.turns() && !turnable {
-        return Err(ControlError::new(key, Reason::OrientationOfFreeAxes));
-    }
-    Ok(())
 }

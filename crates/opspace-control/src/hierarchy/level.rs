@@ -1,12 +1,14 @@
 //! A task with at most six rows, at its place in the hierarchy: its inertia there, and the torques it asks for.
 
-use crate::axes::AXIS_NAMES;
-use crate::cartesian::{CartesianTask, Decoupling};
-use crate::hierarchy::{Nullspace, ProjectedTask};
-use crate::joint::SelectedJoints;
-use crate::measurement::Measurement;
-use crate::products::{add_transposed, product};
-use crate::rank::{Rows, TypicalMobility};
+use crate::controller::ControlInput;
+use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
+use crate::tasks::axes::AXIS_NAMES;
+use crate::tasks::cartesian::CartesianTask;
+use crate::tasks::cartesian_parameters::Decoupling;
+use crate::tasks::joint::SelectedJoints;
+
+use crate::hierarchy::products::{add_transposed, product};
+use crate::hierarchy::rank::{Rows, TypicalMobility};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
@@ -114,7 +116,8 @@ impl Level {
         }
     }
 
-    pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+    pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
         match &mut self.task {
             RowTask::Cartesian(task) => task.start(model, data, measurement),
             RowTask::Joints(task) => task.start(measurement),
@@ -122,7 +125,8 @@ impl Level {
     }
 
     /// Joins its reference from the state of `data`, at rest.
-    pub(crate) fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+    pub(crate) fn resume(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
         self.limited = false;
         match &mut self.task {
             RowTask::Cartesian(task) => task.resume(model, data, measurement),
@@ -131,26 +135,22 @@ impl Level {
     }
 
     /// Goes on from where a level of the same name in another stack stands.
-    pub(crate) fn take_over(
-        &mut self,
-        before: &mut Self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-    ) {
+    pub(crate) fn take_over(&mut self, before: &mut Self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
         match (&mut self.task, &mut before.task) {
             (RowTask::Cartesian(task), RowTask::Cartesian(before)) => {
                 task.take_over(before, model, data, measurement);
             }
             (RowTask::Joints(task), RowTask::Joints(before)) => task.take_over(before, measurement),
             (RowTask::Cartesian(_), RowTask::Joints(_)) | (RowTask::Joints(_), RowTask::Cartesian(_)) => {
-                self.start(model, data, measurement);
+                self.start(input);
             }
         }
     }
 
     /// Takes in where the robot is and where it should be, but not yet how hard it is to move.
-    pub(crate) fn observe(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+    pub(crate) fn observe(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
         match &mut self.task {
             RowTask::Cartesian(task) => task.observe(model, data, measurement.time_s),
             RowTask::Joints(task) => task.observe(measurement.q.as_slice(), measurement.time_s),
@@ -173,14 +173,9 @@ impl Level {
 
     /// Everything of a tick but the torques: see [`observe`](Self::observe) and [`project`](Self::project), with
     /// integrals that stand still while a limit is in the way.
-    pub(crate) fn update(
-        &mut self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-        above: &Nullspace,
-    ) {
-        self.observe(model, data, measurement);
+    pub(crate) fn update(&mut self, input: &ControlInput<'_>, above: &Nullspace) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        self.observe(input);
         if let RowTask::Cartesian(task) = &mut self.task {
             task.sense(model, data, measurement, self.limited);
         }

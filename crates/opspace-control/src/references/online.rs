@@ -6,8 +6,8 @@
 //! Trajectory Generation with Arbitrary Target States*; the crate `rsruckig` finds the pieces). A whole
 //! motion is computed when it starts; nothing here allocates.
 
-use crate::ramp::Quintic;
-use crate::reference::{OrientationGoal, PositionGoal};
+use crate::references::goal::{OrientationGoal, PositionGoal};
+use crate::references::ramp::Quintic;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use rsruckig::block::Block;

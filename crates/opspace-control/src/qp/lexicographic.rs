@@ -20,12 +20,12 @@
 //! framework to inequality task*, IEEE T-RO 27(4), 2011; Escande, Mansard and Wieber, *Hierarchical quadratic
 //! programming*, IJRR 33(7), 2014.
 
-use crate::active_set::ActiveSet;
-use crate::hierarchy::Nullspace;
-use crate::interior_point::InteriorPoint;
-use crate::limits::Bounds;
-use crate::products::{dot, multiply};
-use crate::qp::{QpError, QuadraticProgram};
+use crate::hierarchy::nullspace::Nullspace;
+use crate::hierarchy::products::{dot, multiply};
+use crate::limits::bounds::Bounds;
+use crate::qp::active_set::ActiveSet;
+use crate::qp::interior_point::InteriorPoint;
+use crate::qp::quadratic_program::{QpError, QuadraticProgram};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
 
@@ -82,9 +82,9 @@ pub(crate) enum Solver {
 pub(crate) struct Limits<'a> {
     pub bounds: &'a mut Bounds,
     /// τ_own, what is commanded beside M α (n).
-    pub own_torque: &'a DVector<f64>,
+    pub compensation_torque: &'a DVector<f64>,
     /// What of the joints' acceleration isn't α (n).
-    pub drift: &'a DVector<f64>,
+    pub bias_acceleration: &'a DVector<f64>,
     pub speeds: &'a mut [SpeedBound],
 }
 
@@ -92,8 +92,8 @@ impl Limits<'_> {
     /// Whether α and u = M α respect all of them.
     pub(crate) fn allow(&self, alpha: &[f64], torque: &[f64]) -> bool {
         let joints = (0..alpha.len()).all(|i| {
-            self.bounds.acceleration.contains(i, alpha[i] + self.drift[i])
-                && self.bounds.torque.contains(i, torque[i] + self.own_torque[i])
+            self.bounds.acceleration.contains(i, alpha[i] + self.bias_acceleration[i])
+                && self.bounds.torque.contains(i, torque[i] + self.compensation_torque[i])
         });
         joints && self.speeds.iter().all(|speed| speed.allows(alpha))
     }
@@ -257,8 +257,8 @@ impl Cascade {
         let (acceleration, torque) = (&mut limits.bounds.acceleration, &mut limits.bounds.torque);
         for i in 0..self.scale.len() {
             for (interval, value) in [
-                (&mut *acceleration, self.alpha[i] + limits.drift[i]),
-                (&mut *torque, self.torque[i] + limits.own_torque[i]),
+                (&mut *acceleration, self.alpha[i] + limits.bias_acceleration[i]),
+                (&mut *torque, self.torque[i] + limits.compensation_torque[i]),
             ] {
                 let slack = SLACK * (1.0 + value.abs());
                 interval.include(i, value - slack);
@@ -404,7 +404,7 @@ impl Cascade {
         for i in 0..n {
             let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
             let s = self.scale[i];
-            let at = self.alpha[i] + limits.drift[i];
+            let at = self.alpha[i] + limits.bias_acceleration[i];
             let row = self.program.row_mut(i);
             let of_joints = self.nullspace.row(i);
             for ((x, &share), &scale) in row.iter_mut().zip(of_joints.iter()).zip(&self.scale) {
@@ -417,7 +417,7 @@ impl Cascade {
             self.program.lower[i] = (a.lower[i] - at) * s;
             self.program.upper[i] = (a.upper[i] - at) * s;
 
-            let at = self.torque[i] + limits.own_torque[i];
+            let at = self.torque[i] + limits.compensation_torque[i];
             let row = self.program.row_mut(n + i);
             let of_joints = self.torque_rows.row(i);
             for ((x, &share), &scale) in row.iter_mut().zip(of_joints.iter()).zip(&self.scale) {

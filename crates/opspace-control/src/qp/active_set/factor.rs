@@ -4,7 +4,7 @@
 //! H = L Lᵀ        L⁻¹ N = Q [R; 0]        J = L⁻ᵀ Q = [J₁ J₂]        Jᵀ H J = I        Jᵀ N = [R; 0]
 //! ```
 
-use crate::qp::{QpError, QuadraticProgram, axpy, dot};
+use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy, dot};
 
 /// For n variables and q active rows.
 #[derive(Debug)]

@@ -1,6 +1,6 @@
 //! The rows of a Cartesian task: the axes of a motion that belong to it, scaled to one unit.
 
-use crate::subject::Subject;
+use crate::tasks::subject::Subject;
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
 use opspace_model::Motion;
 
@@ -20,7 +20,7 @@ pub struct TaskAxes {
 
 impl TaskAxes {
     /// Those axes of `subject` that are in the task, by their place in
-    /// [`AXIS_NAMES`](crate::axes::AXIS_NAMES).
+    /// [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES).
     #[must_use]
     pub fn new(subject: Subject, rotation: Matrix3<f64>, in_task: [bool; 6], length_m: f64) -> Self {
         let mut rows = [0; 6];

@@ -1,45 +1,12 @@
 //! The law of a Cartesian task: how hard an error and a velocity are answered, axis by axis.
 
-use crate::axes::{AXIS_NAMES, PerAxis};
-use crate::cartesian::CartesianParameters;
 use crate::error::{ControlError, Reason};
-use crate::impedance::Impedance;
+use crate::tasks::axes::required;
+use crate::tasks::cartesian_parameters::CartesianParameters;
+use crate::tasks::gains::AxisGains;
+use crate::tasks::impedance::Impedance;
 use nalgebra::Vector6;
-use opspace_backend::quantity::{NonNegative, Positive};
-use schemars::JsonSchema;
-use serde::Deserialize;
-
-/// How an axis follows: as a unit mass on a spring and a damper, whatever the arm's inertia.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct AxisGains {
-    /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
-    pub frequency_rad_per_s: PerAxis<Positive>,
-    /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
-    pub damping_ratio: PerAxis<NonNegative>,
-    /// How much of the error is added to it each second, 1/s, until what friction and a wrong model leave is gone;
-    /// 0 if absent. Up to a quarter of ω or so.
-    #[serde(default = "no_integral")]
-    pub integral_per_s: PerAxis<NonNegative>,
-    /// How much is added at most along an axis, m; 0.05 if absent.
-    #[serde(default = "default_integral_limit")]
-    pub integral_limit_m: PerAxis<NonNegative>,
-    /// How much is added at most about an axis, rad; 0.2 if absent.
-    #[serde(default = "default_integral_limit_rad")]
-    pub integral_limit_rad: PerAxis<NonNegative>,
-}
-
-fn no_integral() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(0.0))
-}
-
-fn default_integral_limit() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(0.05))
-}
-
-fn default_integral_limit_rad() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(0.2))
-}
+use opspace_backend::quantity::NonNegative;
 
 /// How a task follows.
 #[derive(Clone, Debug)]
@@ -74,7 +41,7 @@ impl Law {
             let c = required(&parameters.compliant_damping_per_s, axis);
             law.damping[axis] = c.map_err(at("compliant_damping_per_s"))?.get();
         }
-        let motion = parameters.motion_axes();
+        let (motion, sensed) = (parameters.motion_axes(), parameters.force.is_some());
         match (&parameters.gains, &parameters.impedance) {
             (Some(_), Some(_)) => return Err(at("impedance")(Reason::GainsTwice)),
             (None, None) if motion.contains(&true) => {
@@ -82,7 +49,7 @@ impl Law {
             }
             (None, None) => {}
             (None, Some(impedance)) => {
-                law.impedance = Some(Impedance::new(impedance, parameters, &format!("{key}.impedance"))?);
+                law.impedance = Some(Impedance::new(impedance, motion, sensed, &format!("{key}.impedance"))?);
             }
             (Some(gains), None) => {
                 for axis in (0..6).filter(|&axis| motion[axis]) {
@@ -118,22 +85,4 @@ impl Law {
         }
         Ok(())
     }
-}
-
-/// Adds the `step`-fold of an error to its integral, up to ±`limit`. An error that isn't finite counts for nothing, so that
-/// it is over with its tick.
-pub(crate) fn integrate(
-    integral: &mut Vector6<f64>,
-    error: &Vector6<f64>,
-    step: &Vector6<f64>,
-    limit: &Vector6<f64>,
-) {
-    for i in (0..6).filter(|&i| error[i].is_finite()) {
-        integral[i] = (integral[i] + step[i] * error[i]).clamp(-limit[i], limit[i]);
-    }
-}
-
-/// The value of an axis that must have one.
-pub(crate) fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
-    values.get(axis).ok_or(Reason::MissingAxis { axis: AXIS_NAMES[axis] })
 }

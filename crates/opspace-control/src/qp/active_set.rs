@@ -26,7 +26,7 @@
 
 mod factor;
 
-use crate::qp::{QpError, QuadraticProgram, all_finite, axpy, dot};
+use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy, dot};
 use factor::Factor;
 
 /// A row counts as met within this share of what its terms could add up to, |c| |x| + |bound|.

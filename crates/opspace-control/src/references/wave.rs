@@ -1,6 +1,6 @@
 //! Sums of sines, from which circles, Lissajous figures and sweeps are made.
 
-use opspace_backend::quantity::NonNegative;
+use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
@@ -67,4 +67,10 @@ pub(crate) fn sum(waves: &[Wave], t: f64) -> [f64; 3] {
         let a = w.amplitude;
         [x + w.offset + a * sin, dx + a * w.omega * cos, ddx - a * w.omega * w.omega * sin]
     })
+}
+
+/// How long sinusoids are faded in where the file doesn't say, s.
+#[must_use]
+pub(crate) fn default_ramp_s() -> Positive {
+    Positive::literal(1.0)
 }

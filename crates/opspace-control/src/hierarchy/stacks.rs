@@ -1,12 +1,13 @@
 //! The stack of tasks that is carried out, and those that will be: gains, goals, axis modes and the stack itself can
 //! change while a robot runs.
 
+use crate::context::ControlContext;
+use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
-use crate::level::RowTask;
-use crate::measurement::Measurement;
-use crate::task::{Levels, RobotFacts, Stack};
+use crate::hierarchy::level::RowTask;
+use crate::hierarchy::task::{Levels, Stack};
 use opspace_backend::{Observable, Row, Signal};
-use opspace_model::{Data, Model};
+use opspace_model::Model;
 
 /// How early a tick may be for what is scheduled and still be in time: clocks add up periods, and round.
 const EARLY_S: f64 = 5e-10;
@@ -17,7 +18,11 @@ pub struct PreparedStack(Levels);
 
 impl PreparedStack {
     /// For the robot that a controller was made for.
-    pub(crate) fn new(model: &Model, stack: &Stack<'_>, robot: &RobotFacts) -> Result<Self, ControlError> {
+    pub(crate) fn new(
+        model: &Model,
+        stack: &Stack<'_>,
+        robot: &ControlContext,
+    ) -> Result<Self, ControlError> {
         Levels::new(model, stack, robot).map(Self)
     }
 
@@ -82,7 +87,7 @@ impl Stacks {
     pub(crate) fn new(
         model: &Model,
         stack: &Stack<'_>,
-        robot: &RobotFacts,
+        robot: &ControlContext,
         shows: Shows,
     ) -> Result<Self, ControlError> {
         let current = Levels::new(model, stack, robot)?;
@@ -95,7 +100,7 @@ impl Stacks {
         &self,
         model: &Model,
         stack: &Stack<'_>,
-        robot: &RobotFacts,
+        robot: &ControlContext,
     ) -> Result<PreparedStack, ControlError> {
         let prepared = PreparedStack::new(model, stack, robot)?;
         for new in slots(self.shows, [prepared.levels()]) {
@@ -110,9 +115,9 @@ impl Stacks {
     }
 
     /// Begins where the robot is.
-    pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
+    pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
         self.started = true;
-        self.current.start(model, data, measurement);
+        self.current.start(input);
     }
 
     pub(crate) fn current(&mut self) -> &mut Levels {
@@ -135,23 +140,17 @@ impl Stacks {
         self.slots = slots(self.shows, std::iter::once(&self.current).chain(to_come));
     }
 
-    pub(crate) fn switch(
-        &mut self,
-        mut stack: PreparedStack,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-    ) -> PreparedStack {
-        stack.0.take_over(&mut self.current, model, data, measurement);
+    pub(crate) fn switch(&mut self, mut stack: PreparedStack, input: &ControlInput<'_>) -> PreparedStack {
+        stack.0.take_over(&mut self.current, input);
         std::mem::swap(&mut self.current, &mut stack.0);
         stack
     }
 
     /// Switches to what is scheduled for now.
-    pub(crate) fn advance(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        while self.scheduled.last().is_some_and(|(time_s, _)| *time_s <= measurement.time_s + EARLY_S) {
+    pub(crate) fn advance(&mut self, input: &ControlInput<'_>) {
+        while self.scheduled.last().is_some_and(|(time_s, _)| *time_s <= input.measurement.time_s + EARLY_S) {
             if let Some((_, stack)) = self.scheduled.pop() {
-                let before = self.switch(stack, model, data, measurement);
+                let before = self.switch(stack, input);
                 self.past.push(before);
             }
         }

@@ -1,0 +1,17 @@
+//! What a controller must know of a robot besides its model.
+
+use crate::limits::joint_limits::JointLimits;
+use opspace_model::FrameId;
+
+/// Period, force sensors, gravity compensation and limits of a robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlContext {
+    /// Time from one update to the next, s.
+    pub period_s: f64,
+    /// Force sensors in the order of [`Measurement::wrenches`](crate::Measurement): name and frame.
+    pub sensors: Vec<(String, FrameId)>,
+    /// Whether the robot adds gravity's torque to those it is commanded.
+    pub gravity_by_robot: bool,
+    /// Limits of the joints.
+    pub limits: JointLimits,
+}

@@ -1,0 +1,228 @@
+//! Strict priorities: what freedom the tasks above leave, and a task within it.
+//!
+//! With N the nullspace of all tasks above (it acts on velocities, Nᵀ on torques), a task J has
+//!
+//! ```text
+//! J_p = J N        Λ_p = (J_p M⁻¹ J_pᵀ)⁻¹        N ← N (I − J̄_p J_p)
+//! ```
+//!
+//! (Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral
+//! primitives*, Int. J. Humanoid Robotics 2(4), 2005). Torques J_pᵀ F then accelerate no task above.
+//! With the identity in M's place the same recursion is that of inverse kinematics.
+
+use crate::hierarchy::products::{add_transposed, product};
+use nalgebra::{Matrix6, Matrix6xX};
+use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
+
+/// N, the freedom that the tasks so far leave, as the product of what each of them leaves: I − J̄_p J_p. The n × n
+/// matrix itself is never formed.
+#[derive(Clone, Debug)]
+pub(crate) struct Nullspace {
+    /// J_p and J̄_pᵀ of each task, the first `depth` of them in force.
+    tasks: Vec<(Matrix6xX<f64>, Matrix6xX<f64>)>,
+    depth: usize,
+}
+
+impl Nullspace {
+    /// For at most `levels` tasks on a robot of `n` joints.
+    pub(crate) fn new(n: usize, levels: usize) -> Self {
+        Self { tasks: vec![(Matrix6xX::zeros(n), Matrix6xX::zeros(n)); levels], depth: 0 }
+    }
+
+    /// All freedom, before the first task.
+    pub(crate) fn reset(&mut self) {
+        self.depth = 0;
+    }
+
+    /// Whether anything was taken away.
+    pub(crate) fn is_narrowed(&self) -> bool {
+        self.depth > 0
+    }
+
+    /// Only what the first `depth` tasks leave, of those that were taken away since the last
+    /// [`reset`](Self::reset).
+    pub(crate) fn rewind(&mut self, depth: usize) {
+        debug_assert!(depth <= self.tasks.len());
+        self.depth = depth;
+    }
+
+    /// Takes away what a [finished](ProjectedTask::finish) `task` uses.
+    pub(crate) fn narrow(&mut self, task: &ProjectedTask) {
+        let (jacobian, jbar_transpose) = &mut self.tasks[self.depth];
+        jacobian.copy_from(&task.jacobian);
+        jbar_transpose.copy_from(&task.space.jbar_transpose);
+        self.depth += 1;
+    }
+
+    fn tasks(&self) -> impl DoubleEndedIterator<Item = &(Matrix6xX<f64>, Matrix6xX<f64>)> {
+        self.tasks[..self.depth].iter()
+    }
+
+    /// Nᵀ τ in place of τ.
+    pub(crate) fn project_torque(&self, torque: &mut [f64]) {
+        for (jacobian, jbar_transpose) in self.tasks() {
+            remove(torque, jbar_transpose, jacobian);
+        }
+    }
+
+    /// N v in place of v.
+    pub(crate) fn project_velocity(&self, velocity: &mut [f64]) {
+        for (jacobian, jbar_transpose) in self.tasks().rev() {
+            remove(velocity, jacobian, jbar_transpose);
+        }
+    }
+
+    /// Nᵀ τ in place of the torques τ = M a, where `task` comes below all of these: without its J̄. N a in place of a, but
+    /// for what `task` takes.
+    pub(crate) fn project_above(&self, task: &ProjectedTask, acceleration: &mut [f64], torque: &mut [f64]) {
+        self.project_torque(torque);
+        self.project_velocity(acceleration);
+        let force = task.space.task_inertia * product(&task.jacobian, acceleration);
+        add_transposed(&task.jacobian, &-force, torque);
+    }
+
+    /// J N in place of J.
+    fn project_jacobian(&self, jacobian: &mut Matrix6xX<f64>) {
+        for (above, jbar_transpose) in self.tasks() {
+            // J J̄: what of this task's motion the task above takes.
+            let mut taken = Matrix6::zeros();
+            for (j, inverse) in jacobian.column_iter().zip(jbar_transpose.column_iter()) {
+                for (c, &x) in inverse.iter().enumerate() {
+                    taken.column_mut(c).axpy(x, &j, 1.0);
+                }
+            }
+            for (mut j, above) in jacobian.column_iter_mut().zip(above.column_iter()) {
+                j -= taken * above;
+            }
+        }
+    }
+}
+
+/// x − Aᵀ B x in place of x.
+fn remove(x: &mut [f64], b: &Matrix6xX<f64>, a: &Matrix6xX<f64>) {
+    let sum = product(b, x);
+    add_transposed(a, &-sum, x);
+}
+
+/// One Cartesian task within the freedom that is left to it.
+#[derive(Clone, Debug)]
+pub(crate) struct ProjectedTask {
+    /// J_p, scaled as the task's rows are.
+    pub jacobian: Matrix6xX<f64>,
+    pub space: OperationalSpace,
+}
+
+impl ProjectedTask {
+    pub(crate) fn new(n: usize) -> Self {
+        let jacobian = Matrix6xX::zeros(n);
+        Self { jacobian, space: OperationalSpace::new(n) }
+    }
+
+    /// For the first `rows` rows of `jacobian`, all but J̄. The threshold is relative to a `reference` that doesn't depend on what
+    /// the tasks above have taken: that counts as lost, not as the new measure.
+    pub(crate) fn update(
+        &mut self,
+        factor: &MassMatrixFactor,
+        above: &Nullspace,
+        jacobian: &Matrix6xX<f64>,
+        rows: usize,
+        inversion: Inversion,
+        reference: f64,
+    ) {
+        self.jacobian.copy_from(jacobian);
+        if above.depth > 0 {
+            above.project_jacobian(&mut self.jacobian);
+        }
+        self.space.update_inertia(factor, &self.jacobian, rows, inversion, Some(reference));
+    }
+
+    /// J̄, with the same factor: once after each [`update`](Self::update), if anything comes below this task.
+    pub(crate) fn finish(&mut self, factor: &MassMatrixFactor) {
+        self.space.finish(factor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, Matrix3, Vector3};
+    use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, frame_jacobian, update};
+
+    /// A chain of links that are all alike, each turned against the one before.
+    fn chain(n: usize) -> Model {
+        let mut model = Model::new("chain");
+        for i in 0..n {
+            let joint = Joint { name: format!("j{i}"), kind: JointKind::Continuous, limits: Limits::NONE };
+            let inertia = Inertia {
+                mass: 1.0,
+                com: Vector3::new(0.02, 0.01, 0.1),
+                rotational: Matrix3::from_diagonal(&Vector3::new(0.02, 0.03, 0.01)),
+            };
+            let origin = Placement::from_rpy([1.1, 0.4, -0.3], [0.05, 0.02, 0.25]);
+            model.add_body(i.checked_sub(1), origin, joint, inertia);
+        }
+        for (name, body) in [("middle", n / 2), ("end", n - 1)] {
+            model.add_frame(name, Some(body), Placement::from_rpy([0.0; 3], [0.1, 0.0, 0.05]));
+        }
+        model.with_rotor_inertia(&vec![0.01; n])
+    }
+
+    /// N, column by column; by N v and by Nᵀ τ.
+    fn matrices(nullspace: &Nullspace, n: usize) -> [DMatrix<f64>; 2] {
+        let projected = |project: &dyn Fn(&mut [f64])| {
+            let mut identity = DMatrix::identity(n, n);
+            identity.column_iter_mut().for_each(|mut column| project(column.as_mut_slice()));
+            identity
+        };
+        [
+            projected(&|v| nullspace.project_velocity(v)),
+            projected(&|t| nullspace.project_torque(t)).transpose(),
+        ]
+    }
+
+    /// J N against zero for every task so far, after each of three; and N M⁻¹ against its transpose, which
+    /// is what makes Nᵀ project torques. Entries of J and N are of the order of 1.
+    #[test]
+    fn the_nullspace_moves_no_task_above_it() {
+        let (n, tolerance) = (8, 1e-11);
+        let model = chain(n);
+        let mut data = Data::new(&model);
+        let q: Vec<f64> = (0..n).map(|i| 0.4 * (1.0 + i as f64).sin()).collect();
+        assert!(update(&model, &mut data, &q, &vec![0.0; n]));
+        let mass_inverse = data.mass_matrix.clone().try_inverse().expect("M is regular");
+        let rows_of = |name: &str, rows: std::ops::Range<usize>| {
+            let mut j = Matrix6xX::zeros(n);
+            frame_jacobian(&model, &data, model.frame(name).expect("frame"), &mut j);
+            let mut selected = Matrix6xX::zeros(n);
+            selected.rows_mut(0, rows.len()).copy_from(&j.rows(rows.start, rows.len()));
+            (selected, rows.len())
+        };
+        let tasks = [rows_of("end", 0..3), rows_of("middle", 0..2), rows_of("end", 3..5)];
+        let mut nullspace = Nullspace::new(n, tasks.len());
+        let mut projected = ProjectedTask::new(n);
+        for (level, (jacobian, rows)) in tasks.iter().enumerate() {
+            projected.update(
+                &data.mass_matrix_factor,
+                &nullspace,
+                jacobian,
+                *rows,
+                Inversion::Damped(1e-6),
+                1.0,
+            );
+            assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
+            projected.finish(&data.mass_matrix_factor);
+            nullspace.narrow(&projected);
+            let [matrix, by_torque] = matrices(&nullspace, n);
+            assert!((&matrix - by_torque).amax() < tolerance, "one N for velocities and torques");
+            for (above, (jacobian, _)) in tasks[..=level].iter().enumerate() {
+                let left = (jacobian * &matrix).amax();
+                assert!(left < tolerance, "below level {level}, level {above} still moves by {left}");
+            }
+            let product = &matrix * &mass_inverse;
+            assert!((&product - product.transpose()).amax() < tolerance * mass_inverse.amax());
+        }
+        let [matrix, _] = matrices(&nullspace, n);
+        let rank = matrix.singular_values().iter().filter(|&&v| v > 1e-6).count();
+        assert_eq!(rank, n - 7, "what is left of the joints' freedom");
+    }
+}

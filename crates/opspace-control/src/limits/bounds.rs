@@ -1,0 +1,330 @@
+//! What joints can do, as bounds on what may be commanded in one tick.
+//!
+//! Position and velocity limits become one interval of joint acceleration a. A horizon h ahead the joint must neither be
+//! faster than its velocity limit v, nor so fast that it can't brake before its end x with its braking acceleration b:
+//!
+//! ```text
+//! q̇ + a h ≤ v          q̇ + a h ≤ √((b h)² + 2 b (x − q − q̇ h)) − b h
+//! ```
+//!
+//! and mirrored for the other end. The second bound is the speed from which a joint that is slowed down by b once a
+//! horizon just stops at x (viability; compare Del Prete, *Joint position and velocity bounds in discrete-time
+//! acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the end it is (x − q − q̇ h)/h: the joint
+//! arrives without overshoot. A joint beyond its end is led back at a bounded speed. Torque and torque rate bound the
+//! commanded torque. Where these contradict each other torques win, then what brakes.
+
+use crate::hierarchy::rank::configuration;
+use crate::limits::joint_limits::JointLimits;
+use crate::measurement::Measurement;
+use nalgebra::DVector;
+use opspace_model::{Data, Model, update};
+
+/// How far ahead bounds on the acceleration look, s: well above a period, so that noise in the velocity doesn't make
+/// them jump, and well below the time in which an arm brakes.
+pub const HORIZON_S: f64 = 0.02;
+
+/// How fast what is beyond the end of its range is led back: in this time, s, but for a factor of e.
+const RETURN_S: f64 = 0.2;
+
+/// Postures tried for the acceleration that a torque limit leaves.
+const SAMPLES: usize = 64;
+
+/// Acceleration with which each joint can brake, rad/s² or m/s² (n).
+fn braking(model: &Model, limits: &JointLimits) -> Vec<f64> {
+    let derived = braking_accelerations(model, &limits.torque);
+    limits.acceleration.iter().zip(derived).map(|(&given, derived)| given.min(derived)).collect()
+}
+
+/// Half of what the torques can do against the joint's own inertia, with gravity against them, in the worst of many
+/// postures; at least a tenth of what they could do without gravity.
+fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
+    let n = model.n();
+    let mut data = Data::new(model);
+    let mut least = vec![f64::INFINITY; n];
+    for sample in 0..SAMPLES {
+        if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
+            continue;
+        }
+        for i in 0..n {
+            let left = (torque[i] - data.gravity[i].abs()).max(0.1 * torque[i]);
+            least[i] = least[i].min(0.5 * left / data.mass_matrix[(i, i)]);
+        }
+    }
+    least
+}
+
+/// The bounds of one tick.
+#[derive(Clone, Debug)]
+pub(crate) struct Bounds {
+    limits: JointLimits,
+    /// With which acceleration each joint can brake, rad/s² (n).
+    braking: Vec<f64>,
+    period_s: f64,
+    /// On joint accelerations, rad/s² (n).
+    pub acceleration: Interval,
+    /// On commanded torques, Nm (n).
+    pub torque: Interval,
+}
+
+/// An interval for each joint.
+#[derive(Clone, Debug)]
+pub(crate) struct Interval {
+    pub lower: DVector<f64>,
+    pub upper: DVector<f64>,
+}
+
+impl Interval {
+    fn new(n: usize) -> Self {
+        Self {
+            lower: DVector::from_element(n, f64::NEG_INFINITY),
+            upper: DVector::from_element(n, f64::INFINITY),
+        }
+    }
+
+    pub(crate) fn contains(&self, i: usize, value: f64) -> bool {
+        value >= self.lower[i] && value <= self.upper[i]
+    }
+
+    /// As wide as it must be for `value`.
+    pub(crate) fn include(&mut self, i: usize, value: f64) {
+        self.lower[i] = self.lower[i].min(value);
+        self.upper[i] = self.upper[i].max(value);
+    }
+}
+
+impl Bounds {
+    /// For a robot that is commanded every `period_s`.
+    pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64) -> Self {
+        let braking = braking(model, &limits);
+        Self::with_braking(limits, braking, period_s)
+    }
+
+    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64) -> Self {
+        let n = limits.lower.len();
+        for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
+            // Whatever brakes, within a horizon it stops.
+            *braking = braking.min(velocity.min(1e3) / HORIZON_S);
+        }
+        Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
+    }
+
+    /// Whether joint accelerations and commanded torques (n) are strictly within the bounds of a state, without the
+    /// roots and the rules for bounds that contradict each other: `false` if that takes a closer look.
+    pub(crate) fn is_strictly_feasible(
+        &self,
+        measurement: &Measurement,
+        added: &[f64],
+        before: &DVector<f64>,
+        acceleration: impl Fn(usize) -> f64,
+        torque: impl Fn(usize) -> f64,
+    ) -> bool {
+        let (l, h) = (&self.limits, HORIZON_S);
+        let (q, dq) = (&measurement.q, &measurement.dq);
+        let mut allowed = true;
+        // Without a branch: which side of zero a speed is on can't be foreseen.
+        for i in 0..before.len() {
+            let (a, tau, braking) = (acceleration(i), torque(i), self.braking[i]);
+            let (ahead, speed) = (q[i] + dq[i] * h, dq[i] + a * h);
+            // v ≤ √((b h)² + 2 b x) − b h without the root.
+            let stops = |left: f64, speed: f64| {
+                (left > 0.0)
+                    & ((speed <= 0.0) | (speed * (speed + 2.0 * braking * h) <= 2.0 * braking * left))
+            };
+            allowed &= stops(l.upper[i] - ahead, speed)
+                & stops(ahead - l.lower[i], -speed)
+                & (speed.abs() <= l.velocity[i])
+                & (a.abs() <= l.acceleration[i])
+                & ((tau + added[i]).abs() <= l.torque[i])
+                & ((tau - before[i]).abs() <= l.torque_rate[i] * self.period_s);
+        }
+        allowed
+    }
+
+    /// Bounds in a state, after the torques `before` (n) were commanded and with those `added` to the next command (n).
+    pub(crate) fn update(&mut self, measurement: &Measurement, added: &[f64], before: &DVector<f64>) {
+        let l = &self.limits;
+        let (q, dq) = (&measurement.q, &measurement.dq);
+        for i in 0..before.len() {
+            let joint = JointState { q: q[i], dq: dq[i], velocity: l.velocity[i], braking: self.braking[i] };
+            let (mut lower, mut upper) = (-joint.mirrored().highest(-l.lower[i]), joint.highest(l.upper[i]));
+            // What brakes may be harder than what speeds up; between two ends that are too near, nothing moves.
+            if lower > upper {
+                let middle = if joint.dq > 0.0 { upper } else { lower };
+                (lower, upper) = (middle, middle);
+            }
+            let a = l.acceleration[i];
+            self.acceleration.lower[i] = lower.max(-a).min(upper);
+            self.acceleration.upper[i] = upper.min(a).max(lower);
+
+            // The torque limits hold for what is added as well.
+            let (low, high) = (-l.torque[i] - added[i], l.torque[i] - added[i]);
+            let step = l.torque_rate[i] * self.period_s;
+            // Without a number to start from, any torque within the limits: a NaN must not become a bound.
+            self.torque.lower[i] = (before[i] - step).max(low).min(high);
+            self.torque.upper[i] = (before[i] + step).min(high).max(low);
+        }
+    }
+}
+
+/// A joint, its ends not among what is known of it.
+#[derive(Clone, Copy)]
+struct JointState {
+    q: f64,
+    dq: f64,
+    velocity: f64,
+    braking: f64,
+}
+
+impl JointState {
+    /// Seen the other way round.
+    fn mirrored(self) -> Self {
+        Self { q: -self.q, dq: -self.dq, ..self }
+    }
+
+    /// The highest acceleration with which the joint stays below its highest speed, and able to stop at `end`.
+    fn highest(self, end: f64) -> f64 {
+        let h = HORIZON_S;
+        let mut allowed = self.velocity;
+        if end < f64::INFINITY {
+            let left = end - self.q;
+            let ahead = left - self.dq * h;
+            let reach = self.braking * h;
+            let to_end = if ahead > 0.0 {
+                (reach * reach + 2.0 * self.braking * ahead).sqrt() - reach
+            } else {
+                (left.min(0.0) / RETURN_S).max(-self.velocity)
+            };
+            allowed = allowed.min(to_end);
+        }
+        (allowed - self.dq) / h
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bounds(limits: JointLimits) -> Bounds {
+        let braking = limits.acceleration.clone();
+        Bounds::with_braking(limits, braking, 1e-3)
+    }
+
+    fn at(q: f64, dq: f64) -> Measurement {
+        let mut measurement = Measurement::new(1, 0, false);
+        (measurement.q[0], measurement.dq[0]) = (q, dq);
+        measurement
+    }
+
+    /// One joint pushed as hard as its bounds allow, at 1 kHz: its position against its end, its speed against its
+    /// limit and its acceleration against the one with which it can brake.
+    #[test]
+    fn a_joint_that_is_pushed_stays_viable() {
+        for (velocity, acceleration) in [(2.0, 5.0), (8.0, 30.0), (1.0, 100.0), (3.0, 1.0)] {
+            let (end, period) = (1.0, 1e-3);
+            let limits = JointLimits {
+                upper: vec![end],
+                velocity: vec![velocity],
+                acceleration: vec![acceleration],
+                ..JointLimits::none(1)
+            };
+            let mut bounds = bounds(limits);
+            let (mut q, mut dq) = (0.0, 0.0);
+            let (mut fastest, mut hardest) = (0.0_f64, 0.0_f64);
+            for _ in 0..5000 {
+                bounds.update(&at(q, dq), &[0.0], &DVector::zeros(1));
+                let a = bounds.acceleration.upper[0];
+                hardest = hardest.max(a.abs());
+                q += period * (dq + 0.5 * period * a);
+                dq += period * a;
+                fastest = fastest.max(dq);
+                assert!(q <= end + 1e-9, "{velocity} {acceleration}: at {q}");
+            }
+            assert!(
+                fastest <= velocity * (1.0 + 1e-9)
+                    && fastest > 0.5 * velocity.min((2.0 * acceleration).sqrt())
+            );
+            assert!(hardest <= acceleration * 1.02, "{velocity}: {hardest} of {acceleration}");
+            assert!(end - q < 1e-3 && dq.abs() < 1e-3, "arrived: {q} {dq}");
+        }
+    }
+
+    /// A joint that starts beyond its end, moving outward: it comes back, and stays.
+    #[test]
+    fn a_joint_beyond_its_end_comes_back() {
+        let limits = JointLimits {
+            upper: vec![1.0],
+            velocity: vec![2.0],
+            acceleration: vec![10.0],
+            ..JointLimits::none(1)
+        };
+        let mut bounds = bounds(limits);
+        let (mut q, mut dq) = (1.2, 0.5);
+        for _ in 0..5000 {
+            bounds.update(&at(q, dq), &[0.0], &DVector::zeros(1));
+            let a = bounds.acceleration.upper[0];
+            assert!(a.is_finite() && bounds.acceleration.lower[0] <= a);
+            q += 1e-3 * (dq + 0.5e-3 * a);
+            dq += 1e-3 * a;
+        }
+        assert!(q <= 1.0 + 1e-6 && q > 0.99, "{q}");
+    }
+
+    /// What is plainly allowed is within the bounds, and the other way round but where bounds contradict each other:
+    /// nowhere here, of joints that start within their ends and slow enough to stop.
+    #[test]
+    fn is_strictly_feasibleed_is_within_the_bounds() {
+        let limits = JointLimits {
+            lower: vec![-1.0],
+            upper: vec![1.0],
+            velocity: vec![2.0],
+            acceleration: vec![10.0],
+            torque: vec![5.0],
+            torque_rate: vec![1000.0],
+        };
+        let mut bounds = bounds(limits);
+        let grid = |end: f64| (-40..=40).map(move |i| end * f64::from(i) / 40.0 + 1e-4);
+        let (mut allowed, mut refused) = (0, 0);
+        for (q, dq) in grid(0.99).flat_map(|q| grid(2.0).map(move |dq| (q, dq))) {
+            let measurement = at(q, dq);
+            for (a, torque) in
+                [-12.0, -9.9, -3.0, 0.0, 5.0, 9.9, 12.0].into_iter().zip([0.5, -0.9, 1.1].into_iter().cycle())
+            {
+                let before = DVector::from_element(1, 0.0);
+                let plain = bounds.is_strictly_feasible(&measurement, &[0.0], &before, |_| a, |_| torque);
+                bounds.update(&measurement, &[0.0], &before);
+                let within = bounds.acceleration.contains(0, a) && bounds.torque.contains(0, torque);
+                assert!(within || !plain, "{q} {dq} {a} {torque}");
+                let viable =
+                    dq.abs() <= 1.8 && dq.abs() <= (2.0 * 9.0 * (1.0 - q * dq.signum())).sqrt() - 0.2;
+                assert!(!viable || plain == within, "{q} {dq} {a} {torque}: {plain} {within}");
+                allowed += u32::from(plain);
+                refused += u32::from(!plain);
+            }
+        }
+        assert!(allowed > 1000 && refused > 1000, "{allowed} {refused}");
+    }
+
+    /// Every interval holds a number, whatever the state: proportion of lower to upper.
+    #[test]
+    fn no_interval_is_empty() {
+        let limits = JointLimits {
+            lower: vec![-0.01],
+            upper: vec![0.01],
+            velocity: vec![2.0],
+            acceleration: vec![10.0],
+            torque: vec![5.0],
+            torque_rate: vec![100.0],
+        };
+        let mut bounds = bounds(limits);
+        for q in [-1.0, -0.01, -0.005, 0.0, 0.01, 0.5] {
+            for dq in [-5.0, -0.3, 0.0, 0.2, 5.0] {
+                for before in [-9.0, -5.0, 0.0, 4.99, 7.0] {
+                    bounds.update(&at(q, dq), &[0.0], &DVector::from_element(1, before));
+                    let [a, t] = [&bounds.acceleration, &bounds.torque];
+                    assert!(a.lower[0] <= a.upper[0] && a.lower[0].is_finite() && a.upper[0].is_finite());
+                    assert!(t.lower[0] <= t.upper[0] && t.upper[0] <= 5.0 && t.lower[0] >= -5.0);
+                }
+            }
+        }
+    }
+}

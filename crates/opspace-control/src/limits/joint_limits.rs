@@ -1,0 +1,122 @@
+//! The limits of a robot's joints, and how much of them a controller uses.
+
+use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_model::Model;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// What the joints of a robot can do: one value a joint, infinite where there is no limit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointLimits {
+    /// Lowest position, rad or m (n).
+    pub lower: Vec<f64>,
+    /// Highest position, rad or m (n).
+    pub upper: Vec<f64>,
+    /// Highest speed, rad/s or m/s (n).
+    pub velocity: Vec<f64>,
+    /// Highest acceleration, with which the joint can also brake, rad/s² or m/s² (n). Where it is infinite, joints are
+    /// braked with half of what the torque limit leaves beside gravity in the worst of many postures.
+    pub acceleration: Vec<f64>,
+    /// Highest torque, Nm or N (n).
+    pub torque: Vec<f64>,
+    /// Highest rate of the commanded torque, Nm/s or N/s (n). Where it is infinite and the torque is not, the whole
+    /// torque in 10 ms.
+    pub torque_rate: Vec<f64>,
+}
+
+/// How a robot's limits are kept by the controller.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LimitParameters {
+    /// Whether they are kept at all; they are if absent. Without, only the torques are cut off, and the run stops where
+    /// a joint reaches its end.
+    #[serde(default = "yes")]
+    pub enforce: bool,
+    /// How far from the ends of their ranges joints are kept, rad (m); 0.01 if absent.
+    #[serde(default = "default_margin")]
+    pub position_margin_rad: NonNegative,
+    /// Which share of the highest speed, from 0 to 1, is used; 0.9 if absent.
+    #[serde(default = "default_velocity_share")]
+    pub velocity_share: Positive,
+    /// Which share of the highest torque, from 0 to 1, is used; all of it if absent.
+    #[serde(default = "whole")]
+    pub torque_share: Positive,
+}
+
+impl Default for LimitParameters {
+    fn default() -> Self {
+        Self {
+            enforce: yes(),
+            position_margin_rad: default_margin(),
+            velocity_share: default_velocity_share(),
+            torque_share: whole(),
+        }
+    }
+}
+
+const fn yes() -> bool {
+    true
+}
+
+const fn default_margin() -> NonNegative {
+    NonNegative::literal(0.01)
+}
+
+const fn default_velocity_share() -> Positive {
+    Positive::literal(0.9)
+}
+
+const fn whole() -> Positive {
+    Positive::literal(1.0)
+}
+
+/// In which time the whole torque may be asked for where no rate is given, s.
+const TORQUE_RISE_S: f64 = 0.01;
+
+impl JointLimits {
+    /// No limit at all, for `n` joints.
+    #[must_use]
+    pub fn none(n: usize) -> Self {
+        let none = vec![f64::INFINITY; n];
+        Self {
+            lower: vec![f64::NEG_INFINITY; n],
+            upper: none.clone(),
+            velocity: none.clone(),
+            acceleration: none.clone(),
+            torque: none.clone(),
+            torque_rate: none,
+        }
+    }
+
+    /// Those of the URDF: position, velocity and effort.
+    #[must_use]
+    pub fn of(model: &Model) -> Self {
+        let each =
+            |of: fn(&opspace_model::Limits) -> f64| model.joints().iter().map(|j| of(&j.limits)).collect();
+        Self {
+            lower: each(|l| l.lower),
+            upper: each(|l| l.upper),
+            velocity: each(|l| l.velocity),
+            torque: each(|l| l.effort),
+            ..Self::none(model.n())
+        }
+    }
+
+    /// Within margins, and with the rates that follow where none was given.
+    pub(crate) fn narrowed(mut self, parameters: &LimitParameters) -> Self {
+        let margin = parameters.position_margin_rad.get();
+        for i in 0..self.lower.len() {
+            // What is too narrow for its margins keeps its middle.
+            let middle = 0.5 * (self.lower[i] + self.upper[i]);
+            let keep = |end: f64| if middle.is_finite() { end } else { f64::NAN };
+            self.lower[i] = (self.lower[i] + margin).min(keep(middle));
+            self.upper[i] = (self.upper[i] - margin).max(keep(middle));
+            self.velocity[i] *= parameters.velocity_share.get().min(1.0);
+            self.torque[i] *= parameters.torque_share.get().min(1.0);
+            if self.torque_rate[i] == f64::INFINITY {
+                self.torque_rate[i] = self.torque[i] / TORQUE_RISE_S;
+            }
+        }
+        self
+    }
+}

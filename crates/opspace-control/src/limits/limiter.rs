@@ -1,0 +1,230 @@
+//! Commands within the limits: the tasks' torques, changed where a limit asks for it.
+
+use crate::context::ControlContext;
+use crate::controller::ControlInput;
+use crate::hierarchy::level::RowTask;
+use crate::hierarchy::task::{Compensation, Levels, Stack};
+use crate::limits::bounds::{Bounds, HORIZON_S, Interval};
+use crate::qp::lexicographic::{Cascade, Limits, Residual, Solver, SpeedBound};
+use crate::qp::quadratic_program::QpError;
+use nalgebra::DVector;
+use opspace_backend::{Row, Signal};
+use opspace_model::{Data, Model};
+
+/// What keeps commands within the limits.
+pub(crate) struct Limiter {
+    bounds: Bounds,
+    /// Those on torques as they were before any of the bounds was widened.
+    torque_bounds: Interval,
+    cascade: Cascade,
+    /// The first `speed_count` of them in force.
+    speeds: Vec<SpeedBound>,
+    speed_count: usize,
+    /// What of the joints' acceleration doesn't come from the tasks (n).
+    bias_acceleration: DVector<f64>,
+    /// Which bounds each joint's command stands at, as the sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
+    limited: DVector<f64>,
+    solver: Solver,
+}
+
+/// In the `limited` signal: the command stands at a bound of the joint's acceleration.
+const LIMITED_ACCELERATION: f64 = 1.0;
+/// In the `limited` signal: the command stands at a bound of the joint's torque or its rate.
+const LIMITED_TORQUE: f64 = 2.0;
+
+/// How near to a bound a command stands at it, relative to its size and 1: far more than what solvers leave.
+const AT_BOUND: f64 = 1e-6;
+
+/// Bounds on the speed of tasks at most: two for each of the first eight tasks.
+const MAX_SPEED_BOUNDS: usize = 16;
+
+impl Limiter {
+    pub(crate) fn new(model: &Model, stack: &Stack<'_>, robot: &ControlContext) -> Self {
+        let n = model.n();
+        let zero = DVector::zeros(n);
+        let limits = robot.limits.clone().narrowed(&stack.limits);
+        let bounds = Bounds::new(model, limits, robot.period_s);
+        Self {
+            torque_bounds: bounds.torque.clone(),
+            bounds,
+            cascade: Cascade::new(n, MAX_SPEED_BOUNDS),
+            speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; MAX_SPEED_BOUNDS],
+            speed_count: 0,
+            bias_acceleration: zero.clone(),
+            limited: zero,
+            solver: Solver::Unlimited,
+        }
+    }
+
+    /// Takes in the state, but for the joints' bounds.
+    pub(crate) fn update_state(&mut self, data: &Data, compensation: Compensation, levels: &Levels) {
+        if compensation == Compensation::Gravity {
+            for (bias_acceleration, (gravity, bias)) in
+                self.bias_acceleration.iter_mut().zip(data.gravity.iter().zip(&data.bias))
+            {
+                *bias_acceleration = gravity - bias;
+            }
+            data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
+        }
+        self.speed_count = 0;
+        for level in &levels.rows {
+            let RowTask::Cartesian(task) = &level.task else { continue };
+            for kind in 0..2 {
+                let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
+                if let Some(upper) = task.speed_bound(kind, level.bias(), slot.row.as_mut_slice()) {
+                    slot.upper = upper - slot.row.dot(&self.bias_acceleration);
+                    self.speed_count += 1;
+                }
+            }
+        }
+    }
+
+    /// Whether joint accelerations `alpha` (n), and the torques that cause them, can stay as they are after what was
+    /// `commanded` before.
+    pub(crate) fn is_strictly_feasible(
+        &self,
+        input: &ControlInput<'_>,
+        commanded: &DVector<f64>,
+        alpha: &DVector<f64>,
+        torque: &DVector<f64>,
+        compensation_torque: &DVector<f64>,
+    ) -> bool {
+        let acceleration = |i: usize| alpha[i] + self.bias_acceleration[i];
+        let torque = |i: usize| torque[i] + compensation_torque[i];
+        self.cascade.has_shortcut()
+            && self.bounds.is_strictly_feasible(
+                input.measurement,
+                input.feedforward_torque,
+                commanded,
+                acceleration,
+                torque,
+            )
+            && self.speeds[..self.speed_count].iter().all(|speed| speed.allows(alpha.as_slice()))
+    }
+
+    /// The joints' bounds in this state, after what was `commanded` before.
+    pub(crate) fn bound(&mut self, input: &ControlInput<'_>, commanded: &DVector<f64>) {
+        self.bounds.update(input.measurement, input.feedforward_torque, commanded);
+        self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
+        self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
+    }
+
+    /// Brings what each level asks for within the limits, by what the levels above leave free, and says who found it.
+    /// `scratch` (n) is overwritten.
+    ///
+    /// # Errors
+    /// At the first level for which no solver finds an answer. It and those below it count as limited.
+    pub(crate) fn solve(
+        &mut self,
+        data: &Data,
+        levels: &mut Levels,
+        joint_torque: &DVector<f64>,
+        compensation_torque: &DVector<f64>,
+        scratch: &mut DVector<f64>,
+    ) -> Result<Solver, QpError> {
+        let (mut limits, cascade) = self.limits(compensation_torque);
+        cascade.begin(data);
+        // No command needed it before.
+        if let Some(level) = levels.rows.last_mut() {
+            level.projected.finish(&data.mass_matrix_factor);
+            levels.nullspace.narrow(&level.projected);
+        }
+        levels.nullspace.rewind(0);
+        levels.rows.iter_mut().for_each(|level| level.limited = true);
+        for (place, level) in levels.rows.iter_mut().enumerate() {
+            scratch.fill(0.0);
+            level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
+            data.mass_matrix_factor.solve(scratch.as_mut_slice());
+            cascade.ask(data, scratch.as_slice(), &mut limits);
+            let heading = level.heading(data, cascade.alpha(), HORIZON_S);
+            let projected = &level.projected;
+            let inertia = &projected.space.task_inertia;
+            let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
+            level.limited = cascade.keep_within(data, &levels.nullspace, &residual, &mut limits)?;
+            levels.nullspace.rewind(place + 1);
+        }
+        scratch.fill(0.0);
+        if levels.joint.is_some() {
+            scratch.copy_from(joint_torque);
+            data.mass_matrix_factor.solve(scratch.as_mut_slice());
+        }
+        cascade.ask(data, scratch.as_slice(), &mut limits);
+        cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits)?;
+        Ok(cascade.solver())
+    }
+
+    fn limits<'a>(&'a mut self, compensation_torque: &'a DVector<f64>) -> (Limits<'a>, &'a mut Cascade) {
+        let limits = Limits {
+            bounds: &mut self.bounds,
+            compensation_torque,
+            bias_acceleration: &self.bias_acceleration,
+            speeds: &mut self.speeds[..self.speed_count],
+        };
+        (limits, &mut self.cascade)
+    }
+
+    /// Cuts off torques beyond their limits: rounding, or what no solver could bring within them.
+    pub(crate) fn clip(&self, torque: &mut DVector<f64>, compensation_torque: &DVector<f64>) {
+        let Interval { lower, upper } = &self.torque_bounds;
+        for (i, t) in torque.iter_mut().enumerate() {
+            let commanded = *t + compensation_torque[i];
+            // NaN passes: the backend refuses it by name.
+            if commanded < lower[i] {
+                *t = lower[i] - compensation_torque[i];
+            } else if commanded > upper[i] {
+                *t = upper[i] - compensation_torque[i];
+            }
+        }
+    }
+
+    /// Which bounds the command stands at.
+    pub(crate) fn record_status(
+        &mut self,
+        solver: Solver,
+        alpha: &DVector<f64>,
+        torque: &DVector<f64>,
+        compensation_torque: &DVector<f64>,
+    ) {
+        self.solver = solver;
+        if solver == Solver::Unlimited {
+            self.limited.fill(0.0);
+            return;
+        }
+        for i in 0..alpha.len() {
+            let at = |interval: &Interval, value: f64| {
+                let near = AT_BOUND * (1.0 + value.abs());
+                value <= interval.lower[i] + near || value >= interval.upper[i] - near
+            };
+            let acceleration = at(&self.bounds.acceleration, alpha[i] + self.bias_acceleration[i]);
+            let torque = at(&self.bounds.torque, torque[i] + compensation_torque[i]);
+            self.limited[i] = if acceleration { LIMITED_ACCELERATION } else { 0.0 }
+                + if torque { LIMITED_TORQUE } else { 0.0 };
+        }
+    }
+
+    /// Whether a limit changed the last command.
+    pub(crate) fn is_limited(&self) -> bool {
+        self.solver != Solver::Unlimited
+    }
+
+    /// Solves the programmes even where no limit is in force: for tests and benches, which compare the two.
+    pub(crate) fn without_shortcut(&mut self) {
+        self.cascade.without_shortcut();
+    }
+
+    /// The torques found by [`solve`](Self::solve), into `torque` (n).
+    pub(crate) fn torque_into(&mut self, data: &Data, torque: &mut [f64]) {
+        self.cascade.torque_into(data, torque);
+    }
+
+    /// Which joints stand at a bound, and who found the command.
+    pub(crate) fn signals(joint_names: &[String]) -> [Signal; 2] {
+        [Signal::new("limited", "1", joint_names), Signal::scalar("limits_solver", "1")]
+    }
+
+    /// Puts the values of [`signals`](Self::signals).
+    pub(crate) fn sample(&self, row: &mut Row<'_>) {
+        row.put(self.limited.as_slice());
+        row.put_one(f64::from(self.solver as u8));
+    }
+}

@@ -1,0 +1,60 @@
+//! Poses to reach, absolute or from where the run began.
+
+use crate::orientation;
+use nalgebra::{Matrix3, Vector3};
+use opspace_backend::quantity::exactly;
+use opspace_model::Placement;
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// A position to reach.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+pub enum PositionGoal {
+    /// In the world, m.
+    #[serde(rename = "absolute_m")]
+    Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
+    /// From the position at the start of the run, along the task's axes, m.
+    #[serde(rename = "offset_m")]
+    Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
+}
+
+/// An orientation to reach, as roll, pitch and yaw about fixed axes, in that order.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+pub enum OrientationGoal {
+    /// Against the world, rad.
+    #[serde(rename = "absolute_rpy_rad")]
+    Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
+    /// From the orientation at the start of the run, about the task's axes, rad.
+    #[serde(rename = "offset_rpy_rad")]
+    Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
+}
+
+/// Where a goal is in the world; where `before` is if there is none.
+pub(crate) fn position(
+    goal: Option<&PositionGoal>,
+    axes: &Matrix3<f64>,
+    home: &Placement,
+    before: &Placement,
+) -> Vector3<f64> {
+    match goal {
+        None => before.translation,
+        Some(PositionGoal::Absolute(p)) => Vector3::from(*p),
+        Some(PositionGoal::Offset(p)) => home.translation + axes * Vector3::from(*p),
+    }
+}
+
+/// As [`position`], of the orientation.
+pub(crate) fn rotation(
+    goal: Option<&OrientationGoal>,
+    axes: &Matrix3<f64>,
+    home: &Placement,
+    before: &Placement,
+) -> Matrix3<f64> {
+    match goal {
+        None => before.rotation,
+        Some(OrientationGoal::Absolute(rpy)) => orientation::from_rpy(*rpy),
+        Some(OrientationGoal::Offset(rpy)) => {
+            axes * orientation::from_rpy(*rpy) * axes.transpose() * home.rotation
+        }
+    }
+}

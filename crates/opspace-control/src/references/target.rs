@@ -1,0 +1,26 @@
+//! A frame's target: pose, velocity and acceleration.
+
+use opspace_model::{Motion, Placement};
+
+/// How long a target takes to join its reference from somewhere else, s: a way of 0.1 m then has a speed of 0.19 m/s and an
+/// acceleration of 0.6 m/s² at most.
+pub const BLEND_S: f64 = 1.0;
+
+/// Where a frame should be and how it should move, in world axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Target {
+    /// Pose in the world.
+    pub placement: Placement,
+    /// Of the frame's origin (m/s) and of the frame (rad/s).
+    pub velocity: Motion,
+    /// The rate of change of `velocity` (m/s², rad/s²).
+    pub acceleration: Motion,
+}
+
+impl Target {
+    /// At rest at a pose.
+    #[must_use]
+    pub fn at_rest(placement: Placement) -> Self {
+        Self { placement, velocity: Motion::zero(), acceleration: Motion::zero() }
+    }
+}
