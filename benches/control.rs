@@ -10,7 +10,7 @@
 
 use opspace_control::{
     Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
-    OperationalSpaceController, Stack, Targets, TaskParameters,
+    OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 };
 use opspace_model::{Data, Model, update};
 use rand::{RngExt, SeedableRng};
@@ -162,7 +162,7 @@ impl<'a> Bench<'a> {
     fn new(model: &'a Model, limits: &JointLimits) -> Self {
         let task: BTreeMap<String, TaskParameters> = toml::from_str(TASKS).expect("good tasks");
         let priority = ["hand".to_owned(), "rest".to_owned()];
-        let stack = Stack {
+        let stack = TaskSetParameters {
             priority: &priority,
             task: &task,
             compensation: Compensation::Bias,

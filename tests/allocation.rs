@@ -15,7 +15,7 @@ use opspace_backend::{Sink, TICK};
 use opspace_control::Controller;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::{Choice, ControllerKind, Experiment, Files, Suite};
-use opspace_loop::{Ending, Fault, Phase};
+use opspace_loop::{Fault, Phase, Run, RunOutcome, drive};
 use opspace_transformer::{Method, TransformerKind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -34,7 +34,7 @@ impl Sink for Counter<'_> {
     fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
         if channel == TICK {
             assert!(self.counts.len() < self.counts.capacity(), "the sink itself must not allocate");
-            self.counts.push((row[0], allocations_so_far()));
+            self.counts.push((row[PHASE], allocations_so_far()));
             if self.interrupt_after == Some(self.counts.len()) {
                 self.interrupt.store(true, Ordering::Relaxed);
             }
@@ -42,17 +42,22 @@ impl Sink for Counter<'_> {
     }
 }
 
+/// Place of the signal `phase` in a row of the loop.
+const PHASE: usize = 3;
+
 fn count(
     experiment: &Experiment,
-    controller: &mut dyn Controller,
+    controller: Box<dyn Controller>,
     interrupt_after: Option<usize>,
-) -> (Counts, Ending) {
+) -> (Counts, RunOutcome) {
     let interrupt = AtomicBool::new(false);
     let mut sink = Counter { counts: Vec::with_capacity(1 << 16), interrupt_after, interrupt: &interrupt };
-    let mut backend = experiment.simulated_backend().unwrap_or_else(|e| panic!("{e}"));
-    let mut control = experiment.control_loop(&mut *backend, controller);
-    let ending = control.run(experiment.duration_s(), &interrupt, &mut sink);
-    (sink.counts, ending)
+    let mut arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
+    let control = common::control_loop(experiment, controller);
+    let mut run = Run::new(control, experiment.duration_s(), &mut sink).with_stop_request(&interrupt);
+    drive(&mut arm, &mut run);
+    let outcome = run.finish();
+    (sink.counts, outcome)
 }
 
 /// Checks every tick but the first: only the controller's start may allocate.
@@ -90,9 +95,9 @@ fn no_tick_of_the_paper_suite_allocates() {
             continue;
         }
         let experiment = short(experiment, 0.5);
-        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-        let (counts, ending) = count(&experiment, &mut *controller, None);
-        assert_eq!(ending, Ending::Completed, "{name}");
+        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, controller, None);
+        assert_eq!(ending, RunOutcome::Completed, "{name}");
         check(&counts, &name);
         seen.push(name);
     }
@@ -104,28 +109,28 @@ fn no_tick_of_the_paper_suite_allocates() {
 fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
     for choice in [osc("a-med"), torque("a-med")] {
         let experiment = short(&load("compliant-x", choice, &[]), 1.0);
-        let mut nan = torques(|data, measurement, tau| {
+        let nan = Box::new(torques(|data, measurement, tau| {
             let broken = if measurement.time_s > 0.3 { f64::NAN } else { 0.0 };
             tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + broken);
-        });
-        let (counts, ending) = count(&experiment, &mut nan, None);
-        assert!(matches!(ending, Ending::Faulted { .. }), "{ending:?}");
+        }));
+        let (counts, ending) = count(&experiment, nan, None);
+        assert!(matches!(ending, RunOutcome::Faulted { .. }), "{ending:?}");
         check(&counts, "a fault");
         assert!(counts.last().is_some_and(|(phase, _)| *phase == 2.0), "the stop was seen");
 
-        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-        let (counts, ending) = count(&experiment, &mut *controller, Some(500));
-        assert!(matches!(ending, Ending::Interrupted { .. }), "{ending:?}");
+        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, controller, Some(500));
+        assert!(matches!(ending, RunOutcome::Interrupted { .. }), "{ending:?}");
         check(&counts, "an interrupt");
         assert!(counts.len() > 500, "the stop was seen");
     }
     let experiment = short(&load("compliant-x", osc("a-med"), &[]), 1.0);
-    let mut jump = positions(|_, measurement, q| {
+    let jump = Box::new(positions(|_, measurement, q| {
         let far = if measurement.time_s > 0.3 { 1.0 } else { 0.0 };
         q.iter_mut().zip(&measurement.q).for_each(|(q, measured)| *q = measured + far);
-    });
-    let (counts, ending) = count(&experiment, &mut jump, None);
-    assert!(matches!(ending, Ending::Faulted { .. }), "{ending:?}");
+    }));
+    let (counts, ending) = count(&experiment, jump, None);
+    assert!(matches!(ending, RunOutcome::Faulted { .. }), "{ending:?}");
     check(&counts, "a jump");
 }
 
@@ -142,9 +147,9 @@ fn no_tick_of_a_run_with_missed_cycles_allocates() {
         ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
     ] {
         let experiment = short(&load(task, choice, &settings), 3.0);
-        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-        let (counts, ending) = count(&experiment, &mut *controller, None);
-        assert!(matches!(ending, Ending::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
+        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, controller, None);
+        assert!(matches!(ending, RunOutcome::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
         let phase = |phase: Phase| counts.iter().filter(|(p, _)| *p == phase.code()).count();
         assert!(phase(Phase::Held) > 9 && phase(Phase::Resuming) > 30, "{task}: it was held, and resumed");
         // After the ramp it is in control again: no start, which alone may allocate.
@@ -183,9 +188,9 @@ fn no_tick_of_any_transformer_allocates() {
             continue;
         }
         let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);
-        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-        let (counts, ending) = count(&experiment, &mut *controller, None);
-        assert_eq!(ending, Ending::Completed, "{transformer:?}");
+        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let (counts, ending) = count(&experiment, controller, None);
+        assert_eq!(ending, RunOutcome::Completed, "{transformer:?}");
         check(&counts, transformer.name());
     }
 }

@@ -83,7 +83,9 @@ fn bad_arguments_end_with_2_and_a_tip() {
     opspace(folder.path(), &[]).exits(2);
     opspace(folder.path(), &["runn"]).exits(2).says(&["'run'"]);
     opspace(folder.path(), &["run"]).exits(2).says(&["<TASK>"]);
-    opspace(folder.path(), &["run", &task, "--backend", "torq"]).exits(2).says(&["position, torque"]);
+    opspace(folder.path(), &["run", &task, "--backend", "torq"])
+        .exits(2)
+        .says(&["position, velocity, torque"]);
     for seconds in ["0", "-1", "nan", "inf", "abc"] {
         opspace(folder.path(), &["run", &task, "--duration-s", seconds]).exits(2).says(&["seconds above 0"]);
     }

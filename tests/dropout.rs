@@ -8,7 +8,7 @@ use common::{Run, ik, load, osc, run, torque};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{Choice, ControllerKind, Experiment};
 use opspace_log::Recording;
-use opspace_loop::{Ending, Fault, Phase};
+use opspace_loop::{Fault, Phase, RunOutcome};
 use opspace_transformer::TransformerKind;
 
 /// When the bus is dead, s.
@@ -58,7 +58,7 @@ fn a_dropout_is_held_and_left_without_a_jump() {
         let good = run(&tracking(osc(profile), "emulation+current", &[]));
         let experiment = tracking(osc(profile), "emulation+current", &[DROPOUT]);
         let run = run(&experiment);
-        assert_eq!(run.ending, Ending::Completed, "{profile}");
+        assert_eq!(run.ending, RunOutcome::Completed, "{profile}");
         let period_s = experiment.profile().1.period_s();
         let missed: f64 = run.signal("tick", "missed_cycles").rows().map(|row| row[0]).sum();
         assert!((missed * period_s - 0.3).abs() < 1.5 * period_s, "{profile}: {missed} cycles");
@@ -118,10 +118,10 @@ fn other_controllers_go_on_without_a_jump_too() {
         let choice = Choice { duration_s: Some(5.0), ..choice };
         let good = run(&load(task, choice.clone(), &[]));
         let run = run(&load(task, choice.clone(), &[DROPOUT]));
-        assert_eq!(run.ending, Ending::Completed, "{task} {choice:?}");
+        assert_eq!(run.ending, RunOutcome::Completed, "{task} {choice:?}");
         let resumed_s = ticks(&run, Phase::Resuming).1;
         // Set-points move no faster than they do all the while, and the arm hardly more.
-        for (channel, signal) in [("tick", "set_point_speed"), ("truth", "dq")] {
+        for (channel, signal) in [("tick", "setpoint_speed"), ("truth", "dq")] {
             let [after, usual] =
                 [(&run, resumed_s), (&good, 0.5)].map(|(run, t)| largest(run, channel, signal, t, 5.0));
             assert!(after < 1.3 * usual, "{task} {choice:?}: {signal} of {after} for {usual} rad/s");
@@ -141,7 +141,7 @@ fn a_torque_robot_is_braked_before_it_goes_on() {
         &["robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.05 }]"],
     );
     let run = run(&experiment);
-    assert_eq!(run.ending, Ending::Completed);
+    assert_eq!(run.ending, RunOutcome::Completed);
     let (held, _) = ticks(&run, Phase::Held);
     assert!(held >= 50, "{held} ticks");
     let after = tracking_rms(&experiment, &run.recording, 4.6);
@@ -155,7 +155,7 @@ fn lost_cycles_are_bridged() {
         let lost = "robot.simulated.bus.lost_cycles_share=0.01";
         let experiment = tracking(osc(profile), "emulation+current", &[lost]);
         let run = run(&experiment);
-        assert_eq!(run.ending, Ending::Completed, "{profile}");
+        assert_eq!(run.ending, RunOutcome::Completed, "{profile}");
         let missed: f64 = run.signal("tick", "missed_cycles").rows().map(|row| row[0]).sum();
         assert!(missed > 3.0, "{profile}: {missed} cycles");
         assert_eq!(ticks(&run, Phase::Held).0, 0, "{profile}: none of them in a row of four");
@@ -169,7 +169,7 @@ fn lost_cycles_are_bridged() {
 fn a_bus_that_is_dead_for_too_long_stops_the_run() {
     let dead = "robot.simulated.bus.dropouts=[{ at_s = 2.0, duration_s = 1.2 }]";
     let run = run(&tracking(osc("a-med"), "emulation+current", &[dead]));
-    let Ending::Faulted { fault: Fault::Dropout { silent_s, .. }, .. } = run.ending else {
+    let RunOutcome::Faulted { fault: Fault::Dropout { silent_s, .. }, .. } = &run.ending else {
         panic!("{:?}", run.ending)
     };
     assert!((silent_s - 1.2).abs() < 2e-3, "{silent_s} s");
@@ -185,8 +185,8 @@ fn a_bus_that_is_dead_for_too_long_stops_the_run() {
 fn a_servo_that_runs_away_is_caught_by_its_power() {
     for profile in ["a-med", "b-soft"] {
         let run = run(&tracking(osc(profile), "paper", &["robot.simulated.scale.kp=1.3"]));
-        let Ending::Faulted { fault, time_s } = run.ending else { panic!("{:?}", run.ending) };
-        assert!(matches!(fault, Fault::SurplusPower { .. }), "{profile}: {fault:?}");
+        let RunOutcome::Faulted { fault, time_s } = &run.ending else { panic!("{:?}", run.ending) };
+        assert!(matches!(fault, Fault::ExcessPower { .. }), "{profile}: {fault:?}");
         let speed = largest(&run, "truth", "dq", 0.0, 10.0);
         assert!(speed < 8.0, "{profile}: {speed} rad/s at {time_s} s");
         let left = largest(&run, "truth", "dq", time_s + 0.19, 10.0);

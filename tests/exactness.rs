@@ -6,7 +6,7 @@ mod common;
 use common::{Run, experiment, ideal, load, osc, robot, run, task};
 use nalgebra::{Matrix2, Vector2};
 use opspace_experiment::{Choice, Experiment};
-use opspace_loop::Ending;
+use opspace_loop::RunOutcome;
 use opspace_transformer::{CascadedServo, ProfileParameters, ServoParameters};
 use std::f64::consts::TAU;
 
@@ -48,7 +48,7 @@ fn largest_error(run: &Run) -> f64 {
 fn set_points_at_servo_rate_give_the_desired_torques_to_rounding() {
     for (profile, duration_s) in [("a-med", 2.5), ("b-soft", 8.0)] {
         let run = run(&exact(profile, duration_s, &[format!("robot.profile.{profile}.ratio=1")]));
-        assert_eq!(run.ending, Ending::Completed);
+        assert_eq!(run.ending, RunOutcome::Completed);
         let compared = run.signal("servo", "torque_desired").rows().filter(|d| d[0].is_finite()).count();
         let servo_hz = if profile == "a-med" { 5000.0 } else { 1000.0 };
         assert!(compared as f64 >= duration_s * servo_hz - 2.0, "{profile}: only {compared} servo ticks");
@@ -146,7 +146,7 @@ fn the_held_set_point_is_the_damping_and_inertia_that_timing_predicts() {
         let choice = Choice { duration_s: Some(6.0), ..osc(name) };
         let experiment = experiment(robot, task("joint-tracking", &[]), choice);
         let run = run(&experiment);
-        assert_eq!(run.ending, Ending::Completed);
+        assert_eq!(run.ending, RunOutcome::Completed);
         let profile = experiment.profile().1;
         for (j, joint) in experiment.robot().model.joints().iter().enumerate() {
             let (b, m) = artefacts(profile, &joint.name);

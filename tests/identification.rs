@@ -1,9 +1,9 @@
 //! A joint of the simulated arm identified through its interface, against the parameters that the simulation runs with.
 
+use opspace_experiment::Progress;
 use opspace_experiment::identify::{Identified, Identifying, Request};
-use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{Files, Robot, Source};
-use opspace_loop::identification::{Plan, TorqueScale};
+use opspace_identify::{ExcitationPlan, TorqueScale};
 use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm";
@@ -11,7 +11,7 @@ const ROBOT: &str = "robots/asimo-arm";
 fn identified_of(robot: Robot, request: Request) -> Identified {
     let identifying = Identifying::new(robot, request).unwrap_or_else(|e| panic!("{e}"));
     let mut arm = identifying.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
-    identifying.run(&mut arm, &Watch::default(), |_| {}).unwrap_or_else(|e| panic!("{e}"))
+    identifying.run(&mut arm, &Progress::default(), |_| {}).unwrap_or_else(|e| panic!("{e}"))
 }
 
 fn robot(settings: &[&str]) -> Robot {
@@ -24,7 +24,7 @@ fn short(profile: &str) -> Request {
     Request {
         profile: Some(profile.to_owned()),
         joint: Some("elbow".to_owned()),
-        plan: Plan { period_s: 1.0, realisations: 1, speeds: 5, ..Plan::default() },
+        plan: ExcitationPlan { period_s: 1.0, realisations: 1, speeds: 5, ..ExcitationPlan::default() },
         ..Request::default()
     }
 }

@@ -95,7 +95,7 @@ fn recorded_again(recording: &Recording, to: PathBuf, change: impl Fn(&mut Chann
         let mut channel = channel.clone();
         change(&mut channel);
         for k in 0..channel.len() {
-            recorder.wait_for_room();
+            recorder.wait_for_space();
             recorder.push(index, channel.time_s[k], channel.row(k));
         }
     }

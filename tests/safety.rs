@@ -7,11 +7,12 @@ mod common;
 
 use common::{Run, experiment, ik, load, osc, positions, robot, run, run_with, task, torque, torques};
 use nalgebra::DVector;
+use opspace_backend::CommandKind;
 use opspace_backend::quantity::NonNegative;
 use opspace_experiment::{Choice, ControllerKind, Experiment, Robot, Source};
-use opspace_loop::{Ending, Fault};
+use opspace_loop::{ControlLoop, Fault, LoopConfig, LoopError, RunOutcome};
 use opspace_model::{Data, Model, kinematics, potential_energy};
-use opspace_sim::SurroundingParameters;
+use opspace_sim::EnvironmentObjectParameters;
 
 const START: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
 const STOPPED: f64 = 2.0;
@@ -88,10 +89,10 @@ fn a_start_is_from_holding_still_without_a_jump() {
 fn torque_comes_in_over_the_ramp() {
     for choice in [osc("a-med"), torque("a-med")] {
         let experiment = lasting(0.25, &still(choice));
-        let mut controller = torques(|data, _, tau| {
+        let controller = Box::new(torques(|data, _, tau| {
             tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + 5.0);
-        });
-        let run = run_with(&experiment, &mut controller, None);
+        }));
+        let run = run_with(&experiment, controller, None);
         let (command, desired) = (run.signal("tick", "command"), run.signal("tick", "torque_desired"));
         let begin = first(&run);
         let mut shares = Vec::new();
@@ -112,17 +113,17 @@ fn torque_comes_in_over_the_ramp() {
 
 /// Checks that a run was stopped for a cause, says so in its log, and left the arm at rest.
 fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
-    let Ending::Faulted { fault, time_s } = run.ending else { panic!("{name}: {:?}", run.ending) };
+    let RunOutcome::Faulted { fault, time_s } = &run.ending else { panic!("{name}: {:?}", run.ending) };
     let (phase, code) = (run.signal("tick", "phase"), run.signal("tick", "fault"));
     let found = code.rows().position(|c| c[0] != 0.0).expect("the fault is in the log");
     let logged_s = run.channel("tick").time_s[found];
-    assert!((logged_s - time_s).abs() < 2e-3, "{name}: at {time_s} s, logged at {logged_s} s");
+    assert!((logged_s - *time_s).abs() < 2e-3, "{name}: at {time_s} s, logged at {logged_s} s");
     assert!((found..code.len()).all(|k| code.row(k)[0] == f64::from(fault.code())), "{name}: latched");
     assert!((found + 1..phase.len()).all(|k| phase.row(k)[0] == STOPPED), "{name}: stopped");
     at_rest(experiment, run, name);
     let text = fault.describe(&experiment.robot().model);
     assert!(!text.contains("joint 0") && !text.contains("joint 3"), "named by name: {text}");
-    fault
+    fault.clone()
 }
 
 /// Checks that the log goes on for 0.2 s after the stop, at the end of which nothing moves any more, and that
@@ -153,11 +154,11 @@ fn a_joint_limit_stops_the_arm() {
         let still = lasting(3.0, &still(choice));
         let experiment = experiment(robot, still.task().clone(), still.choice().clone());
         // Opens the elbow, damped to 1.5 rad/s, until it meets its limit of 0.
-        let mut controller = torques(|data, measurement, tau| {
+        let controller = Box::new(torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[3] += 12.0 - 6.0 * measurement.dq[3];
-        });
-        let run = run_with(&experiment, &mut controller, None);
+        }));
+        let run = run_with(&experiment, controller, None);
         let fault = check_stop(&experiment, &run, "joint limit");
         assert!(matches!(fault, Fault::JointLimit { joint: 3, .. }), "{fault:?}");
         assert!(fault.describe(&experiment.robot().model).contains("'elbow'"));
@@ -176,11 +177,11 @@ fn too_much_speed_stops_the_arm() {
     for choice in [osc("a-med"), osc("b-soft"), torque("a-med"), torque("b-soft")] {
         let still = still(choice);
         let experiment = experiment(slow_robot(1.0), still.task().clone(), still.choice().clone());
-        let mut controller = torques(|data, _, tau| {
+        let controller = Box::new(torques(|data, _, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[0] -= 15.0;
-        });
-        let run = run_with(&experiment, &mut controller, None);
+        }));
+        let run = run_with(&experiment, controller, None);
         let fault = check_stop(&experiment, &run, "speed");
         let Fault::Speed { joint: 0, dq, limit } = fault else { panic!("{fault:?}") };
         assert!(limit == 1.0 && dq.abs() > 1.0 && dq.abs() < 1.5, "caught at once: {dq} rad/s");
@@ -190,11 +191,11 @@ fn too_much_speed_stops_the_arm() {
 #[test]
 fn a_set_point_that_jumps_is_refused() {
     let experiment = still(osc("a-med"));
-    let mut controller = positions(|_, measurement, q| {
+    let controller = Box::new(positions(|_, measurement, q| {
         q.copy_from_slice(&START);
         q[3] += if measurement.time_s > 0.3 { 1.0 } else { 0.0 };
-    });
-    let run = run_with(&experiment, &mut controller, None);
+    }));
+    let run = run_with(&experiment, controller, None);
     let fault = check_stop(&experiment, &run, "jump");
     assert!(matches!(fault, Fault::FollowingError { joint: 3, .. }), "{fault:?}");
     let moved = run.signal("truth", "q").rows().map(|q| (q[3] - START[3]).abs()).fold(0.0, f64::max);
@@ -207,7 +208,7 @@ fn an_arm_that_something_blocks_is_stopped() {
     let mut task = task("gravity-compensation", &["settle_s=0"]);
     task.file.surroundings.clear();
     // The hand stands at z = -0.157 m; the shoulder swings it up against a ceiling.
-    let wall: SurroundingParameters = serde_json::from_str(
+    let wall: EnvironmentObjectParameters = serde_json::from_str(
         r#"{ "wall": { "frame": "hand", "point_m": [0.0, 0.0, -0.12], "normal": [0.0, 0.0, -1.0],
              "stiffness_n_per_m": 50000.0, "damping_ns_per_m": 100.0 } }"#,
     )
@@ -215,11 +216,11 @@ fn an_arm_that_something_blocks_is_stopped() {
     task.file.surroundings.insert("wall".to_owned(), wall);
     let still = lasting(3.0, &still);
     let experiment = experiment(still.robot().clone(), task, still.choice().clone());
-    let mut controller = positions(|_, measurement, q| {
+    let controller = Box::new(positions(|_, measurement, q| {
         q.copy_from_slice(&START);
         q[0] -= 0.3 * (measurement.time_s - 0.2).max(0.0);
-    });
-    let run = run_with(&experiment, &mut controller, None);
+    }));
+    let run = run_with(&experiment, controller, None);
     let fault = check_stop(&experiment, &run, "blocked");
     let Fault::FollowingError { joint: 0, error, limit } = fault else { panic!("{fault:?}") };
     assert!(error > limit && error < 1.05 * limit, "caught at once: {error} of {limit} rad");
@@ -231,14 +232,14 @@ fn an_arm_that_something_blocks_is_stopped() {
 fn a_command_that_is_no_number_stops_a_moving_arm() {
     for choice in [osc("a-med"), osc("b-soft"), torque("a-med")] {
         let experiment = still(choice);
-        let mut controller = torques(|data, measurement, tau| {
+        let controller = Box::new(torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[0] -= 12.0;
             if measurement.time_s > 0.5 {
                 tau[2] = f64::NAN;
             }
-        });
-        let run = run_with(&experiment, &mut controller, None);
+        }));
+        let run = run_with(&experiment, controller, None);
         let fault = check_stop(&experiment, &run, "not a number");
         assert_eq!(fault, Fault::CommandNotFinite { joint: 2 });
         let k = run.signal("tick", "phase").rows().position(|p| p[0] == STOPPED).expect("stopped");
@@ -252,9 +253,11 @@ fn a_command_that_is_no_number_stops_a_moving_arm() {
 #[test]
 fn a_torque_robot_refuses_positions_by_name() {
     let experiment = still(torque("a-med"));
-    let mut controller = positions(|_, _, q| q.copy_from_slice(&START));
-    let run = run_with(&experiment, &mut controller, None);
-    assert_eq!(check_stop(&experiment, &run, "positions"), Fault::WrongCommand);
+    let controller = Box::new(positions(|_, _, q| q.copy_from_slice(&START)));
+    let config = experiment.loop_config().unwrap_or_else(|e| panic!("{e}"));
+    let refused = ControlLoop::new(LoopConfig { controller, ..config }).err();
+    let (gives, takes) = (CommandKind::Position, CommandKind::Torque);
+    assert_eq!(refused, Some(LoopError::Kind { part: "controller", gives, takes }));
     let text = Experiment::new(
         experiment.robot().clone(),
         experiment.task().clone(),
@@ -280,11 +283,12 @@ fn an_interrupt_stops_a_moving_arm() {
         let period_s = experiment.profile().1.period_s();
         // In the middle of a stroke, after an even or an odd number of commands.
         let ticks = ((rest_s + 2.25) / period_s).round() as u64 + extra;
-        let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-        let run = run_with(&experiment, &mut *controller, Some(ticks));
-        let Ending::Interrupted { time_s } = run.ending else { panic!("{:?}", run.ending) };
-        let expected_s = 2.25 + (extra as f64 - 1.0) * period_s;
-        assert!((time_s - expected_s).abs() < 1e-9, "at once: {time_s} s");
+        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let run = run_with(&experiment, controller, Some(ticks));
+        let RunOutcome::Interrupted { time_s } = &run.ending else { panic!("{:?}", run.ending) };
+        // The request comes after a cycle's command was written: the next cycle is the last.
+        let expected_s = 2.25 + extra as f64 * period_s;
+        assert!((time_s - expected_s).abs() < 1e-9, "in the next cycle: {time_s} s");
         assert!(run.signal("tick", "fault").rows().all(|f| f[0] == 0.0), "no fault");
         // The last command of all is the stop, which asks for no torque.
         let asked = run.signal("servo", "torque_desired");

@@ -2,14 +2,13 @@
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
-use opspace_backend::Sink;
-use opspace_backend::{CommandKind, Layout, Observable, Row, Signal};
+use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, Row, Signal, Sink};
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files, Metrics, Robot, Task};
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
-use opspace_loop::{Backend, Ending};
+use opspace_loop::{ControlLoop, LoopConfig, Run as LoopRun, RunOutcome};
 use opspace_model::Data;
 use opspace_transformer::TransformerKind;
 use std::path::Path;
@@ -69,7 +68,7 @@ pub fn ideal(mut robot: Robot) -> Robot {
 
 /// How a run ended, and its rows.
 pub struct Run {
-    pub ending: Ending,
+    pub ending: RunOutcome,
     pub recording: Recording,
 }
 
@@ -119,39 +118,39 @@ impl Sink for Flagged<'_> {
 
 /// Runs an experiment with its own controller.
 pub fn run(experiment: &Experiment) -> Run {
-    let mut controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-    run_with(experiment, &mut *controller, None)
+    let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+    run_with(experiment, controller, None)
 }
 
 /// Runs an experiment and says how well it went.
 pub fn measure(experiment: &Experiment) -> Metrics {
     let run = run(experiment);
-    assert_eq!(run.ending, Ending::Completed, "{}", experiment.task().name());
+    assert_eq!(run.ending, RunOutcome::Completed, "{}", experiment.task().name());
     metrics(experiment, &run.recording)
 }
 
-/// Runs any controller on the robot of an experiment, interrupted after some ticks.
+/// Runs any controller on the simulated robot of an experiment, interrupted after some ticks.
 pub fn run_with(
     experiment: &Experiment,
-    controller: &mut dyn Controller,
+    controller: Box<dyn Controller>,
     interrupt_after: Option<u64>,
 ) -> Run {
-    let mut backend = experiment.simulated_backend().unwrap_or_else(|e| panic!("{e}"));
-    drive(experiment, &mut *backend, controller, interrupt_after)
+    let mut arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
+    let control = control_loop(experiment, controller);
+    let truth = arm.ground_truth().map(GroundTruth::layouts);
+    let mut memory = Memory { interrupt_after, ..Memory::new(LoopRun::layouts(&control, truth)) };
+    let interrupt = AtomicBool::new(false);
+    let mut flagged = Flagged(&mut memory, &interrupt);
+    let mut run = LoopRun::new(control, experiment.duration_s(), &mut flagged).with_stop_request(&interrupt);
+    opspace_loop::drive(&mut arm, &mut run);
+    let ending = run.finish();
+    Run { ending, recording: memory.recording }
 }
 
-/// Runs any controller on any backend.
-pub fn drive(
-    experiment: &Experiment,
-    backend: &mut dyn Backend,
-    controller: &mut dyn Controller,
-    interrupt_after: Option<u64>,
-) -> Run {
-    let mut control = experiment.control_loop(backend, controller);
-    let mut memory = Memory { interrupt_after, ..Memory::new(control.layouts()) };
-    let interrupt = AtomicBool::new(false);
-    let ending = control.run(experiment.duration_s(), &interrupt, &mut Flagged(&mut memory, &interrupt));
-    Run { ending, recording: memory.recording }
+/// The control loop of an experiment with another controller.
+pub fn control_loop(experiment: &Experiment, controller: Box<dyn Controller>) -> ControlLoop {
+    let config = experiment.loop_config().unwrap_or_else(|e| panic!("{e}"));
+    ControlLoop::new(LoopConfig { controller, ..config }).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// A controller made of a function of the measurement: what a test needs the robot to be told.

@@ -1,23 +1,153 @@
-//! Properties that a robot declares of its interface.
+//! Properties that a robot declares of itself and its interface.
 
+use crate::command::CommandKind;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 #[cfg(feature = "schema")]
 use serde::Deserialize;
 
-/// What the drive does with a set-point until the next one comes.
+/// Properties of a robot and its interface. Compared with robot.toml before a run; a contradiction is an error that
+/// names both.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Capabilities {
+    /// Joint names, in the order of every array (n).
+    pub joints: Vec<String>,
+    /// The kind of command for which the robot is opened.
+    pub command: CommandKind,
+    /// Time between two interface cycles, s.
+    pub period_s: f64,
+    /// Behaviour of the drives between two setpoints.
+    pub setpoints: Setpoints,
+    /// The part that compensates gravity.
+    pub gravity_compensated_by: GravityCompensation,
+    /// Behaviour of the drives where a command fails to come.
+    pub on_missed_cycle: MissedCycle,
+    /// Whether samples have joint velocities.
+    pub measures_velocity: bool,
+    /// Whether samples have motor torques.
+    pub measures_motor_torque: bool,
+    /// Whether samples have joint torques.
+    pub measures_joint_torque: bool,
+    /// Whether samples have a status.
+    pub reports_status: bool,
+    /// The force sensors, in the order of [`Sample::wrenches`](crate::Sample::wrenches).
+    pub force_sensors: Vec<ForceSensor>,
+    /// Whether brakes hold the robot when no controller commands it. Without them its servos do.
+    pub has_brakes: bool,
+    /// Whether the robot is a simulated one.
+    pub world: World,
+}
+
+impl Capabilities {
+    /// A real robot that measures joint positions only, holds its setpoints, and has its gravity compensated by the
+    /// controller. A torque robot has brakes.
+    #[must_use]
+    pub fn new<S: Into<String>>(
+        joints: impl IntoIterator<Item = S>,
+        command: CommandKind,
+        period_s: f64,
+    ) -> Self {
+        Self {
+            joints: joints.into_iter().map(Into::into).collect(),
+            command,
+            period_s,
+            setpoints: Setpoints::Held,
+            gravity_compensated_by: GravityCompensation::Controller,
+            on_missed_cycle: MissedCycle::of(command),
+            measures_velocity: false,
+            measures_motor_torque: false,
+            measures_joint_torque: false,
+            reports_status: false,
+            force_sensors: Vec::new(),
+            has_brakes: command == CommandKind::Torque,
+            world: World::Real,
+        }
+    }
+
+    /// The same with these quantities measured, besides positions.
+    #[must_use]
+    pub fn measuring(mut self, measured: &[Measured]) -> Self {
+        for quantity in measured {
+            match quantity {
+                Measured::Position => {}
+                Measured::Velocity => self.measures_velocity = true,
+                Measured::MotorCurrent => self.measures_motor_torque = true,
+                Measured::JointTorque => self.measures_joint_torque = true,
+            }
+        }
+        self
+    }
+
+    /// The same with another force sensor.
+    #[must_use]
+    pub fn with_force_sensor(mut self, name: impl Into<String>, frame: impl Into<String>) -> Self {
+        self.force_sensors.push(ForceSensor { name: name.into(), frame: frame.into() });
+        self
+    }
+
+    /// The same with these setpoints.
+    #[must_use]
+    pub fn with_setpoints(self, setpoints: Setpoints) -> Self {
+        Self { setpoints, ..self }
+    }
+
+    /// The same with gravity compensated by that part.
+    #[must_use]
+    pub fn with_gravity_compensated_by(self, gravity_compensated_by: GravityCompensation) -> Self {
+        Self { gravity_compensated_by, ..self }
+    }
+
+    /// The same with or without brakes.
+    #[must_use]
+    pub fn with_brakes(self, has_brakes: bool) -> Self {
+        Self { has_brakes, ..self }
+    }
+
+    /// The same with a status in each sample.
+    #[must_use]
+    pub fn with_status(self) -> Self {
+        Self { reports_status: true, ..self }
+    }
+
+    /// The same as a simulated robot.
+    #[must_use]
+    pub fn simulated(self) -> Self {
+        Self { world: World::Simulated, ..self }
+    }
+}
+
+/// A force sensor: its axes are those of the frame, its reading is about the frame's origin.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ForceSensor {
+    /// Its name in robot.toml.
+    pub name: String,
+    /// The name of its frame in the URDF.
+    pub frame: String,
+}
+
+/// Where a robot is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum World {
+    /// In a simulation or a log.
+    Simulated,
+    /// Real: options that exist for comparison only are refused, and a run starts where the robot is.
+    Real,
+}
+
+/// Behaviour of the drives between two setpoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
 pub enum Setpoints {
-    /// It holds it.
+    /// A setpoint is held until the next one.
     Held,
-    /// It goes to it from the one before, a step at each servo tick, and is there when the next one acts.
+    /// A setpoint is approached in equal steps, one at each servo tick, and reached when the next one acts.
     Interpolated,
 }
 
 impl Setpoints {
-    /// What a drive takes for its set-point `age` servo ticks after `new` came in force, `before` until then; at `ratio`
-    /// servo ticks per interface tick.
+    /// The setpoint that a drive uses `age` servo ticks after `new` came in force, `before` until then, at `ratio`
+    /// servo ticks per interface cycle.
     #[must_use]
     pub fn at(self, before: f64, new: f64, age: u32, ratio: u32) -> f64 {
         match self {
@@ -29,30 +159,47 @@ impl Setpoints {
     }
 }
 
-/// What the drive does when no set-point comes in time.
+/// Behaviour of the drives where a command fails to come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
 pub enum MissedCycle {
-    /// It holds the last one: a position robot comes to a stop there.
+    /// The last setpoint stays in force: a position robot comes to a stop there, a velocity robot keeps its velocity.
     HoldLast,
+    /// The last torque stays in force.
+    HoldTorque,
 }
 
-/// Who carries the robot's weight.
+impl MissedCycle {
+    /// The behaviour of robots that take such commands.
+    #[must_use]
+    pub fn of(command: CommandKind) -> Self {
+        match command {
+            CommandKind::Position | CommandKind::Velocity => Self::HoldLast,
+            CommandKind::Torque => Self::HoldTorque,
+        }
+    }
+}
+
+/// The part that compensates gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
-pub enum GravityBy {
-    /// The commanded torque must.
+pub enum GravityCompensation {
+    /// The controller: its torques include gravity.
     Controller,
-    /// The robot adds it to whatever it is commanded.
+    /// The robot: it adds gravity's torque to every command.
     Robot,
 }
 
-/// A quantity that the robot measures.
+/// A quantity that a robot measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
 pub enum Measured {
     /// Joint positions.
     Position,
+    /// Joint velocities.
+    Velocity,
     /// Motor current, given as torque at the joint.
     MotorCurrent,
+    /// Torques at the joints.
+    JointTorque,
 }

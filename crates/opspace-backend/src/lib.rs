@@ -1,19 +1,73 @@
 //! The contract between opspace and a robot.
 //!
-//! This crate has no dependencies, so that a driver needs nothing else of opspace. The feature `schema` adds
+//! A driver implements [`Backend`] and depends on this crate alone, which has no dependencies. The feature `schema` adds
 //! serde and schemars to the quantities and enums that stand in files.
+//!
+//! ```
+//! use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
+//!
+//! /// One joint that follows its position setpoint at once.
+//! struct Joint {
+//!     capabilities: Capabilities,
+//!     time_s: f64,
+//!     q: f64,
+//! }
+//!
+//! impl Backend for Joint {
+//!     fn capabilities(&self) -> &Capabilities {
+//!         &self.capabilities
+//!     }
+//!
+//!     fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+//!         self.time_s += self.capabilities.period_s;
+//!         sample.time_s = self.time_s;
+//!         sample.q[0] = self.q;
+//!         Ok(())
+//!     }
+//!
+//!     fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
+//!         match command {
+//!             Command::Position(q) => self.q = q[0],
+//!             Command::Hold => {}
+//!             _ => return Err(DeviceFault::new(1, "this joint takes positions only")),
+//!         }
+//!         Ok(())
+//!     }
+//!
+//!     fn stop(&mut self) {}
+//! }
+//!
+//! let capabilities = Capabilities::new(["elbow"], CommandKind::Position, 1e-3);
+//! let mut joint = Joint { capabilities, time_s: 0.0, q: 0.3 };
+//! let mut sample = Sample::new(joint.capabilities());
+//! joint.read(&mut sample)?;
+//! joint.write(Command::Position(&[sample.q[0] + 0.1]))?;
+//! joint.read(&mut sample)?;
+//! assert_eq!((sample.time_s, sample.q[0]), (2e-3, 0.4));
+//! # Ok::<(), DeviceFault>(())
+//! ```
 
 #![forbid(unsafe_code)]
 
+pub mod backend;
 pub mod capabilities;
 pub mod command;
+pub mod driver;
+pub mod fault;
+pub mod ground_truth;
 pub mod quantity;
 pub mod sample;
 pub mod signal;
 pub mod sink;
 
-pub use capabilities::{GravityBy, Measured, MissedCycle, Setpoints};
-pub use command::CommandKind;
-pub use sample::Sample;
+pub use backend::Backend;
+pub use capabilities::{
+    Capabilities, ForceSensor, GravityCompensation, Measured, MissedCycle, Setpoints, World,
+};
+pub use command::{Command, CommandKind};
+pub use driver::{Driver, DriverError, Setting, Settings};
+pub use fault::DeviceFault;
+pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};
+pub use sample::{Sample, Status};
 pub use signal::{Layout, Observable, Row, Signal};
-pub use sink::{SERVO, Sink, TICK, TRUTH};
+pub use sink::{DEVICE_FAILED, EXTERNAL, SERVO, STOP_REQUESTED, Sink, TICK, TICK_TIME, TRUTH};

@@ -1,28 +1,85 @@
 //! The measurements of one interface cycle.
 
-/// Raw measurements of a robot at one interface cycle, in the order of its joints and force sensors.
+use crate::capabilities::Capabilities;
+
+/// Raw measurements of a robot at one interface cycle. Joints and force sensors are in the order of the robot's
+/// [`Capabilities`]; an optional quantity is there in every sample or in none.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Sample {
-    /// The robot's monotonic clock, s.
+    /// The robot's own monotonic clock, s. It may start anywhere.
     pub time_s: f64,
     /// Joint positions, rad or m (n).
     pub q: Vec<f64>,
-    /// Mean motor torques since the last sample, Nm or N (n); `None` if the robot does not measure them.
+    /// Joint velocities, rad/s or m/s (n).
+    pub dq: Option<Vec<f64>>,
+    /// Motor torques at the joints (motor current times torque constant), Nm or N (n): the mean since the last sample,
+    /// without gravity that the robot adds by itself.
     pub motor_torque: Option<Vec<f64>>,
-    /// Force sensor readings, raw, in each sensor's axes, ON the robot: fx, fy, fz (N), mx, my, mz (Nm).
+    /// Torques measured at the joints, Nm or N (n).
+    pub joint_torque: Option<Vec<f64>>,
+    /// Readings of the force sensors, raw, in each sensor's axes, ON the robot: fx, fy, fz (N), mx, my, mz (Nm).
     pub wrenches: Vec<[f64; 6]>,
+    /// What the robot says of itself.
+    pub status: Option<Status>,
+}
+
+/// What a robot says of itself in a sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Status {
+    /// The device's own status word.
+    pub word: u32,
+    /// Whether the device changed the last command to keep limits of its own.
+    pub command_limited: bool,
+}
+
+impl Status {
+    /// A status.
+    #[must_use]
+    pub fn new(word: u32, command_limited: bool) -> Self {
+        Self { word, command_limited }
+    }
 }
 
 impl Sample {
-    /// A sample of zeros for `n` joints and `sensors` force sensors.
+    /// A sample of zeros, with room for everything that the robot declares to measure.
     #[must_use]
-    pub fn new(n: usize, motor_torque: bool, sensors: usize) -> Self {
+    pub fn new(capabilities: &Capabilities) -> Self {
+        let n = capabilities.joints.len();
+        let zeros = |measured: bool| measured.then(|| vec![0.0; n]);
         Self {
             time_s: 0.0,
             q: vec![0.0; n],
-            motor_torque: motor_torque.then(|| vec![0.0; n]),
-            wrenches: vec![[0.0; 6]; sensors],
+            dq: zeros(capabilities.measures_velocity),
+            motor_torque: zeros(capabilities.measures_motor_torque),
+            joint_torque: zeros(capabilities.measures_joint_torque),
+            wrenches: vec![[0.0; 6]; capabilities.force_sensors.len()],
+            status: capabilities.reports_status.then(Status::default),
+        }
+    }
+
+    /// Copies what this sample has room for from another sample of the same robot. A quantity that the other lacks becomes
+    /// NaN. Allocates nothing.
+    ///
+    /// # Panics
+    /// If an array has another length.
+    pub fn copy_from(&mut self, other: &Self) {
+        fn copy(to: &mut Option<Vec<f64>>, from: &Option<Vec<f64>>) {
+            match (to, from) {
+                (Some(to), Some(from)) => to.copy_from_slice(from),
+                (Some(to), None) => to.fill(f64::NAN),
+                (None, _) => {}
+            }
+        }
+        self.time_s = other.time_s;
+        self.q.copy_from_slice(&other.q);
+        copy(&mut self.dq, &other.dq);
+        copy(&mut self.motor_torque, &other.motor_torque);
+        copy(&mut self.joint_torque, &other.joint_torque);
+        self.wrenches.copy_from_slice(&other.wrenches);
+        if let (Some(to), Some(from)) = (&mut self.status, other.status) {
+            *to = from;
         }
     }
 }

@@ -180,6 +180,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 
+    /// Simulate a robot whose file names a driver.
+    #[arg(long)]
+    pub simulate: bool,
+
     #[command(flatten)]
     pub output: OutputArgs,
 }
@@ -347,6 +351,8 @@ pub enum SchemaKind {
 pub enum BackendArg {
     /// It takes joint positions; torques go through the transformer.
     Position,
+    /// A velocity robot, through the transformer.
+    Velocity,
     /// It takes joint torques.
     Torque,
 }
@@ -365,6 +371,7 @@ impl From<BackendArg> for BackendKind {
     fn from(arg: BackendArg) -> Self {
         match arg {
             BackendArg::Position => Self::Position,
+            BackendArg::Velocity => Self::Velocity,
             BackendArg::Torque => Self::Torque,
         }
     }

@@ -1,12 +1,12 @@
 //! Ctrl-C asks for a safe stop.
 
-use opspace_experiment::run::execute::Watch;
+use opspace_experiment::Progress;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 /// A watch whose run stops safely when the user interrupts the program.
-pub fn watch() -> Arc<Watch> {
-    let watch = Arc::new(Watch::default());
+pub fn watch() -> Arc<Progress> {
+    let watch = Arc::new(Progress::default());
     let seen = Arc::clone(&watch);
     // Without the handler Ctrl-C ends the program at once; the log is readable up to then.
     let _ = ctrlc::set_handler(move || seen.interrupt.store(true, Ordering::Relaxed));

@@ -3,17 +3,12 @@
 use crate::cli::{JsonArgs, OutputArgs};
 use crate::console::{Console, Exit, Failure, print};
 use opspace_experiment::Source;
+pub use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_log::{LogError, Recording};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The log of a run.
-pub const LOG: &str = "run.mcap";
-/// The page of a run or a suite.
-pub const REPORT: &str = "report.html";
-/// The summary of a run.
-pub const SUMMARY: &str = "summary.json";
 /// The rows of a suite.
 pub const ROWS: &str = "bench.json";
 /// The numbers of an identification.

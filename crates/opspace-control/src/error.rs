@@ -12,8 +12,15 @@ pub struct ControlError {
 }
 
 impl ControlError {
-    pub(crate) fn new(key: impl Into<String>, reason: impl Into<Reason>) -> Self {
+    /// An error at a key, given from the root of the task file, as `task.hand.distance.frame`.
+    #[must_use]
+    pub fn new(key: impl Into<String>, reason: impl Into<Reason>) -> Self {
         Self { key: key.into(), reason: reason.into() }
+    }
+
+    /// An error about a number out of its range.
+    pub(crate) fn value(key: &str, message: String) -> Self {
+        Self::new(key, Reason::Value { message })
     }
 
     /// The same, with its key below another one.
@@ -204,6 +211,14 @@ pub enum Reason {
         /// What it would be.
         is: &'static str,
     },
+    /// A task whose streamed inputs are not those of the task of its name in another task set.
+    #[error(
+        "task '{name}' has other streamed inputs in another task set: give the new task a name of its own"
+    )]
+    InputsChanged {
+        /// The task.
+        name: String,
+    },
     /// A joint task that names no joint, or one twice.
     #[error(
         "`joints` must name at least one joint, and each only once: leave it out for a task of all joints"
@@ -243,6 +258,12 @@ pub enum Reason {
          cartesian or a joint-tracking task"
     )]
     NoMotion,
+    /// A number out of its range.
+    #[error("{message}")]
+    Value {
+        /// The range and the number.
+        message: String,
+    },
     /// A list that should have one number a joint.
     #[error("{given} numbers for {joints} joints")]
     JointCount {

@@ -1,8 +1,10 @@
 //! Strict priorities: tasks at their levels, and the freedom that each leaves.
 
-pub(crate) mod level;
 pub(crate) mod nullspace;
+pub(crate) mod priority_level;
 pub(crate) mod products;
 pub mod rank;
-pub mod stacks;
-pub mod task;
+pub(crate) mod task_hierarchy;
+pub mod task_parameters;
+pub(crate) mod task_schedule;
+pub mod task_set;

@@ -12,17 +12,19 @@
 //! singularities as the torque controller's is.
 
 use crate::context::ControlContext;
-use crate::controller::{ControlInput, Controller};
+use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::level::RowTask;
 use crate::hierarchy::products::{add_transposed, product};
-use crate::hierarchy::stacks::{PreparedStack, Shows, Stacks};
-use crate::hierarchy::task::{Levels, Stack};
-use crate::tasks::joint::JointTask;
+use crate::hierarchy::task_hierarchy::TaskHierarchy;
+use crate::hierarchy::task_parameters::TaskSetParameters;
+use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
+use crate::hierarchy::task_set::TaskSet;
+use crate::targets::Targets;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::{Observable, Row, Signal};
 use opspace_model::{Data, Model, gravity, kinematics};
+use std::fmt;
 
 /// How fast the error of a reference is worked off, 1/s.
 pub const ERROR_GAIN_PER_S: f64 = 20.0;
@@ -40,10 +42,9 @@ pub struct ServoLead {
 }
 
 /// References to joint positions.
-#[derive(Clone, Debug)]
 pub struct InverseKinematicsController {
-    stacks: Stacks,
-    robot: ControlContext,
+    schedule: TaskSchedule,
+    context: ControlContext,
     lead: Option<ServoLead>,
     /// Of the reference posture, with the identity in place of M's factor.
     data: Data,
@@ -56,20 +57,32 @@ pub struct InverseKinematicsController {
 }
 
 impl InverseKinematicsController {
-    /// The tasks of `stack` for a robot, with a lead against its servos' lag if one is given.
+    /// A controller of the tasks in a file, with a lead against the servos' lag if one is given.
     ///
     /// # Errors
-    /// As for the torque controller; a stack without a motion to follow; a lead of another length than
-    /// the number of joints.
+    /// As for the torque controller; tasks without a motion to follow; a lead of another length than the number of
+    /// joints.
     pub fn new(
         model: &Model,
-        stack: &Stack<'_>,
-        robot: &ControlContext,
+        parameters: &TaskSetParameters<'_>,
+        context: &ControlContext,
         lead: Option<ServoLead>,
     ) -> Result<Self, ControlError> {
-        let stacks = Stacks::new(model, stack, robot, Shows::Motion)?;
+        Self::from_tasks(model, TaskSet::from_parameters(model, parameters, context)?, context, lead)
+    }
+
+    /// A controller of tasks that were built in code.
+    ///
+    /// # Errors
+    /// Tasks without a motion to follow; a lead of another length than the number of joints.
+    pub fn from_tasks(
+        model: &Model,
+        tasks: TaskSet,
+        context: &ControlContext,
+        lead: Option<ServoLead>,
+    ) -> Result<Self, ControlError> {
         let n = model.n();
-        check_motion(stacks.in_force())?;
+        check_motion(&tasks.0)?;
         if let Some(lead) = &lead {
             for (key, list) in
                 [("kp_per_s", &lead.kp_per_s), ("stiffness_nm_per_rad", &lead.stiffness_nm_per_rad)]
@@ -84,8 +97,8 @@ impl InverseKinematicsController {
         let joints: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
         let own_signals = vec![Signal::new("ik.q", "rad", &joints), Signal::new("ik.dq", "rad/s", &joints)];
         Ok(Self {
-            stacks,
-            robot: robot.clone(),
+            schedule: TaskSchedule::new(tasks, RecordedSignals::Motion),
+            context: context.clone(),
             lead,
             data,
             q: DVector::zeros(n),
@@ -96,52 +109,61 @@ impl InverseKinematicsController {
         })
     }
 
-    /// Another stack for the same robot, to be [scheduled](Self::schedule).
+    /// Another task set for the same robot, to be [scheduled](Self::schedule).
     ///
     /// # Errors
     /// As [`new`](Self::new), and a task that would change its kind.
-    pub fn prepare(&self, model: &Model, stack: &Stack<'_>) -> Result<PreparedStack, ControlError> {
-        let prepared = self.stacks.prepare(model, stack, &self.robot)?;
-        check_motion(prepared.levels())?;
+    pub fn prepare(
+        &self,
+        model: &Model,
+        parameters: &TaskSetParameters<'_>,
+    ) -> Result<TaskSet, ControlError> {
+        let prepared = self.schedule.prepare(model, parameters, &self.context)?;
+        check_motion(&prepared.0)?;
         Ok(prepared)
     }
 
-    /// Follows `stack` from `time_s` on, s after the start.
-    pub fn schedule(&mut self, time_s: f64, stack: PreparedStack) {
-        self.stacks.schedule(time_s, stack);
+    /// Follows `tasks` from `time_s` on, s after the start.
+    pub fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
+        self.schedule.schedule(time_s, tasks);
+    }
+
+    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first one has
+    /// 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in the targets.
+    ///
+    /// # Errors
+    /// As [`prepare`](Self::prepare).
+    pub fn add_task_set(&mut self, tasks: TaskSet) -> Result<u32, ControlError> {
+        check_motion(&tasks.0)?;
+        self.schedule.add(tasks)
+    }
+
+    /// Number of the task set in force.
+    #[must_use]
+    pub fn task_set(&self) -> usize {
+        self.schedule.number()
     }
 
     /// q̇_ref at q_ref and the targets that the tasks saw last.
     fn solve(&mut self, model: &Model) {
-        let levels = self.stacks.current();
+        let hierarchy = self.schedule.current_mut();
         self.dq.fill(0.0);
-        levels.nullspace.reset();
-        for level in &mut levels.rows {
-            level.project(model, &self.data, &levels.nullspace, level.typical.kinematic);
-            level.projected.finish(&self.data.mass_matrix_factor);
-            let mut wanted = match &level.task {
-                RowTask::Cartesian(task) => task.velocity_at(model, &self.data, ERROR_GAIN_PER_S),
-                RowTask::Joints(task) => task.velocity(&self.q, ERROR_GAIN_PER_S),
-            };
-            wanted -= product(level.jacobian(), self.dq.as_slice());
-            add_transposed(&level.projected.space.jbar_transpose, &wanted, self.dq.as_mut_slice());
-            levels.nullspace.narrow(&level.projected);
+        hierarchy.nullspace.reset();
+        for level in &mut hierarchy.levels {
+            level.project(model, &self.data, &hierarchy.nullspace, level.typical.kinematic);
+            level.projected.compute_jbar(&self.data.mass_matrix_factor);
+            let mut velocity = level.task.kinematic_target(model, &self.data, ERROR_GAIN_PER_S);
+            velocity -= product(level.jacobian(), self.dq.as_slice());
+            add_transposed(&level.projected.space.jbar_transpose, &velocity, self.dq.as_mut_slice());
+            hierarchy.nullspace.push(&level.projected);
         }
-        match &levels.joint {
-            Some(JointTask::Posture(task)) => {
-                for ((v, q0), q) in self.scratch.iter_mut().zip(&task.posture).zip(&self.q) {
-                    *v = POSTURE_GAIN_PER_S * (q0 - q);
-                }
-            }
-            Some(JointTask::Tracking(task)) => {
-                for (i, v) in self.scratch.iter_mut().enumerate() {
-                    *v = task.reference_velocity[i] + ERROR_GAIN_PER_S * (task.reference[i] - self.q[i]);
-                }
-            }
-            Some(JointTask::Damping(_)) | None => return,
+        let (q, velocity) = (self.q.as_slice(), self.scratch.as_mut_slice());
+        let joint = hierarchy.joint.as_ref();
+        if joint.is_some_and(|task| task.kinematic_target(q, ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S, velocity))
+        {
+            hierarchy.nullspace.project_velocity(velocity);
+            self.dq += &self.scratch;
         }
-        levels.nullspace.project_velocity(self.scratch.as_mut_slice());
-        self.dq += &self.scratch;
     }
 
     /// q_ref with what the servo needs to be led by.
@@ -159,11 +181,18 @@ impl InverseKinematicsController {
     /// What a set-point makes up for of the servo's sag at `data`'s posture.
     fn sag(&self, joint: usize) -> f64 {
         match &self.lead {
-            Some(lead) if !self.robot.gravity_by_robot => {
+            Some(lead) if !self.context.gravity_by_robot => {
                 self.data.gravity[joint] / lead.stiffness_nm_per_rad[joint]
             }
             _ => 0.0,
         }
+    }
+}
+
+impl fmt::Debug for InverseKinematicsController {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut debug = f.debug_struct("InverseKinematicsController");
+        debug.field("tasks", self.schedule.current()).field("lead", &self.lead).finish_non_exhaustive()
     }
 }
 
@@ -172,43 +201,47 @@ impl Controller for InverseKinematicsController {
         CommandKind::Position
     }
 
+    fn targets(&self) -> Targets {
+        self.schedule.targets().clone()
+    }
+
+    fn stale_target(&self) -> Option<StaleTarget> {
+        self.schedule.current().0.stale_target()
+    }
+
     fn start(&mut self, input: &ControlInput<'_>) {
         self.q.copy_from(&input.measurement.q);
         self.dq.fill(0.0);
-        self.stacks.start(input);
+        self.schedule.start(input);
     }
 
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {
-        self.stacks.advance(input);
-        self.stacks.current().observe(input);
+        self.schedule.advance(input);
+        self.schedule.current_mut().observe(input);
     }
 
     /// Goes on from the set-points that held the robot, not from where they left it: so they don't jump.
     fn resume(&mut self, input: &ControlInput<'_>) {
-        self.stacks.advance(input);
+        self.schedule.advance(input);
         self.dq.fill(0.0);
         for i in 0..self.q.len() {
             self.q[i] = self.streamed[i] - self.sag(i);
         }
         kinematics(input.model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
-        self.stacks.current().resume(&ControlInput { data: &self.data, ..*input });
+        self.schedule.current_mut().resume(&ControlInput { data: &self.data, ..*input });
     }
 
     fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
-        let ControlInput { model, measurement, .. } = *input;
-        self.stacks.advance(input);
-        let levels = self.stacks.current();
-        for level in &mut levels.rows {
-            level.observe(input);
-        }
-        let in_joints = levels.rows.is_empty();
-        if let Some(JointTask::Tracking(task)) = &mut levels.joint {
-            task.observe(measurement.q.as_slice(), measurement.time_s);
-            // With nothing above it there is nothing to solve, and no integration to drift.
-            if in_joints {
-                self.q.copy_from(&task.reference);
-                self.dq.copy_from(&task.reference_velocity);
-            }
+        let model = input.model;
+        self.schedule.advance(input);
+        let hierarchy = self.schedule.current_mut();
+        hierarchy.observe(input);
+        let in_joints = hierarchy.levels.is_empty();
+        let reference = hierarchy.joint.as_ref().and_then(|task| task.reference());
+        // With nothing above it there is nothing to solve, and no integration to drift.
+        if in_joints && let Some((position, velocity)) = reference {
+            self.q.as_mut_slice().copy_from_slice(position);
+            self.dq.as_mut_slice().copy_from_slice(velocity);
         }
         kinematics(model, &mut self.data, self.q.as_slice(), self.dq.as_slice());
         if !in_joints {
@@ -219,28 +252,29 @@ impl Controller for InverseKinematicsController {
         }
         self.stream(command);
         if !in_joints {
-            self.q.axpy(self.robot.period_s, &self.dq, 1.0);
+            self.q.axpy(self.context.period_s, &self.dq, 1.0);
         }
     }
 }
 
 impl Observable for InverseKinematicsController {
     fn signals(&self) -> Vec<Signal> {
-        let mut signals = self.stacks.signals();
+        let mut signals = self.schedule.signals();
         signals.extend(self.own_signals.iter().cloned());
         signals
     }
 
     fn sample(&self, row: &mut Row<'_>) {
-        self.stacks.sample(row);
+        self.schedule.sample(row);
         row.put(self.q.as_slice());
         row.put(self.dq.as_slice());
     }
 }
 
 /// There must be something to follow.
-fn check_motion(levels: &Levels) -> Result<(), ControlError> {
-    if levels.rows.is_empty() && !matches!(levels.joint, Some(JointTask::Tracking(_))) {
+fn check_motion(hierarchy: &TaskHierarchy) -> Result<(), ControlError> {
+    let follows = hierarchy.joint.as_ref().is_some_and(|task| task.reference().is_some());
+    if hierarchy.levels.is_empty() && !follows {
         return Err(ControlError::new("priority", Reason::NoMotion));
     }
     Ok(())

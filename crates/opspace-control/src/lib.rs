@@ -1,13 +1,13 @@
 //! Operational-space control: tasks to torques.
 //!
-//! A task file's tasks ([`TaskParameters`]) in the order of their priority ([`Stack`]) make a
+//! A task file's tasks ([`TaskParameters`]) in the order of their priority ([`TaskSetParameters`]) make a
 //! [`Controller`]: [`OperationalSpaceController`] commands torques, [`InverseKinematicsController`] joint
 //! positions. Both see the robot through a [`Measurement`] alone. No update allocates.
 //!
 //! ```
 //! use opspace_control::{
 //!     Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
-//!     OperationalSpaceController, Stack, Targets, TaskParameters,
+//!     OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 //! };
 //! use opspace_model::{Data, Model, aba, update};
 //! use std::collections::BTreeMap;
@@ -30,7 +30,7 @@
 //!     gains = { frequency_rad_per_s = 20.0, damping_ratio = 1.0 }
 //! "#)?;
 //! let priority = ["hand".to_owned()];
-//! let stack = Stack {
+//! let parameters = TaskSetParameters {
 //!     priority: &priority,
 //!     task: &task,
 //!     compensation: Compensation::Bias,
@@ -38,7 +38,7 @@
 //! };
 //! let limits = JointLimits::of(&model);
 //! let context = ControlContext { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
-//! let mut controller = OperationalSpaceController::new(&model, &stack, &context)?;
+//! let mut controller = OperationalSpaceController::new(&model, &parameters, &context)?;
 //!
 //! let (mut data, mut seen, mut tau) = (Data::new(&model), Measurement::new(2, 0, false), [0.0; 2]);
 //! seen.q.copy_from_slice(&[0.3, -0.9]);
@@ -88,8 +88,8 @@ pub use context::ControlContext;
 pub use controller::{ControlInput, Controller, StaleTarget};
 pub use error::{ControlError, Reason};
 pub use hierarchy::rank;
-pub use hierarchy::stacks::PreparedStack;
-pub use hierarchy::task::{Compensation, Stack, TaskParameters};
+pub use hierarchy::task_parameters::{Compensation, RegisteredTask, TaskParameters, TaskSetParameters};
+pub use hierarchy::task_set::{TaskSet, TaskSetBuilder};
 pub use ik::{InverseKinematicsController, ServoLead};
 pub use limits::joint_limits::{JointLimits, LimitParameters};
 pub use measurement::Measurement;
@@ -102,17 +102,35 @@ pub use references::online::{MotionLimits, OnlineGoal};
 pub use references::ramp;
 pub use references::recorded::{self, PoseSample, RecordedError, RecordedPath, RecordedReason};
 pub use references::reference::{CartesianReference, Trajectory};
-pub use references::target::Target;
-pub use targets::Targets;
-pub use tasks::axes::{AXIS_NAMES, Axes, AxesIn, AxisMode, Directions, PerAxis};
-pub use tasks::cartesian_parameters::{
-    CartesianParameters, CenterOfMassParameters, Decoupling, Singularities,
+pub use references::scalar_reference::{
+    ScalarGoal, ScalarOnlineGoal, ScalarPointToPoint, ScalarReference, ScalarSinusoid,
 };
+pub use references::streamed::{OnTimeout, STOP_S, StreamedShape};
+pub use references::streamed_joints::{JointShape, StreamedJointReference};
+pub use references::streamed_pose::{PoseShape, QUATERNION_TOLERANCE, StreamedReference};
+pub use references::target::Target;
+pub use targets::{AllowedInputs, InputHandle, TargetError, Targets, TaskHandle, TaskTarget};
+pub use tasks::axes::{AXIS_NAMES, Axes, AxesFrame, AxesIn, AxisMode, PerAxis};
+pub use tasks::cartesian::CartesianTask;
+pub use tasks::cartesian_parameters::{
+    CartesianParameters, CenterOfMassParameters, Decoupling, SingularityHandling,
+};
+pub use tasks::cartesian_target::CartesianTarget;
+pub use tasks::controlled_frame::ControlledFrame;
+pub use tasks::coordinate::Coordinate;
+pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
+pub use tasks::damping::Damping;
 pub use tasks::force::ForceParameters;
 pub use tasks::gains::AxisGains;
 pub use tasks::impedance::{self, ImpedanceParameters};
-pub use tasks::joint::{
-    self, JointDampingParameters, JointGains, JointPostureParameters, JointTrackingParameters,
+pub use tasks::joint_parameters::{
+    JointDampingParameters, JointGains, JointPostureParameters, JointTrackingParameters,
 };
-pub use tasks::subject::Subject;
+pub use tasks::joint_target::JointTarget;
+pub use tasks::joint_task::JointTask;
+pub use tasks::posture::Posture;
+pub use tasks::selected_joints::SelectedJoints;
+pub use tasks::swivel::{SwivelAngle, SwivelParameters};
+pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 pub use tasks::task_axes::TaskAxes;
+pub use tasks::tracking::Tracking;

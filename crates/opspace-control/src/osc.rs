@@ -11,12 +11,15 @@
 //! levels above allow.
 
 use crate::context::ControlContext;
-use crate::controller::{ControlInput, Controller};
+use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::ControlError;
-use crate::hierarchy::stacks::{PreparedStack, Shows, Stacks};
-use crate::hierarchy::task::{Compensation, Stack};
+use crate::hierarchy::task_parameters::{Compensation, TaskSetParameters};
+use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
+use crate::hierarchy::task_set::TaskSet;
+use crate::limits::joint_limits::LimitParameters;
 use crate::limits::limiter::Limiter;
 use crate::qp::lexicographic::Solver;
+use crate::targets::Targets;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::{Observable, Row, Signal};
@@ -24,8 +27,8 @@ use opspace_model::{Data, Model};
 
 /// Tasks to torques.
 pub struct OperationalSpaceController {
-    stacks: Stacks,
-    robot: ControlContext,
+    schedule: TaskSchedule,
+    context: ControlContext,
     compensation: Compensation,
     limiter: Option<Limiter>,
     /// Of the tasks (n).
@@ -40,55 +43,103 @@ pub struct OperationalSpaceController {
 }
 
 impl OperationalSpaceController {
-    /// The tasks of `stack` for a robot.
+    /// A controller of the tasks in a file.
     ///
     /// # Errors
     /// Names that the robot doesn't have, axes that it can't move, gains that are missing: see
     /// [`Reason`](crate::error::Reason).
-    pub fn new(model: &Model, stack: &Stack<'_>, robot: &ControlContext) -> Result<Self, ControlError> {
-        let n = model.n();
-        let stacks = Stacks::new(model, stack, robot, Shows::Forces)?;
-        let zero = DVector::zeros(n);
-        let limiter = stack.limits.enforce.then(|| Limiter::new(model, stack, robot));
-        Ok(Self {
-            stacks,
-            robot: robot.clone(),
-            compensation: stack.compensation,
-            limiter,
+    pub fn new(
+        model: &Model,
+        parameters: &TaskSetParameters<'_>,
+        context: &ControlContext,
+    ) -> Result<Self, ControlError> {
+        let tasks = TaskSet::from_parameters(model, parameters, context)?;
+        Ok(Self::from_tasks(model, tasks, context, parameters.compensation, &parameters.limits))
+    }
+
+    /// A controller of tasks that were built in code.
+    #[must_use]
+    pub fn from_tasks(
+        model: &Model,
+        tasks: TaskSet,
+        context: &ControlContext,
+        compensation: Compensation,
+        limits: &LimitParameters,
+    ) -> Self {
+        let zero = DVector::zeros(model.n());
+        Self {
+            schedule: TaskSchedule::new(tasks, RecordedSignals::Forces),
+            context: context.clone(),
+            compensation,
+            limiter: limits.enforce.then(|| Limiter::new(model, limits, context)),
             torque: zero.clone(),
             joint_torque: zero.clone(),
             scratch: zero.clone(),
             compensation_torque: zero.clone(),
             commanded: zero,
             joint_names: model.joints().iter().map(|j| j.name.clone()).collect(),
-        })
+        }
     }
 
-    /// Another stack for the same robot, to be [switched](Self::switch) to while running or
-    /// [scheduled](Self::schedule). Its compensation and limits aren't used: those of the first stack stay.
+    /// Another task set for the same robot, to be [switched](Self::switch) to while running or
+    /// [scheduled](Self::schedule). Its compensation and limits aren't used: those of the first one stay.
     ///
     /// # Errors
     /// As [`new`](Self::new), and a task that would change its kind.
-    pub fn prepare(&self, model: &Model, stack: &Stack<'_>) -> Result<PreparedStack, ControlError> {
-        self.stacks.prepare(model, stack, &self.robot)
+    pub fn prepare(
+        &self,
+        model: &Model,
+        parameters: &TaskSetParameters<'_>,
+    ) -> Result<TaskSet, ControlError> {
+        self.schedule.prepare(model, parameters, &self.context)
     }
 
-    /// Carries out `stack` from now on, and gives back the one that was carried out. Tasks of the same name go on from
+    /// Checks that a task set built in code can be switched to.
+    ///
+    /// # Errors
+    /// A task that would change its kind or its signals.
+    pub fn check(&self, tasks: &TaskSet) -> Result<(), ControlError> {
+        self.schedule.check(tasks)
+    }
+
+    /// Carries out `tasks` from now on in place of those that were carried out, whose number they take, and returns those.
+    /// Tasks of the same name continue from
     /// each other; the torque moves no faster than the robot's limit allows. Allocates nothing; only tasks that were
     /// there, or scheduled, when the signals were listed are in the log.
-    pub fn switch(&mut self, stack: PreparedStack, input: &ControlInput<'_>) -> PreparedStack {
-        self.stacks.switch(stack, input)
+    pub fn switch(&mut self, tasks: TaskSet, input: &ControlInput<'_>) -> TaskSet {
+        self.schedule.switch(tasks, input)
     }
 
-    /// Carries out `stack` from `time_s` on, s after the start. Scheduled before the start, its tasks are in the log.
-    pub fn schedule(&mut self, time_s: f64, stack: PreparedStack) {
-        self.stacks.schedule(time_s, stack);
+    /// Carries out `tasks` from `time_s` on, s after the start. Scheduled before the start, they are in the log.
+    pub fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
+        self.schedule.schedule(time_s, tasks);
+    }
+
+    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first one has
+    /// 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in the targets.
+    ///
+    /// # Errors
+    /// As [`prepare`](Self::prepare).
+    pub fn add_task_set(&mut self, tasks: TaskSet) -> Result<u32, ControlError> {
+        self.schedule.add(tasks)
+    }
+
+    /// Number of the task set in force.
+    #[must_use]
+    pub fn task_set(&self) -> usize {
+        self.schedule.number()
+    }
+
+    /// The tasks that are carried out now.
+    #[must_use]
+    pub fn tasks(&self) -> &TaskSet {
+        self.schedule.current()
     }
 
     /// Torque comes in from holding still.
     fn hold_still(&mut self, data: &Data) {
         for (i, commanded) in self.commanded.iter_mut().enumerate() {
-            *commanded = if self.robot.gravity_by_robot { 0.0 } else { data.gravity[i] };
+            *commanded = if self.context.gravity_by_robot { 0.0 } else { data.gravity[i] };
         }
     }
 
@@ -108,13 +159,13 @@ impl OperationalSpaceController {
 
     /// The tasks' torques as if there were no limits.
     fn unlimited(&mut self, input: &ControlInput<'_>) {
-        let ControlInput { data, measurement, .. } = *input;
-        let levels = self.stacks.current();
+        let data = input.data;
+        let hierarchy = self.schedule.current_mut();
         self.torque.fill(0.0);
-        levels.nullspace.reset();
-        let last = levels.rows.len().saturating_sub(1);
-        for (place, level) in levels.rows.iter_mut().enumerate() {
-            level.update(input, &levels.nullspace);
+        hierarchy.nullspace.reset();
+        let last = hierarchy.levels.len().saturating_sub(1);
+        for (place, level) in hierarchy.levels.iter_mut().enumerate() {
+            level.update(input, &hierarchy.nullspace);
             if place == 0 {
                 level.add_torque(None, self.torque.as_mut_slice());
             } else {
@@ -124,15 +175,16 @@ impl OperationalSpaceController {
                 level.add_torque(Some(self.scratch.as_slice()), self.torque.as_mut_slice());
             }
             if place < last {
-                level.projected.finish(&data.mass_matrix_factor);
-                levels.nullspace.narrow(&level.projected);
+                level.projected.compute_jbar(&data.mass_matrix_factor);
+                hierarchy.nullspace.push(&level.projected);
             }
         }
-        if let Some(task) = &mut levels.joint {
+        let joint_input = hierarchy.joint_input(input);
+        if let Some(task) = &mut hierarchy.joint {
             let (acceleration, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
-            task.update(data, measurement.time_s, acceleration, torque);
-            if let Some(level) = levels.rows.last() {
-                levels.nullspace.project_above(&level.projected, acceleration, torque);
+            task.update(&joint_input, acceleration, torque);
+            if let Some(level) = hierarchy.levels.last() {
+                hierarchy.nullspace.project_above(&level.projected, acceleration, torque);
             }
             self.torque += &self.joint_torque;
         }
@@ -145,7 +197,7 @@ impl OperationalSpaceController {
             Compensation::Gravity => &data.gravity,
         };
         self.compensation_torque.copy_from(own);
-        if self.robot.gravity_by_robot {
+        if self.context.gravity_by_robot {
             self.compensation_torque -= &data.gravity;
         }
     }
@@ -156,19 +208,19 @@ impl OperationalSpaceController {
         let Some(limiter) = &mut self.limiter else {
             return;
         };
-        let levels = self.stacks.current();
-        limiter.update_state(data, self.compensation, levels);
+        let hierarchy = self.schedule.current_mut();
+        limiter.update_state(data, self.compensation, hierarchy);
         self.scratch.copy_from(&self.torque);
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         let (alpha, torque, compensation_torque) = (&self.scratch, &self.torque, &self.compensation_torque);
         if limiter.is_strictly_feasible(input, &self.commanded, alpha, torque, compensation_torque) {
-            levels.rows.iter_mut().for_each(|level| level.limited = false);
+            hierarchy.levels.iter_mut().for_each(|level| level.limited = false);
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);
             return;
         }
         limiter.bound(input, &self.commanded);
         let (compensation_torque, scratch) = (&self.compensation_torque, &mut self.scratch);
-        let solver = match limiter.solve(data, levels, &self.joint_torque, compensation_torque, scratch) {
+        let solver = match limiter.solve(data, hierarchy, &self.joint_torque, compensation_torque, scratch) {
             Ok(solver) => {
                 limiter.torque_into(data, self.torque.as_mut_slice());
                 solver
@@ -187,24 +239,32 @@ impl Controller for OperationalSpaceController {
         CommandKind::Torque
     }
 
+    fn targets(&self) -> Targets {
+        self.schedule.targets().clone()
+    }
+
+    fn stale_target(&self) -> Option<StaleTarget> {
+        self.schedule.current().0.stale_target()
+    }
+
     fn start(&mut self, input: &ControlInput<'_>) {
-        self.stacks.start(input);
+        self.schedule.start(input);
         self.hold_still(input.data);
     }
 
     fn observe_while_held(&mut self, input: &ControlInput<'_>) {
-        self.stacks.advance(input);
-        self.stacks.current().observe(input);
+        self.schedule.advance(input);
+        self.schedule.current_mut().observe(input);
     }
 
     fn resume(&mut self, input: &ControlInput<'_>) {
-        self.stacks.advance(input);
-        self.stacks.current().resume(input);
+        self.schedule.advance(input);
+        self.schedule.current_mut().resume(input);
         self.hold_still(input.data);
     }
 
     fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
-        self.stacks.advance(input);
+        self.schedule.advance(input);
         self.unlimited(input);
         self.compensate(input.data);
         self.limit(input);
@@ -217,7 +277,7 @@ impl Controller for OperationalSpaceController {
 
 impl Observable for OperationalSpaceController {
     fn signals(&self) -> Vec<Signal> {
-        let mut signals = self.stacks.signals();
+        let mut signals = self.schedule.signals();
         if self.limiter.is_some() {
             signals.extend(Limiter::signals(&self.joint_names));
         }
@@ -225,7 +285,7 @@ impl Observable for OperationalSpaceController {
     }
 
     fn sample(&self, row: &mut Row<'_>) {
-        self.stacks.sample(row);
+        self.schedule.sample(row);
         if let Some(limiter) = &self.limiter {
             limiter.sample(row);
         }

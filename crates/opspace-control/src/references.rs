@@ -1,5 +1,6 @@
 //! References: where a task should be, how fast, and with which acceleration.
 
+pub(crate) mod blend;
 pub mod filter;
 pub mod goal;
 pub mod joint_reference;
@@ -7,5 +8,9 @@ pub mod online;
 pub mod ramp;
 pub mod recorded;
 pub mod reference;
+pub mod scalar_reference;
+pub mod streamed;
+pub mod streamed_joints;
+pub mod streamed_pose;
 pub mod target;
 pub mod wave;

@@ -1,19 +1,287 @@
 //! Targets streamed to a controller, as one row of numbers.
+//!
+//! The layout is fixed when the controller is built: for each task that has inputs a time stamp and its inputs, and for
+//! the whole controller a request to hold and the number of a task set. NaN stands for "as configured". Names are resolved
+//! once, to handles; writing through a handle checks the values and allocates nothing.
+//!
+//! ```
+//! use opspace_backend::Signal;
+//! use opspace_control::Targets;
+//!
+//! let mut targets = Targets::new([("hand", vec![Signal::new("offset_m", "m", &["x", "y", "z"])])]);
+//! let hand = targets.task("hand")?;
+//! let offset = targets.input(&hand, "offset_m")?;
+//! // The robot's clock says 2.5 s.
+//! targets.write(&hand, 2.5, &[(&offset, &[0.1, 0.0, 0.0])])?;
+//! assert_eq!(targets.stamp(&hand), Some(2.5));
+//! assert_eq!(targets.values(&offset), Some(&[0.1, 0.0, 0.0][..]));
+//! # Ok::<(), opspace_control::TargetError>(())
+//! ```
 
-use opspace_backend::Layout;
+use crate::tasks::axes::AxisMode;
+use opspace_backend::{Layout, Signal};
+use std::ops::Range;
+use thiserror::Error;
 
-/// A row of streamed targets; its layout is fixed when the controller is built.
+/// Name of the channel of targets.
+const CHANNEL: &str = "targets";
+
+/// Inputs of the whole controller: their names, in their places in the row.
+const HOLD: usize = 0;
+const TASK_SET: usize = 1;
+const GENERAL: [&str; 2] = ["target.hold", "target.task_set"];
+
+/// A row of streamed targets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Targets {
     layout: Layout,
     row: Vec<f64>,
+    tasks: Vec<TaskSlots>,
+}
+
+/// The places of a task's inputs in the row.
+#[derive(Clone, Debug, PartialEq)]
+struct TaskSlots {
+    name: String,
+    stamp: usize,
+    inputs: Vec<(String, Range<usize>)>,
+    allowed: AllowedInputs,
+}
+
+/// Streamed values that a Cartesian task takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AllowedInputs {
+    /// Modes of each axis (in the order of [`AXIS_NAMES`](crate::AXIS_NAMES)): motion, compliant, force. None for an axis that is not in the
+    /// task.
+    pub modes: [[bool; 3]; 6],
+    /// Whether frequency and damping ratio can be streamed: the task follows by `gains`.
+    pub gains: bool,
+}
+
+impl AllowedInputs {
+    /// Whether an axis, by its place, can take a mode.
+    #[must_use]
+    pub fn admits(&self, axis: usize, mode: AxisMode) -> bool {
+        AxisMode::IN_TASK.into_iter().zip(self.modes[axis]).any(|(known, allowed)| allowed && known == mode)
+    }
+
+    /// Values that either takes.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        let modes = std::array::from_fn(|axis| {
+            std::array::from_fn(|mode| self.modes[axis][mode] || other.modes[axis][mode])
+        });
+        Self { modes, gains: self.gains || other.gains }
+    }
+}
+
+/// Streamed inputs of one task in one cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TaskTarget<'a> {
+    /// Time stamp, s on the robot's clock; `None` before the first target.
+    pub stamp_s: Option<f64>,
+    /// Values of the task's inputs, in the order in which it declares them; NaN for a value as configured. Empty if no
+    /// task of its name has inputs.
+    pub values: &'a [f64],
+    /// The robot's clock now, s.
+    pub clock_s: f64,
+}
+
+impl TaskTarget<'_> {
+    /// No inputs, at `clock_s` on the robot's clock (s).
+    #[must_use]
+    pub const fn none(clock_s: f64) -> Self {
+        Self { stamp_s: None, values: &[], clock_s }
+    }
+
+    /// Time since the stamp, s; not negative.
+    #[must_use]
+    pub fn age_s(&self) -> Option<f64> {
+        self.stamp_s.map(|stamp_s| (self.clock_s - stamp_s).max(0.0))
+    }
+}
+
+/// Places of a task's stamp and inputs in a row; none by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct TargetPlace {
+    stamp: usize,
+    width: usize,
+}
+
+impl TargetPlace {
+    /// The task's inputs in `targets`. None if the row is of another layout.
+    pub(crate) fn of<'a>(&self, targets: &'a Targets, clock_s: f64) -> TaskTarget<'a> {
+        if self.width == 0 {
+            return TaskTarget::none(clock_s);
+        }
+        match targets.row.get(self.stamp..self.stamp + 1 + self.width) {
+            Some([stamp_s, values @ ..]) => {
+                TaskTarget { stamp_s: (!stamp_s.is_nan()).then_some(*stamp_s), values, clock_s }
+            }
+            _ => TaskTarget::none(clock_s),
+        }
+    }
+}
+
+/// A task that has inputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TaskHandle(usize);
+
+/// An input of a task.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputHandle {
+    task: usize,
+    range: Range<usize>,
+}
+
+impl InputHandle {
+    /// Number of values.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "an input has values")]
+    pub fn len(&self) -> usize {
+        self.range.len()
+    }
+}
+
+/// A name that is not known, or values that are no target.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum TargetError {
+    /// A task without inputs, or no task at all.
+    #[error("no task '{name}' has inputs; those that have are: {}", known.join(", "))]
+    Task {
+        /// The name asked for.
+        name: String,
+        /// Tasks with inputs.
+        known: Vec<String>,
+    },
+    /// An input that the task does not have.
+    #[error("task '{task}' has no input '{name}'; its inputs are: {}", known.join(", "))]
+    Input {
+        /// The task.
+        task: String,
+        /// The name asked for.
+        name: String,
+        /// Inputs of the task.
+        known: Vec<String>,
+    },
+    /// Another number of values than the input has.
+    #[error("this input has {expected} values, not {found}")]
+    Length {
+        /// Values of the input.
+        expected: usize,
+        /// Values given.
+        found: usize,
+    },
+    /// A value that is infinite, or a time stamp that is not finite.
+    #[error("a target must be finite, or NaN for a value as configured; found {value}")]
+    NotFinite {
+        /// The value.
+        value: f64,
+    },
+    /// An input of another task.
+    #[error("the inputs of one write belong to one task")]
+    OtherTask,
+    /// A quaternion that is not of length 1.
+    #[error(
+        "an orientation must be a unit quaternion (w, x, y, z), its length 1 within {tolerance}; found {norm}"
+    )]
+    Quaternion {
+        /// Its length.
+        norm: f64,
+        /// Largest deviation from 1.
+        tolerance: f64,
+    },
+    /// An axis that is not in the task, or the mode `free`.
+    #[error("axis {axis} can't be added to task '{task}' or removed from it; its axes are: {}", known.join(", "))]
+    Axis {
+        /// The task.
+        task: String,
+        /// The axis.
+        axis: &'static str,
+        /// Axes of the task.
+        known: Vec<&'static str>,
+    },
+    /// A mode for which the axis is not configured.
+    #[error("axis {axis} of task '{task}' can't be {mode}; it can be: {}", known.join(", "))]
+    Mode {
+        /// The task.
+        task: String,
+        /// The axis.
+        axis: &'static str,
+        /// The mode asked for.
+        mode: &'static str,
+        /// Modes that the axis can take.
+        known: Vec<&'static str>,
+    },
+    /// Gains for a task that follows by an impedance.
+    #[error("task '{task}' doesn't follow by `gains`: its frequency and damping ratio can't be streamed")]
+    NoGains {
+        /// The task.
+        task: String,
+    },
+    /// A gain out of its range.
+    #[error("{input} of axis {axis} must be {range}, or NaN for the configured one; found {value}")]
+    Gain {
+        /// The input.
+        input: &'static str,
+        /// The axis.
+        axis: &'static str,
+        /// The range.
+        range: &'static str,
+        /// The value.
+        value: f64,
+    },
 }
 
 impl Targets {
-    /// No target: a row of width 0.
+    /// No inputs: a row of width 0.
     #[must_use]
     pub fn none() -> Self {
-        Self { layout: Layout { channel: "targets".to_owned(), signals: Vec::new() }, row: Vec::new() }
+        let layout = Layout { channel: CHANNEL.to_owned(), signals: Vec::new() };
+        Self { layout, row: Vec::new(), tasks: Vec::new() }
+    }
+
+    /// A row for these tasks, each with its inputs, all values as configured. Width 0 if no task has an input.
+    #[must_use]
+    pub fn new<'a>(tasks: impl IntoIterator<Item = (&'a str, Vec<Signal>)>) -> Self {
+        Self::build(tasks, false)
+    }
+
+    /// As [`new`](Self::new), but with the inputs of the whole controller even if no task has one.
+    #[must_use]
+    pub fn with_task_sets<'a>(tasks: impl IntoIterator<Item = (&'a str, Vec<Signal>)>) -> Self {
+        Self::build(tasks, true)
+    }
+
+    fn build<'a>(tasks: impl IntoIterator<Item = (&'a str, Vec<Signal>)>, always: bool) -> Self {
+        let mut new = Self::none();
+        let mut at = GENERAL.len();
+        for (task, inputs) in tasks {
+            if inputs.is_empty() {
+                continue;
+            }
+            new.layout.signals.push(Signal::scalar(format!("target.{task}.time_s"), "s"));
+            let mut slots = TaskSlots {
+                name: task.to_owned(),
+                stamp: at,
+                inputs: Vec::new(),
+                allowed: AllowedInputs::default(),
+            };
+            at += 1;
+            for input in inputs {
+                slots.inputs.push((input.name.clone(), at..at + input.len()));
+                at += input.len();
+                new.layout.signals.push(Signal { name: format!("target.{task}.{}", input.name), ..input });
+            }
+            new.tasks.push(slots);
+        }
+        if always || !new.tasks.is_empty() {
+            let general = GENERAL.map(|name| Signal::scalar(name, "1"));
+            new.layout.signals.splice(0..0, general);
+            new.row = vec![f64::NAN; at];
+        }
+        new
     }
 
     /// Signals of the row, in its order.
@@ -28,12 +296,231 @@ impl Targets {
         &self.row
     }
 
-    /// Replaces all values at once, as when a log is replayed. Allocates nothing.
+    /// Replaces all values at once: those of a log, or of another thread. Allocates nothing.
     ///
     /// # Panics
     /// If the number of values differs from the layout's width.
     pub fn set_row(&mut self, row: &[f64]) {
         assert_eq!(row.len(), self.row.len(), "one value for each element of the layout");
         self.row.copy_from_slice(row);
+    }
+
+    /// Number of tasks that have inputs.
+    #[must_use]
+    pub fn tasks(&self) -> usize {
+        self.tasks.len()
+    }
+
+    /// Takes over a row whose stamps count writes, as another thread sends it: a task whose count differs from the one
+    /// `seen` before has new inputs, which are stamped with `clock_s`, s on the robot's clock. Allocates nothing.
+    pub fn merge(&mut self, row: &[f64], seen: &mut [f64], clock_s: f64) {
+        let general = GENERAL.len().min(row.len());
+        self.row[..general].copy_from_slice(&row[..general]);
+        for (task, seen) in self.tasks.iter().zip(seen) {
+            let count = row[task.stamp];
+            if count.to_bits() == seen.to_bits() {
+                continue;
+            }
+            *seen = count;
+            for (_, input) in &task.inputs {
+                self.row[input.clone()].copy_from_slice(&row[input.clone()]);
+            }
+            self.row[task.stamp] = clock_s;
+        }
+    }
+
+    /// The handle of a task.
+    ///
+    /// # Errors
+    /// A task that has no inputs.
+    pub fn task(&self, name: &str) -> Result<TaskHandle, TargetError> {
+        let place = self.tasks.iter().position(|task| task.name == name);
+        place.map(TaskHandle).ok_or_else(|| TargetError::Task {
+            name: name.to_owned(),
+            known: self.tasks.iter().map(|task| task.name.clone()).collect(),
+        })
+    }
+
+    /// The handle of an input of a task.
+    ///
+    /// # Errors
+    /// An input that the task does not have.
+    pub fn input(&self, task: &TaskHandle, name: &str) -> Result<InputHandle, TargetError> {
+        let slots = &self.tasks[task.0];
+        let found = slots.inputs.iter().find(|(input, _)| input == name);
+        found.map(|(_, range)| InputHandle { task: task.0, range: range.clone() }).ok_or_else(|| {
+            TargetError::Input {
+                task: slots.name.clone(),
+                name: name.to_owned(),
+                known: slots.inputs.iter().map(|(input, _)| input.clone()).collect(),
+            }
+        })
+    }
+
+    /// Places of a task's inputs; none if the row has none for a task of this name. Allocates nothing.
+    pub(crate) fn place(&self, name: &str) -> TargetPlace {
+        let slots = self.tasks.iter().find(|slots| slots.name == name);
+        slots.map_or_else(TargetPlace::default, |slots| TargetPlace {
+            stamp: slots.stamp,
+            width: slots.inputs.iter().map(|(_, range)| range.len()).sum(),
+        })
+    }
+
+    /// Sets the values that a task takes.
+    pub(crate) fn allow(&mut self, name: &str, allowed: AllowedInputs) {
+        if let Some(slots) = self.tasks.iter_mut().find(|slots| slots.name == name) {
+            slots.allowed = allowed;
+        }
+    }
+
+    /// The values that a task takes.
+    pub(crate) fn allowed(&self, task: &TaskHandle) -> AllowedInputs {
+        self.tasks[task.0].allowed
+    }
+
+    /// The name of a task.
+    #[must_use]
+    pub fn name(&self, task: &TaskHandle) -> &str {
+        &self.tasks[task.0].name
+    }
+
+    /// Writes inputs of a task and stamps them with `time_s`, s on the robot's clock. All change together, or none.
+    /// Allocates nothing unless it fails.
+    ///
+    /// # Errors
+    /// Another number of values than an input has; an infinite value; inputs of another task.
+    pub fn write(
+        &mut self,
+        task: &TaskHandle,
+        time_s: f64,
+        inputs: &[(&InputHandle, &[f64])],
+    ) -> Result<(), TargetError> {
+        if !time_s.is_finite() {
+            return Err(TargetError::NotFinite { value: time_s });
+        }
+        for (input, values) in inputs {
+            if input.task != task.0 {
+                return Err(TargetError::OtherTask);
+            }
+            if values.len() != input.range.len() {
+                return Err(TargetError::Length { expected: input.range.len(), found: values.len() });
+            }
+            if let Some(&value) = values.iter().find(|value| value.is_infinite()) {
+                return Err(TargetError::NotFinite { value });
+            }
+        }
+        for (input, values) in inputs {
+            self.row[input.range.clone()].copy_from_slice(values);
+        }
+        self.row[self.tasks[task.0].stamp] = time_s;
+        Ok(())
+    }
+
+    /// The time stamp of a task's inputs, s on the robot's clock; `None` before the first.
+    #[must_use]
+    pub fn stamp(&self, task: &TaskHandle) -> Option<f64> {
+        let time_s = self.row[self.tasks[task.0].stamp];
+        (!time_s.is_nan()).then_some(time_s)
+    }
+
+    /// The values of an input; `None` where one of them is as configured.
+    #[must_use]
+    pub fn values(&self, input: &InputHandle) -> Option<&[f64]> {
+        let values = &self.row[input.range.clone()];
+        values.iter().all(|value| !value.is_nan()).then_some(values)
+    }
+
+    /// Asks the robot to be held, or to go on.
+    pub fn hold(&mut self, hold: bool) {
+        if let Some(slot) = self.row.get_mut(HOLD) {
+            *slot = f64::from(u8::from(hold));
+        }
+    }
+
+    /// Whether the robot is asked to be held.
+    #[must_use]
+    pub fn is_held(&self) -> bool {
+        self.row.get(HOLD).is_some_and(|&hold| hold == 1.0)
+    }
+
+    /// Chooses a prepared task set by its number; 0 is the first.
+    pub fn choose_task_set(&mut self, number: u32) {
+        if let Some(slot) = self.row.get_mut(TASK_SET) {
+            *slot = f64::from(number);
+        }
+    }
+
+    /// The number of the task set that is asked for; `None` for the scheduled one.
+    #[must_use]
+    pub fn task_set(&self) -> Option<usize> {
+        // A whole number, since it was written from a u32; anything else in a row chooses nothing.
+        let number = *self.row.get(TASK_SET)?;
+        (number >= 0.0 && number.fract() == 0.0).then_some(number as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn targets() -> Targets {
+        let offset = Signal::new("offset_m", "m", &["x", "y", "z"]);
+        Targets::new([
+            ("hand", vec![offset, Signal::scalar("grip_n", "N")]),
+            ("rest", Vec::new()),
+            ("elbow", vec![Signal::scalar("angle_rad", "rad")]),
+        ])
+    }
+
+    /// Compared: names and widths of the layout, and the inputs as they were given.
+    #[test]
+    fn layout_lists_stamps_and_inputs_of_tasks_that_have_some() {
+        let names: Vec<String> = targets().layout().signals.iter().map(|s| s.name.clone()).collect();
+        assert_eq!(
+            names,
+            [
+                "target.hold",
+                "target.task_set",
+                "target.hand.time_s",
+                "target.hand.offset_m",
+                "target.hand.grip_n",
+                "target.elbow.time_s",
+                "target.elbow.angle_rad",
+            ]
+        );
+        assert_eq!(targets().layout().width(), targets().row().len());
+        assert_eq!(Targets::new([("rest", Vec::new())]), Targets::none());
+    }
+
+    /// Compared: the row before and after a write that is refused.
+    #[test]
+    fn refused_write_changes_nothing() {
+        let mut targets = targets();
+        let (hand, elbow) =
+            (targets.task("hand").expect("a known name"), targets.task("elbow").expect("a known name"));
+        let [offset, grip] =
+            ["offset_m", "grip_n"].map(|name| targets.input(&hand, name).expect("a known name"));
+        let before = targets.row().to_vec();
+        let good: (&InputHandle, &[f64]) = (&offset, &[1.0, 2.0, 3.0]);
+        let refused = [
+            targets.write(&hand, 1.0, &[good, (&grip, &[f64::INFINITY])]),
+            targets.write(&hand, 1.0, &[good, (&grip, &[1.0, 2.0])]),
+            targets.write(&hand, f64::NAN, &[good]),
+            targets.write(&elbow, 1.0, &[good]),
+        ];
+        assert!(refused.iter().all(Result::is_err), "{refused:?}");
+        assert!(targets.row().iter().zip(&before).all(|(a, b)| a.to_bits() == b.to_bits()));
+        targets.write(&hand, 1.0, &[good, (&grip, &[5.0])]).expect("good values");
+        assert_eq!(targets.values(&grip), Some(&[5.0][..]));
+    }
+
+    #[test]
+    fn unknown_names_list_the_known_ones() {
+        let targets = targets();
+        let text = targets.task("hnad").expect_err("an unknown name").to_string();
+        assert!(text.contains("hand, elbow"), "{text}");
+        let hand = targets.task("hand").expect("a known name");
+        let text = targets.input(&hand, "pose").expect_err("an unknown name").to_string();
+        assert!(text.contains("offset_m, grip_n"), "{text}");
     }
 }

@@ -1,12 +1,23 @@
-//! Tasks: Cartesian ones, the centre of mass, and those of the joints.
+//! Tasks: the two traits, Cartesian tasks, and those of the joints.
 
 pub mod axes;
+pub(crate) mod axis_feedback;
 pub mod cartesian;
 pub mod cartesian_parameters;
+pub mod cartesian_target;
+pub mod controlled_frame;
+pub mod coordinate;
+pub mod coordinate_task;
+pub mod damping;
 pub mod force;
 pub mod gains;
 pub mod impedance;
-pub mod joint;
-pub(crate) mod law;
-pub mod subject;
+pub mod joint_parameters;
+pub mod joint_target;
+pub mod joint_task;
+pub mod posture;
+pub mod selected_joints;
+pub mod swivel;
+pub mod task;
 pub mod task_axes;
+pub mod tracking;

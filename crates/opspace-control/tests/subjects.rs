@@ -5,7 +5,7 @@ mod common;
 
 use common::{File, Numbers, accelerations, any_arm, at_state, facts, sampled, six};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Matrix6xX, Rotation3, Vector6};
-use opspace_control::{AXIS_NAMES, Controller, OperationalSpaceController, Subject};
+use opspace_control::{AXIS_NAMES, ControlledFrame, Controller, OperationalSpaceController};
 use opspace_model::{
     Data, Model, centroidal_map, centroidal_momentum, com_jacobian, frame_bias_acceleration, frame_placement,
     frame_velocity, relative_jacobian,
@@ -51,20 +51,20 @@ impl Motion {
     }
 }
 
-fn subjects(model: &Model) -> [Subject; 6] {
+fn subjects(model: &Model) -> [ControlledFrame; 6] {
     let id = |name: &str| model.frame(name).expect("frame");
     [
-        Subject::Frame(id("hand")),
-        Subject::Relative { frame: id("hand"), from: id("mid") },
-        Subject::Relative { frame: id("mid"), from: id("hand") },
-        Subject::Relative { frame: id("wrist"), from: id("base") },
-        Subject::Relative { frame: id("j1"), from: id("wrist") },
-        Subject::CenterOfMass,
+        ControlledFrame::Frame(id("hand")),
+        ControlledFrame::Relative { frame: id("hand"), from: id("mid") },
+        ControlledFrame::Relative { frame: id("mid"), from: id("hand") },
+        ControlledFrame::Relative { frame: id("wrist"), from: id("base") },
+        ControlledFrame::Relative { frame: id("j1"), from: id("wrist") },
+        ControlledFrame::CenterOfMass,
     ]
 }
 
 /// J of a subject.
-fn jacobian(subject: Subject, model: &Model, data: &Data) -> Matrix6xX<f64> {
+fn jacobian(subject: ControlledFrame, model: &Model, data: &Data) -> Matrix6xX<f64> {
     let mut rows = Matrix6xX::zeros(model.n());
     subject.jacobian(model, data, &mut rows);
     rows
@@ -123,7 +123,7 @@ fn a_frame_seen_from_another_is_what_the_model_says() {
         let [hand, mid, base] = ["hand", "mid", "base"].map(|name| model.frame(name).expect("frame"));
         let place = |frame| frame_placement(model, &data, frame);
 
-        let subject = Subject::Relative { frame: hand, from: mid };
+        let subject = ControlledFrame::Relative { frame: hand, from: mid };
         let (seen, expected) = (subject.placement(model, &data), place(mid).inverse() * place(hand));
         let off =
             (seen.rotation - expected.rotation).amax().max(far(&seen.translation, &expected.translation));
@@ -135,7 +135,7 @@ fn a_frame_seen_from_another_is_what_the_model_says() {
         assert_eq!(subject.coordinates(model, &data), place(mid).rotation);
         assert_eq!(subject.point(model, &data), place(hand).translation);
 
-        let subject = Subject::Relative { frame: hand, from: base };
+        let subject = ControlledFrame::Relative { frame: hand, from: base };
         let turned = place(base).rotation.transpose();
         for (seen, world) in [
             (subject.velocity(model, &data), frame_velocity(model, &data, hand)),
@@ -146,7 +146,7 @@ fn a_frame_seen_from_another_is_what_the_model_says() {
             assert!(off < ROUNDING, "case {case}: off by {off} from what the still base sees");
         }
 
-        let subject = Subject::Relative { frame: hand, from: hand };
+        let subject = ControlledFrame::Relative { frame: hand, from: hand };
         let nothing = Vector6::zeros();
         assert!(far(&six(&subject.velocity(model, &data)), &nothing) < ROUNDING, "case {case}");
         assert!(far(&six(&subject.bias_acceleration(model, &data)), &nothing) < ROUNDING, "case {case}");
@@ -161,7 +161,7 @@ fn the_centre_of_mass_moves_as_the_momentum_does() {
     for case in 0..60 {
         let motion = Motion::random(&mut numbers);
         let (model, mut data) = (&motion.model, motion.at(0.0));
-        let (subject, mass) = (Subject::CenterOfMass, model.total_mass());
+        let (subject, mass) = (ControlledFrame::CenterOfMass, model.total_mass());
         let velocity = subject.velocity(model, &data);
         let momentum = centroidal_momentum(model, &data);
         assert!(far(&(velocity.linear * mass), &momentum.linear) < ROUNDING, "case {case}");
@@ -260,16 +260,18 @@ fn axes_that_turn_are_followed_as_they_lie() {
     assert!(seen > 100 && 2 * turning > seen, "{turning} of {seen} turned");
 }
 
-fn subject(model: &Model, relative: bool) -> Subject {
+fn subject(model: &Model, relative: bool) -> ControlledFrame {
     let [hand, j1] = ["hand", "j1"].map(|name| model.frame(name).expect("frame"));
-    if relative { Subject::Relative { frame: hand, from: j1 } } else { Subject::Frame(hand) }
+    if relative { ControlledFrame::Relative { frame: hand, from: j1 } } else { ControlledFrame::Frame(hand) }
 }
 
 /// The axes of a frame in the coordinates of a subject.
-fn axes_of(model: &Model, data: &Data, subject: Subject, frame: &str) -> Matrix3<f64> {
+fn axes_of(model: &Model, data: &Data, subject: ControlledFrame, frame: &str) -> Matrix3<f64> {
     let rotation = frame_placement(model, data, model.frame(frame).expect("frame")).rotation;
     match subject {
-        Subject::Relative { from, .. } => frame_placement(model, data, from).rotation.transpose() * rotation,
+        ControlledFrame::Relative { from, .. } => {
+            frame_placement(model, data, from).rotation.transpose() * rotation
+        }
         _ => rotation,
     }
 }

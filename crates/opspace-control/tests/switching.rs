@@ -11,7 +11,7 @@ use common::{
 use counting::{allocations, counted};
 use nalgebra::{DVector, Rotation3, Vector3};
 use opspace_backend::{Observable, Row, Signal};
-use opspace_control::{ControlContext, Controller, JointLimits, OperationalSpaceController, PreparedStack};
+use opspace_control::{ControlContext, Controller, JointLimits, OperationalSpaceController, TaskSet};
 use opspace_model::{Model, frame_placement};
 
 #[test]
@@ -107,7 +107,7 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     let robot = robot(model, torque_rate);
     let mut controller =
         OperationalSpaceController::new(model, &files[first].stack(), &robot).expect("a good stack");
-    let mut prepared: Vec<Option<PreparedStack>> = (changes.iter())
+    let mut prepared: Vec<Option<TaskSet>> = (changes.iter())
         .map(|change| Some(controller.prepare(model, &files[change.stack].stack()).expect("a good stack")))
         .collect();
     for (change, stack) in changes.iter().zip(&mut prepared).filter(|(change, _)| change.scheduled) {

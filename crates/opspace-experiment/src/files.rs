@@ -1,6 +1,7 @@
 //! Robot, task and suite files: reading them, and naming what is wrong in them.
 
 pub(crate) mod explain;
+pub mod interface;
 pub mod origin;
 pub mod overrides;
 pub mod robot;
@@ -8,6 +9,7 @@ pub mod source;
 pub mod suggest;
 pub mod suite;
 pub mod task;
+pub mod task_kinds;
 pub mod template;
 pub(crate) mod toml_path;
 pub mod tool;

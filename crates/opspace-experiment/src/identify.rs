@@ -1,25 +1,23 @@
 //! `opspace identify`: a robot's servos, found by moving its joints, and what is written of them.
 //!
-//! The identification itself is [`opspace_loop::identification`]; here it is given a robot from its file, and its
+//! The identification itself is [`opspace_identify`]; here it is given a robot from its file, and its
 //! results become a section of that file, a whole file, numbers, and a page.
 
 mod page;
 mod toml_output;
 
 use crate::evaluate::table::{Cell, Table};
+use crate::files::interface::CommandParameter;
 use crate::files::robot::{Robot, choices};
 use crate::files::source::FileError;
-use crate::run::execute::Watch;
+use crate::run::execute::Progress;
 use nalgebra::DMatrix;
-use opspace_backend::CommandKind;
-use opspace_backend::Measured;
-use opspace_loop::identification::response::Point;
-use opspace_loop::identification::session::{Session, Stop};
-use opspace_loop::identification::{Identification, Plan, Told, TorqueScale, identify};
-use opspace_loop::interface::CommandParameter;
-use opspace_loop::{Facts, PositionRobot};
-use opspace_model::{Data, crba, kinematics};
-use opspace_sim::{Setup, SimulatedArm};
+use opspace_backend::{Backend, CommandKind};
+use opspace_identify::response::Point;
+use opspace_identify::session::{AbortReason, ExcitationSession};
+use opspace_identify::{ExcitationPlan, Identification, KnownParameters, TorqueScale, identify};
+use opspace_model::{Data, Placement, crba, kinematics};
+use opspace_sim::{ArmConfig, SimulatedArm};
 use opspace_transformer::servo::DerivativeOf;
 use opspace_transformer::{ProfileParameters, ServoParameters};
 use serde::Serialize;
@@ -36,7 +34,7 @@ pub struct Request {
     /// Where joints stand, by name, rad or m; in the middle of their range where they aren't named.
     pub start_rad: Vec<(String, f64)>,
     /// How they are excited.
-    pub plan: Plan,
+    pub plan: ExcitationPlan,
 }
 
 /// A robot whose servos are to be identified: everything checked.
@@ -47,7 +45,7 @@ pub struct Identifying {
     profile: ProfileParameters,
     start: Vec<f64>,
     joints: Vec<usize>,
-    plan: Plan,
+    plan: ExcitationPlan,
 }
 
 /// A joint that was identified.
@@ -58,7 +56,7 @@ pub struct IdentifiedJoint {
     pub name: String,
     /// What was known of it.
     #[serde(skip)]
-    pub told: Told,
+    pub told: KnownParameters,
     /// What the servo is said to be.
     #[serde(skip)]
     pub structure: Structure,
@@ -126,6 +124,7 @@ impl Identifying {
             let message = "this robot takes torques: it has no position servos to identify";
             return Err(FileError::at_key(&robot.source, "interface.command", message, None));
         }
+        robot.servos_for(&profile_name, CommandKind::Position)?;
         let joint = |name: &str| {
             robot.model.joint(name).map_err(|unknown| {
                 let message = format!("this robot has no joint '{name}'");
@@ -180,14 +179,16 @@ impl Identifying {
             let message = "this robot has no [simulated] section, so there is no robot to identify";
             return Err(FileError::of_file(robot.source.name(), message, Some(help)));
         };
-        let setup = Setup {
+        let setup = ArmConfig {
             model: robot.model.clone(),
             joints: robot.joints(),
             servos: robot.servos(&self.profile),
             profile: self.profile.clone(),
-            facts: self.facts(),
+            capabilities: robot.capabilities(CommandKind::Position, self.profile.period_s()).simulated(),
             simulated,
-            surroundings: Vec::new(),
+            placement: Placement::identity(),
+            environment: Vec::new(),
+            external_forces: false,
             start: self.start.clone(),
             rest_s: 0.0,
             seed: self.plan.seed,
@@ -202,16 +203,16 @@ impl Identifying {
     /// The fault of the robot, or the interruption, that ended it.
     pub fn run(
         &self,
-        robot: &mut dyn PositionRobot,
-        watch: &Watch,
+        robot: &mut dyn Backend,
+        watch: &Progress,
         mut begun: impl FnMut(&str),
-    ) -> Result<Identified, Stop> {
+    ) -> Result<Identified, AbortReason> {
         let ended = |ticks: u64| {
             watch.ticks.store(ticks, Ordering::Relaxed);
             watch.interrupt.load(Ordering::Relaxed)
         };
         let n = self.robot.model.n();
-        let mut session = Session::begin(robot, n, &ended)?;
+        let mut session = ExcitationSession::begin(robot, n, &ended)?;
         let mut joints = Vec::new();
         for &joint in &self.joints {
             let name = &self.robot.model.joints()[joint].name;
@@ -239,25 +240,12 @@ impl Identifying {
         })
     }
 
-    fn facts(&self) -> Facts {
-        let interface = &self.robot.file.interface;
-        Facts {
-            command: CommandKind::Position,
-            period_s: self.profile.period_s(),
-            gravity_by: interface.gravity_by,
-            on_missed_cycle: interface.on_missed_cycle,
-            motor_torque: interface.measures.contains(&Measured::MotorCurrent),
-            set_points: interface.set_points,
-            sensors: self.robot.sensors.clone(),
-        }
-    }
-
     /// What is known of a joint, its servo's gains, its friction and the delay not among it.
-    fn told(&self, joint: usize) -> Told {
+    fn told(&self, joint: usize) -> KnownParameters {
         let limits = &self.robot.model.joints()[joint].limits;
         let drive = &self.robot.joints()[joint];
         let rotor_known = drive.rotor.inertia_kg_m2.get() > 0.0;
-        Told {
+        KnownParameters {
             joint,
             servo_period_s: self.profile.servo_period_s(),
             ratio: self.profile.ratio.get(),
@@ -298,6 +286,7 @@ impl Identifying {
             ServoParameters::Cascaded(_) => "a cascade with an integral",
             ServoParameters::Pid(_) => "a PID servo with an integral, or with the derivative of the error",
             ServoParameters::TransferFunction(_) => "a transfer function",
+            ServoParameters::Velocity(_) => "a velocity servo",
         };
         let key = ["profile", &self.profile_name, "servo", name];
         let message = format!("the servo of '{name}' is {what}, which can't be identified");

@@ -31,7 +31,7 @@ use crate::files::toml_path::dotted;
 use crate::run::experiment::{ControllerKind, Experiment};
 use followed::Followed;
 use motion::{Motion, motions};
-use opspace_control::{ControlInput, Measurement, Targets, TaskParameters};
+use opspace_control::{ControlInput, Measurement, Targets, TaskParameters, TaskSet};
 use opspace_model::{Data, Model, update};
 pub use servo_gain::{GainMargin, gain_margin};
 use std::collections::BTreeMap;
@@ -76,6 +76,19 @@ impl Finding {
     }
 }
 
+/// The kind of a task, as its table in a file is named.
+fn kind(task: &TaskParameters) -> &str {
+    match task {
+        TaskParameters::Cartesian(_) => "cartesian",
+        TaskParameters::CenterOfMass(_) => "center-of-mass",
+        TaskParameters::Swivel(_) => "swivel",
+        TaskParameters::JointTracking(_) => "joint-tracking",
+        TaskParameters::JointPosture(_) => "joint-posture",
+        TaskParameters::JointDamping(_) => "joint-damping",
+        TaskParameters::Registered(task) => task.kind(),
+    }
+}
+
 /// Controller input whose clock counts from the start of control.
 fn input<'a>(
     model: &'a Model,
@@ -114,6 +127,14 @@ pub fn findings(experiment: &Experiment) -> Vec<Finding> {
     found
 }
 
+/// Tasks that don't tell what [`findings`] needs: what is said of them is incomplete.
+#[must_use]
+pub fn not_checked(experiment: &Experiment) -> Vec<Finding> {
+    let torques = experiment.choice().controller == ControllerKind::Osc;
+    let case = Case::new(experiment).filter(|_| torques);
+    case.map_or_else(Vec::new, |case| stability::not_checked(&case))
+}
+
 /// An experiment at its start.
 struct Case<'a> {
     experiment: &'a Experiment,
@@ -131,6 +152,8 @@ struct InForce<'a> {
     from_s: f64,
     priority: &'a [String],
     task: &'a BTreeMap<String, TaskParameters>,
+    /// The tasks themselves, not started.
+    tasks: TaskSet,
     /// Of the tasks that lead a frame or the centre of mass, in the order of priority.
     motions: Vec<Motion<'a>>,
 }
@@ -147,13 +170,11 @@ impl<'a> Case<'a> {
         let later = task.events.iter().map(|event| (event.time_s, event.priority.as_slice(), &event.task));
         let stacks = std::iter::once(first)
             .chain(later.filter(|(from_s, ..)| *from_s < experiment.duration_s()))
-            .map(|(from_s, priority, task)| InForce {
-                from_s,
-                priority,
-                task,
-                motions: motions(priority, task, model),
+            .map(|(from_s, priority, task)| {
+                let tasks = experiment.task_set(priority, task)?;
+                Some(InForce { from_s, priority, task, tasks, motions: motions(priority, task, model) })
             })
-            .collect();
+            .collect::<Option<_>>()?;
         Some(Self { experiment, model, start, data, stacks })
     }
 
@@ -166,6 +187,12 @@ impl<'a> Case<'a> {
             Some(stack) => vec!["event".to_owned(), (stack - 1).to_string(), "set".to_owned()],
             None => ["task", name].iter().chain(rest).map(|&part| part.to_owned()).collect(),
         }
+    }
+
+    /// Where the reference of a task stands.
+    fn reference_key(&self, stack: usize, name: &str) -> Vec<String> {
+        let kind = self.stacks[stack].task.get(name).map_or("", kind);
+        self.key(stack, name, &[kind, "reference"])
     }
 
     /// From when on a task's reference of that stack is followed, s: its own event's time, or that of an earlier

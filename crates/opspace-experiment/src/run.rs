@@ -1,6 +1,12 @@
-//! Experiments: a task on a robot, run in simulation or replayed from a log.
+//! Experiments: a task on a robot, run on a simulated or a real one, or replayed from a log.
 
+mod capabilities;
+pub mod error;
 pub mod execute;
 pub mod experiment;
+pub mod folder;
+pub mod log_header;
+mod on_driver;
 pub mod replay;
+pub mod summary;
 mod transformer;

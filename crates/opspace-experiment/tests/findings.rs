@@ -2,11 +2,11 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_control::rank::reach;
+use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{BackendKind, Choice, Experiment, Files, Finding, findings};
 use opspace_log::Recording;
-use opspace_loop::Ending;
+use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -260,8 +260,8 @@ fn a_reference_faster_than_its_tasks_limit() {
 /// The root-mean-square error of the hand in a simulated run, m; infinite where the run was stopped.
 fn tracking(experiment: &Experiment) -> f64 {
     let sink = std::io::Cursor::new(Vec::new());
-    let finished = experiment.run(sink, &Watch::default()).unwrap();
-    if finished.ending != Ending::Completed {
+    let finished = experiment.run(sink, &Progress::default()).unwrap();
+    if finished.outcome != RunOutcome::Completed {
         return f64::INFINITY;
     }
     let recording = Recording::from_bytes(&finished.sink.into_inner()).unwrap();

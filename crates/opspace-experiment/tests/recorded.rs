@@ -1,7 +1,7 @@
 //! Recorded paths: read beside the task file, run, kept in the log, and replayed from it.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use opspace_experiment::run::execute::Watch;
+use opspace_experiment::Progress;
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{Choice, Experiment, Files};
 use opspace_log::Recording;
@@ -52,7 +52,7 @@ fn load(folder: &TempDir) -> Result<Experiment, opspace_experiment::FileError> {
 
 fn run(experiment: &Experiment) -> Recording {
     let sink = std::io::Cursor::new(Vec::new());
-    let finished = experiment.run(sink, &Watch::default()).unwrap();
+    let finished = experiment.run(sink, &Progress::default()).unwrap();
     Recording::from_bytes(&finished.sink.into_inner()).unwrap()
 }
 

@@ -2,11 +2,11 @@
 //! simulated robot.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use opspace_experiment::Progress;
 use opspace_experiment::preflight::gain_margin;
-use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{BackendKind, Choice, Experiment, Files};
 use opspace_log::Recording;
-use opspace_loop::Ending;
+use opspace_loop::RunOutcome;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -72,13 +72,13 @@ fn the_motors_current_lifts_the_margin() {
 
 /// How a run of the simulated robot ends whose position loops have that share of gain too much, and its highest speed,
 /// rad/s.
-fn run(task: &str, transformer: &str, excess: f64) -> (Ending, Option<f64>) {
+fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) {
     let scale = format!("robot.simulated.scale.kp={:?}", 1.0 + excess);
     let experiment = experiment(task, "a-med", transformer, &[scale]);
-    let finished = experiment.run(Cursor::new(Vec::new()), &Watch::default()).unwrap();
+    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
     let recording = Recording::from_bytes(finished.sink.get_ref()).unwrap();
-    let speed = experiment.summary(&recording, &finished.ending, None).metrics.speed_max_rad_per_s;
-    (finished.ending, speed)
+    let speed = experiment.summary(&recording, &finished.record, None).metrics.speed_max_rad_per_s;
+    (finished.outcome, speed)
 }
 
 /// The margin against the simulated robot with all its friction, weight and noise: within it the arm moves on, slower
@@ -92,14 +92,17 @@ fn the_simulated_robot_is_stable_within_the_margin_and_not_beyond() {
         for transformer in [PAPER, EMULATION] {
             let margin = excess(&experiment(task, "a-med", transformer, &[])).unwrap();
             let (ending, speed) = run(task, transformer, WITHIN * margin);
-            assert!(matches!(ending, Ending::Completed), "{task} {transformer}, within {margin}: {ending:?}");
+            assert!(
+                matches!(ending, RunOutcome::Completed),
+                "{task} {transformer}, within {margin}: {ending:?}"
+            );
             assert!(
                 speed.is_some_and(|speed| speed < FAST_RAD_PER_S),
                 "{task} {transformer}: {speed:?} rad/s"
             );
             let (ending, _) = run(task, transformer, margin + BEYOND);
             assert!(
-                matches!(ending, Ending::Faulted { .. }),
+                matches!(ending, RunOutcome::Faulted { .. }),
                 "{task} {transformer}, beyond {margin}: {ending:?}"
             );
         }

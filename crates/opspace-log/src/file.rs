@@ -6,6 +6,7 @@
 
 use crate::error::LogError;
 use crate::header::{Channel, GAPS, Header, LOG, TIME_ZERO_NS};
+use crate::outcome::{OUTCOME, OutcomeRecord};
 use crate::schema;
 use crate::viewer::{Viewer, nanoseconds, warning};
 use foxglove::Encode;
@@ -167,8 +168,8 @@ impl<W: Write> File<W> {
         Ok(())
     }
 
-    /// Writes the gaps and the footer; `dropped` is how many records were lost in all.
-    pub fn finish(mut self, dropped: u64) -> Result<W, LogError> {
+    /// Writes the gaps, the outcome and the footer; `dropped` is how many records were lost in all.
+    pub fn finish(mut self, dropped: u64, outcome: Option<&OutcomeRecord>) -> Result<W, LogError> {
         let untold = dropped.saturating_sub(self.lost);
         if untold > 0 {
             self.gap(Gap { records: untold, from_s: self.last_s, to_s: self.last_s })?;
@@ -180,6 +181,10 @@ impl<W: Write> File<W> {
             let metadata =
                 BTreeMap::from([("gaps".to_owned(), gaps.to_string()), ("records".to_owned(), records)]);
             self.mcap.write_metadata(&Metadata { name: GAPS.to_owned(), metadata })?;
+        }
+        if let Some(outcome) = outcome {
+            let metadata = outcome.entries();
+            self.mcap.write_metadata(&Metadata { name: OUTCOME.to_owned(), metadata })?;
         }
         self.mcap.finish()?;
         let buffer = self.mcap.into_inner().into_inner();

@@ -22,7 +22,7 @@
 //! let (mut recorder, writer) = record(Cursor::new(Vec::new()), header, channels, Pace::Simulated)?;
 //! for k in 0..100 {
 //!     let t = f64::from(k) * 1e-3;
-//!     recorder.wait_for_room();
+//!     recorder.wait_for_space();
 //!     recorder.push(0, t, &[t.sin(), t.cos(), 0.0]);
 //! }
 //! drop(recorder);
@@ -42,18 +42,22 @@
 
 #![forbid(unsafe_code)]
 
+pub mod compare;
 pub mod error;
 mod file;
 pub mod header;
+pub mod inputs;
+pub mod outcome;
 pub mod recorder;
 pub mod recording;
 mod records;
-pub mod replay;
 mod schema;
 mod viewer;
 
+pub use compare::{Comparer, Difference};
 pub use error::{Damage, LogError};
 pub use header::{Attachment, Channel, GAPS, Header, LOG, TIME_ZERO_NS};
-pub use recorder::{Pace, Recorder, Writer, Written, record};
+pub use inputs::{LoggedInput, LoggedInputs};
+pub use outcome::OutcomeRecord;
+pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
 pub use recording::{ChannelData, Column, Recording};
-pub use replay::{Comparer, Difference, ReplayRobot};

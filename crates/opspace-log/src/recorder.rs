@@ -3,11 +3,12 @@
 use crate::error::LogError;
 use crate::file::{File, Gap};
 use crate::header::{Channel, Header};
+use crate::outcome::OutcomeRecord;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -55,14 +56,15 @@ pub struct Recorder {
 /// The writer's thread. [`finish`](Self::finish) it; dropping it finishes the file too, but tells no error.
 #[derive(Debug)]
 pub struct Writer<W> {
-    thread: Option<JoinHandle<Result<(Written, W), LogError>>>,
+    thread: Option<JoinHandle<Result<(WriteStats, W), LogError>>>,
     stop: Arc<AtomicBool>,
+    outcome: Arc<Mutex<Option<OutcomeRecord>>>,
 }
 
 /// What became of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
-pub struct Written {
+pub struct WriteStats {
     /// Rows in the file.
     pub records: u64,
     /// Rows that were dropped because the ring was full; the gaps stand in the file.
@@ -88,12 +90,14 @@ pub fn record<W: Write + Send + 'static>(
     let widths: Vec<usize> = channels.iter().map(|c| c.layout.width()).collect();
     let dropped = Arc::new(AtomicU64::new(0));
     let stop = Arc::new(AtomicBool::new(false));
+    let outcome = Arc::default();
     let drain = Drain {
         ring: consumer,
         row: vec![0.0; widths.iter().copied().max().unwrap_or(0).max(GAP)],
         widths: widths.clone(),
         file,
         records: 0,
+        outcome: Arc::clone(&outcome),
     };
     let (seen, lost) = (Arc::clone(&stop), Arc::clone(&dropped));
     let thread = thread::Builder::new()
@@ -101,7 +105,7 @@ pub fn record<W: Write + Send + 'static>(
         .spawn(move || drain.run(pace, &seen, &lost))
         .map_err(LogError::Write)?;
     let recorder = Recorder { ring: producer, widths, pace, gap: Gap::default(), dropped };
-    Ok((recorder, Writer { thread: Some(thread), stop }))
+    Ok((recorder, Writer { thread: Some(thread), stop, outcome }))
 }
 
 /// Numbers that the ring holds: at least two of the longest rows and a gap.
@@ -116,7 +120,7 @@ fn ring_size(channels: &[Channel]) -> usize {
 impl Recorder {
     /// Takes a row of the channel with that index (in the order given to [`record`]) at `time_s` on the
     /// robot's clock. Allocates, locks and formats nothing. With a full ring a simulated run waits here (call
-    /// [`wait_for_room`](Self::wait_for_room) between the ticks so that it doesn't), a real-time run
+    /// [`wait_for_space`](Self::wait_for_space) between the ticks so that it doesn't), a real-time run
     /// drops the row.
     ///
     /// # Panics
@@ -138,7 +142,7 @@ impl Recorder {
     }
 
     /// Between ticks: a simulated run waits until half the ring is free. A real-time run doesn't.
-    pub fn wait_for_room(&mut self) {
+    pub fn wait_for_space(&mut self) {
         let half = self.ring.buffer().capacity() / 2;
         while self.pace == Pace::Simulated && self.ring.slots() < half && !self.ring.is_abandoned() {
             thread::sleep(WAIT);
@@ -214,7 +218,23 @@ impl<W> Writer<W> {
     ///
     /// # Errors
     /// The sink's failure, now or during the run.
-    pub fn finish(mut self) -> Result<(Written, W), LogError> {
+    pub fn finish(mut self) -> Result<(WriteStats, W), LogError> {
+        self.joined()
+    }
+
+    /// The same with the outcome of the run, which becomes a record at the end of the log.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub fn finish_with(mut self, outcome: OutcomeRecord) -> Result<(WriteStats, W), LogError> {
+        // A poisoned lock: the writer panicked, which joining it tells.
+        if let Ok(mut slot) = self.outcome.lock() {
+            *slot = Some(outcome);
+        }
+        self.joined()
+    }
+
+    fn joined(&mut self) -> Result<(WriteStats, W), LogError> {
         match self.join() {
             Some(Ok(result)) => result,
             Some(Err(panic)) => std::panic::resume_unwind(panic),
@@ -222,7 +242,7 @@ impl<W> Writer<W> {
         }
     }
 
-    fn join(&mut self) -> Option<thread::Result<Result<(Written, W), LogError>>> {
+    fn join(&mut self) -> Option<thread::Result<Result<(WriteStats, W), LogError>>> {
         let thread = self.thread.take()?;
         self.stop.store(true, Ordering::Release);
         thread.thread().unpark();
@@ -243,10 +263,17 @@ struct Drain<W: Write> {
     row: Vec<f64>,
     file: File<W>,
     records: u64,
+    /// Set before the stop, by whoever knows how the run ended.
+    outcome: Arc<Mutex<Option<OutcomeRecord>>>,
 }
 
 impl<W: Write> Drain<W> {
-    fn run(mut self, pace: Pace, stop: &AtomicBool, dropped: &AtomicU64) -> Result<(Written, W), LogError> {
+    fn run(
+        mut self,
+        pace: Pace,
+        stop: &AtomicBool,
+        dropped: &AtomicU64,
+    ) -> Result<(WriteStats, W), LogError> {
         let mut moved = Instant::now();
         loop {
             // Asked before the ring is emptied: what was pushed before the stop is written.
@@ -264,8 +291,9 @@ impl<W: Write> Drain<W> {
             }
         }
         let dropped = dropped.load(Ordering::Relaxed);
-        let written = Written { records: self.records, dropped };
-        Ok((written, self.file.finish(dropped)?))
+        let written = WriteStats { records: self.records, dropped };
+        let outcome = self.outcome.lock().ok().and_then(|mut slot| slot.take());
+        Ok((written, self.file.finish(dropped, outcome.as_ref())?))
     }
 
     /// Writes what stands in the ring now; whether there was anything.

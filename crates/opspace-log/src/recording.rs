@@ -88,6 +88,14 @@ impl Recording {
         self.channels.iter().find(|c| c.layout.channel == name)
     }
 
+    /// The channel of the control loop.
+    ///
+    /// # Errors
+    /// A log without it.
+    pub fn tick(&self) -> Result<&ChannelData, LogError> {
+        self.channel("tick").ok_or_else(|| LogError::NoSignal { name: "tick".to_owned() })
+    }
+
     /// The attached file of that name.
     #[must_use]
     pub fn attachment(&self, name: &str) -> Option<&Attachment> {

@@ -80,7 +80,7 @@ fn a_simulated_run_loses_nothing() {
         record(Cursor::new(Vec::new()), Header::default(), tiny(), Pace::Simulated).unwrap();
     for k in 0..1000 {
         if k % 2 == 0 {
-            recorder.wait_for_room();
+            recorder.wait_for_space();
         }
         recorder.push(0, k as f64, &row(k, 9));
     }
@@ -196,7 +196,7 @@ fn a_full_disk_is_told_at_the_end() {
         let (mut recorder, writer) = record(sink.clone(), Header::default(), tiny(), pace).unwrap();
         let mut k = 0;
         while recorder.is_writing() {
-            recorder.wait_for_room();
+            recorder.wait_for_space();
             recorder.push(0, k as f64, &row(k, 9));
             k += 1;
         }
@@ -266,7 +266,7 @@ fn pushing_allocates_nothing() {
     let values = row(1, 9);
     let count = allocations(|| {
         for k in 0..20_000 {
-            recorder.wait_for_room();
+            recorder.wait_for_space();
             recorder.push(0, k as f64 * 1e-3, &values);
             recorder.push(1, k as f64 * 1e-3, &values[..1]);
         }

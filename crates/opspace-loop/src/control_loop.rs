@@ -1,482 +1,627 @@
-//! The way of one tick: read, observe, control, compensate, command, record.
+//! One control cycle: from a sample to a command.
 //!
-//! Nothing here allocates, locks or formats after the start; what a tick did goes to a [`Sink`] as one row
-//! of numbers.
+//! [`ControlLoop::step`] is a function of sample, targets and its own state. It knows no robot, thread, clock or sink, and
+//! allocates, locks and formats nothing.
 //!
-//! Cycles in which no sample came are told from the robot's clock. A few are bridged: time goes on, and so do
-//! references. After more the robot is held until it stands still; then estimates begin anew, references join their paths
-//! from where the robot is, and torques come in as at the start.
+//! # Where limits act
+//!
+//! | | where | limits | signals |
+//! |---|---|---|---|
+//! | 1 | references | speed, acceleration and jerk of generated motion; age of streamed targets | `TASK.target_stale` |
+//! | 2 | controller | joint position, speed, acceleration, torque, torque rate, task speed, by priority | `limited`, `limits_solver` |
+//! | 3 | loop | torque ramp; τ_s = clamp(τ_eff + n̂), equation (K11) | `phase`, `torque_saturated` |
+//! | 4 | guard | setpoints within reach of full torque at full speed; following error; watchdogs of torque and power | `setpoint_clamped`, `fault` |
+//! | 5 | device | whatever the robot itself enforces | `device_limited`, `fault` |
+//!
+//! Torque limits of 2 hold for the sum with the friction compensation n̂ of 3.
+//!
+//! # Missed cycles
+//!
+//! Missed cycles are told from the robot's clock. Up to `bridged_cycles` of them are tolerated: time goes on, and so do
+//! references. After more the robot is held until it stands still; then estimates begin anew, references are joined
+//! from where the robot is, and torques ramp in as at the start.
 
-use crate::backend::{Backend, Command};
 use crate::fault::Fault;
-use crate::robot::Trace;
+use crate::guard::Guard;
+use crate::phase::{Phase, Standstill};
 use crate::safety::SafetyParameters;
-use crate::supervisor::Continuity;
+use crate::state_estimator::StateEstimator;
 use nalgebra::DVector;
-use opspace_backend::GravityBy;
-use opspace_backend::{CommandKind, Layout, Row, Signal};
-use opspace_backend::{SERVO, Sink, TICK, TRUTH};
+use opspace_backend::{
+    Capabilities, Command, CommandKind, DeviceFault, GravityCompensation, Layout, Observable, Row, Sample,
+    Signal,
+};
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
-use opspace_model::{Data, Model};
-use opspace_transformer::friction::FrictionCompensation;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use opspace_model::{Data, Model, UnknownFrame};
+use opspace_transformer::{EstimatorParameters, FrictionCompensation, Identity, ServoGains, Transformer};
+use thiserror::Error;
 
-/// How long the loop goes on recording after a stop, s.
-const AFTERMATH_S: f64 = 0.2;
-
-/// What a tick belongs to: the `phase` signal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
-    /// The robot holds itself; sensors are tared.
-    Rest,
-    /// The controller commands.
-    Control,
-    /// After a stop: the robot is in its safe state.
-    Stopped,
-    /// After a dropout: the robot is held until it stands still.
-    Held,
-    /// The controller commands again, its torques coming in.
-    Resuming,
+/// The parts of a [`ControlLoop`].
+pub struct LoopConfig {
+    /// The robot's model.
+    pub model: Model,
+    /// Properties of the robot and its interface.
+    pub capabilities: Capabilities,
+    /// Tasks to torques, or to positions.
+    pub controller: Box<dyn Controller>,
+    /// Torques to what the robot takes.
+    pub transformer: Box<dyn Transformer>,
+    /// Gains of the servos of a position or velocity robot (n); not used for a torque robot.
+    pub servo_gains: Vec<ServoGains>,
+    /// Velocity estimate of a robot that measures positions only.
+    pub estimator: EstimatorParameters,
+    /// Friction compensation n̂, added to the controller's torques.
+    pub friction: FrictionCompensation,
+    /// Torque limits of the drives, Nm or N (n).
+    pub torque_limits: Vec<f64>,
+    /// Supervision.
+    pub safety: SafetyParameters,
 }
 
-impl Phase {
-    /// Its number in a log.
+impl LoopConfig {
+    /// A torque robot without friction compensation, with the torque limits of the URDF and default supervision. Change
+    /// the fields for any other.
     #[must_use]
-    pub fn code(self) -> f64 {
-        match self {
-            Self::Rest => 0.0,
-            Self::Control => 1.0,
-            Self::Stopped => 2.0,
-            Self::Held => 3.0,
-            Self::Resuming => 4.0,
+    pub fn new(model: Model, capabilities: Capabilities, controller: Box<dyn Controller>) -> Self {
+        Self {
+            torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
+            friction: FrictionCompensation::none(model.n()),
+            transformer: Box::new(Identity),
+            servo_gains: Vec::new(),
+            estimator: EstimatorParameters::default(),
+            safety: SafetyParameters::default(),
+            model,
+            capabilities,
+            controller,
         }
     }
 }
 
-/// How a run ended.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Ending {
-    /// It lasted as long as it was to last.
-    Completed,
-    /// It was stopped by a fault.
-    Faulted {
-        /// The cause.
-        fault: Fault,
-        /// When, s from the controller's start.
-        time_s: f64,
+/// Parts that do not fit together.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum LoopError {
+    /// A force sensor on a frame that the model does not have.
+    #[error("force sensor: {0}")]
+    Sensor(#[from] UnknownFrame),
+    /// Other joints than the model's.
+    #[error("the robot's joints {robot:?} are not the model's joints {model:?}")]
+    Joints {
+        /// Declared by the robot.
+        robot: Vec<String>,
+        /// In the model.
+        model: Vec<String>,
     },
-    /// It was asked to stop.
-    Interrupted {
-        /// When, s from the controller's start.
-        time_s: f64,
+    /// An array that does not have a value for each joint.
+    #[error("{what} has {found} values; the model has {joints} joints")]
+    Length {
+        /// Which array.
+        what: &'static str,
+        /// Its length.
+        found: usize,
+        /// n.
+        joints: usize,
+    },
+    /// A value out of range.
+    #[error("{what} must be {allowed}, found {found}")]
+    Value {
+        /// Which value.
+        what: &'static str,
+        /// The values allowed.
+        allowed: &'static str,
+        /// The value.
+        found: f64,
+    },
+    /// A controller or a transformer whose commands the robot does not take.
+    #[error("the {part} gives {} commands, and the robot takes {} commands", gives.name(), takes.name())]
+    Kind {
+        /// `controller` or `transformer`.
+        part: &'static str,
+        /// What it gives.
+        gives: CommandKind,
+        /// What the robot takes.
+        takes: CommandKind,
     },
 }
 
-/// A controller on a robot.
-pub struct ControlLoop<'a> {
-    model: &'a Model,
-    data: Data,
-    backend: &'a mut dyn Backend,
-    controller: &'a mut dyn Controller,
+/// The result of a cycle.
+#[derive(Clone, Copy, Debug)]
+#[must_use]
+pub struct Step<'a> {
+    /// The command for the robot; `None` at rest and after a stop.
+    pub command: Option<Command<'a>>,
+    /// The phase in which the robot is now.
+    pub phase: Phase,
+    /// The cause of a stop.
+    pub fault: Option<&'a Fault>,
+    /// Interface cycles that were missed before this one.
+    pub missed_cycles: u64,
+    /// Interface cycles since the first cycle of control, missed ones included.
+    pub control_cycles: u64,
+}
+
+/// A controller with everything between it and a robot: state estimation, friction compensation, transformer and
+/// supervision.
+pub struct ControlLoop {
+    state: State,
+    capabilities: Capabilities,
+    controller: Box<dyn Controller>,
+    transformer: Box<dyn Transformer>,
+    guard: Option<Guard>,
     friction: FrictionCompensation,
-    /// Friction compensation of this cycle, Nm or N (n).
-    feedforward_torque: DVector<f64>,
-    targets: Targets,
-    torque_limits: DVector<f64>,
-    safety: SafetyParameters,
-    command: DVector<f64>,
-    torque_desired: DVector<f64>,
-    saturated: DVector<f64>,
-    history: History,
-    row: Vec<f64>,
-    servo_row: Vec<f64>,
+    torque_limits: Vec<f64>,
+    ramp_s: f64,
+    rest_cycles: u64,
+    passed_cycles: u64,
     phase: Phase,
-    /// When torques began to come in, s.
+    held: bool,
+    /// Time at which torques began to ramp in, s.
     ramp_from_s: f64,
     standstill: Standstill,
     fault: Option<Fault>,
+    /// The controller's command (n).
+    command: DVector<f64>,
+    torque_desired: DVector<f64>,
+    saturated: DVector<f64>,
+    outgoing: Outgoing,
+    layout: Layout,
+    row: Vec<f64>,
 }
 
-/// Whether a robot that is held stands still: whether it has hardly moved for a while.
-struct Standstill {
-    held_from_s: f64,
-    /// Where it was (n), and when, s.
-    q: DVector<f64>,
-    from_s: f64,
+/// The inputs of a controller.
+struct State {
+    model: Model,
+    data: Data,
+    estimator: StateEstimator,
+    /// n̂, Nm or N (n).
+    feedforward_torque: DVector<f64>,
 }
 
-impl Standstill {
-    /// How long it must not move, s.
-    const LASTS_S: f64 = 0.05;
-    /// What is no movement, rad (m): a mean speed of 0.02 rad/s, some ten counts of a coarse encoder.
-    const MOVES: f64 = 1e-3;
-
-    fn begin(&mut self, measurement: &Measurement) {
-        self.held_from_s = measurement.time_s;
-        self.look_again(measurement);
-    }
-
-    fn look_again(&mut self, measurement: &Measurement) {
-        self.q.copy_from(&measurement.q);
-        self.from_s = measurement.time_s;
-    }
-
-    /// The joint that moves most, if any does.
-    fn moving(&self, measurement: &Measurement) -> Option<usize> {
-        let moved = |joint: &usize| (measurement.q[*joint] - self.q[*joint]).abs();
-        let joint = (0..self.q.len()).max_by(|a, b| moved(a).total_cmp(&moved(b)))?;
-        (moved(&joint) > Self::MOVES).then_some(joint)
+impl State {
+    fn input<'a>(&'a self, targets: &'a Targets) -> ControlInput<'a> {
+        ControlInput {
+            model: &self.model,
+            data: &self.data,
+            measurement: self.estimator.measurement(),
+            feedforward_torque: self.feedforward_torque.as_slice(),
+            targets,
+            clock_s: self.estimator.clock_s(),
+        }
     }
 }
 
-/// The desired torques of the last commands, by which the drives' rows are told what was asked of them
-/// when: a command may act up to one interface period after it was given.
-struct History {
-    commands: u64,
-    torques: [DVector<f64>; History::DEPTH],
+/// The command of the last cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outgoing {
+    None,
+    Hold,
+    Torque,
+    Setpoint,
 }
 
-impl History {
-    const DEPTH: usize = 4;
-
-    fn new(n: usize) -> Self {
-        Self { commands: 0, torques: std::array::from_fn(|_| DVector::from_element(n, f64::NAN)) }
-    }
-
-    fn push(&mut self, torque: &DVector<f64>) {
-        self.commands += 1;
-        let slot = self.slot(self.commands);
-        self.torques[slot].copy_from(torque);
-    }
-
-    fn get(&self, command: u64) -> &DVector<f64> {
-        &self.torques[self.slot(command)]
-    }
-
-    fn slot(&self, command: u64) -> usize {
-        usize::try_from(command % History::DEPTH as u64).unwrap_or(0)
-    }
-}
-
-impl<'a> ControlLoop<'a> {
-    /// A loop about to start. `torque_limits` (n; Nm, N) bound what is asked of the motors.
-    #[must_use]
-    pub fn new(
-        model: &'a Model,
-        backend: &'a mut dyn Backend,
-        controller: &'a mut dyn Controller,
-        friction: FrictionCompensation,
-        torque_limits: &[f64],
-        safety: SafetyParameters,
-    ) -> Self {
-        let n = model.n();
+impl ControlLoop {
+    /// A loop before its first cycle.
+    ///
+    /// # Errors
+    /// Parts that do not fit together.
+    pub fn new(config: LoopConfig) -> Result<Self, LoopError> {
+        check(&config)?;
+        let LoopConfig { model, capabilities, controller, transformer, safety, .. } = config;
+        let (n, period_s) = (model.n(), capabilities.period_s);
         let nan = DVector::from_element(n, f64::NAN);
-        let mut new = Self {
-            model,
-            data: Data::new(model),
-            backend,
-            controller,
-            friction,
-            feedforward_torque: DVector::zeros(n),
-            targets: Targets::none(),
-            torque_limits: DVector::from_column_slice(torque_limits),
-            safety,
+        let estimator = StateEstimator::new(&model, &capabilities, &config.estimator, &safety)?;
+        let guard = Guard::new(
+            capabilities.command,
+            &model,
+            &config.servo_gains,
+            &config.torque_limits,
+            &safety.watchdog,
+            period_s,
+        );
+        let layout = layout(&capabilities, &estimator, &*controller, guard.as_ref());
+        Ok(Self {
+            standstill: Standstill::new(n, period_s, safety.longest_dropout_s.get()),
+            ramp_s: safety.torque_ramp_s.get(),
+            rest_cycles: (safety.tare_s.get() / period_s).round() as u64,
+            passed_cycles: 0,
+            phase: Phase::Rest,
+            held: false,
+            ramp_from_s: 0.0,
+            fault: None,
+            row: vec![0.0; layout.width()],
+            layout,
+            state: State { data: Data::new(&model), estimator, feedforward_torque: DVector::zeros(n), model },
             command: nan.clone(),
             torque_desired: nan,
             saturated: DVector::zeros(n),
-            history: History::new(n),
-            row: Vec::new(),
-            servo_row: Vec::new(),
-            phase: Phase::Rest,
-            ramp_from_s: 0.0,
-            standstill: Standstill { held_from_s: 0.0, q: DVector::zeros(n), from_s: 0.0 },
-            fault: None,
-        };
-        let layouts = new.layouts();
-        new.row = vec![0.0; layouts[TICK].width()];
-        new.servo_row = vec![0.0; layouts.get(SERVO).map_or(0, Layout::width)];
-        new
+            outgoing: Outgoing::None,
+            torque_limits: config.torque_limits,
+            friction: config.friction,
+            capabilities,
+            controller,
+            transformer,
+            guard,
+        })
     }
 
-    /// The channels that [`run`](Self::run) fills, by channel number: [`TICK`], and [`TRUTH`] and [`SERVO`]
-    /// where the robot knows them.
+    /// One cycle. Targets are those that are in force now ([`targets`](Self::targets)). Allocates nothing.
+    pub fn step(&mut self, sample: &Sample, targets: &Targets) -> Step<'_> {
+        self.outgoing = Outgoing::None;
+        let result = match self.phase {
+            // The fault that stopped the run may last: the rows say what is still measured.
+            Phase::Stopped => self.observe(sample).or(Ok(())),
+            Phase::Rest if self.passed_cycles < self.rest_cycles => self.rest(sample),
+            _ => self.control(sample, targets),
+        };
+        match result {
+            Ok(()) => {
+                self.fill_row();
+                self.result()
+            }
+            Err(fault) => self.stop_for(fault),
+        }
+    }
+
+    /// The robot could not be read, or did not take a command. The result has the last command, if the state is known.
+    pub fn fail(&mut self, fault: DeviceFault) -> Step<'_> {
+        self.outgoing = Outgoing::None;
+        if self.phase == Phase::Stopped {
+            return self.result();
+        }
+        self.stop_for(Fault::Device(fault))
+    }
+
+    /// A stop that was asked for. The result has the last command, in place of that of this cycle.
+    pub fn stop(&mut self) -> Step<'_> {
+        self.outgoing = Outgoing::None;
+        if self.phase != Phase::Stopped {
+            self.enter_stop();
+        }
+        self.result()
+    }
+
+    /// The result of the last cycle.
+    pub fn result(&self) -> Step<'_> {
+        let setpoint = self.guard.as_ref().map_or(&[][..], Guard::setpoint);
+        let command = match self.outgoing {
+            Outgoing::None => None,
+            Outgoing::Hold => Some(Command::Hold),
+            Outgoing::Torque => Some(Command::Torque(self.torque_desired.as_slice())),
+            Outgoing::Setpoint => Some(Command::new(self.capabilities.command, setpoint)),
+        };
+        Step {
+            command,
+            phase: self.phase,
+            fault: self.fault.as_ref(),
+            missed_cycles: self.state.estimator.missed(),
+            control_cycles: self.passed_cycles.saturating_sub(self.rest_cycles),
+        }
+    }
+
+    /// Properties of the robot for which the loop was made.
     #[must_use]
-    pub fn layouts(&self) -> Vec<Layout> {
-        let joints: Vec<String> = self.model.joints().iter().map(|j| j.name.clone()).collect();
-        let mut signals = vec![
-            Signal::scalar("phase", "1"),
-            Signal::scalar("fault", "1"),
-            Signal::scalar("tick_time", "ns"),
-        ];
-        signals.extend(self.backend.sensing().signals(&joints));
-        let command_unit = match self.controller.command_kind() {
-            CommandKind::Torque => "Nm",
-            CommandKind::Position => "rad",
-        };
-        signals.push(Signal::new("command", command_unit, &joints));
-        signals.push(Signal::new("torque_desired", "Nm", &joints));
-        signals.push(Signal::new("torque_saturated", "1", &joints));
-        signals.extend(self.backend.signals());
-        signals.extend(self.controller.signals());
-        let mut layouts = vec![Layout { channel: "tick".to_owned(), signals }];
-        if let Some(traces) = self.backend.traces() {
-            let mut servo = traces.servo;
-            servo.signals.insert(0, Signal::new("torque_desired", "Nm", &joints));
-            layouts.push(traces.truth);
-            layouts.push(servo);
-        }
-        layouts
+    pub fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
     }
 
-    /// Runs from rest for `duration_s` of control, or until a fault, or until `interrupt` is set. Whatever
-    /// happens, the robot is left in its safe state and every tick is in the sink.
-    pub fn run(&mut self, duration_s: f64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Ending {
-        let period_s = self.backend.facts().period_s;
-        let periods = |seconds: f64| (seconds / period_s).round() as u64;
-        let ending = self
-            .rest(periods(self.safety.tare_s.get()), interrupt, sink)
-            .and_then(|()| self.control(periods(duration_s), interrupt, sink))
-            .map_or_else(|ending| ending, |()| Ending::Completed);
-        self.backend.stop(&self.data);
-        self.phase = Phase::Stopped;
-        self.torque_desired.fill(f64::NAN);
-        self.command.fill(f64::NAN);
-        self.history.push(&self.torque_desired);
-        if ending != Ending::Completed {
-            self.aftermath(periods(AFTERMATH_S), sink);
-        }
-        ending
+    /// The robot's model.
+    #[must_use]
+    pub fn model(&self) -> &Model {
+        &self.state.model
     }
 
-    /// The robot holds itself while its sensors are tared.
-    fn rest(&mut self, periods: u64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<(), Ending> {
-        let mut passed = 0;
-        while passed < periods {
-            let observed = self.observe(sink);
-            passed = passed.saturating_add(self.periods());
-            self.backend.sensing_mut().tare();
-            self.finish_tick(observed, interrupt, sink)?;
-        }
-        Ok(())
+    /// Targets for this loop's tasks, all as configured.
+    #[must_use]
+    pub fn targets(&self) -> Targets {
+        self.controller.targets()
     }
 
-    fn control(&mut self, periods: u64, interrupt: &AtomicBool, sink: &mut dyn Sink) -> Result<(), Ending> {
-        self.phase = Phase::Control;
-        let mut passed = 0;
-        while passed < periods {
-            let commanded = self.observe(sink).and_then(|began| {
-                if passed == 0 {
-                    self.start();
-                }
-                self.act().map(|()| began)
-            });
-            passed = passed.saturating_add(self.periods());
-            self.finish_tick(commanded, interrupt, sink)?;
-        }
-        Ok(())
+    /// The measurement of the last cycle.
+    #[must_use]
+    pub fn measurement(&self) -> &Measurement {
+        self.state.estimator.measurement()
     }
 
-    /// How many interface periods the present sample came after the last, the first one included.
-    fn periods(&self) -> u64 {
-        self.backend.sensing().continuity().missed().saturating_add(1)
+    /// The robot's clock at the last sample, s.
+    #[must_use]
+    pub fn clock_s(&self) -> f64 {
+        self.state.estimator.clock_s()
+    }
+
+    /// The torques that the last command is to produce, Nm or N (n); NaN where the controller commanded none.
+    #[must_use]
+    pub fn torque_desired(&self) -> &[f64] {
+        self.torque_desired.as_slice()
+    }
+
+    /// The signals of [`row`](Self::row).
+    #[must_use]
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// The row of the last cycle: sample, measurement, command, tasks. It is complete before a stop is computed.
+    #[must_use]
+    pub fn row(&self) -> &[f64] {
+        &self.row
+    }
+
+    /// The robot holds itself while its force sensors are tared.
+    fn rest(&mut self, sample: &Sample) -> Result<(), Fault> {
+        let observed = self.observe(sample);
+        self.count_cycles();
+        self.state.estimator.tare();
+        observed
+    }
+
+    fn control(&mut self, sample: &Sample, targets: &Targets) -> Result<(), Fault> {
+        let first = self.phase == Phase::Rest;
+        if first {
+            self.phase = Phase::Control;
+            self.rest_cycles = self.passed_cycles;
+        }
+        let acted = self.observe(sample).and_then(|()| {
+            if first {
+                self.state.estimator.begin();
+                self.controller.start(&self.state.input(targets));
+            }
+            self.act(targets)
+        });
+        self.count_cycles();
+        acted
+    }
+
+    fn count_cycles(&mut self) {
+        self.passed_cycles =
+            self.passed_cycles.saturating_add(self.state.estimator.missed().saturating_add(1));
+    }
+
+    /// Updates measurement and model, and compares the motors' torques with the desired ones.
+    fn observe(&mut self, sample: &Sample) -> Result<(), Fault> {
+        let State { model, data, estimator, .. } = &mut self.state;
+        estimator.observe(sample, model, data, &mut *self.transformer, self.held)?;
+        match &mut self.guard {
+            Some(guard) => guard.watch(estimator.measurement(), estimator.missed()),
+            None => Ok(()),
+        }
     }
 
     /// Commands, unless the robot must be held.
-    fn act(&mut self) -> Result<(), Fault> {
-        let measurement = self.backend.sensing().measurement();
-        if let Continuity::Broken { .. } = self.backend.sensing().continuity() {
+    fn act(&mut self, targets: &Targets) -> Result<(), Fault> {
+        let asked_to_hold = targets.is_held();
+        if self.state.estimator.is_lost() || asked_to_hold {
             self.phase = Phase::Held;
-            self.standstill.begin(measurement);
+            self.standstill.begin(self.state.estimator.measurement());
         }
         if self.phase == Phase::Held {
-            if !self.stands_still()? {
-                return self.hold();
+            if asked_to_hold || !self.standstill.is_reached(self.state.estimator.measurement())? {
+                return self.hold(targets);
             }
-            self.resume();
+            self.phase = Phase::Resuming;
+            self.ramp_from_s = self.measurement().time_s;
+            self.controller.resume(&self.state.input(targets));
         }
-        let since_s = self.backend.sensing().measurement().time_s - self.ramp_from_s;
-        if self.phase == Phase::Resuming && since_s >= self.safety.torque_ramp_s.get() {
+        if self.phase == Phase::Resuming && self.ramp_passed_s() >= self.ramp_s {
             self.phase = Phase::Control;
         }
-        self.command()
+        self.command(targets)
     }
 
-    /// Whether the robot that is held has stood still for long enough.
-    fn stands_still(&mut self) -> Result<bool, Fault> {
-        let measurement = self.backend.sensing().measurement();
-        let period_s = self.backend.facts().period_s;
-        // Half a period: times are multiples of one, rounded.
-        let looked_s = measurement.time_s - self.standstill.from_s + 0.5 * period_s;
-        if looked_s < Standstill::LASTS_S.max(2.0 * period_s) {
-            return Ok(false);
-        }
-        let Some(joint) = self.standstill.moving(measurement) else {
-            return Ok(true);
-        };
-        let held_s = measurement.time_s - self.standstill.held_from_s;
-        if held_s > self.safety.longest_dropout_s.get() {
-            return Err(Fault::NotHeld { joint, held_s });
-        }
-        self.standstill.look_again(measurement);
-        Ok(false)
+    fn ramp_passed_s(&self) -> f64 {
+        self.measurement().time_s - self.ramp_from_s
     }
 
-    /// Leaves the robot as it is, without a command of the controller's.
-    fn hold(&mut self) -> Result<(), Fault> {
-        self.with_input(|controller, input, _| controller.observe_while_held(input));
+    /// Leaves the robot where it is, without a command of the controller.
+    fn hold(&mut self, targets: &Targets) -> Result<(), Fault> {
+        self.controller.observe_while_held(&self.state.input(targets));
         self.command.fill(f64::NAN);
         self.torque_desired.fill(f64::NAN);
         self.saturated.fill(0.0);
-        self.backend.hold()?;
-        self.history.push(&self.torque_desired);
+        self.held = true;
+        if let Some(guard) = &mut self.guard {
+            let estimator = &self.state.estimator;
+            guard.check_following(estimator.measurement(), estimator.missed())?;
+            guard.hold();
+        }
+        self.outgoing = Outgoing::Hold;
         Ok(())
     }
 
-    /// Lets the controller command again, from where the robot is held.
-    fn resume(&mut self) {
-        self.phase = Phase::Resuming;
-        self.ramp_from_s = self.backend.sensing().measurement().time_s;
-        self.with_input(|controller, input, _| controller.resume(input));
-    }
-
-    /// Reads on for a while, so that the log shows how the robot stopped.
-    fn aftermath(&mut self, periods: u64, sink: &mut dyn Sink) {
-        for _ in 0..periods {
-            if self.backend.read().is_err() {
-                return;
-            }
-            self.record_traces(sink);
-            // The fault that stopped the run may last: the rows say what is still measured.
-            let _ = self.backend.observe(self.model, &mut self.data);
-            self.record_tick(f64::NAN, sink);
-            sink.between_ticks();
+    fn command(&mut self, targets: &Targets) -> Result<(), Fault> {
+        let kind = self.controller.command_kind();
+        if kind == CommandKind::Torque {
+            self.compensate_friction();
         }
-    }
-
-    fn start(&mut self) {
-        self.backend.sensing_mut().begin();
-        self.with_input(|controller, input, _| controller.start(input));
-    }
-
-    /// Calls `use_input` with the controller, its input in this cycle and the command.
-    fn with_input(&mut self, use_input: impl FnOnce(&mut dyn Controller, &ControlInput<'_>, &mut [f64])) {
-        let sensing = self.backend.sensing();
-        let input = ControlInput {
-            model: self.model,
-            data: &self.data,
-            measurement: sensing.measurement(),
-            feedforward_torque: self.feedforward_torque.as_slice(),
-            targets: &self.targets,
-            clock_s: sensing.clock_s(),
+        self.controller.update(&self.state.input(targets), self.command.as_mut_slice());
+        if let Some(stale) = self.controller.stale_target() {
+            return Err(Fault::StaleTarget { task: stale.task, age_s: stale.age_s });
+        }
+        if kind == CommandKind::Torque {
+            self.shape_torque();
+        }
+        let estimator = &self.state.estimator;
+        let (measurement, missed) = (estimator.measurement(), estimator.missed());
+        let Some(guard) = &mut self.guard else {
+            check_finite(self.torque_desired.as_slice())?;
+            self.held = false;
+            self.outgoing = Outgoing::Torque;
+            return Ok(());
         };
-        use_input(self.controller, &input, self.command.as_mut_slice());
-    }
-
-    /// Waits for the tick and brings measurement and `data` up to date; gives the instant when the
-    /// computation began.
-    fn observe(&mut self, sink: &mut dyn Sink) -> Result<Instant, Fault> {
-        let read = self.backend.read();
-        self.record_traces(sink);
-        read?;
-        let began = Instant::now();
-        self.backend.observe(self.model, &mut self.data)?;
-        Ok(began)
-    }
-
-    /// The controller's command, and what the robot is told.
-    fn command(&mut self) -> Result<(), Fault> {
-        if self.controller.command_kind() == CommandKind::Torque {
-            let dq = &self.backend.sensing().measurement().dq;
-            for (i, (torque, &dq)) in self.feedforward_torque.iter_mut().zip(dq).enumerate() {
-                *torque = self.friction.torque(i, dq);
-            }
+        guard.check_following(measurement, missed)?;
+        guard.begin(measurement);
+        if kind == CommandKind::Torque {
+            let torque = self.torque_desired.as_slice();
+            check_finite(torque)?;
+            guard.expect_torque(torque);
+            self.transformer.transform(&self.state.data, torque, guard.setpoint_mut());
+            guard.keep_within_reach(measurement);
+        } else {
+            check_finite(self.command.as_slice())?;
+            guard.take(self.command.as_slice(), measurement, missed)?;
         }
-        self.with_input(|controller, input, command| controller.update(input, command));
-        match self.controller.command_kind() {
-            CommandKind::Torque => {
-                self.shape_torque();
-                self.backend.command(&self.data, Command::Torque(self.torque_desired.as_slice()))?;
-            }
-            CommandKind::Position => {
-                self.backend.command(&self.data, Command::Position(self.command.as_slice()))?;
-            }
-        }
-        self.history.push(&self.torque_desired);
+        guard.finish(missed);
+        self.held = false;
+        self.transformer.sent(&self.state.data, guard.setpoint());
+        self.outgoing = Outgoing::Setpoint;
         Ok(())
     }
 
-    /// τ_s = clamp(τ_eff + n̂), equation (11) of the paper, with τ_eff coming in from holding still.
+    fn compensate_friction(&mut self) {
+        let State { estimator, feedforward_torque, .. } = &mut self.state;
+        let dq = &estimator.measurement().dq;
+        for (i, (torque, &dq)) in feedforward_torque.iter_mut().zip(dq.iter()).enumerate() {
+            *torque = self.friction.torque(i, dq);
+        }
+    }
+
+    /// τ_s = clamp(τ_eff + n̂), equation (K11), with τ_eff ramping in from the torques that hold the arm.
     fn shape_torque(&mut self) {
-        let facts = self.backend.facts();
-        let measurement = self.backend.sensing().measurement();
-        let ramp_s = self.safety.torque_ramp_s.get();
-        let since_s = measurement.time_s - self.ramp_from_s;
-        let share = if since_s < ramp_s { since_s / ramp_s } else { 1.0 };
+        let passed_s = self.ramp_passed_s();
+        let share = if passed_s < self.ramp_s { passed_s / self.ramp_s } else { 1.0 };
         for i in 0..self.command.len() {
-            let holding = match facts.gravity_by {
-                GravityBy::Controller => self.data.gravity[i],
-                GravityBy::Robot => 0.0,
-            };
+            let holding = self.holding_torque(i);
             let ramped =
                 if share < 1.0 { holding + share * (self.command[i] - holding) } else { self.command[i] };
-            let torque = ramped + self.feedforward_torque[i];
+            let torque = ramped + self.state.feedforward_torque[i];
             let limit = self.torque_limits[i];
-            // NaN passes: the backend refuses it by name.
+            // NaN passes: it is refused by name.
             self.torque_desired[i] = torque.clamp(-limit, limit);
             self.saturated[i] = f64::from(u8::from(torque.abs() > limit));
         }
     }
 
-    /// Records the tick and says whether the run goes on.
-    fn finish_tick(
-        &mut self,
-        result: Result<Instant, Fault>,
-        interrupt: &AtomicBool,
-        sink: &mut dyn Sink,
-    ) -> Result<(), Ending> {
-        let time_s = self.backend.sensing().measurement().time_s;
-        let (nanoseconds, ending) = match result {
-            Ok(began) => (began.elapsed().as_nanos() as f64, None),
-            Err(fault) => {
-                self.fault = Some(fault);
-                (f64::NAN, Some(Ending::Faulted { fault, time_s }))
-            }
-        };
-        self.record_tick(nanoseconds, sink);
-        sink.between_ticks();
-        match ending {
-            Some(ending) => Err(ending),
-            None if interrupt.load(Ordering::Relaxed) => Err(Ending::Interrupted { time_s }),
-            None => Ok(()),
+    /// The torque that holds a joint at rest, Nm or N.
+    fn holding_torque(&self, joint: usize) -> f64 {
+        match self.capabilities.gravity_compensated_by {
+            GravityCompensation::Controller => self.state.data.gravity[joint],
+            GravityCompensation::Robot => 0.0,
         }
     }
 
-    fn record_tick(&mut self, nanoseconds: f64, sink: &mut dyn Sink) {
+    /// Latches the fault, completes the row and stops.
+    fn stop_for(&mut self, fault: Fault) -> Step<'_> {
+        self.fault = Some(fault);
+        self.outgoing = Outgoing::None;
+        self.fill_row();
+        self.enter_stop();
+        self.result()
+    }
+
+    fn enter_stop(&mut self) {
+        self.phase = Phase::Stopped;
+        self.set_last_setpoint();
+        self.torque_desired.fill(f64::NAN);
+        self.command.fill(f64::NAN);
+    }
+
+    /// A position robot gets one last setpoint, which carries the weight and leads by v/kp, and keeps it: the stiff servo
+    /// stops the arm. A velocity robot is braked by its servo's damping. A state that is not known, or that was long ago,
+    /// leaves the last setpoint: it is as good a place to hold.
+    fn set_last_setpoint(&mut self) {
+        let estimator = &self.state.estimator;
+        let unknown = !estimator.is_known() || self.state.data.q.iter().any(|q| !q.is_finite());
+        for i in 0..self.torque_desired.len() {
+            self.torque_desired[i] = self.holding_torque(i);
+        }
+        let estimator = &self.state.estimator;
+        let Some(guard) = &mut self.guard else { return };
+        guard.stop_watching();
+        if unknown || estimator.is_outdated() {
+            return;
+        }
+        let torque = self.torque_desired.as_slice();
+        if self.capabilities.command == CommandKind::Velocity {
+            guard.brake(torque);
+        } else {
+            self.transformer.transform(&self.state.data, torque, guard.setpoint_mut());
+        }
+        guard.keep_within_reach(estimator.measurement());
+        if check_finite(guard.setpoint()).is_ok() {
+            self.transformer.sent(&self.state.data, guard.setpoint());
+            self.outgoing = Outgoing::Setpoint;
+        }
+    }
+
+    fn fill_row(&mut self) {
         let mut row = Row::new(&mut self.row);
         row.put_one(self.phase.code());
-        row.put_one(self.fault.map_or(0.0, |f| f64::from(f.code())));
-        row.put_one(nanoseconds);
-        self.backend.sensing().sample_row(&mut row);
+        row.put_one(self.fault.as_ref().map_or(0.0, |fault| f64::from(fault.code())));
+        self.state.estimator.sample_row(&mut row);
         row.put(self.command.as_slice());
         row.put(self.torque_desired.as_slice());
         row.put(self.saturated.as_slice());
-        self.backend.sample(&mut row);
+        if let Some(guard) = &self.guard {
+            guard.sample(&mut row);
+        }
         self.controller.sample(&mut row);
         debug_assert_eq!(row.remaining(), 0, "signals and samples must agree");
-        sink.row(TICK, self.backend.sensing().clock_s(), &self.row);
     }
+}
 
-    fn record_traces(&mut self, sink: &mut dyn Sink) {
-        let (history, servo_row) = (&self.history, &mut self.servo_row);
-        self.backend.visit_traces(&mut |trace| match trace {
-            Trace::Truth { time_s, row } => sink.row(TRUTH, time_s, row),
-            Trace::Servo { time_s, command, row } => {
-                let mut full = Row::new(servo_row);
-                full.put(history.get(command).as_slice());
-                full.put(row);
-                sink.row(SERVO, time_s, servo_row);
-            }
-        });
+fn layout(
+    capabilities: &Capabilities,
+    estimator: &StateEstimator,
+    controller: &dyn Controller,
+    guard: Option<&Guard>,
+) -> Layout {
+    let joints = &capabilities.joints;
+    let mut signals = vec![Signal::scalar("phase", "1"), Signal::scalar("fault", "1")];
+    signals.extend(estimator.signals());
+    signals.push(Signal::new("command", controller.command_kind().unit(), joints));
+    signals.push(Signal::new("torque_desired", "Nm", joints));
+    signals.push(Signal::new("torque_saturated", "1", joints));
+    signals.extend(guard.into_iter().flat_map(Guard::signals));
+    signals.extend(controller.signals());
+    Layout { channel: "tick".to_owned(), signals }
+}
+
+/// Checks that the parts fit together.
+fn check(config: &LoopConfig) -> Result<(), LoopError> {
+    let LoopConfig { model, capabilities, controller, transformer, .. } = config;
+    let joints = model.n();
+    let names = || model.joints().iter().map(|joint| joint.name.clone());
+    if !names().eq(capabilities.joints.iter().cloned()) {
+        return Err(LoopError::Joints { robot: capabilities.joints.clone(), model: names().collect() });
+    }
+    let takes = capabilities.command;
+    let servos = if takes == CommandKind::Torque { joints } else { config.servo_gains.len() };
+    let lengths = [
+        ("torque_limits", config.torque_limits.len()),
+        ("servo_gains", servos),
+        ("friction", config.friction.joints()),
+    ];
+    for (what, found) in lengths {
+        if found != joints {
+            return Err(LoopError::Length { what, found, joints });
+        }
+    }
+    let value = |what, allowed, found| Err(LoopError::Value { what, allowed, found });
+    if !(capabilities.period_s.is_finite() && capabilities.period_s > 0.0) {
+        return value("the period in seconds", "finite and above 0", capabilities.period_s);
+    }
+    if let Some(&limit) = config.torque_limits.iter().find(|limit| limit.is_nan() || **limit <= 0.0) {
+        return value("a torque limit", "above 0", limit);
+    }
+    let gains = config.servo_gains.iter().flat_map(|servo| [servo.stiffness, servo.damping]);
+    if let Some(gain) =
+        gains.filter(|_| takes != CommandKind::Torque).find(|gain| !gain.is_finite() || *gain < 0.0)
+    {
+        return value("a servo gain", "finite and not below 0", gain);
+    }
+    let gives = controller.command_kind();
+    if gives != CommandKind::Torque && gives != takes {
+        return Err(LoopError::Kind { part: "controller", gives, takes });
+    }
+    if transformer.takes() != takes {
+        return Err(LoopError::Kind { part: "transformer", gives: transformer.takes(), takes });
+    }
+    Ok(())
+}
+
+/// Finds the first joint whose command is not a finite number.
+fn check_finite(command: &[f64]) -> Result<(), Fault> {
+    match command.iter().position(|value| !value.is_finite()) {
+        Some(joint) => Err(Fault::CommandNotFinite { joint }),
+        None => Ok(()),
     }
 }

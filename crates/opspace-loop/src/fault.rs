@@ -1,13 +1,18 @@
-//! Why a run stops: one named cause, latched.
+//! Causes of a stop: a run has one, and it is latched.
 
+use opspace_backend::DeviceFault;
+use opspace_model::Model;
 use thiserror::Error;
 
+/// The code of a fault that the robot itself reported.
+pub(crate) const DEVICE_CODE: u32 = 17;
+
 /// The cause of a stop. Joints are given by their index; [`describe`](Fault::describe) names them.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Fault {
     /// A measured value is not a finite number.
-    #[error("joint {joint}: the measured position or torque is not a finite number")]
+    #[error("joint {joint}: a measured position, velocity or torque is not a finite number")]
     MeasurementNotFinite {
         /// Joint index.
         joint: usize,
@@ -33,16 +38,16 @@ pub enum Fault {
         now_s: f64,
     },
     /// The robot was silent for too long.
-    #[error("the robot was silent for {silent_s} s, and a run bears {longest_s} s")]
+    #[error("the robot was silent for {silent_s} s; limit: {limit_s} s")]
     Dropout {
         /// How long no sample came, s.
         silent_s: f64,
         /// `longest_dropout_s`.
-        longest_s: f64,
+        limit_s: f64,
     },
     /// After a dropout, a joint that should be held goes on moving.
     #[error("joint {joint}: held after a dropout, it still moves after {held_s} s")]
-    NotHeld {
+    HoldFailed {
         /// Joint index.
         joint: usize,
         /// For how long it was held, s.
@@ -50,7 +55,7 @@ pub enum Fault {
     },
     /// A measured position is further from the one before than any speed explains.
     #[error("joint {joint}: the measured position jumped by {step}, limit {limit}")]
-    PositionSlip {
+    PositionJump {
         /// Joint index.
         joint: usize,
         /// From one sample to the next, rad or m.
@@ -81,7 +86,7 @@ pub enum Fault {
         limit: f64,
     },
     /// A joint is further from its set-point than full torque and full speed explain.
-    #[error("joint {joint}: {error} away from its set-point, limit {limit}")]
+    #[error("following error of joint {joint}: {error}, limit {limit}")]
     FollowingError {
         /// Joint index.
         joint: usize,
@@ -102,7 +107,7 @@ pub enum Fault {
     },
     /// The motor of a position robot drives its joint with more power than was asked for.
     #[error("joint {joint}: the motor puts in {power} W more than is asked for, limit {limit}")]
-    SurplusPower {
+    ExcessPower {
         /// Joint index.
         joint: usize,
         /// (τ_motor − τ_desired) q̇ as a mean over the watchdog's time, W.
@@ -113,15 +118,20 @@ pub enum Fault {
     /// The mass matrix can't be factored.
     #[error("the mass matrix is not positive definite at the measured position")]
     MassMatrix,
-    /// The robot takes other commands than this controller gives.
-    #[error("this robot does not take the commands that this controller gives")]
-    WrongCommand,
-    /// A simulated state left the range of numbers.
-    #[error("the simulation diverged")]
-    Diverged,
-    /// A log that is replayed has no further tick.
-    #[error("the log ends here")]
-    EndOfLog,
+    /// The robot itself reported a fault.
+    #[error("the robot reports: {0}")]
+    Device(DeviceFault),
+    /// A streamed target is too old, and its task asks for a stop.
+    #[error("the target of task {task} is {age_s} s old")]
+    StaleTarget {
+        /// Place of the task in the priority, from 0.
+        task: usize,
+        /// Age of the target, s.
+        age_s: f64,
+    },
+    /// A part of the control loop panicked: a task, a controller or a backend of the user.
+    #[error("the control loop panicked; the message was printed to standard error")]
+    Panicked,
 }
 
 impl Fault {
@@ -137,26 +147,20 @@ impl Fault {
             Self::Speed { .. } => 6,
             Self::FollowingError { .. } => 7,
             Self::MassMatrix => 8,
-            Self::WrongCommand => 9,
-            Self::Diverged => 10,
-            Self::EndOfLog => 11,
             Self::Dropout { .. } => 12,
-            Self::NotHeld { .. } => 13,
-            Self::PositionSlip { .. } => 14,
+            Self::HoldFailed { .. } => 13,
+            Self::PositionJump { .. } => 14,
             Self::TorqueDeviation { .. } => 15,
-            Self::SurplusPower { .. } => 16,
+            Self::ExcessPower { .. } => 16,
+            Self::Device(_) => DEVICE_CODE,
+            Self::StaleTarget { .. } => 18,
+            Self::Panicked => 19,
         }
-    }
-
-    /// The fault of that code, if it is one that a robot itself reports when it is read.
-    #[must_use]
-    pub fn of_robot(code: f64) -> Option<Self> {
-        (code == f64::from(Self::Diverged.code())).then_some(Self::Diverged)
     }
 
     /// The cause in words, with the joint's name. Allocates: not for the loop.
     #[must_use]
-    pub fn describe(&self, model: &opspace_model::Model) -> String {
+    pub fn describe(&self, model: &Model) -> String {
         let text = self.to_string();
         let joint = match *self {
             Self::MeasurementNotFinite { joint }
@@ -164,10 +168,10 @@ impl Fault {
             | Self::JointLimit { joint, .. }
             | Self::Speed { joint, .. }
             | Self::FollowingError { joint, .. }
-            | Self::NotHeld { joint, .. }
-            | Self::PositionSlip { joint, .. }
+            | Self::HoldFailed { joint, .. }
+            | Self::PositionJump { joint, .. }
             | Self::TorqueDeviation { joint, .. }
-            | Self::SurplusPower { joint, .. } => joint,
+            | Self::ExcessPower { joint, .. } => joint,
             _ => return text,
         };
         text.replacen(&format!("joint {joint}"), &format!("joint '{}'", model.joints()[joint].name), 1)

@@ -1,29 +1,32 @@
-//! Robots behind one trait: torque or position, and the transformer between them.
+//! The control loop, and the shells around it.
 //!
-//! A [`Robot`] adapter is a [`PositionRobot`] or a [`TorqueRobot`]; a [`Backend`] makes either one take
-//! torques; the [`ControlLoop`] runs a controller on a backend and never knows which it is.
+//! [`ControlLoop::step`] turns a sample into a command. A [`Run`] adds duration, stop requests, rows and an outcome;
+//! [`drive()`] pulls the samples from a [`Backend`](opspace_backend::Backend). A robot with a callback of its own calls
+//! [`Run::cycle`].
 
-pub mod backend;
+#![forbid(unsafe_code)]
+
 pub mod control_loop;
+pub mod drive;
 pub mod fault;
-pub mod identification;
-pub mod interface;
-pub mod position;
-pub mod robot;
+mod guard;
+pub mod link;
+pub mod phase;
+pub mod run;
 pub mod safety;
-pub mod sensing;
+mod state_estimator;
 pub mod supervisor;
-pub mod torque;
+pub mod target_stream;
+pub mod timeline;
 pub mod watchdog;
 
-pub use backend::{Backend, Command};
-pub use control_loop::{ControlLoop, Ending, Phase};
+pub use control_loop::{ControlLoop, LoopConfig, LoopError, Step};
+pub use drive::{Driven, drive, drive_together};
 pub use fault::Fault;
-pub use interface::{Facts, ForceSensor, InterfaceParameters};
-pub use position::PositionBackend;
-pub use robot::{PositionRobot, Robot, TorqueRobot, Trace, Traces};
+pub use link::{ChannelParameters, Link, LinkError};
+pub use phase::Phase;
+pub use run::{Run, RunOutcome};
 pub use safety::SafetyParameters;
-pub use sensing::Sensing;
-pub use supervisor::Continuity;
-pub use torque::TorqueBackend;
+pub use target_stream::{TargetReceiver, TargetSender, target_stream};
+pub use timeline::{Cycle, Timeline, TimelineError};
 pub use watchdog::{Watchdog, WatchdogParameters};

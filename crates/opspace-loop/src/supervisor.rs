@@ -19,25 +19,25 @@ pub struct Supervisor {
 
 /// How a sample follows the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Continuity {
+pub enum SampleGap {
     /// So few interface cycles after it that control goes on: one, unless some were missed.
-    Bridged {
+    Tolerated {
         /// How many cycles came without a sample.
         missed: u64,
     },
     /// So late that nothing that was estimated holds any more.
-    Broken {
+    Lost {
         /// How many cycles came without a sample.
         missed: u64,
     },
 }
 
-impl Continuity {
+impl SampleGap {
     /// How many cycles came without a sample.
     #[must_use]
     pub fn missed(self) -> u64 {
         match self {
-            Self::Bridged { missed } | Self::Broken { missed } => missed,
+            Self::Tolerated { missed } | Self::Lost { missed } => missed,
         }
     }
 }
@@ -80,27 +80,27 @@ impl Supervisor {
     ///
     /// # Errors
     /// A clock that didn't move on.
-    pub fn check_clock(&mut self, sample: &Sample) -> Result<Continuity, Fault> {
+    pub fn check_clock(&mut self, sample: &Sample) -> Result<SampleGap, Fault> {
         let before_s = std::mem::replace(&mut self.last_time_s, sample.time_s);
         // A clock that is no number moves nowhere.
         if sample.time_s.is_nan() || sample.time_s <= before_s {
             return Err(Fault::Clock { before_s, now_s: sample.time_s });
         }
         if before_s == f64::NEG_INFINITY {
-            return Ok(Continuity::Bridged { missed: 0 });
+            return Ok(SampleGap::Tolerated { missed: 0 });
         }
         let missed = (((sample.time_s - before_s) / self.period_s).round() as u64).saturating_sub(1);
         let bridged = missed <= self.bridged_cycles;
-        Ok(if bridged { Continuity::Bridged { missed } } else { Continuity::Broken { missed } })
+        Ok(if bridged { SampleGap::Tolerated { missed } } else { SampleGap::Lost { missed } })
     }
 
     /// Whether the robot was silent for longer than is borne.
     ///
     /// # Errors
     /// If it was.
-    pub fn check_silence(&self, continuity: Continuity) -> Result<(), Fault> {
-        let (silent_s, longest_s) = (continuity.missed() as f64 * self.period_s, self.longest_dropout_s);
-        if silent_s > longest_s { Err(Fault::Dropout { silent_s, longest_s }) } else { Ok(()) }
+    pub fn check_silence(&self, gap: SampleGap) -> Result<(), Fault> {
+        let (silent_s, limit_s) = (gap.missed() as f64 * self.period_s, self.longest_dropout_s);
+        if silent_s > limit_s { Err(Fault::Dropout { silent_s, limit_s }) } else { Ok(()) }
     }
 
     /// Checks what the robot reported, before anything is computed from it, against the positions (n) before it if
@@ -108,30 +108,27 @@ impl Supervisor {
     ///
     /// # Errors
     /// Numbers that are not finite; a position that no joint can have reached.
-    pub fn check_sample(
-        &self,
-        sample: &Sample,
-        before: &DVector<f64>,
-        continuity: Continuity,
-    ) -> Result<(), Fault> {
+    pub fn check_sample(&self, sample: &Sample, before: &DVector<f64>, gap: SampleGap) -> Result<(), Fault> {
         let not_finite = |v: &f64| !v.is_finite();
         if let Some(joint) = sample.q.iter().position(not_finite) {
             return Err(Fault::MeasurementNotFinite { joint });
         }
-        if let Some(joint) = sample.motor_torque.iter().flatten().position(not_finite) {
-            return Err(Fault::MeasurementNotFinite { joint });
+        for measured in [&sample.dq, &sample.motor_torque, &sample.joint_torque].into_iter().flatten() {
+            if let Some(joint) = measured.iter().position(not_finite) {
+                return Err(Fault::MeasurementNotFinite { joint });
+            }
         }
         let broken = sample.wrenches.iter().position(|w| w.iter().any(not_finite));
         if let Some(sensor) = broken {
             return Err(Fault::SensorNotFinite { sensor });
         }
-        let elapsed_s = (continuity.missed() + 1) as f64 * self.period_s;
+        let elapsed_s = (gap.missed() + 1) as f64 * self.period_s;
         for (joint, bounds) in self.joints.iter().enumerate() {
             let step = (sample.q[joint] - before[joint]).abs();
             let limit = SLIP * bounds.velocity * elapsed_s + SLIP_RAD;
             // NaN passes: there was no position before.
             if step > limit {
-                return Err(Fault::PositionSlip { joint, step, limit });
+                return Err(Fault::PositionJump { joint, step, limit });
             }
         }
         Ok(())

@@ -105,7 +105,7 @@ impl Watchdog {
             }
             let (power, limit) = (self.power[joint], self.power_limits[joint]);
             if power > limit {
-                return Err(Fault::SurplusPower { joint, power, limit });
+                return Err(Fault::ExcessPower { joint, power, limit });
             }
         }
         Ok(())

@@ -3,7 +3,7 @@
 //! In a cycle that is lost neither the sample nor the set-point passes: the robot goes on with what it holds, and the
 //! controller waits for the next sample that comes. Until the controller starts, every cycle passes.
 
-use crate::random::{Stream, generator};
+use crate::random::{RngStream, generator};
 use opspace_backend::quantity::{NonNegative, Positive};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -51,7 +51,7 @@ impl Bus {
     /// A bus of a run with that seed.
     #[must_use]
     pub fn new(parameters: &BusParameters, seed: u64) -> Self {
-        Self { parameters: parameters.clone(), random: generator(seed, Stream::Bus), late: 0 }
+        Self { parameters: parameters.clone(), random: generator(seed, RngStream::Bus), late: 0 }
     }
 
     /// Goes on to the cycle at `time_s`, s after the controller's start, and says whether it passes.

@@ -1,5 +1,6 @@
 //! What keeps an arm from being simulated.
 
+use opspace_backend::CommandKind;
 use opspace_model::{UnknownFrame, UnknownJoint};
 use opspace_transformer::ServoError;
 use thiserror::Error;
@@ -36,6 +37,16 @@ pub enum SimulationError {
         /// What is wrong with it.
         source: ServoError,
     },
+    /// A servo of another kind than the robot needs.
+    #[error("the servo of joint '{joint}' does not take {} setpoints: {} is missing", setpoints.name(), needed(joint, *setpoints))]
+    ServoKind {
+        /// Its joint.
+        joint: String,
+        /// Whether it is the true one, not the nominal one.
+        truth: bool,
+        /// The setpoints that the drives have for it.
+        setpoints: CommandKind,
+    },
     /// Physics and servo don't fit.
     #[error("physics at {physics_hz} Hz is not a whole multiple, 1 to 10000, of the servo's {servo_hz} Hz")]
     PhysicsRate {
@@ -43,6 +54,33 @@ pub enum SimulationError {
         physics_hz: f64,
         /// `servo_hz`.
         servo_hz: f64,
+    },
+    /// Servo rates without a common clock.
+    #[error(
+        "arms of one simulation have servo rates of {first_hz} Hz and {second_hz} Hz: whole numbers of hertz are needed"
+    )]
+    ServoRates {
+        /// Rate of one arm.
+        first_hz: f64,
+        /// Rate of another arm.
+        second_hz: f64,
+    },
+    /// Declared joints that are not those of the model.
+    #[error("the declared joints are not those of the model, in its order: {}", declared.join(", "))]
+    Joints {
+        /// The declared ones.
+        declared: Vec<String>,
+    },
+    /// A simulation without arms.
+    #[error("a simulation needs an arm")]
+    NoArm,
+    /// A coupling of an arm or a frame that there isn't.
+    #[error("coupling '{coupling}': {reason}")]
+    Coupling {
+        /// Its name.
+        coupling: String,
+        /// The arm or the frame that is missing, or the arm that is named twice.
+        reason: String,
     },
     /// A bus on which nothing passes.
     #[error("a bus that loses {share} of its cycles passes nothing: less than 1")]
@@ -72,32 +110,49 @@ pub enum SimulationError {
         /// Its name.
         sensor: String,
     },
-    /// A surrounding touches a frame that isn't there.
-    #[error("surroundings.{surrounding}: {source}")]
+    /// The frame of a force sensor is missing.
+    #[error("force sensor '{sensor}': {source}")]
+    SensorFrame {
+        /// Its name.
+        sensor: String,
+        /// The frames that there are.
+        source: UnknownFrame,
+    },
+    /// An object of the environment touches a frame that the robot does not have.
+    #[error("surroundings.{object}: {source}")]
     Frame {
-        /// The surrounding's name.
-        surrounding: String,
+        /// Its name.
+        object: String,
         /// What there is.
         source: UnknownFrame,
     },
     /// A band from a higher to a lower frequency.
-    #[error("surroundings.{surrounding}: to_hz is below from_hz")]
+    #[error("surroundings.{object}: to_hz is below from_hz")]
     Band {
-        /// The surrounding's name.
-        surrounding: String,
+        /// Its name.
+        object: String,
     },
-    /// A hand that reports no axis.
-    #[error("surroundings.{surrounding}: report names no axis; leave it out for all of x, y and z")]
+    /// An operator that reports no axis.
+    #[error("surroundings.{object}: report names no axis; leave it out for all of x, y and z")]
     NothingReported {
-        /// The surrounding's name.
-        surrounding: String,
+        /// Its name.
+        object: String,
     },
     /// A wall without a direction.
-    #[error("surroundings.{surrounding}: the normal has no length")]
+    #[error("surroundings.{object}: the normal has no length")]
     Normal {
-        /// The surrounding's name.
-        surrounding: String,
+        /// Its name.
+        object: String,
     },
+}
+
+/// The section that a servo of the kind would be.
+fn needed(joint: &str, setpoints: CommandKind) -> String {
+    let kind = match setpoints {
+        CommandKind::Velocity => "velocity",
+        CommandKind::Position | CommandKind::Torque => "cascaded, .pid or .transfer-function",
+    };
+    format!("servo.{joint}.{kind}")
 }
 
 impl SimulationError {
@@ -114,10 +169,15 @@ impl SimulationError {
             Self::Joint { section, source } => {
                 Key::Robot(vec!["simulated".into(), (*section).into(), source.name.clone()])
             }
-            Self::Servo { joint, truth: true, .. } => {
+            Self::Servo { joint, truth: true, .. } | Self::ServoKind { joint, truth: true, .. } => {
                 Key::Robot(vec!["simulated".into(), "servo".into(), joint.clone()])
             }
-            Self::Servo { joint, .. } => Key::Profile(vec!["servo".into(), joint.clone()]),
+            Self::Servo { joint, .. } | Self::ServoKind { joint, .. } => {
+                Key::Profile(vec!["servo".into(), joint.clone()])
+            }
+            Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
+            Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
+            Self::NoArm | Self::Coupling { .. } => Key::Task(Vec::new()),
             Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),
             Self::LostCycles { .. } => bus("lost_cycles_share"),
             Self::Dropout { .. } => bus("dropouts"),
@@ -125,10 +185,13 @@ impl SimulationError {
             Self::UnknownSensorQuality { sensor } => {
                 Key::Robot(vec!["simulated".into(), "force_sensor".into(), sensor.clone()])
             }
-            Self::Frame { surrounding, .. } => task(surrounding, "frame"),
-            Self::Band { surrounding } => task(surrounding, "motion"),
-            Self::NothingReported { surrounding } => task(surrounding, "report"),
-            Self::Normal { surrounding } => task(surrounding, "normal"),
+            Self::SensorFrame { sensor, .. } => {
+                Key::Robot(vec!["force_sensor".into(), sensor.clone(), "frame".into()])
+            }
+            Self::Frame { object, .. } => task(object, "frame"),
+            Self::Band { object } => task(object, "motion"),
+            Self::NothingReported { object } => task(object, "report"),
+            Self::Normal { object } => task(object, "normal"),
         }
     }
 }

@@ -28,9 +28,9 @@ impl RungeKutta {
     }
 
     /// Moves `q` (rad, m) and `dq` (rad/s, m/s) on by `dt` (s) under `tau` (Nm, N; n). Error O(dt⁵) a step.
-    pub fn step(&mut self, model: &Model, q: &mut DVector<f64>, dq: &mut DVector<f64>, tau: &[f64], dt: f64) {
-        self.q.copy_from(q);
-        self.dq.copy_from(dq);
+    pub fn step(&mut self, model: &Model, q: &mut [f64], dq: &mut [f64], tau: &[f64], dt: f64) {
+        self.q.copy_from_slice(q);
+        self.dq.copy_from_slice(dq);
         self.sum_dq.fill(0.0);
         self.sum_ddq.fill(0.0);
         for (weight, reach) in [(1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (1.0, 0.0)] {
@@ -43,7 +43,9 @@ impl RungeKutta {
                 self.dq[i] = dq[i] + reach * dt * self.data.ddq[i];
             }
         }
-        q.axpy(dt / 6.0, &self.sum_dq, 1.0);
-        dq.axpy(dt / 6.0, &self.sum_ddq, 1.0);
+        for i in 0..q.len() {
+            q[i] += dt / 6.0 * self.sum_dq[i];
+            dq[i] += dt / 6.0 * self.sum_ddq[i];
+        }
     }
 }

@@ -1,211 +1,78 @@
-//! The arm itself: rigid bodies moved by motors and contacts, held back by friction and end stops.
+//! The interface between the simulation and a physics engine.
+//!
+//! A plant is rigid bodies and contacts, and nothing else. Everything local to a joint (motor, friction, end stop, brake,
+//! encoder) is the [drivetrain](crate::drivetrain) above it, so that it is the same above any engine. A rotor on a rigid
+//! gear is part of the plant's mass matrix; a rotor on an elastic gear is a state of its drivetrain.
 
-use crate::friction::LuGre;
-use crate::integrator::RungeKutta;
-use crate::motor::Motor;
-use crate::parameters::{BrakeParameters, EndStopParameters};
-use crate::surroundings::Surrounding;
-use nalgebra::{DVector, Matrix6xX, Vector3};
-use opspace_model::{
-    Data, Force, FrameId, Limits, Model, frame_jacobian, frame_placement, frame_velocity, kinematics,
-};
+use crate::environment::EnvironmentObject;
+use crate::external::ExternalForce;
+use nalgebra::Vector3;
+use opspace_model::{Force, FrameId, Model};
 
-/// What touches one frame of the arm.
+/// Rigid bodies of any number of arms, and what touches them.
+pub trait Plant {
+    /// True joint positions of all joints, one arm after the other, rad or m.
+    fn q(&self) -> &[f64];
+
+    /// True joint velocities, in the order of [`q`](Self::q), rad/s or m/s.
+    fn dq(&self) -> &[f64];
+
+    /// Moves on by `dt_s` (s) from the time `time_s` (s on the simulation's clock), with `joint_torques` (Nm or N, in the
+    /// order of [`q`](Self::q)) held over the step.
+    fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]);
+
+    /// The wrench of the last step's contacts and external force on the body of `frame`, at the frame's origin, in its
+    /// axes, on the robot (N, Nm).
+    fn contact_wrench(&mut self, frame: PlantFrame) -> Force;
+
+    /// The force of a contact on an arm during the last step, world axes (N). Contacts are in the order of
+    /// [`PlantArm::contacts`], then the arm's couplings in the order of [`PlantConfig::couplings`].
+    fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64>;
+
+    /// Sets the external force on an arm; it acts from the next step on.
+    fn push(&mut self, arm: usize, force: Option<ExternalForce>);
+
+    /// The external force on an arm during the last step, world axes (N).
+    fn external_force(&self, arm: usize) -> Vector3<f64>;
+}
+
+/// A frame of one of the arms of a plant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlantFrame {
+    /// Index of the arm.
+    pub arm: usize,
+    /// Its frame.
+    pub frame: FrameId,
+}
+
+/// The parts of a plant.
 #[derive(Clone, Debug)]
-pub struct Contact {
-    frame: FrameId,
-    surrounding: Surrounding,
-    jacobian: Matrix6xX<f64>,
-    force: Vector3<f64>,
+pub struct PlantConfig {
+    /// The arms.
+    pub arms: Vec<PlantArm>,
+    /// Springs between arms.
+    pub couplings: Vec<PlantCoupling>,
 }
 
-impl Contact {
-    /// A surrounding at a frame of a robot of `n` joints.
-    #[must_use]
-    pub fn new(frame: FrameId, surrounding: Surrounding, n: usize) -> Self {
-        Self { frame, surrounding, jacobian: Matrix6xX::zeros(n), force: Vector3::zeros() }
-    }
-
-    /// The force on the robot during the last step, world axes, N.
-    #[must_use]
-    pub fn force(&self) -> &Vector3<f64> {
-        &self.force
-    }
-}
-
-/// The parts of a [`Plant`].
-pub struct PlantParts {
-    /// The true rigid bodies.
+/// An arm of a plant.
+#[derive(Clone, Debug)]
+pub struct PlantArm {
+    /// The true rigid bodies, with rotors on rigid gears.
     pub model: Model,
-    /// One a joint.
-    pub friction: Vec<LuGre>,
-    /// One a joint.
-    pub motors: Vec<Motor>,
-    /// For all joints.
-    pub end_stop: EndStopParameters,
-    /// For all joints.
-    pub brake: BrakeParameters,
-    /// Torque at which each joint's brake slips, Nm.
-    pub brake_torque: DVector<f64>,
-    /// What touches it.
-    pub contacts: Vec<Contact>,
-    /// Where it starts, at rest, rad or m.
-    pub q: DVector<f64>,
+    /// Positions at the start, at rest, rad or m (n).
+    pub q: Vec<f64>,
+    /// Objects of the environment, each with the frame that it touches.
+    pub contacts: Vec<(FrameId, EnvironmentObject)>,
 }
 
-/// State and physics of the arm, stepped at a fixed rate.
-pub struct Plant {
-    parts: PlantParts,
-    dq: DVector<f64>,
-    braked: bool,
-    /// Where each brake fell in.
-    braked_at: DVector<f64>,
-    integrator: RungeKutta,
-    data: Data,
-    torque: DVector<f64>,
-    motor_torque: DVector<f64>,
-}
-
-impl Plant {
-    /// At rest.
-    ///
-    /// # Panics
-    /// If the parts are not one a joint.
-    #[must_use]
-    pub fn new(parts: PlantParts) -> Self {
-        let n = parts.model.n();
-        assert!([parts.friction.len(), parts.motors.len(), parts.q.len()].iter().all(|&l| l == n));
-        let zero = DVector::zeros(n);
-        Self {
-            dq: zero.clone(),
-            braked: false,
-            braked_at: zero.clone(),
-            integrator: RungeKutta::new(&parts.model),
-            data: Data::new(&parts.model),
-            torque: zero.clone(),
-            motor_torque: zero,
-            parts,
-        }
-    }
-
-    /// True joint positions, rad or m.
-    #[must_use]
-    pub fn q(&self) -> &DVector<f64> {
-        &self.parts.q
-    }
-
-    /// True joint velocities, rad/s or m/s.
-    #[must_use]
-    pub fn dq(&self) -> &DVector<f64> {
-        &self.dq
-    }
-
-    /// The true rigid bodies.
-    #[must_use]
-    pub fn model(&self) -> &Model {
-        &self.parts.model
-    }
-
-    /// What touches it.
-    #[must_use]
-    pub fn contacts(&self) -> &[Contact] {
-        &self.parts.contacts
-    }
-
-    /// The motors' torque at the joints, mean over the last step, Nm.
-    #[must_use]
-    pub fn motor_torque(&self) -> &DVector<f64> {
-        &self.motor_torque
-    }
-
-    /// Lets the brakes fall in where the joints stand.
-    pub fn brake(&mut self) {
-        if !self.braked {
-            self.braked = true;
-            self.braked_at.copy_from(&self.parts.q);
-        }
-    }
-
-    /// Lifts the brakes.
-    pub fn release(&mut self) {
-        self.braked = false;
-    }
-
-    /// Moves on by `dt` (s) from the time `t` (s from the controller's start), with `asked` (n; Nm) asked of
-    /// the motors. Motor torque, friction, stops and contacts are held over the step; the rigid bodies are
-    /// integrated to fourth order.
-    pub fn step(&mut self, t: f64, dt: f64, asked: &[f64]) {
-        for (i, &asked) in asked.iter().enumerate() {
-            let motor = self.parts.motors[i].step(asked);
-            let friction = self.parts.friction[i].step(self.dq[i], dt);
-            let stop = self.end_stop(&self.parts.model.joints()[i].limits, i);
-            self.motor_torque[i] = motor;
-            self.torque[i] = motor - friction + stop + self.brake_torque(i);
-        }
-        self.touch(t);
-        self.integrator.step(&self.parts.model, &mut self.parts.q, &mut self.dq, self.torque.as_slice(), dt);
-    }
-
-    /// The wrench of all contacts on the body that carries `frame`, at its origin and in its axes (N, Nm).
-    /// Of the last step.
-    #[must_use]
-    pub fn contact_wrench(&mut self, frame: FrameId) -> Force {
-        let model = &self.parts.model;
-        kinematics(model, &mut self.data, self.parts.q.as_slice(), self.dq.as_slice());
-        let sensor = frame_placement(model, &self.data, frame);
-        let body = model.frame_info(frame).body;
-        let mut wrench = Force::zero();
-        for contact in &self.parts.contacts {
-            if model.frame_info(contact.frame).body == body {
-                let at = frame_placement(model, &self.data, contact.frame).translation;
-                wrench.linear += contact.force;
-                wrench.angular += (at - sensor.translation).cross(&contact.force);
-            }
-        }
-        Force {
-            linear: sensor.rotation.tr_mul(&wrench.linear),
-            angular: sensor.rotation.tr_mul(&wrench.angular),
-        }
-    }
-
-    /// Adds the contacts' joint torques Jᵀ F at time `t`.
-    fn touch(&mut self, t: f64) {
-        if self.parts.contacts.is_empty() {
-            return;
-        }
-        let model = &self.parts.model;
-        kinematics(model, &mut self.data, self.parts.q.as_slice(), self.dq.as_slice());
-        for contact in &mut self.parts.contacts {
-            let x = frame_placement(model, &self.data, contact.frame).translation;
-            let v = frame_velocity(model, &self.data, contact.frame).linear;
-            contact.force = contact.surrounding.force(t, &x, &v);
-            frame_jacobian(model, &self.data, contact.frame, &mut contact.jacobian);
-            for i in 0..self.torque.len() {
-                let column: Vector3<f64> = contact.jacobian.fixed_view::<3, 1>(0, i).into_owned();
-                self.torque[i] += column.dot(&contact.force);
-            }
-        }
-    }
-
-    fn end_stop(&self, limits: &Limits, i: usize) -> f64 {
-        let q = self.parts.q[i];
-        let depth = (limits.lower - q).max(0.0) - (q - limits.upper).max(0.0);
-        if depth == 0.0 {
-            return 0.0;
-        }
-        let stop = &self.parts.end_stop;
-        let torque = stop.stiffness_nm_per_rad.get() * depth - stop.damping_nms_per_rad.get() * self.dq[i];
-        // A stop pushes back; it doesn't hold on to a joint that leaves it.
-        if depth > 0.0 { torque.max(0.0) } else { torque.min(0.0) }
-    }
-
-    fn brake_torque(&self, i: usize) -> f64 {
-        if !self.braked {
-            return 0.0;
-        }
-        let brake = &self.parts.brake;
-        let spring = brake.stiffness_nm_per_rad.get() * (self.braked_at[i] - self.parts.q[i]);
-        let limit = self.parts.brake_torque[i];
-        (spring - brake.damping_nms_per_rad.get() * self.dq[i]).clamp(-limit, limit)
-    }
+/// A spring and a damper between the origins of two frames, relaxed at the start: `F = K (d − d₀) + B ḋ` on the first,
+/// with d from the first to the second, and −F on the second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlantCoupling {
+    /// The two frames.
+    pub frames: [PlantFrame; 2],
+    /// K, N/m.
+    pub stiffness_n_per_m: f64,
+    /// B, Ns/m.
+    pub damping_ns_per_m: f64,
 }

@@ -2,13 +2,11 @@
 
 mod common;
 
-use common::{START, arm, parsed, read, servo_rows, setup, surrounding};
+use common::{START, arm, object, parsed, read, servo_rows, setup, try_read};
 use nalgebra::{DVector, Vector3};
-use opspace_backend::CommandKind;
-use opspace_backend::{GravityBy, Sample};
-use opspace_loop::{Fault, PositionRobot, Robot, TorqueRobot};
+use opspace_backend::{Backend, Command, CommandKind, GravityCompensation, Measured, Sample, TruthRow};
 use opspace_model::{Data, Model, frame_placement, kinematics, potential_energy};
-use opspace_sim::{Setup, SimulatedArm, SimulationError};
+use opspace_sim::{ArmConfig, SimulatedArm, SimulationError, fault};
 use std::f64::consts::TAU;
 
 /// The gradient of potential energy: joint torques against gravity, without any dynamics algorithm.
@@ -43,9 +41,10 @@ fn a_command_acts_after_its_delay_to_the_tick() {
             let hold = read(&mut arm);
             let give = |arm: &mut SimulatedArm, size: f64| match command {
                 CommandKind::Position => {
-                    arm.set_positions(&hold.q.iter().map(|q| q + size * 1e-3).collect::<Vec<_>>())
+                    let q: Vec<f64> = hold.q.iter().map(|q| q + size * 1e-3).collect();
+                    arm.write(Command::Position(&q))
                 }
-                CommandKind::Torque => arm.set_torques(&[size; 4]),
+                _ => arm.write(Command::Torque(&[size; 4])),
             };
             let mut rows = Vec::new();
             for k in 1..=3_u32 {
@@ -81,7 +80,7 @@ fn drives_give_no_more_than_their_limit() {
         setup.simulated.torque_saturation = saturation;
         let mut arm = arm(setup);
         read(&mut arm);
-        arm.set_torques(&asked).expect("it takes them");
+        arm.write(Command::Torque(&asked)).expect("it takes them");
         let sample = read(&mut arm);
         assert_eq!(sample.motor_torque.expect("measured").as_slice(), expected);
     }
@@ -101,12 +100,12 @@ fn encoders_count() {
     read(&mut arm);
     let mut seen = Vec::new();
     for _ in 0..100 {
-        arm.set_torques(&[5.0, -3.0, 2.0, 4.0]).expect("it takes them");
+        arm.write(Command::Torque(&[5.0, -3.0, 2.0, 4.0])).expect("it takes them");
         let sample = read(&mut arm);
         for (i, per_turn) in counts.iter().enumerate() {
             let turns = sample.q[i] / TAU * per_turn;
             assert!((turns - turns.round()).abs() < 1e-6, "joint {i}: {turns} counts");
-            let error = (sample.q[i] - arm.plant().q()[i]).abs() / TAU * per_turn;
+            let error = (sample.q[i] - arm.true_q()[i]).abs() / TAU * per_turn;
             assert!(error <= 0.5 + 1e-6, "joint {i}: {error} counts off");
             seen.push(error);
         }
@@ -129,13 +128,13 @@ fn an_arm_left_alone_holds_itself() {
         // A brake gives by the weight over its stiffness of 20000 Nm/rad: 0.3 mrad.
         let moved = (DVector::from_vec(last.q) - DVector::from_column_slice(&START)).amax();
         assert!(moved < 5e-4, "{command:?}: {moved} rad");
-        assert!(arm.plant().dq().amax() < 1e-6, "{command:?} stands still");
+        assert!(arm.true_dq().amax() < 1e-6, "{command:?} stands still");
         let torque = DVector::from_vec(last.motor_torque.expect("measured"));
         match command {
             CommandKind::Position => {
                 assert!((torque - weight).amax() < WEIGHT_NM, "the servo carries the weight")
             }
-            CommandKind::Torque => assert_eq!(torque.amax(), 0.0, "the brakes carry the weight"),
+            _ => assert_eq!(torque.amax(), 0.0, "the brakes carry the weight"),
         }
     }
 }
@@ -146,17 +145,17 @@ fn brakes_stop_a_moving_arm_and_keep_it() {
     let mut arm = arm(setup(CommandKind::Torque, "a-med"));
     read(&mut arm);
     for _ in 0..150 {
-        arm.set_torques(&[-15.0, 0.0, 0.0, 0.0]).expect("it takes them");
+        arm.write(Command::Torque(&[-15.0, 0.0, 0.0, 0.0])).expect("it takes them");
         read(&mut arm);
     }
-    let fast = arm.plant().dq().amax();
+    let fast = arm.true_dq().amax();
     assert!(fast > 1.0, "{fast} rad/s");
-    arm.brake();
+    arm.stop();
     (0..300).for_each(|_| drop(read(&mut arm)));
-    assert!(arm.plant().dq().amax() < 1e-3, "{}", arm.plant().dq());
-    let stood = arm.plant().q().clone();
+    assert!(arm.true_dq().amax() < 1e-3, "{}", arm.true_dq());
+    let stood = arm.true_q();
     (0..300).for_each(|_| drop(read(&mut arm)));
-    assert!((arm.plant().q() - stood).amax() < 1e-4);
+    assert!((arm.true_q() - stood).amax() < 1e-4);
 }
 
 /// Compared: a robot that carries its own weight under no torque, and one that doesn't.
@@ -164,18 +163,18 @@ fn brakes_stop_a_moving_arm_and_keep_it() {
 fn a_robot_that_carries_its_weight_needs_no_torque() {
     let fallen = |gravity_by| {
         let mut setup = setup(CommandKind::Torque, "a-med");
-        setup.facts.gravity_by = gravity_by;
+        setup.capabilities.gravity_compensated_by = gravity_by;
         setup.simulated.scale.friction = Default::default();
         let mut arm = arm(setup);
         read(&mut arm);
         for _ in 0..300 {
-            arm.set_torques(&[0.0; 4]).expect("it takes them");
+            arm.write(Command::Torque(&[0.0; 4])).expect("it takes them");
             read(&mut arm);
         }
-        (arm.plant().q() - DVector::from_column_slice(&START)).amax()
+        (arm.true_q() - DVector::from_column_slice(&START)).amax()
     };
-    assert!(fallen(GravityBy::Robot) < 1e-12);
-    assert!(fallen(GravityBy::Controller) > 0.1);
+    assert!(fallen(GravityCompensation::Robot) < 1e-12);
+    assert!(fallen(GravityCompensation::Controller) > 0.1);
 }
 
 /// Compared: how far a joint pressed into its stop with full torque gets, and the torque over the stop's
@@ -184,25 +183,25 @@ fn a_robot_that_carries_its_weight_needs_no_torque() {
 fn end_stops_hold() {
     let mut setup = setup(CommandKind::Torque, "a-med");
     setup.start = vec![0.0, 0.0, 0.0, -0.05];
-    setup.facts.gravity_by = GravityBy::Robot;
+    setup.capabilities.gravity_compensated_by = GravityCompensation::Robot;
     let mut arm = arm(setup);
     read(&mut arm);
     for _ in 0..1500 {
-        arm.set_torques(&[0.0, 0.0, 0.0, 22.0]).expect("it takes them");
+        arm.write(Command::Torque(&[0.0, 0.0, 0.0, 22.0])).expect("it takes them");
         read(&mut arm);
     }
-    let (q, dq) = (arm.plant().q()[3], arm.plant().dq()[3]);
+    let (q, dq) = (arm.true_q()[3], arm.true_dq()[3]);
     // Static friction holds it up to 1.43 Nm on either side of that.
     assert!((q * 2000.0 - 22.0).abs() < 1.43, "{q} rad beyond the stop");
     assert!(dq.abs() < 0.01, "{dq} rad/s");
 }
 
 /// A position robot with something at its hand and a sensor without noise or bias.
-fn touched(by: &str) -> Setup {
+fn touched(by: &str) -> ArmConfig {
     let mut setup = setup(CommandKind::Position, "a-med");
     let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
     *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
-    setup.surroundings = vec![("push".to_owned(), surrounding(by))];
+    setup.environment = vec![("push".to_owned(), object(by))];
     setup
 }
 
@@ -213,14 +212,14 @@ fn a_force_sensor_reads_the_contact_in_its_own_axes() {
     let setup = touched(
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.0, duration_s = 0.4, force_n = [4.0, -3.0, 2.0] }]",
     );
-    let (model, hand) = (setup.model.clone(), setup.facts.sensors[0].frame);
+    let (model, hand) = (setup.model.clone(), setup.model.frame("hand").expect("the hand"));
     let mut arm = arm(setup);
     let mut sample = read(&mut arm);
     for _ in 0..200 {
         sample = read(&mut arm);
     }
     let mut data = Data::new(&model);
-    kinematics(&model, &mut data, arm.plant().q().as_slice(), &[0.0; 4]);
+    kinematics(&model, &mut data, arm.true_q().as_slice(), &[0.0; 4]);
     let axes = frame_placement(&model, &data, hand).rotation;
     let [linear, angular] = [0, 3].map(|i| Vector3::from_column_slice(&sample.wrenches[0][i..i + 3]));
     assert!((linear - force).norm() > 1.0, "the hand's axes are not the world's");
@@ -231,17 +230,17 @@ fn a_force_sensor_reads_the_contact_in_its_own_axes() {
 
 /// Compared: the noise of torque and force measurements with and without something else that is random.
 #[test]
-fn a_surrounding_leaves_other_randomness_as_it_was() {
-    let noise = |surroundings: Vec<(String, opspace_sim::SurroundingParameters)>| {
+fn environment_leaves_other_randomness_as_it_was() {
+    let noise = |environment: Vec<(String, opspace_sim::EnvironmentObjectParameters)>| {
         let mut setup = setup(CommandKind::Position, "a-med");
         setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
-        setup.surroundings = surroundings;
+        setup.environment = environment;
         let mut arm = arm(setup);
         // The hand has not moved yet at the first tick: the difference is noise and bias alone.
         let Sample { motor_torque, wrenches, .. } = read(&mut arm);
         (motor_torque.expect("measured"), wrenches[0])
     };
-    let hand = surrounding(
+    let hand = object(
         "[spring]\nframe = 'hand'\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 15.0\nmotion.random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7 }",
     );
     let alone = noise(Vec::new());
@@ -250,29 +249,151 @@ fn a_surrounding_leaves_other_randomness_as_it_was() {
     assert!(alone.1[..3].iter().any(|f| *f != 0.0), "there is something random");
 }
 
-/// Compared: what the arm is asked, and what it says: a state out of range is a fault, not a number.
+/// Compared: a command that is not a number, and the fault of the next read.
 #[test]
-fn a_state_out_of_range_is_named() {
+fn diverged_state_faults() {
     let mut arm = arm(setup(CommandKind::Torque, "a-med"));
     read(&mut arm);
-    arm.set_torques(&[f64::NAN; 4]).expect("it takes them");
-    let mut sample = Sample::new(4, true, 1);
-    assert_eq!(arm.read(&mut sample), Err(Fault::Diverged));
+    arm.write(Command::Torque(&[f64::NAN; 4])).expect("it takes them");
+    assert_eq!(try_read(&mut arm), Err(fault::diverged()));
 }
 
-/// Compared: commands of the wrong kind, and their refusal.
+/// Compared: commands of the wrong kind or length, and their faults; none of them is counted.
 #[test]
-fn an_arm_takes_only_its_own_commands() {
+fn wrong_commands_fault() {
     let mut position = arm(setup(CommandKind::Position, "a-med"));
-    assert_eq!(position.set_torques(&[0.0; 4]), Err(Fault::WrongCommand));
     let mut torque = arm(setup(CommandKind::Torque, "a-med"));
-    assert_eq!(torque.set_positions(&START), Err(Fault::WrongCommand));
+    read(&mut position);
+    for (command, takes) in
+        [(Command::Torque(&START), CommandKind::Position), (Command::Velocity(&START), CommandKind::Position)]
+    {
+        assert_eq!(position.write(command), Err(fault::wrong_command(takes)));
+    }
+    assert_eq!(position.write(Command::Position(&START[1..])), Err(fault::wrong_length()));
+    assert_eq!(torque.write(Command::Position(&START)), Err(fault::wrong_command(CommandKind::Torque)));
+    position.write(Command::Position(&START)).expect("it takes them");
+    read(&mut position);
+    assert!(servo_rows(&position).iter().all(|(number, _)| *number == 1));
+}
+
+/// Numbers of the commands in force in the servo periods of the last read.
+fn numbers(arm: &mut SimulatedArm) -> Vec<Option<u64>> {
+    read(arm);
+    let mut numbers = Vec::new();
+    arm.ground_truth().expect("a simulation").visit(&mut |row| {
+        if let TruthRow::Servo { command, .. } = row {
+            numbers.push(command);
+        }
+    });
+    numbers
+}
+
+/// Compared: two position robots, of which one is held and the other gets its last setpoints again; a hold before the
+/// first command is counted and changes nothing.
+#[test]
+fn hold_repeats_the_last_setpoints_of_a_position_robot() {
+    let mut setup = setup(CommandKind::Position, "a-med");
+    setup.profile.delay_servo_ticks = Some(2);
+    let (mut held, mut told) = (arm(setup.clone()), arm(setup));
+    let moved = START.map(|q| q + 0.01);
+    for robot in [&mut held, &mut told] {
+        read(robot);
+        robot.write(Command::Hold).expect("held");
+        assert_eq!(numbers(robot), [None; 5]);
+        robot.write(Command::Position(&moved)).expect("it takes them");
+        assert_eq!(numbers(robot), [None, None, Some(2), Some(2), Some(2)]);
+    }
+    held.write(Command::Hold).expect("held");
+    told.write(Command::Position(&moved)).expect("it takes them");
+    assert_eq!(numbers(&mut held), [2, 2, 3, 3, 3].map(Some));
+    read(&mut told);
+    assert_eq!(servo_rows(&held), servo_rows(&told));
+    // A setpoint on its way still acts after a stop, and a second stop changes nothing.
+    for robot in [&mut held, &mut told] {
+        robot.write(Command::Position(&START)).expect("it takes them");
+        robot.stop();
+    }
+    told.stop();
+    assert_eq!(numbers(&mut held), [3, 3, 4, 4, 4].map(Some));
+    read(&mut told);
+    assert_eq!(servo_rows(&held), servo_rows(&told));
+}
+
+/// Compared: the command in force and the motors' torque of a torque robot that is held, commanded again and stopped,
+/// and the contract: torques on their way are dropped, a hold has a number, a stop has none.
+#[test]
+fn hold_and_stop_brake_a_torque_robot_at_once() {
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.profile.delay_servo_ticks = Some(2);
+    let mut arm = arm(setup);
+    arm.stop();
+    read(&mut arm);
+    arm.write(Command::Torque(&[5.0; 4])).expect("it takes them");
+    assert_eq!(numbers(&mut arm), [None, None, Some(1), Some(1), Some(1)]);
+    arm.write(Command::Torque(&[6.0; 4])).expect("it takes them");
+    arm.write(Command::Hold).expect("held");
+    assert_eq!(numbers(&mut arm), [Some(3); 5]);
+    assert!(servo_rows(&arm).iter().all(|(_, torque)| torque.amax() == 0.0));
+    arm.write(Command::Torque(&[7.0; 4])).expect("it takes them");
+    assert_eq!(numbers(&mut arm), [3, 3, 4, 4, 4].map(Some));
+    assert_eq!(servo_rows(&arm)[4].1[0], 7.0);
+    arm.write(Command::Torque(&[8.0; 4])).expect("it takes them");
+    arm.stop();
+    arm.stop();
+    assert_eq!(numbers(&mut arm), [None; 5]);
+    assert!(servo_rows(&arm).iter().all(|(_, torque)| torque.amax() == 0.0));
+}
+
+/// Compared: measured velocities and the finite difference of true positions; measured joint torques of a robot at rest
+/// and its weight, which brakes carry; the status and whether a drive's limit was exceeded; and the samples of a robot
+/// that measures none of these.
+#[test]
+fn optional_measurements_are_honoured() {
+    /// Half the acceleration times the period: 120 rad/s² here.
+    const DIFFERENCE_RAD_PER_S: f64 = 0.1;
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
+    let plain = setup.clone();
+    let weight = weight(&setup.model, &START);
+    setup.capabilities =
+        setup.capabilities.measuring(&[Measured::Velocity, Measured::JointTorque]).with_status();
+    let (mut rich, mut plain) = (arm(setup), arm(plain));
+    let torque = |sample: &Sample| DVector::from_vec(sample.joint_torque.clone().expect("measured"));
+    assert!((torque(&read(&mut rich)) - &weight).amax() < WEIGHT_NM);
+    read(&mut plain);
+    let mut before = read(&mut rich);
+    read(&mut plain);
+    // A torque beyond the limit at the third cycle alone.
+    for cycle in 0..5 {
+        let asked = [if cycle == 2 { 41.0 } else { 20.0 }, 0.0, 0.0, 0.0];
+        for robot in [&mut rich, &mut plain] {
+            robot.write(Command::Torque(&asked)).expect("it takes them");
+        }
+        let (sample, bare) = (read(&mut rich), read(&mut plain));
+        let status = sample.status.expect("reported");
+        assert_eq!((status.word, status.command_limited), (0, cycle == 2));
+        let dq = sample.dq.as_ref().expect("measured");
+        for (joint, velocity) in dq.iter().enumerate() {
+            let difference = (sample.q[joint] - before.q[joint]) / 1e-3;
+            assert!((velocity - difference).abs() < DIFFERENCE_RAD_PER_S, "{velocity} {difference}");
+        }
+        assert_eq!(
+            (bare.dq.is_some(), bare.joint_torque.is_some(), bare.status.is_some()),
+            (false, false, false)
+        );
+        assert_eq!(
+            (&bare.q, &bare.motor_torque, &bare.wrenches),
+            (&sample.q, &sample.motor_torque, &sample.wrenches)
+        );
+        before = sample;
+    }
+    assert!(before.dq.expect("measured")[0] > 0.1, "it moves");
 }
 
 /// Compared: parameters that contradict each other, and the error that names them.
 #[test]
 fn contradictions_are_refused_by_name() {
-    let refused = |change: &dyn Fn(&mut Setup)| {
+    let refused = |change: &dyn Fn(&mut ArmConfig)| {
         let mut setup = setup(CommandKind::Position, "a-med");
         change(&mut setup);
         SimulatedArm::new(setup).err().expect("refused")
@@ -285,11 +406,13 @@ fn contradictions_are_refused_by_name() {
     let sensor = refused(&|s| s.simulated.force_sensor.clear());
     assert_eq!(sensor, SimulationError::UnknownSensorQuality { sensor: "wrist".to_owned() });
     let wall = "[wall]\nframe = 'hand'\npoint_m = [0.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 0.0]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0";
-    let flat = refused(&|s| s.surroundings = vec![("table".to_owned(), surrounding(wall))]);
-    assert_eq!(flat, SimulationError::Normal { surrounding: "table".to_owned() });
+    let flat = refused(&|s| s.environment = vec![("table".to_owned(), object(wall))]);
+    assert_eq!(flat, SimulationError::Normal { object: "table".to_owned() });
     let lost = wall.replace("'hand'", "'hnad'");
-    let lost = refused(&|s| s.surroundings = vec![("table".to_owned(), surrounding(&lost))]);
+    let lost = refused(&|s| s.environment = vec![("table".to_owned(), object(&lost))]);
     assert!(lost.to_string().contains("hnad"), "{lost}");
+    let sensor = refused(&|s| s.capabilities.force_sensors[0].frame = "hnad".to_owned());
+    assert!(matches!(sensor, SimulationError::SensorFrame { .. }), "{sensor}");
 }
 
 #[derive(serde::Deserialize)]

@@ -3,15 +3,13 @@
 mod common;
 
 use common::{arm, parsed, read, setup};
-use opspace_backend::CommandKind;
-use opspace_backend::Sample;
-use opspace_loop::{PositionRobot, Robot, Trace};
-use opspace_sim::{Setup, SimulatedArm, SimulationError};
+use opspace_backend::{Backend, Command, CommandKind, GroundTruth, TruthRow};
+use opspace_sim::{ArmConfig, SimulatedArm, SimulationError};
 
 const PERIOD_S: f64 = 1e-3;
 const RATIO: usize = 5;
 
-fn on_a_bus(bus: &str) -> Setup {
+fn on_a_bus(bus: &str) -> ArmConfig {
     let mut setup = setup(CommandKind::Position, "a-med");
     setup.simulated.bus = parsed(bus);
     setup
@@ -20,9 +18,10 @@ fn on_a_bus(bus: &str) -> Setup {
 /// Times of the true rows and of the drives' rows that came with the last read.
 fn traced(arm: &SimulatedArm) -> (Vec<f64>, Vec<(f64, u64)>) {
     let (mut truth, mut servo) = (Vec::new(), Vec::new());
-    arm.visit_traces(&mut |trace| match trace {
-        Trace::Truth { time_s, .. } => truth.push(time_s),
-        Trace::Servo { time_s, command, .. } => servo.push((time_s, command)),
+    arm.visit(&mut |row| match row {
+        TruthRow::State { time_s, .. } => truth.push(time_s),
+        TruthRow::Servo { time_s, command, .. } => servo.push((time_s, command.unwrap_or(0))),
+        _ => {}
     });
     (truth, servo)
 }
@@ -46,7 +45,7 @@ fn missed(arm: &mut SimulatedArm, periods: usize) -> Vec<bool> {
         }
         assert_eq!(truth.last(), Some(&sample.time_s), "the sample is of the last of them");
         *missed.last_mut().expect("a tick") = false;
-        arm.set_positions(sample.q.as_slice()).expect("it takes them");
+        arm.write(Command::Position(&sample.q)).expect("it takes them");
     }
     missed
 }
@@ -57,7 +56,7 @@ fn cycles_are_lost_at_random() {
     const PERIODS: usize = 4000;
     const SHARE: f64 = 0.2;
     let lost = |seed: u64| {
-        let setup = Setup { seed, ..on_a_bus("lost_cycles_share = 0.2") };
+        let setup = ArmConfig { seed, ..on_a_bus("lost_cycles_share = 0.2") };
         missed(&mut arm(setup), PERIODS)
     };
     let first = lost(1);
@@ -88,7 +87,7 @@ fn nothing_passes_in_a_dropout() {
             assert_eq!(servo.len(), (gap_s / PERIOD_S).round() as usize * RATIO);
         }
         before_s = sample.time_s;
-        arm.set_positions(sample.q.as_slice()).expect("it takes them");
+        arm.write(Command::Position(&sample.q)).expect("it takes them");
         commands += 1;
     }
     let expected = [(0.020, 0.321), (0.399, 0.410)];
@@ -109,8 +108,7 @@ fn set_points_come_late_but_in_order() {
         let mut acts = Vec::new();
         let mut servo_tick = 0;
         for _ in 0..400 {
-            let mut sample = Sample::new(4, true, 1);
-            arm.read(&mut sample).expect("the arm can be read");
+            let sample = read(&mut arm);
             for (_, command) in traced(&arm).1 {
                 if command as usize > acts.len() {
                     acts.push(servo_tick);
@@ -118,7 +116,7 @@ fn set_points_come_late_but_in_order() {
                 }
                 servo_tick += 1;
             }
-            arm.set_positions(sample.q.as_slice()).expect("it takes them");
+            arm.write(Command::Position(&sample.q)).expect("it takes them");
         }
         let late: Vec<usize> =
             acts.iter().enumerate().map(|(k, at)| at - k * RATIO - delay as usize).collect();
@@ -131,7 +129,7 @@ fn set_points_come_late_but_in_order() {
 }
 
 /// The profile with a delay.
-fn parsed_profile(setup: &Setup, delay: u32) -> opspace_transformer::ProfileParameters {
+fn parsed_profile(setup: &ArmConfig, delay: u32) -> opspace_transformer::ProfileParameters {
     let mut profile = setup.profile.clone();
     profile.delay_servo_ticks = Some(delay);
     profile

@@ -6,38 +6,35 @@ use common::{START, robot, setup};
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_model::{Data, Limits, Model, kinematics, kinetic_energy, potential_energy};
-use opspace_sim::RungeKutta;
+use opspace_sim::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
-use opspace_sim::plant::{Plant, PlantParts};
+use opspace_sim::{Plant, PlantArm, PlantConfig, RigidPlant, RungeKutta};
+use opspace_transformer::JointParameters;
 
-/// The plant of the experiments with friction scaled to nothing, no end stops and nothing around it.
-fn frictionless(dt: f64, q: &[f64]) -> Plant {
+/// The arm of the experiments with friction scaled to nothing, no end stops and nothing around it: its bodies and its
+/// drivetrains.
+fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
     let (robot, setup) = (robot(), setup(CommandKind::Torque, "a-med"));
-    let n = setup.model.n();
-    let mut model = setup.model;
-    for joint in 0..n {
-        model.set_limits(joint, Limits::NONE);
-    }
-    Plant::new(PlantParts {
-        friction: setup
-            .joints
-            .iter()
-            .map(|j| LuGre::new(&j.friction, &robot.simulated.bristle, 0.0))
-            .collect(),
-        motors: (0..n).map(|_| Motor::new(Some(1000.0), dt, 0.0)).collect(),
-        end_stop: robot.simulated.end_stop,
-        brake: robot.simulated.brake,
-        brake_torque: DVector::zeros(n),
-        contacts: Vec::new(),
-        q: DVector::from_column_slice(q),
-        model,
-    })
+    let model = setup.model;
+    let drivetrain = |j: &JointParameters| {
+        let simulated = &robot.simulated;
+        Drivetrain::new(
+            Motor::new(Some(1000.0), dt, 0.0),
+            LuGre::new(&j.friction, &simulated.bristle, 0.0),
+            EndStop::new(&Limits::NONE, &simulated.end_stop),
+            Brake::new(&simulated.brake, 0.0),
+            Encoder::new(None),
+        )
+    };
+    let drivetrains = setup.joints.iter().map(drivetrain).collect();
+    let arm = PlantArm { model: model.clone(), q: q.to_vec(), contacts: Vec::new() };
+    (RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new() }), drivetrains, model)
 }
 
 /// Kinetic and potential energy.
-fn energy(model: &Model, data: &mut Data, q: &DVector<f64>, dq: &DVector<f64>) -> (f64, f64) {
-    kinematics(model, data, q.as_slice(), dq.as_slice());
+fn energy(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) -> (f64, f64) {
+    kinematics(model, data, q, dq);
     (kinetic_energy(model, data), potential_energy(model, data))
 }
 
@@ -49,13 +46,15 @@ fn a_swinging_arm_without_friction_keeps_its_energy() {
     const DRIFT: f64 = 1e-6;
     let steps_per_s = robot().simulated.physics_hz.get();
     let dt = 1.0 / steps_per_s;
-    let mut plant = frictionless(dt, &START);
-    let model = plant.model().clone();
+    let (mut plant, mut drivetrains, model) = frictionless(dt, &START);
     let mut data = Data::new(&model);
     let (_, start) = energy(&model, &mut data, plant.q(), plant.dq());
     let (mut drift, mut slowest, mut fastest) = (0.0_f64, f64::INFINITY, 0.0_f64);
     for step in 0..(5.0 * steps_per_s) as u32 {
-        plant.step(f64::from(step) * dt, dt, &[0.0; 4]);
+        let torques: Vec<f64> = (drivetrains.iter_mut().enumerate())
+            .map(|(i, joint)| joint.step(plant.q()[i], plant.dq()[i], dt, 0.0))
+            .collect();
+        plant.step(f64::from(step) * dt, dt, &torques);
         if step % 20 == 0 {
             let (kinetic, potential) = energy(&model, &mut data, plant.q(), plant.dq());
             drift = drift.max((kinetic + potential - start).abs());
@@ -73,7 +72,7 @@ fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
     let mut q = DVector::from_column_slice(&START);
     let mut dq = DVector::zeros(model.n());
     for _ in 0..(duration_s / dt).round() as u32 {
-        integrator.step(model, &mut q, &mut dq, &[0.0; 4], dt);
+        integrator.step(model, q.as_mut_slice(), dq.as_mut_slice(), &[0.0; 4], dt);
     }
     DVector::from_iterator(2 * model.n(), q.iter().chain(dq.iter()).copied())
 }

@@ -17,6 +17,13 @@ pub struct EstimatorParameters {
     pub velocity_filter_hz: Positive,
 }
 
+impl Default for EstimatorParameters {
+    /// The cut-off of the paper's experiments, 150 Hz.
+    fn default() -> Self {
+        Self { velocity_filter_hz: Positive::literal(150.0) }
+    }
+}
+
 /// `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`, for n joints; T is longer where samples are missed.
 #[derive(Clone, Debug)]
 pub struct VelocityEstimator {

@@ -73,6 +73,19 @@ impl FrictionCompensation {
         }
     }
 
+    /// Number of joints.
+    #[must_use]
+    pub fn joints(&self) -> usize {
+        self.coulomb.len()
+    }
+
+    /// No compensation for n joints.
+    #[must_use]
+    pub fn none(n: usize) -> Self {
+        let zero = DVector::zeros(n);
+        Self { coulomb: zero.clone(), viscous: zero, smoothing: default_smoothing().get() }
+    }
+
     /// n̂ of one joint at the velocity `dq`, Nm (N).
     #[inline]
     #[must_use]

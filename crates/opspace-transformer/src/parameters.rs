@@ -4,7 +4,7 @@ use crate::closed_loop_transformer::IdentifiedJoint;
 use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
 use crate::refine::RefinementParameters;
-use crate::servo::ServoParameters;
+use crate::servo::{ServoParameters, VelocityServo};
 use crate::transformer::TransformerKind;
 use opspace_backend::quantity::{Count, NonNegative, Positive};
 use schemars::JsonSchema;
@@ -69,7 +69,7 @@ pub struct ProfileParameters {
     /// isn't known.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
-    /// What turns torques into positions; the best for what the robot declares if absent.
+    /// What turns torques into positions or velocities; the best for what the robot declares if absent.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
     /// Gains refined from measured motor current while running; not at all if absent.
@@ -77,8 +77,13 @@ pub struct ProfileParameters {
     pub refine: Option<RefinementParameters>,
     /// How joint velocity is estimated at the interface.
     pub estimator: EstimatorParameters,
-    /// The position servo of each joint, by joint name.
+    /// The position servo of each joint, by joint name; may be left out where there are velocity servos.
+    #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
+    /// The velocity servo of each joint, by joint name: what drives the robot where it takes velocities. Absent if it takes
+    /// none.
+    #[serde(default)]
+    pub velocity_servo: BTreeMap<String, VelocityServo>,
     /// What was measured of each joint's closed loop, by joint name: for the transformers `identified`.
     #[serde(default)]
     pub identified: BTreeMap<String, IdentifiedJoint>,

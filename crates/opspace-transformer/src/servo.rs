@@ -1,15 +1,16 @@
-//! The position servos of drives, as they are known: what a transformer inverts.
+//! The position and velocity servos of drives, as they are known: what a transformer inverts.
 //!
 //! How each of them runs, tick by tick, is its [`ServoLaw`](crate::servo_law::ServoLaw).
 
 use crate::polynomial::value;
 use nalgebra::Complex;
+use opspace_backend::CommandKind;
 use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
-/// A joint's position servo.
+/// A joint's servo.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ServoParameters {
@@ -19,6 +20,8 @@ pub enum ServoParameters {
     Pid(PidServo),
     /// Any other linear one: torque over position error.
     TransferFunction(TransferFunctionServo),
+    /// A velocity loop alone, of a robot that takes velocities.
+    Velocity(VelocityServo),
 }
 
 /// Equation (9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; with an integral the velocity loop has one.
@@ -54,6 +57,19 @@ pub struct PidServo {
     pub integral_nm_per_rad_s: NonNegative,
 }
 
+/// `τ = kv (q̇_desired − q̇) + ki ∫ (q̇_desired − q̇)`, with q̇ from a filtered finite difference.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VelocityServo {
+    /// Gain kv on the velocity error, Nms/rad (Ns/m).
+    pub kv_nms_per_rad: Positive,
+    /// Gain ki on the integral of the velocity error, Nm/rad (N/m).
+    #[serde(default)]
+    pub ki_nm_per_rad: NonNegative,
+    /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
+    pub velocity_filter_hz: Positive,
+}
+
 /// What the derivative of a PID servo is of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -79,14 +95,15 @@ pub struct TransferFunctionServo {
 /// What a servo amounts to where its integral, its filters and its delays don't count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoGains {
-    /// Torque for a position error, Nm/rad (N/m): `kv kp` of a cascade.
+    /// Torque for a position error, Nm/rad (N/m): `kv kp` of a cascade. Zero for a velocity servo, which has no position
+    /// setpoint; check [`ServoParameters::takes`] before dividing by it.
     pub stiffness: f64,
-    /// Torque against a velocity, Nms/rad (Ns/m): `kv` of a cascade.
+    /// Torque against a velocity, Nms/rad (Ns/m): `kv` of a cascade and of a velocity servo.
     pub damping: f64,
 }
 
 impl ServoGains {
-    /// Gain of the position loop around the velocity loop, 1/s: `kp` of a cascade.
+    /// Gain of the position loop around the velocity loop, 1/s: `kp` of a cascade, zero for a velocity servo.
     #[must_use]
     pub fn position_loop(&self) -> f64 {
         self.stiffness / self.damping
@@ -98,7 +115,17 @@ impl ServoGains {
 const GAINS_AT: f64 = 0.01;
 
 impl ServoParameters {
-    /// What it amounts to; of a transfer function that runs every `period_s`, at a hundredth of that rate.
+    /// The quantity of its setpoint: position, or velocity.
+    #[must_use]
+    pub fn takes(&self) -> CommandKind {
+        match self {
+            Self::Cascaded(_) | Self::Pid(_) | Self::TransferFunction(_) => CommandKind::Position,
+            Self::Velocity(_) => CommandKind::Velocity,
+        }
+    }
+
+    /// What it amounts to; of a transfer function that runs every `period_s`, at a hundredth of that rate. A velocity servo
+    /// has a stiffness of zero.
     #[must_use]
     pub fn gains(&self, period_s: f64) -> ServoGains {
         match self {
@@ -118,6 +145,7 @@ impl ServoParameters {
                     damping: (value.im * period_s / (TAU * GAINS_AT)).abs(),
                 }
             }
+            Self::Velocity(servo) => ServoGains { stiffness: 0.0, damping: servo.kv_nms_per_rad.get() },
         }
     }
 
@@ -131,11 +159,12 @@ impl ServoParameters {
                     && servo.derivative_of == DerivativeOf::Position
                     && servo.damping_nms_per_rad.get() > 0.0
             }
-            Self::TransferFunction(_) => false,
+            Self::TransferFunction(_) | Self::Velocity(_) => false,
         }
     }
 
-    /// The same servo with the gain of its position loop and that of all of it multiplied.
+    /// The same servo with the gain of its position loop, which a velocity servo does not have, and that of all of it
+    /// multiplied.
     #[must_use]
     pub fn scaled(&self, kp: f64, kv: f64) -> Self {
         let times = |value: Positive, scale: f64| Positive::try_from(value.get() * scale).unwrap_or(value);
@@ -156,6 +185,11 @@ impl ServoParameters {
             Self::TransferFunction(servo) => Self::TransferFunction(TransferFunctionServo {
                 numerator: servo.numerator.iter().map(|b| b * kp * kv).collect(),
                 denominator: servo.denominator.clone(),
+            }),
+            Self::Velocity(servo) => Self::Velocity(VelocityServo {
+                kv_nms_per_rad: times(servo.kv_nms_per_rad, kv),
+                ki_nm_per_rad: or_zero(servo.ki_nm_per_rad, kv),
+                ..*servo
             }),
         }
     }

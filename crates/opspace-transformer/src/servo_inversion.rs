@@ -2,7 +2,7 @@
 
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoMemory};
 use nalgebra::DMatrix;
-use opspace_backend::Setpoints;
+use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
 
 /// An inverse that grows by more than this from one interface tick to the next isn't used.
@@ -33,6 +33,14 @@ pub enum EmulationError {
     /// It can't be run at all.
     #[error(transparent)]
     Servo(#[from] ServoError),
+    /// Position and velocity servos on one robot.
+    #[error("it takes {} setpoints, the servos before it take {}", takes.name(), others.name())]
+    Mixed {
+        /// Setpoints of this servo.
+        takes: CommandKind,
+        /// Setpoints of the others.
+        others: CommandKind,
+    },
     /// Torque comes later than the next set-point.
     #[error("a set-point makes no torque within the {ratio} servo ticks in which it acts")]
     NoTorque {

@@ -4,11 +4,12 @@
 //! τ = c x + d_r q_desired + d_y y        x ← A x + b_r q_desired + b_y y
 //! ```
 //!
-//! y is the position that the servo reads at the tick, x its memory. The simulated drives run by it, and the emulation
+//! y is the position that the servo reads at the tick, x its memory. The setpoint of a velocity servo, in the place of
+//! q_desired, is a velocity. The simulated drives run by it, and the emulation
 //! rolls it out.
 
 use crate::servo::{
-    CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo,
+    CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo, VelocityServo,
 };
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
@@ -121,6 +122,7 @@ impl ServoLaw {
             ServoParameters::Cascaded(servo) => Self::cascaded(servo, period_s),
             ServoParameters::Pid(servo) => Self::pid(servo, period_s),
             ServoParameters::TransferFunction(servo) => Self::transfer_function(servo)?,
+            ServoParameters::Velocity(servo) => Self::velocity(servo, period_s),
         };
         let rest = [law.solve_rest(1.0, 0.0)?, law.solve_rest(0.0, 1.0)?];
         Ok(Self { rest, ..law })
@@ -191,6 +193,20 @@ impl ServoLaw {
         Self::of(&[rate, differentiated, integral], torque + integral)
     }
 
+    /// `w ← w + a ((y − y₋)/Ts − w)`, `e = q̇_desired − w`, `i ← i + ki Ts e`, `τ = kv e + i`.
+    fn velocity(servo: &VelocityServo, period_s: f64) -> Self {
+        let change = Form::POSITION - Form::memory(1);
+        let rate = filtered_rate(Form::memory(0), change, servo.velocity_filter_hz.get(), period_s);
+        let error = Form::SET_POINT - rate;
+        let torque = error * servo.kv_nms_per_rad.get();
+        let gain = servo.ki_nm_per_rad.get();
+        if gain == 0.0 {
+            return Self::of(&[rate, Form::POSITION], torque);
+        }
+        let integral = Form::memory(2) + error * (gain * period_s);
+        Self::of(&[rate, Form::POSITION, integral], torque + integral)
+    }
+
     /// The transposed direct form.
     fn transfer_function(servo: &TransferFunctionServo) -> Result<Self, ServoError> {
         let (b, a) = (&servo.numerator, &servo.denominator);
@@ -229,7 +245,8 @@ impl ServoLaw {
         self.rest[1].1 = 1.0 / to.stiffness;
     }
 
-    /// The torque (Nm, N) for a set-point and the position that is read at this tick (rad, m).
+    /// The torque (Nm, N) for a set-point (rad, m; of a velocity servo rad/s, m/s) and the position that is read at this
+    /// tick (rad, m).
     pub fn step(&self, memory: &mut ServoMemory, set_point: f64, position: f64) -> f64 {
         let now = *memory;
         let now = &now[..self.order];
@@ -240,6 +257,10 @@ impl ServoLaw {
     }
 
     /// What it remembers, and the set-point, at rest at `position` (rad, m) with this torque (Nm, N).
+    ///
+    /// A velocity servo with an integral rests under a load with the velocity setpoint 0, its integral carrying the load.
+    /// Without an integral the only setpoint at which it rests is τ/kv (rad/s, m/s): at the setpoint 0 the load moves the
+    /// joint at −τ/kv.
     #[must_use]
     pub fn rest(&self, position: f64, torque: f64) -> (ServoMemory, f64) {
         let [(displaced, there), (pushing, further)] = &self.rest;

@@ -1,4 +1,4 @@
-//! Torques into positions by emulating the servo between two interface ticks.
+//! Torques into positions or velocities by emulating the servo between two interface ticks.
 //!
 //! Equation (10) of the paper is exact at the instant at which the set-point is taken. A servo that runs R times faster
 //! then meets the same set-point with other positions. Here every servo tick up to the next set-point is emulated with
@@ -7,6 +7,8 @@
 //! ```text
 //! τ_j = Y₀_j + Y₁_j q_desired        j = 0 … R − 1
 //! ```
+//!
+//! For drives that take velocities, q̇_desired stands in the place of q_desired here and below.
 //!
 //! Y₀ holds what the state and the set-point before still do, Y₁ (n × n) what a unit of set-point does. A drive that holds
 //! its set-point gets the one whose **mean** torque is the desired one; a drive that interpolates, the one that comes
@@ -29,14 +31,13 @@ use crate::servo_inversion::{EmulationError, Matching, Ticks, check_inverse};
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoMemory};
 use crate::transformer::Transformer;
 use nalgebra::{DMatrix, DVector};
-use opspace_backend::Sample;
-use opspace_backend::{GravityBy, Setpoints};
+use opspace_backend::{CommandKind, GravityCompensation, Sample, Setpoints};
 use opspace_model::Data;
 
 /// What is known of the robot.
 #[derive(Clone, Debug)]
 pub struct EmulationSetup {
-    /// The servos, one a joint.
+    /// The servos, one a joint: all of them position servos, or all of them velocity servos.
     pub servos: Vec<ServoParameters>,
     /// The whole friction that is believed of the joints.
     pub friction: FrictionCompensation,
@@ -57,21 +58,27 @@ pub struct EmulationSetup {
     /// Which torques are matched: mean ones, or those of each tick.
     pub matching: Matching,
     /// Who carries the weight.
-    pub gravity_by: GravityBy,
+    pub gravity_by: GravityCompensation,
+    /// Whether brakes hold a velocity robot until its first setpoint acts, its motors off. A position robot is held by its
+    /// servos.
+    pub has_brakes: bool,
     /// Whether measured motor torques are made use of.
     pub current: bool,
-    /// How gains are refined from them.
+    /// How gains are refined from them; those of velocity servos are not.
     pub refine: Option<RefinementParameters>,
 }
 
 /// See the [module](self).
 #[derive(Clone, Debug)]
 pub struct EmulatingTransformer {
+    /// The quantity of the setpoints.
+    takes: CommandKind,
     drives: Vec<Drive>,
     friction: FrictionCompensation,
     ticks: Ticks,
     matching: Matching,
-    gravity_by: GravityBy,
+    gravity_by: GravityCompensation,
+    has_brakes: bool,
     current: Option<CurrentObserver>,
     /// The arm and its drives at the present interface tick, as estimated.
     state: State,
@@ -96,7 +103,7 @@ pub struct EmulatingTransformer {
     /// Mean emulated torque since the last sample, Nm (n), over so many intervals.
     mean_torque: DVector<f64>,
     intervals: f64,
-    /// Mean emulated position error over the same time, rad (m) (n).
+    /// Mean emulated position error over the same time, rad (m) (n); used of position servos only.
     mean_error: DVector<f64>,
     /// No acceleration but by the drives (n).
     rest: DVector<f64>,
@@ -135,7 +142,7 @@ impl Refined {
     }
 }
 
-/// Set-points that the drives have when an interface tick begins, rad (n).
+/// Set-points that the drives have when an interface tick begins, rad, m or rad/s, m/s (n).
 #[derive(Clone, Debug)]
 struct InForce {
     before: DVector<f64>,
@@ -224,7 +231,12 @@ impl EmulatingTransformer {
             set_points: setup.set_points,
         };
         let interface_s = f64::from(setup.ratio) * setup.servo_period_s;
+        let takes = setup.servos.first().map_or(CommandKind::Position, ServoParameters::takes);
         let drive = |i: usize| -> Result<Drive, EmulationError> {
+            let kind = setup.servos[i].takes();
+            if kind != takes {
+                return Err(EmulationError::Mixed { takes: kind, others: takes });
+            }
             let law = ServoLaw::new(&setup.servos[i], setup.servo_period_s)?;
             check_inverse(&law, ticks, setup.matching)?;
             let gain = ObserverGain::steady(&ObservedJoint {
@@ -248,11 +260,13 @@ impl EmulatingTransformer {
         let matrix = DMatrix::zeros(n, n);
         let each_tick = setup.ratio as usize;
         Ok(Self {
+            takes,
             drives: drives?,
             friction: setup.friction.clone(),
             ticks,
             matching: setup.matching,
             gravity_by: setup.gravity_by,
+            has_brakes: setup.has_brakes && takes == CommandKind::Velocity,
             current: setup.current.then(|| CurrentObserver::new(&setup.torque_limits)),
             state: State::new(n),
             predicted: State::new(n),
@@ -311,12 +325,14 @@ impl EmulatingTransformer {
         self.mass_inverse.fill_with_identity();
         data.mass_matrix_factor.solve_matrix(&mut self.mass_inverse);
         for i in 0..self.free.len() {
-            let carried = if self.gravity_by == GravityBy::Robot { data.gravity[i] } else { 0.0 };
+            let carried = if self.gravity_by == GravityCompensation::Robot { data.gravity[i] } else { 0.0 };
             let friction = self.friction.torque(i, self.state.dq[i]);
             self.free[i] = self.surplus()[i] + carried - data.bias[i] - friction;
             if !self.begun {
-                // The robot holds itself: its drives are as they are at rest under its weight.
-                self.hold(i, data.gravity[i] - carried);
+                // The robot holds itself: its drives are as they are at rest under its weight, or without it where brakes
+                // carry it.
+                let load = if self.has_brakes { 0.0 } else { data.gravity[i] - carried };
+                self.hold(i, load);
             }
         }
         data.mass_matrix_factor.solve(self.free.as_mut_slice());
@@ -330,6 +346,11 @@ impl EmulatingTransformer {
         self.state.memory[joint] = memory;
         self.in_force.before[joint] = set_point;
         self.in_force.last[joint] = set_point;
+    }
+
+    /// Whether brakes hold the robot until the setpoints of the present tick act.
+    fn is_braked(&self) -> bool {
+        self.has_brakes && !self.begun
     }
 
     /// One servo tick of the rollout under the set-point that is still in force.
@@ -375,6 +396,7 @@ impl EmulatingTransformer {
     fn predict(&mut self, q_desired: Option<&[f64]>) {
         let ticks = self.ticks;
         let share = 1.0 / f64::from(ticks.ratio);
+        let braked_ticks = if self.is_braked() { ticks.delay } else { 0 };
         self.rollout.copy_from(&self.state);
         if self.intervals == 0.0 {
             self.mean_torque.fill(0.0);
@@ -382,7 +404,7 @@ impl EmulatingTransformer {
         }
         self.mean_torque *= self.intervals;
         self.mean_error *= self.intervals;
-        for tick in 0..ticks.ratio {
+        for tick in braked_ticks..ticks.ratio {
             let in_force = &self.in_force;
             let set_point = |i: usize| match q_desired {
                 Some(new) if tick >= ticks.delay => {
@@ -421,6 +443,10 @@ impl EmulatingTransformer {
 }
 
 impl Transformer for EmulatingTransformer {
+    fn takes(&self) -> CommandKind {
+        self.takes
+    }
+
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
         if !self.begun {
             self.state.clear();
@@ -442,16 +468,18 @@ impl Transformer for EmulatingTransformer {
         self.respond();
         let ticks = self.ticks;
         self.rollout.copy_from(&self.state);
-        for tick in 0..ticks.delay {
+        let ticks_before = if self.is_braked() { 0 } else { ticks.delay };
+        for tick in 0..ticks_before {
             self.roll_old(tick);
             self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
-        // Y₀, about the measured positions: small numbers keep their digits.
-        q_desired.copy_from_slice(data.q.as_slice());
+        // Y₀, about the measured positions, or the velocities: small numbers keep their digits.
+        let about = if self.takes == CommandKind::Velocity { &data.dq } else { &data.q };
+        q_desired.copy_from_slice(about.as_slice());
         for tick in 0..ticks.ratio {
             let in_force = &self.in_force;
             self.rollout.drive(&self.drives, |i| {
-                ticks.set_points.at(in_force.left(ticks, i), data.q[i], tick, ticks.ratio)
+                ticks.set_points.at(in_force.left(ticks, i), about[i], tick, ticks.ratio)
             });
             for (i, tau) in tau.iter().enumerate() {
                 self.missing[tick as usize][i] = tau - self.surplus()[i] - self.rollout.torque[i];

@@ -1,4 +1,4 @@
-//! Torques into positions: the unit that makes a position robot take torques.
+//! Torques to commands: the unit that makes a position or velocity robot take torques.
 //!
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
@@ -11,10 +11,10 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 use std::borrow::Cow;
 
-/// How torques become positions.
+/// How torques become positions or velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Equation (10) of the paper.
+    /// Equation (10) of the paper; its inner stage for velocity servos.
     Paper,
     /// The servo emulated over the next interval, its mean torque matched.
     Emulation,
@@ -45,7 +45,7 @@ impl Method {
 /// Which transformer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TransformerKind {
-    /// How torques become positions.
+    /// How torques become positions or velocities.
     pub method: Method,
     /// Whether measured motor current corrects it.
     pub current: bool,
@@ -165,7 +165,7 @@ impl JsonSchema for TransformerKind {
     }
 }
 
-/// Turns desired torques into the positions that make the servos produce them.
+/// Turns desired torques into the commands that make a robot's servos produce them.
 pub trait Transformer: Send {
     /// The quantity that comes out: what the robot takes.
     fn takes(&self) -> CommandKind {
@@ -178,12 +178,12 @@ pub trait Transformer: Send {
         None
     }
 
-    /// The set-points (rad, m; n) that make the servos produce `tau` (Nm, N; n) at the state of `data`,
-    /// into `q_desired`. Allocates nothing.
-    fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]);
+    /// Computes the command (rad, m or rad/s, m/s or Nm, N; n) that makes the servos produce `torque` (Nm, N; n) at the
+    /// state of `data`. Allocates nothing.
+    fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]);
 
-    /// The set-points (rad, m; n) that the robot was given in the end, whoever asked for them.
-    fn sent(&mut self, _data: &Data, _q_desired: &[f64]) {}
+    /// Takes the command (n) that the robot was given in the end, whoever asked for it.
+    fn sent(&mut self, _data: &Data, _command: &[f64]) {}
 
     /// That many interface periods passed without a sample and without a set-point, the drives keeping what they had.
     fn missed(&mut self, _periods: u64) {}
@@ -199,7 +199,8 @@ pub trait Transformer: Send {
 /// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                   (10)
 /// ```
 ///
-/// Other servos are taken for what they amount to.
+/// Other position servos are taken for what they amount to; velocity servos have the
+/// [`VelocityTransformer`](crate::velocity_transformer::VelocityTransformer).
 #[derive(Clone, Debug)]
 pub struct PaperTransformer {
     gains: Vec<ServoGains>,

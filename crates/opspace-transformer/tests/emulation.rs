@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DVector, Matrix3, Vector3};
-use opspace_backend::{GravityBy, Sample, Setpoints};
+use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Measured, Sample, Setpoints};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
 use opspace_transformer::{
     EmulatingTransformer, EmulationError, EmulationSetup, FrictionCompensation,
@@ -21,9 +21,14 @@ const FILTER_HZ: f64 = 200.0;
 /// What an observer that starts without an error leaves of one, by rounding: relative to torques, and of velocities in m/s.
 const EXACT: f64 = 1e-6;
 
+/// Acceleration along the lifts where they bear a load, m/s², and the forces that hold the lifts against it, N.
+const GRAVITY: f64 = 9.81;
+const LOAD: [f64; 2] = [0.5 * GRAVITY, 0.2 * GRAVITY];
+
 /// Two joints along the same line, one upon the other: M is the same everywhere, and couples them.
-fn model() -> Model {
-    let mut model = Model::new("lifts").with_gravity(Vector3::zeros());
+fn model(loaded: bool) -> Model {
+    let gravity = Vector3::z() * if loaded { -GRAVITY } else { 0.0 };
+    let mut model = Model::new("lifts").with_gravity(gravity);
     for (i, mass) in [0.3, 0.2].into_iter().enumerate() {
         let joint = Joint { name: format!("lift_{i}"), kind: JointKind::Prismatic, limits: Limits::NONE };
         let inertia =
@@ -42,12 +47,21 @@ enum Servo {
     Pid,
     /// A lead of which the torque comes a tick late.
     Late,
+    /// A velocity loop alone.
+    Velocity,
+    /// With an integral of the velocity error.
+    VelocityIntegral,
 }
 
 const INTEGRAL_TIME_S: f64 = 0.1;
-const SERVOS: [Servo; 4] = [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid, Servo::Late];
+const POSITION_SERVOS: [Servo; 4] = [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid, Servo::Late];
+const VELOCITY_SERVOS: [Servo; 2] = [Servo::Velocity, Servo::VelocityIntegral];
 
 impl Servo {
+    fn takes(self) -> CommandKind {
+        if VELOCITY_SERVOS.contains(&self) { CommandKind::Velocity } else { CommandKind::Position }
+    }
+
     fn parameters(self) -> Vec<ServoParameters> {
         let text = |i: usize| {
             let (kp, kv) = (KP[i], KV[i]);
@@ -70,6 +84,13 @@ impl Servo {
                     10.0 * kv,
                     -7.0 * kv
                 ),
+                Self::Velocity => {
+                    format!("velocity = {{ kv_nms_per_rad = {kv}, velocity_filter_hz = {FILTER_HZ} }}")
+                }
+                Self::VelocityIntegral => format!(
+                    "velocity = {{ kv_nms_per_rad = {kv}, ki_nm_per_rad = {}, velocity_filter_hz = {FILTER_HZ} }}",
+                    kv / INTEGRAL_TIME_S
+                ),
             }
         };
         (0..2).map(|i| toml::from_str(&text(i)).unwrap()).collect()
@@ -83,8 +104,11 @@ struct Case {
     set_points: Setpoints,
     delay: u32,
     current: bool,
-    kp_scale: f64,
+    /// True over nominal gain: of the position loop, or of a velocity servo's own.
+    gain_scale: f64,
     refined: bool,
+    loaded: bool,
+    has_brakes: bool,
 }
 
 const CASE: Case = Case {
@@ -92,8 +116,10 @@ const CASE: Case = Case {
     set_points: Setpoints::Held,
     delay: 0,
     current: false,
-    kp_scale: 1.0,
+    gain_scale: 1.0,
     refined: false,
+    loaded: false,
+    has_brakes: false,
 };
 
 fn setup(case: Case) -> EmulationSetup {
@@ -114,7 +140,8 @@ fn setup(case: Case) -> EmulationSetup {
         delay: case.delay,
         set_points: case.set_points,
         matching: if case.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick },
-        gravity_by: GravityBy::Controller,
+        gravity_by: GravityCompensation::Controller,
+        has_brakes: case.has_brakes,
         current: case.current,
         refine: case.refined.then(|| toml::from_str("time_s = 1.0\nwithin = 0.4").unwrap()),
     }
@@ -136,14 +163,20 @@ impl Drives {
     fn new(case: Case) -> Self {
         let q = [0.1, -0.2];
         let none = [0.0; 2];
-        Self { case, q, dq: none, seen: q, velocity: none, integral: none, error: none, last: none }
+        // Without brakes the integral carries the load.
+        let integral = if case.loaded && !case.has_brakes { LOAD } else { none };
+        Self { case, q, dq: none, seen: q, velocity: none, integral, error: none, last: none }
     }
 
     fn torque(&mut self, i: usize, set_point: f64) -> f64 {
         let share = 1.0 - (-TAU * FILTER_HZ * SERVO_S).exp();
         self.velocity[i] += share * ((self.q[i] - self.seen[i]) / SERVO_S - self.velocity[i]);
         self.seen[i] = self.q[i];
-        let (kp, kv) = (self.case.kp_scale * KP[i], KV[i]);
+        let scale = self.case.gain_scale;
+        let (kp, kv) = match self.case.servo.takes() {
+            CommandKind::Velocity => (0.0, scale * KV[i]),
+            _ => (scale * KP[i], KV[i]),
+        };
         let error = set_point - self.q[i];
         let torque = match self.case.servo {
             Servo::Cascade => kv * (kp * error - self.velocity[i]),
@@ -162,6 +195,12 @@ impl Drives {
                 self.integral[i] = self.error[i];
                 torque
             }
+            Servo::Velocity => kv * (set_point - self.velocity[i]),
+            Servo::VelocityIntegral => {
+                let wrong = set_point - self.velocity[i];
+                self.integral[i] += kv / INTEGRAL_TIME_S * SERVO_S * wrong;
+                kv * wrong + self.integral[i]
+            }
         };
         self.error[i] = error;
         self.last[i] = torque;
@@ -172,7 +211,9 @@ impl Drives {
         let torque = [0, 1].map(|i| self.torque(i, set_point[i]));
         // M = [0.5 0.2; 0.2 0.2].
         let det = 0.5 * 0.2 - 0.2 * 0.2;
-        let ddq = [(0.2 * torque[0] - 0.2 * torque[1]) / det, (0.5 * torque[1] - 0.2 * torque[0]) / det];
+        let load = if self.case.loaded { LOAD } else { [0.0; 2] };
+        let net = [torque[0] - load[0], torque[1] - load[1]];
+        let ddq = [(0.2 * net[0] - 0.2 * net[1]) / det, (0.5 * net[1] - 0.2 * net[0]) / det];
         for ((q, dq), ddq) in self.q.iter_mut().zip(&mut self.dq).zip(ddq) {
             *q += SERVO_S * (*dq + 0.5 * SERVO_S * ddq);
             *dq += SERVO_S * ddq;
@@ -191,15 +232,28 @@ struct Run {
     off: f64,
 }
 
+fn sample(takes: CommandKind, current: bool) -> Sample {
+    let capabilities = Capabilities::new(["first", "second"], takes, SERVO_S);
+    Sample::new(&if current { capabilities.measuring(&[Measured::MotorCurrent]) } else { capabilities })
+}
+
 /// Nothing is sent in ticks that are `missed`.
 fn run(case: Case, missed: Range<i32>) -> Run {
-    let model = model();
+    let matching = if case.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick };
+    run_matching(case, matching, missed)
+}
+
+fn run_matching(case: Case, matching: Matching, missed: Range<i32>) -> Run {
+    let model = model(case.loaded);
     let mut data = Data::new(&model);
-    let mut transformer = EmulatingTransformer::new(&setup(case)).unwrap();
+    let mut transformer = EmulatingTransformer::new(&EmulationSetup { matching, ..setup(case) }).unwrap();
+    let takes = case.servo.takes();
+    assert_eq!(transformer.takes(), takes);
     let mut drives = Drives::new(case);
-    let mut sample = Sample::new(2, case.current, 0);
-    // At rest without a load the set-point is where the joint is.
-    let (mut from, mut to, mut new) = (drives.q, drives.q, DVector::from_column_slice(&drives.q));
+    let mut sample = sample(takes, case.current);
+    // At rest without a load the set-point is where the joint is, or no velocity.
+    let rest = if takes == CommandKind::Velocity { [0.0; 2] } else { drives.q };
+    let (mut from, mut to, mut new) = (rest, rest, DVector::from_column_slice(&rest));
     let mut ramp = RATIO;
     let (mut asked, mut torques, mut off) = (Vec::new(), Vec::new(), 0.0_f64);
     for k in 0..400 {
@@ -208,7 +262,8 @@ fn run(case: Case, missed: Range<i32>) -> Run {
         off = off.max((dq[0] - drives.dq[0]).abs()).max((dq[1] - drives.dq[1]).abs());
         assert!(update(&model, &mut data, &sample.q, dq));
         let t = f64::from(k) * SERVO_S * f64::from(RATIO);
-        let tau = [(TAU * 0.7 * t).sin(), 0.4 * (TAU * 1.1 * t).sin()];
+        let load = if case.loaded { LOAD } else { [0.0; 2] };
+        let tau = [load[0] + (TAU * 0.7 * t).sin(), load[1] + 0.4 * (TAU * 1.1 * t).sin()];
         let sent = !missed.contains(&k);
         if sent {
             transformer.transform(&data, &tau, new.as_mut_slice());
@@ -223,6 +278,10 @@ fn run(case: Case, missed: Range<i32>) -> Run {
             }
             if tick == RATIO {
                 break;
+            }
+            if case.has_brakes && k == 0 && tick < case.delay {
+                torques.push([0.0; 2]);
+                continue;
             }
             ramp = (ramp + 1).min(RATIO);
             let share = match case.set_points {
@@ -249,6 +308,11 @@ impl Run {
         relative(self.asked.iter().zip(&self.means).skip(100))
     }
 
+    /// The same from the first interval on.
+    fn error_from_the_start(&self) -> f64 {
+        relative(self.asked.iter().zip(&self.means))
+    }
+
     /// The same of every servo tick.
     fn error_at_ticks(&self) -> f64 {
         let each = self.asked.iter().flat_map(|asked| std::iter::repeat_n(asked, RATIO as usize));
@@ -269,7 +333,7 @@ fn relative<'a>(pairs: impl Iterator<Item = (&'a [f64; 2], &'a [f64; 2])>) -> f6
 /// the velocity between position readings 5 ms apart against the true one.
 #[test]
 fn mean_torques_are_the_desired_ones() {
-    for servo in SERVOS {
+    for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
         for delay in 0..=RATIO {
             for current in [false, true] {
                 let case = Case { servo, delay, current, ..CASE };
@@ -282,11 +346,32 @@ fn mean_torques_are_the_desired_ones() {
     }
 }
 
+/// Mean torques and velocities of velocity servos under a load, from the first interval on, against those asked for and
+/// the true ones: brakes hold the load until the first setpoint acts, or the servos' integrals do.
+#[test]
+fn velocity_robot_starts_from_its_brakes_or_its_integral() {
+    for (servo, has_brakes) in
+        [(Servo::Velocity, true), (Servo::VelocityIntegral, true), (Servo::VelocityIntegral, false)]
+    {
+        for set_points in [Setpoints::Held, Setpoints::Interpolated] {
+            for delay in 0..=RATIO {
+                for current in [false, true] {
+                    let case = Case { servo, has_brakes, set_points, delay, current, loaded: true, ..CASE };
+                    let run = run_matching(case, Matching::Mean, 0..0);
+                    let error = run.error_from_the_start();
+                    assert!(error < EXACT, "{case:?}: {error}");
+                    assert!(run.off < EXACT, "{case:?}: {} m/s", run.off);
+                }
+            }
+        }
+    }
+}
+
 /// The torques of drives that interpolate, at every servo tick, against what was asked for: what is left is that a
 /// straight line of set-points can't give one torque all the way. Held set-points beside them.
 #[test]
 fn interpolated_set_points_give_the_torque_all_the_way() {
-    for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid] {
+    for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid].into_iter().chain(VELOCITY_SERVOS) {
         for delay in 0..=RATIO {
             for current in [false, true] {
                 let case = Case { servo, delay, current, set_points: Setpoints::Interpolated, ..CASE };
@@ -303,10 +388,12 @@ fn interpolated_set_points_give_the_torque_all_the_way() {
 /// The velocities told while set-points fail to come, and the drives hold the last one, against the true ones.
 #[test]
 fn the_estimate_goes_on_while_set_points_are_missed() {
-    for set_points in [Setpoints::Held, Setpoints::Interpolated] {
-        for delay in [0, 2, RATIO] {
-            let run = run(Case { delay, set_points, ..CASE }, 200..230);
-            assert!(run.off < EXACT, "delay {delay}: {} m/s", run.off);
+    for servo in [Servo::Cascade].into_iter().chain(VELOCITY_SERVOS) {
+        for set_points in [Setpoints::Held, Setpoints::Interpolated] {
+            for delay in [0, 2, RATIO] {
+                let run = run(Case { servo, delay, set_points, ..CASE }, 200..230);
+                assert!(run.off < EXACT, "{servo:?}, delay {delay}: {} m/s", run.off);
+            }
         }
     }
 }
@@ -315,20 +402,36 @@ fn the_estimate_goes_on_while_set_points_are_missed() {
 /// those without.
 #[test]
 fn measured_currents_make_up_for_a_wrong_gain() {
-    for kp_scale in [0.8, 1.1] {
+    for gain_scale in [0.8, 1.1] {
         let [without, with] =
-            [false, true].map(|current| run(Case { kp_scale, current, ..CASE }, 0..0).error());
-        assert!(with < 0.5 * without && without > 0.1, "{kp_scale}: {with} with, {without} without");
+            [false, true].map(|current| run(Case { gain_scale, current, ..CASE }, 0..0).error());
+        assert!(with < 0.5 * without && without > 0.1, "{gain_scale}: {with} with, {without} without");
+    }
+}
+
+/// A velocity loop with another gain than the nominal one: torque errors with the motor current made use of against those
+/// without.
+#[test]
+fn measured_currents_make_up_for_a_wrong_velocity_gain() {
+    for servo in VELOCITY_SERVOS {
+        for gain_scale in [0.8, 1.3] {
+            let [without, with] =
+                [false, true].map(|current| run(Case { servo, gain_scale, current, ..CASE }, 0..0).error());
+            assert!(
+                with < 0.5 * without && without > 0.1,
+                "{servo:?}, {gain_scale}: {with}, {without} without"
+            );
+        }
     }
 }
 
 /// The same with the gains refined while running: what is left once they are found, against the current alone.
 #[test]
 fn refined_gains_make_up_for_more() {
-    for kp_scale in [0.7, 1.3] {
-        let [alone, refined] =
-            [false, true].map(|refined| run(Case { kp_scale, refined, current: true, ..CASE }, 0..0).error());
-        assert!(refined < 0.1 * alone, "{kp_scale}: {refined} refined, {alone} without");
+    for gain_scale in [0.7, 1.3] {
+        let [alone, refined] = [false, true]
+            .map(|refined| run(Case { gain_scale, refined, current: true, ..CASE }, 0..0).error());
+        assert!(refined < 0.1 * alone, "{gain_scale}: {refined} refined, {alone} without");
     }
 }
 
@@ -345,4 +448,9 @@ fn a_servo_that_cannot_be_inverted_is_refused() {
     assert!(matches!(unstable, EmulationError::Unstable { growth } if growth > 1.0), "{unstable}");
     let (_, late) = refused("[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0]");
     assert_eq!(late, EmulationError::NoTorque { ratio: RATIO });
+    let mut servos = Servo::Cascade.parameters();
+    servos[1] = Servo::Velocity.parameters().remove(1);
+    let mixed = EmulatingTransformer::new(&EmulationSetup { servos, ..setup(CASE) }).unwrap_err();
+    let kinds = EmulationError::Mixed { takes: CommandKind::Velocity, others: CommandKind::Position };
+    assert_eq!(mixed, (1, kinds));
 }

@@ -1,7 +1,7 @@
 //! Transformers made from a measured closed loop, on a mass with a servo that is integrated here in small steps.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
-use opspace_backend::Sample;
+use opspace_backend::{Capabilities, CommandKind, Sample};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use opspace_transformer::{IdentificationError, IdentifiedJoint, LiteralTransformer, Transformer};
 use std::f64::consts::TAU;
@@ -50,7 +50,7 @@ fn error(measured_position: bool, pushed: f64) -> f64 {
     model.add_body(None, Placement::identity(), wheel, Inertia::zero());
     let mut data = Data::new(&model);
     let (mut q, mut dq, mut q_desired) = (0.3, 0.0, [0.0]);
-    let mut sample = Sample::new(1, false, 0);
+    let mut sample = Sample::new(&Capabilities::new(["joint"], CommandKind::Position, PERIOD_S));
     let (mut off, mut size) = (0.0, 0.0);
     for k in 0..4000 {
         let t = f64::from(k) * PERIOD_S;

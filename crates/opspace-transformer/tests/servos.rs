@@ -1,6 +1,7 @@
 //! Servos of every structure against their recursions, written down here one by one.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
+use opspace_backend::CommandKind;
 use opspace_transformer::{ServoError, ServoLaw, ServoParameters};
 use std::f64::consts::TAU;
 
@@ -38,7 +39,10 @@ const PID_OF_ERROR: &str = "pid = { stiffness_nm_per_rad = 4000.0, damping_nms_p
                             derivative_of = \"error\", integral_nm_per_rad_s = 9000.0 }";
 const LAGGING: &str =
     "transfer-function = { numerator = [0.0, 800.0, -500.0], denominator = [2.0, -1.2, 0.1] }";
-const ALL: [&str; 5] = [CASCADED, CASCADED_INTEGRAL, PD, PID_OF_ERROR, LAGGING];
+const VELOCITY: &str = "velocity = { kv_nms_per_rad = 90.0, velocity_filter_hz = 200.0 }";
+const VELOCITY_INTEGRAL: &str =
+    "velocity = { kv_nms_per_rad = 90.0, ki_nm_per_rad = 700.0, velocity_filter_hz = 200.0 }";
+const ALL: [&str; 7] = [CASCADED, CASCADED_INTEGRAL, PD, PID_OF_ERROR, LAGGING, VELOCITY, VELOCITY_INTEGRAL];
 
 fn law(servo: &str) -> ServoLaw {
     let parameters: ServoParameters = toml::from_str(servo).unwrap();
@@ -91,6 +95,20 @@ fn a_pid_servo_may_differentiate_its_error() {
     });
 }
 
+/// Torques of velocity servos, and sums over all past velocity errors; the setpoint is a velocity.
+#[test]
+fn velocity_servo_controls_the_filtered_difference() {
+    let error = |k: usize| desired(k) - rate(position, k);
+    assert_same(VELOCITY, |k| 90.0 * error(k));
+    assert_same(VELOCITY_INTEGRAL, |k| {
+        90.0 * error(k) + (1..=k).map(|j| 700.0 * PERIOD_S * error(j)).sum::<f64>()
+    });
+    let parameters: ServoParameters = toml::from_str(VELOCITY_INTEGRAL).unwrap();
+    assert_eq!(parameters.takes(), CommandKind::Velocity);
+    let doubled = "velocity = { kv_nms_per_rad = 180.0, ki_nm_per_rad = 1400.0, velocity_filter_hz = 200.0 }";
+    assert_eq!(parameters.scaled(3.0, 2.0), toml::from_str(doubled).unwrap());
+}
+
 #[test]
 fn a_transfer_function_is_its_difference_equation() {
     let error = |k: usize| if k == 0 { 0.0 } else { desired(k) - position(k) };
@@ -117,10 +135,34 @@ fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
     }
 }
 
+/// Velocity setpoints at rest under a load: the load over kv without an integral, zero with one. At another setpoint the
+/// torque of a servo without an integral differs by kv times the difference.
+#[test]
+fn velocity_servo_rests_at_the_load_over_kv_or_at_zero() {
+    let (_, setpoint) = law(VELOCITY).rest(0.7, 3.5);
+    assert!((setpoint - 3.5 / 90.0).abs() < ROUNDING, "{setpoint}");
+    let (mut memory, _) = law(VELOCITY).rest(0.7, 3.5);
+    let torque = law(VELOCITY).step(&mut memory, 0.0, 0.7);
+    assert!(torque.abs() < ROUNDING, "{torque}");
+    let (_, setpoint) = law(VELOCITY_INTEGRAL).rest(0.7, 3.5);
+    assert!(setpoint.abs() < ROUNDING, "{setpoint}");
+}
+
+/// Gains of a velocity servo: kv, and no stiffness, so that a position loop made of them is zero and not undefined.
+#[test]
+fn velocity_servo_has_no_stiffness() {
+    for servo in [VELOCITY, VELOCITY_INTEGRAL] {
+        let parameters: ServoParameters = toml::from_str(servo).unwrap();
+        let gains = parameters.gains(PERIOD_S);
+        assert_eq!((gains.stiffness, gains.damping, gains.position_loop()), (0.0, 90.0, 0.0));
+        assert!(!parameters.has_two_gains());
+    }
+}
+
 /// The response at a frequency, and the torques that a long sine of it gives, by their Fourier coefficient.
 #[test]
 fn the_response_is_that_of_a_sine() {
-    for servo in [CASCADED, PD, LAGGING] {
+    for servo in [CASCADED, PD, LAGGING, VELOCITY] {
         let law = law(servo);
         let ticks = 50_usize;
         let z = nalgebra::Complex::from_polar(1.0, TAU / ticks as f64);

@@ -1,9 +1,10 @@
 //! The paper's transformer, the estimator that feeds it, and friction compensation, against their equations.
 
+use opspace_backend::{Capabilities, CommandKind, Measured, Sample};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use opspace_transformer::{
-    EstimatorParameters, FrictionCompensation, FrictionCompensationParameters, FrictionParameters,
-    PaperTransformer, ServoGains, Transformer, VelocityEstimator,
+    CurrentCorrected, EstimatorParameters, FrictionCompensation, FrictionCompensationParameters,
+    FrictionParameters, PaperTransformer, ServoGains, Transformer, VelocityEstimator, VelocityTransformer,
 };
 use std::f64::consts::TAU;
 
@@ -47,13 +48,17 @@ const STATES: [([f64; 2], [f64; 2], [f64; 2]); 3] = [
     ([1.1, 1.4], [0.0, 3.3], [0.0, 19.0]),
 ];
 
-fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
+fn transformed_by(transformer: &mut dyn Transformer, q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
     let mut data = Data::new(&two_joints());
     data.q.copy_from_slice(&q);
     data.dq.copy_from_slice(&dq);
-    let mut q_desired = [0.0; 2];
-    PaperTransformer::new(servos()).transform(&data, &tau, &mut q_desired);
-    q_desired
+    let mut command = [0.0; 2];
+    transformer.transform(&data, &tau, &mut command);
+    command
+}
+
+fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
+    transformed_by(&mut PaperTransformer::new(servos()), q, dq, tau)
 }
 
 /// Compared: the transformer's two loops, and equation (10) in one fraction, with the gains of the test.
@@ -77,6 +82,60 @@ fn the_paper_transformer_inverts_equation_9() {
             let torque = kv * (kp * (found[i] - q[i]) - dq[i]);
             assert!((torque - tau[i]).abs() <= ROUNDING * kp * kv, "{torque} for {}", tau[i]);
         }
+    }
+}
+
+/// Compared: the velocity setpoint, and that of the outer loop, kp (q_desired − q), at the position setpoint of (K10).
+#[test]
+fn the_velocity_transformer_is_the_inner_stage_of_equation_10() {
+    let mut inner = VelocityTransformer::new(servos());
+    assert_eq!(inner.takes(), CommandKind::Velocity);
+    for (q, dq, tau) in STATES {
+        let (found, both) = (transformed_by(&mut inner, q, dq, tau), transformed(q, dq, tau));
+        for (i, kp) in [50.0, 40.0].into_iter().enumerate() {
+            let expected = kp * (both[i] - q[i]);
+            assert!((found[i] - expected).abs() <= ROUNDING * kp, "{} for {expected}", found[i]);
+        }
+    }
+}
+
+/// Compared: the torque of the inner loop of (K9) at the transformer's setpoint, and the torque given to the transformer.
+#[test]
+fn the_velocity_transformer_inverts_the_velocity_loop() {
+    for (q, dq, tau) in STATES {
+        let found = transformed_by(&mut VelocityTransformer::new(servos()), q, dq, tau);
+        for (i, kv) in [90.0, 30.0].into_iter().enumerate() {
+            let torque = kv * (found[i] - dq[i]);
+            assert!((torque - tau[i]).abs() <= ROUNDING * kv * 10.0, "{torque} for {}", tau[i]);
+        }
+    }
+}
+
+/// Compared: the torque of a velocity loop whose kv is 0.8 of the nominal one, once the measured current corrects it, and
+/// the desired torque.
+#[test]
+fn current_corrects_a_velocity_gain() {
+    const CYCLES: usize = 100;
+    let inner = Box::new(VelocityTransformer::new(servos()));
+    let mut transformer = CurrentCorrected::new(inner, &[100.0, 100.0], 5, 0);
+    assert_eq!(transformer.takes(), CommandKind::Velocity);
+    let capabilities = Capabilities::new(["first", "second"], CommandKind::Velocity, PERIOD_S)
+        .measuring(&[Measured::MotorCurrent]);
+    let mut sample = Sample::new(&capabilities);
+    let data = Data::new(&two_joints());
+    let (tau, mut command) = ([12.0, -7.5], [0.0; 2]);
+    let mut torque = [0.0; 2];
+    for _ in 0..CYCLES {
+        transformer.observe(&sample);
+        transformer.transform(&data, &tau, &mut command);
+        transformer.sent(&data, &command);
+        torque = [0, 1].map(|i| 0.8 * [90.0, 30.0][i] * command[i]);
+        if let Some(measured) = &mut sample.motor_torque {
+            measured.copy_from_slice(&torque);
+        }
+    }
+    for i in 0..2 {
+        assert!((torque[i] - tau[i]).abs() < SETTLED, "{} for {}", torque[i], tau[i]);
     }
 }
 

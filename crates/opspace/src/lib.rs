@@ -11,6 +11,7 @@
 //! | run a controller on a robot, with supervision | [`control_loop`] |
 //! | simulate an arm with its servos and sensors | [`sim`] |
 //! | record, read and replay runs | [`log`] |
+//! | identify the servos of a robot | [`identify`] |
 //! | run robot and task files | [`experiment`] |
 
 #![forbid(unsafe_code)]
@@ -18,6 +19,7 @@
 pub use opspace_backend as backend;
 pub use opspace_control as control;
 pub use opspace_experiment as experiment;
+pub use opspace_identify as identify;
 pub use opspace_log as log;
 pub use opspace_loop as control_loop;
 pub use opspace_model as model;

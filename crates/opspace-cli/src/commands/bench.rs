@@ -6,9 +6,9 @@ use crate::console::{Console, Exit, Failure, Outcome, results};
 use crate::interrupt;
 use crate::output::{REPORT, ROWS, prepare, pretty, write};
 use indicatif::ProgressBar;
+use opspace_experiment::Progress;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::report::page::{Shown, page};
-use opspace_experiment::run::execute::Watch;
 use opspace_experiment::{Experiment, Files, RunError, Suite, Summary};
 use opspace_log::Recording;
 use serde_json::json;
@@ -75,7 +75,7 @@ const LEAD: &str = "The same task file drives a position robot through the torqu
 fn run_all(
     experiments: &[Experiment],
     jobs: usize,
-    watch: &Watch,
+    watch: &Progress,
     console: Console,
 ) -> Result<Vec<Done>, Failure> {
     let bar = if console.shows_progress() {
@@ -124,11 +124,11 @@ fn shown(experiments: &[Experiment]) -> BTreeSet<usize> {
     (0..experiments.len()).filter(|&i| tasks.insert(experiments[i].task().source.name().to_owned())).collect()
 }
 
-fn run_one(experiment: &Experiment, shown: bool, watch: &Watch) -> Result<Done, RunError> {
+fn run_one(experiment: &Experiment, shown: bool, watch: &Progress) -> Result<Done, RunError> {
     let finished = experiment.run(Cursor::new(Vec::new()), watch)?;
     let log = finished.sink.into_inner();
     let recording = Recording::from_bytes(&log)?;
-    let summary = experiment.summary(&recording, &finished.ending, Some(finished.realtime_factor));
+    let summary = experiment.summary(&recording, &finished.record, Some(finished.realtime_factor));
     let shown = shown.then(|| (Shown::new(experiment, &recording, summary.clone()), log));
     Ok(Done { summary, shown })
 }

@@ -4,23 +4,24 @@
 use crate::cli::CheckArgs;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
+use opspace_experiment::files::interface::CommandParameter;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{GainMargin, gain_margin};
 use opspace_experiment::{
-    BackendKind, Choice, Experiment, FileError, Files, Finding, Robot, Source, Suite, Task, findings,
+    BackendKind, Choice, Experiment, Extensions, FileError, Files, Finding, Robot, Source, Suite, Task,
+    findings,
 };
-use opspace_loop::interface::CommandParameter;
 use opspace_model::{Model, UrdfOptions, UrdfWarning, suspicions};
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
 
-pub fn check(args: &CheckArgs, console: Console) -> Outcome {
+pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Outcome {
     let mut exit = Exit::Done;
     let (mut text, mut files) = (String::new(), Vec::new());
     for path in &args.files {
-        let checked = check_one(path, console);
+        let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
             Ok(Checked { what, margin, found }) => {
@@ -98,9 +99,9 @@ fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
 }
 
 /// What a task's robot is: one that takes torques alone can't be a position robot.
-fn choice(task: &Path) -> Choice {
-    let robot =
-        Task::load(Files::Disk, task, &[]).and_then(|task| Robot::load(Files::Disk, &task.robot_path(), &[]));
+fn choice(task: &Path, extensions: &Extensions) -> Choice {
+    let robot = Task::load_with(&extensions.tasks, Files::Disk, task, &[])
+        .and_then(|task| Robot::load(Files::Disk, &task.robot_path(), &[]));
     match robot {
         Ok(robot) if robot.file.interface.command == CommandParameter::Torque => {
             Choice { backend: BackendKind::Torque, ..Choice::default() }
@@ -110,7 +111,7 @@ fn choice(task: &Path) -> Choice {
     }
 }
 
-fn check_one(path: &Path, console: Console) -> Result<Checked, FileError> {
+fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<Checked, FileError> {
     if path.extension().is_some_and(|e| e == "urdf") {
         let source = Source::read(path)?;
         let loaded = load_urdf(&source, UrdfOptions::default())?;
@@ -131,7 +132,8 @@ fn check_one(path: &Path, console: Console) -> Result<Checked, FileError> {
             Ok(Checked { found: find(&suite.experiments), ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
-            let experiment = Experiment::load(Files::Disk, path, None, choice(path), &[])?;
+            let experiment =
+                Experiment::load_with(extensions, Files::Disk, path, None, choice(path, extensions), &[])?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             let margin = gain_margin(&experiment);
             let mut found = find([&experiment]);

@@ -8,8 +8,8 @@ use crate::output::{IDENTIFICATION, REPORT, ROBOT_FILE, SERVO_FILE, prepare, pre
 use indicatif::ProgressBar;
 use opspace_experiment::identify::{Identified, Identifying, Request};
 use opspace_experiment::{Files, Robot};
-use opspace_loop::identification::Plan;
-use opspace_loop::identification::session::Stop;
+use opspace_identify::ExcitationPlan;
+use opspace_identify::session::AbortReason;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         profile: args.profile.clone(),
         joint: args.joint.clone(),
         start_rad: args.start_rad.clone(),
-        plan: Plan { seed: args.seed, ..Plan::default() },
+        plan: ExcitationPlan { seed: args.seed, ..ExcitationPlan::default() },
     };
     let identifying = Identifying::new(robot, request)?;
     let mut arm = identifying.simulated_arm()?;
@@ -31,10 +31,9 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     let watch = interrupt::watch();
     let identified = with_progress(&identifying, console, |begun| identifying.run(&mut arm, &watch, begun));
     let identified = identified.map_err(|stop| match stop {
-        Stop::Interrupted => {
+        AbortReason::Interrupted => {
             Failure::Other("interrupted before all was identified".to_owned(), Exit::Interrupted)
         }
-        Stop::Fault(fault) => Failure::Other(fault.describe(&identifying.robot().model), Exit::Failed),
         other => Failure::Other(other.to_string(), Exit::Failed),
     })?;
     let written = write_results(&folder, &identified)?;

@@ -3,23 +3,23 @@
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{pretty, read_log};
-use opspace_experiment::run::replay::{Replayed, replay as recompute};
-use opspace_experiment::{Experiment, Files, RunError, Task};
+use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
+use opspace_experiment::{Experiment, Extensions, Files, RunError, Task};
 use opspace_log::Recording;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-pub fn replay(args: &ReplayArgs, console: Console) -> Outcome {
+pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
     let (log, recording) = read_log(&args.log)?;
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
-    let logged = Experiment::of_log(&recording).map_err(bad)?;
+    let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
     if let Some(damage) = &recording.damage {
         console.note(&format!("{}: damaged: {damage}", log.display()));
     }
     let other = match &args.task {
         None => None,
         Some(path) => {
-            let task = Task::load(Files::Disk, path, &[])?;
+            let task = Task::load_with(&extensions.tasks, Files::Disk, path, &[])?;
             let (robot, choice) = (logged.robot().clone(), logged.choice().clone());
             Some(Experiment::new(robot, task, choice, Vec::new())?)
         }
@@ -47,8 +47,8 @@ pub fn replay(args: &ReplayArgs, console: Console) -> Outcome {
 }
 
 /// Whether the log is what comes out, or where first it isn't.
-fn verdict(log: &Path, replayed: &Replayed) -> String {
-    let (log, Replayed { compared, logged, differing, .. }) = (log.display(), replayed);
+fn verdict(log: &Path, replayed: &ReplayReport) -> String {
+    let (log, ReplayReport { compared, logged, differing, .. }) = (log.display(), replayed);
     match &replayed.first_difference {
         Some(d) => format!(
             "{log}: differs in {differing} of {compared} ticks, first at tick {} ({:.6} s): \
@@ -66,7 +66,7 @@ fn verdict(log: &Path, replayed: &Replayed) -> String {
 }
 
 /// What another task would have commanded.
-fn what_if(experiment: &Experiment, recording: &Recording, replayed: &Replayed) -> String {
+fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayReport) -> String {
     let (name, compared) = (experiment.task().name(), replayed.compared);
     let mut text = format!(
         "open loop: what '{name}' would have commanded on the logged measurements, over {compared} ticks\n"
@@ -88,7 +88,7 @@ fn as_json(
     log: &Path,
     experiment: &Experiment,
     recording: &Recording,
-    replayed: &Replayed,
+    replayed: &ReplayReport,
     open_loop: bool,
 ) -> Value {
     let first = replayed.first_difference.as_ref().map(|d| {

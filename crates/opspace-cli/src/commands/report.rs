@@ -5,26 +5,25 @@ use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{REPORT, pretty, read_log, write};
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::page::{Shown, page};
-use opspace_experiment::run::replay::ending;
-use opspace_experiment::{Experiment, RunError};
+use opspace_experiment::{Experiment, Extensions, RunError};
+use opspace_log::OutcomeRecord;
 
-pub fn report(args: &ReportArgs, console: Console) -> Outcome {
+pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> Outcome {
     let mut shown = Vec::new();
     let mut exit = Exit::Done;
     let mut first = None;
     for path in &args.logs {
         let (path, recording) = read_log(path)?;
         let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
-        let experiment = Experiment::of_log(&recording).map_err(bad)?;
+        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
         if let Some(damage) = &recording.damage {
             console.note(&format!("{}: damaged: {damage}", path.display()));
             exit = Exit::DataLost;
         }
-        let ending = ending(&experiment, &recording).map_err(bad)?;
         if recording.dropped() > 0 {
             exit = Exit::DataLost;
         }
-        let summary = experiment.summary(&recording, &ending, None);
+        let summary = experiment.summary(&recording, &OutcomeRecord::of(&recording), None);
         shown.push(Shown::new(&experiment, &recording, summary));
         first.get_or_insert(path);
     }

@@ -1,26 +1,27 @@
 //! `opspace run`: one task on one robot.
 
 use crate::cli::RunArgs;
-use crate::console::{Console, Exit, Failure, Outcome, results};
+use crate::console::{Console, Exit, Outcome, results};
 use crate::interrupt;
-use crate::output::{LOG, REPORT, SUMMARY, prepare, pretty, write};
+use crate::output::{LOG, REPORT, SUMMARY, prepare, pretty};
 use indicatif::{ProgressBar, ProgressStyle};
+use opspace_experiment::Progress;
 use opspace_experiment::evaluate::results::MEASURES;
-use opspace_experiment::report::page::{Shown, page};
-use opspace_experiment::run::execute::Watch;
-use opspace_experiment::{Experiment, Files, Summary};
-use opspace_log::Recording;
-use opspace_loop::Ending;
-use std::fs::File;
-use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use opspace_experiment::{Experiment, Extensions, Files, Summary};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-pub fn run(args: &RunArgs, console: Console) -> Outcome {
-    let experiment =
-        Experiment::load(Files::Disk, &args.task, args.robot.as_deref(), args.choice(), &args.set)?;
+pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
+    let experiment = Experiment::load_with(
+        extensions,
+        Files::Disk,
+        &args.task,
+        args.robot.as_deref(),
+        args.choice(),
+        &args.set,
+    )?;
     for warning in &experiment.robot().warnings {
         console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
     }
@@ -30,25 +31,27 @@ pub fn run(args: &RunArgs, console: Console) -> Outcome {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
     }
     let folder = prepare(&args.output, &default, console)?;
-    let log = folder.join(LOG);
-    let watch = interrupt::watch();
-    let file = File::create_new(&log).map_err(|e| Failure::io("can't be made", &log, &e))?;
-    let finished =
-        with_progress(&experiment, &watch, console, || experiment.run(BufWriter::new(file), &watch))?;
-    let recording = Recording::read(&log).map_err(|e| Failure::Other(e.to_string(), Exit::Failed))?;
-    let summary = experiment.summary(&recording, &finished.ending, Some(finished.realtime_factor));
-    write_results(&folder, &experiment, &recording, &summary)?;
+    let progress = interrupt::watch();
+    let summary = with_progress(&experiment, &progress, console, || {
+        experiment.in_folder(&folder, |log| {
+            if experiment.has_driver() && !args.simulate {
+                experiment.run_on_driver(extensions, log, &progress)
+            } else {
+                experiment.run(log, &progress)
+            }
+        })
+    })?;
     args.output
         .json
         .print(|| pretty(&summary), || results(console, std::slice::from_ref(&summary), MEASURES))?;
-    if let Ending::Interrupted { time_s } = finished.ending {
+    if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
     }
     if let Some(fault) = &summary.faulted {
         let time = summary.fault_time_s.unwrap_or(f64::NAN);
         console.note(&format!("stopped at {time:.3} s: {fault}"));
     }
-    console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", log.display()));
+    console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
     Ok(exit_code(&summary))
 }
 
@@ -65,23 +68,10 @@ pub fn exit_code(summary: &Summary) -> Exit {
     }
 }
 
-fn write_results(
-    folder: &Path,
-    experiment: &Experiment,
-    recording: &Recording,
-    summary: &Summary,
-) -> Result<(), Failure> {
-    let shown = Shown::new(experiment, recording, summary.clone());
-    let lead = "One run of a simulated robot, with what it was asked and what it did.";
-    let html = page(&shown.title.clone(), lead, std::slice::from_ref(summary), MEASURES, &[shown]);
-    write(&folder.join(REPORT), &html)?;
-    write(&folder.join(SUMMARY), &pretty(summary))
-}
-
 /// Shows how far a run is while it goes on.
 fn with_progress<T>(
     experiment: &Experiment,
-    watch: &Arc<Watch>,
+    watch: &Arc<Progress>,
     console: Console,
     work: impl FnOnce() -> T,
 ) -> T {

@@ -41,13 +41,13 @@ impl Nullspace {
 
     /// Only what the first `depth` tasks leave, of those that were taken away since the last
     /// [`reset`](Self::reset).
-    pub(crate) fn rewind(&mut self, depth: usize) {
+    pub(crate) fn truncate(&mut self, depth: usize) {
         debug_assert!(depth <= self.tasks.len());
         self.depth = depth;
     }
 
-    /// Takes away what a [finished](ProjectedTask::finish) `task` uses.
-    pub(crate) fn narrow(&mut self, task: &ProjectedTask) {
+    /// Takes away what a [complete](ProjectedTask::compute_jbar) `task` uses.
+    pub(crate) fn push(&mut self, task: &ProjectedTask) {
         let (jacobian, jbar_transpose) = &mut self.tasks[self.depth];
         jacobian.copy_from(&task.jacobian);
         jbar_transpose.copy_from(&task.space.jbar_transpose);
@@ -137,7 +137,7 @@ impl ProjectedTask {
     }
 
     /// J̄, with the same factor: once after each [`update`](Self::update), if anything comes below this task.
-    pub(crate) fn finish(&mut self, factor: &MassMatrixFactor) {
+    pub(crate) fn compute_jbar(&mut self, factor: &MassMatrixFactor) {
         self.space.finish(factor);
     }
 }
@@ -210,8 +210,8 @@ mod tests {
                 1.0,
             );
             assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
-            projected.finish(&data.mass_matrix_factor);
-            nullspace.narrow(&projected);
+            projected.compute_jbar(&data.mass_matrix_factor);
+            nullspace.push(&projected);
             let [matrix, by_torque] = matrices(&nullspace, n);
             assert!((&matrix - by_torque).amax() < tolerance, "one N for velocities and torques");
             for (above, (jacobian, _)) in tasks[..=level].iter().enumerate() {

@@ -1,10 +1,11 @@
 //! Which tasks an arm can carry out at all: the rank of their axes, sampled, and the arm's reach.
 
-use crate::tasks::subject::Subject;
-use crate::tasks::task_axes::TaskAxes;
-use nalgebra::{DMatrix, Matrix3, Matrix6xX};
+use crate::tasks::controlled_frame::ControlledFrame;
+use crate::tasks::task::Task;
+use nalgebra::{DMatrix, Matrix6xX};
 use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics, update};
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Singular values below this share of the largest don't count: far above rounding, far below what an arm
 /// that can move along an axis shows at its best.
@@ -14,60 +15,32 @@ const RANK_TOLERANCE: f64 = 1e-6;
 /// everywhere.
 const SAMPLES: usize = 64;
 
-/// The rows of a task, whatever the state.
-#[derive(Clone, Copy, Debug)]
-pub enum Rows<'a> {
-    /// Axes of a motion.
-    Axes(&'a TaskAxes),
-    /// Joints, by index.
-    Joints(&'a [usize]),
-}
-
-impl Rows<'_> {
-    /// How many there are.
-    #[must_use]
-    pub fn count(&self) -> usize {
-        match self {
-            Self::Axes(task) => task.rows(),
-            Self::Joints(joints) => joints.len(),
-        }
-    }
-
-    /// Their Jacobian, scaled, in its first rows (6 × n); `world` (6 × n) is overwritten.
-    fn jacobian(&self, model: &Model, data: &Data, world: &mut Matrix6xX<f64>, out: &mut Matrix6xX<f64>) {
-        match self {
-            Self::Axes(task) => {
-                task.subject.jacobian(model, data, world);
-                task.select(world, out);
-            }
-            Self::Joints(joints) => {
-                out.fill(0.0);
-                joints.iter().enumerate().for_each(|(row, &joint)| out[(row, joint)] = 1.0);
-            }
-        }
-    }
-}
-
 /// The highest rank of the tasks' rows, taken together, over configurations spread within the joint limits.
 #[must_use]
-pub fn sampled_rank(model: &Model, tasks: &[Rows<'_>]) -> usize {
+pub fn sampled_rank(model: &Model, tasks: &[&dyn Task]) -> usize {
+    let rows = tasks.iter().map(|task| task.rows()).sum();
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    highest_rank(model, rows, |data, stacked| {
+        let mut first = 0;
+        for task in tasks {
+            task.sampled_jacobian(model, data, &mut jacobian);
+            stacked.rows_mut(first, task.rows()).copy_from(&jacobian.rows(0, task.rows()));
+            first += task.rows();
+        }
+    })
+}
+
+/// The highest rank of a Jacobian of so many rows, over sampled configurations; `fill` computes it at a state.
+fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMatrix<f64>)) -> usize {
     let n = model.n();
-    let rows: usize = tasks.iter().map(Rows::count).sum();
     let full = rows.min(n);
     let mut data = Data::new(model);
-    let mut world = Matrix6xX::zeros(n);
-    let mut selected = Matrix6xX::zeros(n);
     let mut stacked = DMatrix::zeros(rows, n);
     let rest = vec![0.0; n];
     let mut best = 0;
     for sample in 0..SAMPLES {
         kinematics(model, &mut data, &configuration(model, sample), &rest);
-        let mut first = 0;
-        for task in tasks {
-            task.jacobian(model, &data, &mut world, &mut selected);
-            stacked.rows_mut(first, task.count()).copy_from(&selected.rows(0, task.count()));
-            first += task.count();
-        }
+        fill(&data, &mut stacked);
         best = best.max(rank(&stacked));
         if best == full {
             break;
@@ -88,12 +61,12 @@ pub struct TypicalMobility {
 }
 
 impl TypicalMobility {
-    /// Of the rows of a task.
+    /// Typical mobility of a task's rows.
     #[must_use]
-    pub fn new(model: &Model, rows: &Rows<'_>) -> Self {
+    pub fn new(model: &Model, task: &dyn Task) -> Self {
         let n = model.n();
         let mut data = Data::new(model);
-        let (mut world, mut jacobian) = (Matrix6xX::zeros(n), Matrix6xX::zeros(n));
+        let mut jacobian = Matrix6xX::zeros(n);
         let identity = {
             let mut factor = data.mass_matrix_factor.clone();
             factor.set_identity();
@@ -104,10 +77,10 @@ impl TypicalMobility {
             if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
                 continue;
             }
-            rows.jacobian(model, &data, &mut world, &mut jacobian);
+            task.sampled_jacobian(model, &data, &mut jacobian);
             for (of, factor) in [(&mut dynamic, &data.mass_matrix_factor), (&mut kinematic, &identity)] {
                 let mobility = factor.mobility(&mut jacobian.clone());
-                let used = mobility.view((0, 0), (rows.count(), rows.count())).into_owned();
+                let used = mobility.view((0, 0), (task.rows(), task.rows())).into_owned();
                 of.push(used.symmetric_eigenvalues().min());
             }
         }
@@ -123,13 +96,16 @@ impl TypicalMobility {
 /// together have fewer directions than each has by itself. So it is with fewer than six joints, unless the
 /// arm is planar.
 #[must_use]
-pub fn orientation_is_coupled(model: &Model, subject: Subject) -> bool {
-    let directions = |in_task| {
-        sampled_rank(model, &[Rows::Axes(&TaskAxes::new(subject, Matrix3::identity(), in_task, 1.0))])
+pub fn orientation_is_coupled(model: &Model, controlled: ControlledFrame) -> bool {
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    let mut directions = |rows: Range<usize>| {
+        highest_rank(model, rows.len(), |data, stacked| {
+            controlled.jacobian(model, data, &mut jacobian);
+            stacked.copy_from(&jacobian.rows(rows.start, rows.len()));
+        })
     };
-    let position = directions([true, true, true, false, false, false]);
-    let orientation = directions([false, false, false, true, true, true]);
-    directions([true; 6]) < position + orientation
+    let (position, orientation) = (directions(0..3), directions(3..6));
+    directions(0..6) < position + orientation
 }
 
 fn rank(matrix: &DMatrix<f64>) -> usize {
@@ -167,11 +143,11 @@ fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
 
 /// The length by which a task's rotations are weighed against its displacements, m: the reach of what it moves.
 #[must_use]
-pub fn characteristic_length(model: &Model, subject: Subject) -> f64 {
-    match subject {
-        Subject::Frame(frame) | Subject::Relative { frame, .. } => reach(model, frame),
+pub fn characteristic_length(model: &Model, controlled: ControlledFrame) -> f64 {
+    match controlled {
+        ControlledFrame::Frame(frame) | ControlledFrame::Relative { frame, .. } => reach(model, frame),
         // It doesn't turn.
-        Subject::CenterOfMass => 1.0,
+        ControlledFrame::CenterOfMass => 1.0,
     }
 }
 

@@ -2,9 +2,10 @@
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
-use crate::hierarchy::level::RowTask;
-use crate::hierarchy::task::{Compensation, Levels, Stack};
+use crate::hierarchy::task_hierarchy::TaskHierarchy;
+use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::{Bounds, HORIZON_S, Interval};
+use crate::limits::joint_limits::LimitParameters;
 use crate::qp::lexicographic::{Cascade, Limits, Residual, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
@@ -39,11 +40,11 @@ const AT_BOUND: f64 = 1e-6;
 const MAX_SPEED_BOUNDS: usize = 16;
 
 impl Limiter {
-    pub(crate) fn new(model: &Model, stack: &Stack<'_>, robot: &ControlContext) -> Self {
+    pub(crate) fn new(model: &Model, parameters: &LimitParameters, context: &ControlContext) -> Self {
         let n = model.n();
         let zero = DVector::zeros(n);
-        let limits = robot.limits.clone().narrowed(&stack.limits);
-        let bounds = Bounds::new(model, limits, robot.period_s);
+        let limits = context.limits.clone().narrowed(parameters);
+        let bounds = Bounds::new(model, limits, context.period_s);
         Self {
             torque_bounds: bounds.torque.clone(),
             bounds,
@@ -57,7 +58,12 @@ impl Limiter {
     }
 
     /// Takes in the state, but for the joints' bounds.
-    pub(crate) fn update_state(&mut self, data: &Data, compensation: Compensation, levels: &Levels) {
+    pub(crate) fn update_state(
+        &mut self,
+        data: &Data,
+        compensation: Compensation,
+        hierarchy: &TaskHierarchy,
+    ) {
         if compensation == Compensation::Gravity {
             for (bias_acceleration, (gravity, bias)) in
                 self.bias_acceleration.iter_mut().zip(data.gravity.iter().zip(&data.bias))
@@ -67,11 +73,10 @@ impl Limiter {
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
         self.speed_count = 0;
-        for level in &levels.rows {
-            let RowTask::Cartesian(task) = &level.task else { continue };
+        for level in &hierarchy.levels {
             for kind in 0..2 {
                 let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
-                if let Some(upper) = task.speed_bound(kind, level.bias(), slot.row.as_mut_slice()) {
+                if let Some(upper) = level.speed_bound(kind, slot.row.as_mut_slice()) {
                     slot.upper = upper - slot.row.dot(&self.bias_acceleration);
                     self.speed_count += 1;
                 }
@@ -117,7 +122,7 @@ impl Limiter {
     pub(crate) fn solve(
         &mut self,
         data: &Data,
-        levels: &mut Levels,
+        hierarchy: &mut TaskHierarchy,
         joint_torque: &DVector<f64>,
         compensation_torque: &DVector<f64>,
         scratch: &mut DVector<f64>,
@@ -125,31 +130,31 @@ impl Limiter {
         let (mut limits, cascade) = self.limits(compensation_torque);
         cascade.begin(data);
         // No command needed it before.
-        if let Some(level) = levels.rows.last_mut() {
-            level.projected.finish(&data.mass_matrix_factor);
-            levels.nullspace.narrow(&level.projected);
+        if let Some(level) = hierarchy.levels.last_mut() {
+            level.projected.compute_jbar(&data.mass_matrix_factor);
+            hierarchy.nullspace.push(&level.projected);
         }
-        levels.nullspace.rewind(0);
-        levels.rows.iter_mut().for_each(|level| level.limited = true);
-        for (place, level) in levels.rows.iter_mut().enumerate() {
+        hierarchy.nullspace.truncate(0);
+        hierarchy.levels.iter_mut().for_each(|level| level.limited = true);
+        for (place, level) in hierarchy.levels.iter_mut().enumerate() {
             scratch.fill(0.0);
             level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
             cascade.ask(data, scratch.as_slice(), &mut limits);
-            let heading = level.heading(data, cascade.alpha(), HORIZON_S);
+            let heading = level.predicted_velocity(data, cascade.alpha(), HORIZON_S);
             let projected = &level.projected;
             let inertia = &projected.space.task_inertia;
             let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
-            level.limited = cascade.keep_within(data, &levels.nullspace, &residual, &mut limits)?;
-            levels.nullspace.rewind(place + 1);
+            level.limited = cascade.keep_within(data, &hierarchy.nullspace, &residual, &mut limits)?;
+            hierarchy.nullspace.truncate(place + 1);
         }
         scratch.fill(0.0);
-        if levels.joint.is_some() {
+        if hierarchy.joint.is_some() {
             scratch.copy_from(joint_torque);
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
         }
         cascade.ask(data, scratch.as_slice(), &mut limits);
-        cascade.keep_within(data, &levels.nullspace, &Residual::Joints, &mut limits)?;
+        cascade.keep_within(data, &hierarchy.nullspace, &Residual::Joints, &mut limits)?;
         Ok(cascade.solver())
     }
 

@@ -7,6 +7,7 @@ use crate::error::{ControlError, Reason};
 use crate::per_joint::{PerJoint, indices};
 use crate::references::online::{MotionLimits, OnlineMotion};
 use crate::references::ramp::{Quintic, minimum_jerk, product};
+use crate::references::streamed_joints::StreamedJointReference;
 use crate::references::target::BLEND_S;
 use crate::references::wave;
 use crate::references::wave::{AngularWave, Wave, default_ramp_s};
@@ -31,6 +32,8 @@ pub enum JointReference {
     Waypoints(Vec<JointWaypoint>),
     /// Goes to one posture as fast as limits allow, from any state of motion.
     Goal(JointOnlineGoal),
+    /// Follows targets that are streamed.
+    Streamed(StreamedJointReference),
 }
 
 /// A minimum-jerk motion to one posture.
@@ -106,7 +109,7 @@ pub(crate) struct JointTrajectory {
 
 /// Where the joints should be and how they should move, each n long.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct JointTarget<'a> {
+pub(crate) struct JointMotion<'a> {
     /// rad (m for a prismatic joint).
     pub position: &'a [f64],
     /// rad/s (m/s).
@@ -142,7 +145,8 @@ impl JointTrajectory {
     /// `key` is where the reference stands in the file.
     pub(crate) fn new(reference: &JointReference, model: &Model, key: &str) -> Result<Self, ControlError> {
         let path = match reference {
-            JointReference::Hold => Path::Legs(Vec::new()),
+            // A streamed reference is followed by the task; without a target it holds.
+            JointReference::Hold | JointReference::Streamed(_) => Path::Legs(Vec::new()),
             JointReference::PointToPoint(p) => {
                 let goal = goals(&p.goal, model, &format!("{key}.point-to-point.goal"))?;
                 let begin_s = p.start_s.get();
@@ -185,7 +189,7 @@ impl JointTrajectory {
     ///
     /// `home` (n) is the posture at the start of the run, from which the offsets of goals count; `from` the
     /// reference in force, at the start of a run `home` at rest.
-    pub(crate) fn start(&mut self, home: &[f64], from: &JointTarget<'_>) {
+    pub(crate) fn start(&mut self, home: &[f64], from: &JointMotion<'_>) {
         self.from.as_mut_slice().copy_from_slice(from.position);
         self.joining = None;
         match &mut self.path {
@@ -321,7 +325,7 @@ mod tests {
         let mut trajectory =
             JointTrajectory::new(&reference["reference"], &model, "reference").expect("a path");
         let [position, velocity, acceleration] = &from;
-        trajectory.start(home, &JointTarget { position, velocity, acceleration });
+        trajectory.start(home, &JointMotion { position, velocity, acceleration });
         trajectory
     }
 

@@ -171,6 +171,44 @@ impl OnlineMotion {
         Self { goal, duration_s, pieces, count: 1 }
     }
 
+    /// From `from` to rest as fast as limits of acceleration and jerk allow, wherever that is.
+    pub(crate) fn stop(from: [f64; 3], limits: &MotionLimits) -> Self {
+        let [_, v, a] = from;
+        let [a_max, j_max] = [limits.acceleration, limits.jerk].map(Positive::get);
+        // The velocity once the acceleration has gone to zero: what must be braked. Its sign is that of the motion below.
+        let sign = if v + a * a.abs() / (2.0 * j_max) < 0.0 { -1.0 } else { 1.0 };
+        let (speed, rise) = (sign * v, sign * a);
+        let unlimited = (j_max * speed + 0.5 * rise * rise).max(0.0).sqrt();
+        let brake = unlimited.min(a_max).max(-rise).max(0.0);
+        let plateau_s = if brake > 0.0 {
+            ((speed + 0.5 * rise * rise / j_max - brake * brake / j_max) / brake).max(0.0)
+        } else {
+            0.0
+        };
+        let phases =
+            [(-sign * j_max, (rise + brake) / j_max), (0.0, plateau_s), (sign * j_max, brake / j_max)];
+        let mut pieces = [Piece::default(); PIECES];
+        let (mut count, mut begin_s, mut reached) = (0, 0.0, from);
+        for (jerk, lasts_s) in phases.into_iter().filter(|(_, lasts_s)| *lasts_s > 0.0) {
+            let [x, v, a] = reached;
+            let polynomial = Quintic { coefficients: [x, v, a / 2.0, jerk / 6.0, 0.0, 0.0] };
+            pieces[count] = Piece { begin_s, polynomial };
+            begin_s += lasts_s;
+            reached = pieces[count].at(begin_s);
+            count += 1;
+        }
+        if count == 0 {
+            return Self::rest(from[0]);
+        }
+        Self { goal: reached[0], duration_s: begin_s, pieces, count }
+    }
+
+    /// From `from` to rest in `duration_s`, the velocity along a cubic in time.
+    pub(crate) fn stop_within([x, v, a]: [f64; 3], duration_s: f64) -> Self {
+        let goal = x + duration_s * (v / 2.0 + a * duration_s / 12.0);
+        Self::quintic([x, v, a], goal, duration_s)
+    }
+
     /// `None` where the generator finds nothing, or nothing that joins start and goal.
     fn limited(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Option<Self> {
         if from == [goal, 0.0, 0.0] {
@@ -271,6 +309,20 @@ impl OnlineVector {
     /// From zero, with `velocity` and `acceleration`, back to rest at zero.
     pub(crate) fn back(velocity: &Vector3<f64>, acceleration: &Vector3<f64>) -> Self {
         let motion = |i: usize| OnlineMotion::quintic([0.0, velocity[i], acceleration[i]], 0.0, RETURN_S);
+        Self { directions: Matrix3::identity(), motions: [motion(0), motion(1), motion(2)] }
+    }
+
+    /// From zero, with `velocity` and `acceleration`, to rest as fast as limits of acceleration and jerk allow.
+    pub(crate) fn stop(velocity: &Vector3<f64>, acceleration: &Vector3<f64>, limits: &MotionLimits) -> Self {
+        let directions = directions(velocity, acceleration, &Vector3::zeros());
+        let [v, a] = [velocity, acceleration].map(|vector| directions.tr_mul(vector));
+        let motion = |i: usize| OnlineMotion::stop([0.0, v[i], a[i]], limits);
+        Self { directions, motions: [motion(0), motion(1), motion(2)] }
+    }
+
+    /// From zero, with `velocity` and `acceleration`, to rest in `duration_s`, the velocity along a cubic in time.
+    pub(crate) fn stop_within(velocity: &Vector3<f64>, acceleration: &Vector3<f64>, duration_s: f64) -> Self {
+        let motion = |i: usize| OnlineMotion::stop_within([0.0, velocity[i], acceleration[i]], duration_s);
         Self { directions: Matrix3::identity(), motions: [motion(0), motion(1), motion(2)] }
     }
 
@@ -441,6 +493,25 @@ mod tests {
                 let now = motion.at(motion.duration_s * f64::from(k) / 100.0);
                 assert!(now[1].abs() <= limit[0] * 1.001 && now[2].abs() <= limit[1] * 1.001, "{limit:?}");
             }
+        }
+    }
+
+    proptest! {
+        /// Compared: state at the end of a stop and rest; its accelerations and their changes, and the limits.
+        #[test]
+        fn stop_ends_at_rest_within_limits(
+            limit in any_limits(),
+            [v, a] in [-1.0..1.0, -1.0..1.0f64],
+        ) {
+            let motion = OnlineMotion::stop([0.3, v * limit[0], a * limit[1]], &limits(limit));
+            prop_assert_eq!(motion.at(0.0), [0.3, v * limit[0], a * limit[1]]);
+            let end = motion.at(motion.duration_s * (1.0 - 1e-12));
+            prop_assert!((end[0] - motion.goal).abs() < 1e-9 && end[1].abs() < 1e-6 && end[2].abs() < 1e-6, "{:?}", end);
+            for k in 0..=100 {
+                let now = motion.at(motion.duration_s * f64::from(k) / 100.0);
+                prop_assert!(now[2].abs() <= limit[1] * (1.0 + 1e-9), "{:?}", now);
+            }
+            check_smooth(&motion, limit[2]);
         }
     }
 

@@ -5,17 +5,18 @@
 //! motion too; the others set out from rest.
 
 use crate::orientation;
-use crate::orientation::rotation_vector_rates;
+use crate::references::blend::{Joining, moved};
 use crate::references::goal::{OrientationGoal, PositionGoal, position, rotation};
 use crate::references::online::{OnlineGoal, OnlineVector};
-use crate::references::ramp::{Quintic, minimum_jerk, product};
+use crate::references::ramp::{minimum_jerk, product};
 use crate::references::recorded::{RecordedMotion, RecordedPath};
+use crate::references::streamed_pose::StreamedReference;
 use crate::references::target::{BLEND_S, Target};
 use crate::references::wave;
 use crate::references::wave::{AngularWave, LinearWave, Wave, default_ramp_s};
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_model::{Motion, Placement};
+use opspace_model::Placement;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -35,6 +36,8 @@ pub enum CartesianReference {
     Goal(OnlineGoal),
     /// Follows a recorded path.
     Recorded(RecordedPath),
+    /// Follows targets that are streamed.
+    Streamed(StreamedReference),
 }
 
 /// A minimum-jerk motion to one pose.
@@ -102,7 +105,7 @@ impl CartesianReference {
     #[must_use]
     pub fn turns(&self) -> bool {
         match self {
-            Self::Hold | Self::Recorded(_) => false,
+            Self::Hold | Self::Recorded(_) | Self::Streamed(_) => false,
             Self::PointToPoint(p) => p.orientation.is_some(),
             Self::Sinusoid(s) => !(s.rx.is_empty() && s.ry.is_empty() && s.rz.is_empty()),
             Self::Waypoints(list) => list.iter().any(|w| w.orientation.is_some()),
@@ -120,62 +123,6 @@ pub struct Trajectory {
     from: Placement,
     path: Path,
     joining: Option<Joining>,
-}
-
-/// What a target is away from its reference, fading: a displacement (m) and a rotation vector (rad), in world axes.
-#[derive(Clone, Debug)]
-struct Joining {
-    begin_s: f64,
-    line: [Quintic; 3],
-    turn: [Quintic; 3],
-}
-
-impl Joining {
-    fn new(begin_s: f64, from: &Target, reference: &Target) -> Self {
-        let line = [
-            from.placement.translation - reference.placement.translation,
-            from.velocity.linear - reference.velocity.linear,
-            from.acceleration.linear - reference.acceleration.linear,
-        ];
-        let away = from.placement.rotation * reference.placement.rotation.transpose();
-        // ω = ω_away + E ω_reference with E = exp(φ), and its derivative; ω_away and its derivative are linear in φ̇ and φ̈.
-        let phi = orientation::log(&away);
-        let carried = away * reference.velocity.angular;
-        let omega = from.velocity.angular - carried;
-        let alpha = from.acceleration.angular - away * reference.acceleration.angular - omega.cross(&carried);
-        let zero = Vector3::zeros();
-        let columns = [Vector3::x(), Vector3::y(), Vector3::z()]
-            .map(|axis| rotation_vector_rates(&phi, &axis, &zero).0);
-        // Invertible up to a whole turn, and a logarithm is at most half of one.
-        let inverse = Matrix3::from_columns(&columns).try_inverse().unwrap_or_else(Matrix3::identity);
-        let dphi = inverse * omega;
-        let ddphi = inverse * (alpha - rotation_vector_rates(&phi, &dphi, &zero).1);
-        let fading =
-            |[x, v, a]: [Vector3<f64>; 3]| [0, 1, 2].map(|i| Quintic::new([x[i], v[i], a[i]], 0.0, BLEND_S));
-        Self { begin_s, line: fading(line), turn: fading([phi, dphi, ddphi]) }
-    }
-
-    fn target(&self, reference: &Target, time_s: f64) -> Target {
-        let at = |part: &[Quintic; 3]| {
-            let [x, y, z] = [0, 1, 2].map(|i| part[i].at(time_s - self.begin_s));
-            [0, 1, 2].map(|k| Vector3::new(x[k], y[k], z[k]))
-        };
-        let (line, [phi, dphi, ddphi]) = (at(&self.line), at(&self.turn));
-        let (omega, alpha) = rotation_vector_rates(&phi, &dphi, &ddphi);
-        let away = orientation::exp(&phi);
-        let carried = away * reference.velocity.angular;
-        Target {
-            placement: Placement {
-                rotation: away * reference.placement.rotation,
-                translation: reference.placement.translation + line[0],
-            },
-            velocity: Motion { linear: reference.velocity.linear + line[1], angular: omega + carried },
-            acceleration: Motion {
-                linear: reference.acceleration.linear + line[2],
-                angular: alpha + away * reference.acceleration.angular + omega.cross(&carried),
-            },
-        }
-    }
 }
 
 #[derive(Clone, Debug)]
@@ -219,7 +166,8 @@ impl Trajectory {
     pub fn new(reference: &CartesianReference) -> Self {
         let goals = |goals: Vec<Goal>| Path::Legs { legs: Vec::with_capacity(goals.len()), goals };
         let path = match reference {
-            CartesianReference::Hold => goals(Vec::new()),
+            // A streamed reference is followed by the task; without a target it holds.
+            CartesianReference::Hold | CartesianReference::Streamed(_) => goals(Vec::new()),
             CartesianReference::PointToPoint(p) => goals(vec![Goal {
                 begin_s: p.start_s.get(),
                 end_s: p.start_s.get() + p.duration_s.get(),
@@ -300,7 +248,7 @@ impl Trajectory {
     /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`BLEND_S`], and without a
     /// jump in velocity or acceleration. It doesn't allocate.
     pub fn join(&mut self, time_s: f64, from: &Target) {
-        self.joining = Some(Joining::new(time_s, from, &self.reference_at(time_s)));
+        self.joining = Some(Joining::new(time_s, BLEND_S, from, &self.reference_at(time_s)));
     }
 
     /// The target at `time_s` after the start.
@@ -312,8 +260,8 @@ impl Trajectory {
     /// The target for a reference at `time_s` after the start.
     pub(crate) fn joined(&self, reference: &Target, time_s: f64) -> Target {
         match &self.joining {
-            Some(joining) if time_s < joining.begin_s + BLEND_S => joining.target(reference, time_s),
-            _ => *reference,
+            Some(joining) => joining.joined(reference, time_s),
+            None => *reference,
         }
     }
 
@@ -371,19 +319,5 @@ impl Leg {
     fn at(&self, time_s: f64) -> Target {
         let s = minimum_jerk(time_s - self.begin_s, self.end_s - self.begin_s);
         moved(&self.from, s.map(|s| self.line * s), s.map(|s| self.turn * s))
-    }
-}
-
-/// `from`, displaced by a line (m) and a rotation vector (rad) with their first two derivatives, in world
-/// axes.
-fn moved(from: &Placement, line: [Vector3<f64>; 3], turn: [Vector3<f64>; 3]) -> Target {
-    let (omega, alpha) = rotation_vector_rates(&turn[0], &turn[1], &turn[2]);
-    Target {
-        placement: Placement {
-            rotation: orientation::exp(&turn[0]) * from.rotation,
-            translation: from.translation + line[0],
-        },
-        velocity: Motion { linear: line[1], angular: omega },
-        acceleration: Motion { linear: line[2], angular: alpha },
     }
 }

@@ -3,7 +3,7 @@
 
 use crate::error::Reason;
 use crate::orientation;
-use crate::tasks::subject::Subject;
+use crate::tasks::controlled_frame::ControlledFrame;
 use nalgebra::Matrix3;
 use opspace_backend::quantity::exactly;
 use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
@@ -46,6 +46,39 @@ pub enum AxisMode {
     Free,
 }
 
+impl AxisMode {
+    /// Modes of an axis that is in a task, in the order of their codes.
+    pub const IN_TASK: [Self; 3] = [Self::Motion, Self::Compliant, Self::Force];
+
+    /// Number of the mode in targets and signals: 0 motion, 1 compliant, 2 force, 3 free.
+    #[must_use]
+    pub fn code(self) -> f64 {
+        match self {
+            Self::Motion => 0.0,
+            Self::Compliant => 1.0,
+            Self::Force => 2.0,
+            Self::Free => 3.0,
+        }
+    }
+
+    /// The mode of an axis in a task with that number.
+    #[must_use]
+    pub fn from_code(code: f64) -> Option<Self> {
+        Self::IN_TASK.into_iter().find(|mode| mode.code() == code)
+    }
+
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Motion => "motion",
+            Self::Compliant => "compliant",
+            Self::Force => "force",
+            Self::Free => "free",
+        }
+    }
+}
+
 /// The mode of each axis. An axis that is left out is free.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -71,6 +104,24 @@ pub struct Axes {
 }
 
 impl Axes {
+    /// x, y and z in one mode; no rotation.
+    #[must_use]
+    pub fn position(mode: AxisMode) -> Self {
+        Self { x: mode, y: mode, z: mode, ..Self::default() }
+    }
+
+    /// Rotations about x, y and z in one mode; no displacement.
+    #[must_use]
+    pub fn orientation(mode: AxisMode) -> Self {
+        Self { rx: mode, ry: mode, rz: mode, ..Self::default() }
+    }
+
+    /// All six axes in one mode.
+    #[must_use]
+    pub fn pose(mode: AxisMode) -> Self {
+        Self { rx: mode, ry: mode, rz: mode, ..Self::position(mode) }
+    }
+
     /// In the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn modes(&self) -> [AxisMode; 6] {
@@ -85,13 +136,13 @@ impl Axes {
 
     /// Which axes are compliant or in force control.
     #[must_use]
-    pub fn held_to_force(&self) -> [bool; 6] {
+    pub fn force_axes(&self) -> [bool; 6] {
         self.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
     }
 
     /// Which axes belong to the task: those that are not free.
     #[must_use]
-    pub fn in_task(&self) -> [bool; 6] {
+    pub fn active_axes(&self) -> [bool; 6] {
         self.modes().map(|m| m != AxisMode::Free)
     }
 }
@@ -117,56 +168,58 @@ pub enum AxesIn {
     RpyRad(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
-/// Axes of one robot: still, or those of a frame.
+/// Axes of one robot: fixed, or those of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Directions {
-    /// Still, in the coordinates of what the task moves: one axis a column.
-    Still(Matrix3<f64>),
+pub enum AxesFrame {
+    /// Fixed, in the coordinates of the controlled frame: one axis a column.
+    Fixed(Matrix3<f64>),
     /// Those of a frame.
-    Of(FrameId),
+    Body(FrameId),
 }
 
 impl AxesIn {
-    /// The axes on a robot, for a task that moves `subject`.
+    /// The axes on a robot, for a task that moves `controlled`.
     ///
     /// # Errors
     /// A frame that the robot doesn't have.
-    pub fn resolve(&self, model: &Model, subject: Subject) -> Result<Directions, UnknownFrame> {
+    pub fn resolve(&self, model: &Model, controlled: ControlledFrame) -> Result<AxesFrame, UnknownFrame> {
         Ok(match self {
-            Self::World => Directions::Still(Matrix3::identity()),
-            Self::RpyRad(rpy) => Directions::Still(orientation::from_rpy(*rpy)),
-            Self::Frame(name) => Directions::Of(model.frame(name)?),
-            Self::TaskFrame => match subject {
-                Subject::Frame(frame) | Subject::Relative { frame, .. } => Directions::Of(frame),
-                Subject::CenterOfMass => Directions::Still(Matrix3::identity()),
+            Self::World => AxesFrame::Fixed(Matrix3::identity()),
+            Self::RpyRad(rpy) => AxesFrame::Fixed(orientation::from_rpy(*rpy)),
+            Self::Frame(name) => AxesFrame::Body(model.frame(name)?),
+            Self::TaskFrame => match controlled {
+                ControlledFrame::Frame(frame) | ControlledFrame::Relative { frame, .. } => {
+                    AxesFrame::Body(frame)
+                }
+                ControlledFrame::CenterOfMass => AxesFrame::Fixed(Matrix3::identity()),
             },
             Self::Base => match model.frames().iter().find(|frame| frame.body.is_none()) {
-                Some(base) => Directions::Of(model.frame(&base.name)?),
-                None => Directions::Still(Matrix3::identity()),
+                Some(base) => AxesFrame::Body(model.frame(&base.name)?),
+                None => AxesFrame::Fixed(Matrix3::identity()),
             },
         })
     }
 }
 
-impl Directions {
+impl AxesFrame {
     /// Before the robot was seen: the coordinates' own where the axes turn.
     pub(crate) fn at_rest(&self) -> Matrix3<f64> {
         match self {
-            Self::Still(rotation) => *rotation,
-            Self::Of(_) => Matrix3::identity(),
+            Self::Fixed(rotation) => *rotation,
+            Self::Body(_) => Matrix3::identity(),
         }
     }
 
-    /// In the coordinates of `subject`, one axis a column.
+    /// In the coordinates of `controlled`, one axis a column.
     #[must_use]
-    pub fn rotation(&self, model: &Model, data: &Data, subject: Subject) -> Matrix3<f64> {
+    pub fn rotation(&self, model: &Model, data: &Data, controlled: ControlledFrame) -> Matrix3<f64> {
         match self {
-            Self::Still(rotation) => *rotation,
-            Self::Of(frame) => {
+            Self::Fixed(rotation) => *rotation,
+            Self::Body(frame) => {
                 let rotation = frame_placement(model, data, *frame).rotation;
-                match subject {
-                    Subject::Relative { .. } => subject.coordinates(model, data).tr_mul(&rotation),
-                    Subject::Frame(_) | Subject::CenterOfMass => rotation,
+                match controlled {
+                    ControlledFrame::Relative { .. } => controlled.coordinates(model, data).tr_mul(&rotation),
+                    ControlledFrame::Frame(_) | ControlledFrame::CenterOfMass => rotation,
                 }
             }
         }

@@ -16,107 +16,134 @@
 //! damping 2ζω taken out, a* = 2ζω (ν ẋ* − v) with ẋ* = ẋ_d + ω/(2ζ) (x_d − x) and ν = min(1, ẋ_max/|ẋ*|).
 
 use crate::context::ControlContext;
+use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
-use crate::hierarchy::rank::characteristic_length;
-use crate::limits::bounds::HORIZON_S;
-use crate::measurement::Measurement;
+use crate::hierarchy::rank::{characteristic_length, orientation_is_coupled};
 use crate::orientation;
 use crate::references::reference::{CartesianReference, Trajectory};
+use crate::references::streamed::Freshness;
+use crate::references::streamed_pose::StreamedPose;
 use crate::references::target::Target;
-use crate::tasks::axes::{AXIS_NAMES, AxisMode, Directions};
+use crate::targets::AllowedInputs;
+use crate::tasks::axes::{AXIS_NAMES, AxesFrame, AxisMode};
+use crate::tasks::axis_feedback::AxisFeedback;
 use crate::tasks::cartesian_parameters::{
     CartesianParameters, CenterOfMassParameters, Decoupling, check_reference,
 };
+use crate::tasks::cartesian_target::{AxisSettings, inputs, settings};
+use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceFeedback;
 use crate::tasks::gains::integrate;
-use crate::tasks::law::Law;
-use crate::tasks::subject::Subject;
+use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
-use nalgebra::{Matrix6, Matrix6xX, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Inversion, Model, Placement};
+use std::any::Any;
 
-/// A Cartesian task of one robot, and what it saw last.
+/// A frame, or the centre of mass, that follows a reference on some axes and yields to forces on others: see
+/// [`CartesianParameters`].
 #[derive(Clone, Debug)]
-pub(crate) struct CartesianTask {
-    pub name: String,
-    pub axes: TaskAxes,
-    pub inversion: Inversion,
-    pub decoupling: Decoupling,
-    directions: Directions,
+pub struct CartesianTask {
+    name: String,
+    rows_key: String,
+    axes: TaskAxes,
+    inversion: Inversion,
+    decoupling: Decoupling,
+    axes_frame: AxesFrame,
     modes: [AxisMode; 6],
-    law: Law,
+    feedback: AxisFeedback,
     /// m/s and rad/s; infinite where there is none.
-    pub speed_limits: [f64; 2],
+    speed_limits: [f64; 2],
     force: Option<ForceFeedback>,
     reference: CartesianReference,
     trajectory: Trajectory,
-    /// When the trajectory began, s, and where the run began.
+    /// In place of the trajectory, if the reference is streamed.
+    streamed: Option<Box<StreamedPose>>,
+    /// Stamp of the streamed settings in force, s.
+    settings_s: Option<f64>,
+    configured_modes: [AxisMode; 6],
+    /// Streamed target force of axes under force control of a task without a sensor (N, Nm).
+    streamed_force: Vector6<f64>,
+    /// When the trajectory began, s.
     start_s: f64,
+    /// Pose at the start of the run.
     home: Placement,
-    world_jacobian: Matrix6xX<f64>,
-    /// Rows of the task, scaled.
-    pub jacobian: Matrix6xX<f64>,
-    /// Coordinates of the subject.
-    pub target: Target,
-    /// Where the file's reference is, whether or not the target has joined it.
+    /// Coordinates of the controlled frame.
+    target: Target,
+    /// The configured reference, whether or not the target has joined it.
     path: Target,
     placement: Placement,
-    /// Of the subject, in the task's axes (m/s, rad/s).
-    pub velocity: Vector6<f64>,
-    /// Of the subject's origin, in its coordinates, m/s.
+    /// Velocity of the controlled frame, in the task's axes (m/s, rad/s).
+    velocity: Vector6<f64>,
+    /// Velocity of the controlled frame's origin, in its coordinates, m/s.
     linear_velocity: Vector3<f64>,
-    /// Task axes, m and rad. Displacements on all three axes; turns only about those in motion, since the
+    /// Task axes, m and rad. Displacements on all three axes; rotations only about those in motion, since the
     /// others would mix into them.
     error: Vector6<f64>,
 }
 
 impl CartesianTask {
-    pub(crate) fn new(
+    /// A task of a frame, from its parameters.
+    ///
+    /// # Errors
+    /// Names that the robot doesn't have, values that are missing or contradict each other.
+    pub fn new(
         name: &str,
         parameters: &CartesianParameters,
         model: &Model,
         context: &ControlContext,
     ) -> Result<Self, ControlError> {
         let key = format!("task.{name}.cartesian");
-        let subject = parameters.subject(model).map_err(|e| e.below(&key))?;
-        Self::of_subject(name, &key, parameters, subject, model, context)
+        let controlled = parameters.controlled_frame(model).map_err(|e| e.below(&key))?;
+        Self::of_controlled(name, &key, parameters, controlled, model, context)
     }
 
-    /// The task of the centre of mass.
-    pub(crate) fn of_center_of_mass(
+    /// A task of the centre of mass, from its parameters.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and an axis of rotation.
+    pub fn of_center_of_mass(
         name: &str,
         parameters: &CenterOfMassParameters,
         model: &Model,
         context: &ControlContext,
     ) -> Result<Self, ControlError> {
         let key = format!("task.{name}.center-of-mass");
-        if parameters.axes.in_task()[3..].contains(&true) {
+        if parameters.axes.active_axes()[3..].contains(&true) {
             return Err(ControlError::new(format!("{key}.axes"), Reason::CenterOfMassTurns));
         }
-        Self::of_subject(name, &key, &parameters.as_cartesian(), Subject::CenterOfMass, model, context)
+        Self::of_controlled(
+            name,
+            &key,
+            &parameters.as_cartesian(),
+            ControlledFrame::CenterOfMass,
+            model,
+            context,
+        )
     }
 
-    fn of_subject(
+    fn of_controlled(
         name: &str,
         key: &str,
         parameters: &CartesianParameters,
-        subject: Subject,
+        controlled: ControlledFrame,
         model: &Model,
         context: &ControlContext,
     ) -> Result<Self, ControlError> {
         let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
-        let directions = parameters.axes_in.resolve(model, subject).map_err(|e| at("axes_in", e.into()))?;
-        let in_task = parameters.axes.in_task();
-        if !in_task.contains(&true) {
+        let axes_frame =
+            parameters.axes_in.resolve(model, controlled).map_err(|e| at("axes_in", e.into()))?;
+        let active = parameters.axes.active_axes();
+        if !active.contains(&true) {
             return Err(at("axes", Reason::NoAxis));
         }
         check_reference(parameters, &format!("{key}.reference"))?;
         let length_m = parameters
             .characteristic_length_m
-            .map_or_else(|| characteristic_length(model, subject), Positive::get);
-        let law = Law::new(parameters, context.period_s, key)?;
+            .map_or_else(|| characteristic_length(model, controlled), Positive::get);
+        let feedback = AxisFeedback::new(parameters, context.period_s, key)?;
         let force = match &parameters.force {
             None if parameters.axes.modes().contains(&AxisMode::Force) => {
                 return Err(at("force", Reason::ForceAxisUnsensed));
@@ -131,20 +158,26 @@ impl CartesianTask {
         let origin = Target::at_rest(Placement::identity());
         Ok(Self {
             name: name.to_owned(),
-            axes: TaskAxes::new(subject, directions.at_rest(), in_task, length_m),
+            rows_key: format!("{key}.axes"),
+            axes: TaskAxes::new(controlled, axes_frame.at_rest(), active, length_m),
             inversion: parameters.singularities.inversion(parameters.singularity_threshold.get()),
             decoupling: parameters.decoupling,
-            directions,
+            axes_frame,
             modes: parameters.axes.modes(),
-            law,
+            feedback,
             speed_limits: [limit(parameters.speed_limit_m_per_s), limit(parameters.speed_limit_rad_per_s)],
             force,
             reference: parameters.reference.clone(),
             trajectory: Trajectory::new(&parameters.reference),
+            streamed: match &parameters.reference {
+                CartesianReference::Streamed(reference) => Some(Box::new(StreamedPose::new(reference))),
+                _ => None,
+            },
+            settings_s: None,
+            configured_modes: parameters.axes.modes(),
+            streamed_force: Vector6::zeros(),
             start_s: 0.0,
             home: origin.placement,
-            world_jacobian: Matrix6xX::zeros(model.n()),
-            jacobian: Matrix6xX::zeros(model.n()),
             target: origin,
             path: origin,
             placement: origin.placement,
@@ -154,79 +187,9 @@ impl CartesianTask {
         })
     }
 
-    /// Begins where the robot is.
-    pub(crate) fn start(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        let subject = self.axes.subject;
-        self.home = subject.placement(model, data);
-        self.start_s = measurement.time_s;
-        self.law.integral.fill(0.0);
-        let axes = self.directions.rotation(model, data, subject);
-        self.trajectory.start(&self.home, &Target::at_rest(self.home), &axes);
-        if let Some(force) = &mut self.force {
-            force.start(measurement);
-        }
-        self.observe(model, data, measurement.time_s);
-    }
-
-    /// Joins its reference from the state of `data`, at rest; a goal is set out for anew. What was integrated is forgotten.
-    pub(crate) fn resume(&mut self, model: &Model, data: &Data, measurement: &Measurement) {
-        let subject = self.axes.subject;
-        let from = Target::at_rest(subject.placement(model, data));
-        if let CartesianReference::Goal(_) = self.reference {
-            let axes = self.directions.rotation(model, data, subject);
-            self.trajectory.start(&self.home, &from, &axes);
-            self.start_s = measurement.time_s;
-        } else {
-            self.trajectory.join(measurement.time_s - self.start_s, &from);
-        }
-        self.law.integral.fill(0.0);
-        if let Some(force) = &mut self.force {
-            force.start(measurement);
-        }
-        self.observe(model, data, measurement.time_s);
-    }
-
-    /// Goes on from where a task of the same name in another stack stands: a reference that is the same goes on,
-    /// another one begins where that one was, and where the frame is on axes that weren't in motion.
-    pub(crate) fn take_over(
-        &mut self,
-        before: &mut Self,
-        model: &Model,
-        data: &Data,
-        measurement: &Measurement,
-    ) {
-        if before.axes.subject != self.axes.subject {
-            return self.start(model, data, measurement);
-        }
-        before.observe(model, data, measurement.time_s);
-        self.home = before.home;
-        let began =
-            |axis: usize| self.modes[axis] == AxisMode::Motion && before.modes[axis] != AxisMode::Motion;
-        let same = self.reference == before.reference && self.directions == before.directions;
-        if same && !(0..6).any(began) {
-            std::mem::swap(&mut self.trajectory, &mut before.trajectory);
-            self.start_s = before.start_s;
-        } else {
-            let axes = self.directions.rotation(model, data, self.axes.subject);
-            let from = before.joined(&axes, began);
-            self.trajectory.start(&self.home, &from, &axes);
-            self.start_s = measurement.time_s;
-        }
-        for axis in (0..6).filter(|&axis| !began(axis)) {
-            let limit = self.law.integral_limit[axis];
-            self.law.integral[axis] = before.law.integral[axis].clamp(-limit, limit);
-        }
-        match (&mut self.force, &before.force) {
-            (Some(force), Some(before)) => force.take_over(before, measurement),
-            (Some(force), None) => force.start(measurement),
-            (None, _) => {}
-        }
-        self.observe(model, data, measurement.time_s);
-    }
-
     /// The target, with where the frame is, at rest, in place of it along those `axes` that `began`; the frame's own
     /// orientation if any turn began.
-    fn joined(&self, axes: &nalgebra::Matrix3<f64>, began: impl Fn(usize) -> bool) -> Target {
+    fn target_at_rest_along(&self, axes: &Matrix3<f64>, began: impl Fn(usize) -> bool) -> Target {
         let mut target = self.target;
         for axis in (0..3).filter(|&axis| began(axis)) {
             let direction = axes.column(axis).into_owned();
@@ -244,37 +207,9 @@ impl CartesianTask {
         target
     }
 
-    /// Takes in where the frame is and where it should be.
-    pub(crate) fn observe(&mut self, model: &Model, data: &Data, time_s: f64) {
-        let subject = self.axes.subject;
-        self.axes.rotation = self.directions.rotation(model, data, subject);
-        let time_s = time_s - self.start_s;
-        self.path = self.trajectory.reference_at(time_s);
-        self.target = self.trajectory.joined(&self.path, time_s);
-        self.placement = subject.placement(model, data);
-        let velocity = subject.velocity(model, data);
-        self.linear_velocity = velocity.linear;
-        self.velocity = self.axes.of_motion(&velocity);
-        self.error = self.error_at(&self.placement, self.modes.map(|m| m == AxisMode::Motion));
-    }
-
-    /// Takes in the sensed force, and lets integrals grow unless `hold`. After [`observe`](Self::observe).
-    pub(crate) fn sense(&mut self, model: &Model, data: &Data, measurement: &Measurement, hold: bool) {
-        if !hold {
-            let law = &mut self.law;
-            integrate(&mut law.integral, &self.error, &law.integral_step, &law.integral_limit);
-        }
-        if let Some(force) = &mut self.force {
-            let subject = self.axes.subject;
-            let axes = subject.coordinates(model, data) * self.axes.rotation;
-            force.update(model, data, measurement, &axes, &subject.point(model, data), hold);
-        }
-    }
-
     /// By how far the target is from `placement` (m, rad; task axes). Rotations count about the axes of
     /// `counted` only.
-    pub(crate) fn error_at(&self, placement: &Placement, counted: [bool; 6]) -> Vector6<f64> {
-        let axes = &self.axes.rotation;
+    fn error_at(&self, axes: &Matrix3<f64>, placement: &Placement, counted: [bool; 6]) -> Vector6<f64> {
         let linear = axes.tr_mul(&(self.target.placement.translation - placement.translation));
         let counted = [counted[3], counted[4], counted[5]];
         if counted == [false; 3] {
@@ -285,112 +220,210 @@ impl CartesianTask {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// The task's rows at the state of `data`, into [`jacobian`](Self::jacobian).
-    pub(crate) fn update_jacobian(&mut self, model: &Model, data: &Data) {
-        self.axes.rotation = self.directions.rotation(model, data, self.axes.subject);
-        self.axes.subject.jacobian(model, data, &mut self.world_jacobian);
-        self.axes.select(&self.world_jacobian, &mut self.jacobian);
-    }
-
-    /// J̇ q̇ on the task's rows, scaled.
-    pub(crate) fn bias_acceleration(&self, model: &Model, data: &Data) -> Vector6<f64> {
-        self.axes.rows_of(&self.axes.of_motion(&self.axes.subject.bias_acceleration(model, data)))
-    }
-
-    /// a* on the task's rows, scaled. After [`sense`](Self::sense).
-    pub(crate) fn acceleration(&self) -> Vector6<f64> {
-        let wanted_velocity = self.axes.of_motion(&self.target.velocity);
-        let wanted = self.axes.of_motion(&self.target.acceleration);
-        let law = &self.law;
-        let mut a = Vector6::zeros();
-        for (i, mode) in self.modes.iter().enumerate() {
-            a[i] = match mode {
-                AxisMode::Free => 0.0,
-                AxisMode::Compliant | AxisMode::Force => -law.damping[i] * self.velocity[i],
-                AxisMode::Motion => match &law.impedance {
-                    None => {
-                        wanted[i]
-                            + law.damping[i] * (wanted_velocity[i] - self.velocity[i])
-                            + law.stiffness[i] * (self.error[i] + law.integral[i])
-                    }
-                    Some(impedance) => {
-                        let mut a = wanted[i];
-                        if let (Some(inertia), Some(force)) = (&impedance.inertia, &self.force) {
-                            let spring = impedance.stiffness[i] * self.error[i];
-                            let damper = impedance.shaped_damping(inertia)[i]
-                                * (wanted_velocity[i] - self.velocity[i]);
-                            a += (spring + damper + force.sensed[i]) / inertia[i];
-                        }
-                        a
-                    }
-                },
-            };
-        }
-        if law.impedance.is_none() && self.speed_limits != [f64::INFINITY; 2] {
-            self.saturate_speed(&mut a, &wanted_velocity);
-        }
-        self.axes.rows_of(&a)
-    }
-
     /// Takes from a* of the axes in motion what asks for more speed than is allowed.
     fn saturate_speed(&self, a: &mut Vector6<f64>, wanted_velocity: &Vector6<f64>) {
-        let law = &self.law;
+        let feedback = &self.feedback;
         for (kind, &limit) in self.speed_limits.iter().enumerate() {
-            let in_motion = |i: &usize| self.modes[*i] == AxisMode::Motion && law.damping[*i] > 0.0;
+            let in_motion = |i: &usize| self.modes[*i] == AxisMode::Motion && feedback.damping[*i] > 0.0;
             let axes = (3 * kind..3 * kind + 3).filter(in_motion);
             let asked = |i: usize| {
-                wanted_velocity[i] + law.stiffness[i] / law.damping[i] * (self.error[i] + law.integral[i])
+                wanted_velocity[i]
+                    + feedback.stiffness[i] / feedback.damping[i] * (self.error[i] + feedback.integral[i])
             };
             let speed = axes.clone().map(|i| asked(i) * asked(i)).sum::<f64>().sqrt();
             if speed > limit {
                 for i in axes {
-                    a[i] = law.damping[i] * (asked(i) * (limit / speed) - self.velocity[i]);
+                    a[i] = feedback.damping[i] * (asked(i) * (limit / speed) - self.velocity[i]);
                 }
             }
         }
     }
 
-    /// ẋ* of the task's rows, scaled, at the state of `data`, with the error worked off at `gain` (1/s): every axis of
-    /// the task as if it were in motion. After [`update_jacobian`](Self::update_jacobian).
-    pub(crate) fn velocity_at(&self, model: &Model, data: &Data, gain: f64) -> Vector6<f64> {
-        let mut in_task = [false; 6];
-        self.axes.axes().iter().for_each(|&axis| in_task[axis] = true);
-        let error = self.error_at(&self.axes.subject.placement(model, data), in_task);
-        self.axes.rows_of(&(self.axes.of_motion(&self.target.velocity) + error * gain))
+    /// Continues from a task of the same controlled frame.
+    fn continue_from(&mut self, before: &mut Self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        before.follow(input);
+        self.home = before.home;
+        self.inherit_modes(before);
+        let (modes, old) = (self.modes, before.modes);
+        let began = |axis: usize| modes[axis] == AxisMode::Motion && old[axis] != AxisMode::Motion;
+        let same = self.reference == before.reference && self.axes_frame == before.axes_frame;
+        if same && !(0..6).any(began) {
+            std::mem::swap(&mut self.trajectory, &mut before.trajectory);
+            std::mem::swap(&mut self.streamed, &mut before.streamed);
+            self.start_s = before.start_s;
+        } else {
+            let axes = self.axes_frame.rotation(model, data, self.axes.controlled);
+            let from = before.target_at_rest_along(&axes, began);
+            self.begin(&from, &axes, input);
+        }
+        for axis in (0..6).filter(|&axis| !began(axis)) {
+            let limit = self.feedback.integral_limit[axis];
+            self.feedback.integral[axis] = before.feedback.integral[axis].clamp(-limit, limit);
+        }
+        match (&mut self.force, &before.force) {
+            (Some(force), Some(before)) => force.inherit_state(before, measurement),
+            (Some(force), None) => force.start(measurement),
+            (None, _) => {}
+        }
+        self.follow(input);
     }
 
-    /// The bound that keeps the speed along (`kind` 0) or about (1) the axes in motion within its limit, where it comes
-    /// near it: `row` (n) α ≤ the value, with α the joint accelerations and `bias` J̇ q̇ of the task's rows, scaled.
-    pub(crate) fn speed_bound(&self, kind: usize, bias: &Vector6<f64>, row: &mut [f64]) -> Option<f64> {
-        let limit = self.speed_limits[kind];
+    /// The reference begins at `from`, with the task's axes as they are now.
+    fn begin(&mut self, from: &Target, axes: &Matrix3<f64>, input: &ControlInput<'_>) {
+        self.trajectory.start(&self.home, from, axes);
+        self.start_s = input.measurement.time_s;
+        if let Some(streamed) = &mut self.streamed {
+            streamed.begin(from, input.clock_s);
+        }
+    }
+
+    /// Values that can be streamed: modes for which each axis is configured.
+    fn allowed(&self) -> AllowedInputs {
+        let unit_mass = self.feedback.impedance.is_none();
+        let mut allowed = AllowedInputs { gains: unit_mass, ..AllowedInputs::default() };
+        for &axis in self.axes.axes() {
+            let was_in_motion = self.configured_modes[axis] == AxisMode::Motion;
+            let motion = was_in_motion || (unit_mass && self.feedback.can_follow(axis));
+            allowed.modes[axis] = [motion, true, self.force.is_some()];
+        }
+        allowed
+    }
+
+    /// Gives an axis a mode, with streamed values in place of the configured ones.
+    fn set_axis(&mut self, axis: usize, mode: AxisMode, settings: &AxisSettings) {
+        self.modes[axis] = mode;
+        self.feedback.set(axis, mode, settings);
+        let held = matches!(mode, AxisMode::Compliant | AxisMode::Force);
+        match &mut self.force {
+            Some(force) => force.set(axis, mode, settings.force),
+            None => self.streamed_force[axis] = settings.force.filter(|_| held).unwrap_or(0.0),
+        }
+    }
+
+    /// Leaves all axes as configured.
+    fn reset_settings(&mut self) {
+        if self.streamed.is_none() {
+            return;
+        }
+        self.settings_s = None;
+        for place in 0..self.axes.rows() {
+            let axis = self.axes.axes()[place];
+            self.set_axis(axis, self.configured_modes[axis], &AxisSettings::default());
+        }
+    }
+
+    /// Takes over the modes of the task before, where both have streamed ones.
+    fn inherit_modes(&mut self, before: &Self) {
+        self.reset_settings();
+        if self.streamed.is_none() || before.streamed.is_none() {
+            return;
+        }
+        let allowed = self.allowed();
+        for axis in 0..6 {
+            let mode = before.modes[axis];
+            if allowed.admits(axis, mode) {
+                self.set_axis(axis, mode, &AxisSettings::default());
+            }
+        }
+    }
+
+    /// Takes in the streamed target of a cycle: first modes, gains and forces, then the reference.
+    fn take_target(&mut self, input: &TaskInput<'_>) {
+        if self.streamed.is_none() {
+            return;
+        }
+        if input.target.stamp_s.is_some() && input.target.stamp_s != self.settings_s {
+            self.settings_s = input.target.stamp_s;
+            self.apply(&settings(input.target.values), &input.control);
+        }
+        if let Some(streamed) = &mut self.streamed {
+            streamed.update(&input.target);
+        }
+    }
+
+    /// Changes modes, gains and forces. The reference begins anew, where the frame is, on axes that come into motion.
+    fn apply(&mut self, settings: &[AxisSettings; 6], input: &ControlInput<'_>) {
+        let (before, allowed) = (self.modes, self.allowed());
+        for place in 0..self.axes.rows() {
+            let axis = self.axes.axes()[place];
+            let possible = |mode: &AxisMode| {
+                AxisMode::IN_TASK
+                    .into_iter()
+                    .zip(allowed.modes[axis])
+                    .any(|(m, allowed)| allowed && m == *mode)
+            };
+            let mode = settings[axis].mode.filter(possible).unwrap_or(self.configured_modes[axis]);
+            self.set_axis(axis, mode, &settings[axis]);
+        }
+        let modes = self.modes;
+        let began = |axis: usize| modes[axis] == AxisMode::Motion && before[axis] != AxisMode::Motion;
+        if (0..6).any(began) {
+            self.follow(input);
+            let from = self.target_at_rest_along(&self.axes.rotation, began);
+            let axes = self.axes.rotation;
+            self.begin(&from, &axes, input);
+        }
+    }
+
+    /// Takes in the state and the reference.
+    fn follow(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        let controlled = self.axes.controlled;
+        self.axes.rotation = self.axes_frame.rotation(model, data, controlled);
+        let time_s = measurement.time_s - self.start_s;
+        if let Some(streamed) = &self.streamed {
+            self.path = streamed.at(input.clock_s);
+            self.target = self.path;
+        } else {
+            self.path = self.trajectory.reference_at(time_s);
+            self.target = self.trajectory.joined(&self.path, time_s);
+        }
+        self.placement = controlled.placement(model, data);
+        let velocity = controlled.velocity(model, data);
+        self.linear_velocity = velocity.linear;
+        self.velocity = self.axes.of_motion(&velocity);
+        self.error =
+            self.error_at(&self.axes.rotation, &self.placement, self.modes.map(|m| m == AxisMode::Motion));
+    }
+
+    /// Axes and rows at the state of `data`.
+    fn axes_at(&self, model: &Model, data: &Data) -> TaskAxes {
+        let rotation = self.axes_frame.rotation(model, data, self.axes.controlled);
+        self.axes.with_rotation(rotation)
+    }
+
+    /// Takes in the sensed force, and lets integrals grow unless `hold`. After [`observe`](Task::observe).
+    fn sense(&mut self, input: &ControlInput<'_>, hold: bool) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        if !hold {
+            let feedback = &mut self.feedback;
+            integrate(&mut feedback.integral, &self.error, &feedback.integral_step, &feedback.integral_limit);
+        }
+        if let Some(force) = &mut self.force {
+            let controlled = self.axes.controlled;
+            let axes = controlled.coordinates(model, data) * self.axes.rotation;
+            force.update(model, data, measurement, &axes, &controlled.point(model, data), hold);
+        }
+    }
+
+    /// The speed along (`kind` 0) or about (1) the axes in motion.
+    fn speed_limit(&self, kind: usize, limit: f64) -> SpeedLimit {
         let counts = |axis: usize| axis / 3 == kind && self.modes[axis] == AxisMode::Motion;
         let speed =
             (0..6).filter(|&i| counts(i)).map(|i| self.velocity[i] * self.velocity[i]).sum::<f64>().sqrt();
-        // Far below its limit a speed has hardly a direction, and no need of a bound.
-        if speed.is_nan() || speed <= 0.5 * limit {
-            return None;
-        }
-        row.fill(0.0);
-        let mut upper = (limit - speed) / HORIZON_S;
+        let mut weights = Vector6::zeros();
         for (r, &axis) in self.axes.axes().iter().enumerate().filter(|(_, axis)| counts(**axis)) {
-            let share = self.velocity[axis] / (speed * self.axes.scale[axis]);
-            upper -= share * bias[r];
-            row.iter_mut().zip(self.jacobian.row(r).iter()).for_each(|(x, j)| *x += share * j);
+            weights[r] = self.velocity[axis] / (speed * self.axes.scale[axis]);
         }
-        Some(upper)
+        SpeedLimit { speed, limit, weights }
     }
 
-    /// Whether there is anything to be added to the force of the inertia.
-    pub(crate) fn adds_force(&self) -> bool {
-        self.force.is_some() || self.law.impedance.is_some()
-    }
-
-    /// The force that is added to that of the inertia (on the task's rows, scaled): springs and dampers of an
-    /// impedance, and what axes held to a force add. `task_inertia` is Λ of these rows. After
-    /// [`sense`](Self::sense).
-    pub(crate) fn added_force(&self, task_inertia: &Matrix6<f64>) -> Vector6<f64> {
-        let mut force = self.force.as_ref().map_or_else(Vector6::zeros, ForceFeedback::added);
-        let Some(impedance) = &self.law.impedance else {
+    /// Force that is added to that of the inertia (on the task's rows, scaled). `task_inertia` is Λ of these rows.
+    fn added_force(&self, task_inertia: &Matrix6<f64>) -> Vector6<f64> {
+        let mut force =
+            self.force.as_ref().map_or_else(|| Vector6::zeros() - self.streamed_force, ForceFeedback::added);
+        let Some(impedance) = &self.feedback.impedance else {
             return self.axes.rows_of_force(&force);
         };
         let in_motion = |i: usize| self.modes[i] == AxisMode::Motion;
@@ -413,9 +446,236 @@ impl CartesianTask {
         self.axes.rows_of_force(&force)
             + impedance.damping_force(task_inertia, self.axes.axes(), &self.axes.scale, &velocity)
     }
+}
 
-    /// Signals of the motion, and their values in the same order.
-    pub(crate) fn motion_signals(&self) -> Vec<Signal> {
+impl Task for CartesianTask {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn rows(&self) -> usize {
+        self.axes.rows()
+    }
+
+    fn jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
+        self.axes.controlled.jacobian(model, data, rows);
+        self.axes_at(model, data).select_in_place(rows);
+    }
+
+    fn update(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
+        self.sense(&input.control, input.limited);
+    }
+
+    fn bias(&self, model: &Model, data: &Data) -> Vector6<f64> {
+        let axes = self.axes_at(model, data);
+        axes.rows_of(&axes.of_motion(&axes.controlled.bias_acceleration(model, data)))
+    }
+
+    /// Every axis of the task counts, as if it were in motion.
+    fn kinematic_target(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
+        let axes = self.axes_at(model, data);
+        let mut active = [false; 6];
+        axes.axes().iter().for_each(|&axis| active[axis] = true);
+        let error = self.error_at(&axes.rotation, &axes.controlled.placement(model, data), active);
+        axes.rows_of(&(axes.of_motion(&self.target.velocity) + error * gain_per_s))
+    }
+
+    fn acceleration(&self) -> Vector6<f64> {
+        let wanted_velocity = self.axes.of_motion(&self.target.velocity);
+        let wanted = self.axes.of_motion(&self.target.acceleration);
+        let feedback = &self.feedback;
+        let mut a = Vector6::zeros();
+        for (i, mode) in self.modes.iter().enumerate() {
+            a[i] = match mode {
+                AxisMode::Free => 0.0,
+                AxisMode::Compliant | AxisMode::Force => -feedback.damping[i] * self.velocity[i],
+                AxisMode::Motion => match &feedback.impedance {
+                    None => {
+                        wanted[i]
+                            + feedback.damping[i] * (wanted_velocity[i] - self.velocity[i])
+                            + feedback.stiffness[i] * (self.error[i] + feedback.integral[i])
+                    }
+                    Some(impedance) => {
+                        let mut a = wanted[i];
+                        if let (Some(inertia), Some(force)) = (&impedance.inertia, &self.force) {
+                            let spring = impedance.stiffness[i] * self.error[i];
+                            let damper = impedance.shaped_damping(inertia)[i]
+                                * (wanted_velocity[i] - self.velocity[i]);
+                            a += (spring + damper + force.sensed[i]) / inertia[i];
+                        }
+                        a
+                    }
+                },
+            };
+        }
+        if feedback.impedance.is_none() && self.speed_limits != [f64::INFINITY; 2] {
+            self.saturate_speed(&mut a, &wanted_velocity);
+        }
+        self.axes.rows_of(&a)
+    }
+
+    fn start(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        let controlled = self.axes.controlled;
+        self.home = controlled.placement(model, data);
+        self.reset_settings();
+        self.feedback.integral.fill(0.0);
+        let axes = self.axes_frame.rotation(model, data, controlled);
+        self.begin(&Target::at_rest(self.home), &axes, input);
+        if let Some(force) = &mut self.force {
+            force.start(measurement);
+        }
+        self.follow(input);
+    }
+
+    fn observe(&mut self, input: &TaskInput<'_>) {
+        self.take_target(input);
+        self.follow(&input.control);
+    }
+
+    /// A goal is approached anew; integrals are forgotten.
+    fn resume(&mut self, input: &ControlInput<'_>) {
+        let ControlInput { model, data, measurement, .. } = *input;
+        let controlled = self.axes.controlled;
+        let from = Target::at_rest(controlled.placement(model, data));
+        if let CartesianReference::Goal(_) | CartesianReference::Streamed(_) = self.reference {
+            let axes = self.axes_frame.rotation(model, data, controlled);
+            self.begin(&from, &axes, input);
+        } else {
+            self.trajectory.join(measurement.time_s - self.start_s, &from);
+        }
+        self.feedback.integral.fill(0.0);
+        if let Some(force) = &mut self.force {
+            force.start(measurement);
+        }
+        self.follow(input);
+    }
+
+    /// A reference that is the same continues; another one begins where that one was, and where the frame is on axes
+    /// that weren't in motion.
+    fn inherit(&mut self, before: &mut dyn Task, input: &ControlInput<'_>) {
+        match (before as &mut dyn Any).downcast_mut::<Self>() {
+            Some(before) if before.axes.controlled == self.axes.controlled => {
+                self.continue_from(before, input)
+            }
+            _ => self.start(input),
+        }
+    }
+
+    /// Springs and dampers of an impedance, and force feedback of axes under force control.
+    fn force(&self, task_inertia: &Matrix6<f64>) -> Option<Vector6<f64>> {
+        let adds_force = self.force.is_some()
+            || self.feedback.impedance.is_some()
+            || self.streamed_force != Vector6::zeros();
+        adds_force.then(|| self.added_force(task_inertia))
+    }
+
+    fn inputs(&self) -> Vec<Signal> {
+        if self.streamed.is_some() { inputs() } else { Vec::new() }
+    }
+
+    fn allowed_inputs(&self) -> AllowedInputs {
+        self.allowed()
+    }
+
+    fn stop_for_age_s(&self) -> Option<f64> {
+        self.streamed.as_ref().and_then(|streamed| streamed.freshness().stop_for_age_s())
+    }
+
+    fn target_signals(&self) -> Vec<Signal> {
+        if self.streamed.is_none() {
+            return Vec::new();
+        }
+        let mut signals = Freshness::signals(&self.name);
+        signals.push(Signal::new(format!("{}.modes", self.name), "1", &AXIS_NAMES));
+        signals
+    }
+
+    fn sample_target(&self, row: &mut Row<'_>) {
+        if let Some(streamed) = &self.streamed {
+            streamed.freshness().sample(row);
+            row.put(&self.modes.map(AxisMode::code));
+        }
+    }
+
+    fn inversion(&self) -> Inversion {
+        self.inversion
+    }
+
+    fn inertia_floor_kg_m2(&self) -> Option<f64> {
+        match self.decoupling {
+            Decoupling::Full => None,
+            Decoupling::Bounded { inertia_floor_kg_m2 } => Some(inertia_floor_kg_m2.get()),
+        }
+    }
+
+    fn speed_limits(&self) -> [Option<SpeedLimit>; 2] {
+        [0, 1].map(|kind| {
+            let limit = self.speed_limits[kind];
+            (limit < f64::INFINITY).then(|| self.speed_limit(kind, limit))
+        })
+    }
+
+    fn sampled_jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
+        self.axes.controlled.jacobian(model, data, rows);
+        self.axes.with_rotation(self.axes_frame.at_rest()).select_in_place(rows);
+    }
+
+    fn infeasibility(&self, model: &Model) -> Option<ControlError> {
+        let controlled = self.axes.controlled;
+        let &rotation = self.axes.axes().iter().find(|&&axis| axis >= 3)?;
+        if !controlled.turns() || !orientation_is_coupled(model, controlled) {
+            return None;
+        }
+        let (name, axis, joints) = (self.name.clone(), AXIS_NAMES[rotation], model.n());
+        let reason = Reason::CoupledOrientation { name, axis, joints };
+        Some(ControlError::new(format!("{}.{axis}", self.rows_key), reason))
+    }
+
+    fn rows_key(&self) -> String {
+        self.rows_key.clone()
+    }
+
+    fn kind(&self) -> &'static str {
+        "cartesian or center-of-mass"
+    }
+
+    fn row_names(&self) -> Vec<String> {
+        self.axes.axes().iter().map(|&axis| AXIS_NAMES[axis].to_owned()).collect()
+    }
+
+    fn follows_reference(&self, row: usize) -> bool {
+        self.axes.axes().get(row).is_some_and(|&axis| self.modes[axis] == AxisMode::Motion)
+    }
+
+    fn row_unit(&self, row: usize) -> (&'static str, f64) {
+        let axis = self.axes.axes().get(row).copied().unwrap_or(0);
+        (if axis < 3 { "m" } else { "rad" }, self.axes.scale[axis])
+    }
+
+    fn reference_speeds(&self) -> [Option<f64>; 2] {
+        let velocity = self.axes.of_motion(&self.target.velocity);
+        [0, 3].map(|first| {
+            let axes = (first..first + 3).filter(|&axis| self.modes[axis] == AxisMode::Motion);
+            axes.map(|axis| velocity[axis] * velocity[axis]).reduce(|a, b| a + b).map(f64::sqrt)
+        })
+    }
+
+    fn gains(&self, row: usize) -> Option<RowGains> {
+        let &axis = self.axes.axes().get(row)?;
+        let feedback = &self.feedback;
+        if self.modes[axis] == AxisMode::Motion && feedback.impedance.is_some() {
+            return None;
+        }
+        Some(RowGains {
+            stiffness_per_s2: feedback.stiffness[axis],
+            damping_per_s: feedback.damping[axis],
+            integral_per_s: feedback.integral_per_s[axis],
+        })
+    }
+
+    fn signals(&self) -> Vec<Signal> {
         let named = |quantity: &str| format!("{}.{quantity}", self.name);
         let xyz = &AXIS_NAMES[..3];
         let wxyz = ["w", "x", "y", "z"];
@@ -430,7 +690,7 @@ impl CartesianTask {
         ]
     }
 
-    pub(crate) fn sample_motion(&self, row: &mut Row<'_>) {
+    fn sample(&self, row: &mut Row<'_>) {
         row.put(self.path.placement.translation.as_slice());
         row.put(self.placement.translation.as_slice());
         row.put(self.path.velocity.linear.as_slice());
@@ -442,13 +702,20 @@ impl CartesianTask {
         row.put(self.error.as_slice());
     }
 
-    /// The signal of the sensed force, if there is a sensor.
-    pub(crate) fn sensed_signal(&self) -> Option<Signal> {
+    fn force_signal(&self) -> Option<Signal> {
+        Some(Signal::new(format!("{}.force", self.name), "N,Nm", &AXIS_NAMES))
+    }
+
+    fn sample_force(&self, force: &Vector6<f64>, row: &mut Row<'_>) {
+        row.put(self.axes.force_of_rows(force).as_slice());
+    }
+
+    fn sensed_signal(&self) -> Option<Signal> {
         let name = format!("{}.sensed_force", self.name);
         self.force.as_ref().map(|_| Signal::new(name, "N,Nm", &AXIS_NAMES))
     }
 
-    pub(crate) fn sample_sensed(&self, row: &mut Row<'_>) {
+    fn sample_sensed(&self, row: &mut Row<'_>) {
         match &self.force {
             Some(force) => row.put(force.sensed.as_slice()),
             None => row.skip(6),

@@ -4,10 +4,10 @@ use crate::error::{ControlError, Reason};
 use crate::references::joint_reference::check_times;
 use crate::references::reference::CartesianReference;
 use crate::tasks::axes::{Axes, AxesIn, AxisMode, PerAxis};
+use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceParameters;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::ImpedanceParameters;
-use crate::tasks::subject::Subject;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Inversion, Model};
@@ -54,7 +54,7 @@ pub struct CartesianParameters {
     pub speed_limit_rad_per_s: Option<Positive>,
     /// What becomes of directions in which the arm can hardly move the frame; damped if absent.
     #[serde(default)]
-    pub singularities: Singularities,
+    pub singularities: SingularityHandling,
     /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
     /// middle of many postures are damped; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
@@ -102,25 +102,29 @@ pub enum Decoupling {
 /// What becomes of directions in which an arm can hardly move a frame. See [`Inversion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Singularities {
+#[schemars(rename = "Singularities")]
+pub enum SingularityHandling {
     /// Below the threshold they are damped, smoothly and down to nothing; above it nothing is.
     #[default]
     Damped,
     /// Nothing: Λ as it is. For comparisons.
-    Plain,
+    #[serde(rename = "plain")]
+    None,
     /// Damped least squares: everything is damped, everywhere. For comparisons.
-    LeastSquares,
+    #[serde(rename = "least-squares")]
+    DampedLeastSquares,
     /// The condition of Λ is clamped: lost directions are still pushed at. For comparisons.
-    Clamped,
+    #[serde(rename = "clamped")]
+    ClampedCondition,
 }
 
-impl Singularities {
+impl SingularityHandling {
     pub(crate) fn inversion(self, threshold: f64) -> Inversion {
         match self {
             Self::Damped => Inversion::Damped(threshold),
-            Self::Plain => Inversion::Plain,
-            Self::LeastSquares => Inversion::LeastSquares(threshold),
-            Self::Clamped => Inversion::Clamped(threshold),
+            Self::None => Inversion::Plain,
+            Self::DampedLeastSquares => Inversion::LeastSquares(threshold),
+            Self::ClampedCondition => Inversion::Clamped(threshold),
         }
     }
 }
@@ -134,6 +138,34 @@ fn default_singularity_threshold() -> Positive {
 }
 
 impl CartesianParameters {
+    /// A task of `frame` that holds its pose at the start: everything else as in a file without other keys.
+    #[must_use]
+    pub fn new(frame: impl Into<String>, axes: Axes, gains: AxisGains) -> Self {
+        Self {
+            frame: frame.into(),
+            relative_to: None,
+            axes,
+            axes_in: AxesIn::World,
+            reference: CartesianReference::Hold,
+            gains: Some(gains),
+            impedance: None,
+            force: None,
+            compliant_damping_per_s: default_compliant_damping(),
+            decoupling: Decoupling::Full,
+            speed_limit_m_per_s: None,
+            speed_limit_rad_per_s: None,
+            singularities: SingularityHandling::Damped,
+            singularity_threshold: default_singularity_threshold(),
+            characteristic_length_m: None,
+        }
+    }
+
+    /// With another reference.
+    #[must_use]
+    pub fn with_reference(self, reference: CartesianReference) -> Self {
+        Self { reference, ..self }
+    }
+
     /// Which axes follow the reference, in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn motion_axes(&self) -> [bool; 6] {
@@ -142,21 +174,21 @@ impl CartesianParameters {
 
     /// Which axes are held to a force: those that are compliant, and those in force control.
     #[must_use]
-    pub fn held_to_force(&self) -> [bool; 6] {
-        self.axes.held_to_force()
+    pub fn force_axes(&self) -> [bool; 6] {
+        self.axes.force_axes()
     }
 
-    /// What the task moves on a robot.
+    /// The controlled frame on a robot.
     ///
     /// # Errors
     /// A frame that the robot doesn't have, with the key by which it is named.
-    pub fn subject(&self, model: &Model) -> Result<Subject, ControlError> {
+    pub fn controlled_frame(&self, model: &Model) -> Result<ControlledFrame, ControlError> {
         let frame =
             |key: &str, name: &str| model.frame(name).map_err(|unknown| ControlError::new(key, unknown));
         let led = frame("frame", &self.frame)?;
         Ok(match &self.relative_to {
-            None => Subject::Frame(led),
-            Some(name) => Subject::Relative { frame: led, from: frame("relative_to", name)? },
+            None => ControlledFrame::Frame(led),
+            Some(name) => ControlledFrame::Relative { frame: led, from: frame("relative_to", name)? },
         })
     }
 
@@ -174,32 +206,36 @@ impl CartesianParameters {
 }
 
 impl CenterOfMassParameters {
+    /// A task that holds the centre of mass at its position at the start.
+    #[must_use]
+    pub fn new(axes: Axes, gains: AxisGains) -> Self {
+        Self {
+            axes,
+            axes_in: AxesIn::World,
+            reference: CartesianReference::Hold,
+            gains,
+            singularity_threshold: default_singularity_threshold(),
+        }
+    }
+
     /// As a Cartesian task whose frame is the centre of mass.
     #[must_use]
     pub fn as_cartesian(&self) -> CartesianParameters {
         CartesianParameters {
-            frame: String::new(),
-            relative_to: None,
-            axes: self.axes,
             axes_in: self.axes_in.clone(),
             reference: self.reference.clone(),
-            gains: Some(self.gains),
-            impedance: None,
-            force: None,
-            compliant_damping_per_s: default_compliant_damping(),
-            decoupling: Decoupling::Full,
-            speed_limit_m_per_s: None,
-            speed_limit_rad_per_s: None,
-            singularities: Singularities::Damped,
             singularity_threshold: self.singularity_threshold,
-            characteristic_length_m: None,
+            ..CartesianParameters::new(String::new(), self.axes, self.gains)
         }
     }
 }
 
 pub(crate) fn check_reference(parameters: &CartesianParameters, key: &str) -> Result<(), ControlError> {
     match &parameters.reference {
-        CartesianReference::Hold | CartesianReference::Sinusoid(_) | CartesianReference::Goal(_) => {}
+        CartesianReference::Hold
+        | CartesianReference::Sinusoid(_)
+        | CartesianReference::Goal(_)
+        | CartesianReference::Streamed(_) => {}
         CartesianReference::Recorded(path) => {
             if !path.is_read() {
                 return Err(ControlError::new(format!("{key}.recorded"), Reason::NotRead));
@@ -218,7 +254,7 @@ pub(crate) fn check_reference(parameters: &CartesianParameters, key: &str) -> Re
             }
         }
     }
-    let turnable = parameters.axes.in_task()[3..].contains(&true);
+    let turnable = parameters.axes.active_axes()[3..].contains(&true);
     if parameters.reference.turns() && !turnable {
         return Err(ControlError::new(key, Reason::OrientationOfFreeAxes));
     }

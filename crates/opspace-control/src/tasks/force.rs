@@ -44,7 +44,7 @@ fn no_target() -> PerAxis<f64> {
 }
 
 fn default_force_gain() -> PerAxis<NonNegative> {
-    PerAxis::All(NonNegative::literal(2.0))
+    PerAxis::All(NonNegative::literal(FORCE_GAIN))
 }
 
 fn default_filter_hz() -> Positive {
@@ -56,7 +56,7 @@ impl ForceParameters {
     /// neither compliant nor in force control.
     #[must_use]
     pub fn target(&self, axes: &Axes) -> Vector6<f64> {
-        let held = axes.held_to_force();
+        let held = axes.force_axes();
         Vector6::from_fn(|axis, _| {
             let targets = if axis < 3 { &self.target_n } else { &self.target_nm };
             if held[axis] { targets.get(axis).unwrap_or(0.0) } else { 0.0 }
@@ -64,8 +64,34 @@ impl ForceParameters {
     }
 }
 
+/// Force gain where the file gives no other.
+const FORCE_GAIN: f64 = 2.0;
+
 /// Of force axes whose file gives no other, 1/s.
 const INTEGRAL_PER_S: f64 = 5.0;
+
+/// Settings of an axis that is compliant or in force control.
+#[derive(Clone, Copy, Debug)]
+struct AxisForce {
+    target: f64,
+    gain: f64,
+    integral_step: f64,
+    /// As large as the target if `None`.
+    integral_limit: Option<f64>,
+}
+
+impl AxisForce {
+    fn new(force: &ForceParameters, axis: usize, period_s: f64) -> Self {
+        let targets = if axis < 3 { &force.target_n } else { &force.target_nm };
+        let per_s = force.integral_per_s.and_then(|gains| gains.get(axis));
+        Self {
+            target: targets.get(axis).unwrap_or(0.0),
+            gain: force.gain.get(axis).unwrap_or(NonNegative::literal(FORCE_GAIN)).get(),
+            integral_step: per_s.map_or(INTEGRAL_PER_S, NonNegative::get) * period_s,
+            integral_limit: force.integral_limit.and_then(|limits| limits.get(axis)).map(NonNegative::get),
+        }
+    }
+}
 
 /// Force feedback of one robot's task, and what it saw last.
 #[derive(Clone, Debug)]
@@ -81,6 +107,8 @@ pub(crate) struct ForceFeedback {
     integral_limit: Vector6<f64>,
     integral: Vector6<f64>,
     filter: LowPass<6>,
+    /// Settings of each axis, for any mode.
+    axes: [AxisForce; 6],
     /// At the task frame's origin, task axes.
     pub(crate) sensed: Vector6<f64>,
 }
@@ -98,7 +126,7 @@ impl ForceFeedback {
         let Some(sensor) = context.sensors.iter().position(|(name, _)| *name == force.sensor) else {
             return Err(at("sensor", Reason::Sensor { name: force.sensor.clone(), known: known() }));
         };
-        let held = axes.held_to_force();
+        let held = axes.force_axes();
         if !held.contains(&true) && !shapes_inertia {
             return Err(ControlError::new(key, Reason::NothingCompliant));
         }
@@ -135,6 +163,7 @@ impl ForceFeedback {
                 Some(limits) => required(limits, axis).map_err(|reason| at("integral_limit", reason))?.get(),
             };
         }
+        let axes = std::array::from_fn(|axis| AxisForce::new(force, axis, context.period_s));
         Ok(Self {
             sensor,
             frame: context.sensors[sensor].1,
@@ -145,8 +174,26 @@ impl ForceFeedback {
             integral_limit,
             integral: Vector6::zeros(),
             filter: LowPass::new(force.filter_hz.get(), context.period_s),
+            axes,
             sensed: Vector6::zeros(),
         })
+    }
+
+    /// Gives an axis the settings of a mode, with a streamed target force (N, Nm) in place of the configured one. The
+    /// integral starts anew where an axis is not in force control.
+    pub(crate) fn set(&mut self, axis: usize, mode: AxisMode, target: Option<f64>) {
+        let configured = &self.axes[axis];
+        let held = matches!(mode, AxisMode::Compliant | AxisMode::Force);
+        let integrates = mode == AxisMode::Force;
+        self.held[axis] = held;
+        self.target[axis] = if held { target.unwrap_or(configured.target) } else { 0.0 };
+        self.gain[axis] = if held { configured.gain } else { 0.0 };
+        self.integral_step[axis] = if integrates { configured.integral_step } else { 0.0 };
+        let limit = configured.integral_limit.unwrap_or(self.target[axis].abs());
+        self.integral_limit[axis] = if integrates { limit } else { 0.0 };
+        if !integrates {
+            self.integral[axis] = 0.0;
+        }
     }
 
     /// Settled on what is sensed now, nothing integrated.
@@ -158,7 +205,7 @@ impl ForceFeedback {
 
     /// Goes on from where the feedback of another stack stands: its filter, if it is of the same sensor, and its
     /// integral on axes that stay in force control.
-    pub(crate) fn take_over(&mut self, before: &Self, measurement: &Measurement) {
+    pub(crate) fn inherit_state(&mut self, before: &Self, measurement: &Measurement) {
         self.start(measurement);
         if self.sensor == before.sensor {
             self.filter.reset(before.filter.output());

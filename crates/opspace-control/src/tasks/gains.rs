@@ -1,5 +1,6 @@
 //! Gains of axes in motion, and the integral of an error.
 
+use crate::error::ControlError;
 use crate::tasks::axes::PerAxis;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -24,6 +25,28 @@ pub struct AxisGains {
     /// How much is added at most about an axis, rad; 0.2 if absent.
     #[serde(default = "default_integral_limit_rad")]
     pub integral_limit_rad: PerAxis<NonNegative>,
+}
+
+impl AxisGains {
+    /// The same natural frequency (rad/s) and damping ratio for all axes, without integral.
+    ///
+    /// # Errors
+    /// A frequency that is not above zero, a ratio below zero.
+    pub fn new(frequency_rad_per_s: f64, damping_ratio: f64) -> Result<Self, ControlError> {
+        let frequency = Positive::try_from(frequency_rad_per_s);
+        let ratio = NonNegative::try_from(damping_ratio);
+        Ok(Self {
+            frequency_rad_per_s: PerAxis::All(
+                frequency.map_err(|message| ControlError::value("frequency_rad_per_s", message))?,
+            ),
+            damping_ratio: PerAxis::All(
+                ratio.map_err(|message| ControlError::value("damping_ratio", message))?,
+            ),
+            integral_per_s: no_integral(),
+            integral_limit_m: default_integral_limit(),
+            integral_limit_rad: default_integral_limit_rad(),
+        })
+    }
 }
 
 fn no_integral() -> PerAxis<NonNegative> {

@@ -1,6 +1,6 @@
 //! The rows of a Cartesian task: the axes of a motion that belong to it, scaled to one unit.
 
-use crate::tasks::subject::Subject;
+use crate::tasks::controlled_frame::ControlledFrame;
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
 use opspace_model::Motion;
 
@@ -9,8 +9,8 @@ use opspace_model::Motion;
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaskAxes {
     /// What moves.
-    pub subject: Subject,
-    /// The axes in the subject's coordinates, one a column.
+    pub controlled: ControlledFrame,
+    /// The axes in the controlled frame's coordinates, one a column.
     pub rotation: Matrix3<f64>,
     /// By how much each of the six axes is multiplied: 1, or the characteristic length (m) for rotations.
     pub scale: [f64; 6],
@@ -19,10 +19,15 @@ pub struct TaskAxes {
 }
 
 impl TaskAxes {
-    /// Those axes of `subject` that are in the task, by their place in
+    /// Those axes of `controlled` that are in the task, by their place in
     /// [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES).
     #[must_use]
-    pub fn new(subject: Subject, rotation: Matrix3<f64>, in_task: [bool; 6], length_m: f64) -> Self {
+    pub fn new(
+        controlled: ControlledFrame,
+        rotation: Matrix3<f64>,
+        in_task: [bool; 6],
+        length_m: f64,
+    ) -> Self {
         let mut rows = [0; 6];
         let mut count = 0;
         for (axis, _) in in_task.iter().enumerate().filter(|(_, used)| **used) {
@@ -30,7 +35,13 @@ impl TaskAxes {
             count += 1;
         }
         let scale = [1.0, 1.0, 1.0, length_m, length_m, length_m];
-        Self { subject, rotation, scale, rows, count }
+        Self { controlled, rotation, scale, rows, count }
+    }
+
+    /// The same axes in other directions.
+    #[must_use]
+    pub fn with_rotation(&self, rotation: Matrix3<f64>) -> Self {
+        Self { rotation, ..self.clone() }
     }
 
     /// How many axes are in the task.
@@ -45,7 +56,7 @@ impl TaskAxes {
         &self.rows[..self.count]
     }
 
-    /// The rows of the task, scaled, from the subject's Jacobian: into the first rows of `selected`
+    /// The rows of the task, scaled, from the controlled frame's Jacobian: into the first rows of `selected`
     /// (6 × n).
     ///
     /// # Panics
@@ -58,14 +69,29 @@ impl TaskAxes {
             let [x, y, z, rx, ry, rz] = *column;
             let linear = self.rotation.tr_mul(&Vector3::new(x, y, z));
             let angular = self.rotation.tr_mul(&Vector3::new(rx, ry, rz));
-            let turned = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            let rotated = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
             for (out, &axis) in out.iter_mut().zip(self.axes()) {
-                *out = turned[axis] * self.scale[axis];
+                *out = rotated[axis] * self.scale[axis];
             }
         }
     }
 
-    /// A motion in the subject's coordinates, in the task's axes.
+    /// As [`select`](Self::select), of the Jacobian `rows` in place (6 × n); zeros below the task's rows.
+    pub fn select_in_place(&self, rows: &mut Matrix6xX<f64>) {
+        let (columns, _) = rows.as_mut_slice().as_chunks_mut::<6>();
+        for column in columns {
+            let [x, y, z, rx, ry, rz] = *column;
+            let linear = self.rotation.tr_mul(&Vector3::new(x, y, z));
+            let angular = self.rotation.tr_mul(&Vector3::new(rx, ry, rz));
+            let rotated = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            *column = [0.0; 6];
+            for (out, &axis) in column.iter_mut().zip(self.axes()) {
+                *out = rotated[axis] * self.scale[axis];
+            }
+        }
+    }
+
+    /// A motion in the controlled frame's coordinates, in the task's axes.
     #[must_use]
     pub fn of_motion(&self, m: &Motion) -> Vector6<f64> {
         let (linear, angular) = (self.rotation.tr_mul(&m.linear), self.rotation.tr_mul(&m.angular));

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
 use opspace_backend::{Observable, Row};
 use opspace_control::{
     Compensation, ControlContext, ControlError, ControlInput, JointLimits, LimitParameters, Measurement,
-    Stack, Targets, TaskParameters,
+    Targets, TaskParameters, TaskSetParameters,
 };
 use opspace_model::model::z_onto;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
@@ -166,8 +166,8 @@ impl File {
         toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
     }
 
-    pub fn stack(&self) -> Stack<'_> {
-        Stack {
+    pub fn stack(&self) -> TaskSetParameters<'_> {
+        TaskSetParameters {
             priority: &self.priority,
             task: &self.task,
             compensation: self.compensation,

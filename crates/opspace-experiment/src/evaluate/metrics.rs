@@ -1,20 +1,20 @@
 //! How well a run went, from its log alone.
 //!
-//! Statistics count from the task's `settle_s` to the end of control. Positions are the true ones where the
-//! log has them (a simulation), else the measured ones.
+//! Statistics count from `settle_s` after the first cycle of control to the last, whatever the robot's clock says.
+//! Positions are the true ones where the log has them (a simulation), else the measured ones.
 
 mod ripple;
 
 use crate::run::experiment::{ControllerKind, Experiment};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-use opspace_backend::Setpoints;
 use opspace_backend::quantity::Positive;
+use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::orientation::log;
-use opspace_control::{CartesianParameters, Directions, Subject, TaskParameters};
+use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame, TaskParameters};
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
-use opspace_sim::{SurroundingParameters, WorldAxis};
+use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
 use serde::Serialize;
 
 /// What is said of a run; `None` where it has no meaning for it.
@@ -83,14 +83,14 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
                 run.cartesian(name, task, &mut metrics);
             }
             Some(TaskParameters::CenterOfMass(task)) if metrics.position_rms_m.is_none() => {
-                run.following(name, &task.as_cartesian(), Subject::CenterOfMass, &mut metrics);
+                run.following(name, &task.as_cartesian(), ControlledFrame::CenterOfMass, &mut metrics);
             }
             Some(TaskParameters::JointTracking(_)) => metrics.joint_rms_rad = run.joint_error(name),
             _ => {}
         }
     }
     run.hand(&mut metrics);
-    metrics.set_point_speed_max_rad_per_s = run.tick.signal("set_point_speed").map(|speeds| {
+    metrics.set_point_speed_max_rad_per_s = run.tick.signal("setpoint_speed").map(|speeds| {
         run.settled(&run.tick.time_s).flat_map(|k| speeds.row(k)).fold(0.0, |max: f64, v| max.max(v.abs()))
     });
     metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
@@ -130,8 +130,12 @@ struct Run<'a> {
     tick: &'a ChannelData,
     /// Where the joints were and when: truth if the log has it.
     joints: (&'a [f64], Column<'a>),
+    /// Time of the first cycle of control on the robot's clock, s.
+    start_s: f64,
     from_s: f64,
     to_s: f64,
+    /// Times that differ by less are the same: they are multiples of a servo period, rounded, s.
+    same_s: f64,
 }
 
 impl<'a> Run<'a> {
@@ -139,23 +143,26 @@ impl<'a> Run<'a> {
         let tick = recording.channel("tick")?;
         let phase = tick.signal("phase")?;
         let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
-        let last = (0..tick.len()).rev().find(|&k| !idle.contains(&phase.row(k)[0]))?;
+        let mut controlled = (0..tick.len()).filter(|&k| !idle.contains(&phase.row(k)[0]));
+        let first = controlled.next()?;
+        let last = controlled.next_back().unwrap_or(first);
         let positions = recording.channel("truth").unwrap_or(tick);
         Some(Self {
             experiment,
             recording,
             tick,
             joints: (&positions.time_s, positions.signal("q")?),
-            from_s: experiment.task().file.settle_s.get(),
+            start_s: tick.time_s[first],
+            from_s: tick.time_s[first] + experiment.task().file.settle_s.get(),
             to_s: tick.time_s[last],
+            same_s: 0.25 * experiment.profile().1.servo_period_s(),
         })
     }
 
     /// The indices of the times that count.
     fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
-        // Half a nanosecond: times are multiples of a period, rounded.
-        let begin = times.partition_point(|&t| t < self.from_s - 5e-10);
-        let end = times.partition_point(|&t| t <= self.to_s + 5e-10);
+        let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
+        let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
     }
 
@@ -163,15 +170,15 @@ impl<'a> Run<'a> {
     fn tick_of(&self, k: usize) -> Option<usize> {
         let (times, _) = self.joints;
         let ticks = &self.tick.time_s;
-        let tick = ticks.partition_point(|&t| t < times[k] - 5e-10);
-        ticks.get(tick).is_some_and(|&t| t <= times[k] + 5e-10).then_some(tick)
+        let tick = ticks.partition_point(|&t| t < times[k] - self.same_s);
+        ticks.get(tick).is_some_and(|&t| t <= times[k] + self.same_s).then_some(tick)
     }
 
     /// The pose of a task's subject and the task's axes at each settled tick, with the tick's index.
     fn poses(
         &self,
-        subject: Subject,
-        directions: Directions,
+        subject: ControlledFrame,
+        directions: AxesFrame,
     ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
         let model = &self.experiment.robot().model;
         let mut data = Data::new(model);
@@ -186,12 +193,18 @@ impl<'a> Run<'a> {
 
     fn cartesian(&self, name: &str, task: &CartesianParameters, metrics: &mut Metrics) {
         let model = &self.experiment.robot().model;
-        let Ok(subject) = task.subject(model) else { return };
+        let Ok(subject) = task.controlled_frame(model) else { return };
         self.following(name, task, subject, metrics);
     }
 
     /// How far a task's subject is from its reference, over its axes in motion.
-    fn following(&self, name: &str, task: &CartesianParameters, subject: Subject, metrics: &mut Metrics) {
+    fn following(
+        &self,
+        name: &str,
+        task: &CartesianParameters,
+        subject: ControlledFrame,
+        metrics: &mut Metrics,
+    ) {
         let Ok(directions) = task.axes_in.resolve(&self.experiment.robot().model, subject) else { return };
         let motion = task.motion_axes();
         if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
@@ -254,7 +267,7 @@ impl<'a> Run<'a> {
     fn hand(&self, metrics: &mut Metrics) {
         let springs = self.experiment.task().file.surroundings.iter();
         let Some((name, spring)) = springs.into_iter().find_map(|(name, s)| match s {
-            SurroundingParameters::Spring(spring) => Some((name, spring)),
+            EnvironmentObjectParameters::Spring(spring) => Some((name, spring)),
             _ => None,
         }) else {
             return;
@@ -271,8 +284,8 @@ impl<'a> Run<'a> {
         }
         let Ok(frame) = self.experiment.robot().model.frame(&spring.frame) else { return };
         if let Some(home) = self.start_pose(frame) {
-            let world = Directions::Still(Matrix3::identity());
-            let poses = self.poses(Subject::Frame(frame), world);
+            let world = AxesFrame::Fixed(Matrix3::identity());
+            let poses = self.poses(ControlledFrame::Frame(frame), world);
             let moved = poses.map(|(_, pose, _)| masked_norm(&(pose.translation - home.translation), &axes));
             metrics.hand_motion_rms_m = rms_and_max(moved).0;
         }
@@ -282,7 +295,7 @@ impl<'a> Run<'a> {
     fn start_pose(&self, frame: FrameId) -> Option<Placement> {
         let model = &self.experiment.robot().model;
         let (times, q) = self.joints;
-        let k = times.iter().position(|&t| t >= -5e-10)?;
+        let k = times.iter().position(|&t| t >= self.start_s - self.same_s)?;
         let mut data = Data::new(model);
         kinematics(model, &mut data, q.row(k), &vec![0.0; model.n()]);
         Some(frame_placement(model, &data, frame))
@@ -331,9 +344,13 @@ impl<'a> Run<'a> {
     }
 
     /// √(Σ_j mean e_j²) of the torque that held set-points leave within interface intervals at the speeds of the run, Nm;
-    /// `None` where none is held for longer than a servo tick.
+    /// `None` where none is held for longer than a servo tick, and for velocity robots, whose torque within an interval
+    /// follows acceleration and not speed.
     fn held_ripple_nm(&self) -> Option<f64> {
         self.experiment.transformer_kind()?;
+        if self.experiment.command_kind() != CommandKind::Position {
+            return None;
+        }
         let (profile, robot) = (self.experiment.profile().1, self.experiment.robot());
         let simulated = robot.file.simulated.as_ref()?;
         if robot.file.interface.set_points != Setpoints::Held || profile.ratio.get() == 1 {

@@ -1,7 +1,7 @@
 //! Summaries side by side: the table that every command prints.
 
 use crate::evaluate::table::{Cell, Table};
-use crate::run::execute::Summary;
+use crate::run::summary::Summary;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -252,7 +252,7 @@ fn drop_empty_columns(table: &mut Table) {
 #[cfg(test)]
 mod tests {
     use super::{MEASURES, group, table};
-    use crate::run::execute::Summary;
+    use crate::run::summary::Summary;
 
     fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
         let mut summary = Summary {
@@ -271,8 +271,10 @@ mod tests {
             faulted: None,
             fault_time_s: None,
             interrupted: false,
+            interrupted_time_s: None,
             rows_lost: 0,
             missed_cycles: 0,
+            stale_target_cycles: 0,
             resumed: 0,
             metrics: crate::Metrics::default(),
             timing: crate::Timing::default(),

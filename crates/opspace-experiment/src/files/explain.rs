@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-use crate::files::source::Source;
 use crate::files::suggest::{nearest, same_but_unit, unit_of, units_differ};
 use crate::files::toml_path::{Part, dotted, keys_at, value_at};
 
@@ -15,7 +14,7 @@ pub(crate) struct Words {
 }
 
 /// Says in the user's words what serde and toml say in theirs.
-pub(crate) fn words(raw: &str, source: &Source, document: &DeTable<'_>, path: &[String]) -> Words {
+pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[String]) -> Words {
     let value = |message: String, help: Option<String>| Words { message, help, part: Part::Value };
     let key = |message: String, help: Option<String>| Words { message, help, part: Part::Key };
     if let Some((name, allowed)) = unknown(raw, "unknown field `") {
@@ -42,7 +41,7 @@ pub(crate) fn words(raw: &str, source: &Source, document: &DeTable<'_>, path: &[
     if raw.starts_with("wanted exactly 1 element") {
         let mut held = keys_at(document, path);
         // The file's own kind is the one meant; a setting may have put another before it.
-        let own = DeTable::parse(&source.base).map(|base| keys_at(base.get_ref(), path)).unwrap_or_default();
+        let own = DeTable::parse(base).map(|base| keys_at(base.get_ref(), path)).unwrap_or_default();
         held.sort_by_key(|key| !own.contains(key));
         let found = if held.is_empty() { "is empty".to_owned() } else { format!("holds {}", list(&held)) };
         let message = format!("`{}` {found}; it takes exactly one kind", dotted(path));

@@ -1,15 +1,16 @@
 //! robot.toml: what is believed of a robot, and what its simulation is beyond that.
 
+use crate::files::interface::InterfaceParameters;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, parse};
 use crate::files::suggest::nearest;
 use crate::files::tool::{self, ToolFile};
-use opspace_backend::Measured;
 use opspace_backend::quantity::Positive;
+use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
-use opspace_loop::{ForceSensor, InterfaceParameters, SafetyParameters};
-use opspace_model::{Loaded, Model, UrdfOptions, UrdfWarning};
+use opspace_loop::SafetyParameters;
+use opspace_model::{FrameId, Loaded, Model, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
 use opspace_transformer::{IdentifiedJoint, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
 use schemars::JsonSchema;
@@ -40,6 +41,10 @@ pub struct RobotFile {
     /// What makes a run safe.
     #[serde(default)]
     pub safety: SafetyParameters,
+    /// How the real robot is reached: `name` is that of a driver in the program, the other keys are the driver's. Without
+    /// it the robot is simulated.
+    #[serde(default)]
+    pub driver: Option<BTreeMap<String, Setting>>,
     /// The simulated robot; without it the robot can't be simulated.
     pub simulated: Option<SimulatedParameters>,
 }
@@ -66,7 +71,7 @@ pub struct Robot {
     /// What its URDF deserves a second look for.
     pub warnings: Vec<UrdfWarning>,
     /// Its force sensors, in the order of their names.
-    pub sensors: Vec<ForceSensor>,
+    pub sensors: Vec<(String, FrameId)>,
 }
 
 impl Robot {
@@ -101,13 +106,7 @@ impl Robot {
             rotors.push(joint.rotor.reflected_inertia());
         }
         for (name, profile) in &file.profile {
-            joints_of(&source, &model, &profile.servo, &["profile", name, "servo"])?;
-            for (joint, servo) in &profile.servo {
-                ServoLaw::new(servo, profile.servo_period_s()).map_err(|error| {
-                    let key = ["profile", name, "servo", joint.as_str()];
-                    FileError::at_key(&source, key, error.to_string(), None)
-                })?;
-            }
+            check_servos(&source, &model, name, profile)?;
             if !profile.identified.is_empty() {
                 joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
             }
@@ -135,6 +134,23 @@ impl Robot {
         folder.map_or_else(|| self.model.name().to_owned(), |n| n.to_string_lossy().into_owned())
     }
 
+    /// The capabilities that the file states of the robot as one that takes such commands. Beside what its interface
+    /// takes, any arm can be simulated as a torque or velocity robot.
+    #[must_use]
+    pub fn capabilities(&self, command: CommandKind, period_s: f64) -> Capabilities {
+        let interface = &self.file.interface;
+        let joints = self.model.joints().iter().map(|joint| joint.name.clone());
+        let stated = Capabilities::new(joints, command, period_s)
+            .measuring(&interface.measures)
+            .with_setpoints(interface.set_points)
+            .with_gravity_compensated_by(interface.gravity_by);
+        let brakes = if command == CommandKind::Velocity { interface.brakes } else { stated.has_brakes };
+        let sensors = self.file.force_sensor.iter();
+        sensors.fold(stated.with_brakes(brakes), |stated, (name, sensor)| {
+            stated.with_force_sensor(name, &sensor.frame)
+        })
+    }
+
     /// A profile by its name, or the default one, with its name.
     ///
     /// # Errors
@@ -158,10 +174,47 @@ impl Robot {
         self.in_order(&self.file.joint)
     }
 
-    /// The servos of a profile, in the model's joint order.
+    /// The position servos of a profile, in the model's joint order; empty if it has none.
     #[must_use]
     pub fn servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
         self.in_order(&profile.servo)
+    }
+
+    /// The velocity servos of a profile, in the model's joint order; empty if it has none.
+    #[must_use]
+    pub fn velocity_servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
+        self.in_order(&profile.velocity_servo).into_iter().map(ServoParameters::Velocity).collect()
+    }
+
+    /// The servos that drive a robot that takes such commands, in the model's joint order. Those of a torque robot, which
+    /// may hold it without commands, are its position servos if it has them.
+    ///
+    /// # Errors
+    /// If the profile has none of that kind.
+    pub fn servos_for(
+        &self,
+        profile_name: &str,
+        command: CommandKind,
+    ) -> Result<Vec<ServoParameters>, FileError> {
+        let (name, profile) = self.profile(Some(profile_name))?;
+        let (position, velocity) = (self.servos(profile), self.velocity_servos(profile));
+        let (servos, section, keys) = match command {
+            CommandKind::Velocity => {
+                (velocity, "velocity_servo.JOINT", "kv_nms_per_rad and velocity_filter_hz")
+            }
+            CommandKind::Torque if position.is_empty() => (velocity, "servo.JOINT.cascaded", "its gains"),
+            CommandKind::Torque | CommandKind::Position => (position, "servo.JOINT.cascaded", "its gains"),
+        };
+        if servos.is_empty() && self.model.n() > 0 {
+            let message = format!(
+                "profile '{name}' has no {} servos, which a {} robot needs",
+                if command == CommandKind::Velocity { "velocity" } else { "position" },
+                command.name()
+            );
+            let help = format!("add [profile.{name}.{section}] for each joint, with {keys}");
+            return Err(FileError::at_key(&self.source, ["profile", name], message, Some(help)));
+        }
+        Ok(servos)
     }
 
     /// What a profile has of the joints' measured closed loops, in the model's joint order; empty if it has none.
@@ -206,6 +259,38 @@ pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<Loaded, FileErro
         let line = error.line().and_then(|line| usize::try_from(line).ok());
         FileError::at_line(urdf, line, error.kind().to_string(), None)
     })
+}
+
+/// A profile has a position servo for every joint, a velocity servo for every joint, or both.
+fn check_servos(
+    source: &Source,
+    model: &Model,
+    name: &str,
+    profile: &ProfileParameters,
+) -> Result<(), FileError> {
+    if !profile.velocity_servo.is_empty() {
+        joints_of(source, model, &profile.velocity_servo, &["profile", name, "velocity_servo"])?;
+    }
+    if !profile.servo.is_empty() || profile.velocity_servo.is_empty() {
+        joints_of(source, model, &profile.servo, &["profile", name, "servo"])?;
+    }
+    for (joint, servo) in &profile.servo {
+        let wrong = |message, help| {
+            FileError::at_key(source, ["profile", name, "servo", joint.as_str()], message, help)
+        };
+        if servo.takes() == CommandKind::Velocity {
+            let message = format!("the servo of '{joint}' takes velocities; here are the position servos");
+            return Err(wrong(message, Some(format!("move it to [profile.{name}.velocity_servo.{joint}]"))));
+        }
+        ServoLaw::new(servo, profile.servo_period_s()).map_err(|error| wrong(error.to_string(), None))?;
+    }
+    for (joint, servo) in &profile.velocity_servo {
+        ServoLaw::new(&ServoParameters::Velocity(*servo), profile.servo_period_s()).map_err(|error| {
+            let key = ["profile", name, "velocity_servo", joint.as_str()];
+            FileError::at_key(source, key, error.to_string(), None)
+        })?;
+    }
+    Ok(())
 }
 
 /// Most servo ticks per interface tick: more is a slip in a rate.
@@ -285,7 +370,7 @@ fn force_sensors(
     source: &Source,
     model: &Model,
     sensors: &BTreeMap<String, ForceSensorFile>,
-) -> Result<Vec<ForceSensor>, FileError> {
+) -> Result<Vec<(String, FrameId)>, FileError> {
     let mut found = Vec::new();
     for (name, sensor) in sensors {
         let frame = model.frame(&sensor.frame).map_err(|unknown| {
@@ -293,7 +378,7 @@ fn force_sensors(
             let help = choices(&unknown.name, &unknown.known);
             FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))
         })?;
-        found.push(ForceSensor { name: name.clone(), frame });
+        found.push((name.clone(), frame));
     }
     Ok(found)
 }

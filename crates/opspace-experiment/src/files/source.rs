@@ -328,15 +328,22 @@ impl<K: KeyPath + ?Sized> KeyPath for &K {
 /// # Errors
 /// Text that is not TOML, a number that is not finite, and what `T` refuses, each at its place.
 pub fn parse<T: DeserializeOwned>(source: &Source) -> Result<T, FileError> {
-    let document = check_syntax(source)?;
-    check_finite(document.get_ref(), &mut Vec::new()).map_err(|(path, number)| {
-        FileError::at_key(source, path, format!("expected a finite number, got {number}"), None)
-    })?;
+    let document = checked(source)?;
     T::deserialize(toml::de::Deserializer::from(document.clone()))
         .map_err(|error| explain::<T>(source, document.get_ref(), &error))
 }
 
-type Document<'a> = toml::Spanned<DeTable<'a>>;
+/// A document, its values with their places in the text.
+pub(crate) type Document<'a> = toml::Spanned<DeTable<'a>>;
+
+/// The document, if it is TOML and its numbers are finite.
+pub(crate) fn checked(source: &Source) -> Result<Document<'_>, FileError> {
+    let document = check_syntax(source)?;
+    check_finite(document.get_ref(), &mut Vec::new()).map_err(|(path, number)| {
+        FileError::at_key(source, path, format!("expected a finite number, got {number}"), None)
+    })?;
+    Ok(document)
+}
 
 /// The document, or where it is not TOML.
 pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
@@ -377,14 +384,14 @@ fn check_finite_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(),
 }
 
 /// A deserialiser's error, placed and in the user's words.
-fn explain<T: DeserializeOwned>(
+pub(crate) fn explain<T: DeserializeOwned>(
     source: &Source,
     document: &DeTable<'_>,
     error: &toml::de::Error,
 ) -> FileError {
     let span = error.span().unwrap_or(0..0);
     let path = path_at(document, &span);
-    let words = words(error.message(), source, document, &path);
+    let words = words(error.message(), &source.base, document, &path);
     let (message, help, part) = (words.message, words.help, words.part);
     if source.settings.is_empty() {
         // An empty span is the root's: the file as a whole.

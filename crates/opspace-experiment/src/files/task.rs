@@ -2,13 +2,14 @@
 
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
-use crate::files::source::{FileError, Source, parse};
+use crate::files::source::{FileError, Source, checked, explain};
 use crate::files::suggest::nearest;
+use crate::files::task_kinds::TaskKinds;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_control::{
     CartesianReference, Compensation, LimitParameters, RecordedReason, TaskParameters, recorded,
 };
-use opspace_sim::SurroundingParameters;
+use opspace_sim::EnvironmentObjectParameters;
 use opspace_transformer::FrictionCompensationParameters;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -51,7 +52,7 @@ pub struct TaskFile {
     pub event: Vec<EventFile>,
     /// What touches a simulated robot, by name.
     #[serde(default)]
-    pub surroundings: BTreeMap<String, SurroundingParameters>,
+    pub surroundings: BTreeMap<String, EnvironmentObjectParameters>,
 }
 
 /// A change of the tasks while the controller runs.
@@ -99,10 +100,23 @@ impl Task {
     /// # Errors
     /// What is wrong in the files, with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
+        Self::load_with(&TaskKinds::new(), files, path, settings)
+    }
+
+    /// As [`load`](Self::load), with kinds of tasks beside the built-in ones.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_with(
+        kinds: &TaskKinds,
+        files: Files,
+        path: &Path,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
         let source = files.read(path)?;
         Kind::Task.require(&source)?;
         let source = overrides::apply(&source, settings)?;
-        Self::from_sources(source, |named| files.read_named(&named.path, named.by, named.key))
+        Self::from_sources_with(kinds, source, |named| files.read_named(&named.path, named.by, named.key))
     }
 
     /// A task from its text; `read` finds the recorded paths that it names.
@@ -111,10 +125,22 @@ impl Task {
     /// As [`load`](Self::load), and those of `read`.
     pub fn from_sources<E: From<FileError>>(
         source: Source,
+        read: impl FnMut(NamedRecording<'_>) -> Result<Source, E>,
+    ) -> Result<Self, E> {
+        Self::from_sources_with(&TaskKinds::new(), source, read)
+    }
+
+    /// As [`from_sources`](Self::from_sources), with kinds of tasks beside the built-in ones.
+    ///
+    /// # Errors
+    /// As [`from_sources`](Self::from_sources).
+    pub fn from_sources_with<E: From<FileError>>(
+        kinds: &TaskKinds,
+        source: Source,
         mut read: impl FnMut(NamedRecording<'_>) -> Result<Source, E>,
     ) -> Result<Self, E> {
-        let mut file: TaskFile = parse(&source)?;
-        let mut events = after_events(&source, &file)?;
+        let mut file = parse_task(&source, kinds)?;
+        let mut events = after_events(&source, &file, kinds)?;
         let mut recordings = BTreeMap::new();
         let stacks = events.iter_mut().map(|stack| &mut stack.task);
         for (task, parameters) in std::iter::once(&mut file.task).chain(stacks).flatten() {
@@ -159,8 +185,19 @@ pub struct NamedRecording<'a> {
     key: [&'a str; 6],
 }
 
+/// A task file, with tasks of built-in and of registered kinds.
+fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError> {
+    let mut document = checked(source)?;
+    let whole = document.clone();
+    let registered = kinds.take(source, &mut document)?;
+    let mut file = TaskFile::deserialize(toml::de::Deserializer::from(document))
+        .map_err(|error| explain::<TaskFile>(source, whole.get_ref(), &error))?;
+    file.task.extend(registered);
+    Ok(file)
+}
+
 /// The tasks after each event: an event changes what the one before has left.
-fn after_events(source: &Source, file: &TaskFile) -> Result<Vec<StackFile>, FileError> {
+fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<Vec<StackFile>, FileError> {
     let mut stacks: Vec<StackFile> = Vec::new();
     let mut settings = Vec::new();
     for (number, event) in file.event.iter().enumerate() {
@@ -186,7 +223,7 @@ fn after_events(source: &Source, file: &TaskFile) -> Result<Vec<StackFile>, File
             }
             settings.push(setting.clone());
         }
-        let changed = overrides::apply(source, &settings).and_then(|changed| parse::<TaskFile>(&changed));
+        let changed = overrides::apply(source, &settings).and_then(|changed| parse_task(&changed, kinds));
         let changed = changed
             .map_err(|error| at("set", error.message().to_owned(), error.help().map(str::to_owned)))?;
         stacks.push(StackFile { time_s, priority: changed.priority, task: changed.task });

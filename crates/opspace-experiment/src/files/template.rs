@@ -17,10 +17,11 @@ default_profile = "default"
 
 # What the robot's interface offers.
 [interface]
-# command =                   # "position" or "torque": what it takes
+# command =                   # "position", "velocity" or "torque": what it takes
 set_points = "held"           # until the next one comes
 on_missed_cycle = "hold-last"
 # gravity_by =                # "controller", or "robot" if it carries its own weight
+## brakes = true              # if brakes hold a velocity robot when no controller commands it
 # measures =                  # ["position"], or ["position", "motor-current"]
 
 ## A force sensor, if there is one: the URDF link at whose origin and in whose axes it measures.
@@ -51,7 +52,9 @@ on_missed_cycle = "hold-last"
 [profile.default.estimator]
 # velocity_filter_hz =        # low-pass on the velocities that are computed from measured positions, Hz
 
-# The drives' servos: torque = kv (kp (q_desired - q) - dq).
+# The drives' servos: torque = kv (kp (q_desired - q) - dq). A robot that takes velocities has, in place of them or beside
+# them, [profile.default.velocity_servo.JOINT] with kv_nms_per_rad, velocity_filter_hz and, if its velocity loop has an
+# integral, ki_nm_per_rad: torque = kv (dq_desired - dq) + ki times the integral of that error.
 ";
     for joint in model.joints() {
         text += &servo(joint);

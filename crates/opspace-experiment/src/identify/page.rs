@@ -4,7 +4,7 @@ use super::{Identified, IdentifiedJoint};
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
 use nalgebra::Complex;
-use opspace_loop::identification::TorqueScale;
+use opspace_identify::TorqueScale;
 
 /// Points of a drawn curve.
 const CURVE: usize = 300;

@@ -2,7 +2,7 @@
 
 use super::{Identified, IdentifiedJoint, Structure};
 use crate::files::source::FileError;
-use opspace_loop::identification::TorqueScale;
+use opspace_identify::TorqueScale;
 use std::fmt::Write as _;
 use std::path::Path;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};

@@ -6,15 +6,13 @@
 //! q̇ = J⁺ (ẋ_d + 20 (x_d − x)) + (I − J⁺ J) q̇_0        J⁺ = Jᵀ (J Jᵀ + μ² I)⁻¹
 //! ```
 //!
-//! with the axes in motion of all tasks in J, and what the task of all joints asks for in q̇_0.
+//! with the rows of all tasks that follow a reference in J, and what the task of all joints asks for in q̇_0.
 
-use super::motion::Motion;
 use super::{Case, input};
-use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
-use opspace_backend::{Observable, Row, Signal};
+use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
 use opspace_control::ik::{ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S};
-use opspace_control::{Controller, Measurement, Targets, TaskParameters, orientation};
-use opspace_model::{Motion as Velocity, Placement, update};
+use opspace_control::{Controller, Measurement, Targets, Task, TaskSet};
+use opspace_model::{Data, Model, update};
 use std::collections::BTreeMap;
 
 /// Longest step, s: errors are worked off with a time constant of 0.05 s.
@@ -46,102 +44,138 @@ pub(crate) struct Followed {
 /// What an instant of a run asks for.
 pub(crate) struct Instant {
     pub time_s: f64,
-    /// Which is in force.
+    /// Number of the step, from 0.
+    pub step: usize,
+    /// Number of the task set in force.
     pub stack: usize,
-    /// Of the joints, rad or m (n).
+    /// Joint positions, rad or m (n).
     pub q: Vec<f64>,
-    /// What of the joints' velocity the references ask for, rad/s or m/s (n).
+    /// Joint velocities that the references ask for, rad/s or m/s (n).
     pub dq: Vec<f64>,
-    /// Nm or N (n).
+    /// Torques of gravity, Nm or N (n).
     pub gravity: Vec<f64>,
-    /// One for each of the stack's motions.
-    pub targets: Vec<Target>,
-    /// Of the joint-tracking tasks, by name.
-    pub joints: BTreeMap<String, JointTarget>,
+    /// One for each task of at most six rows, in the order of priority.
+    pub tasks: Vec<TaskInstant>,
+    /// Targets of joints, by the task that asks for them.
+    pub joints: BTreeMap<String, Vec<JointTarget>>,
 }
 
-/// Where a frame should be.
-pub(crate) struct Target {
-    pub placement: Placement,
-    /// In the coordinates of what the task leads.
-    pub velocity: Velocity,
-    /// By how much it is missed, m with rotations scaled to it.
-    pub missed: f64,
+/// What a task asks for at an instant.
+pub(crate) struct TaskInstant {
+    /// Norm of the velocity of its rows.
+    pub velocity: f64,
+    /// Linear (m/s) and angular (rad/s) speed of its reference, and their limits.
+    pub speeds: [Option<f64>; 2],
+    pub speed_limits: [Option<f64>; 2],
+    /// Error of its rows, zero where they follow no reference.
+    pub error: Vector6<f64>,
 }
 
-/// Where joints should be.
+/// Where a joint should be.
+#[derive(Clone, Copy)]
 pub(crate) struct JointTarget {
-    /// rad or m (n).
-    pub position: Vec<f64>,
-    /// rad/s or m/s (n).
-    pub velocity: Vec<f64>,
+    pub joint: usize,
+    /// rad or m.
+    pub position: f64,
+    /// rad/s or m/s.
+    pub velocity: f64,
+}
+
+/// Error of a task's rows at the state of `data`, zero where they follow no reference.
+pub(crate) fn error(task: &dyn Task, model: &Model, data: &Data) -> Vector6<f64> {
+    let [velocity, with_error] = [0.0, 1.0].map(|gain| task.kinematic_target(model, data, gain));
+    let error = with_error - velocity;
+    Vector6::from_fn(|row, _| if row < task.rows() && task.follows_reference(row) { error[row] } else { 0.0 })
+}
+
+/// Steps of a run.
+struct Steps {
+    length_s: f64,
+    /// Of the whole run, and how many of them are followed.
+    all: usize,
+    count: usize,
+}
+
+impl Steps {
+    fn new(case: &Case<'_>) -> Self {
+        let duration_s = case.experiment.duration_s();
+        let period_s = case.experiment.profile().1.period_s();
+        let length_s = (duration_s / STEPS).min(LONGEST_STEP_S).max(period_s);
+        let all = (duration_s / length_s).round() as usize;
+        Self { length_s, all, count: all.min(MOST_STEPS) }
+    }
 }
 
 impl Followed {
     pub(crate) fn new(case: &Case<'_>) -> Self {
-        let duration_s = case.experiment.duration_s();
-        let period_s = case.experiment.profile().1.period_s();
-        let step_s = (duration_s / STEPS).min(LONGEST_STEP_S).max(period_s);
-        let all = (duration_s / step_s).round() as usize;
-        let steps = all.min(MOST_STEPS);
-        let every = steps.div_ceil(KEPT).max(1);
+        let steps = Steps::new(case);
+        let every = steps.count.div_ceil(KEPT).max(1);
         let (mut instants, mut followed) = (Vec::new(), 0);
-        if let Some(mut follower) = Follower::new(case, step_s) {
-            for step in 0..=steps {
-                let Some(instant) = follower.step(step as f64 * step_s) else { break };
+        if let Some(mut follower) = Follower::new(case, steps.length_s) {
+            for step in 0..=steps.count {
+                let Some(instant) = follower.step(step) else { break };
                 followed = step;
-                if step % every == 0 || step == steps {
+                if step % every == 0 || step == steps.count {
                     instants.push(instant);
                 }
             }
         }
-        Self { instants, to_the_end: followed == all }
+        Self { instants, to_the_end: followed == steps.all }
+    }
+
+    /// Follows the run once more, and shows the tasks as they are at some steps, in the order of time.
+    pub(crate) fn revisit(case: &Case<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
+        let Some(&last) = steps.iter().max() else { return };
+        let Some(mut follower) = Follower::new(case, Steps::new(case).length_s) else { return };
+        for step in 0..=last {
+            if follower.step(step).is_none() {
+                return;
+            }
+            if steps.contains(&step) {
+                visit(step, follower.controller.tasks());
+            }
+        }
     }
 }
 
 struct Follower<'a> {
     case: &'a Case<'a>,
     controller: opspace_control::OperationalSpaceController,
-    signals: Vec<Signal>,
-    row: Vec<f64>,
     measurement: Measurement,
-    data: opspace_model::Data,
+    data: Data,
     step_s: f64,
     torque: Vec<f64>,
     /// Zero (n).
     feedforward_torque: Vec<f64>,
     targets: Targets,
-    /// The orientations that were asked for a step before, by task.
-    turned: BTreeMap<&'a str, Matrix3<f64>>,
+    rows: Matrix6xX<f64>,
     started: bool,
 }
 
 impl<'a> Follower<'a> {
     fn new(case: &'a Case<'a>, step_s: f64) -> Option<Self> {
         let controller = case.experiment.unlimited_controller(step_s)?;
-        let signals = controller.signals();
         let n = case.model.n();
         let mut measurement = Measurement::new(n, case.experiment.robot().sensors.len(), false);
         measurement.q.copy_from_slice(&case.start);
         Some(Self {
             case,
             controller,
-            row: vec![0.0; signals.iter().map(Signal::len).sum()],
-            signals,
             measurement,
             data: case.data.clone(),
             step_s,
             torque: vec![0.0; n],
             feedforward_torque: vec![0.0; n],
             targets: Targets::none(),
-            turned: BTreeMap::new(),
+            rows: Matrix6xX::zeros(n),
             started: false,
         })
     }
 
-    /// What is asked for at that time; the joints then follow.
-    fn step(&mut self, time_s: f64) -> Option<Instant> {
+    /// What is asked for at that step; the joints then follow.
+    fn step(&mut self, step: usize) -> Option<Instant> {
         let (case, model) = (self.case, self.case.model);
+        let time_s = step as f64 * self.step_s;
         self.measurement.time_s = time_s;
         if !update(model, &mut self.data, self.measurement.q.as_slice(), self.measurement.dq.as_slice()) {
             return None;
@@ -152,37 +186,58 @@ impl<'a> Follower<'a> {
             self.started = true;
         }
         self.controller.update(&input, &mut self.torque);
-        self.controller.sample(&mut Row::new(&mut self.row));
         // As the controller counts: half a nanosecond early is in time.
         let stack = case.stacks.iter().rposition(|stack| stack.from_s <= time_s + 5e-10).unwrap_or(0);
-        let in_force = &case.stacks[stack];
 
         let mut wanted = Wanted::new(model.n());
-        let mut targets = Vec::new();
-        for motion in &in_force.motions {
-            let mut target = self.target(motion)?;
-            let axes = motion.axes(model, &self.data, motion.parameters.motion_axes());
-            let rows = motion.rows(model, &self.data, &axes);
-            let error = axes.rows_of(&motion.error(model, &self.data, &target.placement));
-            target.missed = error.norm();
-            let velocity = axes.rows_of(&axes.of_motion(&target.velocity));
-            for row in 0..axes.rows() {
-                wanted.push(rows.row(row).iter().copied(), velocity[row], error[row]);
-            }
-            targets.push(target);
-        }
         let mut joints = BTreeMap::new();
-        for name in in_force.priority {
-            self.joint_task(name, &in_force.task[name], &mut wanted, &mut joints);
+        let tasks = self.controller.tasks();
+        let mut instants = Vec::new();
+        for task in tasks.tasks() {
+            let (velocity, error) =
+                (task.kinematic_target(model, &self.data, 0.0), error(task, model, &self.data));
+            if !(velocity.iter().chain(&error).all(|x| x.is_finite())) {
+                return None;
+            }
+            task.jacobian(model, &self.data, &mut self.rows);
+            let mut own = Vec::new();
+            for row in (0..task.rows()).filter(|&row| task.follows_reference(row)) {
+                wanted.push(self.rows.row(row).iter().copied(), velocity[row], error[row]);
+                if let Some(joint) = single_joint(self.rows.row(row).iter().copied()) {
+                    let position = self.measurement.q[joint] + error[row];
+                    own.push(JointTarget { joint, position, velocity: velocity[row] });
+                }
+            }
+            if !own.is_empty() {
+                joints.insert(task.name().to_owned(), own);
+            }
+            let speed_limits = task.speed_limits().map(|limit| limit.map(|limit| limit.limit));
+            let (velocity, speeds) = (velocity.norm(), task.reference_speeds());
+            instants.push(TaskInstant { velocity, speeds, speed_limits, error });
+        }
+        if let Some(task) = tasks.joint_task() {
+            let q = self.measurement.q.as_slice();
+            let correction = wanted.rest_correction.as_mut_slice();
+            if task.kinematic_target(q, ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S, correction)
+                && let Some((position, velocity)) = task.reference()
+            {
+                wanted.rest_velocity.copy_from_slice(velocity);
+                wanted.rest_correction -= &wanted.rest_velocity;
+                let own = position.iter().zip(velocity).enumerate();
+                let own =
+                    own.map(|(joint, (&position, &velocity))| JointTarget { joint, position, velocity });
+                joints.insert(task.name().to_owned(), own.collect());
+            }
         }
 
         let (dq, correction) = wanted.solve();
         let instant = Instant {
             time_s,
+            step,
             stack,
             q: self.measurement.q.as_slice().to_vec(),
             gravity: self.data.gravity.as_slice().to_vec(),
-            targets,
+            tasks: instants,
             joints,
             dq: dq.as_slice().to_vec(),
         };
@@ -191,70 +246,13 @@ impl<'a> Follower<'a> {
         self.measurement.q += step * shorter;
         Some(instant)
     }
+}
 
-    /// What a task of joints adds.
-    fn joint_task(
-        &self,
-        name: &str,
-        task: &TaskParameters,
-        wanted: &mut Wanted,
-        joints: &mut BTreeMap<String, JointTarget>,
-    ) {
-        let (model, q) = (self.case.model, &self.measurement.q);
-        match task {
-            TaskParameters::JointTracking(tracking) => {
-                let (Some(position), Some(velocity)) =
-                    (self.signal(name, "reference"), self.signal(name, "reference_velocity"))
-                else {
-                    return;
-                };
-                let selected = tracking.joints.iter().flatten();
-                for joint in selected.filter_map(|name| model.joint(name).ok()) {
-                    let row = (0..model.n()).map(|i| f64::from(u8::from(i == joint)));
-                    wanted.push(row, velocity[joint], position[joint] - q[joint]);
-                }
-                if tracking.joints.is_none() {
-                    wanted.rest_velocity.copy_from_slice(velocity);
-                    for (i, rest) in wanted.rest_correction.iter_mut().enumerate() {
-                        *rest = ERROR_GAIN_PER_S * (position[i] - q[i]);
-                    }
-                }
-                let target = JointTarget { position: position.to_vec(), velocity: velocity.to_vec() };
-                joints.insert(name.to_owned(), target);
-            }
-            TaskParameters::JointPosture(posture) => {
-                for (i, rest) in wanted.rest_correction.iter_mut().enumerate() {
-                    let named = posture.posture_rad.get(self.case.joint(i)).copied();
-                    *rest = POSTURE_GAIN_PER_S * (named.unwrap_or(self.case.start[i]) - q[i]);
-                }
-            }
-            _ => {}
-        }
-    }
-
-    fn target(&mut self, motion: &Motion<'a>) -> Option<Target> {
-        let [position, linear] = ["reference", "reference_velocity"]
-            .map(|quantity| self.signal(motion.name, quantity).map(Vector3::from_column_slice));
-        let quaternion = self.signal(motion.name, "reference_orientation")?;
-        let quaternion = Quaternion::new(quaternion[0], quaternion[1], quaternion[2], quaternion[3]);
-        let rotation = *UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().matrix();
-        let before = self.turned.insert(motion.name, rotation).unwrap_or(rotation);
-        let angular = orientation::log(&(rotation * before.transpose())) / self.step_s;
-        Some(Target {
-            placement: Placement { rotation, translation: position? },
-            velocity: Velocity { linear: linear?, angular },
-            missed: 0.0,
-        })
-    }
-
-    /// A signal of the controller, if its task is in force.
-    fn signal(&self, task: &str, quantity: &str) -> Option<&[f64]> {
-        let name = format!("{task}.{quantity}");
-        let place = self.signals.iter().position(|signal| signal.name == name)?;
-        let begin: usize = self.signals[..place].iter().map(Signal::len).sum();
-        let values = &self.row[begin..begin + self.signals[place].len()];
-        values.iter().all(|value| value.is_finite()).then_some(values)
-    }
+/// The joint that a row of a Jacobian is the position of.
+fn single_joint(row: impl Iterator<Item = f64>) -> Option<usize> {
+    let mut used = row.enumerate().filter(|(_, x)| *x != 0.0);
+    let (joint, x) = used.next()?;
+    (x == 1.0 && used.next().is_none()).then_some(joint)
 }
 
 /// Rows of all tasks, and what the joints do beside them.
@@ -320,7 +318,7 @@ mod tests {
         let case = Case::new(&experiment).expect("a start");
         let followed = Followed::new(&case);
         assert!(followed.instants.len() > 1000);
-        let farthest = followed.instants.iter().map(|i| i.targets[0].missed).fold(0.0, f64::max);
+        let farthest = followed.instants.iter().map(|i| i.tasks[0].error.norm()).fold(0.0, f64::max);
         assert!(farthest < 3e-4, "{farthest} m");
         let ways = followed.instants.iter().map(|i| (i.q[0] - case.start[0]).abs()).fold(0.0, f64::max);
         assert!(ways > 0.1, "it goes somewhere: {ways} rad");

@@ -1,11 +1,8 @@
 //! Freedom that a task has lost where it starts, and freedom that nothing damps.
 
-use super::motion::Motion;
 use super::{Case, Finding, short};
-use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
-use opspace_control::joint::JOINTS_SINGULARITY_THRESHOLD;
-use opspace_control::rank::{Rows, TypicalMobility};
-use opspace_control::{AXIS_NAMES, JointTrackingParameters, TaskParameters};
+use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
+use opspace_control::tasks::task::SINGULARITY_THRESHOLD;
 use opspace_model::{Data, Inversion, OperationalSpace, update};
 
 /// In what steps, and how far, a joint is bent in search of a better start, rad or m.
@@ -17,19 +14,10 @@ pub(crate) fn undamped(case: &Case<'_>) -> Option<Finding> {
     let n = case.model.n();
     (0..case.stacks.len()).find_map(|number| {
         let stack = &case.stacks[number];
-        let in_priority = || stack.priority.iter().filter_map(|name| stack.task.get(name));
-        let mut used: usize = stack.motions.iter().map(|m| m.parameters.axes.in_task().iter().filter(|a| **a).count()).sum();
-        for task in in_priority() {
-            match task {
-                TaskParameters::JointTracking(JointTrackingParameters { joints: Some(joints), .. }) => {
-                    used += joints.len();
-                }
-                TaskParameters::JointTracking(_)
-                | TaskParameters::JointPosture(_)
-                | TaskParameters::JointDamping(_) => return None,
-                TaskParameters::Cartesian(_) | TaskParameters::CenterOfMass(_) => {}
-            }
+        if stack.tasks.joint_task().is_some() {
+            return None;
         }
+        let used: usize = stack.tasks.tasks().map(|task| task.rows()).sum();
         let left = n.checked_sub(used).filter(|left| *left > 0)?;
         let message = match left {
             1 => format!("1 of the {n} joints' freedoms is neither led nor damped by any task: friction alone brakes it"),
@@ -51,7 +39,6 @@ pub(crate) fn singular_start(case: &Case<'_>) -> Vec<Finding> {
     let spectra = spectra(case, &case.data);
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
     weak.map(|(level, spectrum)| {
-        let motion = &case.stacks[0].motions[spectrum.motion];
         let lost = match spectrum.share {
             share if share < 0.005 => "can't be moved".to_owned(),
             share => format!("has {} % left of its force", short(100.0 * share)),
@@ -59,8 +46,8 @@ pub(crate) fn singular_start(case: &Case<'_>) -> Vec<Finding> {
         let where_it_is = if spectrum.share < 0.5 { "singular there" } else { "near a singularity" };
         let message = format!(
             "task '{}': at the start it {lost} along {}: the arm is {where_it_is}{}",
-            motion.name,
-            direction(&spectrum.direction),
+            spectrum.name,
+            spectrum.direction,
             if level > 0 { ", or the tasks above take what it needs" } else { "" },
         );
         let help = bend(case, level).unwrap_or_else(|| {
@@ -76,64 +63,56 @@ const WHOLE: f64 = 1.0 - 1e-9;
 
 /// How well a task can move its weakest direction.
 struct Spectrum {
-    /// Which of the stack's motions.
-    motion: usize,
+    /// Of the task.
+    name: String,
     share: f64,
-    /// A unit vector on the task's axes, rotations scaled to m.
-    direction: Vector6<f64>,
+    /// Weakest direction in the task's rows, rotations scaled to m: `z`, or `0.71 x - 0.71 rz`.
+    direction: String,
 }
 
-/// Those of the motions at a state, each within the freedom that the tasks above leave, as the controller counts it.
+/// Spectra of the tasks at a state, each within the freedom that the tasks above leave, as the controller counts it.
 fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
-    let (model, n, stack) = (case.model, case.model.n(), &case.stacks[0]);
+    let (model, n, tasks) = (case.model, case.model.n(), &case.stacks[0].tasks);
     let mut freedom: DMatrix<f64> = DMatrix::identity(n, n);
     let mut space = OperationalSpace::new(n);
     let mut left = freedom.clone();
     let mut found = Vec::new();
-    for name in stack.priority {
-        let selected = match stack.task.get(name) {
-            Some(TaskParameters::JointTracking(JointTrackingParameters { joints: Some(names), .. })) => {
-                let mut rows = Matrix6xX::zeros(n);
-                let joints = names.iter().filter_map(|name| model.joint(name).ok());
-                let joints: Vec<usize> = joints.collect();
-                joints.iter().enumerate().for_each(|(row, &joint)| rows[(row, joint)] = 1.0);
-                let typical = TypicalMobility::new(model, &Rows::Joints(&joints)).dynamic;
-                Some((rows, names.len(), JOINTS_SINGULARITY_THRESHOLD, typical, None))
-            }
-            _ => stack.motions.iter().position(|motion| motion.name == name).map(|place| {
-                let motion: &Motion<'_> = &stack.motions[place];
-                let axes = motion.axes(model, data, motion.parameters.axes.in_task());
-                let rows = motion.rows(model, data, &axes);
-                let threshold = motion.parameters.singularity_threshold.get();
-                let typical = TypicalMobility::new(model, &Rows::Axes(&axes)).dynamic;
-                (rows, axes.rows(), threshold, typical, Some((place, axes)))
-            }),
-        };
-        let Some((alone, rows, threshold, typical, motion)) = selected else { continue };
+    let mut alone = Matrix6xX::zeros(n);
+    for (task, typical) in tasks.tasks().zip(tasks.typical_mobilities()) {
+        let rows = task.rows();
+        task.jacobian(model, data, &mut alone);
         let projected = Matrix6xX::from_columns(&(&alone * &freedom).column_iter().collect::<Vec<_>>());
         let mobility = data.mass_matrix_factor.mobility(&mut projected.clone());
-        let inversion = Inversion::Damped(threshold);
-        space.update_with(&data.mass_matrix_factor, &projected, rows, inversion, Some(typical));
-        if let Some((motion, axes)) = motion {
-            let spectrum = SymmetricEigen::new(mobility.view((0, 0), (rows, rows)).into_owned());
-            let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
-            let mut direction = Vector6::zeros();
-            axes.axes().iter().zip(weakest.iter()).for_each(|(&axis, &x)| direction[axis] = x);
-            found.push(Spectrum { motion, share: space.weakest_share, direction });
-        }
+        let inversion = Inversion::Damped(threshold(task.inversion()));
+        space.update_with(&data.mass_matrix_factor, &projected, rows, inversion, Some(typical.dynamic));
+        let spectrum = SymmetricEigen::new(mobility.view((0, 0), (rows, rows)).into_owned());
+        let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
+        let direction = direction(weakest.as_slice(), &task.row_names());
+        found.push(Spectrum { name: task.name().to_owned(), share: space.weakest_share, direction });
         space.nullspace(&projected, &mut left);
         freedom *= &left;
     }
     found
 }
 
-/// A direction as a person would say it: `z`, or `0.71 x - 0.71 rz`.
-fn direction(direction: &Vector6<f64>) -> String {
-    // Either way is the same direction: the largest part is told as positive.
-    let sign = direction[direction.iamax()].signum();
+/// The threshold of damping, or that which a task without it would have.
+fn threshold(inversion: Inversion) -> f64 {
+    match inversion {
+        Inversion::Damped(threshold) | Inversion::LeastSquares(threshold) | Inversion::Clamped(threshold) => {
+            threshold
+        }
+        Inversion::Plain => SINGULARITY_THRESHOLD,
+    }
+}
+
+/// A direction in words: `z`, or `0.71 x - 0.71 rz`.
+fn direction(direction: &[f64], names: &[String]) -> String {
+    // Either way is the same direction: the largest part is positive.
+    let largest = direction.iter().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a });
+    let sign = largest.map_or(1.0, f64::signum);
     let mut text = String::new();
-    for (axis, name) in AXIS_NAMES.iter().enumerate() {
-        let part = sign * direction[axis];
+    for (part, name) in direction.iter().zip(names) {
+        let part = sign * part;
         if part.abs() < 0.05 {
             continue;
         }

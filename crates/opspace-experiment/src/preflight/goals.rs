@@ -1,12 +1,12 @@
 //! References that the arm can't reach.
 
-use super::followed::{Followed, Instant};
+use super::followed::{Followed, Instant, error};
 use super::motion::Motion;
 use super::{Case, Finding, short};
-use nalgebra::{DVector, Matrix6, Vector6};
+use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_control::rank::reach;
-use opspace_control::{CartesianReference, Subject};
-use opspace_model::{Data, FrameId, Model, Placement, kinematics};
+use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
+use opspace_model::{Data, FrameId, kinematics};
 
 /// Missed by less, a goal is reached: m, with rotations scaled to it.
 const REACHED_M: f64 = 1e-3;
@@ -17,42 +17,52 @@ const PARTS: usize = 8;
 /// One for each task that asks for more than the arm can do.
 pub(crate) fn out_of_reach(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let mut names: Vec<&str> = Vec::new();
-    for motion in case.stacks.iter().flat_map(|stack| &stack.motions) {
-        if !names.contains(&motion.name) {
-            names.push(motion.name);
+    for task in case.stacks.iter().flat_map(|stack| stack.tasks.tasks()) {
+        if !names.contains(&task.name()) {
+            names.push(task.name());
         }
     }
-    let found = |name: &str| {
+    let all = names.into_iter().map(|name| {
         let asked: Vec<Asked<'_>> =
             followed.instants.iter().filter_map(|instant| Asked::new(case, instant, name)).collect();
-        too_far(case, &asked).or_else(|| unattainable(case, &asked))
-    };
-    names.into_iter().filter_map(found).collect()
+        let finding = too_far(case, &asked);
+        let doubtful = if finding.is_none() { doubtful(case, &asked) } else { Vec::new() };
+        (finding, doubtful)
+    });
+    let (found, doubtful): (Vec<Option<Finding>>, Vec<Vec<Asked<'_>>>) = all.unzip();
+    let nearest = nearest_postures(case, &doubtful);
+    let unattainable = nearest.into_iter().map(|nearest| unattainable(case, nearest));
+    found.into_iter().zip(unattainable).filter_map(|(found, unattainable)| found.or(unattainable)).collect()
 }
 
-/// Where a task should be at an instant.
+/// A task at an instant.
 #[derive(Clone, Copy)]
 struct Asked<'a> {
     instant: &'a Instant,
-    motion: &'a Motion<'a>,
-    target: &'a Placement,
-    missed: f64,
+    name: &'a str,
+    /// Place among the tasks in force.
+    place: usize,
 }
 
 impl<'a> Asked<'a> {
-    fn new(case: &'a Case<'_>, instant: &'a Instant, name: &str) -> Option<Self> {
-        let motions = &case.stacks[instant.stack].motions;
-        let place = motions.iter().position(|motion| motion.name == name)?;
-        let target = &instant.targets[place];
-        let motion = &motions[place];
-        Some(Self { instant, motion, target: &target.placement, missed: target.missed })
+    fn new(case: &Case<'_>, instant: &'a Instant, name: &'a str) -> Option<Self> {
+        let place = case.stacks[instant.stack].tasks.tasks().position(|task| task.name() == name)?;
+        Some(Self { instant, name, place })
+    }
+
+    fn error(&self) -> &'a Vector6<f64> {
+        &self.instant.tasks[self.place].error
     }
 
     /// Where what asks for it stands in the files: the nearest waypoint, if there are any.
     fn key(&self, case: &Case<'_>) -> Vec<String> {
-        let reference = &self.motion.parameters.reference;
-        let mut key = case.key(self.instant.stack, self.motion.name, &[self.motion.kind, "reference"]);
-        if let (CartesianReference::Waypoints(list), Some("reference")) =
+        let mut key = case.reference_key(self.instant.stack, self.name);
+        let reference = match case.stacks[self.instant.stack].task.get(self.name) {
+            Some(TaskParameters::Cartesian(p)) => Some(&p.reference),
+            Some(TaskParameters::CenterOfMass(p)) => Some(&p.reference),
+            _ => None,
+        };
+        if let (Some(CartesianReference::Waypoints(list)), Some("reference")) =
             (reference, key.last().map(String::as_str))
         {
             let away_s = |place: usize| (list[place].time_s.get() - self.instant.time_s).abs();
@@ -67,16 +77,17 @@ impl<'a> Asked<'a> {
 fn too_far(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
     let (mut worst, mut most) = (None, 1.0 + 1e-6);
     for asked in asked {
-        let Subject::Frame(frame) = asked.motion.subject else { continue };
-        let Some((joint, distance_m)) = distance(case, asked, frame) else { continue };
+        let motions = &case.stacks[asked.instant.stack].motions;
+        let Some(motion) = motions.iter().find(|motion| motion.name == asked.name) else { continue };
+        let ControlledFrame::Frame(frame) = motion.controlled else { continue };
+        let Some((joint, distance_m)) = distance(case, asked, motion, frame) else { continue };
         let reach_m = reach(case.model, frame);
         if distance_m / reach_m > most + 1e-6 {
             most = distance_m / reach_m;
-            worst = Some((asked, joint, distance_m, reach_m));
+            worst = Some((asked, motion, joint, distance_m, reach_m));
         }
     }
-    let (asked, joint, distance_m, reach_m) = worst?;
-    let motion = asked.motion;
+    let (asked, motion, joint, distance_m, reach_m) = worst?;
     let message = format!(
         "task '{}': at {} s its reference is {} m from joint '{joint}', and {} reaches {} m from there",
         motion.name,
@@ -91,42 +102,71 @@ fn too_far(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
 
 /// The first joint that moves a frame, and how far from it the target is, m: along the axes in motion, since
 /// along the others the frame may be anywhere.
-fn distance<'a>(case: &'a Case<'_>, asked: &Asked<'_>, frame: FrameId) -> Option<(&'a str, f64)> {
+fn distance<'a>(
+    case: &'a Case<'_>,
+    asked: &Asked<'_>,
+    motion: &Motion<'_>,
+    frame: FrameId,
+) -> Option<(&'a str, f64)> {
     let first = &case.model.bodies()[case.model.support(frame).last()?];
     let from = case.model.base().act_point(&first.origin.translation);
-    let axes = asked.motion.axes(case.model, &case.data, [false; 6]).rotation;
-    let away = axes.tr_mul(&(asked.target.translation - from));
-    let motion = asked.motion.parameters.motion_axes();
-    let counted = (0..3).filter(|&axis| motion[axis]);
-    Some((case.joint(first.joint), counted.map(|axis| away[axis] * away[axis]).sum::<f64>().sqrt()))
+    let mut data = case.data.clone();
+    kinematics(case.model, &mut data, &asked.instant.q, &vec![0.0; case.model.n()]);
+    let axes = motion.axes(case.model, &data);
+    let away = axes.tr_mul(&(motion.controlled.placement(case.model, &data).translation - from));
+    let task = case.stacks[asked.instant.stack].tasks.tasks().nth(asked.place)?;
+    let along = |name: &str| AXIS_NAMES[..3].iter().position(|axis| *axis == name);
+    let rows = task.row_names().into_iter().enumerate().filter(|(row, _)| task.follows_reference(*row));
+    let parts = rows.filter_map(|(row, name)| along(&name).map(|axis| away[axis] + asked.error()[row]));
+    Some((case.joint(first.joint), parts.map(|part| part * part).sum::<f64>().sqrt()))
+}
+
+/// The instants of a task at which joints that follow freely miss it most or leave their ranges.
+fn doubtful<'a>(case: &Case<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
+    let length = asked.len().div_ceil(PARTS).max(1);
+    let worst = asked.chunks(length).filter_map(|part| {
+        let doubts = part.iter().map(|asked| (doubt(case, asked), *asked));
+        first_of_largest(doubts.filter(|(doubt, _)| *doubt > 0.0))
+    });
+    worst.collect()
+}
+
+/// For each task's doubtful instants the postures that come nearest.
+fn nearest_postures<'a>(case: &Case<'_>, doubtful: &[Vec<Asked<'a>>]) -> Vec<Vec<(Asked<'a>, Nearest)>> {
+    let steps: Vec<usize> = doubtful.iter().flatten().map(|asked| asked.instant.step).collect();
+    let mut nearest: Vec<Vec<(Asked<'a>, Nearest)>> = doubtful.iter().map(|_| Vec::new()).collect();
+    Followed::revisit(case, &steps, |step, tasks| {
+        for (of_task, nearest) in doubtful.iter().zip(&mut nearest) {
+            for asked in of_task.iter().filter(|asked| asked.instant.step == step) {
+                if let Some(task) = tasks.tasks().nth(asked.place) {
+                    nearest.push((*asked, Nearest::new(case, task, &asked.instant.q)));
+                }
+            }
+        }
+    });
+    nearest
 }
 
 /// Near enough, but no posture within the joints' ranges was found that is there.
-fn unattainable(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
-    let length = asked.len().div_ceil(PARTS).max(1);
-    let worst = asked.chunks(length).filter_map(|part| {
-        let doubts = part.iter().map(|asked| (doubt(case, asked), asked));
-        first_of_largest(doubts.filter(|(doubt, _)| *doubt > 0.0))
-    });
-    let tried = worst.map(|asked| (asked, Nearest::new(case, asked)));
-    let (asked, nearest) = first_of_largest(tried.map(|tried| (tried.1.missed, tried)))?;
+fn unattainable(case: &Case<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Finding> {
+    let (asked, nearest) = first_of_largest(nearest.into_iter().map(|tried| (tried.1.missed, tried)))?;
     if nearest.missed <= REACHED_M {
         return None;
     }
-    let missed = asked.motion.error(case.model, &nearest.data, asked.target);
-    let [metres, radians] = [0, 3].map(|first| missed.fixed_rows::<3>(first).norm());
+    let [metres, radians] = nearest.missed_by;
     let by = match (metres > 1e-4, radians > 1e-3) {
         (_, false) => format!("{} m", short(metres)),
         (false, true) => format!("{} rad", short(radians)),
         (true, true) => format!("{} m and {} rad", short(metres), short(radians)),
     };
-    let at_ends = nearest.at_ends(case);
-    let with =
-        if at_ends.is_empty() { String::new() } else { format!(", with {} at its end", at_ends.join(", ")) };
+    let with = match nearest.at_ends.is_empty() {
+        true => String::new(),
+        false => format!(", with {} at its end", nearest.at_ends.join(", ")),
+    };
     let message = format!(
         "task '{}': at {} s its reference can't be reached within the joints' ranges: the nearest of {} postures \
          misses it by {by}{with}",
-        asked.motion.name,
+        asked.name,
         short(asked.instant.time_s),
         nearest.tries,
     );
@@ -146,7 +186,8 @@ fn first_of_largest<T>(all: impl Iterator<Item = (f64, T)>) -> Option<T> {
 
 /// By how much joints that follow freely miss it or leave their ranges; nothing to doubt if they do neither.
 fn doubt(case: &Case<'_>, asked: &Asked<'_>) -> f64 {
-    let missed = if asked.missed > REACHED_M { asked.missed } else { 0.0 };
+    let missed = asked.error().norm();
+    let missed = if missed > REACHED_M { missed } else { 0.0 };
     let beyond = asked.instant.q.iter().enumerate().map(|(joint, q)| {
         let (lower, upper) = case.range(joint);
         (lower - q).max(q - upper)
@@ -156,20 +197,27 @@ fn doubt(case: &Case<'_>, asked: &Asked<'_>) -> f64 {
 
 /// The posture that comes nearest to where a task should be.
 struct Nearest {
-    data: Data,
+    /// Norm of the rows' error: m, with rotations scaled to it.
     missed: f64,
+    /// Along all rows in m, and about all in rad.
+    missed_by: [f64; 2],
+    /// Joints at an end of their range.
+    at_ends: Vec<String>,
     tries: usize,
 }
 
 impl Nearest {
-    fn new(case: &Case<'_>, asked: &Asked<'_>) -> Self {
-        let mut best = Self { data: case.data.clone(), missed: f64::INFINITY, tries: 0 };
-        for start in starts(case, &asked.instant.q) {
+    /// Searches from postures of which `q` (n) is the first; the task's target is that of its last update.
+    fn new(case: &Case<'_>, task: &dyn Task, q: &[f64]) -> Self {
+        let mut best = Self { missed: f64::INFINITY, missed_by: [0.0; 2], at_ends: Vec::new(), tries: 0 };
+        for start in starts(case, q) {
             best.tries += 1;
-            let data = solve(case, asked.motion, asked.target, start);
-            let missed = missed(case.model, &data, asked.motion, asked.target).norm();
-            if missed < best.missed {
-                (best.data, best.missed) = (data, missed);
+            let data = solve(case, task, start);
+            let error = error(task, case.model, &data);
+            if error.norm() < best.missed {
+                best.missed = error.norm();
+                best.missed_by = ["m", "rad"].map(|unit| in_unit(task, &error, unit));
+                best.at_ends = at_ends(case, &data);
             }
             if best.missed <= REACHED_M {
                 break;
@@ -177,14 +225,20 @@ impl Nearest {
         }
         best
     }
+}
 
-    fn at_ends(&self, case: &Case<'_>) -> Vec<String> {
-        let at_end = |&joint: &usize| {
-            let ((lower, upper), q) = (case.range(joint), self.data.q[joint]);
-            q <= lower + 1e-9 || q >= upper - 1e-9
-        };
-        (0..case.model.n()).filter(at_end).map(|joint| format!("joint '{}'", case.joint(joint))).collect()
-    }
+/// The norm of those rows of an error that are in that unit, unscaled.
+fn in_unit(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
+    let rows = (0..task.rows()).filter(|&row| task.row_unit(row).0 == unit);
+    rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
+}
+
+fn at_ends(case: &Case<'_>, data: &Data) -> Vec<String> {
+    let at_end = |&joint: &usize| {
+        let ((lower, upper), q) = (case.range(joint), data.q[joint]);
+        q <= lower + 1e-9 || q >= upper - 1e-9
+    };
+    (0..case.model.n()).filter(at_end).map(|joint| format!("joint '{}'", case.joint(joint))).collect()
 }
 
 /// Postures to search from: where the joints would be, the start, and some spread over the joints' ranges.
@@ -204,14 +258,9 @@ fn starts(case: &Case<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
     starts
 }
 
-fn missed(model: &Model, data: &Data, motion: &Motion<'_>, target: &Placement) -> Vector6<f64> {
-    let axes = motion.axes(model, data, motion.parameters.motion_axes());
-    axes.rows_of(&motion.error(model, data, target))
-}
-
 /// Inverse kinematics within the joints' ranges: damped least squares (Levenberg and Marquardt), joints that are at an
 /// end and would go beyond it left out.
-fn solve(case: &Case<'_>, motion: &Motion<'_>, target: &Placement, start: Vec<f64>) -> Data {
+fn solve(case: &Case<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
     const ITERATIONS: usize = 300;
     let (model, n) = (case.model, case.model.n());
     let clamped = |joint: usize, q: f64| {
@@ -223,15 +272,18 @@ fn solve(case: &Case<'_>, motion: &Motion<'_>, target: &Placement, start: Vec<f6
     let mut q: Vec<f64> = start.into_iter().enumerate().map(|(joint, q)| clamped(joint, q)).collect();
     let mut data = case.data.clone();
     kinematics(model, &mut data, &q, &rest);
-    let mut error = missed(model, &data, motion, target);
+    let mut missed = error(task, model, &data);
+    let mut rows = Matrix6xX::zeros(n);
     let mut damping = 1e-3;
     for _ in 0..ITERATIONS {
-        if error.norm() < 0.1 * REACHED_M || damping > 1e9 {
+        if missed.norm() < 0.1 * REACHED_M || damping > 1e9 {
             break;
         }
-        let axes = motion.axes(model, &data, motion.parameters.motion_axes());
-        let mut rows = motion.rows(model, &data, &axes);
-        let downhill = rows.tr_mul(&error);
+        task.jacobian(model, &data, &mut rows);
+        (0..6)
+            .filter(|&row| row >= task.rows() || !task.follows_reference(row))
+            .for_each(|row| rows.row_mut(row).fill(0.0));
+        let downhill = rows.tr_mul(&missed);
         for joint in 0..n {
             if clamped(joint, q[joint] + 1e-9 * downhill[joint].signum()) == q[joint] {
                 rows.column_mut(joint).fill(0.0);
@@ -240,12 +292,12 @@ fn solve(case: &Case<'_>, motion: &Motion<'_>, target: &Placement, start: Vec<f6
         let square = &rows * rows.transpose();
         let damped = square + Matrix6::identity() * (damping * square.trace().max(1e-9));
         let Some(factor) = damped.cholesky() else { break };
-        let step: DVector<f64> = rows.tr_mul(&factor.solve(&error));
+        let step: DVector<f64> = rows.tr_mul(&factor.solve(&missed));
         let next: Vec<f64> = (0..n).map(|joint| clamped(joint, q[joint] + step[joint])).collect();
         kinematics(model, &mut data, &next, &rest);
-        let after = missed(model, &data, motion, target);
-        if after.norm() < error.norm() {
-            (q, error, damping) = (next, after, (0.3 * damping).max(1e-9));
+        let after = error(task, model, &data);
+        if after.norm() < missed.norm() {
+            (q, missed, damping) = (next, after, (0.3 * damping).max(1e-9));
         } else {
             kinematics(model, &mut data, &q, &rest);
             damping *= 4.0;
@@ -258,8 +310,35 @@ fn solve(case: &Case<'_>, motion: &Motion<'_>, target: &Placement, start: Vec<f6
 mod tests {
     use super::*;
     use crate::{Choice, Experiment, Files};
+    use nalgebra::Rotation3;
+    use opspace_backend::quantity::Positive;
+    use opspace_control::references::reference::Waypoint;
+    use opspace_control::{
+        Axes, AxisGains, AxisMode, CartesianParameters, CartesianTask, ControlContext, JointLimits,
+        Measurement, OrientationGoal, PositionGoal, Targets,
+    };
+    use opspace_control::{TaskInput, TaskTarget};
     use opspace_model::frame_placement;
     use std::path::Path;
+
+    /// A task of the flange whose target has arrived at the end of a reference.
+    fn task_at(case: &Case<'_>, reference: CartesianReference) -> CartesianTask {
+        let (model, n) = (case.model, case.model.n());
+        let limits = JointLimits::of(model);
+        let context = ControlContext { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
+        let gains = AxisGains::new(10.0, 1.0).expect("good gains");
+        let parameters = CartesianParameters::new("flange", Axes::pose(AxisMode::Motion), gains);
+        let parameters = parameters.with_reference(reference);
+        let mut task = CartesianTask::new("flange", &parameters, model, &context).expect("a good task");
+        let mut measurement = Measurement::new(n, 0, false);
+        measurement.q.copy_from_slice(&case.start);
+        let (feedforward, targets) = (vec![0.0; n], Targets::none());
+        task.start(&super::super::input(model, &case.data, &measurement, &feedforward, &targets));
+        measurement.time_s = 1.0;
+        let control = super::super::input(model, &case.data, &measurement, &feedforward, &targets);
+        task.observe(&TaskInput { control, limited: true, target: TaskTarget::none(0.0) });
+        task
+    }
 
     /// Poses of the Panda's flange by forward kinematics, from postures spread over the joints' ranges with two joints
     /// at an end of theirs, against what is found for them: no pose that has a posture is said to have none.
@@ -268,7 +347,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-reach.toml");
         let experiment = Experiment::load(Files::Disk, &path, None, Choice::default(), &[]).expect("a task");
         let case = Case::new(&experiment).expect("a start");
-        let (model, motion) = (case.model, &case.stacks[0].motions[0]);
+        let model = case.model;
         let flange = model.frame("flange").expect("a link");
         let mut data = case.data.clone();
         let mut missed = Vec::new();
@@ -286,17 +365,14 @@ mod tests {
                 .collect();
             kinematics(model, &mut data, &posture, &vec![0.0; model.n()]);
             let target = frame_placement(model, &data, flange);
-            let instant = Instant {
-                time_s: 0.0,
-                stack: 0,
-                q: case.start.clone(),
-                dq: vec![0.0; model.n()],
-                gravity: vec![0.0; model.n()],
-                targets: Vec::new(),
-                joints: std::collections::BTreeMap::new(),
-            };
-            let asked = Asked { instant: &instant, motion, target: &target, missed: 1.0 };
-            let nearest = Nearest::new(&case, &asked);
+            let rpy = Rotation3::from_matrix_unchecked(target.rotation).euler_angles();
+            let goal = CartesianReference::Waypoints(vec![Waypoint {
+                time_s: Positive::literal(1e-3),
+                position: Some(PositionGoal::Absolute(target.translation.into())),
+                orientation: Some(OrientationGoal::Absolute(rpy.into())),
+            }]);
+            let task = task_at(&case, goal);
+            let nearest = Nearest::new(&case, &task, &case.start);
             if nearest.missed > REACHED_M {
                 missed.push((k, nearest.missed));
             }

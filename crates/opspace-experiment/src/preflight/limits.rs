@@ -1,8 +1,8 @@
 //! Limits that contradict each other, the start posture, or the arm's weight.
 
 use super::followed::Followed;
-use super::{Case, Finding, short};
-use opspace_backend::GravityBy;
+use super::{Case, Finding, kind, short};
+use opspace_backend::GravityCompensation;
 use opspace_control::TaskParameters;
 use opspace_model::JointKind;
 use std::collections::BTreeSet;
@@ -72,7 +72,7 @@ fn start_in_margin(case: &Case<'_>, joint: usize) -> Option<Finding> {
 
 /// A joint that can't carry the arm's weight: at the start, or where the references lead at a time.
 fn weight(case: &Case<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Finding> {
-    if case.experiment.robot().file.interface.gravity_by == GravityBy::Robot {
+    if case.experiment.robot().file.interface.gravity_by == GravityCompensation::Robot {
         return None;
     }
     let limits = case.experiment.task().file.limits;
@@ -153,15 +153,19 @@ pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> 
             }
             for joint in 0..case.model.n() {
                 let in_force = followed.instants.iter().filter(|instant| instant.stack == number);
-                let asked = in_force.filter_map(|i| Some((i.joints.get(name)?.position[joint], i.time_s)));
+                let asked = in_force.filter_map(|i| {
+                    let target = i.joints.get(name)?.iter().find(|target| target.joint == joint)?;
+                    Some((target.position, i.time_s))
+                });
                 let farthest =
                     asked.max_by(|a, b| outside(case, joint, a.0).total_cmp(&outside(case, joint, b.0)));
                 if let Some((asked, time_s)) =
                     farthest.filter(|(asked, _)| outside(case, joint, *asked) > 1e-9)
                 {
                     // Where it starts is told of as the start.
-                    if asked != case.start[joint] {
-                        note(number, name, &["joint-tracking", "reference"], joint, asked, Some(time_s));
+                    if (asked - case.start[joint]).abs() > 1e-12 {
+                        let kind = stack.task.get(name).map_or("", kind);
+                        note(number, name, &[kind, "reference"], joint, asked, Some(time_s));
                     }
                 }
             }
@@ -222,7 +226,9 @@ pub(crate) fn on_the_way(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
 /// Weight that shifts onto a joint faster than its torque may change.
 fn torque_rate(case: &Case<'_>, followed: &Followed, joint: usize) -> Option<Finding> {
     let rate = case.experiment.robot().joint_limits().torque_rate[joint];
-    if rate == f64::INFINITY || case.experiment.robot().file.interface.gravity_by == GravityBy::Robot {
+    if rate == f64::INFINITY
+        || case.experiment.robot().file.interface.gravity_by == GravityCompensation::Robot
+    {
         return None;
     }
     let change = |pair: &[super::followed::Instant]| {

@@ -26,12 +26,13 @@
 use super::{Finding, input, short};
 use crate::run::experiment::Experiment;
 use nalgebra::{DMatrix, DVector, Vector3};
-use opspace_backend::Measured;
 use opspace_backend::quantity::NonNegative;
-use opspace_control::{Controller, Measurement, Targets};
-use opspace_loop::Command;
+use opspace_backend::{Backend, CommandKind, Measured, Observable, Row, Sample, Signal};
+use opspace_control::{ControlInput, Controller, Measurement, Targets};
+use opspace_loop::{ControlLoop, LoopConfig, SafetyParameters};
 use opspace_model::{Data, update};
 use opspace_sim::SimulatedParameters;
+use opspace_transformer::FrictionCompensation;
 use std::fmt;
 
 /// Below it a gear that is a little stiffer, or a gain that was rounded, makes the run unstable.
@@ -68,9 +69,12 @@ pub struct GainMargin {
 }
 
 /// The margin of an experiment's position loops in the tasks that it starts with; `None` where torques or positions pass
-/// as they are.
+/// as they are, and for velocity robots, which have no position loops.
 #[must_use]
 pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
+    if experiment.command_kind() != CommandKind::Position {
+        return None;
+    }
     let transformer = experiment.transformer_kind()?.name().to_owned();
     let damping = law_damping(experiment)?;
     let (mut low, mut high) = (0.0, MOST_EXCESS);
@@ -200,16 +204,18 @@ fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option
     let push =
         &data.mass_matrix * DVector::from_fn(n, |i, _| acceleration * if i % 2 == 0 { 1.0 } else { -0.7 });
 
-    let mut backend = bare.simulated_backend().ok()?;
+    let mut arm = bare.simulated_arm().ok()?;
+    let mut control = nudged_loop(&bare, law, push)?;
+    let (mut sample, targets) = (Sample::new(arm.capabilities()), control.targets());
     let quarter = (FOLLOWED_S / profile.period_s()) as u32 / 4;
     // Highest speeds of the second and the last quarter.
     let (mut before, mut after, mut dq) = (0.0_f64, 0.0_f64, DVector::zeros(n));
     for tick in 0..4 * quarter {
         // A fault: what was nudged so little has gone far.
-        if backend.read().and_then(|()| backend.observe(model, &mut data)).is_err() {
+        if arm.read(&mut sample).is_err() || control.step(&sample, &targets).fault.is_some() {
             return grows(&dq);
         }
-        dq.copy_from(&backend.sensing().measurement().dq);
+        dq.copy_from(&control.measurement().dq);
         let speed = dq.amax() / NUDGE_RAD_PER_S;
         match tick / quarter {
             _ if speed > GROWN => return grows(&dq),
@@ -220,15 +226,59 @@ fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option
         if tick >= 2 * quarter && before < GONE {
             return Some(Nudge::DiesOut);
         }
-        let mut torque = &law * &dq;
-        if tick < NUDGED_TICKS {
-            torque += &push;
-        }
-        if backend.command(&data, Command::Torque(torque.as_slice())).is_err() {
+        if let Some(command) = control.result().command
+            && arm.write(command).is_err()
+        {
             return grows(&dq);
         }
     }
     if after > before { grows(&dq) } else { Some(Nudge::DiesOut) }
+}
+
+/// The control loop of a nudged arm: without a rest, a ramp, or friction compensation beside that in the law.
+fn nudged_loop(bare: &Experiment, law: DMatrix<f64>, push: DVector<f64>) -> Option<ControlLoop> {
+    let config = bare.loop_config().ok()?;
+    let n = config.model.n();
+    let safety = SafetyParameters {
+        torque_ramp_s: NonNegative::default(),
+        tare_s: NonNegative::default(),
+        ..config.safety
+    };
+    let controller = Box::new(NudgedDamping { law, push, cycles: 0 });
+    let friction = FrictionCompensation::none(n);
+    ControlLoop::new(LoopConfig { controller, safety, friction, ..config }).ok()
+}
+
+/// A linear law τ = L q̇, and for a few cycles a push beside it.
+struct NudgedDamping {
+    law: DMatrix<f64>,
+    push: DVector<f64>,
+    cycles: u32,
+}
+
+impl Controller for NudgedDamping {
+    fn command_kind(&self) -> CommandKind {
+        CommandKind::Torque
+    }
+
+    fn start(&mut self, _input: &ControlInput<'_>) {}
+
+    fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
+        let mut torque = &self.law * &input.measurement.dq;
+        if self.cycles < NUDGED_TICKS {
+            torque += &self.push;
+        }
+        self.cycles += 1;
+        command.copy_from_slice(torque.as_slice());
+    }
+}
+
+impl Observable for NudgedDamping {
+    fn signals(&self) -> Vec<Signal> {
+        Vec::new()
+    }
+
+    fn sample(&self, _row: &mut Row<'_>) {}
 }
 
 /// The experiment on the arm that is believed, its position loops' gains times `kp`, without anything that hides whether a

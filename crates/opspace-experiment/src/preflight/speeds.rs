@@ -1,8 +1,7 @@
 //! References that are faster than what follows them.
 
 use super::followed::{Followed, Instant};
-use super::{Case, Finding, short};
-use opspace_control::AxisMode;
+use super::{Case, Finding, kind, short};
 
 /// How much faster than allowed a reference may be before it is found: a sum of roundings.
 const TOLERANCE: f64 = 1.001;
@@ -41,54 +40,48 @@ pub(crate) fn of_joints(case: &Case<'_>, followed: &Followed) -> Option<Finding>
 /// The reference that is under way, of the most important task.
 fn key_of_fastest(case: &Case<'_>, instant: &Instant) -> Option<Vec<String>> {
     let stack = &case.stacks[instant.stack];
-    stack.priority.iter().find_map(|name| {
-        if let Some(place) = stack.motions.iter().position(|motion| motion.name == name) {
-            let velocity = &instant.targets[place].velocity;
-            let moves = velocity.linear.norm() + velocity.angular.norm() > 1e-6;
-            return moves.then(|| case.key(instant.stack, name, &[stack.motions[place].kind, "reference"]));
-        }
-        let target = instant.joints.get(name)?;
-        let moves = target.velocity.iter().any(|dq| dq.abs() > 1e-6);
-        moves.then(|| case.key(instant.stack, name, &["joint-tracking", "reference"]))
-    })
+    let moving = stack.tasks.tasks().zip(&instant.tasks).find(|(_, asked)| asked.velocity > 1e-6);
+    let in_joints = || {
+        let task = stack.tasks.joint_task()?;
+        let targets = instant.joints.get(task.name())?;
+        targets.iter().any(|target| target.velocity.abs() > 1e-6).then(|| task.name())
+    };
+    let name = moving.map(|(task, _)| task.name()).or_else(in_joints)?;
+    Some(case.reference_key(instant.stack, name))
 }
 
 /// References beyond the speed limit of their own task.
 pub(crate) fn of_tasks(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     for (number, stack) in case.stacks.iter().enumerate() {
-        for (place, motion) in stack.motions.iter().enumerate() {
-            let p = &motion.parameters;
-            for (first, limit, key, unit) in [
-                (0, p.speed_limit_m_per_s, "speed_limit_m_per_s", "m/s"),
-                (3, p.speed_limit_rad_per_s, "speed_limit_rad_per_s", "rad/s"),
-            ] {
-                let Some(limit) = limit else { continue };
-                let modes = p.axes.modes();
-                let counted = |axis: usize| axis / 3 == first / 3 && modes[axis] == AxisMode::Motion;
-                let speed = |instant: &Instant| {
-                    let axes = motion.axes(case.model, &case.data, [false; 6]);
-                    let v = axes.of_motion(&instant.targets[place].velocity);
-                    (0..6).filter(|&axis| counted(axis)).map(|axis| v[axis] * v[axis]).sum::<f64>().sqrt()
-                };
+        for (place, task) in stack.tasks.tasks().enumerate() {
+            for (which, key, unit) in
+                [(0, "speed_limit_m_per_s", "m/s"), (1, "speed_limit_rad_per_s", "rad/s")]
+            {
                 let in_force = followed.instants.iter().filter(|instant| instant.stack == number);
-                let fastest = in_force.map(|i| (speed(i), i.time_s)).max_by(|a, b| a.0.total_cmp(&b.0));
-                let Some((asked, time_s)) = fastest.filter(|(asked, _)| *asked > TOLERANCE * limit.get())
+                let asked = in_force.filter_map(|instant| {
+                    let asked = instant.tasks.get(place)?;
+                    Some((asked.speeds[which]?, asked.speed_limits[which]?, instant.time_s))
+                });
+                let fastest = asked.max_by(|a, b| a.0.total_cmp(&b.0));
+                let Some((asked, limit, time_s)) =
+                    fastest.filter(|(asked, limit, _)| *asked > TOLERANCE * limit)
                 else {
                     continue;
                 };
                 let message = format!(
                     "task '{}': at {} s its reference moves at {} {unit}, and {key} is {}: it will lag behind",
-                    motion.name,
+                    task.name(),
                     short(time_s),
                     short(asked),
-                    short(limit.get()),
+                    short(limit),
                 );
                 let help = format!(
                     "give the motion {} times as long, or the task a higher limit",
-                    short(asked / limit.get())
+                    short(asked / limit)
                 );
-                let key = case.key(number, motion.name, &[motion.kind, key]);
+                let kind = stack.task.get(task.name()).map_or("", kind);
+                let key = case.key(number, task.name(), &[kind, key]);
                 // The same task after an event that leaves it as it was.
                 if !found.iter().any(|f| f.key == Finding::new(&key, String::new(), String::new()).key) {
                     found.push(Finding::new(&key, message, help));

@@ -29,11 +29,11 @@
 //! in it: the coupling of joints, friction and the motor's own lag. Two things aren't looked at: force feedback, where
 //! the stiffness of the surroundings decides, and impedances, where the arm's inertia along the axis does.
 
-use super::{Case, Finding, short};
+use super::{Case, Finding, kind, short};
 use crate::run::experiment::BackendKind;
-use nalgebra::Complex;
+use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::Setpoints;
-use opspace_control::{AXIS_NAMES, AxisMode, JointGains, TaskParameters};
+use opspace_control::{JointTask, RowGains, Task, TaskParameters};
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
 use std::f64::consts::{PI, TAU};
 
@@ -95,131 +95,126 @@ struct Follower<'a> {
     /// What has these gains.
     of: String,
     joint: &'a str,
-    key: &'static [&'static str],
+    key: Vec<&'a str>,
     /// Which number makes it stiff, and what it is.
     quantity: &'static str,
     value: f64,
 }
 
+/// Tasks of which some gains aren't known, so that their stability is not checked.
+pub(crate) fn not_checked(case: &Case<'_>) -> Vec<Finding> {
+    let mut found: Vec<Finding> = Vec::new();
+    for (number, stack) in case.stacks.iter().enumerate() {
+        let rows = stack.tasks.tasks().map(|task| {
+            let names = task.row_names().into_iter().enumerate();
+            let unknown = names.filter(|(row, _)| task.gains(*row).is_none()).map(|(_, name)| name);
+            (task.name(), unknown.collect::<Vec<_>>())
+        });
+        let joints = stack.tasks.joint_task().map(|task| {
+            let unknown = (0..case.model.n()).filter(|&joint| task.gains(joint, 1.0).is_none());
+            (task.name(), unknown.map(|joint| case.joint(joint).to_owned()).collect::<Vec<_>>())
+        });
+        for (name, unknown) in rows.chain(joints).filter(|(_, unknown)| !unknown.is_empty()) {
+            let message = format!(
+                "task '{name}': the gains of {} are not known before the run: whether they suit the robot's rate and \
+                 delay is not checked",
+                unknown.join(", ")
+            );
+            let finding =
+                Finding::new(&case.key(number, name, &[]), message, "try it in simulation".to_owned());
+            if !found.contains(&finding) {
+                found.push(finding);
+            }
+        }
+    }
+    found
+}
+
 /// All that a task leads by gains.
-fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &str) -> Vec<Follower<'a>> {
+fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &'a str) -> Vec<Follower<'a>> {
     let in_force = &case.stacks[stack];
-    let joint_followers = |gains: &JointGains,
-                           key: &'static [&'static str],
-                           counted: &dyn Fn(usize) -> bool| {
-        let (Ok(omega), Ok(zeta)) =
-            (gains.frequency_rad_per_s.resolve(case.model, ""), gains.damping_ratio.resolve(case.model, ""))
-        else {
-            return Vec::new();
-        };
-        (0..case.model.n())
-            .filter(|&joint| counted(joint))
-            .map(|joint| Follower {
-                law: Law::of(omega[joint].get(), zeta[joint].get(), 0.0),
-                plant: Plant::new(case, joint),
-                of: format!("frequency_rad_per_s = {}", short(omega[joint].get())),
-                joint: case.joint(joint),
-                key,
-                quantity: "frequency_rad_per_s",
-                value: omega[joint].get(),
-            })
-            .collect()
-    };
-    match in_force.task.get(name) {
-        Some(TaskParameters::Cartesian(_) | TaskParameters::CenterOfMass(_)) => {
-            axis_followers(case, stack, name)
-        }
-        Some(TaskParameters::JointTracking(p)) => {
-            let selected = |joint| {
-                p.joints.as_ref().is_none_or(|names| names.iter().any(|name| name == case.joint(joint)))
-            };
-            joint_followers(&p.gains, &["joint-tracking", "gains", "frequency_rad_per_s"], &selected)
-        }
-        Some(TaskParameters::JointPosture(p)) => {
-            let gains = JointGains {
-                frequency_rad_per_s: p.frequency_rad_per_s.clone(),
-                damping_ratio: p.damping_ratio.clone(),
-            };
-            joint_followers(&gains, &["joint-posture", "frequency_rad_per_s"], &|_| true)
-        }
-        Some(TaskParameters::JointDamping(p)) => {
-            let Ok(damping) = p.damping_nms_per_rad.resolve(case.model, "") else { return Vec::new() };
-            (0..case.model.n())
-                .filter(|&joint| damping[joint].get() > 0.0)
-                .map(|joint| {
-                    let plant = Plant::new(case, joint);
-                    Follower {
-                        law: Law {
-                            stiffness: 0.0,
-                            damping: damping[joint].get() / plant.inertia,
-                            integral: 0.0,
-                        },
-                        plant,
-                        of: format!("damping_nms_per_rad = {}", short(damping[joint].get())),
-                        joint: case.joint(joint),
-                        key: &["joint-damping", "damping_nms_per_rad"],
-                        quantity: "damping_nms_per_rad",
-                        value: damping[joint].get(),
-                    }
-                })
-                .collect()
-        }
+    if let Some(task) = in_force.tasks.tasks().find(|task| task.name() == name) {
+        return row_followers(case, stack, task);
+    }
+    match in_force.tasks.joint_task().filter(|task| task.name() == name) {
+        Some(task) => joint_followers(case, stack, task),
         None => Vec::new(),
     }
 }
 
-/// Every axis with every joint that moves it.
-fn axis_followers<'a>(case: &'a Case<'_>, stack: usize, name: &str) -> Vec<Follower<'a>> {
-    let Some(motion) = case.stacks[stack].motions.iter().find(|motion| motion.name == name) else {
-        return Vec::new();
-    };
-    let p = &motion.parameters;
-    let in_cartesian = motion.kind == "cartesian";
+/// Every row with every joint that moves it.
+fn row_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn Task) -> Vec<Follower<'a>> {
+    let Some(parameters) = case.stacks[stack].task.get(task.name()) else { return Vec::new() };
+    let (kind, names) = (kind(parameters), task.row_names());
+    let mut jacobian = Matrix6xX::zeros(case.model.n());
+    task.jacobian(case.model, &case.data, &mut jacobian);
     let mut followers = Vec::new();
-    for (axis, mode) in p.axes.modes().into_iter().enumerate() {
-        let mut one = [false; 6];
-        one[axis] = true;
-        let axes = motion.axes(case.model, &case.data, one);
-        let row = motion.rows(case.model, &case.data, &axes);
-        let largest = row.row(0).amax();
-        let joints = (0..case.model.n()).filter(|&joint| row[(0, joint)].abs() > 1e-6 * largest);
-        let (law, of, key, quantity, value): (_, _, &[&str], _, _) = match (mode, &p.gains) {
-            (AxisMode::Motion, Some(gains)) => {
-                let (Some(omega), Some(zeta)) =
-                    (gains.frequency_rad_per_s.get(axis), gains.damping_ratio.get(axis))
-                else {
-                    continue;
-                };
-                let integral = gains.integral_per_s.get(axis).map_or(0.0, |i| i.get());
-                let of = format!("frequency_rad_per_s = {} along {}", short(omega.get()), AXIS_NAMES[axis]);
-                let key: &[&str] = if in_cartesian {
-                    &["cartesian", "gains", "frequency_rad_per_s"]
-                } else {
-                    &["center-of-mass", "gains", "frequency_rad_per_s"]
-                };
-                (Law::of(omega.get(), zeta.get(), integral), of, key, "frequency_rad_per_s", omega.get())
+    for row in 0..task.rows() {
+        let Some(gains) = task.gains(row) else { continue };
+        let law = Law::of_gains(&gains);
+        let along = match parameters {
+            TaskParameters::JointTracking(_) => String::new(),
+            _ => format!(" along {}", names[row]),
+        };
+        let (quantity, value, key) = match (law.stiffness > 0.0, parameters) {
+            (true, TaskParameters::Registered(_)) => {
+                ("natural frequency in rad/s", law.stiffness.sqrt(), vec![kind])
             }
-            (AxisMode::Compliant | AxisMode::Force, _) if in_cartesian => {
-                let Some(damping) = p.compliant_damping_per_s.get(axis).filter(|c| c.get() > 0.0) else {
-                    continue;
-                };
-                let of =
-                    format!("compliant_damping_per_s = {} along {}", short(damping.get()), AXIS_NAMES[axis]);
-                let law = Law { stiffness: 0.0, damping: damping.get(), integral: 0.0 };
-                let key: &[&str] = &["cartesian", "compliant_damping_per_s"];
-                (law, of, key, "compliant_damping_per_s", damping.get())
+            (true, _) => {
+                let quantity = "frequency_rad_per_s";
+                (quantity, law.stiffness.sqrt(), vec![kind, "gains", quantity])
+            }
+            (false, TaskParameters::Cartesian(_)) if law.damping > 0.0 => {
+                let quantity = "compliant_damping_per_s";
+                (quantity, law.damping, vec![kind, quantity])
+            }
+            (false, TaskParameters::Registered(_)) if law.damping > 0.0 => {
+                ("damping in 1/s", law.damping, vec![kind])
             }
             _ => continue,
         };
+        let largest = jacobian.row(row).amax();
+        let joints = (0..case.model.n()).filter(|&joint| jacobian[(row, joint)].abs() > 1e-6 * largest);
         followers.extend(joints.map(|joint| Follower {
             law,
             plant: Plant::new(case, joint),
-            of: of.clone(),
+            of: format!("{quantity} = {}{along}", short(value)),
             joint: case.joint(joint),
-            key,
+            key: key.clone(),
             quantity,
             value,
         }));
+    }
+    followers
+}
+
+/// Every joint of a task of all joints.
+fn joint_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn JointTask) -> Vec<Follower<'a>> {
+    let Some(parameters) = case.stacks[stack].task.get(task.name()) else { return Vec::new() };
+    let kind = kind(parameters);
+    let mut followers = Vec::new();
+    for joint in 0..case.model.n() {
+        let plant = Plant::new(case, joint);
+        let Some(gains) = task.gains(joint, plant.inertia) else { continue };
+        let law = Law::of_gains(&gains);
+        let (quantity, value, key) = match parameters {
+            TaskParameters::JointDamping(_) => {
+                let quantity = "damping_nms_per_rad";
+                (quantity, law.damping * plant.inertia, vec![kind, quantity])
+            }
+            TaskParameters::JointPosture(_) => {
+                let quantity = "frequency_rad_per_s";
+                (quantity, law.stiffness.sqrt(), vec![kind, quantity])
+            }
+            _ => {
+                let quantity = "frequency_rad_per_s";
+                (quantity, law.stiffness.sqrt(), vec![kind, "gains", quantity])
+            }
+        };
+        if value > 0.0 {
+            let of = format!("{quantity} = {}", short(value));
+            followers.push(Follower { law, plant, of, joint: case.joint(joint), key, quantity, value });
+        }
     }
     followers
 }
@@ -236,6 +231,12 @@ struct Law {
 }
 
 impl Law {
+    fn of_gains(gains: &RowGains) -> Self {
+        let RowGains { stiffness_per_s2, damping_per_s, integral_per_s } = *gains;
+        Self { stiffness: stiffness_per_s2, damping: damping_per_s, integral: integral_per_s }
+    }
+
+    #[cfg(test)]
     fn of(omega: f64, zeta: f64, integral: f64) -> Self {
         Self { stiffness: omega * omega, damping: 2.0 * zeta * omega, integral }
     }

@@ -2,7 +2,7 @@
 
 use super::followed::Followed;
 use super::{Case, Finding, InForce, short};
-use opspace_control::{CartesianReference, JointReference, TaskParameters};
+use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
 /// What a duration that was meant to be equal may be off by, s.
 const ROUNDING_S: f64 = 1e-6;
@@ -97,6 +97,7 @@ enum Length {
 enum Reference<'a> {
     Cartesian(&'a CartesianReference),
     Joint(&'a JointReference),
+    Scalar(&'a ScalarReference),
 }
 
 fn reference(task: &TaskParameters) -> Option<Reference<'_>> {
@@ -104,7 +105,8 @@ fn reference(task: &TaskParameters) -> Option<Reference<'_>> {
         TaskParameters::Cartesian(p) => Some(Reference::Cartesian(&p.reference)),
         TaskParameters::CenterOfMass(p) => Some(Reference::Cartesian(&p.reference)),
         TaskParameters::JointTracking(p) => Some(Reference::Joint(&p.reference)),
-        TaskParameters::JointPosture(_) | TaskParameters::JointDamping(_) => None,
+        TaskParameters::Swivel(p) => Some(Reference::Scalar(&p.reference)),
+        _ => None,
     }
 }
 
@@ -121,26 +123,32 @@ fn length_s(task: &TaskParameters) -> Option<Length> {
         }
         Reference::Joint(JointReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
         Reference::Joint(JointReference::Waypoints(list)) => known(list.last()?.time_s.get()),
-        Reference::Cartesian(CartesianReference::Goal(_)) | Reference::Joint(JointReference::Goal(_)) => {
-            Some(Length::AsFastAsItCan)
-        }
-        Reference::Cartesian(CartesianReference::Hold | CartesianReference::Sinusoid(_))
-        | Reference::Joint(JointReference::Hold | JointReference::Sinusoid(_)) => None,
+        Reference::Scalar(ScalarReference::PointToPoint(p)) => known(p.start_s.get() + p.duration_s.get()),
+        Reference::Cartesian(CartesianReference::Goal(_))
+        | Reference::Joint(JointReference::Goal(_))
+        | Reference::Scalar(ScalarReference::Goal(_)) => Some(Length::AsFastAsItCan),
+        Reference::Cartesian(
+            CartesianReference::Hold | CartesianReference::Sinusoid(_) | CartesianReference::Streamed(_),
+        )
+        | Reference::Joint(
+            JointReference::Hold | JointReference::Sinusoid(_) | JointReference::Streamed(_),
+        )
+        | Reference::Scalar(ScalarReference::Hold | ScalarReference::Sinusoid(_)) => None,
     }
 }
 
 /// How fast a task's reference moves when the run ends, if it does.
 fn speed_at_end(stack: &InForce<'_>, followed: &Followed, name: &str) -> Option<(f64, &'static str)> {
     let end = followed.instants.last().filter(|_| followed.to_the_end)?;
-    let (speed, unit) = match stack.motions.iter().position(|motion| motion.name == name) {
-        Some(place) => {
-            let velocity = &end.targets.get(place)?.velocity;
-            let (linear, angular) = (velocity.linear.norm(), velocity.angular.norm());
+    let place = stack.tasks.tasks().position(|task| task.name() == name);
+    let (speed, unit) = match place.and_then(|place| end.tasks.get(place)) {
+        Some(asked) => {
+            let [linear, angular] = asked.speeds.map(|speed| speed.unwrap_or(0.0));
             if linear > STANDING { (linear, "m/s") } else { (angular, "rad/s") }
         }
         None => {
-            let velocity = &end.joints.get(name)?.velocity;
-            (velocity.iter().fold(0.0, |most: f64, dq| most.max(dq.abs())), "rad/s")
+            let targets = end.joints.get(name)?;
+            (targets.iter().fold(0.0, |most: f64, target| most.max(target.velocity.abs())), "rad/s")
         }
     };
     (speed > STANDING).then_some((speed, unit))

@@ -3,10 +3,11 @@
 use crate::evaluate::results::{Group, Measure, NOTES, group, table};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
-use crate::run::execute::Summary;
 use crate::run::experiment::Experiment;
+use crate::run::summary::Summary;
 use opspace_control::TaskParameters;
 use opspace_log::{ChannelData, Column, Recording};
+use opspace_loop::Phase;
 use opspace_model::{Data, frame_placement, kinematics};
 
 /// A run that a page shows in full.
@@ -39,7 +40,7 @@ impl Shown {
             let time = summary.fault_time_s.unwrap_or(f64::NAN);
             warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
         }
-        let metadata = recording.metadata(crate::run::execute::RUN).into_iter().flatten();
+        let metadata = recording.metadata(crate::run::log_header::RUN).into_iter().flatten();
         Self {
             title: title(&summary),
             figures: figures(experiment, recording),
@@ -87,6 +88,7 @@ fn title(summary: &Summary) -> String {
 /// The figures of a run: torques by joint, then what its tasks and sensors saw.
 #[must_use]
 pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
+    let recording = &from_control_start(recording);
     let Some(tick) = recording.channel("tick") else { return Vec::new() };
     let truth = recording.channel("truth").unwrap_or(tick);
     let mut figures: Vec<Figure> = torques(recording, tick).into_iter().collect();
@@ -204,6 +206,19 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
 }
 
 /// How far ahead of the joints their set-points must be.
+/// The same recording with times that count from the first cycle of control, whatever the robot's clock says.
+fn from_control_start(recording: &Recording) -> Recording {
+    let mut shifted = recording.clone();
+    let phase = recording.channel("tick").and_then(|tick| Some((tick, tick.signal("phase")?)));
+    let first = phase.and_then(|(tick, phase)| {
+        let first = phase.rows().position(|row| row[0] == Phase::Control.code())?;
+        Some(tick.time_s[first])
+    });
+    let times = shifted.channels.iter_mut().flat_map(|channel| &mut channel.time_s);
+    times.for_each(|time_s| *time_s -= first.unwrap_or(0.0));
+    shifted
+}
+
 fn set_points(tick: &ChannelData) -> Option<Figure> {
     let set_points = tick.signal("q_desired")?;
     joint_figure(

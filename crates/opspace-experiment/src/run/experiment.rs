@@ -1,21 +1,20 @@
 //! A task on a robot: everything put together from the two files.
 
+use crate::extensions::Extensions;
+use crate::files::interface::CommandParameter;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
 use crate::files::robot::{Robot, choices};
 use crate::files::source::FileError;
 use crate::files::task::Task;
-use opspace_backend::CommandKind;
-use opspace_backend::GravityBy;
+use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
-    OperationalSpaceController, Reason, ServoLead, Stack, TaskParameters,
+    OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
 };
-use opspace_loop::interface::CommandParameter;
-use opspace_loop::{
-    Backend, ControlLoop, Facts, PositionBackend, PositionRobot, Sensing, TorqueBackend, TorqueRobot,
-};
-use opspace_sim::{Key, Setup, SimulatedArm, SimulationError};
+use opspace_loop::{ControlLoop, LoopConfig, LoopError};
+use opspace_model::Placement;
+use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError};
 use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, TransformerKind};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -28,18 +27,30 @@ use std::path::Path;
 pub enum BackendKind {
     /// A position robot, through the transformer where the controller gives torques.
     Position,
+    /// A velocity robot, through the transformer.
+    Velocity,
     /// A torque robot.
     Torque,
 }
 
 impl BackendKind {
+    /// All there are.
+    pub const ALL: [Self; 3] = [Self::Position, Self::Velocity, Self::Torque];
+
+    /// The kind of command that such a robot takes.
+    #[must_use]
+    pub fn command(self) -> CommandKind {
+        match self {
+            Self::Position => CommandKind::Position,
+            Self::Velocity => CommandKind::Velocity,
+            Self::Torque => CommandKind::Torque,
+        }
+    }
+
     /// Its name in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Position => "position",
-            Self::Torque => "torque",
-        }
+        self.command().name()
     }
 }
 
@@ -124,8 +135,23 @@ impl Experiment {
         choice: Choice,
         settings: &[String],
     ) -> Result<Self, FileError> {
+        Self::load_with(&Extensions::default(), files, task, robot, choice, settings)
+    }
+
+    /// The same with tasks of a user's own.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_with(
+        extensions: &Extensions,
+        files: Files,
+        task: &Path,
+        robot: Option<&Path>,
+        choice: Choice,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
         let (robot_settings, task_settings) = split(settings, "robot");
-        let task = Task::load(files, task, &task_settings)?;
+        let task = Task::load_with(&extensions.tasks, files, task, &task_settings)?;
         if robot.is_none() {
             files.read_named(&files.robot_file(&task.robot_path()), &task.source, "robot")?;
         }
@@ -212,7 +238,8 @@ impl Experiment {
                 Ok(Box::new(osc))
             }
             ControllerKind::Ik | ControllerKind::IkLead => {
-                let lead = (self.choice.controller == ControllerKind::IkLead).then(|| self.servo_lead());
+                let leads = self.choice.controller == ControllerKind::IkLead;
+                let lead = leads.then(|| self.servo_lead()).transpose()?;
                 let mut ik = InverseKinematicsController::new(model, &stack, &facts, lead).map_err(wrong)?;
                 for (number, event) in events.iter().enumerate() {
                     let stack = ik.prepare(model, &self.stack(&event.priority, &event.task));
@@ -229,7 +256,7 @@ impl Experiment {
         let (model, facts) = (&self.robot.model, self.control_context(period_s));
         let limits = LimitParameters { enforce: false, ..self.task.file.limits };
         let file = &self.task.file;
-        let stack = Stack { limits, ..self.stack(&file.priority, &file.task) };
+        let stack = TaskSetParameters { limits, ..self.stack(&file.priority, &file.task) };
         let mut osc = OperationalSpaceController::new(model, &stack, &facts).ok()?;
         for event in &self.task.events {
             let stack = osc.prepare(model, &self.stack(&event.priority, &event.task)).ok()?;
@@ -241,15 +268,29 @@ impl Experiment {
     fn control_context(&self, period_s: f64) -> ControlContext {
         ControlContext {
             period_s,
-            sensors: self.robot.sensors.iter().map(|s| (s.name.clone(), s.frame)).collect(),
-            gravity_by_robot: self.gravity_by() == GravityBy::Robot,
+            sensors: self.robot.sensors.clone(),
+            gravity_by_robot: self.gravity_by() == GravityCompensation::Robot,
             limits: self.robot.joint_limits(),
         }
     }
 
-    fn stack<'a>(&'a self, priority: &'a [String], task: &'a BTreeMap<String, TaskParameters>) -> Stack<'a> {
+    /// The tasks of a file or an event, built for the robot. `None` where they don't fit it.
+    pub(crate) fn task_set(
+        &self,
+        priority: &[String],
+        task: &BTreeMap<String, TaskParameters>,
+    ) -> Option<TaskSet> {
+        let context = self.control_context(self.profile.period_s());
+        TaskSet::from_parameters(&self.robot.model, &self.stack(priority, task), &context).ok()
+    }
+
+    fn stack<'a>(
+        &'a self,
+        priority: &'a [String],
+        task: &'a BTreeMap<String, TaskParameters>,
+    ) -> TaskSetParameters<'a> {
         let file = &self.task.file;
-        Stack { priority, task, compensation: file.compensation, limits: file.limits }
+        TaskSetParameters { priority, task, compensation: file.compensation, limits: file.limits }
     }
 
     /// The simulated robot of the chosen kind, at rest at its start.
@@ -257,129 +298,114 @@ impl Experiment {
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
     pub fn simulated_arm(&self) -> Result<SimulatedArm, FileError> {
+        SimulatedArm::new(self.arm_config()?).map_err(|e| self.simulation_error(&e))
+    }
+
+    /// The configuration of [`simulated_arm`](Self::simulated_arm), to be changed, or put beside that of another arm.
+    ///
+    /// # Errors
+    /// A robot file without `[simulated]`.
+    pub fn arm_config(&self) -> Result<ArmConfig, FileError> {
         let Some(simulated) = self.robot.file.simulated.clone() else {
             let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
             let message = "this robot has no [simulated] section, so it can't be simulated";
             return Err(FileError::of_file(self.robot.source.name(), message, Some(help)));
         };
-        let setup = Setup {
+        Ok(ArmConfig {
             model: self.robot.model.clone(),
             joints: self.robot.joints(),
-            servos: self.robot.servos(&self.profile),
+            servos: self.servos()?,
             profile: self.profile.clone(),
             simulated,
-            facts: self.facts(),
-            surroundings: self.task.file.surroundings.clone().into_iter().collect(),
+            capabilities: self.capabilities().simulated(),
+            placement: Placement::identity(),
+            external_forces: false,
+            environment: self.task.file.surroundings.clone().into_iter().collect(),
             start: self.start()?,
             rest_s: self.robot.file.safety.tare_s.get(),
             seed: self.seed(),
-        };
-        SimulatedArm::new(setup).map_err(|e| self.simulation_error(&e))
+        })
     }
 
-    /// The simulated robot behind its backend.
-    ///
-    /// # Errors
-    /// As [`simulated_arm`](Self::simulated_arm).
-    pub fn simulated_backend(&self) -> Result<Box<dyn Backend>, FileError> {
-        let arm = self.simulated_arm()?;
-        self.backend(arm)
-    }
-
-    /// What the chosen robot declares of itself.
+    /// The capabilities that robot.toml states of the chosen robot. Beside those of its interface, any arm can be
+    /// simulated as a torque or velocity robot.
     #[must_use]
-    pub fn facts(&self) -> Facts {
-        let interface = &self.robot.file.interface;
-        Facts {
-            command: self.command_kind(),
-            period_s: self.profile.period_s(),
-            set_points: interface.set_points,
-            gravity_by: interface.gravity_by,
-            on_missed_cycle: interface.on_missed_cycle,
-            motor_torque: self.measures_current(),
-            sensors: self.robot.sensors.clone(),
-        }
+    pub fn capabilities(&self) -> Capabilities {
+        self.robot.capabilities(self.command_kind(), self.profile.period_s())
     }
 
-    /// Any robot that can be either kind, behind the backend of the chosen one.
+    /// The control loop of the experiment, before its first cycle.
     ///
     /// # Errors
     /// A servo that the transformer can't invert.
-    pub fn backend<R: PositionRobot + TorqueRobot + 'static>(
-        &self,
-        robot: R,
-    ) -> Result<Box<dyn Backend>, FileError> {
-        let model = &self.robot.model;
-        let facts: Facts = robot.facts().clone();
-        let sensing = Sensing::new(model, facts, &self.profile.estimator, &self.robot.file.safety);
-        match self.choice.backend {
-            BackendKind::Torque => Ok(Box::new(TorqueBackend::new(robot, sensing))),
-            BackendKind::Position => {
-                let (gains, limits) = (self.servo_gains(), self.robot.torque_limits());
-                let transformer = self.transformer()?;
-                Ok(Box::new(PositionBackend::new(robot, model, sensing, transformer, &gains, &limits)))
-            }
-        }
+    pub fn control_loop(&self) -> Result<ControlLoop, FileError> {
+        ControlLoop::new(self.loop_config()?)
+            .map_err(|e: LoopError| FileError::of_file(self.robot.source.name(), e.to_string(), None))
     }
 
-    /// The loop of a controller on a backend of this experiment.
-    #[must_use]
-    pub fn control_loop<'a>(
-        &'a self,
-        backend: &'a mut dyn Backend,
-        controller: &'a mut dyn Controller,
-    ) -> ControlLoop<'a> {
+    /// The parts of the control loop.
+    ///
+    /// # Errors
+    /// A servo that the transformer can't invert.
+    pub fn loop_config(&self) -> Result<LoopConfig, FileError> {
         let joints = self.robot.joints();
-        let friction = FrictionCompensation::new(
-            joints.iter().map(|j| &j.friction),
-            &self.task.file.friction_compensation,
-        );
-        ControlLoop::new(
-            &self.robot.model,
-            backend,
-            controller,
-            friction,
-            &self.robot.torque_limits(),
-            self.robot.file.safety.clone(),
-        )
+        let friction = &self.task.file.friction_compensation;
+        Ok(LoopConfig {
+            model: self.robot.model.clone(),
+            capabilities: self.capabilities(),
+            controller: self.controller()?,
+            transformer: self.transformer()?,
+            servo_gains: self.servo_gains()?,
+            estimator: self.profile.estimator.clone(),
+            friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), friction),
+            torque_limits: self.robot.torque_limits(),
+            safety: self.robot.file.safety.clone(),
+        })
     }
 
-    /// What the chosen robot takes.
+    /// The kind of command that the chosen robot takes.
     #[must_use]
     pub fn command_kind(&self) -> CommandKind {
-        match self.choice.backend {
-            BackendKind::Position => CommandKind::Position,
-            BackendKind::Torque => CommandKind::Torque,
-        }
+        self.choice.backend.command()
     }
 
-    pub(super) fn gravity_by(&self) -> GravityBy {
+    pub(super) fn gravity_by(&self) -> GravityCompensation {
         self.robot.file.interface.gravity_by
     }
 
-    fn servo_lead(&self) -> ServoLead {
-        let gains = self.servo_gains();
-        ServoLead {
+    fn servo_lead(&self) -> Result<ServoLead, FileError> {
+        let gains = self.servo_gains()?;
+        Ok(ServoLead {
             kp_per_s: gains.iter().map(ServoGains::position_loop).collect(),
             stiffness_nm_per_rad: gains.iter().map(|servo| servo.stiffness).collect(),
-        }
+        })
     }
 
     fn check_choice(&self) -> Result<(), FileError> {
-        let torque = self.choice.backend == BackendKind::Torque;
-        if torque && self.choice.controller != ControllerKind::Osc {
+        let (backend, controller) = (self.choice.backend, self.choice.controller);
+        if backend != BackendKind::Position && controller != ControllerKind::Osc {
             let message = format!(
-                "controller '{}' commands positions, which a torque robot doesn't take",
-                self.choice.controller.name()
+                "controller '{}' commands positions, which a {} robot doesn't take",
+                controller.name(),
+                backend.name()
             );
             let help = Some("use --backend position, or --controller osc".to_owned());
             return Err(FileError::of_file(self.task.source.name(), message, help));
         }
-        if !torque && self.robot.file.interface.command == CommandParameter::Torque {
-            let message = "this robot takes torques, but a position robot is asked for";
+        if backend != BackendKind::Torque && self.robot.file.interface.command == CommandParameter::Torque {
+            let message = format!("this robot takes torques, but a {} robot is asked for", backend.name());
             let help = Some("use --backend torque".to_owned());
             return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
         }
+        let interface = &self.robot.file.interface;
+        let honoured = MissedCycle::of(interface.command.kind());
+        if interface.on_missed_cycle.is_some_and(|stated| stated != honoured) {
+            let message =
+                format!("a {} robot doesn't do this on a missed cycle", interface.command.kind().name());
+            let help = Some(format!("leave it out, or use \"{}\"", missed_cycle_name(honoured)));
+            return Err(FileError::at_key(&self.robot.source, "interface.on_missed_cycle", message, help));
+        }
+        self.servos()?;
         if let Some(kind) = self.transformer_kind() {
             self.check_transformer(kind)?;
         }
@@ -469,6 +495,14 @@ impl Experiment {
                 FileError::at_key(&self.task.source, key, message, help)
             }
         }
+    }
+}
+
+/// Its name in robot.toml.
+fn missed_cycle_name(behaviour: MissedCycle) -> &'static str {
+    match behaviour {
+        MissedCycle::HoldLast => "hold-last",
+        MissedCycle::HoldTorque => "hold-torque",
     }
 }
 

@@ -1,41 +1,42 @@
-//! A log run again: the same loop, controller and transformer on the logged measurements.
+//! Replay of a log: the logged samples, targets, stop requests and device faults, fed to the same control loop.
 
-use crate::run::execute::RunError;
+use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use opspace_backend::Sink;
-use opspace_log::{Comparer, Difference, Recording, ReplayRobot};
-use opspace_loop::Ending;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use opspace_log::{Comparer, Difference, LoggedInputs, Recording};
+use opspace_loop::{Run, RunOutcome};
+use std::sync::atomic::{AtomicBool, Ordering};
 
-/// What a replay found.
+/// The result of a replay.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Replayed {
-    /// How many ticks were compared.
+pub struct ReplayReport {
+    /// Number of cycles that were compared.
     pub compared: usize,
-    /// How many ticks the log has.
+    /// Number of cycles in the log.
     pub logged: usize,
-    /// How many of them differ.
+    /// Number of cycles that differ.
     pub differing: u64,
     /// The first number that differs.
     pub first_difference: Option<Difference>,
     /// Signals that only the log or only the replay has, or that differ in length.
     pub unmatched: Vec<String>,
-    /// Root mean square difference from the log of what was commanded: signal, then element by element.
+    /// Root mean square difference of each command from the log: signal, then element by element.
     pub rms: Vec<(String, Vec<(String, f64)>)>,
 }
 
 /// The signals that are commands.
-const COMMANDS: [&str; 3] = ["command", "torque_desired", "q_desired"];
+const COMMANDS: [&str; 4] = ["command", "torque_desired", "q_desired", "dq_desired"];
 
-/// Recomputes every command of a log from its measurements, and compares.
+/// Recomputes every row of a log from its inputs, and compares.
 ///
 /// # Errors
-/// A log without what a replay needs.
-pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<Replayed, RunError> {
-    let (_, comparer) = run_again(experiment, recording, |layout| Comparer::new(recording, layout))?;
+/// A log without one of the inputs.
+pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<ReplayReport, RunError> {
+    let control = experiment.control_loop()?;
+    let mut comparer = Comparer::new(recording, &Run::layouts(&control, None)[opspace_backend::TICK])?;
+    replay_into(experiment, recording, &mut comparer)?;
     let rms = COMMANDS.map(|signal| (signal.to_owned(), comparer.rms_difference(signal)));
-    Ok(Replayed {
+    Ok(ReplayReport {
         compared: comparer.compared(),
         logged: comparer.logged(),
         differing: comparer.differing(),
@@ -45,34 +46,28 @@ pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<Replayed
     })
 }
 
-/// How the run of a log ended. Of a log that was cut off nothing is known but that it went on up to there.
+/// Feeds the inputs of a log to the experiment's control loop, its rows into `sink`.
 ///
 /// # Errors
 /// As [`replay`].
-pub fn ending(experiment: &Experiment, recording: &Recording) -> Result<Ending, RunError> {
-    struct Nowhere;
-    impl Sink for Nowhere {
-        fn row(&mut self, _channel: usize, _time_s: f64, _row: &[f64]) {}
-    }
-    let (ending, _) = run_again(experiment, recording, |_| Ok(Nowhere))?;
-    Ok(match ending {
-        Ending::Faulted { fault: opspace_loop::Fault::EndOfLog, .. } => Ending::Completed,
-        ending => ending,
-    })
-}
-
-fn run_again<S: Sink>(
+pub fn replay_into(
     experiment: &Experiment,
     recording: &Recording,
-    sink: impl FnOnce(&opspace_backend::Layout) -> Result<S, opspace_log::LogError>,
-) -> Result<(Ending, S), RunError> {
-    let interrupt = Arc::new(AtomicBool::new(false));
-    let n = experiment.robot().model.n();
-    let robot = ReplayRobot::new(recording, n, experiment.facts(), Arc::clone(&interrupt))?;
-    let mut backend = experiment.backend(robot)?;
-    let mut controller = experiment.controller()?;
-    let mut control = experiment.control_loop(&mut *backend, &mut *controller);
-    let mut sink = sink(&control.layouts()[opspace_backend::TICK])?;
-    let ending = control.run(experiment.duration_s(), &interrupt, &mut sink);
-    Ok((ending, sink))
+    sink: &mut dyn Sink,
+) -> Result<RunOutcome, RunError> {
+    let control = experiment.control_loop()?;
+    let mut inputs = LoggedInputs::new(recording, control.capabilities(), control.targets().layout())?;
+    let stop = AtomicBool::new(false);
+    let mut run = Run::new(control, experiment.duration_s(), sink).with_stop_request(&stop);
+    while let Some(input) = inputs.next_input()
+        && !run.is_over()
+    {
+        stop.store(input.stop_requested, Ordering::Relaxed);
+        run.targets().set_row(input.targets);
+        match input.read {
+            Ok(sample) => run.cycle(sample),
+            Err(fault) => run.fail(fault.clone()),
+        };
+    }
+    Ok(run.finish())
 }

@@ -8,12 +8,13 @@ use opspace_backend::{Measured, Setpoints};
 use opspace_model::{Data, update};
 use opspace_transformer::{
     CurrentCorrected, EmulatingTransformer, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, IdentifiedJoint, LiteralTransformer, Matching, Method, PaperTransformer,
-    ServoGains, Transformer, TransformerKind,
+    FrictionCompensationParameters, IdentifiedJoint, Identity, LiteralTransformer, Matching, Method,
+    PaperTransformer, ServoGains, ServoParameters, Transformer, TransformerKind, VelocityTransformer,
 };
 
 impl Experiment {
-    /// The transformer in use; `None` where torques or positions pass as they are.
+    /// The transformer in use, of positions or of velocities as the robot takes them; `None` where torques or positions
+    /// pass as they are.
     #[must_use]
     pub fn transformer_kind(&self) -> Option<TransformerKind> {
         self.uses_transformer().then(|| self.chosen_transformer().0)
@@ -26,7 +27,7 @@ impl Experiment {
     }
 
     fn uses_transformer(&self) -> bool {
-        self.choice.backend == BackendKind::Position && self.choice.controller == ControllerKind::Osc
+        self.choice.backend != BackendKind::Torque && self.choice.controller == ControllerKind::Osc
     }
 
     pub(crate) fn chosen_transformer(&self) -> (TransformerKind, String) {
@@ -49,6 +50,9 @@ impl Experiment {
     /// # Errors
     /// A servo that it can't invert.
     pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
+        if self.choice.backend == BackendKind::Torque {
+            return Ok(Box::new(Identity));
+        }
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
         let joints = || self.robot.identified(&self.profile);
         let literal = |measured| {
@@ -56,7 +60,10 @@ impl Experiment {
             transformer.map_err(|(joint, error)| self.joint_error("identified", joint, &error))
         };
         let plain: Box<dyn Transformer> = match method {
-            Method::Paper => Box::new(PaperTransformer::new(self.servo_gains())),
+            Method::Paper if self.takes_velocities() => {
+                Box::new(VelocityTransformer::new(self.servo_gains()?))
+            }
+            Method::Paper => Box::new(PaperTransformer::new(self.servo_gains()?)),
             Method::Identified => {
                 let split = |(joint, of): (usize, &IdentifiedJoint)| {
                     of.split().map_err(|error| self.joint_error("identified", joint, &error))
@@ -79,7 +86,16 @@ impl Experiment {
 
     fn emulating(&self, matching: Matching, current: bool) -> Result<Box<dyn Transformer>, FileError> {
         let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
-        Ok(Box::new(emulating.map_err(|(joint, error)| self.joint_error("servo", joint, &error))?))
+        Ok(Box::new(emulating.map_err(|(joint, error)| self.joint_error(self.servo_table(), joint, &error))?))
+    }
+
+    fn takes_velocities(&self) -> bool {
+        self.choice.backend == BackendKind::Velocity
+    }
+
+    /// The table of a profile that has the servos in use.
+    fn servo_table(&self) -> &'static str {
+        if self.takes_velocities() { "velocity_servo" } else { "servo" }
     }
 
     /// What is wrong with a joint's entry in a table of the profile.
@@ -97,7 +113,8 @@ impl Experiment {
             ..self.task.file.friction_compensation.clone()
         };
         Ok(EmulationSetup {
-            servos: self.robot.servos(&self.profile),
+            has_brakes: self.capabilities().has_brakes,
+            servos: self.servos()?,
             friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), &whole),
             resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
             inertias: self.inertias()?,
@@ -127,9 +144,63 @@ impl Experiment {
         Ok(inverse.diagonal().iter().map(|mobility| 1.0 / mobility).collect())
     }
 
-    pub(crate) fn servo_gains(&self) -> Vec<ServoGains> {
+    /// The servos that drive the robot, in joint order.
+    ///
+    /// # Errors
+    /// A profile without servos of the kind that the robot needs.
+    pub(crate) fn servos(&self) -> Result<Vec<ServoParameters>, FileError> {
+        self.robot.servos_for(&self.profile_name, self.command_kind())
+    }
+
+    pub(crate) fn servo_gains(&self) -> Result<Vec<ServoGains>, FileError> {
         let period_s = self.profile.servo_period_s();
-        self.robot.servos(&self.profile).iter().map(|servo| servo.gains(period_s)).collect()
+        Ok(self.servos()?.iter().map(|servo| servo.gains(period_s)).collect())
+    }
+
+    /// Joint with an integral in its velocity loop.
+    fn joint_with_velocity_integral(&self) -> Option<&str> {
+        let joints = self.robot.model.joints().iter().map(|joint| joint.name.as_str());
+        let mut joints = joints.filter(|joint| {
+            self.profile.velocity_servo.get(*joint).is_some_and(|servo| servo.ki_nm_per_rad.get() > 0.0)
+        });
+        joints.next()
+    }
+
+    /// What a transformer needs of a velocity robot beside what it needs of any.
+    fn check_velocity_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
+        let (name, method) = (kind.name(), kind.method);
+        let wrong = |key: &[&str], message: String, help: &str| {
+            let own = ["profile", self.profile_name.as_str()];
+            let key: Vec<&str> = own.iter().chain(key).copied().collect();
+            Err(FileError::at_key(&self.robot.source, key, message, Some(help.to_owned())))
+        };
+        if method.needs_identification() {
+            let message = format!(
+                "transformer '{name}' inverts the measured closed loop of a position servo, which a velocity robot \
+                 does not have"
+            );
+            return wrong(
+                &[],
+                message,
+                "use 'paper', 'emulation' or 'interpolating', with or without '+current'",
+            );
+        }
+        if self.profile.refine.is_some() {
+            let message =
+                format!("gains of velocity servos can't be refined, whatever transformer: '{name}'");
+            return wrong(&["refine"], message, "leave refine out; '+current' makes up for a wrong gain");
+        }
+        match self.joint_with_velocity_integral() {
+            Some(joint) if method == Method::Paper => {
+                let message = format!(
+                    "transformer '{name}' inverts kv alone; the integral in the velocity servo of '{joint}' would add \
+                     its torque to every desired one"
+                );
+                let help = "use 'emulation' or 'interpolating', which know the integral";
+                wrong(&["velocity_servo", joint], message, help)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// What the transformer needs of the robot.
@@ -143,6 +214,9 @@ impl Experiment {
         let wrong = |key: Vec<String>, message: String, help: String| {
             Err(FileError::at_key(&robot.source, key, message, Some(help)))
         };
+        if self.takes_velocities() {
+            self.check_velocity_transformer(kind)?;
+        }
         if kind.needs_current() && !self.measures_current() {
             let message =
                 format!("transformer '{name}' needs the motors' current, which this robot doesn't measure");

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use opspace_backend::{Layout, Signal};
-use opspace_log::{Attachment, Channel, ChannelData, Header, Pace, Written, record};
+use opspace_log::{Attachment, Channel, ChannelData, Header, Pace, WriteStats, record};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
@@ -49,11 +49,11 @@ pub fn header() -> Header {
 }
 
 /// A log of `ticks` ticks, two servo rows a tick.
-pub fn log(header: Header, ticks: usize) -> (Written, Vec<u8>) {
+pub fn log(header: Header, ticks: usize) -> (WriteStats, Vec<u8>) {
     let sink = Cursor::new(Vec::new());
     let (mut recorder, writer) = record(sink, header, channels(), Pace::Simulated).expect("begins");
     for k in 0..ticks {
-        recorder.wait_for_room();
+        recorder.wait_for_space();
         recorder.push(0, time(k), &row(k, 9));
         recorder.push(1, time(k), &row(2 * k, 1));
         recorder.push(1, time(k) + 5e-4, &row(2 * k + 1, 1));

@@ -1,18 +1,28 @@
-//! A two-joint arm and a robot that does as the test says.
+//! A two-joint arm, a scripted robot, and a record of its run.
 
-#![allow(dead_code, reason = "each test uses some of it")]
+#![allow(dead_code, unused_imports, reason = "each test uses some of it")]
+
+pub mod cases;
+mod record;
+mod robot;
+
+pub use record::{Record, Rows, columns, drive_robot, run};
+pub use robot::{Commanded, Scripted, Told, VelocityServo, at_rest};
 
 use nalgebra::DVector;
-use opspace_backend::MissedCycle;
-use opspace_backend::{CommandKind, Observable, Row, Signal};
-use opspace_backend::{GravityBy, Sample, Setpoints, Sink};
-use opspace_control::{ControlInput, Controller, Measurement};
-use opspace_loop::{Facts, Fault, ForceSensor, PositionRobot, Robot, SafetyParameters, Sensing, TorqueRobot};
+use opspace_backend::{Capabilities, CommandKind, Measured};
+use opspace_control::{Controller, Measurement};
+use opspace_loop::{LoopConfig, SafetyParameters};
 use opspace_model::{Data, Model};
-use opspace_transformer::{EstimatorParameters, ServoGains};
-use std::sync::{Arc, Mutex};
+use opspace_transformer::{EstimatorParameters, Identity, PaperTransformer, ServoGains, Transformer};
 
 pub const PERIOD_S: f64 = 1e-3;
+
+/// Cycles at rest before control begins.
+pub const REST: u64 = 10;
+
+/// Rows of the 0.2 s after a stop.
+pub const AFTERMATH: usize = 200;
 
 /// Two links of 0.5 m in the vertical plane: at q = 0 both stretch along x, so gravity pulls at both joints.
 const URDF: &str = r#"
@@ -35,6 +45,13 @@ const URDF: &str = r#"
 pub const START: [f64; 2] = [0.4, -0.7];
 pub const LIMITS: [f64; 2] = [40.0, 20.0];
 
+/// Position gains kp of the servos, 1/s.
+pub const KP: [f64; 2] = [50.0, 40.0];
+/// Velocity gains kv of the servos, Nms/rad.
+pub const KV: [f64; 2] = [90.0, 30.0];
+
+pub const KINDS: [CommandKind; 3] = [CommandKind::Position, CommandKind::Velocity, CommandKind::Torque];
+
 pub fn model() -> Model {
     Model::from_urdf(URDF).expect("the URDF").model
 }
@@ -43,127 +60,82 @@ pub fn parsed<T: serde::de::DeserializeOwned>(text: &str) -> T {
     toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Of servos with kp 50/s and kv 90 Nms/rad, 40/s and 30 Nms/rad.
 pub fn servos() -> Vec<ServoGains> {
-    [(50.0, 90.0), (40.0, 30.0)].map(|(kp, kv)| ServoGains { stiffness: kp * kv, damping: kv }).to_vec()
+    (0..2).map(|i| ServoGains { stiffness: KP[i] * KV[i], damping: KV[i] }).collect()
 }
 
-pub fn facts(command: CommandKind, model: &Model) -> Facts {
-    Facts {
-        command,
-        period_s: PERIOD_S,
-        set_points: Setpoints::Held,
-        gravity_by: GravityBy::Controller,
-        on_missed_cycle: MissedCycle::HoldLast,
-        motor_torque: true,
-        sensors: vec![ForceSensor { name: "wrist".to_owned(), frame: model.frame("fore").expect("a link") }],
-    }
+/// The arm with measured motor current and a force sensor on the forearm.
+pub fn capabilities(kind: CommandKind) -> Capabilities {
+    Capabilities::new(["shoulder", "elbow"], kind, PERIOD_S)
+        .measuring(&[Measured::MotorCurrent])
+        .with_force_sensor("wrist", "fore")
 }
 
+/// Velocities filtered with the cut-off of the paper.
 pub fn estimator() -> EstimatorParameters {
     parsed("velocity_filter_hz = 150.0")
 }
 
-/// Tared over ten ticks, with a torque ramp of 0.1 s.
+/// Tared over [`REST`] cycles, with a torque ramp of 0.1 s.
 pub fn safety() -> SafetyParameters {
     parsed("torque_ramp_s = 0.1\ntare_s = 0.01\nlimit_margin_rad = 0.05")
 }
 
-pub fn sensing(model: &Model, facts: Facts) -> Sensing {
-    Sensing::new(model, facts, &estimator(), &safety())
-}
-
-/// What the robot was told.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Told {
-    Positions(DVector<f64>),
-    Torques(DVector<f64>),
-    Brake,
-}
-
-/// A robot whose samples are a function of the tick's number, counted from the first read.
-pub struct Scripted<F> {
-    pub facts: Facts,
-    pub script: F,
-    pub tick: u64,
-    pub told: Arc<Mutex<Vec<Told>>>,
-}
-
-impl<F: FnMut(u64, &mut Sample) + Send> Scripted<F> {
-    pub fn new(facts: Facts, script: F) -> Self {
-        Self { facts, script, tick: 0, told: Arc::default() }
+/// A loop for a robot with these capabilities, without friction compensation.
+pub fn config(capabilities: Capabilities, controller: impl Controller + 'static) -> LoopConfig {
+    let transformer: Box<dyn Transformer> = match capabilities.command {
+        CommandKind::Torque => Box::new(Identity),
+        CommandKind::Position => Box::new(PaperTransformer::new(servos())),
+        CommandKind::Velocity => Box::new(VelocityServo::new(KV)),
+    };
+    LoopConfig {
+        transformer,
+        servo_gains: servos(),
+        estimator: estimator(),
+        torque_limits: LIMITS.to_vec(),
+        safety: safety(),
+        ..LoopConfig::new(model(), capabilities, Box::new(controller))
     }
 }
 
-/// A robot at rest at [`START`], which no command moves.
-pub fn at_rest(tick: u64, sample: &mut Sample) {
-    sample.time_s = tick as f64 * PERIOD_S;
-    sample.q.copy_from_slice(&START);
+/// A controller that carries the arm's weight and adds `extra` (Nm) at both joints.
+pub fn weight_and(extra: f64) -> impl Controller {
+    Commanded::torques(move |data, _, tau| {
+        tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + extra);
+    })
 }
 
-impl<F: FnMut(u64, &mut Sample) + Send> Robot for Scripted<F> {
-    fn facts(&self) -> &Facts {
-        &self.facts
-    }
-
-    fn read(&mut self, sample: &mut Sample) -> Result<(), Fault> {
-        (self.script)(self.tick, sample);
-        self.tick += 1;
-        Ok(())
-    }
+/// A controller that commands positions at a distance from [`START`] (rad) which is a function of time (s).
+pub fn positions_at(offset: impl Fn(f64) -> f64 + Send) -> impl Controller {
+    let command = move |_: &Data, measurement: &Measurement, q: &mut [f64]| {
+        q.copy_from_slice(&START);
+        q[1] += offset(measurement.time_s);
+    };
+    Commanded { kind: CommandKind::Position, command }
 }
 
-impl<F: FnMut(u64, &mut Sample) + Send> PositionRobot for Scripted<F> {
-    fn set_positions(&mut self, q_desired: &[f64]) -> Result<(), Fault> {
-        let told = Told::Positions(DVector::from_column_slice(q_desired));
-        self.told.lock().expect("one thread").push(told);
-        Ok(())
-    }
+/// Torques that carry the arm's weight, by hand: links of 0.5 m, centres halfway, the y axis pointing so that gravity
+/// drives q up.
+pub fn gravity_at(q: &[f64]) -> DVector<f64> {
+    let (first, second) = (q[0].cos(), (q[0] + q[1]).cos());
+    let g = 9.81;
+    let fore = 1.0 * g * 0.25 * second;
+    DVector::from_vec(vec![-(2.0 * g * 0.25 * first + 1.0 * g * 0.5 * first + fore), -fore])
 }
 
-impl<F: FnMut(u64, &mut Sample) + Send> TorqueRobot for Scripted<F> {
-    fn set_torques(&mut self, tau: &[f64]) -> Result<(), Fault> {
-        self.told.lock().expect("one thread").push(Told::Torques(DVector::from_column_slice(tau)));
-        Ok(())
-    }
-
-    fn brake(&mut self) {
-        self.told.lock().expect("one thread").push(Told::Brake);
-    }
-}
-
-/// A controller made of a function.
-pub struct Commanded<F> {
-    pub kind: CommandKind,
-    pub command: F,
-}
-
-impl<F: FnMut(&Data, &Measurement, &mut [f64]) + Send> Controller for Commanded<F> {
-    fn command_kind(&self) -> CommandKind {
-        self.kind
-    }
-
-    fn start(&mut self, _input: &ControlInput<'_>) {}
-
-    fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
-        (self.command)(input.data, input.measurement, command);
+/// The torque with which the servos of a robot at rest at [`START`] answer a command; that of a torque robot is the
+/// command.
+pub fn servo_torque(told: &Told) -> DVector<f64> {
+    match told {
+        Told::Torques(tau) => tau.clone(),
+        Told::Velocities(dq) => DVector::from_fn(2, |i, _| KV[i] * dq[i]),
+        Told::Positions(q) => DVector::from_fn(2, |i, _| KP[i] * KV[i] * (q[i] - START[i])),
+        Told::Hold | Told::Stop => panic!("{told:?} is no command of a controller"),
     }
 }
 
-impl<F> Observable for Commanded<F> {
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    fn sample(&self, _row: &mut Row<'_>) {}
-}
-
-/// The rows of the ticks: phase and fault of each.
-#[derive(Default)]
-pub struct Ticks(pub Vec<Vec<f64>>);
-
-impl Sink for Ticks {
-    fn row(&mut self, _channel: usize, _time_s: f64, row: &[f64]) {
-        self.0.push(row.to_vec());
-    }
+/// The setpoint that holds the arm at rest at `q` (rad): the weight over the servo's stiffness away.
+pub fn holding_setpoint(q: &[f64]) -> DVector<f64> {
+    let g = gravity_at(q);
+    DVector::from_fn(2, |i, _| q[i] + g[i] / (KP[i] * KV[i]))
 }

@@ -3,12 +3,11 @@
 #![allow(dead_code, reason = "each test uses some of it")]
 
 use nalgebra::DVector;
-use opspace_backend::CommandKind;
-use opspace_backend::MissedCycle;
-use opspace_backend::{GravityBy, Sample, Setpoints};
-use opspace_loop::{Facts, ForceSensor, Robot, Trace};
-use opspace_model::Model;
-use opspace_sim::{Setup, SimulatedArm, SimulatedParameters, SurroundingParameters};
+use opspace_backend::{
+    Backend, Capabilities, CommandKind, DeviceFault, GroundTruth, Measured, Sample, TruthRow,
+};
+use opspace_model::{Model, Placement};
+use opspace_sim::{ArmConfig, EnvironmentObjectParameters, SimulatedArm, SimulatedParameters};
 use opspace_transformer::{JointParameters, ProfileParameters, ServoParameters};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -34,7 +33,7 @@ fn in_order<T: Clone>(model: &Model, by_name: &BTreeMap<String, T>) -> Vec<T> {
 }
 
 /// The arm with drives that do what they are asked, with friction, at its start and without a rest.
-pub fn setup(command: CommandKind, profile: &str) -> Setup {
+pub fn setup(command: CommandKind, profile: &str) -> ArmConfig {
     let robot = robot();
     let model = Model::from_urdf(URDF).expect("the URDF").model;
     let joints = in_order(&model, &robot.joint);
@@ -42,18 +41,11 @@ pub fn setup(command: CommandKind, profile: &str) -> Setup {
     let model = model.with_rotor_inertia(&rotors);
     let profile = robot.profile[profile].clone();
     let servos: Vec<ServoParameters> = in_order(&model, &profile.servo);
-    let facts = Facts {
-        command,
-        period_s: profile.period_s(),
-        set_points: Setpoints::Held,
-        gravity_by: GravityBy::Controller,
-        on_missed_cycle: MissedCycle::HoldLast,
-        motor_torque: true,
-        sensors: vec![ForceSensor {
-            name: "wrist".to_owned(),
-            frame: model.frame("hand").expect("the hand"),
-        }],
-    };
+    let names = model.joints().iter().map(|joint| joint.name.clone());
+    let capabilities = Capabilities::new(names, command, profile.period_s())
+        .measuring(&[Measured::MotorCurrent])
+        .with_force_sensor("wrist", "hand")
+        .simulated();
     let simulated = SimulatedParameters {
         current_loop_hz: None,
         encoder_quantisation: false,
@@ -61,11 +53,24 @@ pub fn setup(command: CommandKind, profile: &str) -> Setup {
         ..robot.simulated
     };
     let start = START.to_vec();
-    let surroundings = Vec::new();
-    Setup { model, joints, servos, profile, facts, simulated, surroundings, start, rest_s: 0.0, seed: 1 }
+    let environment = Vec::new();
+    ArmConfig {
+        model,
+        joints,
+        servos,
+        profile,
+        capabilities,
+        simulated,
+        placement: Placement::identity(),
+        environment,
+        external_forces: false,
+        start,
+        rest_s: 0.0,
+        seed: 1,
+    }
 }
 
-pub fn arm(setup: Setup) -> SimulatedArm {
+pub fn arm(setup: ArmConfig) -> SimulatedArm {
     SimulatedArm::new(setup).unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -74,24 +79,28 @@ pub fn parsed<T: serde::de::DeserializeOwned>(text: &str) -> T {
     toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// A surrounding as it stands in a task file below its name.
-pub fn surrounding(text: &str) -> SurroundingParameters {
+/// An object of the environment as it stands in a task file below its name.
+pub fn object(text: &str) -> EnvironmentObjectParameters {
     parsed(text)
 }
 
-/// The next interface tick.
+/// The next interface cycle.
 pub fn read(arm: &mut SimulatedArm) -> Sample {
-    let mut sample = Sample::new(4, arm.facts().motor_torque, arm.facts().sensors.len());
-    arm.read(&mut sample).expect("the arm can be read");
-    sample
+    try_read(arm).expect("the arm can be read")
 }
 
-/// The drives' rows of the last interface period: the command in force, and the motors' torques.
+/// The next interface cycle, or the fault.
+pub fn try_read(arm: &mut SimulatedArm) -> Result<Sample, DeviceFault> {
+    let mut sample = Sample::new(arm.capabilities());
+    arm.read(&mut sample).map(|()| sample)
+}
+
+/// The drives' rows of the last interface period: the command in force (0 before the first), and the motors' torques.
 pub fn servo_rows(arm: &SimulatedArm) -> Vec<(u64, DVector<f64>)> {
     let mut rows = Vec::new();
-    arm.visit_traces(&mut |trace| {
-        if let Trace::Servo { command, row, .. } = trace {
-            rows.push((command, DVector::from_column_slice(row)));
+    arm.visit(&mut |row| {
+        if let TruthRow::Servo { command, row, .. } = row {
+            rows.push((command.unwrap_or(0), DVector::from_column_slice(row)));
         }
     });
     rows

@@ -1,0 +1,47 @@
+//! The `opspace` command line, and [`main_with`]: the same command line in a binary of one's own, with drivers and tasks of
+//! one's own.
+//!
+//! ```no_run
+//! use opspace_cli::{Extensions, main_with};
+//! use std::process::ExitCode;
+//!
+//! fn main() -> ExitCode {
+//!     main_with(&Extensions::default())
+//! }
+//! ```
+
+#![forbid(unsafe_code)]
+
+mod cli;
+mod commands;
+mod console;
+mod interrupt;
+mod output;
+
+use clap::Parser;
+use cli::{Cli, Command};
+use console::{Console, Exit};
+pub use opspace_experiment::Extensions;
+use std::process::ExitCode;
+
+/// The whole command line, with drivers and tasks of a user's own. Reads the program's arguments; the result is its exit
+/// code.
+#[must_use]
+pub fn main_with(extensions: &Extensions) -> ExitCode {
+    let cli = Cli::parse();
+    let console = Console { verbose: cli.verbose, quiet: cli.quiet };
+    let outcome = match &cli.command {
+        Command::Run(args) => commands::run::run(args, extensions, console),
+        Command::Bench(args) => commands::bench::bench(args, console),
+        Command::Replay(args) => commands::replay::replay(args, extensions, console),
+        Command::Report(args) => commands::report::report(args, extensions, console),
+        Command::Check(args) => commands::check::check(args, extensions, console),
+        Command::Identify(args) => commands::identify::identify(args, console),
+        Command::Model(args) => commands::model::model(args, console),
+        Command::New(args) => commands::new::new(args, console),
+        Command::Schema(args) => commands::schema::schema(args.kind),
+        Command::Completion { shell } => commands::completion::completion(*shell),
+    };
+    let exit: Exit = outcome.unwrap_or_else(|failure| console::report(&failure));
+    exit.into()
+}

@@ -1,0 +1,112 @@
+//! Parameters of a set of tasks: what a file holds.
+
+use crate::context::ControlContext;
+use crate::error::ControlError;
+use crate::limits::joint_limits::LimitParameters;
+use crate::tasks::cartesian_parameters::{CartesianParameters, CenterOfMassParameters};
+use crate::tasks::joint_parameters::{
+    JointDampingParameters, JointPostureParameters, JointTrackingParameters,
+};
+use crate::tasks::swivel::SwivelParameters;
+use crate::tasks::task::Task;
+use opspace_model::Model;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+/// One task of a file: `[task.NAME.KIND]`.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum TaskParameters {
+    /// A frame that follows a reference on some axes and gives way on others.
+    Cartesian(Box<CartesianParameters>),
+    /// The centre of mass follows a reference.
+    CenterOfMass(Box<CenterOfMassParameters>),
+    /// The elbow's angle about the line from shoulder to wrist follows a reference.
+    Swivel(Box<SwivelParameters>),
+    /// The joints follow a reference.
+    JointTracking(JointTrackingParameters),
+    /// The joints are drawn to a posture.
+    JointPosture(JointPostureParameters),
+    /// The joints are braked in proportion to their speed.
+    JointDamping(JointDampingParameters),
+    /// A task of a kind that was registered.
+    #[serde(skip)]
+    Registered(RegisteredTask),
+}
+
+/// Builds a task of a name for a robot.
+type Build = dyn Fn(&str, &Model, &ControlContext) -> Result<Box<dyn Task>, ControlError> + Send + Sync;
+
+/// A task of a kind that isn't built in, with what builds it.
+#[derive(Clone)]
+pub struct RegisteredTask {
+    kind: String,
+    parameters: String,
+    build: Arc<Build>,
+}
+
+impl RegisteredTask {
+    /// A task of that kind. `parameters` is a text by which two tasks of the kind are compared.
+    #[must_use]
+    pub fn new(kind: impl Into<String>, parameters: impl Into<String>, build: Arc<Build>) -> Self {
+        Self { kind: kind.into(), parameters: parameters.into(), build }
+    }
+
+    /// Kind of the task, as it is registered.
+    #[must_use]
+    pub fn kind(&self) -> &str {
+        &self.kind
+    }
+
+    /// The task for a robot.
+    ///
+    /// # Errors
+    /// What in the parameters doesn't fit the robot.
+    pub fn task(
+        &self,
+        name: &str,
+        model: &Model,
+        context: &ControlContext,
+    ) -> Result<Box<dyn Task>, ControlError> {
+        (self.build)(name, model, context)
+    }
+}
+
+impl PartialEq for RegisteredTask {
+    fn eq(&self, other: &Self) -> bool {
+        self.kind == other.kind && self.parameters == other.parameters
+    }
+}
+
+impl fmt::Debug for RegisteredTask {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}({})", self.kind, self.parameters)
+    }
+}
+
+/// Which of the arm's own forces the controller takes away before its tasks see the arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Compensation {
+    /// Gravity, Coriolis and centrifugal forces: C q̇ + g.
+    #[default]
+    Bias,
+    /// Gravity alone.
+    Gravity,
+}
+
+/// Tasks by name and their order.
+#[derive(Clone, Copy, Debug)]
+pub struct TaskSetParameters<'a> {
+    /// Names of the tasks, the most important first. A task never disturbs one above it.
+    pub priority: &'a [String],
+    /// The tasks by name.
+    pub task: &'a BTreeMap<String, TaskParameters>,
+    /// Which of the arm's own forces are taken away.
+    pub compensation: Compensation,
+    /// How the robot's limits are kept.
+    pub limits: LimitParameters,
+}

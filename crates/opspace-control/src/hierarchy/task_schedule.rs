@@ -1,0 +1,311 @@
+//! The task set that is carried out, and those that will be: gains, goals, axis modes and the tasks themselves can
+//! change while a robot runs.
+
+use crate::context::ControlContext;
+use crate::controller::ControlInput;
+use crate::error::{ControlError, Reason};
+use crate::hierarchy::task_hierarchy::TaskHierarchy;
+use crate::hierarchy::task_parameters::TaskSetParameters;
+use crate::hierarchy::task_set::TaskSet;
+use crate::targets::{AllowedInputs, Targets};
+use crate::tasks::task::Task;
+use opspace_backend::{Observable, Row, Signal};
+use opspace_model::Model;
+
+/// How early a cycle may be for what is scheduled and still be in time: clocks add up periods, and round.
+const EARLY_S: f64 = 5e-10;
+
+/// All task sets of a controller, by number, and the one in force.
+pub(crate) struct TaskSchedule {
+    /// Never empty; the first one is in force at the start.
+    sets: Vec<TaskSet>,
+    in_force: usize,
+    /// Times (s after the start) and numbers of sets to come, the next one last.
+    scheduled: Vec<(f64, usize)>,
+    /// Number that the schedule asks for.
+    due: usize,
+    /// Number that the targets ask for.
+    requested: Option<usize>,
+    recorded: RecordedSignals,
+    /// Fixed from the start on.
+    slots: Vec<Slot>,
+    /// All as configured. Its layout is fixed from the start on.
+    targets: Targets,
+    /// Whether sets can be chosen by number even if no task has inputs.
+    numbered: bool,
+    started: bool,
+}
+
+/// A task's place in the rows of a log, whichever task set is in force.
+#[derive(Clone, Debug)]
+struct Slot {
+    name: String,
+    kind: &'static str,
+    group: Group,
+    signals: Vec<Signal>,
+}
+
+/// Signals that a task samples together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Group {
+    Motion,
+    Force,
+    Sensed,
+    Target,
+    AllJoints,
+    JointTarget,
+}
+
+/// Signals of the tasks that a controller records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RecordedSignals {
+    /// References and motion.
+    Motion,
+    /// Forces as well.
+    Forces,
+}
+
+impl TaskSchedule {
+    pub(crate) fn new(current: TaskSet, recorded: RecordedSignals) -> Self {
+        let mut new = Self {
+            sets: vec![current],
+            in_force: 0,
+            scheduled: Vec::new(),
+            due: 0,
+            requested: None,
+            recorded,
+            slots: Vec::new(),
+            targets: Targets::none(),
+            numbered: false,
+            started: false,
+        };
+        new.lay_out();
+        new
+    }
+
+    /// Fixes the signals, and the places of streamed inputs.
+    fn lay_out(&mut self) {
+        if !self.started {
+            self.slots = slots(self.recorded, self.sets.iter().map(|set| &set.0));
+            self.targets = targets(&self.sets, self.numbered);
+        }
+        self.sets.iter_mut().for_each(|set| set.0.bind(&self.targets));
+    }
+
+    /// Another task set, to be switched to.
+    pub(crate) fn prepare(
+        &self,
+        model: &Model,
+        parameters: &TaskSetParameters<'_>,
+        context: &ControlContext,
+    ) -> Result<TaskSet, ControlError> {
+        let prepared = TaskSet::from_parameters(model, parameters, context)?;
+        self.check(&prepared)?;
+        Ok(prepared)
+    }
+
+    /// Whether tasks keep their kind and their signals in another task set.
+    pub(crate) fn check(&self, other: &TaskSet) -> Result<(), ControlError> {
+        for new in slots(self.recorded, [&other.0]) {
+            let changed = |old: &&Slot| {
+                let same_signals = old.group != new.group || old.signals == new.signals;
+                old.name == new.name && !(old.kind == new.kind && same_signals)
+            };
+            if let Some(old) = self.slots.iter().find(changed) {
+                let reason = Reason::KindChanged { name: old.name.clone(), was: old.kind, is: new.kind };
+                return Err(ControlError::new(format!("task.{}", old.name), reason));
+            }
+        }
+        for (name, new, _) in other.0.inputs() {
+            let mut known = self.sets.iter().flat_map(|set| set.0.inputs());
+            if known.any(|(known, old, _)| known == name && old != new) {
+                let reason = Reason::InputsChanged { name: name.to_owned() };
+                return Err(ControlError::new(format!("task.{name}"), reason));
+            }
+        }
+        Ok(())
+    }
+
+    /// Begins at the robot's present state.
+    pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
+        self.started = true;
+        self.current_mut().start(input);
+    }
+
+    pub(crate) fn current_mut(&mut self) -> &mut TaskHierarchy {
+        &mut self.sets[self.in_force].0
+    }
+
+    /// The task set in force.
+    pub(crate) fn current(&self) -> &TaskSet {
+        &self.sets[self.in_force]
+    }
+
+    /// Number of the task set in force.
+    pub(crate) fn number(&self) -> usize {
+        self.in_force
+    }
+
+    /// Streamed targets, all as configured.
+    pub(crate) fn targets(&self) -> &Targets {
+        &self.targets
+    }
+
+    /// Adds a set and returns its number.
+    pub(crate) fn add(&mut self, tasks: TaskSet) -> Result<u32, ControlError> {
+        self.check(&tasks)?;
+        self.numbered = true;
+        let number = self.push(tasks);
+        Ok(u32::try_from(number).unwrap_or(u32::MAX))
+    }
+
+    fn push(&mut self, tasks: TaskSet) -> usize {
+        self.sets.push(tasks);
+        self.lay_out();
+        self.sets.len() - 1
+    }
+
+    pub(crate) fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
+        let number = self.push(tasks);
+        let place = self.scheduled.partition_point(|(other, _)| *other > time_s);
+        self.scheduled.insert(place, (time_s, number));
+    }
+
+    /// Carries out `tasks` in place of the set in force, and returns that.
+    pub(crate) fn switch(&mut self, mut tasks: TaskSet, input: &ControlInput<'_>) -> TaskSet {
+        tasks.0.bind(&self.targets);
+        let current = &mut self.sets[self.in_force];
+        tasks.0.inherit(&mut current.0, input);
+        std::mem::swap(current, &mut tasks);
+        tasks
+    }
+
+    /// Carries out the set of that number, if there is one.
+    fn switch_to(&mut self, number: usize, input: &ControlInput<'_>) {
+        // Fails for the set in force, and for a number without a set.
+        if let Ok([next, before]) = self.sets.get_disjoint_mut([number, self.in_force]) {
+            next.0.inherit(&mut before.0, input);
+            self.in_force = number;
+        }
+    }
+
+    /// Switches to the set that the targets ask for; else to what is scheduled for now. A number without a set changes
+    /// nothing. Allocates nothing.
+    pub(crate) fn advance(&mut self, input: &ControlInput<'_>) {
+        match input.targets.task_set() {
+            None => self.requested = None,
+            Some(number) if number < self.sets.len() => self.requested = Some(number),
+            Some(_) => {}
+        }
+        let time_s = input.measurement.time_s;
+        while let Some(&(at_s, number)) = self.scheduled.last()
+            && at_s <= time_s + EARLY_S
+        {
+            self.scheduled.pop();
+            self.due = number;
+            if self.requested.is_none() {
+                self.switch_to(number, input);
+            }
+        }
+        let number = self.requested.unwrap_or(self.due);
+        if number != self.in_force {
+            self.switch_to(number, input);
+        }
+    }
+}
+
+impl Observable for TaskSchedule {
+    fn signals(&self) -> Vec<Signal> {
+        let numbered = !self.targets.row().is_empty();
+        let number = numbered.then(|| Signal::scalar("task_set", "1"));
+        self.slots.iter().flat_map(|slot| slot.signals.iter().cloned()).chain(number).collect()
+    }
+
+    fn sample(&self, row: &mut Row<'_>) {
+        for slot in &self.slots {
+            if !slot.sample(&self.current().0, row) {
+                slot.signals.iter().for_each(|signal| row.skip(signal.len()));
+            }
+        }
+        if !self.targets.row().is_empty() {
+            row.put_one(self.in_force as f64);
+        }
+    }
+}
+
+impl Slot {
+    /// Puts the values of the task of that name, if it is in force and has such signals.
+    fn sample(&self, hierarchy: &TaskHierarchy, row: &mut Row<'_>) -> bool {
+        let before = row.remaining();
+        if matches!(self.group, Group::AllJoints | Group::JointTarget) {
+            let task = hierarchy.joint.as_ref();
+            let Some(task) = task.filter(|task| task.name() == self.name && task.kind() == self.kind) else {
+                return false;
+            };
+            if self.group == Group::AllJoints {
+                task.sample(row)
+            } else {
+                task.sample_target(row)
+            }
+            return row.remaining() < before;
+        }
+        let of_slot = |task: &dyn Task| task.name() == self.name && task.kind() == self.kind;
+        let Some(level) = hierarchy.levels.iter().find(|level| of_slot(&*level.task)) else {
+            return false;
+        };
+        match self.group {
+            Group::Force => level.sample_force(row),
+            Group::Sensed => level.task.sample_sensed(row),
+            Group::Target => level.task.sample_target(row),
+            Group::Motion | Group::AllJoints | Group::JointTarget => level.task.sample(row),
+        }
+        row.remaining() < before
+    }
+}
+
+/// The places of all tasks of some hierarchies, each name once.
+fn slots<'a>(
+    recorded: RecordedSignals,
+    hierarchies: impl IntoIterator<Item = &'a TaskHierarchy>,
+) -> Vec<Slot> {
+    let mut slots: Vec<Slot> = Vec::new();
+    let mut add = |name: &str, kind: &'static str, group: Group, signals: Vec<Signal>| {
+        let known = slots.iter().any(|slot| slot.name == name && slot.kind == kind && slot.group == group);
+        if !known && !signals.is_empty() {
+            slots.push(Slot { name: name.to_owned(), kind, group, signals });
+        }
+    };
+    for hierarchy in hierarchies {
+        for level in &hierarchy.levels {
+            let (name, task) = (level.name(), &level.task);
+            add(name, task.kind(), Group::Motion, task.signals());
+            if recorded == RecordedSignals::Forces {
+                add(name, task.kind(), Group::Force, level.force_signals());
+                add(name, task.kind(), Group::Sensed, task.sensed_signal().into_iter().collect());
+            }
+            add(name, task.kind(), Group::Target, task.target_signals());
+        }
+        if let Some(task) = &hierarchy.joint {
+            add(task.name(), task.kind(), Group::AllJoints, task.signals());
+            add(task.name(), task.kind(), Group::JointTarget, task.target_signals());
+        }
+    }
+    slots
+}
+
+/// Targets of all tasks, each name once; all as configured.
+fn targets(sets: &[TaskSet], numbered: bool) -> Targets {
+    let mut tasks: Vec<(&str, Vec<Signal>, AllowedInputs)> = Vec::new();
+    for (name, inputs, allowed) in sets.iter().flat_map(|set| set.0.inputs()) {
+        match tasks.iter_mut().find(|(known, ..)| *known == name) {
+            Some((_, _, known)) => *known = known.union(allowed),
+            None => tasks.push((name, inputs, allowed)),
+        }
+    }
+    let inputs = tasks.iter().map(|(name, inputs, _)| (*name, inputs.clone()));
+    let mut targets = if numbered { Targets::with_task_sets(inputs) } else { Targets::new(inputs) };
+    for (name, _, allowed) in &tasks {
+        targets.allow(name, *allowed);
+    }
+    targets
+}

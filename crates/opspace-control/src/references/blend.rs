@@ -1,0 +1,85 @@
+//! Fading of the difference between a target and a reference, and displacement of a pose.
+
+use crate::orientation;
+use crate::orientation::rotation_vector_rates;
+use crate::references::ramp::Quintic;
+use crate::references::target::Target;
+use nalgebra::{Matrix3, Vector3};
+use opspace_model::{Motion, Placement};
+
+/// The fading difference of a target from its reference: a displacement (m) and a rotation vector (rad), in world axes.
+#[derive(Clone, Debug)]
+pub(crate) struct Joining {
+    begin_s: f64,
+    end_s: f64,
+    line: [Quintic; 3],
+    turn: [Quintic; 3],
+}
+
+impl Joining {
+    /// From `from` at `begin_s` to a reference, which is `reference` then, within `lasts_s` (s).
+    pub(crate) fn new(begin_s: f64, lasts_s: f64, from: &Target, reference: &Target) -> Self {
+        let line = [
+            from.placement.translation - reference.placement.translation,
+            from.velocity.linear - reference.velocity.linear,
+            from.acceleration.linear - reference.acceleration.linear,
+        ];
+        let away = from.placement.rotation * reference.placement.rotation.transpose();
+        // ω = ω_away + E ω_reference with E = exp(φ), and its derivative; ω_away and its derivative are linear in φ̇ and φ̈.
+        let phi = orientation::log(&away);
+        let carried = away * reference.velocity.angular;
+        let omega = from.velocity.angular - carried;
+        let alpha = from.acceleration.angular - away * reference.acceleration.angular - omega.cross(&carried);
+        let zero = Vector3::zeros();
+        let columns = [Vector3::x(), Vector3::y(), Vector3::z()]
+            .map(|axis| rotation_vector_rates(&phi, &axis, &zero).0);
+        // Invertible up to a whole turn, and a logarithm is at most half of one.
+        let inverse = Matrix3::from_columns(&columns).try_inverse().unwrap_or_else(Matrix3::identity);
+        let dphi = inverse * omega;
+        let ddphi = inverse * (alpha - rotation_vector_rates(&phi, &dphi, &zero).1);
+        let fading =
+            |[x, v, a]: [Vector3<f64>; 3]| [0, 1, 2].map(|i| Quintic::new([x[i], v[i], a[i]], 0.0, lasts_s));
+        Self { begin_s, end_s: begin_s + lasts_s, line: fading(line), turn: fading([phi, dphi, ddphi]) }
+    }
+
+    /// The target for a reference at `time_s`.
+    pub(crate) fn joined(&self, reference: &Target, time_s: f64) -> Target {
+        if time_s < self.end_s { self.target(reference, time_s) } else { *reference }
+    }
+
+    fn target(&self, reference: &Target, time_s: f64) -> Target {
+        let at = |part: &[Quintic; 3]| {
+            let [x, y, z] = [0, 1, 2].map(|i| part[i].at(time_s - self.begin_s));
+            [0, 1, 2].map(|k| Vector3::new(x[k], y[k], z[k]))
+        };
+        let (line, [phi, dphi, ddphi]) = (at(&self.line), at(&self.turn));
+        let (omega, alpha) = rotation_vector_rates(&phi, &dphi, &ddphi);
+        let away = orientation::exp(&phi);
+        let carried = away * reference.velocity.angular;
+        Target {
+            placement: Placement {
+                rotation: away * reference.placement.rotation,
+                translation: reference.placement.translation + line[0],
+            },
+            velocity: Motion { linear: reference.velocity.linear + line[1], angular: omega + carried },
+            acceleration: Motion {
+                linear: reference.acceleration.linear + line[2],
+                angular: alpha + away * reference.acceleration.angular + omega.cross(&carried),
+            },
+        }
+    }
+}
+
+/// The pose `from`, displaced by a line (m) and a rotation vector (rad) with their first two derivatives, in world
+/// axes.
+pub(crate) fn moved(from: &Placement, line: [Vector3<f64>; 3], turn: [Vector3<f64>; 3]) -> Target {
+    let (omega, alpha) = rotation_vector_rates(&turn[0], &turn[1], &turn[2]);
+    Target {
+        placement: Placement {
+            rotation: orientation::exp(&turn[0]) * from.rotation,
+            translation: from.translation + line[0],
+        },
+        velocity: Motion { linear: line[1], angular: omega },
+        acceleration: Motion { linear: line[2], angular: alpha },
+    }
+}

@@ -1,0 +1,282 @@
+//! A streamed reference of a joint-tracking task.
+
+use crate::error::ControlError;
+use crate::per_joint::PerJoint;
+use crate::references::online::{MotionLimits, OnlineMotion};
+use crate::references::ramp::Quintic;
+use crate::references::streamed::{
+    Arrival, Freshness, OnTimeout, STOP_S, StreamedShape, default_blend_s, default_timeout_s,
+};
+use crate::references::target::BLEND_S;
+use crate::targets::TaskTarget;
+use opspace_backend::quantity::Positive;
+use opspace_model::Model;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::Deserialize;
+use std::borrow::Cow;
+
+/// A reference of joints that is streamed: see [`streamed`](crate::references::streamed). Before the first target the joints
+/// hold where they started.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "StreamedJointsFile")]
+pub struct StreamedJointReference {
+    /// Age from which a target is stale, s.
+    pub timeout_s: Positive,
+    /// Reaction to a stale target.
+    pub on_timeout: OnTimeout,
+    /// Motion between targets.
+    pub shape: JointShape,
+}
+
+/// Motion of joints between targets.
+#[derive(Clone, Debug, PartialEq)]
+pub enum JointShape {
+    /// Follows the last target's position, velocity and acceleration; differences fade within `blend_s`.
+    Extrapolated {
+        /// Time in which the difference to a new target fades, s.
+        blend_s: Positive,
+    },
+    /// Goes to the last target's position under limits.
+    Generated {
+        /// Highest speed, rad/s (m/s for a prismatic joint).
+        velocity: PerJoint<Positive>,
+        /// Highest acceleration, rad/s² (m/s²).
+        acceleration: PerJoint<Positive>,
+        /// Highest jerk, rad/s³ (m/s³).
+        jerk: PerJoint<Positive>,
+    },
+}
+
+impl Default for StreamedJointReference {
+    fn default() -> Self {
+        Self {
+            timeout_s: default_timeout_s(),
+            on_timeout: OnTimeout::Hold,
+            shape: JointShape::Extrapolated { blend_s: default_blend_s() },
+        }
+    }
+}
+
+/// [`StreamedJointReference`] as it is written.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct StreamedJointsFile {
+    /// Age from which a target is stale, s; 0.1 if absent.
+    #[serde(default = "default_timeout_s")]
+    timeout_s: Positive,
+    /// Reaction to a stale target; `hold` if absent.
+    #[serde(default)]
+    on_timeout: OnTimeout,
+    /// Motion between targets; `extrapolated` if absent.
+    #[serde(default)]
+    shape: StreamedShape,
+    /// Time in which the difference to a new target fades, s; 0.1 if absent. With `extrapolated`.
+    blend_s: Option<Positive>,
+    /// Highest speed, rad/s (m/s for a prismatic joint); with `generated`.
+    velocity_rad_per_s: Option<PerJoint<Positive>>,
+    /// Highest acceleration, rad/s² (m/s²); with `generated`.
+    acceleration_rad_per_s2: Option<PerJoint<Positive>>,
+    /// Highest jerk, rad/s³ (m/s³); with `generated`.
+    jerk_rad_per_s3: Option<PerJoint<Positive>>,
+}
+
+impl JsonSchema for StreamedJointReference {
+    fn schema_name() -> Cow<'static, str> {
+        "StreamedJointReference".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        StreamedJointsFile::json_schema(generator)
+    }
+}
+
+impl TryFrom<StreamedJointsFile> for StreamedJointReference {
+    type Error = String;
+
+    fn try_from(file: StreamedJointsFile) -> Result<Self, String> {
+        let limits = [
+            ("velocity_rad_per_s", file.velocity_rad_per_s),
+            ("acceleration_rad_per_s2", file.acceleration_rad_per_s2),
+            ("jerk_rad_per_s3", file.jerk_rad_per_s3),
+        ];
+        let shape = match file.shape {
+            StreamedShape::Extrapolated => {
+                if let Some((name, _)) = limits.iter().find(|(_, limit)| limit.is_some()) {
+                    return Err(format!("`{name}` limits a motion with shape = \"generated\" only"));
+                }
+                JointShape::Extrapolated { blend_s: file.blend_s.unwrap_or_else(default_blend_s) }
+            }
+            StreamedShape::Generated => {
+                if file.blend_s.is_some() {
+                    return Err("`blend_s` goes with shape = \"extrapolated\" only".to_owned());
+                }
+                let [velocity, acceleration, jerk] = limits.map(|(name, limit)| {
+                    limit.ok_or_else(|| {
+                        format!("shape = \"generated\" needs a limit `{name}`, which is missing")
+                    })
+                });
+                JointShape::Generated { velocity: velocity?, acceleration: acceleration?, jerk: jerk? }
+            }
+        };
+        Ok(Self { timeout_s: file.timeout_s, on_timeout: file.on_timeout, shape })
+    }
+}
+
+/// A [`StreamedJointReference`] that is followed. Nothing but [`new`](Self::new) allocates.
+#[derive(Clone, Debug)]
+pub(crate) struct StreamedJoints {
+    blend_s: f64,
+    /// Of each joint (n), if the motion is generated.
+    limits: Option<Vec<MotionLimits>>,
+    freshness: Freshness,
+    /// Joints in the order of the inputs.
+    joints: Vec<usize>,
+    /// Of each joint (n).
+    plans: Vec<Plan>,
+    /// When the target that is followed must be joined, s.
+    joined_s: f64,
+}
+
+/// Reference of one joint.
+#[derive(Clone, Copy, Debug)]
+#[expect(clippy::large_enum_variant, reason = "changes while running, where nothing may be allocated")]
+enum Plan {
+    /// To rest, or to a position.
+    Move { begin_s: f64, motion: OnlineMotion, stopping: bool },
+    /// Extrapolation of a target, with what the reference is away from it.
+    Follow { stamp_s: f64, raw: [f64; 3], begin_s: f64, end_s: f64, away: Quintic },
+}
+
+impl Plan {
+    fn at(&self, clock_s: f64) -> [f64; 3] {
+        match self {
+            Self::Move { begin_s, motion, .. } => motion.at(clock_s - begin_s),
+            Self::Follow { stamp_s, raw, begin_s, end_s, away } => {
+                let reference = extrapolated(raw, clock_s - stamp_s);
+                let away = if clock_s < *end_s { away.at(clock_s - begin_s) } else { [0.0; 3] };
+                [0, 1, 2].map(|i| reference[i] + away[i])
+            }
+        }
+    }
+}
+
+impl StreamedJoints {
+    /// For `joints` of the robot, in the order of the inputs. `key` is the place of the reference in the file.
+    pub(crate) fn new(
+        reference: &StreamedJointReference,
+        joints: Vec<usize>,
+        model: &Model,
+        key: &str,
+    ) -> Result<Self, ControlError> {
+        let (blend_s, limits) = match &reference.shape {
+            JointShape::Extrapolated { blend_s } => (blend_s.get(), None),
+            JointShape::Generated { velocity, acceleration, jerk } => {
+                let velocity = velocity.resolve(model, &format!("{key}.velocity_rad_per_s"))?;
+                let acceleration = acceleration.resolve(model, &format!("{key}.acceleration_rad_per_s2"))?;
+                let jerk = jerk.resolve(model, &format!("{key}.jerk_rad_per_s3"))?;
+                let limits = (0..model.n()).map(|i| MotionLimits {
+                    velocity: velocity[i],
+                    acceleration: acceleration[i],
+                    jerk: jerk[i],
+                });
+                (0.0, Some(limits.collect()))
+            }
+        };
+        let rest = Plan::Move { begin_s: 0.0, motion: OnlineMotion::rest(0.0), stopping: true };
+        Ok(Self {
+            blend_s,
+            limits,
+            freshness: Freshness::new(reference.timeout_s, reference.on_timeout),
+            joints,
+            plans: vec![rest; model.n()],
+            joined_s: 0.0,
+        })
+    }
+
+    pub(crate) fn freshness(&self) -> &Freshness {
+        &self.freshness
+    }
+
+    /// Begins at position, velocity and acceleration of each joint, given by `from`; from there they come to rest unless a
+    /// fresh target is there.
+    pub(crate) fn begin(&mut self, clock_s: f64, from: impl Fn(usize) -> [f64; 3]) {
+        self.freshness.reset();
+        for joint in 0..self.plans.len() {
+            self.stop(joint, from(joint), clock_s);
+        }
+    }
+
+    /// Position, velocity and acceleration of a joint's reference at `clock_s`, s on the robot's clock.
+    pub(crate) fn at(&self, joint: usize, clock_s: f64) -> [f64; 3] {
+        self.plans[joint].at(clock_s)
+    }
+
+    /// Takes in the target of a cycle.
+    pub(crate) fn update(&mut self, target: &TaskTarget<'_>) {
+        match self.freshness.update(target) {
+            Arrival::Nothing => {}
+            Arrival::Expired => {
+                for joint in 0..self.plans.len() {
+                    let now = self.at(joint, target.clock_s);
+                    self.stop(joint, now, target.clock_s);
+                }
+            }
+            Arrival::Fresh { rejoins } => {
+                if rejoins {
+                    self.joined_s = target.clock_s + BLEND_S;
+                }
+                for place in 0..self.joints.len() {
+                    self.follow(place, target, rejoins);
+                }
+            }
+        }
+    }
+
+    /// Follows the new target of the joint at a place among the inputs.
+    fn follow(&mut self, place: usize, target: &TaskTarget<'_>, rejoins: bool) {
+        let (joint, clock_s, count) = (self.joints[place], target.clock_s, self.joints.len());
+        let now = self.at(joint, clock_s);
+        let value =
+            |input: usize| target.values.get(input * count + place).copied().filter(|v| v.is_finite());
+        let (position, velocity) = (value(0), value(1));
+        if position.is_none() && velocity.is_none() {
+            if !matches!(self.plans[joint], Plan::Move { stopping: true, .. }) {
+                self.stop(joint, now, clock_s);
+            }
+            return;
+        }
+        let raw = [position.unwrap_or(now[0]), velocity.unwrap_or(0.0), value(2).unwrap_or(0.0)];
+        if let Some(limits) = &self.limits {
+            let motion = OnlineMotion::new(now, raw[0], &limits[joint]);
+            self.plans[joint] = Plan::Move { begin_s: clock_s, motion, stopping: false };
+            return;
+        }
+        let stamp_s = target.stamp_s.unwrap_or(clock_s);
+        let reference = extrapolated(&raw, clock_s - stamp_s);
+        let [x, v, mut a] = [0, 1, 2].map(|i| now[i] - reference[i]);
+        if let Plan::Follow { raw, .. } = &self.plans[joint]
+            && !rejoins
+        {
+            // The sender's acceleration is followed at once.
+            a += reference[2] - raw[2];
+        }
+        let lasts_s = self.blend_s.max(self.joined_s - clock_s);
+        let away = Quintic::new([x, v, a], 0.0, lasts_s);
+        self.plans[joint] = Plan::Follow { stamp_s, raw, begin_s: clock_s, end_s: clock_s + lasts_s, away };
+    }
+
+    /// Comes to rest from a state.
+    fn stop(&mut self, joint: usize, from: [f64; 3], clock_s: f64) {
+        let motion = match &self.limits {
+            _ if from[1..] == [0.0; 2] => OnlineMotion::rest(from[0]),
+            Some(limits) => OnlineMotion::stop(from, &limits[joint]),
+            None => OnlineMotion::stop_within(from, STOP_S),
+        };
+        self.plans[joint] = Plan::Move { begin_s: clock_s, motion, stopping: true };
+    }
+}
+
+/// A target `age_s` after its stamp.
+fn extrapolated([x, v, a]: &[f64; 3], age_s: f64) -> [f64; 3] {
+    [x + age_s * (v + 0.5 * age_s * a), v + age_s * a, *a]
+}

@@ -1,0 +1,264 @@
+//! Streamed target of a Cartesian task: its inputs, and a typed handle.
+
+use crate::orientation;
+use crate::references::streamed::given;
+use crate::references::streamed_pose::{ACCELERATION, POSE, QUATERNION_TOLERANCE, TWIST};
+use crate::targets::{AllowedInputs, InputHandle, TargetError, Targets, TaskHandle};
+use crate::tasks::axes::{AXIS_NAMES, AxisMode};
+use opspace_backend::Signal;
+use opspace_model::Placement;
+use std::ops::Range;
+
+/// Places of the other inputs among all values.
+const WRENCH: usize = 19;
+const FREQUENCY: usize = 25;
+const DAMPING_RATIO: usize = 31;
+const MODES: usize = 37;
+const WIDTH: usize = 43;
+
+const POSE_ELEMENTS: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
+
+/// An input: its name, unit and elements, and its first place.
+type Input = (&'static str, &'static str, &'static [&'static str], usize);
+
+/// Inputs of a task with a streamed reference. The wrench is the target force that the environment should exert ON the
+/// robot, on compliant and force axes; it, gains and modes are in the task's axes.
+const INPUTS: [Input; 7] = [
+    ("pose", "m,1", &POSE_ELEMENTS, POSE),
+    ("twist", "m/s,rad/s", &AXIS_NAMES, TWIST),
+    ("acceleration", "m/s^2,rad/s^2", &AXIS_NAMES, ACCELERATION),
+    ("wrench", "N,Nm", &AXIS_NAMES, WRENCH),
+    ("frequency_rad_per_s", "rad/s", &AXIS_NAMES, FREQUENCY),
+    ("damping_ratio", "1", &AXIS_NAMES, DAMPING_RATIO),
+    ("modes", "1", &AXIS_NAMES, MODES),
+];
+
+/// Inputs of a Cartesian task with a streamed reference.
+pub(crate) fn inputs() -> Vec<Signal> {
+    INPUTS.map(|(name, unit, elements, _)| Signal::new(name, unit, elements)).into()
+}
+
+/// Streamed settings of one axis; `None` where it is as configured, or not a setting.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct AxisSettings {
+    pub mode: Option<AxisMode>,
+    /// Target force, N or Nm.
+    pub force: Option<f64>,
+    pub frequency_rad_per_s: Option<f64>,
+    pub damping_ratio: Option<f64>,
+}
+
+/// The settings in a task's values.
+pub(crate) fn settings(values: &[f64]) -> [AxisSettings; 6] {
+    let value = |at: usize| given::<1>(values, at).map(|[value]| value);
+    std::array::from_fn(|axis| AxisSettings {
+        mode: value(MODES + axis).and_then(AxisMode::from_code),
+        force: value(WRENCH + axis),
+        frequency_rad_per_s: value(FREQUENCY + axis).filter(|&value| value > 0.0),
+        damping_ratio: value(DAMPING_RATIO + axis).filter(|&value| value >= 0.0),
+    })
+}
+
+/// Streamed target of a Cartesian or centre-of-mass task with a streamed reference.
+///
+/// Values are collected here and written together; those that were never set are as configured. Setters and
+/// [`write`](Self::write) allocate nothing unless they fail.
+#[derive(Clone, Debug)]
+pub struct CartesianTarget {
+    task: TaskHandle,
+    name: String,
+    inputs: [InputHandle; 7],
+    allowed: AllowedInputs,
+    values: [f64; WIDTH],
+}
+
+impl CartesianTarget {
+    /// A handle for the task of that name.
+    ///
+    /// # Errors
+    /// A task that has no such inputs.
+    pub fn of(targets: &Targets, name: &str) -> Result<Self, TargetError> {
+        let task = targets.task(name)?;
+        let find = |(input, _, elements, _): Input| {
+            let handle = targets.input(&task, input)?;
+            let (expected, found) = (elements.len(), handle.len());
+            if found == expected { Ok(handle) } else { Err(TargetError::Length { expected, found }) }
+        };
+        let [a, b, c, d, e, f, g] = INPUTS.map(find);
+        Ok(Self {
+            task,
+            name: name.to_owned(),
+            inputs: [a?, b?, c?, d?, e?, f?, g?],
+            allowed: targets.allowed(&task),
+            values: [f64::NAN; WIDTH],
+        })
+    }
+
+    /// Sets position (m) and orientation (unit quaternion w, x, y, z); forgets twist and acceleration.
+    ///
+    /// # Errors
+    /// A value that is not finite; a quaternion whose length is not 1 within [`QUATERNION_TOLERANCE`].
+    pub fn pose(&mut self, position: [f64; 3], quaternion: [f64; 4]) -> Result<&mut Self, TargetError> {
+        check_finite(&position)?;
+        check_finite(&quaternion)?;
+        let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if (norm - 1.0).abs() > QUATERNION_TOLERANCE {
+            return Err(TargetError::Quaternion { norm, tolerance: QUATERNION_TOLERANCE });
+        }
+        self.put(POSE, &position);
+        self.put(POSE + 3, &quaternion.map(|x| x / norm));
+        Ok(self.forget(TWIST..ACCELERATION + 6))
+    }
+
+    /// Sets the pose; forgets twist and acceleration.
+    ///
+    /// # Errors
+    /// As [`pose`](Self::pose).
+    pub fn placement(&mut self, placement: &Placement) -> Result<&mut Self, TargetError> {
+        let q = orientation::quaternion(&placement.rotation);
+        self.pose(placement.translation.into(), [q.w, q.i, q.j, q.k])
+    }
+
+    /// Sets the position alone, m: the orientation of the reference stays. Forgets twist and acceleration.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn position(&mut self, position: [f64; 3]) -> Result<&mut Self, TargetError> {
+        check_finite(&position)?;
+        self.put(POSE, &position);
+        Ok(self.forget(POSE + 3..ACCELERATION + 6))
+    }
+
+    /// Sets linear (m/s) and angular velocity (rad/s), world axes. Without a pose the reference moves on from where it is.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn twist(&mut self, twist: [f64; 6]) -> Result<&mut Self, TargetError> {
+        check_finite(&twist)?;
+        Ok(self.put(TWIST, &twist))
+    }
+
+    /// Sets linear (m/s²) and angular acceleration (rad/s²), world axes.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn acceleration(&mut self, acceleration: [f64; 6]) -> Result<&mut Self, TargetError> {
+        check_finite(&acceleration)?;
+        Ok(self.put(ACCELERATION, &acceleration))
+    }
+
+    /// Sets the force (N) and moment (Nm) that the environment should exert ON the robot on compliant and force axes, task
+    /// axes; NaN for the configured one.
+    ///
+    /// # Errors
+    /// An infinite value.
+    pub fn wrench(&mut self, wrench: [f64; 6]) -> Result<&mut Self, TargetError> {
+        if let Some(&value) = wrench.iter().find(|value| value.is_infinite()) {
+            return Err(TargetError::NotFinite { value });
+        }
+        Ok(self.put(WRENCH, &wrench))
+    }
+
+    /// Sets natural frequency (rad/s) and damping ratio of axes in motion; NaN for the configured one.
+    ///
+    /// # Errors
+    /// A frequency that is not above zero, a ratio below zero; a task that doesn't follow by `gains`.
+    pub fn gains(
+        &mut self,
+        frequency_rad_per_s: [f64; 6],
+        damping_ratio: [f64; 6],
+    ) -> Result<&mut Self, TargetError> {
+        if !self.allowed.gains {
+            return Err(TargetError::NoGains { task: self.name.clone() });
+        }
+        check_gains("frequency_rad_per_s", "above 0", &frequency_rad_per_s, |value| value > 0.0)?;
+        check_gains("damping_ratio", "0 or above", &damping_ratio, |value| value >= 0.0)?;
+        self.put(FREQUENCY, &frequency_rad_per_s);
+        Ok(self.put(DAMPING_RATIO, &damping_ratio))
+    }
+
+    /// Sets the mode of each axis (in the order of [`AXIS_NAMES`]); `None` for the configured one.
+    ///
+    /// # Errors
+    /// The mode `free`, an axis that is not in the task, a mode for which the axis is not configured. All modes stay then.
+    pub fn modes(&mut self, modes: [Option<AxisMode>; 6]) -> Result<&mut Self, TargetError> {
+        let mut codes = [f64::NAN; 6];
+        for (axis, mode) in modes.into_iter().enumerate() {
+            let Some(mode) = mode else { continue };
+            self.check_mode(axis, mode)?;
+            codes[axis] = mode.code();
+        }
+        Ok(self.put(MODES, &codes))
+    }
+
+    fn check_mode(&self, axis: usize, mode: AxisMode) -> Result<(), TargetError> {
+        let allowed = &self.allowed.modes;
+        if mode == AxisMode::Free || !allowed[axis].contains(&true) {
+            let known = (0..6).filter(|&axis| allowed[axis].contains(&true)).map(|axis| AXIS_NAMES[axis]);
+            let (task, axis) = (self.name.clone(), AXIS_NAMES[axis]);
+            return Err(TargetError::Axis { task, axis, known: known.collect() });
+        }
+        if self.allowed.admits(axis, mode) {
+            return Ok(());
+        }
+        let possible = AxisMode::IN_TASK.into_iter().filter(|mode| self.allowed.admits(axis, *mode));
+        let known = possible.map(AxisMode::name).collect();
+        Err(TargetError::Mode { task: self.name.clone(), axis: AXIS_NAMES[axis], mode: mode.name(), known })
+    }
+
+    /// Leaves everything as configured again.
+    pub fn clear(&mut self) -> &mut Self {
+        self.forget(0..WIDTH)
+    }
+
+    /// The task.
+    #[must_use]
+    pub fn task(&self) -> &TaskHandle {
+        &self.task
+    }
+
+    /// The collected values, as [`Targets::write`] takes them.
+    #[must_use]
+    pub fn inputs(&self) -> [(&InputHandle, &[f64]); 7] {
+        std::array::from_fn(|i| {
+            let (_, _, elements, first) = INPUTS[i];
+            (&self.inputs[i], &self.values[first..first + elements.len()])
+        })
+    }
+
+    /// Writes all collected values, stamped with `clock_s` (s, the robot's clock).
+    ///
+    /// # Errors
+    /// As [`Targets::write`].
+    pub fn write(&self, targets: &mut Targets, clock_s: f64) -> Result<(), TargetError> {
+        targets.write(&self.task, clock_s, &self.inputs())
+    }
+
+    fn put(&mut self, at: usize, values: &[f64]) -> &mut Self {
+        self.values[at..at + values.len()].copy_from_slice(values);
+        self
+    }
+
+    fn forget(&mut self, range: Range<usize>) -> &mut Self {
+        self.values[range].fill(f64::NAN);
+        self
+    }
+}
+
+fn check_finite(values: &[f64]) -> Result<(), TargetError> {
+    let wrong = values.iter().find(|value| !value.is_finite());
+    wrong.map_or(Ok(()), |&value| Err(TargetError::NotFinite { value }))
+}
+
+fn check_gains(
+    input: &'static str,
+    range: &'static str,
+    values: &[f64; 6],
+    good: impl Fn(f64) -> bool,
+) -> Result<(), TargetError> {
+    let good = |value: f64| value.is_nan() || (value.is_finite() && good(value));
+    match values.iter().position(|&value| !good(value)) {
+        Some(axis) => Err(TargetError::Gain { input, axis: AXIS_NAMES[axis], range, value: values[axis] }),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,127 @@
+//! Parameters of the joint-space tasks, and the gains of each joint.
+
+use crate::error::ControlError;
+use crate::per_joint::PerJoint;
+use crate::references::joint_reference::JointReference;
+use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_model::Model;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// The joints follow a reference.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointTrackingParameters {
+    /// The joints that belong to the task, six at most: tasks below it may use the others. All of them if absent, and
+    /// the task must then be the last.
+    #[serde(default)]
+    pub joints: Option<Vec<String>>,
+    /// Where the joints should be.
+    pub reference: JointReference,
+    /// How stiffly they follow.
+    pub gains: JointGains,
+}
+
+/// How a joint follows: as a unit inertia on a spring and a damper, whatever the arm's inertia.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointGains {
+    /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
+    pub frequency_rad_per_s: PerJoint<Positive>,
+    /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
+    pub damping_ratio: PerJoint<NonNegative>,
+}
+
+/// The joints are drawn to a posture.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointPostureParameters {
+    /// The posture by joint names, rad (m for a prismatic joint); the start posture for joints that are
+    /// not named.
+    #[serde(default)]
+    pub posture_rad: BTreeMap<String, f64>,
+    /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
+    pub frequency_rad_per_s: PerJoint<Positive>,
+    /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
+    pub damping_ratio: PerJoint<NonNegative>,
+}
+
+/// The joints are braked in proportion to their speed.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JointDampingParameters {
+    /// Damping, Nms/rad (Ns/m for a prismatic joint); may be 0.
+    pub damping_nms_per_rad: PerJoint<NonNegative>,
+}
+
+impl JointGains {
+    /// The same natural frequency (rad/s) and damping ratio for all joints.
+    ///
+    /// # Errors
+    /// A frequency that is not above zero, a ratio below zero.
+    pub fn new(frequency_rad_per_s: f64, damping_ratio: f64) -> Result<Self, ControlError> {
+        let frequency = Positive::try_from(frequency_rad_per_s);
+        let ratio = NonNegative::try_from(damping_ratio);
+        Ok(Self {
+            frequency_rad_per_s: PerJoint::All(
+                frequency.map_err(|message| ControlError::value("frequency_rad_per_s", message))?,
+            ),
+            damping_ratio: PerJoint::All(
+                ratio.map_err(|message| ControlError::value("damping_ratio", message))?,
+            ),
+        })
+    }
+}
+
+impl JointTrackingParameters {
+    /// A task of all joints.
+    #[must_use]
+    pub fn new(reference: JointReference, gains: JointGains) -> Self {
+        Self { joints: None, reference, gains }
+    }
+}
+
+impl JointPostureParameters {
+    /// The posture at the start.
+    #[must_use]
+    pub fn new(gains: JointGains) -> Self {
+        let JointGains { frequency_rad_per_s, damping_ratio } = gains;
+        Self { posture_rad: BTreeMap::new(), frequency_rad_per_s, damping_ratio }
+    }
+}
+
+impl JointDampingParameters {
+    /// The same damping for all joints, Nms/rad or Ns/m.
+    ///
+    /// # Errors
+    /// A damping below zero.
+    pub fn new(damping_nms_per_rad: f64) -> Result<Self, ControlError> {
+        let damping = NonNegative::try_from(damping_nms_per_rad);
+        let damping = damping.map_err(|message| ControlError::value("damping_nms_per_rad", message))?;
+        Ok(Self { damping_nms_per_rad: PerJoint::All(damping) })
+    }
+}
+
+/// Stiffness (1/s²) and damping (1/s) of each joint.
+#[derive(Clone, Debug)]
+pub(crate) struct JointFeedback {
+    pub stiffness: Vec<f64>,
+    pub damping: Vec<f64>,
+}
+
+impl JointFeedback {
+    pub(crate) fn new(
+        frequency: &PerJoint<Positive>,
+        ratio: &PerJoint<NonNegative>,
+        model: &Model,
+        key: &str,
+    ) -> Result<Self, ControlError> {
+        let omega = frequency.resolve(model, &format!("{key}.frequency_rad_per_s"))?;
+        let zeta = ratio.resolve(model, &format!("{key}.damping_ratio"))?;
+        Ok(Self {
+            stiffness: omega.iter().map(|w| w.get() * w.get()).collect(),
+            damping: omega.iter().zip(&zeta).map(|(w, z)| 2.0 * z.get() * w.get()).collect(),
+        })
+    }
+}

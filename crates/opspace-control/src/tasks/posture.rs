@@ -1,0 +1,119 @@
+//! Posture: the joints are drawn to a posture, in the freedom that the other tasks leave.
+//!
+//! ```text
+//! τ = Nᵀ M (ω² (q_0 − q) − 2ζω q̇)
+//! ```
+
+use crate::controller::ControlInput;
+use crate::error::ControlError;
+use crate::hierarchy::products::multiply;
+use crate::per_joint::indices;
+use crate::tasks::joint_parameters::{JointFeedback, JointPostureParameters};
+use crate::tasks::joint_task::JointTask;
+use crate::tasks::task::{RowGains, TaskInput};
+use nalgebra::DVector;
+use opspace_model::{Data, Model};
+use std::any::Any;
+
+/// Joints that are drawn to a posture: see [`JointPostureParameters`].
+#[derive(Clone, Debug)]
+pub struct Posture {
+    name: String,
+    fixed: Vec<(usize, f64)>,
+    gains: JointFeedback,
+    start: DVector<f64>,
+    posture: DVector<f64>,
+}
+
+impl Posture {
+    /// A task from its parameters.
+    ///
+    /// # Errors
+    /// Names that the robot doesn't have, values that are missing.
+    pub fn new(name: &str, parameters: &JointPostureParameters, model: &Model) -> Result<Self, ControlError> {
+        let key = format!("task.{name}.joint-posture");
+        let fixed = indices(model, &format!("{key}.posture_rad"), &parameters.posture_rad)?;
+        Ok(Self {
+            name: name.to_owned(),
+            fixed: fixed.into_iter().map(|(joint, &value)| (joint, value)).collect(),
+            gains: JointFeedback::new(
+                &parameters.frequency_rad_per_s,
+                &parameters.damping_ratio,
+                model,
+                &key,
+            )?,
+            start: DVector::zeros(model.n()),
+            posture: DVector::zeros(model.n()),
+        })
+    }
+
+    /// Where the run began stays the posture of joints that aren't named.
+    fn continue_from(&mut self, before: &Self) {
+        self.posture.copy_from(&before.start);
+        self.start.copy_from(&before.start);
+        self.name_posture();
+    }
+
+    fn begin_at(&mut self, q: &DVector<f64>) {
+        self.posture.copy_from(q);
+        self.start.copy_from(q);
+        self.name_posture();
+    }
+
+    fn name_posture(&mut self) {
+        for &(joint, value) in &self.fixed {
+            self.posture[joint] = value;
+        }
+    }
+
+    fn acceleration(&self, data: &Data, out: &mut [f64]) {
+        for (i, a) in out.iter_mut().enumerate() {
+            *a = self.gains.stiffness[i] * (self.posture[i] - data.q[i]) - self.gains.damping[i] * data.dq[i];
+        }
+    }
+}
+
+impl JointTask for Posture {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn update(&mut self, input: &TaskInput<'_>, acceleration: &mut [f64], torque: &mut [f64]) {
+        let data = input.control.data;
+        self.acceleration(data, acceleration);
+        multiply(&data.mass_matrix, acceleration, torque);
+    }
+
+    fn kinematic_target(
+        &self,
+        q: &[f64],
+        _gain_per_s: f64,
+        posture_gain_per_s: f64,
+        velocity: &mut [f64],
+    ) -> bool {
+        for ((v, q0), q) in velocity.iter_mut().zip(&self.posture).zip(q) {
+            *v = posture_gain_per_s * (q0 - q);
+        }
+        true
+    }
+
+    fn start(&mut self, input: &ControlInput<'_>) {
+        self.begin_at(&input.measurement.q);
+    }
+
+    fn inherit(&mut self, before: &mut dyn JointTask, input: &ControlInput<'_>) {
+        match (before as &mut dyn Any).downcast_mut::<Self>() {
+            Some(before) => self.continue_from(before),
+            None => self.start(input),
+        }
+    }
+
+    fn gains(&self, joint: usize, _inertia: f64) -> Option<RowGains> {
+        let (stiffness_per_s2, damping_per_s) = (self.gains.stiffness[joint], self.gains.damping[joint]);
+        Some(RowGains { stiffness_per_s2, damping_per_s, integral_per_s: 0.0 })
+    }
+
+    fn kind(&self) -> &'static str {
+        "joint-posture"
+    }
+}

@@ -1,0 +1,176 @@
+//! Some joints that follow a reference, as rows of a task that may stand above others.
+
+use crate::controller::ControlInput;
+use crate::error::{ControlError, Reason};
+use crate::tasks::joint_parameters::JointTrackingParameters;
+use crate::tasks::joint_task::JointTask;
+use crate::tasks::task::{RowGains, Task, TaskInput};
+use crate::tasks::tracking::Tracking;
+use nalgebra::{Matrix6xX, Vector6};
+use opspace_backend::{Row, Signal};
+use opspace_model::{Data, Inversion, Model};
+use std::any::Any;
+
+/// Below which share of their typical mobility some joints' directions are damped, once tasks above have taken the rest.
+pub const JOINTS_SINGULARITY_THRESHOLD: f64 = 1e-3;
+
+/// Some joints that follow a reference, as rows of a task that may stand above others.
+#[derive(Clone, Debug)]
+pub struct SelectedJoints {
+    tracking: Tracking,
+    joints: Vec<usize>,
+    acceleration: Vector6<f64>,
+}
+
+impl SelectedJoints {
+    /// A task of the joints named, in that order.
+    ///
+    /// # Errors
+    /// No joint, more than six, one twice, or one that the robot doesn't have.
+    pub fn new(
+        name: &str,
+        names: &[String],
+        parameters: &JointTrackingParameters,
+        model: &Model,
+    ) -> Result<Self, ControlError> {
+        let key = format!("task.{name}.joint-tracking.joints");
+        if names.is_empty() {
+            return Err(ControlError::new(key, Reason::JointList));
+        }
+        let mut joints = Vec::with_capacity(names.len());
+        for joint in names {
+            let index = model.joint(joint).map_err(|unknown| ControlError::new(&key, unknown))?;
+            if joints.contains(&index) {
+                return Err(ControlError::new(&key, Reason::JointList));
+            }
+            joints.push(index);
+        }
+        if joints.len() > 6 {
+            return Err(ControlError::new(&key, Reason::TooManyJoints { joints: joints.len(), most: 6 }));
+        }
+        let tracking = Tracking::of_joints(name, parameters, model, joints.clone())?;
+        Ok(Self { tracking, joints, acceleration: Vector6::zeros() })
+    }
+
+    fn rows_of(&self, value: impl Fn(usize) -> f64) -> Vector6<f64> {
+        let mut rows = Vector6::zeros();
+        for (row, &joint) in rows.iter_mut().zip(&self.joints) {
+            *row = value(joint);
+        }
+        rows
+    }
+}
+
+impl Task for SelectedJoints {
+    fn name(&self) -> &str {
+        self.tracking.name()
+    }
+
+    fn rows(&self) -> usize {
+        self.joints.len()
+    }
+
+    fn jacobian(&self, _model: &Model, _data: &Data, rows: &mut Matrix6xX<f64>) {
+        rows.fill(0.0);
+        for (row, &joint) in self.joints.iter().enumerate() {
+            rows[(row, joint)] = 1.0;
+        }
+    }
+
+    fn update(&mut self, input: &TaskInput<'_>) {
+        self.observe(input);
+        self.acceleration =
+            self.rows_of(|joint| self.tracking.desired_acceleration(input.control.data, joint));
+    }
+
+    fn bias(&self, _model: &Model, _data: &Data) -> Vector6<f64> {
+        Vector6::zeros()
+    }
+
+    fn kinematic_target(&self, _model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
+        self.rows_of(|joint| self.tracking.kinematic_target_of(joint, data.q[joint], gain_per_s))
+    }
+
+    fn acceleration(&self) -> Vector6<f64> {
+        self.acceleration
+    }
+
+    fn start(&mut self, input: &ControlInput<'_>) {
+        self.tracking.start(input);
+    }
+
+    fn observe(&mut self, input: &TaskInput<'_>) {
+        self.tracking.observe(input);
+    }
+
+    fn resume(&mut self, input: &ControlInput<'_>) {
+        self.tracking.resume(input);
+    }
+
+    fn inherit(&mut self, before: &mut dyn Task, input: &ControlInput<'_>) {
+        match (before as &mut dyn Any).downcast_mut::<Self>() {
+            Some(before) => self.tracking.continue_from(&mut before.tracking, input),
+            None => self.start(input),
+        }
+    }
+
+    fn inputs(&self) -> Vec<Signal> {
+        self.tracking.streamed_inputs()
+    }
+
+    fn stop_for_age_s(&self) -> Option<f64> {
+        self.tracking.stop_for_stale_age_s()
+    }
+
+    fn target_signals(&self) -> Vec<Signal> {
+        self.tracking.freshness_signals()
+    }
+
+    fn sample_target(&self, row: &mut Row<'_>) {
+        self.tracking.sample_freshness(row);
+    }
+
+    /// A joint alone is never singular: only rows that tasks above have taken are.
+    fn inversion(&self) -> Inversion {
+        Inversion::Damped(JOINTS_SINGULARITY_THRESHOLD)
+    }
+
+    fn rows_key(&self) -> String {
+        format!("task.{}.joint-tracking.joints", self.name())
+    }
+
+    fn kind(&self) -> &'static str {
+        "joint-tracking of some joints"
+    }
+
+    fn row_names(&self) -> Vec<String> {
+        self.joints.iter().map(|&joint| self.tracking.joint_name(joint).to_owned()).collect()
+    }
+
+    fn row_unit(&self, _row: usize) -> (&'static str, f64) {
+        ("rad", 1.0)
+    }
+
+    fn reference_speeds(&self) -> [Option<f64>; 2] {
+        let speeds =
+            self.joints.iter().map(|&joint| self.tracking.kinematic_target_of(joint, 0.0, 0.0).abs());
+        [None, speeds.reduce(f64::max)]
+    }
+
+    fn gains(&self, row: usize) -> Option<RowGains> {
+        let [stiffness_per_s2, damping_per_s] = self.tracking.gains_of(*self.joints.get(row)?);
+        Some(RowGains { stiffness_per_s2, damping_per_s, integral_per_s: 0.0 })
+    }
+
+    fn signals(&self) -> Vec<Signal> {
+        self.tracking.signals()
+    }
+
+    fn sample(&self, row: &mut Row<'_>) {
+        self.tracking.sample(row);
+    }
+
+    fn force_signal(&self) -> Option<Signal> {
+        None
+    }
+}

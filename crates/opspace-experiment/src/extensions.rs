@@ -1,0 +1,37 @@
+//! Drivers and tasks of a user's own, compiled into the program.
+
+use crate::files::task_kinds::TaskKinds;
+use opspace_backend::Driver;
+use std::fmt;
+
+/// Drivers that `[driver]` of robot.toml may name, and kinds of tasks that task files may use.
+#[derive(Default)]
+#[non_exhaustive]
+pub struct Extensions {
+    /// The drivers.
+    pub drivers: Vec<Box<dyn Driver>>,
+    /// The kinds of tasks.
+    pub tasks: TaskKinds,
+}
+
+impl Extensions {
+    /// The same with these kinds of tasks.
+    #[must_use]
+    pub fn with_tasks(self, tasks: TaskKinds) -> Self {
+        Self { tasks, ..self }
+    }
+
+    /// The same with another driver.
+    #[must_use]
+    pub fn with_driver(mut self, driver: impl Driver + 'static) -> Self {
+        self.drivers.push(Box::new(driver));
+        self
+    }
+}
+
+impl fmt::Debug for Extensions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let drivers: Vec<&str> = self.drivers.iter().map(|driver| driver.name()).collect();
+        f.debug_struct("Extensions").field("drivers", &drivers).finish()
+    }
+}

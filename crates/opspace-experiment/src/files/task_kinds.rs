@@ -1,0 +1,133 @@
+//! Kinds of tasks that files may name beside the built-in ones.
+
+use crate::files::source::{Document, FileError, Source, explain};
+use crate::files::suggest::nearest;
+use opspace_control::{ControlContext, ControlError, RegisteredTask, Task, TaskParameters};
+use opspace_model::Model;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use thiserror::Error;
+use toml::de::{DeTable, DeValue, ValueDeserializer};
+
+/// Kinds built into opspace.
+pub const BUILT_IN: [&str; 6] =
+    ["cartesian", "center-of-mass", "swivel", "joint-tracking", "joint-posture", "joint-damping"];
+
+/// Registered kinds by name: `[task.NAME.KIND]` in a file becomes a task of the user's own.
+#[derive(Clone, Default)]
+pub struct TaskKinds(BTreeMap<String, Parser>);
+
+type Build = Arc<dyn Fn(&str, &Model, &ControlContext) -> Result<Box<dyn Task>, ControlError> + Send + Sync>;
+type Parser = Arc<dyn Fn(ValueDeserializer<'_>) -> Result<Build, toml::de::Error> + Send + Sync>;
+
+/// A kind that can't be registered.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum TaskKindError {
+    /// The name is that of a built-in kind, or of one that is registered.
+    #[error("the task kind '{kind}' exists already")]
+    Taken {
+        /// The name.
+        kind: String,
+    },
+}
+
+impl TaskKinds {
+    /// Only the built-in kinds.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Registers a kind: its table in a file is read into `P`, from which `build` makes the task of a name for a robot.
+    /// `P` decides on unknown keys (`#[serde(deny_unknown_fields)]`). Keys of errors count from the file's root.
+    ///
+    /// # Errors
+    /// A name that is taken.
+    pub fn register<P: DeserializeOwned + Send + Sync + 'static>(
+        &mut self,
+        kind: impl Into<String>,
+        build: impl Fn(&P, &str, &Model, &ControlContext) -> Result<Box<dyn Task>, ControlError>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Result<(), TaskKindError> {
+        let kind = kind.into();
+        if BUILT_IN.contains(&kind.as_str()) || self.0.contains_key(&kind) {
+            return Err(TaskKindError::Taken { kind });
+        }
+        let build = Arc::new(build);
+        let parser: Parser = Arc::new(move |table| {
+            let (parameters, build) = (P::deserialize(table)?, Arc::clone(&build));
+            Ok(Arc::new(move |name: &str, model: &Model, context: &ControlContext| {
+                build(&parameters, name, model, context)
+            }))
+        });
+        self.0.insert(kind, parser);
+        Ok(())
+    }
+
+    /// Names of the registered kinds.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
+    }
+
+    /// Takes the tasks of registered kinds out of a task file's document.
+    pub(crate) fn take(
+        &self,
+        source: &Source,
+        document: &mut Document<'_>,
+    ) -> Result<BTreeMap<String, TaskParameters>, FileError> {
+        let mut taken = BTreeMap::new();
+        if self.0.is_empty() {
+            return Ok(taken);
+        }
+        let whole = document.clone();
+        let Some(tasks) = table_mut(document.get_mut(), "task") else { return Ok(taken) };
+        let names: Vec<String> = tasks.keys().map(|name| name.get_ref().to_string()).collect();
+        for name in names {
+            let Some(kinds) = table_mut(tasks, &name).filter(|kinds| kinds.len() == 1) else { continue };
+            let Some((kind, table)) = kinds.iter().next() else { continue };
+            let kind = kind.get_ref().to_string();
+            let Some(parser) = self.0.get(&kind) else {
+                self.check_built_in(source, &name, &kind)?;
+                continue;
+            };
+            let explained = |error: &toml::de::Error| explain::<toml::Table>(source, whole.get_ref(), error);
+            let build = parser(ValueDeserializer::from(table.clone())).map_err(|e| explained(&e))?;
+            let text = toml::Value::deserialize(ValueDeserializer::from(table.clone()));
+            let text = text.map_err(|e| explained(&e))?.to_string();
+            taken.insert(name.clone(), TaskParameters::Registered(RegisteredTask::new(kind, text, build)));
+            tasks.remove(name.as_str());
+        }
+        Ok(taken)
+    }
+
+    fn check_built_in(&self, source: &Source, name: &str, kind: &str) -> Result<(), FileError> {
+        if BUILT_IN.contains(&kind) {
+            return Ok(());
+        }
+        let registered: Vec<&str> = self.names().collect();
+        let all: Vec<&str> = BUILT_IN.into_iter().chain(registered.iter().copied()).collect();
+        let near = nearest(kind, &all).map(|near| format!("did you mean `{near}`? ")).unwrap_or_default();
+        let help = format!("{near}Built in: {}; registered: {}", BUILT_IN.join(", "), registered.join(", "));
+        let key = ["task", name, kind];
+        Err(FileError::at_key(source, key, format!("unknown task kind `{kind}`"), Some(help)))
+    }
+}
+
+impl fmt::Debug for TaskKinds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.names()).finish()
+    }
+}
+
+/// The table at a key of a table.
+fn table_mut<'a, 'i>(table: &'a mut DeTable<'i>, key: &str) -> Option<&'a mut DeTable<'i>> {
+    match table.get_mut(key)?.get_mut() {
+        DeValue::Table(table) => Some(table),
+        _ => None,
+    }
+}

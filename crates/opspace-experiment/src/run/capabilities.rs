@@ -1,0 +1,70 @@
+//! Comparison of what a robot declares of itself with what robot.toml states.
+
+use crate::files::source::FileError;
+use crate::run::experiment::Experiment;
+use opspace_backend::{Capabilities, ForceSensor};
+use std::fmt::Debug;
+
+/// Largest relative difference of two periods that are the same.
+const SAME_PERIOD: f64 = 1e-9;
+
+impl Experiment {
+    /// Compares a robot's capabilities with robot.toml.
+    ///
+    /// # Errors
+    /// The first contradiction: it names both values, at the key in robot.toml.
+    pub fn compare_capabilities(&self, declared: &Capabilities) -> Result<(), FileError> {
+        let stated = self.capabilities();
+        self.same("joint", "joints", &stated.joints, &declared.joints)?;
+        self.same("interface.command", "commands", &stated.command.name(), &declared.command.name())?;
+        if (stated.period_s - declared.period_s).abs() > SAME_PERIOD * stated.period_s {
+            let periods = [stated.period_s, declared.period_s];
+            return Err(self.contradiction(
+                "profile",
+                "interface period in seconds",
+                &periods[0],
+                &periods[1],
+            ));
+        }
+        self.same("interface.set_points", "setpoints", &stated.setpoints, &declared.setpoints)?;
+        let gravity = |c: &Capabilities| c.gravity_compensated_by;
+        self.same("interface.gravity_by", "gravity compensation", &gravity(&stated), &gravity(declared))?;
+        let missed = |c: &Capabilities| c.on_missed_cycle;
+        self.same(
+            "interface.on_missed_cycle",
+            "behaviour on a missed cycle",
+            &missed(&stated),
+            &missed(declared),
+        )?;
+        self.same("interface.brakes", "brakes", &stated.has_brakes, &declared.has_brakes)?;
+        self.same("interface.measures", "measured quantities", &measured(&stated), &measured(declared))?;
+        let sensors = |c: &Capabilities| -> Vec<ForceSensor> { c.force_sensors.clone() };
+        self.same("force_sensor", "force sensors", &sensors(&stated), &sensors(declared))
+    }
+
+    fn same<T: PartialEq + Debug>(
+        &self,
+        key: &str,
+        what: &str,
+        stated: &T,
+        declared: &T,
+    ) -> Result<(), FileError> {
+        if stated == declared { Ok(()) } else { Err(self.contradiction(key, what, stated, declared)) }
+    }
+
+    fn contradiction(&self, key: &str, what: &str, stated: &dyn Debug, declared: &dyn Debug) -> FileError {
+        let message = format!("{what}: robot.toml states {stated:?}, the robot declares {declared:?}");
+        let help = Some("correct robot.toml, or the driver".to_owned());
+        FileError::at_key(&self.robot().source, key, message, help)
+    }
+}
+
+/// The names of what is measured beside positions.
+fn measured(capabilities: &Capabilities) -> Vec<&'static str> {
+    let quantities = [
+        ("velocity", capabilities.measures_velocity),
+        ("motor-current", capabilities.measures_motor_torque),
+        ("joint-torque", capabilities.measures_joint_torque),
+    ];
+    quantities.into_iter().filter(|(_, measured)| *measured).map(|(name, _)| name).collect()
+}

@@ -1,0 +1,60 @@
+//! Errors of a run.
+
+use crate::files::source::FileError;
+use opspace_backend::DeviceFault;
+use opspace_log::LogError;
+use std::io;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// The reason for which an experiment can't be run or read back.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// The files.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The log.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// A log that opspace didn't write, or not all of whose beginning is there.
+    #[error("this log lacks {what}, without which its run can't be put together again")]
+    Incomplete {
+        /// What is missing or can't be understood.
+        what: String,
+    },
+    /// A log of another version.
+    #[error("this log was written by opspace {written}; opspace {written} reads it, this is {own}")]
+    Version {
+        /// The version that wrote it.
+        written: String,
+        /// This version.
+        own: &'static str,
+    },
+    /// A real robot that can't be read before the run.
+    #[error("the robot can't be read: {fault}")]
+    Unreadable {
+        /// The fault that it reports.
+        fault: DeviceFault,
+    },
+    /// A real robot that is not where the task starts.
+    #[error(
+        "joint '{joint}' is at {q_rad:.3} rad (m), and the task starts at {start_rad:.3}; move the robot there, or change start_rad"
+    )]
+    AwayFromStart {
+        /// Its joint that is farthest up the chain.
+        joint: String,
+        /// Its position, rad or m.
+        q_rad: f64,
+        /// `start_rad` of the task, rad or m.
+        start_rad: f64,
+    },
+    /// A file that can't be written.
+    #[error("{}: can't be written: {source}", path.display())]
+    Write {
+        /// The file, or its folder.
+        path: PathBuf,
+        /// The cause.
+        source: io::Error,
+    },
+}

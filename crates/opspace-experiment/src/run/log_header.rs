@@ -1,0 +1,151 @@
+//! The files and settings in a log, from which its experiment is put together again.
+
+use crate::extensions::Extensions;
+use crate::files::robot::Robot;
+use crate::files::source::Source;
+use crate::files::task::Task;
+use crate::run::error::RunError;
+use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use opspace_log::{Attachment, Header, LOG, Recording};
+use opspace_transformer::TransformerKind;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Name of the metadata record in which a log keeps how it was made.
+pub const RUN: &str = "opspace.run";
+const ROBOT_FILE: &str = "robot.toml";
+const TASK_FILE: &str = "task.toml";
+const URDF_FILE: &str = "robot.urdf";
+
+/// The attachment in which a log keeps a recorded path, by the path as the task file gives it.
+fn recording_file(file: &Path) -> String {
+    format!("recorded/{}", file.display())
+}
+
+impl Experiment {
+    /// What a log of this experiment says before its first row.
+    pub(crate) fn header(&self) -> Header {
+        let choice = self.choice();
+        let mut entries = BTreeMap::from([
+            ("opspace_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("task".to_owned(), self.task().source.name().to_owned()),
+            ("robot".to_owned(), self.robot().source.name().to_owned()),
+            ("backend".to_owned(), choice.backend.name().to_owned()),
+            ("controller".to_owned(), choice.controller.name().to_owned()),
+            ("profile".to_owned(), self.profile().0.to_owned()),
+            ("seed".to_owned(), self.seed().to_string()),
+            ("duration_s".to_owned(), self.duration_s().to_string()),
+            ("servo_hz".to_owned(), self.profile().1.servo_hz.get().to_string()),
+            ("interface_hz".to_owned(), (1.0 / self.profile().1.period_s()).to_string()),
+            ("overrides".to_owned(), self.settings().join("\n")),
+        ]);
+        let transformer = self.chosen_transformer().0.name().to_owned();
+        entries.insert("transformer".to_owned(), transformer);
+        entries.insert("transformer_reason".to_owned(), self.transformer_reason().unwrap_or_default());
+        let asked_for = if choice.transformer.is_some() { "yes" } else { "no" };
+        entries.insert("transformer_asked_for".to_owned(), asked_for.to_owned());
+        let mut files = vec![
+            (ROBOT_FILE.to_owned(), "application/toml", &self.robot().source),
+            (TASK_FILE.to_owned(), "application/toml", &self.task().source),
+            (URDF_FILE.to_owned(), "application/xml", &self.robot().urdf),
+        ];
+        let recordings = self.task().recordings.iter();
+        files.extend(recordings.map(|(file, source)| (recording_file(file), "text/csv", source)));
+        for (name, _, source) in &files {
+            entries.insert(format!("{name}.sha256"), hex(&Sha256::digest(source.text())));
+        }
+        Header {
+            metadata: vec![(RUN.to_owned(), entries)],
+            attachments: files
+                .into_iter()
+                .map(|(name, media, source)| Attachment::new(name, media, source.text().as_bytes()))
+                .collect(),
+            model: Some(Arc::new(self.robot().model.clone())),
+        }
+    }
+
+    /// Puts together again the experiment whose log this is.
+    ///
+    /// # Errors
+    /// A log without the files it was made from, or files that today's program refuses.
+    pub fn of_log(recording: &Recording) -> Result<Self, RunError> {
+        Self::of_log_with(&Extensions::default(), recording)
+    }
+
+    /// The same with tasks of a user's own.
+    ///
+    /// # Errors
+    /// As [`of_log`](Self::of_log).
+    pub fn of_log_with(extensions: &Extensions, recording: &Recording) -> Result<Self, RunError> {
+        let entries = recording
+            .metadata(RUN)
+            .ok_or_else(|| RunError::Incomplete { what: format!("the metadata '{RUN}'") })?;
+        check_version(recording)?;
+        let entry = |key: &str| {
+            entries
+                .get(key)
+                .map(String::as_str)
+                .ok_or_else(|| RunError::Incomplete { what: format!("'{key}' in the metadata '{RUN}'") })
+        };
+        let robot = Robot::from_sources(
+            attached(recording, ROBOT_FILE, entry("robot")?)?,
+            attached(recording, URDF_FILE, URDF_FILE)?,
+        )?;
+        let task = Task::from_sources_with(
+            &extensions.tasks,
+            attached(recording, TASK_FILE, entry("task")?)?,
+            |named| attached(recording, &recording_file(named.file), &named.path.display().to_string()),
+        )?;
+        let unknown = |key: &str| RunError::Incomplete { what: format!("a '{key}' that is known") };
+        let transformer =
+            TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
+        let choice = Choice {
+            backend: BackendKind::ALL
+                .into_iter()
+                .find(|kind| entry("backend").is_ok_and(|name| name == kind.name()))
+                .ok_or_else(|| unknown("backend"))?,
+            controller: [ControllerKind::Osc, ControllerKind::Ik, ControllerKind::IkLead]
+                .into_iter()
+                .find(|kind| entry("controller").is_ok_and(|name| name == kind.name()))
+                .ok_or_else(|| unknown("controller"))?,
+            transformer: (!entry("transformer_asked_for").is_ok_and(|asked| asked == "no"))
+                .then_some(transformer),
+            profile: Some(entry("profile")?.to_owned()),
+            seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
+            label: None,
+            duration_s: Some(entry("duration_s")?.parse().map_err(|_| unknown("duration_s"))?),
+        };
+        let settings: Vec<String> = entry("overrides")?.lines().map(str::to_owned).collect();
+        let chosen = Self::new(robot.clone(), task.clone(), choice.clone(), settings.clone())?;
+        if chosen.chosen_transformer().0 == transformer {
+            return Ok(chosen);
+        }
+        // It was the best one to who wrote the log.
+        Ok(Self::new(robot, task, Choice { transformer: Some(transformer), ..choice }, settings)?)
+    }
+}
+
+/// A file out of a log, under the name it had.
+fn attached(recording: &Recording, file: &str, name: &str) -> Result<Source, RunError> {
+    let missing = || RunError::Incomplete { what: format!("the attached {file}") };
+    let attachment = recording.attachment(file).ok_or_else(missing)?;
+    let text = String::from_utf8(attachment.data.clone()).map_err(|_| missing())?;
+    Ok(Source::new(name, text))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// Refuses a log of another minor version: its rows or its files mean something else.
+fn check_version(recording: &Recording) -> Result<(), RunError> {
+    let own = env!("CARGO_PKG_VERSION");
+    let minor = |version: &str| version.rsplit_once('.').map(|(minor, _)| minor.to_owned());
+    let written = recording.metadata(LOG).and_then(|log| log.get("version")).map_or("", String::as_str);
+    if minor(written) == minor(own) {
+        return Ok(());
+    }
+    Err(RunError::Version { written: written.to_owned(), own })
+}

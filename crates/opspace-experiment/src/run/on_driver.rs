@@ -1,0 +1,83 @@
+//! Running an experiment on the robot that `[driver]` of robot.toml names.
+
+use crate::extensions::Extensions;
+use crate::files::robot::choices;
+use crate::files::source::FileError;
+use crate::run::error::RunError;
+use crate::run::execute::{Progress, RunResult};
+use crate::run::experiment::Experiment;
+use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
+use std::io::Write;
+
+/// The key of `[driver]` that names the driver.
+const NAME: &str = "name";
+
+impl Experiment {
+    /// Whether robot.toml names a driver: the robot is a real one.
+    #[must_use]
+    pub fn has_driver(&self) -> bool {
+        self.robot.file.driver.is_some()
+    }
+
+    /// Runs the experiment on the robot that `[driver]` names, opened by one of the `extensions`.
+    ///
+    /// # Errors
+    /// A driver that is not in the program, its settings, a robot that it can't open; as
+    /// [`run_on`](Self::run_on).
+    pub fn run_on_driver<W: Write + Send + 'static>(
+        &self,
+        extensions: &Extensions,
+        sink: W,
+        progress: &Progress,
+    ) -> Result<RunResult<W>, RunError> {
+        let driver = self.driver(extensions)?;
+        let (mut sink, mut result) = (Some(sink), None);
+        let mut run = |backend: &mut dyn Backend| {
+            // A driver calls it once.
+            if let Some(sink) = sink.take() {
+                result = Some(self.run_on(backend, sink, progress));
+            }
+        };
+        driver.with(&self.driver_settings(), &mut run).map_err(|error| self.driver_error(&error))?;
+        result.unwrap_or_else(|| {
+            let error = DriverError::new("it opened the robot and did not run it");
+            Err(self.driver_error(&error).into())
+        })
+    }
+
+    fn driver<'a>(&self, extensions: &'a Extensions) -> Result<&'a dyn Driver, FileError> {
+        let source = &self.robot.source;
+        let Some(Setting::Text(name)) = self.robot.file.driver.as_ref().and_then(|keys| keys.get(NAME))
+        else {
+            let message = "[driver] has no name";
+            return Err(FileError::at_key(source, "driver", message, Some("add `name = ...`".to_owned())));
+        };
+        let found = extensions.drivers.iter().find(|driver| driver.name() == name);
+        found.map(|driver| &**driver).ok_or_else(|| {
+            let known: Vec<&str> = extensions.drivers.iter().map(|driver| driver.name()).collect();
+            let help = if known.is_empty() {
+                "no driver is compiled in: build a program with opspace_cli::main_with, or use --simulate"
+                    .to_owned()
+            } else {
+                choices(name, known)
+            };
+            let message = format!("this program has no driver '{name}'");
+            FileError::at_key(source, ["driver", NAME], message, Some(help))
+        })
+    }
+
+    fn driver_settings(&self) -> Settings {
+        let joints = self.robot.model.joints().iter().map(|joint| joint.name.clone()).collect();
+        let settings = Settings::new(self.command_kind(), joints, self.profile.period_s());
+        let keys = self.robot.file.driver.iter().flatten().filter(|(key, _)| *key != NAME);
+        keys.fold(settings, |settings, (key, value)| settings.with(key, value.clone()))
+    }
+
+    fn driver_error(&self, error: &DriverError) -> FileError {
+        let source = &self.robot.source;
+        match &error.key {
+            Some(key) => FileError::at_key(source, ["driver", key], error.words.clone(), None),
+            None => FileError::at_key(source, "driver", error.words.clone(), None),
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Transformers and servo sections of robots that take velocities.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use opspace_backend::CommandKind;
+use opspace_experiment::{BackendKind, Choice, Experiment, FileError, Files, Robot, Source, Task};
+use opspace_transformer::{Method, ServoParameters, TransformerKind};
+use std::path::Path;
+
+const ROBOT: &str = "robots/asimo-arm/robot.toml";
+
+/// The ASIMO-like arm with these settings, as a robot that is not simulated.
+fn robot(settings: &[&str]) -> Result<Robot, FileError> {
+    let settings: Vec<String> = settings.iter().map(|setting| format!("robot.{setting}")).collect();
+    let mut robot = Robot::load(Files::Embedded, Path::new(ROBOT), &settings)?;
+    robot.file.simulated = None;
+    Ok(robot)
+}
+
+fn on_robot(robot: Robot, backend: BackendKind, transformer: Option<&str>) -> Result<Experiment, FileError> {
+    let task = Task::load(Files::Embedded, Path::new("tasks/cartesian-tracking.toml"), &[])?;
+    let transformer = transformer.map(|name| TransformerKind::named(name).unwrap());
+    Experiment::new(robot, task, Choice { backend, transformer, ..Choice::default() }, Vec::new())
+}
+
+fn experiment(transformer: Option<&str>, settings: &[&str]) -> Result<Experiment, FileError> {
+    on_robot(robot(settings)?, BackendKind::Velocity, transformer)
+}
+
+/// The robot file with this section taken out, or with another text in its place, and its URDF.
+fn edited(from: &str, to: &str) -> Result<Robot, FileError> {
+    let arm = robot(&[])?;
+    let text = arm.source.text();
+    assert!(text.contains(from), "{from}");
+    Robot::from_sources(Source::new(ROBOT, text.replacen(from, to, 1)), arm.urdf.clone())
+}
+
+fn section(text: &str, heading: &str) -> String {
+    let from = &text[text.find(heading).unwrap()..];
+    from.split_inclusive("\n\n").next().unwrap().to_owned()
+}
+
+/// Each transformer by its name on a velocity robot, and the kind of command that the control loop gets from it.
+#[test]
+fn transformers_of_a_velocity_robot_command_velocities() {
+    for (name, setting) in [
+        ("paper", "interface.set_points=held"),
+        ("paper+current", "interface.set_points=held"),
+        ("emulation", "interface.set_points=held"),
+        ("emulation+current", "interface.set_points=interpolated"),
+        ("interpolating", "interface.set_points=interpolated"),
+        ("interpolating+current", "interface.set_points=interpolated"),
+    ] {
+        let experiment = experiment(Some(name), &[setting]).unwrap();
+        assert_eq!(experiment.transformer_kind(), TransformerKind::named(name));
+        let config = experiment.loop_config().unwrap();
+        assert_eq!(config.transformer.takes(), CommandKind::Velocity, "{name}");
+        let kv: Vec<f64> = config.servo_gains.iter().map(|gains| gains.damping).collect();
+        assert_eq!(kv, [94.6, 89.9, 30.4, 30.3]);
+        assert!(config.servo_gains.iter().all(|gains| gains.stiffness == 0.0));
+        assert!(config.capabilities.has_brakes);
+    }
+}
+
+/// The transformer that is chosen by default for a velocity robot and for a position robot that declare the same.
+#[test]
+fn default_is_chosen_as_for_positions() {
+    for (settings, method, current) in [
+        (vec![], Method::Emulation, true),
+        (vec!["interface.measures=[\"position\"]"], Method::Emulation, false),
+        (vec!["interface.set_points=interpolated"], Method::Interpolating, true),
+    ] {
+        let [velocity, position] = [BackendKind::Velocity, BackendKind::Position]
+            .map(|backend| on_robot(robot(&settings).unwrap(), backend, None).unwrap().transformer_kind());
+        assert_eq!(velocity, position);
+        assert_eq!(velocity, Some(TransformerKind { method, current }));
+    }
+}
+
+/// Words of the errors for transformers that a velocity robot can't have.
+#[test]
+fn transformers_that_need_a_position_loop_are_refused() {
+    for name in ["identified", "identified+current", "identified-literal", "identified-open-loop"] {
+        let error = experiment(Some(name), &[]).unwrap_err();
+        assert!(error.message().contains(&format!("'{name}'")), "{error}");
+        assert!(error.message().contains("position servo, which a velocity robot does not have"), "{error}");
+    }
+    let integral = "profile.a-med.velocity_servo.elbow.ki_nm_per_rad=500.0";
+    let error = experiment(Some("paper+current"), &[integral]).unwrap_err();
+    assert!(error.message().contains("the integral in the velocity servo of 'elbow'"), "{error}");
+    assert!(experiment(Some("emulation"), &[integral]).is_ok());
+    let refined = "profile.a-med.refine={time_s=1.0,within=0.3}";
+    let error = experiment(None, &[refined]).unwrap_err();
+    assert!(error.message().contains("velocity servos can't be refined"), "{error}");
+}
+
+/// Velocity servos of the file, and the inner loops of its cascades.
+#[test]
+fn velocity_servos_are_the_inner_loops_of_the_cascades() {
+    let robot = robot(&[]).unwrap();
+    for profile in ["a-med", "b-soft"] {
+        let profile = robot.profile(Some(profile)).unwrap().1;
+        let servos = robot.servos(profile).into_iter().zip(robot.velocity_servos(profile));
+        assert_eq!(servos.len(), 4);
+        for pair in servos {
+            let (ServoParameters::Cascaded(outer), ServoParameters::Velocity(inner)) = pair else {
+                panic!("{pair:?}");
+            };
+            assert_eq!(inner.kv_nms_per_rad, outer.kv_nms_per_rad);
+            assert_eq!(inner.velocity_filter_hz, outer.velocity_filter_hz);
+            assert_eq!(inner.ki_nm_per_rad.get(), 0.0);
+        }
+    }
+}
+
+/// Errors of profiles that lack servos of a kind or of a joint, or have them in the wrong section.
+#[test]
+fn missing_servos_are_named() {
+    let text = robot(&[]).unwrap().source.text().to_owned();
+    let velocity = section(&text, "[profile.a-med.velocity_servo]");
+    let position = section(&text, "[profile.a-med.servo]");
+
+    let mut without = edited(&velocity, "").unwrap();
+    without.file.simulated = None;
+    assert!(on_robot(without.clone(), BackendKind::Position, None).is_ok());
+    let error = on_robot(without, BackendKind::Velocity, None).unwrap_err();
+    assert!(error.message().contains("'a-med' has no velocity servos"), "{error}");
+    assert!(error.help().unwrap().contains("[profile.a-med.velocity_servo.JOINT]"), "{error}");
+    assert!(error.help().unwrap().contains("kv_nms_per_rad"), "{error}");
+
+    let mut without = edited(&position, "").unwrap();
+    without.file.simulated = None;
+    assert!(on_robot(without.clone(), BackendKind::Velocity, None).is_ok());
+    assert!(on_robot(without.clone(), BackendKind::Torque, None).is_ok());
+    let error = on_robot(without, BackendKind::Position, None).unwrap_err();
+    assert!(error.message().contains("'a-med' has no position servos"), "{error}");
+
+    let one_less = velocity.lines().filter(|line| !line.starts_with("elbow")).collect::<Vec<_>>().join("\n");
+    let error = edited(&velocity, &format!("{one_less}\n")).unwrap_err();
+    assert!(error.message().contains("joint 'elbow'"), "{error}");
+    assert!(error.message().contains("profile.a-med.velocity_servo"), "{error}");
+
+    let cascaded =
+        "elbow = { cascaded = { kp_per_s = 50.265, kv_nms_per_rad = 30.3, velocity_filter_hz = 600.0 } }";
+    let misplaced = "elbow = { velocity = { kv_nms_per_rad = 30.3, velocity_filter_hz = 600.0 } }";
+    let error = edited(cascaded, misplaced).unwrap_err();
+    assert!(error.message().contains("'elbow' takes velocities"), "{error}");
+    assert!(error.help().unwrap().contains("[profile.a-med.velocity_servo.elbow]"), "{error}");
+}

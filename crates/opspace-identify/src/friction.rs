@@ -1,0 +1,134 @@
+//! Friction from passes at constant speed in both directions.
+//!
+//! Half the difference of the torques of the two directions, over the same positions, is friction: gravity is the same in
+//! both. Over speed it is Stribeck's curve and viscous friction,
+//! `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
+
+use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
+
+/// Speeds over which static friction may fall to Coulomb friction, as shares of the highest speed: 24 of them.
+const GRID: i32 = 24;
+
+/// Stribeck's speed where none can be seen, rad/s (m/s).
+const NO_STRIBECK: f64 = 0.05;
+
+/// Friction of a joint, as it is written into robot.toml.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Friction {
+    /// Fc, Nm (N).
+    pub coulomb: f64,
+    /// Fs, Nm (N).
+    pub static_friction: f64,
+    /// vs, rad/s (m/s).
+    pub stribeck: f64,
+    /// Fv, Nms/rad (Ns/m).
+    pub viscous: f64,
+    /// What the curve leaves of the passes, rms, Nm (N).
+    pub residual: f64,
+}
+
+impl Friction {
+    /// The curve at a speed above 0.
+    #[must_use]
+    pub fn at(&self, speed: f64) -> f64 {
+        let fall = (-(speed / self.stribeck).powi(2)).exp();
+        self.coulomb + (self.static_friction - self.coulomb) * fall + self.viscous * speed
+    }
+}
+
+/// Friction measured at a speed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ConstantVelocityRun {
+    /// Rad/s (m/s), above 0.
+    pub speed: f64,
+    /// Half the difference of both directions, Nm (N).
+    pub torque: f64,
+}
+
+/// The curve through passes at different speeds; `None` for fewer than three.
+#[must_use]
+pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
+    let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
+    if passes.len() < 3 || highest <= 0.0 {
+        return None;
+    }
+    let mut best = curve(passes, NO_STRIBECK, &[true, true, false])?;
+    for step in 0..GRID {
+        // From a hundredth of the highest speed to a half of it.
+        let stribeck = highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1));
+        for columns in [[true, true, true], [true, false, true]] {
+            if let Some(found) = curve(passes, stribeck, &columns)
+                && found.residual < 0.999 * best.residual
+            {
+                best = found;
+            }
+        }
+    }
+    Some(best)
+}
+
+/// Least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` where one of them would be negative.
+fn curve(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<Friction> {
+    let value = |column: usize, speed: f64| match column {
+        0 => 1.0,
+        1 => speed,
+        _ => (-(speed / stribeck).powi(2)).exp(),
+    };
+    let used: Vec<usize> = (0..3).filter(|&c| columns[c]).collect();
+    if passes.len() < used.len() {
+        return None;
+    }
+    let matrix = DMatrix::from_fn(passes.len(), used.len(), |k, c| value(used[c], passes[k].speed));
+    let right = DVector::from_iterator(passes.len(), passes.iter().map(|p| p.torque));
+    let solved = matrix.clone().svd(true, true).solve(&right, 1e-12).ok()?;
+    if columns[2] && solved.iter().any(|v| *v < 0.0) {
+        return None;
+    }
+    let solved = solved.map(|v| v.max(0.0));
+    let left = (&matrix * &solved - &right).norm() / (passes.len() as f64).sqrt();
+    let of = |column: usize| used.iter().position(|&c| c == column).map_or(0.0, |at| solved[at]);
+    Some(Friction {
+        coulomb: of(0),
+        static_friction: of(0) + of(2),
+        stribeck,
+        viscous: of(1),
+        residual: left,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn passes(truth: Friction) -> Vec<ConstantVelocityRun> {
+        let speeds = (0..8).map(|k| 1.2 * 0.55f64.powi(k));
+        speeds.map(|speed| ConstantVelocityRun { speed, torque: truth.at(speed) }).collect()
+    }
+
+    /// The fitted curve against the one on which the passes lie.
+    #[test]
+    fn a_stribeck_curve_comes_back() {
+        const TOLERANCE: f64 = 0.03;
+        let truth =
+            Friction { coulomb: 1.8, static_friction: 2.34, stribeck: 0.06, viscous: 2.0, residual: 0.0 };
+        let found = fit(&passes(truth)).expect("eight passes");
+        for (f, t) in [
+            (found.coulomb, truth.coulomb),
+            (found.static_friction, truth.static_friction),
+            (found.viscous, truth.viscous),
+        ] {
+            assert!((f / t - 1.0).abs() < TOLERANCE, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn friction_without_a_peak_has_none() {
+        const TOLERANCE: f64 = 1e-6;
+        let truth =
+            Friction { coulomb: 0.4, static_friction: 0.4, stribeck: 0.05, viscous: 0.0, residual: 0.0 };
+        let found = fit(&passes(truth)).expect("eight passes");
+        assert!((found.static_friction - 0.4).abs() < TOLERANCE && found.viscous < TOLERANCE, "{found:?}");
+        assert_eq!(fit(&[]), None);
+    }
+}

@@ -1,0 +1,258 @@
+//! From frequency responses to the servo: the exact multirate model, fitted to what was measured.
+//!
+//! With the motor's current both sides of the drive are seen, set-point and position on one, torque on the other; its gains
+//! then follow whatever the joint does (see [`interval`](crate::interval)). Without it only T = y/q_desired is known,
+//!
+//! ```text
+//! T ≈ kv kp / (I s² + (kv + b) s + kv kp)
+//! ```
+//!
+//! so that kv kp/I and (kv + b)/I follow, and no more. Coulomb friction is known from how far the joint lags at constant
+//! speed, and counts as the viscous friction that takes as much out of a Gaussian velocity, √(2/π) Fc/σ; viscous friction
+//! is taken into kv, which it raises by as much and lowers kp accordingly: by some percent.
+
+use crate::interval::{Drive, Interval, Rates};
+use crate::least_squares::{Minimum, minimise};
+use crate::rational::relative;
+use crate::response::Point;
+use nalgebra::{Complex, DMatrix, DVector};
+use std::f64::consts::TAU;
+
+/// The model is not trusted beyond this, however little noise there is.
+const MODEL_ERROR: f64 = 0.01;
+
+/// What is taken for granted of a drive's filter and current loop, and how loosely (a factor), where the data don't say:
+/// a filter at an eighth of the servo's rate, a current loop of 1 kHz.
+const FILTER_OF_RATE: f64 = 0.125;
+const FILTER_WITHIN: f64 = 10.0;
+pub(super) const CURRENT_LOOP_HZ: f64 = 1000.0;
+const CURRENT_LOOP_WITHIN: f64 = 4.0;
+
+/// How often gains and inertia are fitted in turn.
+const TURNS: usize = 4;
+
+/// The responses at one amplitude.
+#[derive(Clone, Debug)]
+pub struct AmplitudeLevel {
+    /// Rms of the joint's velocity, rad/s (m/s).
+    pub speed: f64,
+    /// Position over set-point.
+    pub position: Vec<Point>,
+    /// Mean torque over set-point, Nm/rad, where current is measured.
+    pub torque: Option<Vec<Point>>,
+}
+
+/// The servo that explains the responses.
+#[derive(Clone, Debug)]
+pub struct Gains {
+    /// The drive and the joint; per inertia, and with an inertia of 1, where torque was not measured.
+    pub drive: Drive,
+    /// Servo ticks until a set-point acts.
+    pub delay: u32,
+    /// Relative standard deviations of kp and kv.
+    pub deviation: [f64; 2],
+    /// Viscous friction that amounts to what held the joint back, for each level, Nms/rad (or per inertia).
+    pub friction: Vec<f64>,
+    /// Relative error of the modelled torque, rms, where it was measured.
+    pub torque_residual: Option<f64>,
+    /// How much worse the next best delay explains the data: a ratio of costs.
+    pub delay_margin: f64,
+}
+
+/// Fits the servo, the delay of `rates` left open; `lag` (rad, m) is how far Coulomb friction keeps the joint behind its
+/// set-point, for where torque is not measured. `None` where the responses say nothing.
+#[must_use]
+pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<Gains> {
+    let measured = levels.iter().all(|l| l.torque.is_some());
+    let mut fitted: Vec<(f64, Gains)> = Vec::new();
+    for delay in 0..=rates.ratio {
+        let rates = Rates { delay, ..rates };
+        let one = if measured { with_torque(levels, rates) } else { without_torque(levels, rates, lag) };
+        fitted.extend(one);
+    }
+    fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let second = fitted.get(1).map_or(f64::INFINITY, |(cost, _)| *cost);
+    let (cost, gains) = fitted.into_iter().next()?;
+    Some(Gains { delay_margin: second / cost, ..gains })
+}
+
+fn with_torque(levels: &[AmplitudeLevel], rates: Rates) -> Option<(f64, Gains)> {
+    let mut drive = rough(levels, &rates)?;
+    let mut found = None;
+    let mut friction = Vec::new();
+    for _ in 0..TURNS {
+        let drive_of = |x: &[f64]| Drive {
+            kp: x[0].exp(),
+            kv: x[1].exp(),
+            velocity_filter_hz: x[2].exp(),
+            current_loop_hz: x[3].exp(),
+            inertia: drive.inertia,
+        };
+        let start = [drive.kp.ln(), drive.kv.ln(), drive.velocity_filter_hz.ln(), drive.current_loop_hz.ln()];
+        let minimum = minimise(&start, |x| {
+            let interval = Interval::new(&drive_of(x), rates);
+            let mut residuals = Vec::new();
+            for (position, torque) in pairs(levels) {
+                let r = interval.responses(position.hz)?;
+                let through = (r.torque_of_force / r.position_of_force).norm() * position.noise;
+                let size = f64::hypot(torque.noise + through, MODEL_ERROR * torque.value.norm());
+                let error = (r.torque(position.value) - torque.value) / size;
+                residuals.extend([error.re, error.im]);
+            }
+            residuals.push(beyond(x[2], FILTER_OF_RATE / rates.servo_period_s, FILTER_WITHIN));
+            residuals.push(beyond(x[3], CURRENT_LOOP_HZ, CURRENT_LOOP_WITHIN));
+            Some(residuals)
+        })?;
+        drive = drive_of(&minimum.x);
+        let (more, viscous) = joint(levels, &drive, rates)?;
+        drive.inertia = (drive.inertia + more).max(0.1 * drive.inertia);
+        friction = viscous;
+        found = Some(minimum);
+    }
+    let minimum = found?;
+    let interval = Interval::new(&drive, rates);
+    let torque = pairs(levels)
+        .filter_map(|(p, t)| Some((interval.responses(p.hz)?.torque(p.value), t.value)))
+        .collect::<Vec<_>>();
+    let residual = relative(torque.into_iter());
+    Some(gains(drive, rates, &minimum, friction, Some(residual)))
+}
+
+fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<(f64, Gains)> {
+    let corner = corner_hz(&levels.first()?.position)?;
+    let drive_of = |x: &[f64]| Drive {
+        kp: x[0].exp(),
+        kv: x[1].exp(),
+        velocity_filter_hz: x[2].exp(),
+        current_loop_hz: CURRENT_LOOP_HZ,
+        inertia: 1.0,
+    };
+    let friction_of = |x: &[f64], level: &AmplitudeLevel| {
+        (2.0 / std::f64::consts::PI).sqrt() * lag * (x[0] + x[1]).exp() / level.speed
+    };
+    let filter_hz = FILTER_OF_RATE / rates.servo_period_s;
+    let residuals = |x: &[f64]| {
+        let interval = Interval::new(&drive_of(x), rates);
+        let mut residuals = Vec::new();
+        for level in levels {
+            let b = friction_of(x, level);
+            for point in &level.position {
+                let model = interval.responses(point.hz)?.position_with_friction(b, TAU * point.hz);
+                let size = f64::hypot(point.noise, MODEL_ERROR * point.value.norm());
+                let error = (model - point.value) / size;
+                residuals.extend([error.re, error.im]);
+            }
+        }
+        residuals.push(beyond(x[2], filter_hz, FILTER_WITHIN));
+        Some(residuals)
+    };
+    let starts = [2.0, 5.0].into_iter().filter_map(|stiffer| {
+        let kp = TAU * corner;
+        minimise(&[kp.ln(), (stiffer * kp).ln(), filter_hz.ln()], residuals)
+    });
+    let minimum = starts.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+    let friction = levels.iter().map(|level| friction_of(&minimum.x, level)).collect();
+    Some(gains(drive_of(&minimum.x), rates, &minimum, friction, None))
+}
+
+/// Where the phase has come to −45°: about the corner of the position loop, Hz.
+#[must_use]
+pub fn corner_hz(position: &[Point]) -> Option<f64> {
+    Some(position.iter().find(|p| p.value.arg() < -TAU / 8.0).or(position.last())?.hz)
+}
+
+fn gains(
+    drive: Drive,
+    rates: Rates,
+    minimum: &Minimum,
+    friction: Vec<f64>,
+    torque_residual: Option<f64>,
+) -> (f64, Gains) {
+    let deviation = [minimum.deviation[0], minimum.deviation[1]];
+    let (delay, delay_margin) = (rates.delay, f64::INFINITY);
+    let gains = Gains { drive, delay, deviation, friction, torque_residual, delay_margin };
+    (minimum.cost, gains)
+}
+
+/// How far a logarithm is from what is likely, in units of what is as far as likely.
+fn beyond(logarithm: f64, likely: f64, within: f64) -> f64 {
+    (logarithm - likely.ln()) / within.ln()
+}
+
+/// All lines of all levels: position and torque.
+fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
+    levels.iter().flat_map(|level| level.position.iter().zip(level.torque.iter().flatten()))
+}
+
+/// Gains to begin from, as if the set-points were continuous: `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
+fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
+    let low = |hz: f64| hz * rates.period_s() < 0.15;
+    let late = (f64::from(rates.delay) + 0.5 * f64::from(rates.ratio)) * rates.servo_period_s;
+    let mut rows = Vec::new();
+    let mut moves = Vec::new();
+    for (position, torque) in pairs(levels).filter(|(p, _)| low(p.hz)) {
+        let (t, s) = (position.value, torque.value);
+        let jw = Complex::new(0.0, TAU * position.hz);
+        rows.push(([Complex::from_polar(1.0, -TAU * position.hz * late) - t, -jw * t], s));
+        moves.push(([jw * jw * t, jw * t], s));
+    }
+    let [stiffness, kv] = linear(&rows)?;
+    let [inertia, _] = linear(&moves)?;
+    let usable = stiffness > 0.0 && kv > 0.0 && inertia > 0.0;
+    usable.then(|| Drive {
+        kp: stiffness / kv,
+        kv,
+        velocity_filter_hz: FILTER_OF_RATE / rates.servo_period_s,
+        current_loop_hz: CURRENT_LOOP_HZ,
+        inertia,
+    })
+}
+
+/// What the joint is beside the inertia of `drive`: more inertia, and viscous friction at each level, from the force that the
+/// model needs to explain the positions. Inertia shows above the frequencies of friction and below those of the encoder's
+/// noise, friction below them.
+fn joint(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<(f64, Vec<f64>)> {
+    let interval = Interval::new(drive, rates);
+    let within = |from: f64, to: f64| {
+        move |p: &&Point| (from..to).contains(&(p.hz * rates.period_s())) && p.coherence > 0.95
+    };
+    let mut rows = Vec::new();
+    for point in levels.iter().flat_map(|l| &l.position).filter(within(0.03, 0.25)) {
+        let omega = TAU * point.hz;
+        let force = interval.responses(point.hz)?.force(point.value);
+        let size = drive.inertia * omega * omega * point.value.norm();
+        let y = point.value / size;
+        rows.push(([y * (omega * omega), -y * Complex::new(0.0, omega)], force / size));
+    }
+    let [more, _] = linear(&rows)?;
+    let mut friction = Vec::new();
+    for level in levels {
+        let (mut power, mut work) = (0.0, 0.0);
+        for point in level.position.iter().filter(within(0.0, 0.1)) {
+            let omega = TAU * point.hz;
+            let force =
+                interval.responses(point.hz)?.force(point.value) - point.value * (more * omega * omega);
+            let velocity = point.value * Complex::new(0.0, omega);
+            power += velocity.norm_sqr();
+            work -= (force * velocity.conj()).re;
+        }
+        friction.push((work / power).max(0.0));
+    }
+    Some((more, friction))
+}
+
+/// Two real coefficients of complex columns, by least squares.
+fn linear(rows: &[([Complex<f64>; 2], Complex<f64>)]) -> Option<[f64; 2]> {
+    let mut matrix = DMatrix::zeros(2 * rows.len(), 2);
+    let mut right = DVector::zeros(2 * rows.len());
+    for (k, (columns, value)) in rows.iter().enumerate() {
+        for (c, column) in columns.iter().enumerate() {
+            matrix[(2 * k, c)] = column.re;
+            matrix[(2 * k + 1, c)] = column.im;
+        }
+        right[2 * k] = value.re;
+        right[2 * k + 1] = value.im;
+    }
+    let solved = matrix.svd(true, true).solve(&right, 1e-14).ok()?;
+    solved.iter().all(|v| v.is_finite()).then(|| [solved[0], solved[1]])
+}

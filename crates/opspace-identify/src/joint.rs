@@ -1,0 +1,468 @@
+//! One joint, moved about where it stands until its servo is known: amplitudes that its limits allow, multisines, slow passes.
+
+use crate::excitation::{Multisine, odd_lines};
+use crate::friction;
+use crate::friction::ConstantVelocityRun;
+use crate::gains;
+use crate::gains::{AmplitudeLevel, Gains};
+use crate::identification::{
+    COHERENT, ExcitationPlan, FitQuality, Identification, IdentificationFailure, KnownParameters, Measured,
+    Servo, TorqueScale,
+};
+use crate::rational;
+use crate::rational::{Rational, Target, relative};
+use crate::response;
+use crate::response::{Realisation, distortion, frequency_response};
+use crate::session::{AbortReason, Bounds, ExcitationSession, Record};
+use crate::sweep::{Lag, Sweep};
+use opspace_control::ramp::minimum_jerk;
+
+/// Identifies one joint of a robot that holds itself.
+///
+/// # Errors
+/// A fault of the robot, or an interruption. A joint that can't be inverted is no error: its identification says why.
+pub fn identify(
+    session: &mut ExcitationSession<'_>,
+    told: &KnownParameters,
+    plan: &ExcitationPlan,
+) -> Result<Identification, AbortReason> {
+    let scale = match (session.measures_torque(), told.inertia) {
+        (true, _) => TorqueScale::MotorCurrent,
+        (false, Some(_)) => TorqueScale::Urdf,
+        (false, None) => TorqueScale::Unknown,
+    };
+    let mut found = Identification {
+        scale,
+        measured: Vec::new(),
+        servo: None,
+        equivalent_friction: 0.0,
+        rational: None,
+        rational_residual: None,
+        trust: None,
+        refused: None,
+    };
+    match (Joint { session, told, plan }).identify(&mut found) {
+        Ok(()) => Ok(found),
+        Err(IdentificationFailure::Stopped(stop)) if stop.is_final() => Err(stop),
+        Err(refusal) => {
+            found.refused = Some(refusal.to_string());
+            Ok(found)
+        }
+    }
+}
+
+/// Highest excited frequency over the interface rate: beyond, aliases and the model's own limits prevail.
+const BAND: f64 = 0.4;
+
+/// What of a limit is used: of the way to the nearest position limit, of the speed limit, and of the torque that is left
+/// beside what holds the joint.
+const TRAVEL_USED: f64 = 0.3;
+const SPEED_USED: f64 = 0.3;
+const TORQUE_USED: f64 = 0.5;
+
+/// At which of it a motion is broken off.
+const TRAVEL_AT_MOST: f64 = 0.8;
+const SPEED_AT_MOST: f64 = 0.9;
+const TORQUE_AT_MOST: f64 = 0.95;
+
+/// Furthest that a joint is moved from where it stands, rad (m): inertia and gravity should stay what they are.
+const FURTHEST: f64 = 0.35;
+
+/// The first, careful amplitude, in encoder counts (rms), and what must be reached for the encoder to show it.
+const FIRST_COUNTS: f64 = 10.0;
+const LEAST_COUNTS: f64 = 20.0;
+
+/// Speed is a difference over so long, s.
+const SPEED_OVER_S: f64 = 2e-3;
+
+/// Most trials until an amplitude is found, and how often it may be halved when it was too large after all.
+const TRIALS: usize = 20;
+const HALVED_AT_MOST: usize = 3;
+
+/// How long an amplitude is tried, and how long a motion fades in and out, s.
+const TRIAL_S: f64 = 0.5;
+const FADE_S: f64 = 0.2;
+
+/// A servo that follows has |T| near 1 at low frequencies: less than this is none that does.
+const FOLLOWS: f64 = 0.5;
+
+/// A joint that turns needs so many times what its friction keeps it behind its set-point until it moves steadily.
+const TURNS_WITHIN: f64 = 8.0;
+
+/// Relative errors of torque and position beyond which the servo is not of the structure that it is said to have. Without
+/// measured torque a joint that others couple with strongly fails it too: its gains would be wrong.
+const TORQUE_EXPLAINED: f64 = 0.10;
+const POSITION_EXPLAINED: f64 = 0.10;
+
+/// Power outside the excited lines beyond which no linear servo is left to be inverted.
+const LINEAR: f64 = 0.5;
+
+/// How long turning takes where the scale of torque isn't known, and at most, s.
+const TURNS_IN_S: f64 = 0.05;
+const TURNS_AT_LAST_S: f64 = 1.0;
+
+struct Joint<'a, 'b> {
+    pub session: &'a mut ExcitationSession<'b>,
+    pub told: &'a KnownParameters,
+    pub plan: &'a ExcitationPlan,
+}
+
+impl From<AbortReason> for IdentificationFailure {
+    fn from(stop: AbortReason) -> Self {
+        Self::Stopped(stop)
+    }
+}
+
+impl Joint<'_, '_> {
+    pub fn identify(&mut self, found: &mut Identification) -> Result<(), IdentificationFailure> {
+        self.measure_levels(found)?;
+        self.check_following(found)?;
+
+        let levels: Vec<AmplitudeLevel> = (found.measured.iter())
+            .map(|m| AmplitudeLevel {
+                speed: m.speed,
+                position: m.position.clone(),
+                torque: m.torque.clone(),
+            })
+            .collect();
+        let rates = self.told.rates(0);
+        let rough = gains::fit(&levels, rates, 0.0).ok_or(IdentificationFailure::Undetermined)?;
+        let sweeps = self.sweeps(&rough)?;
+        let lag = self.lag(&sweeps);
+        let gains = match self.session.measures_torque() {
+            true => rough,
+            false => gains::fit(&levels, rates, lag.at_rest).ok_or(IdentificationFailure::Undetermined)?,
+        };
+        self.rational(found, gains.delay);
+        let scale = match (found.scale, self.told.inertia) {
+            // The joints beside neither quite hold nor quite give way.
+            (TorqueScale::Urdf, Some([free, held])) => 0.5 * (free + held),
+            _ => 1.0,
+        };
+        let passes: Vec<ConstantVelocityRun> = (sweeps.iter())
+            .filter_map(|sweep| sweep.friction(&gains, lag, self.session.period_s()))
+            .map(|p| ConstantVelocityRun { torque: scale * p.torque, ..p })
+            .collect();
+        found.equivalent_friction = scale * gains.friction[0];
+        let drive = gains.drive;
+        found.servo = Some(Servo {
+            kp: drive.kp,
+            kv: scale * drive.kv,
+            velocity_filter_hz: drive.velocity_filter_hz,
+            delay: gains.delay,
+            current_loop_hz: self.session.measures_torque().then_some(drive.current_loop_hz),
+            inertia: scale * drive.inertia,
+            friction: friction::fit(&passes),
+            passes,
+        });
+        let trust = self.trust(found, &gains);
+        let explained = check_explained(&trust);
+        found.trust = Some(trust);
+        explained
+    }
+
+    fn bounds(&self) -> Bounds {
+        let told = self.told;
+        Bounds {
+            travel: TRAVEL_AT_MOST * self.room(),
+            speed: SPEED_AT_MOST * told.speed_limit,
+            torque: TORQUE_AT_MOST * told.torque_limit,
+        }
+    }
+
+    /// To the nearest limit, rad (m).
+    fn room(&self) -> f64 {
+        let at = self.session.posture(self.told.joint);
+        (at - self.told.lower).min(self.told.upper - at).max(0.0)
+    }
+
+    /// How far the joint is moved for its identification, rad (m).
+    fn travel(&self) -> f64 {
+        (TRAVEL_USED * self.room()).min(FURTHEST)
+    }
+
+    /// Torque beside what holds the joint, Nm (N).
+    fn spare_torque(&self) -> f64 {
+        let holds = self.session.torque(self.told.joint).unwrap_or(0.0).abs();
+        TORQUE_USED * (self.told.torque_limit - holds).max(0.0)
+    }
+
+    /// The largest safe amplitude (rms): from a careful one on, each tried for a moment and made larger by what limits leave.
+    fn amplitude(&mut self, excitation: &Multisine) -> Result<f64, IdentificationFailure> {
+        let most = self.travel() / excitation.crest();
+        let least = LEAST_COUNTS * self.told.resolution;
+        let mut rms = (FIRST_COUNTS * self.told.resolution).max(1e-6).min(most);
+        let mut ceiling = most;
+        for _ in 0..TRIALS {
+            let factor = match self.trial(excitation, rms) {
+                Ok(factor) => factor,
+                Err(stop) if stop.is_final() => return Err(stop.into()),
+                Err(_) => {
+                    ceiling = 0.5 * rms;
+                    0.3
+                }
+            };
+            let next = (rms * factor.min(4.0)).min(ceiling);
+            if next < least && factor < 1.0 || ceiling < least {
+                return Err(IdentificationFailure::NoRoom { reached: next, least });
+            }
+            if next < 1.2 * rms && factor > 0.4 {
+                return Ok(next);
+            }
+            rms = next;
+        }
+        Ok(rms)
+    }
+
+    /// All amplitudes, the largest first; one that turns out to be too large is halved.
+    fn measure_levels(&mut self, found: &mut Identification) -> Result<(), IdentificationFailure> {
+        let samples = (self.plan.period_s / self.session.period_s()).round() as usize;
+        let lines = odd_lines(1, (BAND * samples as f64) as usize, self.plan.lines_per_decade);
+        let excitations: Vec<Multisine> = (0..self.plan.realisations as u64)
+            .map(|k| {
+                let seed = self.plan.seed.wrapping_mul(1000) + 100 * self.told.joint as u64 + k;
+                Multisine::new(&lines, samples, seed)
+            })
+            .collect();
+        let mut largest = self.amplitude(&excitations[0])?;
+        let mut halved = 0;
+        while found.measured.len() < self.plan.amplitudes.len() {
+            let share = self.plan.amplitudes[found.measured.len()];
+            match self.measure(&excitations, share * largest, &lines) {
+                Ok(measured) => found.measured.push(measured),
+                Err(stop) if stop.is_final() || halved == HALVED_AT_MOST => return Err(stop.into()),
+                Err(_) => {
+                    halved += 1;
+                    largest *= 0.5;
+                    found.measured.clear();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// By how much an amplitude could be larger.
+    fn trial(&mut self, excitation: &Multisine, rms: f64) -> Result<f64, AbortReason> {
+        let period_s = self.session.period_s();
+        let holds = self.session.torque(self.told.joint).unwrap_or(0.0);
+        let ticks = (TRIAL_S / period_s) as usize;
+        let (record, body) = self.excite(excitation, rms, ticks)?;
+        let position = &record.position[body.clone()];
+        let over = ((SPEED_OVER_S / period_s).round() as usize).max(1);
+        let span = over as f64 * period_s;
+        let speed: Vec<f64> = position.windows(over + 1).map(|w| (w[over] - w[0]) / span).collect();
+        let torque: Vec<f64> = match self.told.inertia {
+            _ if !record.torque.is_empty() => record.torque[body].iter().map(|t| t - holds).collect(),
+            // What the motion needs, at least.
+            Some([_, held]) => speed.windows(over + 1).map(|w| held * (w[over] - w[0]) / span).collect(),
+            None => Vec::new(),
+        };
+        let share = |limit: f64, values: &[f64]| limit / Record::peak(values).max(1e-12);
+        Ok(share(SPEED_USED * self.told.speed_limit, &speed).min(share(self.spare_torque(), &torque)))
+    }
+
+    /// An excitation for some ticks, faded in before and out after; the ticks between.
+    fn excite(
+        &mut self,
+        excitation: &Multisine,
+        rms: f64,
+        ticks: usize,
+    ) -> Result<(Record, std::ops::Range<usize>), AbortReason> {
+        let fade = (FADE_S / self.session.period_s()).ceil() as usize;
+        let total = fade + ticks + fade;
+        let bounds = self.bounds();
+        let window = move |k: usize| minimum_jerk(k.min(total - 1 - k) as f64, fade as f64)[0];
+        let offsets = (0..total).map(|k| rms * window(k) * excitation.at(k));
+        let record = self.session.run_trajectory(self.told.joint, offsets, &bounds)?;
+        self.session.rest(0.1)?;
+        Ok((record, fade..fade + ticks))
+    }
+
+    /// All realisations at one amplitude.
+    fn measure(
+        &mut self,
+        excitations: &[Multisine],
+        rms: f64,
+        lines: &[usize],
+    ) -> Result<Measured, AbortReason> {
+        let period_s = self.session.period_s();
+        let (mut position, mut torque) = (Vec::new(), Vec::new());
+        for excitation in excitations {
+            let samples = excitation.samples.len();
+            let (record, body) = self.excite(excitation, rms, (1 + self.plan.periods) * samples)?;
+            // The first period settles.
+            let settled = body.start + samples..body.end;
+            let input = record.asked[settled.start..settled.start + samples].to_vec();
+            let of = |values: &[f64]| Realisation {
+                input: input.clone(),
+                periods: values[settled.clone()].chunks_exact(samples).map(<[f64]>::to_vec).collect(),
+            };
+            position.push(of(&record.position));
+            if !record.torque.is_empty() {
+                torque.push(of(&record.torque));
+            }
+        }
+        Ok(Measured {
+            rms,
+            speed: speed(&position, period_s),
+            position: frequency_response(&position, lines, period_s),
+            torque: (!torque.is_empty()).then(|| frequency_response(&torque, lines, period_s)),
+            distortion: distortion(&position, lines),
+        })
+    }
+
+    fn check_following(&self, found: &Identification) -> Result<(), IdentificationFailure> {
+        let Some(largest) = found.measured.first() else { return Err(IdentificationFailure::Undetermined) };
+        for point in largest.position.iter().take(3) {
+            let gain = point.value.norm();
+            if gain < FOLLOWS {
+                return Err(IdentificationFailure::DoesNotFollow { hz: point.hz, gain });
+            }
+        }
+        let distortion = largest.distortion.total();
+        if distortion > LINEAR { Err(IdentificationFailure::NotLinear { distortion }) } else { Ok(()) }
+    }
+
+    /// A rational model of T at the largest amplitude: of the lowest order beyond which little is gained.
+    fn rational(&self, found: &mut Identification, delay: u32) {
+        let Some(largest) = found.measured.first() else { return };
+        let weight = |p: &response::Point| 1.0 / f64::hypot(p.noise, 0.01 * p.value.norm());
+        let targets: Vec<Target> = (largest.position.iter())
+            .filter(|p| p.coherence > COHERENT)
+            .map(|p| Target { hz: p.hz, value: p.value, weight: weight(p) })
+            .collect();
+        let delay_s = f64::from(delay) * self.told.servo_period_s;
+        for degrees in [(0, 2), (1, 3), (2, 4), (3, 5)] {
+            if targets.len() < 2 * (degrees.0 + degrees.1) {
+                break;
+            }
+            let fitted = rational::fit(&targets, degrees, self.session.period_s(), delay_s);
+            let Some(model) = fitted.filter(Rational::is_stable) else { continue };
+            let residual = model.residual(&targets);
+            if found.rational_residual.is_none_or(|before| residual < 0.8 * before) {
+                found.rational = Some(model);
+                found.rational_residual = Some(residual);
+            }
+        }
+    }
+
+    /// To and fro at constant speeds, fast to slow: the slower, the longer it takes a joint to turn against its friction.
+    fn sweeps(&mut self, gains: &Gains) -> Result<Vec<Sweep>, IdentificationFailure> {
+        let period_s = self.session.period_s();
+        let told = self.told;
+        let drive = gains.drive;
+        let settle_s = f64::max(0.15, 5.0 / drive.kp);
+        let window_s = 0.25;
+        let mut speed = (0.15 * told.speed_limit).min(2.0 * self.travel() / (settle_s + window_s));
+        let mut sweeps: Vec<Sweep> = Vec::new();
+        while sweeps.len() < self.plan.speeds && speed * window_s > LEAST_COUNTS * told.resolution {
+            let friction = sweeps.last().and_then(|s| s.friction(gains, self.lag(&sweeps), period_s));
+            let behind = friction.map_or(0.0, |p| p.torque.max(0.0)) / (drive.kv * drive.kp);
+            let turned_s = TURNS_WITHIN * behind / speed;
+            let seconds = settle_s + turned_s.min(2.0) + window_s;
+            match self.sweep(speed, 0.5 * speed * seconds, gains) {
+                Ok(record) => sweeps.push(Sweep { speed, half: 0.5 * speed * window_s, record }),
+                // What is too fast for it is left out.
+                Err(stop) if !stop.is_final() => {}
+                Err(stop) => return Err(stop.into()),
+            }
+            speed *= 0.55;
+        }
+        Ok(sweeps)
+    }
+
+    /// The straight line through the faster half of the sweeps, where static friction has no part.
+    fn lag(&self, sweeps: &[Sweep]) -> Lag {
+        let period_s = self.session.period_s();
+        let lags: Vec<(f64, f64)> = (sweeps.iter().take(sweeps.len().div_ceil(2)))
+            .filter_map(|s| Some((s.speed, s.lag(period_s)?)))
+            .collect();
+        let n = lags.len() as f64;
+        let (sum_v, sum_e) = lags.iter().fold((0.0, 0.0), |(v, e), l| (v + l.0, e + l.1));
+        let (mean_v, mean_e) = (sum_v / n, sum_e / n);
+        let (mut vv, mut ve) = (0.0, 0.0);
+        for (v, e) in &lags {
+            vv += (v - mean_v) * (v - mean_v);
+            ve += (v - mean_v) * (e - mean_e);
+        }
+        let line = Lag { at_rest: mean_e - ve / vv * mean_v, per_speed: ve / vv };
+        if line.at_rest > 0.0 && line.per_speed.is_finite() { line } else { Lag::default() }
+    }
+
+    /// Twice to and fro at a speed, turning gently, and back.
+    fn sweep(&mut self, speed: f64, reach: f64, gains: &Gains) -> Result<Record, AbortReason> {
+        let period_s = self.session.period_s();
+        // Turning takes some of the spare torque.
+        let slew = match self.session.measures_torque() {
+            true => 0.3 * self.spare_torque() / gains.drive.inertia,
+            false => 2.0 * speed / TURNS_IN_S,
+        };
+        // However little torque is spared: a joint that never turns would never be back.
+        let slew = slew.max(speed / TURNS_AT_LAST_S);
+        let (mut offsets, mut at, mut velocity) = (Vec::new(), 0.0, 0.0f64);
+        for end in [reach, -reach, reach, -reach, 0.0] {
+            let direction = f64::signum(end - at);
+            while (end - at) * direction > 0.0 {
+                velocity += (direction * speed - velocity).clamp(-slew * period_s, slew * period_s);
+                at += velocity * period_s;
+                offsets.push(at);
+            }
+        }
+        while velocity != 0.0 {
+            velocity -= velocity.clamp(-slew * period_s, slew * period_s);
+            at += velocity * period_s;
+            offsets.push(at);
+        }
+        let fade = (FADE_S / period_s).ceil() as usize;
+        offsets.extend((0..fade).map(|k| at * (1.0 - minimum_jerk((k + 1) as f64, fade as f64)[0])));
+        let bounds = self.bounds();
+        let record = self.session.run_trajectory(self.told.joint, offsets.into_iter(), &bounds)?;
+        self.session.rest(0.1)?;
+        Ok(record)
+    }
+
+    /// Relative error of the modelled T at the largest amplitude, rms over coherent lines.
+    fn position_residual(&self, found: &Identification) -> f64 {
+        let points = found.measured.first().map_or(&[][..], |m| &m.position);
+        let coherent = points.iter().filter(|p| p.coherence > COHERENT);
+        relative(coherent.filter_map(|p| Some((found.model(self.told, p.hz)?, p.value))))
+    }
+
+    fn trust(&self, found: &Identification, gains: &Gains) -> FitQuality {
+        let points = found.measured.first().map_or(&[][..], |m| &m.position);
+        let explained = (0..points.len()).take_while(|&line| found.explains(self.told, line)).last();
+        let identified = match found.scale {
+            TorqueScale::MotorCurrent => Some(gains.drive.inertia),
+            _ => None,
+        };
+        FitQuality {
+            bandwidth_hz: explained.map_or(0.0, |line| points[line].hz),
+            position_residual: self.position_residual(found),
+            torque_residual: gains.torque_residual,
+            deviation: gains.deviation,
+            delay_margin: gains.delay_margin,
+            inertia_over_urdf: identified
+                .zip(self.told.inertia)
+                .map(|(i, [free, held])| i / (0.5 * (free + held))),
+        }
+    }
+}
+
+/// Rms velocity of what was measured, rad/s (m/s), as far as the encoder shows it.
+fn speed(realisations: &[Realisation], period_s: f64) -> f64 {
+    let over = ((SPEED_OVER_S / period_s).round() as usize).max(1);
+    let (mut power, mut count) = (0.0, 0.0);
+    for w in realisations.iter().flat_map(|r| &r.periods).flat_map(|p| p.windows(over + 1)) {
+        power += ((w[over] - w[0]) / (over as f64 * period_s)).powi(2);
+        count += 1.0;
+    }
+    f64::sqrt(power / f64::max(count, 1.0)).max(f64::MIN_POSITIVE)
+}
+
+fn check_explained(trust: &FitQuality) -> Result<(), IdentificationFailure> {
+    let (error, allowed) = match trust.torque_residual {
+        Some(error) => (error, TORQUE_EXPLAINED),
+        None => (trust.position_residual, POSITION_EXPLAINED),
+    };
+    if error <= allowed { Ok(()) } else { Err(IdentificationFailure::NotExplained { error, allowed }) }
+}

@@ -1,0 +1,229 @@
+//! Moving one joint about where it stands while the others hold, within limits that are watched at every tick.
+
+use opspace_backend::{Backend, Command, DeviceFault, Sample};
+use thiserror::Error;
+
+/// Speed is a difference over so long, s.
+const SPEED_OVER_S: f64 = 4e-3;
+
+/// What a joint may do while it is excited.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Furthest from where it stands, rad (m).
+    pub travel: f64,
+    /// Rad/s (m/s).
+    pub speed: f64,
+    /// Nm (N), gravity's share included.
+    pub torque: f64,
+}
+
+/// Why a motion was broken off.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum AbortReason {
+    /// The robot itself.
+    #[error(transparent)]
+    Fault(#[from] DeviceFault),
+    /// A measured position is not a finite number.
+    #[error("the measured position of joint {0} is not a finite number")]
+    NotFinite(usize),
+    /// It went further than it may.
+    #[error("it moved {0} rad (m) from where it stood")]
+    Travel(f64),
+    /// It went faster than it may.
+    #[error("it reached {0} rad/s (m/s)")]
+    Speed(f64),
+    /// The motor gave more than it should.
+    #[error("its motor reached {0} Nm (N)")]
+    Torque(f64),
+    /// Someone asked for it.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+impl AbortReason {
+    /// Whether nothing more can be done with the robot; else a smaller motion may do.
+    #[must_use]
+    pub fn is_final(&self) -> bool {
+        matches!(self, Self::Fault(_) | Self::NotFinite(_) | Self::Interrupted)
+    }
+}
+
+/// What was asked of a joint and what it did, tick by tick, about where it stood.
+#[derive(Clone, Debug, Default)]
+pub struct Record {
+    /// Set-points' offsets, rad (m).
+    pub asked: Vec<f64>,
+    /// Positions at the ticks at which these were given, rad (m).
+    pub position: Vec<f64>,
+    /// Mean motor torque over the interval that begins with each tick, Nm (N); empty where it is not measured.
+    pub torque: Vec<f64>,
+}
+
+impl Record {
+    /// The furthest that a value was from zero.
+    #[must_use]
+    pub fn peak(values: &[f64]) -> f64 {
+        values.iter().fold(0.0, |most, v| v.abs().max(most))
+    }
+}
+
+/// A robot that holds itself, and one joint of which is moved.
+pub struct ExcitationSession<'a> {
+    robot: &'a mut dyn Backend,
+    sample: Sample,
+    /// Where each joint is to stand.
+    posture: Vec<f64>,
+    /// What the set-points are ahead of it, so that the servos hold the weight there.
+    bias: Vec<f64>,
+    set_points: Vec<f64>,
+    ticks: u64,
+    ended: &'a dyn Fn(u64) -> bool,
+}
+
+impl<'a> ExcitationSession<'a> {
+    /// Takes the robot over where it stands: set-points at the measured positions make it sag by what the servos need to
+    /// hold its weight, and that much is added to them from then on. `ended` is told the ticks and says whether to stop.
+    ///
+    /// # Errors
+    /// The robot's faults; an interruption.
+    pub fn begin(
+        robot: &'a mut dyn Backend,
+        joints: usize,
+        ended: &'a dyn Fn(u64) -> bool,
+    ) -> Result<Self, AbortReason> {
+        let sample = Sample::new(robot.capabilities());
+        let zero = vec![0.0; joints];
+        let mut session = Self {
+            robot,
+            sample,
+            posture: zero.clone(),
+            bias: zero.clone(),
+            set_points: zero,
+            ticks: 0,
+            ended,
+        };
+        session.robot.read(&mut session.sample)?;
+        session.posture.copy_from_slice(session.sample.q.as_slice());
+        session.set_points.copy_from_slice(session.sample.q.as_slice());
+        session.robot.write(Command::Position(&session.set_points))?;
+        for _ in 0..2 {
+            session.rest(0.4)?;
+            for i in 0..joints {
+                session.bias[i] += session.posture[i] - session.sample.q[i];
+            }
+        }
+        session.rest(0.4)?;
+        Ok(session)
+    }
+
+    /// Time between two ticks, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        self.robot.capabilities().period_s
+    }
+
+    /// Interface ticks so far.
+    #[must_use]
+    pub fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Where a joint stands, rad (m).
+    #[must_use]
+    pub fn posture(&self, joint: usize) -> f64 {
+        self.posture[joint]
+    }
+
+    /// The motor torque that was measured last, Nm (N).
+    #[must_use]
+    pub fn torque(&self, joint: usize) -> Option<f64> {
+        self.sample.motor_torque.as_ref().map(|t| t[joint])
+    }
+
+    /// Whether motor torque is measured.
+    #[must_use]
+    pub fn measures_torque(&self) -> bool {
+        self.sample.motor_torque.is_some()
+    }
+
+    /// Holds all joints for a while.
+    ///
+    /// # Errors
+    /// The robot's faults; an interruption.
+    pub fn rest(&mut self, seconds: f64) -> Result<(), AbortReason> {
+        for _ in 0..(seconds / self.period_s()).ceil() as u64 {
+            self.tick(0, 0.0)?;
+        }
+        Ok(())
+    }
+
+    /// Leads a joint's set-point along offsets from its posture; it stays at the last one. Broken off, it goes back to where
+    /// it stood.
+    ///
+    /// # Errors
+    /// The bound that was reached, or the robot's fault.
+    pub fn run_trajectory(
+        &mut self,
+        joint: usize,
+        offsets: impl Iterator<Item = f64>,
+        bounds: &Bounds,
+    ) -> Result<Record, AbortReason> {
+        let over = ((SPEED_OVER_S / self.period_s()).round() as usize).max(1);
+        let mut record = Record::default();
+        let mut last = 0.0;
+        for offset in offsets {
+            let torque_before = self.tick(joint, offset)?;
+            if !record.asked.is_empty() {
+                record.torque.extend(torque_before);
+            }
+            record.asked.push(offset);
+            record.position.push(self.sample.q[joint] - self.posture[joint]);
+            last = offset;
+            if let Some(stop) = self.out_of_bounds(&record, over, bounds) {
+                self.rest(0.3)?;
+                return Err(stop);
+            }
+        }
+        // The torque of the last interval comes with the next sample.
+        record.torque.extend(self.tick(joint, last)?);
+        Ok(record)
+    }
+
+    fn out_of_bounds(&self, record: &Record, over: usize, bounds: &Bounds) -> Option<AbortReason> {
+        let k = record.position.len() - 1;
+        let here = record.position[k];
+        let speed = if k >= over {
+            (here - record.position[k - over]) / (over as f64 * self.period_s())
+        } else {
+            0.0
+        };
+        let torque = record.torque.last().copied().unwrap_or(0.0);
+        if here.abs() > bounds.travel {
+            Some(AbortReason::Travel(here))
+        } else if speed.abs() > bounds.speed {
+            Some(AbortReason::Speed(speed))
+        } else if torque.abs() > bounds.torque {
+            Some(AbortReason::Torque(torque))
+        } else {
+            None
+        }
+    }
+
+    /// Reads, and gives the next set-points; the torque that was read is of the interval before.
+    fn tick(&mut self, joint: usize, offset: f64) -> Result<Option<f64>, AbortReason> {
+        self.ticks += 1;
+        if (self.ended)(self.ticks) {
+            return Err(AbortReason::Interrupted);
+        }
+        self.robot.read(&mut self.sample)?;
+        if let Some(joint) = self.sample.q.iter().position(|q| !q.is_finite()) {
+            return Err(AbortReason::NotFinite(joint));
+        }
+        for i in 0..self.posture.len() {
+            self.set_points[i] = self.posture[i] + self.bias[i];
+        }
+        self.set_points[joint] += offset;
+        self.robot.write(Command::Position(&self.set_points))?;
+        Ok(self.torque(joint))
+    }
+}

@@ -1,0 +1,161 @@
+//! Comparison of the rows of a replay with those of a log.
+
+use crate::error::LogError;
+use crate::recording::{ChannelData, Recording};
+use opspace_backend::{Layout, Sink, TICK, TICK_TIME};
+use std::collections::BTreeSet;
+
+/// Where a replay first came to another number than the log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Which tick, from 0.
+    pub tick: usize,
+    /// Its time on the robot's clock, s.
+    pub time_s: f64,
+    /// Which signal.
+    pub signal: String,
+    /// Which element of it: a joint, an axis.
+    pub element: String,
+    /// What the log says.
+    pub logged: f64,
+    /// What came out now.
+    pub recomputed: f64,
+}
+
+/// Compares the ticks of a replay with those of the log, bit for bit, signal by signal of the same name.
+#[derive(Debug)]
+pub struct Comparer<'a> {
+    logged: &'a ChannelData,
+    /// Where the elements that are compared stand: in the log's rows and in the replay's.
+    slots: Vec<(usize, usize)>,
+    /// Sums of squared differences, one a slot.
+    squares: Vec<f64>,
+    unmatched: Vec<String>,
+    next: usize,
+    differing: u64,
+    first: Option<(usize, usize, f64)>,
+}
+
+impl<'a> Comparer<'a> {
+    /// For the ticks of a log, and a replay with rows of that layout.
+    ///
+    /// # Errors
+    /// A log without ticks.
+    pub fn new(recording: &'a Recording, replay: &Layout) -> Result<Self, LogError> {
+        let logged = recording.tick()?;
+        let mut slots = Vec::new();
+        for (name, from, length) in offsets(&logged.layout) {
+            let there =
+                offsets(replay).find(|(other, _, other_length)| *other == name && *other_length == length);
+            if let Some((_, to, _)) = there
+                && name != TICK_TIME
+            {
+                slots.extend((0..length).map(|i| (from + i, to + i)));
+            }
+        }
+        let squares = vec![0.0; slots.len()];
+        let names = |layout| offsets(layout).map(|(name, _, length)| (name.to_owned(), length));
+        let (then, now): (BTreeSet<_>, BTreeSet<_>) =
+            (names(&logged.layout).collect(), names(replay).collect());
+        let unmatched = then.symmetric_difference(&now).map(|(name, _)| name.clone()).collect();
+        Ok(Self { logged, slots, squares, unmatched, next: 0, differing: 0, first: None })
+    }
+
+    /// How many ticks were compared.
+    #[must_use]
+    pub fn compared(&self) -> usize {
+        self.next.min(self.logged.len())
+    }
+
+    /// Signals that only the log or only the replay has, or that differ in length.
+    #[must_use]
+    pub fn unmatched(&self) -> &[String] {
+        &self.unmatched
+    }
+
+    /// How many ticks the log has.
+    #[must_use]
+    pub fn logged(&self) -> usize {
+        self.logged.len()
+    }
+
+    /// How many ticks differ.
+    #[must_use]
+    pub fn differing(&self) -> u64 {
+        self.differing
+    }
+
+    /// The first number that differs.
+    #[must_use]
+    pub fn first_difference(&self) -> Option<Difference> {
+        let (tick, slot, recomputed) = self.first?;
+        let (at, _) = self.slots[slot];
+        let (signal, element) = name_of(&self.logged.layout, at);
+        Some(Difference {
+            tick,
+            time_s: self.logged.time_s[tick],
+            signal,
+            element,
+            logged: self.logged.row(tick)[at],
+            recomputed,
+        })
+    }
+
+    /// Root mean square of the difference of each element of a signal, with its name.
+    #[must_use]
+    pub fn rms_difference(&self, signal: &str) -> Vec<(String, f64)> {
+        let count = self.compared().max(1) as f64;
+        (self.slots.iter().zip(&self.squares))
+            .filter_map(|(&(at, _), square)| {
+                let (name, element) = name_of(&self.logged.layout, at);
+                (name == signal).then(|| (element, (square / count).sqrt()))
+            })
+            .collect()
+    }
+}
+
+impl Sink for Comparer<'_> {
+    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
+        if channel != TICK || self.next >= self.logged.len() {
+            return;
+        }
+        let logged = self.logged.row(self.next);
+        let mut differs = false;
+        for (slot, (&(from, to), square)) in self.slots.iter().zip(&mut self.squares).enumerate() {
+            let (was, is) = (logged[from], row[to]);
+            if was.to_bits() == is.to_bits() {
+                continue;
+            }
+            differs = true;
+            if self.first.is_none() {
+                self.first = Some((self.next, slot, is));
+            }
+            let difference = is - was;
+            if difference.is_finite() {
+                *square += difference * difference;
+            }
+        }
+        self.differing += u64::from(differs);
+        self.next += 1;
+    }
+}
+
+/// Name, offset and length of each signal of a row.
+fn offsets(layout: &Layout) -> impl Iterator<Item = (&str, usize, usize)> {
+    layout.signals.iter().scan(0, |at, signal| {
+        let offset = *at;
+        *at += signal.len();
+        Some((signal.name.as_str(), offset, signal.len()))
+    })
+}
+
+/// Signal and element of a number of a row.
+fn name_of(layout: &Layout, at: usize) -> (String, String) {
+    let mut found = (String::new(), String::new());
+    for ((name, offset, length), signal) in offsets(layout).zip(&layout.signals) {
+        if (offset..offset + length).contains(&at) {
+            found = (name.to_owned(), signal.elements[at - offset].clone());
+        }
+    }
+    found
+}

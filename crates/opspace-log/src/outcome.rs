@@ -1,0 +1,67 @@
+//! The outcome of a run, a record at the end of its log.
+
+use crate::recording::Recording;
+use opspace_backend::DeviceFault;
+use std::collections::BTreeMap;
+
+/// Name of the metadata record of the outcome.
+pub const OUTCOME: &str = "opspace.outcome";
+
+/// How a run ended, in words.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OutcomeRecord {
+    /// The cause of a fault; `None` if there was none.
+    pub fault: Option<String>,
+    /// Whether the run was asked to stop.
+    pub interrupted: bool,
+    /// Time of a fault or of a stop request since the start of control, s.
+    pub time_s: Option<f64>,
+    /// The fault as the robot reported it.
+    pub device_fault: Option<DeviceFault>,
+}
+
+impl OutcomeRecord {
+    /// The outcome in a log. Of a log that was cut short nothing is known but the fault in its last row, if there is one.
+    #[must_use]
+    pub fn of(recording: &Recording) -> Self {
+        recording.metadata(OUTCOME).map_or_else(|| Self::of_last_row(recording), Self::of_entries)
+    }
+
+    fn of_entries(entries: &BTreeMap<String, String>) -> Self {
+        let entry = |key: &str| entries.get(key);
+        let device_fault = entry("device_code")
+            .and_then(|code| code.parse().ok())
+            .map(|code: u32| DeviceFault::new(code, entry("device_words").cloned().unwrap_or_default()));
+        Self {
+            fault: entry("fault").cloned(),
+            interrupted: entry("outcome").is_some_and(|outcome| outcome == "interrupted"),
+            time_s: entry("time_s").and_then(|time| time.parse().ok()),
+            device_fault,
+        }
+    }
+
+    fn of_last_row(recording: &Recording) -> Self {
+        let fault = recording.channel("tick").and_then(|tick| tick.signal("fault"));
+        let code = fault.and_then(|fault| fault.rows().last()).map_or(0.0, |row| row[0]);
+        let words = format!("fault {code}; the log was cut short before its cause");
+        Self { fault: (code != 0.0).then_some(words), ..Self::default() }
+    }
+
+    /// The metadata record.
+    pub(crate) fn entries(&self) -> BTreeMap<String, String> {
+        let outcome = match (&self.fault, self.interrupted) {
+            (Some(_), _) => "faulted",
+            (None, true) => "interrupted",
+            (None, false) => "completed",
+        };
+        let mut entries = BTreeMap::from([("outcome".to_owned(), outcome.to_owned())]);
+        let mut put = |key: &str, value: Option<String>| {
+            entries.extend(value.map(|value| (key.to_owned(), value)));
+        };
+        put("fault", self.fault.clone());
+        put("time_s", self.time_s.map(|time| time.to_string()));
+        put("device_code", self.device_fault.as_ref().map(|fault| fault.code.to_string()));
+        put("device_words", self.device_fault.as_ref().map(|fault| fault.words.to_string()));
+        entries
+    }
+}

@@ -1,0 +1,100 @@
+//! Drives robots by runs: read, cycle, write.
+
+use crate::link::Link;
+use crate::run::Run;
+use crate::timeline::Timeline;
+use opspace_backend::{Backend, Sample};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Reads the robot, lets the run compute, and writes its command, until the run is over. The robot ends in its safe state,
+/// whatever happens: a panic in a task, a controller or the backend stops it as well, and is the run's outcome.
+pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
+    let mut sample = prepare(backend, run);
+    let cycles = || {
+        while !run.is_over() {
+            cycle(backend, run, &mut sample, &mut |_, _| {});
+        }
+    };
+    if catch_unwind(AssertUnwindSafe(cycles)).is_err() {
+        run.abandon();
+    }
+    backend.stop();
+}
+
+/// A robot of several, and its run.
+pub struct Driven<'a, 'b> {
+    /// The robot.
+    pub backend: &'a mut dyn Backend,
+    /// Its run.
+    pub run: &'a mut Run<'b>,
+}
+
+/// The same for several robots on one clock, whose cycles come in the order of `timeline`, with links between them. The
+/// robots end in their safe states when all runs are over; a panic of one stops all.
+///
+/// # Panics
+/// If the timeline or a link has a robot that is not among `robots`.
+pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timeline: &mut Timeline) {
+    let mut samples: Vec<Sample> = robots.iter_mut().map(|robot| prepare(robot.backend, robot.run)).collect();
+    let cycles = || {
+        while robots.iter().any(|robot| !robot.run.is_over()) {
+            let next = timeline.next_cycle();
+            let Driven { backend, run } = &mut robots[next.robot];
+            if run.is_over() {
+                continue;
+            }
+            cycle(*backend, run, &mut samples[next.robot], &mut |run, clock_s| {
+                for link in links.iter_mut().filter(|link| link.to() == next.robot) {
+                    link.deliver(next.tick, clock_s, run.targets());
+                }
+            });
+            for link in links.iter_mut().filter(|link| link.from() == next.robot) {
+                link.send(next.tick, run.row());
+            }
+        }
+    };
+    let panicked = catch_unwind(AssertUnwindSafe(cycles)).is_err();
+    for Driven { backend, run } in robots {
+        if panicked {
+            run.abandon();
+        }
+        backend.stop();
+    }
+}
+
+fn prepare(backend: &mut dyn Backend, run: &mut Run<'_>) -> Sample {
+    if let Some(truth) = backend.ground_truth() {
+        run.prepare_truth(truth);
+    }
+    Sample::new(backend.capabilities())
+}
+
+/// One cycle: `arrive` may write targets once the sample, at the given time of the robot's clock (s), is there.
+fn cycle(
+    backend: &mut dyn Backend,
+    run: &mut Run<'_>,
+    sample: &mut Sample,
+    arrive: &mut dyn FnMut(&mut Run<'_>, f64),
+) {
+    let was_stopped = run.is_stopped();
+    let read = backend.read(sample);
+    if let Some(truth) = backend.ground_truth() {
+        run.record_truth(truth);
+    }
+    let command = match read {
+        Ok(()) => {
+            arrive(run, sample.time_s);
+            run.cycle(sample)
+        }
+        Err(fault) => run.fail(fault),
+    };
+    if let Some(command) = command
+        && let Err(fault) = backend.write(command)
+    {
+        run.refuse(fault);
+    }
+    if run.is_stopped() && !was_stopped {
+        backend.stop();
+    }
+    run.between_cycles();
+}

@@ -1,0 +1,268 @@
+//! Links between robots: signals of one robot's row become inputs of another robot's targets, through a channel with
+//! delay, jitter, loss and reordering.
+//!
+//! A link acts on the integer clock of a [`Timeline`]. What arrives is an input of the receiving robot and is in its log, so
+//! that each robot's log can be replayed alone.
+
+use crate::phase::Phase;
+use crate::timeline::Timeline;
+use opspace_backend::{Layout, Signal};
+use opspace_control::{InputHandle, TargetError, Targets, TaskHandle};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
+use thiserror::Error;
+
+/// Properties of a channel. Everything random comes from the seed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChannelParameters {
+    /// Delay of every packet, s.
+    pub delay_s: f64,
+    /// Largest further delay, uniformly distributed, s.
+    pub jitter_s: f64,
+    /// Probability that a packet is lost.
+    pub loss: f64,
+    /// Whether a packet may arrive after one that was sent later.
+    pub reordering: bool,
+    /// Seed.
+    pub seed: u64,
+}
+
+/// Signals that can't be linked.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum LinkError {
+    /// A signal that the sending robot does not have.
+    #[error("the sending robot has no signal '{0}'")]
+    Signal(String),
+    /// A task or an input that the receiving robot does not have, or one of another length.
+    #[error(transparent)]
+    Target(#[from] TargetError),
+    /// Parameters out of range.
+    #[error("delay_s and jitter_s must be finite and not negative, loss from 0 to 1")]
+    Parameters,
+}
+
+/// A link from one robot to a task of another.
+pub struct Link {
+    from: usize,
+    to: usize,
+    task: TaskHandle,
+    /// Places in the sender's row, and the inputs they become.
+    copies: Vec<(Range<usize>, InputHandle)>,
+    /// Place of the sender's phase in its row.
+    phase: usize,
+    channel: Channel,
+    /// Values of a packet: the sender's phase, then the copies.
+    values: Vec<f64>,
+}
+
+impl Link {
+    /// A link from the robot `from`, whose rows have the layout `row`, to the task `task` of the robot `to`, that copies
+    /// signals to inputs: pairs of a signal of the row and an input of the task.
+    ///
+    /// # Errors
+    /// Names that are not known, lengths that differ, parameters out of range.
+    pub fn new(
+        timeline: &Timeline,
+        (from, row): (usize, &Layout),
+        (to, targets, task): (usize, &Targets, &str),
+        copies: &[(&str, &str)],
+        parameters: ChannelParameters,
+    ) -> Result<Self, LinkError> {
+        let task = targets.task(task)?;
+        let mut found = Vec::new();
+        for &(signal, input) in copies {
+            let (range, input) = (place(row, signal)?, targets.input(&task, input)?);
+            if range.len() != input.len() {
+                return Err(TargetError::Length { expected: input.len(), found: range.len() }.into());
+            }
+            found.push((range, input));
+        }
+        let width = 1 + found.iter().map(|(range, _)| range.len()).sum::<usize>();
+        Ok(Self {
+            from,
+            to,
+            task,
+            copies: found,
+            phase: place(row, "phase")?.start,
+            channel: Channel::new(timeline, parameters, width)?,
+            values: vec![0.0; width],
+        })
+    }
+
+    /// Number of the sending robot.
+    #[must_use]
+    pub fn from(&self) -> usize {
+        self.from
+    }
+
+    /// Number of the receiving robot.
+    #[must_use]
+    pub fn to(&self) -> usize {
+        self.to
+    }
+
+    /// Sends the sender's row at `tick`. Allocates nothing.
+    pub fn send(&mut self, tick: u64, row: &[f64]) {
+        self.values[0] = row[self.phase];
+        let mut at = 1;
+        for (range, _) in &self.copies {
+            self.values[at..at + range.len()].copy_from_slice(&row[range.clone()]);
+            at += range.len();
+        }
+        self.channel.send(tick, &self.values);
+    }
+
+    /// Writes what has arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s). A sender that is
+    /// held or stopped asks the receiver to hold. Allocates nothing.
+    pub fn deliver(&mut self, tick: u64, clock_s: f64, targets: &mut Targets) {
+        while let Some(values) = self.channel.receive(tick) {
+            targets.hold([Phase::Held, Phase::Stopped].map(Phase::code).contains(&values[0]));
+            let mut at = 1;
+            for (range, input) in &self.copies {
+                let copied = &values[at..at + range.len()];
+                at += range.len();
+                // A sender whose signal is not a number says nothing of it: the last value stays.
+                let _ = targets.write(&self.task, clock_s, &[(input, copied)]);
+            }
+        }
+    }
+}
+
+/// The places of a signal in a row.
+fn place(layout: &Layout, name: &str) -> Result<Range<usize>, LinkError> {
+    let before = layout.signals.iter().take_while(|signal| signal.name != name);
+    let start: usize = before.map(Signal::len).sum();
+    let signal = layout.signals.iter().find(|signal| signal.name == name);
+    signal.map(|signal| start..start + signal.len()).ok_or_else(|| LinkError::Signal(name.to_owned()))
+}
+
+/// Packets under way.
+struct Channel {
+    delay: u64,
+    jitter: u64,
+    loss: f64,
+    reordering: bool,
+    random: ChaCha8Rng,
+    last_arrival: u64,
+    /// Slots for packets: free ones have no arrival.
+    packets: Vec<Packet>,
+    sent: u64,
+    out: Vec<f64>,
+}
+
+#[derive(Clone)]
+struct Packet {
+    arrives: Option<u64>,
+    number: u64,
+    values: Vec<f64>,
+}
+
+impl Channel {
+    fn new(timeline: &Timeline, parameters: ChannelParameters, width: usize) -> Result<Self, LinkError> {
+        let ChannelParameters { delay_s, jitter_s, loss, reordering, seed } = parameters;
+        let is_duration = |s: f64| s.is_finite() && s >= 0.0;
+        if !is_duration(delay_s) || !is_duration(jitter_s) || !(0.0..=1.0).contains(&loss) {
+            return Err(LinkError::Parameters);
+        }
+        let (delay, jitter) = (timeline.ticks(delay_s), timeline.ticks(jitter_s));
+        // At most one packet is sent per tick.
+        let slots = usize::try_from(delay + jitter).unwrap_or(usize::MAX).saturating_add(2);
+        let packet = Packet { arrives: None, number: 0, values: vec![0.0; width] };
+        Ok(Self {
+            delay,
+            jitter,
+            loss,
+            reordering,
+            random: ChaCha8Rng::seed_from_u64(seed),
+            last_arrival: 0,
+            packets: vec![packet; slots],
+            sent: 0,
+            out: vec![0.0; width],
+        })
+    }
+
+    fn send(&mut self, tick: u64, values: &[f64]) {
+        // Both are drawn for every packet, so that one leaves the other as it is.
+        let lost = self.random.random_range(0.0..1.0) < self.loss;
+        let late = self.random.random_range(0..=self.jitter);
+        self.sent += 1;
+        let slot = self.packets.iter_mut().find(|packet| packet.arrives.is_none());
+        let Some(packet) = slot.filter(|_| !lost) else { return };
+        let arrives = tick + self.delay + late;
+        let arrives = if self.reordering { arrives } else { arrives.max(self.last_arrival) };
+        self.last_arrival = arrives;
+        packet.arrives = Some(arrives);
+        packet.number = self.sent;
+        packet.values.copy_from_slice(values);
+    }
+
+    /// The next packet that has arrived by `tick`, in the order of arrival, then of sending.
+    fn receive(&mut self, tick: u64) -> Option<&[f64]> {
+        let arrived = self.packets.iter_mut().filter(|p| p.arrives.is_some_and(|at| at <= tick));
+        let packet = arrived.min_by_key(|packet| (packet.arrives, packet.number))?;
+        packet.arrives = None;
+        self.out.copy_from_slice(&packet.values);
+        Some(&self.out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn channel(parameters: ChannelParameters) -> Channel {
+        Channel::new(&Timeline::new(&[1000]).expect("a good clock"), parameters, 1).expect("a good clock")
+    }
+
+    /// Sends its own tick at each of 1000 ticks; what arrives when.
+    fn arrivals(mut channel: Channel) -> Vec<(u64, f64)> {
+        let mut arrivals = Vec::new();
+        for tick in 0..1100 {
+            if tick < 1000 {
+                channel.send(tick, &[tick as f64]);
+            }
+            while let Some(values) = channel.receive(tick) {
+                arrivals.push((tick, values[0]));
+            }
+        }
+        arrivals
+    }
+
+    /// Compared: arrivals, and sending times plus the delay.
+    #[test]
+    fn a_constant_delay_shifts_every_packet() {
+        let arrived = arrivals(channel(ChannelParameters { delay_s: 0.02, ..Default::default() }));
+        let expected: Vec<(u64, f64)> = (0..1000).map(|tick| (tick + 20, tick as f64)).collect();
+        assert_eq!(arrived, expected);
+    }
+
+    /// Compared: the order of arrival with and without reordering, and the order of sending.
+    #[test]
+    fn jitter_reorders_only_where_reordering_is_allowed() {
+        for reordering in [false, true] {
+            let parameters =
+                ChannelParameters { delay_s: 0.005, jitter_s: 0.01, reordering, ..Default::default() };
+            let arrived = arrivals(channel(parameters));
+            assert_eq!(arrived.len(), 1000);
+            let in_order = arrived.windows(2).all(|pair| pair[0].1 < pair[1].1);
+            assert_eq!(in_order, !reordering);
+            let late = |&(at, sent): &(u64, f64)| at as f64 - sent;
+            assert!(arrived.iter().map(late).all(|late| late >= 5.0));
+            assert!(arrived.iter().map(late).any(|late| late > 12.0));
+        }
+    }
+
+    /// Compared: the share of lost packets and its probability; the arrivals of two channels with one seed, and of two
+    /// seeds.
+    #[test]
+    fn loss_is_random_and_seeded() {
+        let lossy = |seed| arrivals(channel(ChannelParameters { loss: 0.3, seed, ..Default::default() }));
+        let arrived = lossy(1).len();
+        // 1000 draws: a standard deviation is 14.5; five of them.
+        assert!((628..=772).contains(&arrived), "{arrived} of 1000 at a loss of 0.3");
+        assert_eq!(lossy(1), lossy(1));
+        assert_ne!(lossy(1), lossy(2));
+    }
+}

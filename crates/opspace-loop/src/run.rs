@@ -1,0 +1,315 @@
+//! A run of a control loop: duration, stop requests, the time of a step, rows for a sink, and the outcome.
+//!
+//! [`Run::cycle`] is called once per interface cycle, by [`drive`](crate::drive()) or by a robot's own callback.
+
+use crate::control_loop::ControlLoop;
+use crate::fault::Fault;
+use crate::phase::Phase;
+use crate::target_stream::TargetReceiver;
+use opspace_backend::{
+    Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, Row, SERVO, STOP_REQUESTED, Sample,
+    Signal, Sink, TICK, TICK_TIME, TRUTH, TruthLayouts, TruthRow,
+};
+use opspace_control::Targets;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Time over which rows are recorded after a stop that was not the planned end, s.
+const AFTERMATH_S: f64 = 0.2;
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RunOutcome {
+    /// It lasted as long as planned.
+    Completed,
+    /// It was stopped by a fault.
+    Faulted {
+        /// The cause.
+        fault: Fault,
+        /// Time since the start of control, s.
+        time_s: f64,
+    },
+    /// It was asked to stop.
+    Interrupted {
+        /// Time since the start of control, s.
+        time_s: f64,
+    },
+}
+
+/// A control loop that runs for a while, with its rows into a sink.
+pub struct Run<'a> {
+    control: ControlLoop,
+    targets: Targets,
+    sink: &'a mut dyn Sink,
+    stop_request: Option<&'a AtomicBool>,
+    stream: Option<TargetReceiver>,
+    duration_cycles: u64,
+    aftermath_cycles: u64,
+    outcome: Option<RunOutcome>,
+    /// Whether a row was recorded since the sink could last work between cycles.
+    recorded: bool,
+    history: History,
+    row: Vec<f64>,
+    servo_row: Vec<f64>,
+}
+
+impl<'a> Run<'a> {
+    /// A run of `duration_s` of control. Its rows have the layouts of [`layouts`](Self::layouts).
+    #[must_use]
+    pub fn new(control: ControlLoop, duration_s: f64, sink: &'a mut dyn Sink) -> Self {
+        let period_s = control.capabilities().period_s;
+        let cycles = |seconds: f64| (seconds / period_s).round() as u64;
+        let targets = control.targets();
+        Self {
+            row: vec![0.0; tick_layout(&control).width()],
+            servo_row: Vec::new(),
+            history: History::new(control.model().n()),
+            duration_cycles: cycles(duration_s),
+            aftermath_cycles: cycles(AFTERMATH_S),
+            outcome: None,
+            recorded: false,
+            stop_request: None,
+            stream: None,
+            control,
+            targets,
+            sink,
+        }
+    }
+
+    /// The same run, which ends safely once `request` is set.
+    #[must_use]
+    pub fn with_stop_request(self, request: &'a AtomicBool) -> Self {
+        Self { stop_request: Some(request), ..self }
+    }
+
+    /// The layouts of the rows, by channel number: [`TICK`], and [`TRUTH`], [`SERVO`] and [`EXTERNAL`] of a simulation.
+    #[must_use]
+    pub fn layouts(control: &ControlLoop, truth: Option<TruthLayouts>) -> Vec<Layout> {
+        let mut layouts = vec![tick_layout(control)];
+        if let Some(truth) = truth {
+            let TruthLayouts { truth, mut servo, external, .. } = truth;
+            servo.signals.insert(0, Signal::new("torque_desired", "Nm", &control.capabilities().joints));
+            layouts.extend([truth, servo]);
+            layouts.extend(external);
+        }
+        layouts
+    }
+
+    /// Makes room for the rows of a simulation. Called once, before its first cycle.
+    pub fn prepare_truth(&mut self, truth: &dyn GroundTruth) {
+        let n = self.control.model().n();
+        self.servo_row = vec![0.0; n + truth.layouts().servo.width()];
+    }
+
+    /// The targets that the next cycle uses.
+    pub fn targets(&mut self) -> &mut Targets {
+        &mut self.targets
+    }
+
+    /// Takes targets from another thread from now on.
+    pub fn set_target_stream(&mut self, receiver: TargetReceiver) {
+        self.stream = Some(receiver);
+    }
+
+    /// The row of the last cycle, as [`layouts`](Self::layouts) has it.
+    #[must_use]
+    pub fn row(&self) -> &[f64] {
+        &self.row
+    }
+
+    /// The control loop.
+    #[must_use]
+    pub fn control(&self) -> &ControlLoop {
+        &self.control
+    }
+
+    /// One interface cycle: the command for the robot, if there is one. At most one command is to be written per cycle.
+    pub fn cycle(&mut self, sample: &Sample) -> Option<Command<'_>> {
+        self.between_cycles();
+        if self.is_over() {
+            return None;
+        }
+        let stopped = self.is_stopped();
+        let stop_requested = !stopped && self.stop_request.is_some_and(|r| r.load(Ordering::Relaxed));
+        if let Some(stream) = &mut self.stream {
+            stream.receive(sample.time_s, &mut self.targets);
+        }
+        let began = Instant::now();
+        let step = self.control.step(sample, &self.targets);
+        let (faulted, control_cycles) = (step.fault.is_some(), step.control_cycles);
+        let elapsed_ns = began.elapsed().as_nanos() as f64;
+        self.record([if faulted || stopped { f64::NAN } else { elapsed_ns }, flag(stop_requested), 0.0]);
+        if stopped {
+            self.aftermath_cycles -= 1;
+            return None;
+        }
+        if faulted {
+            self.end_faulted();
+        } else if stop_requested {
+            let _ = self.control.stop();
+            self.outcome = Some(RunOutcome::Interrupted { time_s: self.time_s() });
+        } else if control_cycles >= self.duration_cycles && self.control.result().phase != Phase::Rest {
+            let _ = self.control.stop();
+            self.outcome = Some(RunOutcome::Completed);
+        }
+        self.outgoing()
+    }
+
+    /// The robot could not be read. Returns the last command for the robot, where its state is known.
+    pub fn fail(&mut self, fault: DeviceFault) -> Option<Command<'_>> {
+        if self.is_stopped() {
+            self.aftermath_cycles = 0;
+            return None;
+        }
+        let _ = self.control.fail(fault);
+        self.record([f64::NAN, 0.0, 1.0]);
+        self.end_faulted();
+        self.outgoing()
+    }
+
+    /// The robot did not take the command of this cycle: a second row of the cycle says so, and nothing more is to be
+    /// written. A last setpoint that it does not take changes nothing: it is stopped all the same.
+    pub fn refuse(&mut self, fault: DeviceFault) {
+        if self.is_stopped() {
+            return;
+        }
+        let _ = self.control.fail(fault);
+        self.record([f64::NAN, 0.0, 1.0]);
+        self.end_faulted();
+    }
+
+    /// Lets the sink work between two cycles: after the command was written, or at the latest before the next cycle.
+    pub fn between_cycles(&mut self) {
+        if std::mem::take(&mut self.recorded) {
+            self.sink.between_ticks();
+        }
+    }
+
+    /// A part of the loop panicked: nothing more is computed or recorded.
+    pub fn abandon(&mut self) {
+        if self.outcome.is_none() {
+            self.outcome = Some(RunOutcome::Faulted { fault: Fault::Panicked, time_s: self.time_s() });
+        }
+        self.aftermath_cycles = 0;
+    }
+
+    /// Records the rows of a simulation that came with the last read, with the torque that was desired when the command
+    /// in force was given.
+    pub fn record_truth(&mut self, truth: &dyn GroundTruth) {
+        let Self { sink, history, servo_row, .. } = self;
+        truth.visit(&mut |row| match row {
+            TruthRow::State { time_s, row } => sink.row(TRUTH, time_s, row),
+            TruthRow::External { time_s, row } => sink.row(EXTERNAL, time_s, row),
+            TruthRow::Servo { time_s, command, row } => {
+                let torque = history.get(command);
+                let mut full = Row::new(servo_row);
+                full.put(torque);
+                full.put(row);
+                sink.row(SERVO, time_s, servo_row);
+            }
+            _ => {}
+        });
+    }
+
+    /// Whether the robot is to be in its safe state.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.outcome.is_some()
+    }
+
+    /// Whether no further cycle is wanted.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        match self.outcome {
+            None => false,
+            Some(RunOutcome::Completed) => true,
+            Some(_) => self.aftermath_cycles == 0,
+        }
+    }
+
+    /// The outcome, once the robot is stopped.
+    #[must_use]
+    pub fn outcome(&self) -> Option<&RunOutcome> {
+        self.outcome.as_ref()
+    }
+
+    /// Ends the run. One that was not over is interrupted.
+    #[must_use]
+    pub fn finish(self) -> RunOutcome {
+        let time_s = self.time_s();
+        self.outcome.unwrap_or(RunOutcome::Interrupted { time_s })
+    }
+
+    /// Time since the start of control, s.
+    fn time_s(&self) -> f64 {
+        self.control.measurement().time_s
+    }
+
+    fn end_faulted(&mut self) {
+        if let Some(fault) = self.control.result().fault.cloned() {
+            self.outcome = Some(RunOutcome::Faulted { fault, time_s: self.time_s() });
+        }
+    }
+
+    /// The command of this cycle, counted.
+    fn outgoing(&mut self) -> Option<Command<'_>> {
+        if self.control.result().command.is_some() {
+            self.history.push(self.control.torque_desired());
+        }
+        self.control.result().command
+    }
+
+    /// Records a row that begins with the run's own signals.
+    fn record(&mut self, own: [f64; 3]) {
+        let mut row = Row::new(&mut self.row);
+        row.put(&own);
+        row.put(self.control.row());
+        row.put(self.targets.row());
+        self.sink.row(TICK, self.control.clock_s(), &self.row);
+        self.recorded = true;
+    }
+}
+
+fn flag(value: bool) -> f64 {
+    f64::from(u8::from(value))
+}
+
+/// The row of a cycle: what the run knows, then the loop's row, then its targets.
+fn tick_layout(control: &ControlLoop) -> Layout {
+    let own = [(TICK_TIME, "ns"), (STOP_REQUESTED, "1"), (DEVICE_FAILED, "1")];
+    let mut signals: Vec<Signal> = own.map(|(name, unit)| Signal::scalar(name, unit)).into();
+    signals.extend(control.layout().signals.iter().cloned());
+    signals.extend(control.targets().layout().signals.iter().cloned());
+    Layout { channel: control.layout().channel.clone(), signals }
+}
+
+/// The desired torques of the last commands. The drives' rows need them: a command may act up to one interface period
+/// after it was given.
+struct History {
+    commands: u64,
+    torques: [Vec<f64>; History::DEPTH],
+    none: Vec<f64>,
+}
+
+impl History {
+    const DEPTH: usize = 4;
+
+    fn new(n: usize) -> Self {
+        let none = vec![f64::NAN; n];
+        Self { commands: 0, torques: std::array::from_fn(|_| none.clone()), none }
+    }
+
+    fn push(&mut self, torque: &[f64]) {
+        self.commands += 1;
+        self.torques[Self::slot(self.commands)].copy_from_slice(torque);
+    }
+
+    /// The torque desired with the command of that number; NaN without a command.
+    fn get(&self, command: Option<u64>) -> &[f64] {
+        command.map_or(&self.none, |number| &self.torques[Self::slot(number)])
+    }
+
+    fn slot(command: u64) -> usize {
+        usize::try_from(command % Self::DEPTH as u64).unwrap_or(0)
+    }
+}

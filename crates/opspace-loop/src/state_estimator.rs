@@ -1,0 +1,208 @@
+//! State estimation: from a raw sample to the measurement that controller and transformer share.
+
+use crate::fault::Fault;
+use crate::safety::SafetyParameters;
+use crate::supervisor::{SampleGap, Supervisor};
+use nalgebra::Vector3;
+use opspace_backend::{Capabilities, Row, Sample, Signal};
+use opspace_control::Measurement;
+use opspace_model::{Data, Force, FrameId, Model, UnknownFrame, frame_placement, update};
+use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator};
+
+const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
+
+/// Velocity estimate, model update, tared force sensors in world axes, and the checks of each.
+pub(crate) struct StateEstimator {
+    capabilities: Capabilities,
+    sensor_frames: Vec<FrameId>,
+    velocity: VelocityEstimator,
+    supervisor: Supervisor,
+    sample: Sample,
+    measurement: Measurement,
+    tare: Vec<Force>,
+    tare_count: f64,
+    start_s: Option<f64>,
+    gap: SampleGap,
+    /// Whether the measurement is that of the last sample.
+    current: bool,
+}
+
+impl StateEstimator {
+    /// For a robot with these capabilities.
+    ///
+    /// # Errors
+    /// A force sensor on a frame that the model does not have.
+    pub(crate) fn new(
+        model: &Model,
+        capabilities: &Capabilities,
+        estimator: &EstimatorParameters,
+        safety: &SafetyParameters,
+    ) -> Result<Self, UnknownFrame> {
+        let n = model.n();
+        let sensors = &capabilities.force_sensors;
+        let mut measurement = Measurement::new(n, sensors.len(), capabilities.measures_motor_torque);
+        // Unknown until it is read: a stop before that must send the robot nowhere.
+        measurement.q.fill(f64::NAN);
+        let sensor_frames: Result<Vec<FrameId>, _> = sensors.iter().map(|s| model.frame(&s.frame)).collect();
+        Ok(Self {
+            sensor_frames: sensor_frames?,
+            velocity: VelocityEstimator::new(n, estimator, capabilities.period_s),
+            supervisor: Supervisor::new(model, safety, capabilities.period_s),
+            sample: Sample::new(capabilities),
+            measurement,
+            tare: vec![Force::zero(); sensors.len()],
+            tare_count: 0.0,
+            start_s: None,
+            gap: SampleGap::Tolerated { missed: 0 },
+            current: false,
+            capabilities: capabilities.clone(),
+        })
+    }
+
+    /// The robot's clock at the last sample, s.
+    pub(crate) fn clock_s(&self) -> f64 {
+        self.sample.time_s
+    }
+
+    /// The measurement of the last [`observe`](Self::observe); before the first its positions are NaN.
+    pub(crate) fn measurement(&self) -> &Measurement {
+        &self.measurement
+    }
+
+    /// How many interface cycles before the last sample were missed.
+    pub(crate) fn missed(&self) -> u64 {
+        self.gap.missed()
+    }
+
+    /// Whether so many cycles were missed that nothing that was estimated holds any more.
+    pub(crate) fn is_lost(&self) -> bool {
+        matches!(self.gap, SampleGap::Lost { .. })
+    }
+
+    /// Whether the last state is too old to move the robot by: after a dropout, whose first sample was refused.
+    pub(crate) fn is_outdated(&self) -> bool {
+        !self.current && self.is_lost()
+    }
+
+    /// Whether a state was ever measured.
+    pub(crate) fn is_known(&self) -> bool {
+        self.measurement.q.iter().all(|q| q.is_finite())
+    }
+
+    /// Takes the present readings of the force sensors as readings at rest.
+    pub(crate) fn tare(&mut self) {
+        self.tare_count += 1.0;
+        for (tare, raw) in self.tare.iter_mut().zip(&self.sample.wrenches) {
+            *tare += (force(raw) - *tare) * (1.0 / self.tare_count);
+        }
+    }
+
+    /// Sets the measurement's time to zero at the present sample.
+    pub(crate) fn begin(&mut self) {
+        self.start_s = Some(self.sample.time_s);
+        self.measurement.time_s = 0.0;
+    }
+
+    /// Turns a sample into a measurement and updates `data` with it. The joint velocities are those that the
+    /// transformer knows, else those that the robot measures, else filtered differences of positions. Of a robot that is
+    /// `held` the transformer knows nothing.
+    ///
+    /// # Errors
+    /// The fault that the [`Supervisor`] finds, or a mass matrix that can't be factored.
+    pub(crate) fn observe(
+        &mut self,
+        sample: &Sample,
+        model: &Model,
+        data: &mut Data,
+        transformer: &mut dyn Transformer,
+        held: bool,
+    ) -> Result<(), Fault> {
+        self.sample.copy_from(sample);
+        let measurement = &mut self.measurement;
+        self.current = false;
+        self.gap = self.supervisor.check_clock(sample)?;
+        self.supervisor.check_sample(sample, &measurement.q, self.gap)?;
+        self.current = true;
+        measurement.time_s = self.start_s.map_or(0.0, |start| sample.time_s - start);
+        measurement.q.copy_from_slice(&sample.q);
+        if let SampleGap::Lost { .. } = self.gap {
+            self.velocity.reset();
+        }
+        let filtered = self.velocity.update_after(self.gap.missed().saturating_add(1), &sample.q);
+        let velocity = sample.dq.as_deref().unwrap_or(filtered);
+        match self.gap {
+            SampleGap::Tolerated { missed: 0 } => {}
+            SampleGap::Tolerated { missed } => transformer.missed(missed),
+            SampleGap::Lost { .. } => transformer.reset(),
+        }
+        let known = transformer.observe(sample).filter(|_| !held);
+        measurement.dq.copy_from_slice(known.unwrap_or(velocity));
+        if let (Some(to), Some(from)) = (&mut measurement.motor_torque, &sample.motor_torque) {
+            to.copy_from_slice(from);
+        }
+        if !update(model, data, measurement.q.as_slice(), measurement.dq.as_slice()) {
+            return Err(Fault::MassMatrix);
+        }
+        for (s, &frame) in self.sensor_frames.iter().enumerate() {
+            let axes = frame_placement(model, data, frame).rotation;
+            let tared = force(&sample.wrenches[s]) - self.tare[s];
+            measurement.wrenches[s] = Force { linear: axes * tared.linear, angular: axes * tared.angular };
+        }
+        self.supervisor.check_silence(self.gap)?;
+        self.supervisor.check_state(measurement)
+    }
+
+    /// The signals of [`sample_row`](Self::sample_row): the raw sample, then the measurement.
+    pub(crate) fn signals(&self) -> Vec<Signal> {
+        let Capabilities { joints, force_sensors, .. } = &self.capabilities;
+        let mut signals = vec![Signal::scalar("missed_cycles", "1"), Signal::new("q", "rad", joints)];
+        if self.capabilities.measures_velocity {
+            signals.push(Signal::new("dq_measured", "rad/s", joints));
+        }
+        if self.capabilities.measures_motor_torque {
+            signals.push(Signal::new("motor_torque", "Nm", joints));
+        }
+        if self.capabilities.measures_joint_torque {
+            signals.push(Signal::new("joint_torque", "Nm", joints));
+        }
+        for sensor in force_sensors {
+            signals.push(Signal::new(format!("{}.raw", sensor.name), "N,Nm", &WRENCH));
+        }
+        if self.capabilities.reports_status {
+            signals.push(Signal::scalar("status", "1"));
+            signals.push(Signal::scalar("device_limited", "1"));
+        }
+        signals.push(Signal::new("dq", "rad/s", joints));
+        for sensor in force_sensors {
+            signals.push(Signal::new(format!("{}.wrench", sensor.name), "N,Nm", &WRENCH));
+        }
+        signals
+    }
+
+    /// Puts the raw sample and the measurement.
+    pub(crate) fn sample_row(&self, row: &mut Row<'_>) {
+        let sample = &self.sample;
+        row.put_one(self.gap.missed() as f64);
+        row.put(&sample.q);
+        for measured in [&sample.dq, &sample.motor_torque, &sample.joint_torque].into_iter().flatten() {
+            row.put(measured);
+        }
+        sample.wrenches.iter().for_each(|wrench| row.put(wrench));
+        // There is one if the robot declares it.
+        if let Some(status) = &sample.status {
+            row.put_one(f64::from(status.word));
+            row.put_one(f64::from(u8::from(status.command_limited)));
+        }
+        row.put(self.measurement.dq.as_slice());
+        for wrench in &self.measurement.wrenches {
+            row.put(wrench.linear.as_slice());
+            row.put(wrench.angular.as_slice());
+        }
+    }
+}
+
+/// A force sensor's reading, in its own axes.
+fn force(reading: &[f64; 6]) -> Force {
+    let [fx, fy, fz, mx, my, mz] = *reading;
+    Force { linear: Vector3::new(fx, fy, fz), angular: Vector3::new(mx, my, mz) }
+}

@@ -1,0 +1,118 @@
+//! The order of the cycles of several robots, on one integer clock.
+
+use thiserror::Error;
+
+/// Orders the interface cycles of several robots by time. The clock counts whole ticks of the least common multiple of
+/// their rates, so that no rounding decides which cycle comes first; of two cycles at one time that of the robot with the
+/// lower number does.
+#[derive(Clone, Debug)]
+pub struct Timeline {
+    ticks_per_s: u64,
+    robots: Vec<Cycles>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Cycles {
+    period: u64,
+    next: u64,
+}
+
+/// An interface cycle of one of the robots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cycle {
+    /// The robot's number.
+    pub robot: usize,
+    /// The time, ticks.
+    pub tick: u64,
+}
+
+/// Rates that have no common clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum TimelineError {
+    /// No robot, or one with a rate of zero.
+    #[error("every robot needs a rate of at least 1 Hz, and there must be a robot")]
+    Rate,
+    /// A clock with more ticks per second than can be counted.
+    #[error("the rates have no common multiple below 2^32 Hz")]
+    TooFine,
+}
+
+impl Timeline {
+    /// For robots with these interface rates, Hz; all have their first cycle at tick 0.
+    ///
+    /// # Errors
+    /// Rates that have no common clock.
+    pub fn new(rates_hz: &[u32]) -> Result<Self, TimelineError> {
+        if rates_hz.is_empty() || rates_hz.contains(&0) {
+            return Err(TimelineError::Rate);
+        }
+        let common = |clock: u64, &rate: &u32| {
+            let rate = u64::from(rate);
+            let multiple = clock / greatest_common_divisor(clock, rate) * rate;
+            if multiple > u64::from(u32::MAX) { Err(TimelineError::TooFine) } else { Ok(multiple) }
+        };
+        let ticks_per_s = rates_hz.iter().try_fold(1, common)?;
+        let robots = rates_hz.iter().map(|&rate| Cycles { period: ticks_per_s / u64::from(rate), next: 0 });
+        Ok(Self { ticks_per_s, robots: robots.collect() })
+    }
+
+    /// Ticks of the clock per second.
+    #[must_use]
+    pub fn ticks_per_s(&self) -> u64 {
+        self.ticks_per_s
+    }
+
+    /// A duration in ticks, rounded.
+    #[must_use]
+    pub fn ticks(&self, duration_s: f64) -> u64 {
+        (duration_s * self.ticks_per_s as f64).round() as u64
+    }
+
+    /// The next cycle, which is counted as done.
+    pub fn next_cycle(&mut self) -> Cycle {
+        let mut first = 0;
+        for (robot, cycles) in self.robots.iter().enumerate() {
+            if cycles.next < self.robots[first].next {
+                first = robot;
+            }
+        }
+        let cycles = &mut self.robots[first];
+        let tick = cycles.next;
+        cycles.next += cycles.period;
+        Cycle { robot: first, tick }
+    }
+}
+
+fn greatest_common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Compared: the order of two seconds of cycles at 1000, 500 and 300 Hz, and their times sorted as fractions.
+    #[test]
+    fn cycles_come_in_the_order_of_time_then_number() {
+        let rates = [1000, 500, 300];
+        let mut timeline = Timeline::new(&rates).expect("a good clock");
+        assert_eq!(timeline.ticks_per_s(), 3000);
+        let mut expected: Vec<(u64, usize)> = Vec::new();
+        for (robot, &rate) in rates.iter().enumerate() {
+            // k/rate < 2 s, over the common denominator 3000.
+            expected.extend((0..2 * u64::from(rate)).map(|k| (k * 3000 / u64::from(rate), robot)));
+        }
+        expected.sort_unstable();
+        for (tick, robot) in expected {
+            assert_eq!(timeline.next_cycle(), Cycle { robot, tick });
+        }
+    }
+
+    #[test]
+    fn rates_without_a_common_clock_are_refused() {
+        assert_eq!(Timeline::new(&[]).expect_err("refused"), TimelineError::Rate);
+        assert_eq!(Timeline::new(&[1000, 0]).expect_err("refused"), TimelineError::Rate);
+        assert_eq!(Timeline::new(&[65_521, 65_519, 65_497]).expect_err("refused"), TimelineError::TooFine);
+    }
+}

@@ -1,0 +1,134 @@
+//! The record of a run on a scripted robot.
+
+use super::{AFTERMATH, Scripted, Told, capabilities, config};
+use opspace_backend::{CommandKind, Layout, Sample, Sink, TICK, TICK_TIME};
+use opspace_control::Controller;
+use opspace_loop::{ControlLoop, Fault, LoopConfig, Phase, Run, RunOutcome, drive};
+use std::ops::Range;
+use std::sync::atomic::AtomicBool;
+
+/// The rows of the cycles, with their time stamps (s).
+#[derive(Default)]
+pub struct Rows {
+    pub times_s: Vec<f64>,
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl Sink for Rows {
+    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        if channel == TICK {
+            self.times_s.push(time_s);
+            self.rows.push(row.to_vec());
+        }
+    }
+}
+
+/// All that came of a run.
+pub struct Record {
+    pub outcome: RunOutcome,
+    /// Calls of `write` and `stop`, in their order.
+    pub told: Vec<Told>,
+    /// Cycle of each of them.
+    pub told_in: Vec<u64>,
+    pub times_s: Vec<f64>,
+    pub rows: Vec<Vec<f64>>,
+    pub layout: Layout,
+}
+
+impl Record {
+    /// The columns of a signal.
+    pub fn columns(&self, name: &str) -> Range<usize> {
+        columns(&self.layout, name)
+    }
+
+    /// The values of a signal with one element, row by row.
+    pub fn scalar(&self, name: &str) -> Vec<f64> {
+        let columns = self.columns(name);
+        assert_eq!(columns.len(), 1, "{name}");
+        self.rows.iter().map(|row| row[columns.start]).collect()
+    }
+
+    /// The values of a signal in one row.
+    pub fn values(&self, row: usize, name: &str) -> &[f64] {
+        &self.rows[row][self.columns(name)]
+    }
+
+    pub fn phases(&self) -> Vec<f64> {
+        self.scalar("phase")
+    }
+
+    pub fn fault(&self) -> &Fault {
+        let RunOutcome::Faulted { fault, .. } = &self.outcome else { panic!("{:?}", self.outcome) };
+        fault
+    }
+
+    /// The commands, up to the stop. Nothing but stops may follow.
+    pub fn commands(&self) -> &[Told] {
+        let end = self.told.iter().position(|told| *told == Told::Stop).expect("it is stopped");
+        assert!(self.told[end..].iter().all(|told| *told == Told::Stop), "nothing is written after a stop");
+        &self.told[..end]
+    }
+
+    /// The bits of the rows, without those of the wall time.
+    pub fn row_bits(&self) -> Vec<Vec<u64>> {
+        let wall_time = self.columns(TICK_TIME);
+        let without =
+            |(column, value): (usize, &f64)| (!wall_time.contains(&column)).then(|| value.to_bits());
+        self.rows.iter().map(|row| row.iter().enumerate().filter_map(without).collect()).collect()
+    }
+
+    /// Calls with their cycles, and outcome, as text: a float's debug text is another for other bits.
+    pub fn text(&self) -> String {
+        format!("{:?}\n{:?}\n{:?}", self.told, self.told_in, self.outcome)
+    }
+
+    /// Checks the rows around a fault: its code from one row on, that row still in `phase`, then 0.2 s of a stopped
+    /// robot. Returns that row.
+    pub fn check_fault_rows(&self, phase: Phase) -> usize {
+        let code = f64::from(self.fault().code());
+        let (faults, phases) = (self.scalar("fault"), self.phases());
+        let first = faults.iter().position(|fault| *fault != 0.0).expect("the fault is in a row");
+        assert!(faults[first..].iter().all(|fault| *fault == code), "latched");
+        assert_eq!(phases[first], phase.code());
+        assert!(phases[first + 1..].iter().all(|phase| *phase == Phase::Stopped.code()), "stopped");
+        assert_eq!(self.rows.len() - first - 1, AFTERMATH, "0.2 s of aftermath");
+        first
+    }
+}
+
+pub fn columns(layout: &Layout, name: &str) -> Range<usize> {
+    let place = layout.signals.iter().position(|signal| signal.name == name);
+    let place = place.unwrap_or_else(|| panic!("no signal '{name}'"));
+    let start = layout.signals[..place].iter().map(|signal| signal.len()).sum();
+    start..start + layout.signals[place].len()
+}
+
+/// Drives a robot for `duration_s` (s) of control, or until `stop_request` is set.
+pub fn drive_robot<F: FnMut(u64, &mut Sample)>(
+    config: LoopConfig,
+    duration_s: f64,
+    stop_request: &AtomicBool,
+    mut robot: Scripted<F>,
+) -> Record {
+    let control = ControlLoop::new(config).unwrap_or_else(|e| panic!("{e}"));
+    let layout = Run::layouts(&control, None).swap_remove(TICK);
+    let mut rows = Rows::default();
+    let mut run = Run::new(control, duration_s, &mut rows).with_stop_request(stop_request);
+    drive(&mut robot, &mut run);
+    assert!(run.is_over(), "it is driven to its end");
+    let outcome = run.finish();
+    let Scripted { told, told_in, .. } = robot;
+    let Rows { times_s, rows } = rows;
+    Record { outcome, told, told_in, times_s, rows, layout }
+}
+
+/// Runs a controller for `duration_s` (s) on a robot of that kind.
+pub fn run(
+    kind: CommandKind,
+    controller: impl Controller + 'static,
+    duration_s: f64,
+    script: impl FnMut(u64, &mut Sample),
+) -> Record {
+    let robot = Scripted::new(capabilities(kind), script);
+    drive_robot(config(capabilities(kind), controller), duration_s, &AtomicBool::new(false), robot)
+}

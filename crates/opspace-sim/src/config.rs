@@ -1,0 +1,284 @@
+//! The configuration of simulated arms: nominal values, and where the plant differs from them.
+
+use crate::bus::LONGEST_DROPOUT_S;
+use crate::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
+use crate::environment::{EnvironmentObject, EnvironmentObjectParameters, OperatorMotion};
+use crate::error::SimulationError;
+use crate::force_sensor::SimulatedForceSensor;
+use crate::friction::LuGre;
+use crate::motor::Motor;
+use crate::parameters::SimulatedParameters;
+use crate::random::{RngStream, generator};
+use crate::timing::{Clock, Timing};
+use nalgebra::{DVector, Vector3};
+use opspace_backend::quantity::NonNegative;
+use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
+use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
+use opspace_transformer::{
+    FrictionParameters, JointParameters, ProfileParameters, ServoError, ServoLaw, ServoParameters,
+};
+
+/// The configuration of a simulated arm.
+#[derive(Clone, Debug)]
+pub struct ArmConfig {
+    /// The nominal rigid bodies, rotors included.
+    pub model: Model,
+    /// The nominal drives (n).
+    pub joints: Vec<JointParameters>,
+    /// The nominal servos (n).
+    pub servos: Vec<ServoParameters>,
+    /// Rates and delay.
+    pub profile: ProfileParameters,
+    /// Declared properties: the kind of robot, and what it measures.
+    pub capabilities: Capabilities,
+    /// Differences of the plant from the nominal values.
+    pub simulated: SimulatedParameters,
+    /// Placement of the model's world in the world of the simulation; gravity is along the axes of the latter.
+    pub placement: Placement,
+    /// Objects that touch the arm, by name; positions and directions are in the world of the simulation.
+    pub environment: Vec<(String, EnvironmentObjectParameters)>,
+    /// Whether a program may apply external forces while the simulation runs.
+    pub external_forces: bool,
+    /// Positions at the start, at rest, rad or m (n).
+    pub start: Vec<f64>,
+    /// Time for which the arm holds itself before the controller starts, s.
+    pub rest_s: f64,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+/// The configuration of a simulation.
+#[derive(Clone, Debug, Default)]
+pub struct SimulationConfig {
+    /// The arms.
+    pub arms: Vec<ArmConfig>,
+    /// Springs between arms.
+    pub couplings: Vec<CouplingConfig>,
+}
+
+/// A spring and a damper between the origins of frames of two arms, relaxed at the start: an elastic object that both hold.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CouplingConfig {
+    /// Its name in the true rows of both arms.
+    pub name: String,
+    /// Index of the first arm, and the name of its frame.
+    pub first: (usize, String),
+    /// Index of the second arm, and the name of its frame.
+    pub second: (usize, String),
+    /// Stiffness, N/m.
+    pub stiffness_n_per_m: NonNegative,
+    /// Damping, Ns/m.
+    pub damping_ns_per_m: NonNegative,
+}
+
+impl CouplingConfig {
+    /// Whether it holds a frame of that arm.
+    pub(crate) fn touches(&self, arm: usize) -> bool {
+        self.first.0 == arm || self.second.0 == arm
+    }
+}
+
+impl ArmConfig {
+    pub(crate) fn check(&self) -> Result<(), SimulationError> {
+        let joints = self.model.joints().iter().map(|joint| &joint.name);
+        if !joints.eq(&self.capabilities.joints) {
+            return Err(SimulationError::Joints { declared: self.capabilities.joints.clone() });
+        }
+        let truths = [
+            ("servo", self.simulated.servo.keys().collect::<Vec<_>>()),
+            ("friction", self.simulated.friction.keys().collect()),
+        ];
+        for (section, joints) in truths {
+            for joint in joints {
+                self.model.joint(joint).map_err(|source| SimulationError::Joint { section, source })?;
+            }
+        }
+        for sensor in &self.capabilities.force_sensors {
+            if !self.simulated.force_sensor.contains_key(&sensor.name) {
+                return Err(SimulationError::UnknownSensorQuality { sensor: sensor.name.clone() });
+            }
+            self.model
+                .frame(&sensor.frame)
+                .map_err(|source| SimulationError::SensorFrame { sensor: sensor.name.clone(), source })?;
+        }
+        for (name, object) in &self.environment {
+            self.model
+                .frame(object.frame())
+                .map_err(|source| SimulationError::Frame { object: name.clone(), source })?;
+            match object {
+                EnvironmentObjectParameters::Spring(spring) => {
+                    if spring.report.is_empty() {
+                        return Err(SimulationError::NothingReported { object: name.clone() });
+                    }
+                    if let OperatorMotion::Random(motion) = &spring.motion
+                        && motion.to_hz < motion.from_hz
+                    {
+                        return Err(SimulationError::Band { object: name.clone() });
+                    }
+                }
+                EnvironmentObjectParameters::Wall(wall) => {
+                    if Vector3::from(wall.normal).amax() == 0.0 {
+                        return Err(SimulationError::Normal { object: name.clone() });
+                    }
+                }
+                EnvironmentObjectParameters::Pushes(_) => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// The clock of this arm in a simulation.
+    pub(crate) fn timing(&self, clock: &Clock) -> Result<Timing, SimulationError> {
+        let ratio = self.profile.ratio.get();
+        let nominal = self.profile.delay();
+        let delay = self.simulated.delay_servo_ticks.unwrap_or(nominal);
+        if delay > ratio {
+            return Err(SimulationError::Delay { delay, ratio, truth: delay != nominal });
+        }
+        self.check_bus(ratio)?;
+        let servo_hz = self.profile.servo_hz.get();
+        let ticks_per_servo = clock.ticks_per_servo(servo_hz);
+        Ok(Timing {
+            servo_period_s: self.profile.servo_period_s(),
+            ratio,
+            delay,
+            rest_ticks: (self.rest_s / self.profile.period_s()).round() * f64::from(ratio),
+            servo_tick: 0,
+            cycles: 0,
+            ticks_per_servo,
+            steps_per_servo: clock.steps_per_tick * ticks_per_servo as u32,
+        })
+    }
+
+    fn check_bus(&self, ratio: u32) -> Result<(), SimulationError> {
+        let bus = &self.simulated.bus;
+        if bus.lost_cycles_share.get() >= 1.0 {
+            return Err(SimulationError::LostCycles { share: bus.lost_cycles_share.get() });
+        }
+        if let Some(long) = bus.dropouts.iter().find(|d| d.duration_s.get() > LONGEST_DROPOUT_S) {
+            let duration_s = long.duration_s.get();
+            return Err(SimulationError::Dropout { duration_s, longest_s: LONGEST_DROPOUT_S });
+        }
+        if bus.jitter_servo_ticks > 0 && bus.jitter_servo_ticks >= ratio {
+            return Err(SimulationError::Jitter { jitter: bus.jitter_servo_ticks, ratio });
+        }
+        Ok(())
+    }
+
+    fn name(&self, joint: usize) -> &str {
+        &self.model.joints()[joint].name
+    }
+
+    /// Friction of a joint in the plant.
+    fn true_friction(&self, joint: usize) -> &FrictionParameters {
+        self.simulated.friction.get(self.name(joint)).unwrap_or(&self.joints[joint].friction)
+    }
+
+    /// The drivetrains, with motors that produce `motor_torque` (n; Nm) at the start.
+    pub(crate) fn drivetrains(
+        &self,
+        model: &Model,
+        motor_torque: &DVector<f64>,
+        physics_hz: f64,
+    ) -> Vec<Drivetrain> {
+        let simulated = &self.simulated;
+        let dt = 1.0 / physics_hz;
+        let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
+        let joint = |(i, parameters): (usize, &JointParameters)| {
+            let friction =
+                LuGre::new(self.true_friction(i), &simulated.bristle, simulated.scale.friction.get());
+            let slip_torque = parameters.torque_limit_nm.get() * simulated.brake.slips_at_torque_limits.get();
+            let resolution = simulated.encoder_quantisation.then(|| parameters.rotor.resolution_rad());
+            Drivetrain::new(
+                Motor::new(bandwidth_hz, dt, motor_torque[i]),
+                friction,
+                EndStop::new(&model.joints()[i].limits, &simulated.end_stop),
+                Brake::new(&simulated.brake, slip_torque),
+                Encoder::new(resolution),
+            )
+        };
+        self.joints.iter().enumerate().map(joint).collect()
+    }
+
+    /// The drives' torque limits (n; Nm), if they hold.
+    pub(crate) fn torque_limits(&self) -> Option<DVector<f64>> {
+        let limits = self.joints.iter().map(|joint| joint.torque_limit_nm.get());
+        self.simulated.torque_saturation.then(|| DVector::from_iterator(self.joints.len(), limits))
+    }
+
+    pub(crate) fn true_servos(&self, period_s: f64) -> Result<Vec<ServoLaw>, SimulationError> {
+        let scale = &self.simulated.scale;
+        (self.servos.iter().enumerate())
+            .map(|(joint, nominal)| {
+                let servo = self.simulated.servo.get(self.name(joint)).unwrap_or(nominal);
+                self.check_servo(joint, servo)?;
+                let servo = servo.scaled(scale.kp.get(), scale.kv.get());
+                ServoLaw::new(&servo, period_s).map_err(|source| self.servo_error(joint, source))
+            })
+            .collect()
+    }
+
+    /// Refuses a servo that does not take the setpoints that the drives have for it.
+    fn check_servo(&self, joint: usize, servo: &ServoParameters) -> Result<(), SimulationError> {
+        let setpoints = match self.capabilities.command {
+            // The motors take torques, and brakes hold the arm.
+            CommandKind::Torque if self.capabilities.has_brakes => return Ok(()),
+            CommandKind::Torque | CommandKind::Position => CommandKind::Position,
+            CommandKind::Velocity => CommandKind::Velocity,
+        };
+        if servo.takes() == setpoints {
+            return Ok(());
+        }
+        let joint = self.name(joint).to_owned();
+        let truth = self.simulated.servo.contains_key(&joint);
+        Err(SimulationError::ServoKind { joint, truth, setpoints })
+    }
+
+    fn servo_error(&self, joint: usize, source: ServoError) -> SimulationError {
+        let joint = self.name(joint).to_owned();
+        SimulationError::Servo { truth: self.simulated.servo.contains_key(&joint), joint, source }
+    }
+
+    /// The rigid bodies in the plant.
+    pub(crate) fn true_model(&self) -> Model {
+        let model = self.model.clone().with_scaled_inertia(self.simulated.scale.inertia.get());
+        let model = match self.placement == Placement::identity() {
+            true => model,
+            false => {
+                let base = self.placement * model.base();
+                model.with_base(base)
+            }
+        };
+        match self.capabilities.gravity_compensated_by {
+            GravityCompensation::Controller => model,
+            // A robot that compensates its weight moves as one that has none.
+            GravityCompensation::Robot => model.with_gravity(Vector3::zeros()),
+        }
+    }
+
+    /// The objects of the environment, each with its frame.
+    pub(crate) fn contacts(&self, model: &Model) -> Vec<(FrameId, EnvironmentObject)> {
+        let mut data = Data::new(model);
+        kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
+        (self.environment.iter().zip(0..))
+            .filter_map(|((_, parameters), index)| {
+                let frame = model.frame(parameters.frame()).ok()?;
+                let home = frame_placement(model, &data, frame).translation;
+                let random = generator(self.seed, RngStream::EnvironmentObject(index));
+                Some((frame, EnvironmentObject::new(parameters, home, random)))
+            })
+            .collect()
+    }
+
+    /// The force sensors, each with its frame.
+    pub(crate) fn force_sensors(&self, period_s: f64) -> Vec<(FrameId, SimulatedForceSensor)> {
+        (self.capabilities.force_sensors.iter().zip(0..))
+            .filter_map(|(sensor, index)| {
+                let quality = self.simulated.force_sensor.get(&sensor.name)?;
+                let random = generator(self.seed, RngStream::ForceSensor(index));
+                let frame = self.model.frame(&sensor.frame).ok()?;
+                Some((frame, SimulatedForceSensor::new(quality, period_s, random)))
+            })
+            .collect()
+    }
+}

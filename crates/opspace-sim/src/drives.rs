@@ -1,0 +1,346 @@
+//! The drives of one arm: commands in, torques on the links out.
+//!
+//! The table of the [crate] says what they do without commands.
+
+use crate::drivetrain::Drivetrain;
+use nalgebra::DVector;
+use opspace_backend::{CommandKind, Setpoints};
+use opspace_transformer::{ServoLaw, ServoMemory};
+
+/// Everything of one arm that runs at servo rate or faster.
+pub(crate) struct Drives {
+    takes: CommandKind,
+    has_brakes: bool,
+    mode: Mode,
+    drivetrains: Vec<Drivetrain>,
+    servos: Vec<Servo>,
+    torque_limits: Option<DVector<f64>>,
+    ratio: u32,
+    active: Active,
+    pending: [Pending; 2],
+    /// Number of the last command.
+    commands: u64,
+    /// Values of the last command that had any (n).
+    last: DVector<f64>,
+    /// Whether there was such a command.
+    commanded: bool,
+    position: DVector<f64>,
+    asked: DVector<f64>,
+    joint_torque: IntervalMean,
+    limited: bool,
+}
+
+/// The part of the drives that determines the motors' torques.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    /// None: brakes hold the arm.
+    Braked,
+    /// The servos.
+    Servo,
+    /// The commanded torques.
+    Torque,
+}
+
+/// A joint's servo with its state.
+#[derive(Clone, Debug)]
+struct Servo {
+    law: ServoLaw,
+    memory: ServoMemory,
+}
+
+/// The command in force.
+#[derive(Clone, Debug)]
+struct Active {
+    /// Its number; `None` while the robot holds itself.
+    command: Option<u64>,
+    /// Setpoints, or torques of a torque robot (n).
+    values: DVector<f64>,
+    /// Setpoints from which interpolation started (n).
+    before: DVector<f64>,
+    /// Servo ticks since it came in force.
+    age: u32,
+    setpoints: Setpoints,
+}
+
+impl Active {
+    fn take(&mut self, command: u64, values: &DVector<f64>, ratio: u32) {
+        // A second one at the same tick goes from where the first would have gone from.
+        if let Some(age) = self.age.checked_sub(1) {
+            self.age = age;
+            for i in 0..values.len() {
+                self.before[i] = self.setpoint(i, ratio);
+            }
+        }
+        self.values.copy_from(values);
+        self.command = Some(command);
+        self.age = 0;
+    }
+
+    /// Replaces the command at once, without interpolation.
+    fn replace(&mut self, command: Option<u64>, value: impl FnMut(usize) -> f64) {
+        let mut value = value;
+        self.values.iter_mut().enumerate().for_each(|(i, to)| *to = value(i));
+        self.before.copy_from(&self.values);
+        self.command = command;
+    }
+
+    /// The setpoint of a joint at this servo tick.
+    fn setpoint(&self, joint: usize, ratio: u32) -> f64 {
+        self.setpoints.at(self.before[joint], self.values[joint], self.age, ratio)
+    }
+}
+
+/// A command on its way to the drives.
+#[derive(Clone, Debug)]
+struct Pending {
+    acts_at: Option<u64>,
+    number: u64,
+    values: DVector<f64>,
+}
+
+/// A mean over the physics steps since the last sample.
+struct IntervalMean {
+    sum: DVector<f64>,
+    mean: DVector<f64>,
+    steps: u32,
+}
+
+impl IntervalMean {
+    fn new(start: DVector<f64>) -> Self {
+        Self { sum: DVector::zeros(start.len()), mean: start, steps: 0 }
+    }
+
+    /// The mean since the last call; that of the last call where no step was made since.
+    fn take(&mut self) -> &DVector<f64> {
+        if self.steps > 0 {
+            self.mean.copy_from(&self.sum);
+            self.mean /= f64::from(self.steps);
+            self.sum.fill(0.0);
+            self.steps = 0;
+        }
+        &self.mean
+    }
+}
+
+/// The parts of [`Drives`].
+pub(crate) struct DrivesConfig {
+    pub takes: CommandKind,
+    pub has_brakes: bool,
+    pub setpoints: Setpoints,
+    /// Servo ticks per interface cycle.
+    pub ratio: u32,
+    pub drivetrains: Vec<Drivetrain>,
+    pub laws: Vec<ServoLaw>,
+    pub torque_limits: Option<DVector<f64>>,
+    /// Positions at the start (n; rad).
+    pub q: Vec<f64>,
+    /// Torques that hold the arm at the start (n; Nm).
+    pub holding: DVector<f64>,
+}
+
+impl Drives {
+    /// Drives that hold an arm at rest.
+    pub fn new(config: DrivesConfig) -> Self {
+        let DrivesConfig { takes, has_brakes, q, holding, .. } = config;
+        let n = q.len();
+        let position = DVector::from_fn(n, |i, _| config.drivetrains[i].read_encoder(q[i]));
+        let rest = |(i, law): (usize, ServoLaw)| {
+            let (memory, setpoint) = law.rest(position[i], holding[i]);
+            (Servo { law, memory }, setpoint)
+        };
+        let (servos, setpoints): (Vec<Servo>, Vec<f64>) =
+            config.laws.into_iter().enumerate().map(rest).unzip();
+        let braked = has_brakes && takes != CommandKind::Position;
+        let values = match takes {
+            CommandKind::Position => DVector::from_vec(setpoints),
+            CommandKind::Torque if !braked => DVector::from_vec(setpoints),
+            CommandKind::Torque | CommandKind::Velocity => DVector::zeros(n),
+        };
+        let pending = Pending { acts_at: None, number: 0, values: DVector::zeros(n) };
+        let mut drives = Self {
+            takes,
+            has_brakes,
+            mode: if braked { Mode::Braked } else { Mode::Servo },
+            drivetrains: config.drivetrains,
+            servos,
+            torque_limits: config.torque_limits,
+            ratio: config.ratio,
+            active: Active {
+                command: None,
+                values,
+                before: DVector::zeros(n),
+                age: config.ratio,
+                setpoints: config.setpoints,
+            },
+            pending: [pending.clone(), pending],
+            commands: 0,
+            last: DVector::zeros(n),
+            commanded: false,
+            position,
+            asked: DVector::zeros(n),
+            joint_torque: IntervalMean::new(holding),
+            limited: false,
+        };
+        if braked {
+            drives.engage_brakes(&q);
+        }
+        drives
+    }
+
+    /// Takes a command with values, which acts at the servo tick `acts_at`.
+    pub fn command(&mut self, values: &[f64], acts_at: u64) {
+        self.commands += 1;
+        self.commanded = true;
+        self.last.copy_from_slice(values);
+        self.send(acts_at);
+    }
+
+    /// Takes a command without values; what it changes acts at once, or, where it is a setpoint, at the servo tick
+    /// `acts_at`. `q` is the true position (n; rad).
+    pub fn hold(&mut self, q: &[f64], acts_at: u64) {
+        self.commands += 1;
+        if self.takes == CommandKind::Torque || self.has_brakes_in_use() {
+            self.hold_itself(q, Some(self.commands));
+        } else if self.commanded {
+            if self.takes == CommandKind::Velocity {
+                self.last.fill(0.0);
+            }
+            self.send(acts_at);
+        }
+    }
+
+    /// Enters the safe state. `q` is the true position (n; rad).
+    pub fn stop(&mut self, q: &[f64]) {
+        if self.takes != CommandKind::Position {
+            self.hold_itself(q, None);
+        }
+    }
+
+    fn has_brakes_in_use(&self) -> bool {
+        self.has_brakes && self.takes != CommandKind::Position
+    }
+
+    /// Holds the arm from now on; commands on their way are dropped.
+    fn hold_itself(&mut self, q: &[f64], command: Option<u64>) {
+        self.pending.iter_mut().for_each(|pending| pending.acts_at = None);
+        if self.has_brakes_in_use() {
+            self.mode = Mode::Braked;
+            self.active.replace(command, |_| 0.0);
+            self.engage_brakes(q);
+        } else if self.takes == CommandKind::Velocity {
+            self.active.replace(command, |_| 0.0);
+        } else if self.mode == Mode::Servo {
+            self.active.command = command;
+        } else {
+            self.mode = Mode::Servo;
+            let Self { servos, active, position, asked, .. } = self;
+            active.replace(command, |i| {
+                let (memory, setpoint) = servos[i].law.rest(position[i], asked[i]);
+                servos[i].memory = memory;
+                setpoint
+            });
+        }
+    }
+
+    fn engage_brakes(&mut self, q: &[f64]) {
+        self.drivetrains.iter_mut().zip(q).for_each(|(joint, &q)| joint.engage_brake(q));
+    }
+
+    /// Sends the last values to the drives.
+    fn send(&mut self, acts_at: u64) {
+        // A delay is at most one interface period, jitter less than one: at most two commands are on their way.
+        let free = self.pending.iter().position(|pending| pending.acts_at.is_none());
+        let pending = &mut self.pending[free.unwrap_or(0)];
+        pending.acts_at = Some(acts_at);
+        pending.number = self.commands;
+        pending.values.copy_from(&self.last);
+    }
+
+    /// Number of the command in force; `None` while the robot holds itself.
+    pub fn command_in_force(&self) -> Option<u64> {
+        self.active.command
+    }
+
+    /// A servo tick: commands come in force, the drives read their encoders at `q` (n; rad) and set the motors' inputs.
+    pub fn servo_tick(&mut self, q: &[f64], servo_tick: u64) {
+        self.read_encoders(q);
+        self.take_pending(servo_tick);
+        for (i, servo) in self.servos.iter_mut().enumerate() {
+            let torque = match self.mode {
+                Mode::Braked => 0.0,
+                Mode::Torque => self.active.values[i],
+                Mode::Servo => {
+                    let setpoint = self.active.setpoint(i, self.ratio);
+                    servo.law.step(&mut servo.memory, setpoint, self.position[i])
+                }
+            };
+            self.asked[i] = match &self.torque_limits {
+                Some(limits) => torque.clamp(-limits[i], limits[i]),
+                None => torque,
+            };
+            self.limited |= self.asked[i] != torque;
+        }
+        self.active.age = self.active.age.saturating_add(1);
+    }
+
+    fn take_pending(&mut self, servo_tick: u64) {
+        for index in 0..self.pending.len() {
+            let pending = &mut self.pending[index];
+            if pending.acts_at.is_some_and(|tick| tick <= servo_tick) {
+                pending.acts_at = None;
+                self.active.take(pending.number, &pending.values, self.ratio);
+                self.leave_hold();
+            }
+        }
+    }
+
+    /// Lets commands act: releases brakes.
+    fn leave_hold(&mut self) {
+        if self.mode == Mode::Braked {
+            self.drivetrains.iter_mut().for_each(Drivetrain::release_brake);
+            for (servo, &position) in self.servos.iter_mut().zip(&self.position) {
+                servo.memory = servo.law.rest(position, 0.0).0;
+            }
+        }
+        self.mode = match self.takes {
+            CommandKind::Torque => Mode::Torque,
+            CommandKind::Position | CommandKind::Velocity => Mode::Servo,
+        };
+    }
+
+    /// A physics step of `dt_s` (s) at the true `q` (n; rad) and `dq` (n; rad/s): writes the torques on the links (n; Nm).
+    pub fn step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [f64]) {
+        for (i, joint) in self.drivetrains.iter_mut().enumerate() {
+            torques[i] = joint.step(q[i], dq[i], dt_s, self.asked[i]);
+            self.joint_torque.sum[i] += joint.joint_torque();
+        }
+        self.joint_torque.steps += 1;
+    }
+
+    /// Torques of the motors during the last physics step, Nm.
+    pub fn motor_torques(&self) -> impl Iterator<Item = f64> {
+        self.drivetrains.iter().map(Drivetrain::motor_torque)
+    }
+
+    fn read_encoders(&mut self, q: &[f64]) {
+        for (to, (joint, &q)) in self.position.iter_mut().zip(self.drivetrains.iter().zip(q)) {
+            *to = joint.read_encoder(q);
+        }
+    }
+
+    /// Positions as the encoders read them at `q` (n; rad).
+    pub fn positions(&mut self, q: &[f64]) -> &[f64] {
+        self.read_encoders(q);
+        self.position.as_slice()
+    }
+
+    /// Mean torques on the links since the last call (n; Nm).
+    pub fn take_joint_torque(&mut self) -> &[f64] {
+        self.joint_torque.take().as_slice()
+    }
+
+    /// Whether a drive's torque limit was active since the last call.
+    pub fn take_limited(&mut self) -> bool {
+        std::mem::take(&mut self.limited)
+    }
+}

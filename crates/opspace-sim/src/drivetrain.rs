@@ -1,0 +1,149 @@
+//! Everything local to a joint: motor with its current loop, friction, end stop, brake, encoder.
+//!
+//! Torques act on the link as `((motor − friction) + end stop) + brake`; contacts are the [plant's](crate::plant). The
+//! gear is rigid: the motor turns with the link, and the rotor's inertia is in the plant's mass matrix.
+
+use crate::friction::LuGre;
+use crate::motor::Motor;
+use crate::parameters::{BrakeParameters, EndStopParameters};
+use opspace_model::Limits;
+
+/// The drivetrain of one joint.
+#[derive(Clone, Debug)]
+pub struct Drivetrain {
+    motor: Motor,
+    friction: LuGre,
+    end_stop: EndStop,
+    brake: Brake,
+    encoder: Encoder,
+    motor_torque: f64,
+    joint_torque: f64,
+}
+
+impl Drivetrain {
+    /// A drivetrain with its brake released.
+    #[must_use]
+    pub fn new(motor: Motor, friction: LuGre, end_stop: EndStop, brake: Brake, encoder: Encoder) -> Self {
+        Self { motor, friction, end_stop, brake, encoder, motor_torque: 0.0, joint_torque: 0.0 }
+    }
+
+    /// The torque on the link (Nm), held over the next `dt_s` (s), at position `q` (rad) and velocity `dq` (rad/s), with
+    /// `commanded` (Nm) the input of the current loop.
+    pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
+        let motor = self.motor.step(commanded);
+        let friction = self.friction.step(dq, dt_s);
+        let stop = self.end_stop.torque(q, dq);
+        self.motor_torque = motor;
+        self.joint_torque = motor - friction + stop + self.brake.torque(q, dq);
+        self.joint_torque
+    }
+
+    /// Torque of the motor at the joint, mean over the last step, Nm.
+    #[must_use]
+    pub fn motor_torque(&self) -> f64 {
+        self.motor_torque
+    }
+
+    /// Torque on the link during the last step, Nm.
+    #[must_use]
+    pub fn joint_torque(&self) -> f64 {
+        self.joint_torque
+    }
+
+    /// The position (rad) that the encoder reads at `q` (rad).
+    #[must_use]
+    pub fn read_encoder(&self, q: f64) -> f64 {
+        self.encoder.read(q)
+    }
+
+    /// Engages the brake at position `q` (rad). An engaged brake stays where it was engaged.
+    pub fn engage_brake(&mut self, q: f64) {
+        self.brake.engaged_at.get_or_insert(q);
+    }
+
+    /// Releases the brake.
+    pub fn release_brake(&mut self) {
+        self.brake.engaged_at = None;
+    }
+}
+
+/// A spring and a damper beyond each end of the joint's range.
+#[derive(Clone, Debug)]
+pub struct EndStop {
+    limits: Limits,
+    stiffness: f64,
+    damping: f64,
+}
+
+impl EndStop {
+    /// Stops at the joint's position limits.
+    #[must_use]
+    pub fn new(limits: &Limits, parameters: &EndStopParameters) -> Self {
+        Self {
+            limits: *limits,
+            stiffness: parameters.stiffness_nm_per_rad.get(),
+            damping: parameters.damping_nms_per_rad.get(),
+        }
+    }
+
+    fn torque(&self, q: f64, dq: f64) -> f64 {
+        let depth = (self.limits.lower - q).max(0.0) - (q - self.limits.upper).max(0.0);
+        if depth == 0.0 {
+            return 0.0;
+        }
+        let torque = self.stiffness * depth - self.damping * dq;
+        // A stop pushes back; it does not hold on to a joint that leaves it.
+        if depth > 0.0 { torque.max(0.0) } else { torque.min(0.0) }
+    }
+}
+
+/// A spring and a damper to the position at which the brake was engaged; it slips at its torque.
+#[derive(Clone, Debug)]
+pub struct Brake {
+    stiffness: f64,
+    damping: f64,
+    slip_torque: f64,
+    engaged_at: Option<f64>,
+}
+
+impl Brake {
+    /// A released brake that slips at `slip_torque_nm`.
+    #[must_use]
+    pub fn new(parameters: &BrakeParameters, slip_torque_nm: f64) -> Self {
+        Self {
+            stiffness: parameters.stiffness_nm_per_rad.get(),
+            damping: parameters.damping_nms_per_rad.get(),
+            slip_torque: slip_torque_nm,
+            engaged_at: None,
+        }
+    }
+
+    fn torque(&self, q: f64, dq: f64) -> f64 {
+        let Some(engaged_at) = self.engaged_at else {
+            return 0.0;
+        };
+        let spring = self.stiffness * (engaged_at - q);
+        (spring - self.damping * dq).clamp(-self.slip_torque, self.slip_torque)
+    }
+}
+
+/// A position sensor with a resolution.
+#[derive(Clone, Debug)]
+pub struct Encoder {
+    resolution_rad: Option<f64>,
+}
+
+impl Encoder {
+    /// An encoder that counts in steps of `resolution_rad`; `None` reads the exact position.
+    #[must_use]
+    pub fn new(resolution_rad: Option<f64>) -> Self {
+        Self { resolution_rad }
+    }
+
+    fn read(&self, q: f64) -> f64 {
+        match self.resolution_rad {
+            Some(step) => (q / step).round() * step,
+            None => q,
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! Objects that touch the robot: an operator who holds it by a spring, pushes, a wall. `[surroundings.NAME.KIND]` in a
+//! task file.
+
+use nalgebra::Vector3;
+use opspace_backend::quantity::{NonNegative, Positive, exactly};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::f64::consts::TAU;
+
+/// Something that exerts a force on one frame of the robot.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum EnvironmentObjectParameters {
+    /// An operator who holds the frame by a spring and a damper.
+    Spring(SpringParameters),
+    /// Pushes at given times.
+    Pushes(PushesParameters),
+    /// A stiff plane.
+    Wall(WallParameters),
+}
+
+impl EnvironmentObjectParameters {
+    /// The name of its kind in a file.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Spring(_) => "spring",
+            Self::Pushes(_) => "pushes",
+            Self::Wall(_) => "wall",
+        }
+    }
+
+    /// The name of the frame that it touches.
+    #[must_use]
+    pub fn frame(&self) -> &str {
+        match self {
+            Self::Spring(p) => &p.frame,
+            Self::Pushes(p) => &p.frame,
+            Self::Wall(p) => &p.frame,
+        }
+    }
+}
+
+/// `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`; the operator starts where the frame starts.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SpringParameters {
+    /// The frame it holds.
+    pub frame: String,
+    /// K, N/m.
+    pub stiffness_n_per_m: NonNegative,
+    /// B, Ns/m.
+    pub damping_ns_per_m: NonNegative,
+    /// Factor on K and B in x, y and z of the world.
+    #[serde(default = "everywhere", deserialize_with = "exactly")]
+    pub gain: [NonNegative; 3],
+    /// The axes over which its force and the frame's motion are reported.
+    #[serde(default = "all_axes")]
+    pub report: Vec<WorldAxis>,
+    /// The operator's motion.
+    pub motion: OperatorMotion,
+}
+
+const fn everywhere() -> [NonNegative; 3] {
+    [NonNegative::literal(1.0); 3]
+}
+
+fn all_axes() -> Vec<WorldAxis> {
+    vec![WorldAxis::X, WorldAxis::Y, WorldAxis::Z]
+}
+
+/// An axis of the world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum WorldAxis {
+    /// Forward.
+    X,
+    /// Left.
+    Y,
+    /// Up.
+    Z,
+}
+
+/// The motion of an operator.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum OperatorMotion {
+    /// None.
+    Still {},
+    /// Random within a band: 24 sines per axis, of random frequency, phase and amplitude.
+    Random(RandomMotion),
+}
+
+/// Band-limited random motion.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RandomMotion {
+    /// Size of the motion of each axis, rms, m.
+    pub rms_m: NonNegative,
+    /// Lowest frequency, Hz.
+    pub from_hz: Positive,
+    /// Highest frequency, Hz.
+    pub to_hz: Positive,
+    /// Time over which the motion comes in, s.
+    #[serde(default = "one_second")]
+    pub ramp_s: Positive,
+}
+
+const fn one_second() -> Positive {
+    Positive::literal(1.0)
+}
+
+/// Pushes, each a half sine in time.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PushesParameters {
+    /// The frame that is pushed.
+    pub frame: String,
+    /// The pushes.
+    pub push: Vec<PushParameters>,
+}
+
+/// One push.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PushParameters {
+    /// When it begins, s from the controller's start.
+    pub at_s: NonNegative,
+    /// Duration, s.
+    pub duration_s: Positive,
+    /// The force at its height, world axes, N.
+    #[serde(deserialize_with = "exactly")]
+    pub force_n: [f64; 3],
+}
+
+/// A plane that pushes back: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WallParameters {
+    /// The frame that meets it.
+    pub frame: String,
+    /// A point of the plane in the world, m.
+    #[serde(deserialize_with = "exactly")]
+    pub point_m: [f64; 3],
+    /// Direction out of the wall, world axes; any length.
+    #[serde(deserialize_with = "exactly")]
+    pub normal: [f64; 3],
+    /// K, N/m.
+    pub stiffness_n_per_m: Positive,
+    /// B, Ns/m.
+    pub damping_ns_per_m: NonNegative,
+}
+
+/// An object of the environment of a simulation.
+#[derive(Clone, Debug)]
+pub enum EnvironmentObject {
+    /// See [`SpringParameters`].
+    Spring(Spring),
+    /// See [`PushesParameters`].
+    Pushes(Vec<PushParameters>),
+    /// See [`WallParameters`].
+    Wall(Wall),
+}
+
+/// An operator with a drawn motion.
+#[derive(Clone, Debug)]
+pub struct Spring {
+    stiffness: Vector3<f64>,
+    damping: Vector3<f64>,
+    home: Vector3<f64>,
+    ramp_s: f64,
+    /// (amplitude m, rad/s, phase rad) of each axis.
+    sines: [Vec<(f64, f64, f64)>; 3],
+}
+
+/// A plane.
+#[derive(Clone, Debug)]
+pub struct Wall {
+    point: Vector3<f64>,
+    normal: Vector3<f64>,
+    stiffness: f64,
+    damping: f64,
+}
+
+impl EnvironmentObject {
+    /// An object at a frame that starts at `home` (world, m).
+    #[must_use]
+    pub fn new(parameters: &EnvironmentObjectParameters, home: Vector3<f64>, random: ChaCha8Rng) -> Self {
+        match parameters {
+            EnvironmentObjectParameters::Spring(p) => Self::Spring(Spring::new(p, home, random)),
+            EnvironmentObjectParameters::Pushes(p) => Self::Pushes(p.push.clone()),
+            EnvironmentObjectParameters::Wall(p) => Self::Wall(Wall {
+                point: Vector3::from(p.point_m),
+                normal: direction(p.normal),
+                stiffness: p.stiffness_n_per_m.get(),
+                damping: p.damping_ns_per_m.get(),
+            }),
+        }
+    }
+
+    /// The force on the frame at `x` (m) moving at `v` (m/s), `t` seconds from the controller's start; world
+    /// axes, N.
+    #[must_use]
+    pub fn force(&self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+        match self {
+            Self::Spring(spring) => spring.force(t, x, v),
+            Self::Pushes(pushes) => pushes.iter().map(|push| push.force(t)).sum(),
+            Self::Wall(wall) => wall.force(x, v),
+        }
+    }
+}
+
+/// A vector of any length as one of length 1.
+fn direction(vector: [f64; 3]) -> Vector3<f64> {
+    let vector = Vector3::from(vector);
+    (vector / vector.amax()).normalize()
+}
+
+/// The minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, from 0 to 1, and its rate (1/s).
+fn minimum_jerk(t: f64, duration: f64) -> (f64, f64) {
+    if t <= 0.0 {
+        return (0.0, 0.0);
+    }
+    if t >= duration {
+        return (1.0, 0.0);
+    }
+    let u = t / duration;
+    let rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration;
+    (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), rate)
+}
+
+/// Number of sines per axis of random motion.
+const SINES: usize = 24;
+
+impl Spring {
+    fn new(p: &SpringParameters, home: Vector3<f64>, mut random: ChaCha8Rng) -> Self {
+        let gain = Vector3::from(p.gain.map(NonNegative::get));
+        let (ramp_s, sines) = match &p.motion {
+            OperatorMotion::Still {} => (1.0, [const { Vec::new() }; 3]),
+            OperatorMotion::Random(motion) => {
+                (motion.ramp_s.get(), std::array::from_fn(|_| motion.draw(&mut random)))
+            }
+        };
+        Self {
+            stiffness: gain * p.stiffness_n_per_m.get(),
+            damping: gain * p.damping_ns_per_m.get(),
+            home,
+            ramp_s,
+            sines,
+        }
+    }
+
+    fn force(&self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+        let (offset, speed) = self.motion(t);
+        self.stiffness.component_mul(&(self.home + offset - x)) + self.damping.component_mul(&(speed - v))
+    }
+
+    /// Offset from home and velocity of the operator (m, m/s).
+    fn motion(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let (s, ds) = minimum_jerk(t, self.ramp_s);
+        let mut offset = Vector3::zeros();
+        let mut speed = Vector3::zeros();
+        for (axis, sines) in self.sines.iter().enumerate() {
+            let (mut p, mut dp) = (0.0, 0.0);
+            for &(size, omega, phase) in sines {
+                let (sin, cos) = (omega * t + phase).sin_cos();
+                p += size * sin;
+                dp += size * omega * cos;
+            }
+            offset[axis] = s * p;
+            speed[axis] = ds * p + s * dp;
+        }
+        (offset, speed)
+    }
+}
+
+impl RandomMotion {
+    /// Sines of one axis, whose sum has the asked rms.
+    fn draw(&self, random: &mut ChaCha8Rng) -> Vec<(f64, f64, f64)> {
+        let (from, to) = (self.from_hz.get(), self.to_hz.get());
+        let mut sines: Vec<(f64, f64, f64)> = (0..SINES)
+            .map(|_| {
+                let frequency = from + (to - from) * random.random_range(0.0..1.0);
+                let phase = random.random_range(0.0..TAU);
+                (random.random_range(0.3..=1.0), TAU * frequency, phase)
+            })
+            .collect();
+        let rms = (sines.iter().map(|s| s.0 * s.0 / 2.0).sum::<f64>()).sqrt();
+        sines.iter_mut().for_each(|s| s.0 *= self.rms_m.get() / rms);
+        sines
+    }
+}
+
+impl PushParameters {
+    fn force(&self, t: f64) -> Vector3<f64> {
+        let u = (t - self.at_s.get()) / self.duration_s.get();
+        let share = if (0.0..=1.0).contains(&u) { (TAU / 2.0 * u).sin() } else { 0.0 };
+        Vector3::from(self.force_n) * share
+    }
+}
+
+impl Wall {
+    fn force(&self, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+        let depth = self.normal.dot(&(self.point - x));
+        if depth <= 0.0 {
+            return Vector3::zeros();
+        }
+        let push = self.stiffness * depth - self.damping * self.normal.dot(v);
+        self.normal * push.max(0.0)
+    }
+}

@@ -1,0 +1,239 @@
+//! One arm of a simulation behind its interface: clock, bus, drives, sensors, and the rows of its true state.
+
+use crate::bus::Bus;
+use crate::config::ArmConfig;
+use crate::drives::{Drives, DrivesConfig};
+use crate::error::SimulationError;
+use crate::external::ExternalForceHandle;
+use crate::fault;
+use crate::force_sensor::SimulatedForceSensor;
+use crate::plant::{Plant, PlantFrame};
+use crate::random::{RngStream, generator};
+use crate::timing::{Clock, Timing};
+use crate::truth::TruthRows;
+use nalgebra::DVector;
+use opspace_backend::{Capabilities, Command, CommandKind, DeviceFault, Sample, Status};
+use opspace_model::{Data, FrameId, Model, gravity, kinematics};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use std::ops::Range;
+
+/// Cycles that may be lost in a row, beside dropouts, before room must be made for their rows.
+const LOST_CYCLES: usize = 64;
+
+/// An arm of a simulation without its rigid bodies.
+pub(crate) struct ArmInterface {
+    pub timing: Timing,
+    pub rows: TruthRows,
+    pub external: Option<ExternalForceHandle>,
+    index: usize,
+    joints: Range<usize>,
+    takes: CommandKind,
+    bus: Bus,
+    /// The next cycle that passes the bus.
+    pub next_sample: u64,
+    /// Servo ticks by which a command of the last cycle that passed is late.
+    late: u32,
+    drives: Drives,
+    sensors: Vec<(FrameId, SimulatedForceSensor)>,
+    torque_noise: (f64, ChaCha8Rng),
+    interval_torque: DVector<f64>,
+}
+
+/// The place of an arm in its simulation.
+pub(crate) struct Place {
+    /// Index of the arm.
+    pub index: usize,
+    /// Its joints among those of the plant.
+    pub joints: Range<usize>,
+    /// Names of its couplings.
+    pub couplings: Vec<String>,
+}
+
+impl ArmInterface {
+    /// An arm at rest at its start, holding itself. `model` has the true rigid bodies.
+    pub fn new(
+        config: &ArmConfig,
+        model: &Model,
+        place: Place,
+        clock: &Clock,
+    ) -> Result<Self, SimulationError> {
+        let timing = config.timing(clock)?;
+        let Capabilities { command, has_brakes, setpoints, .. } = config.capabilities;
+        let holding = holding_torque(model, &config.start);
+        let motor_start = match command {
+            CommandKind::Torque | CommandKind::Velocity if has_brakes => DVector::zeros(model.n()),
+            _ => holding.clone(),
+        };
+        let drives = Drives::new(DrivesConfig {
+            takes: command,
+            has_brakes,
+            setpoints,
+            ratio: timing.ratio,
+            drivetrains: config.drivetrains(model, &motor_start, clock.physics_hz),
+            laws: config.true_servos(timing.servo_period_s)?,
+            torque_limits: config.torque_limits(),
+            q: config.start.clone(),
+            holding,
+        });
+        let contacts = config.environment.iter().map(|(name, _)| name.clone()).chain(place.couplings);
+        let silent_s: f64 = config.simulated.bus.dropouts.iter().map(|d| d.duration_s.get()).sum();
+        let cycles = (silent_s / config.profile.period_s()).ceil() as usize + LOST_CYCLES;
+        let mut arm = Self {
+            rows: TruthRows::new(
+                model,
+                contacts.collect(),
+                config.external_forces,
+                cycles,
+                timing.ratio as usize,
+            ),
+            external: config.external_forces.then(ExternalForceHandle::default),
+            index: place.index,
+            joints: place.joints,
+            takes: command,
+            bus: Bus::new(&config.simulated.bus, config.seed),
+            next_sample: 0,
+            late: 0,
+            drives,
+            sensors: config.force_sensors(timing.servo_period_s),
+            torque_noise: (
+                config.simulated.torque_noise_nm.get(),
+                generator(config.seed, RngStream::MotorTorque),
+            ),
+            interval_torque: motor_start,
+            timing,
+        };
+        arm.find_next_sample(0);
+        Ok(arm)
+    }
+
+    /// True positions of this arm (n; rad).
+    pub fn q<'a>(&self, plant: &'a dyn Plant) -> &'a [f64] {
+        &plant.q()[self.joints.clone()]
+    }
+
+    /// True velocities of this arm (n; rad/s).
+    pub fn dq<'a>(&self, plant: &'a dyn Plant) -> &'a [f64] {
+        &plant.dq()[self.joints.clone()]
+    }
+
+    /// Begins an interface cycle: records the true state and takes the external force over.
+    ///
+    /// Returns whether the cycle passes the bus.
+    pub fn begin_cycle(&mut self, plant: &mut dyn Plant) -> bool {
+        let cycle = self.timing.cycles;
+        self.timing.cycles += 1;
+        self.rows.begin_cycle(plant, self.index, &self.joints);
+        if let Some(handle) = &self.external {
+            let force = handle.get();
+            self.rows.add_external(force.as_ref(), &plant.external_force(self.index));
+            plant.push(self.index, force);
+        }
+        let passes = cycle == self.next_sample;
+        if passes {
+            self.late = self.bus.late();
+            self.find_next_sample(cycle + 1);
+        }
+        passes
+    }
+
+    /// Finds the first cycle from `cycle` on that passes the bus.
+    fn find_next_sample(&mut self, cycle: u64) {
+        self.next_sample = cycle;
+        while !self.bus.passes(self.timing.cycle_time_s(self.next_sample)) {
+            self.next_sample += 1;
+        }
+    }
+
+    /// Time of the next sample on the robot's clock, s.
+    pub fn next_sample_s(&self) -> f64 {
+        self.timing.cycle_time_s(self.next_sample)
+    }
+
+    /// Reads the sensors at a cycle.
+    pub fn measure(&mut self, plant: &dyn Plant, sample: &mut Sample) {
+        sample.time_s = self.timing.time_s(self.timing.servo_tick);
+        sample.q.copy_from_slice(self.drives.positions(&plant.q()[self.joints.clone()]));
+        if let Some(measured) = &mut sample.dq {
+            measured.copy_from_slice(&plant.dq()[self.joints.clone()]);
+        }
+        self.rows.average_motor_torque(self.interval_torque.as_mut_slice());
+        let (noise, random) = &mut self.torque_noise;
+        if let Some(measured) = &mut sample.motor_torque {
+            for (to, torque) in measured.iter_mut().zip(&self.interval_torque) {
+                let white: f64 = StandardNormal.sample(random);
+                *to = torque + *noise * white;
+            }
+        }
+        if let Some(measured) = &mut sample.joint_torque {
+            measured.copy_from_slice(self.drives.take_joint_torque());
+        }
+        if let Some(status) = &mut sample.status {
+            *status = Status::new(0, self.drives.take_limited());
+        }
+        for (to, (_, sensor)) in sample.wrenches.iter_mut().zip(&mut self.sensors) {
+            let wrench = sensor.read();
+            to[..3].copy_from_slice(wrench.linear.as_slice());
+            to[3..].copy_from_slice(wrench.angular.as_slice());
+        }
+    }
+
+    /// Takes a command at the present cycle.
+    pub fn write(&mut self, plant: &dyn Plant, command: Command<'_>) -> Result<(), DeviceFault> {
+        let acts_at = self.timing.servo_tick + u64::from(self.timing.delay + self.late);
+        let values = match command {
+            Command::Hold => {
+                self.drives.hold(self.q(plant), acts_at);
+                return Ok(());
+            }
+            Command::Torque(values) if self.takes == CommandKind::Torque => values,
+            Command::Velocity(values) if self.takes == CommandKind::Velocity => values,
+            Command::Position(values) if self.takes == CommandKind::Position => values,
+            _ => return Err(fault::wrong_command(self.takes)),
+        };
+        if values.len() != self.joints.len() {
+            return Err(fault::wrong_length());
+        }
+        self.drives.command(values, acts_at);
+        Ok(())
+    }
+
+    /// Enters the safe state.
+    pub fn stop(&mut self, plant: &dyn Plant) {
+        let q = &plant.q()[self.joints.clone()];
+        self.drives.stop(q);
+    }
+
+    /// Begins a servo period.
+    pub fn servo_tick(&mut self, plant: &dyn Plant) {
+        self.drives.servo_tick(&plant.q()[self.joints.clone()], self.timing.servo_tick);
+        self.rows.begin_servo_period(self.drives.command_in_force());
+        self.timing.servo_tick += 1;
+    }
+
+    /// Writes the joint torques of a physics step of `dt_s` (s) among those of all arms (Nm).
+    pub fn step_drives(&mut self, plant: &dyn Plant, dt_s: f64, torques: &mut [f64]) {
+        let joints = self.joints.clone();
+        let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
+        self.drives.step(q, dq, dt_s, &mut torques[joints]);
+        let steps = f64::from(self.timing.steps_per_servo);
+        for (sum, torque) in self.rows.servo_row().iter_mut().zip(self.drives.motor_torques()) {
+            *sum += torque / steps;
+        }
+    }
+
+    /// Ends a servo period.
+    pub fn end_servo_period(&mut self, plant: &mut dyn Plant) {
+        for (frame, sensor) in &mut self.sensors {
+            sensor.follow(&plant.contact_wrench(PlantFrame { arm: self.index, frame: *frame }));
+        }
+    }
+}
+
+/// Joint torques that hold an arm at rest (n; Nm).
+fn holding_torque(model: &Model, q: &[f64]) -> DVector<f64> {
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, q, &vec![0.0; model.n()]);
+    gravity(model, &mut data);
+    data.gravity
+}

@@ -1,0 +1,181 @@
+//! Any number of arms in one plant, on one clock.
+//!
+//! The rate of the clock is the least common multiple of the servo rates. A read of an arm moves the simulation on to that
+//! arm's next interface cycle that passes its bus, and no further: if arms are read in the order of their
+//! [next samples](SimulatedArm::next_sample_s), every command is in time, and it does not matter which of two arms with
+//! samples at the same time is read first. A cycle of an arm that the simulation passes before it is read is lost, as on
+//! a bus; its rows are kept until the arm is read, or dropped.
+
+use crate::arm::SimulatedArm;
+use crate::config::{CouplingConfig, SimulationConfig};
+use crate::error::SimulationError;
+use crate::fault;
+use crate::interface::{ArmInterface, Place};
+use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
+use crate::rigid::RigidPlant;
+use crate::timing::Clock;
+use opspace_backend::{DeviceFault, Sample};
+use opspace_model::Model;
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// A plant, and all that drives and measures its arms.
+pub struct Simulation {
+    pub(crate) plant: Box<dyn Plant>,
+    pub(crate) arms: Vec<ArmInterface>,
+    capabilities: Vec<opspace_backend::Capabilities>,
+    clock: Clock,
+    tick: u64,
+    /// Ticks until the last controller starts.
+    rest_ticks: f64,
+    /// Joint torques of all arms, Nm.
+    torques: Vec<f64>,
+}
+
+impl Simulation {
+    /// Arms at rest at their starts, holding themselves, on the library's own rigid bodies.
+    ///
+    /// # Errors
+    /// Parameters that contradict each other, named by their key.
+    pub fn new(config: SimulationConfig) -> Result<Self, SimulationError> {
+        Self::with_plant(config, |plant| Box::new(RigidPlant::new(plant)))
+    }
+
+    /// Arms on another physics engine, which `build` makes of its parts.
+    ///
+    /// # Errors
+    /// Parameters that contradict each other, named by their key.
+    pub fn with_plant(
+        config: SimulationConfig,
+        build: impl FnOnce(PlantConfig) -> Box<dyn Plant>,
+    ) -> Result<Self, SimulationError> {
+        if config.arms.is_empty() {
+            return Err(SimulationError::NoArm);
+        }
+        config.arms.iter().try_for_each(crate::config::ArmConfig::check)?;
+        let rates =
+            config.arms.iter().map(|arm| (arm.profile.servo_hz.get(), arm.simulated.physics_hz.get()));
+        let clock = Clock::new(rates)?;
+        let models: Vec<Model> = config.arms.iter().map(crate::config::ArmConfig::true_model).collect();
+        let mut arms = Vec::new();
+        let mut first_joint = 0;
+        for (index, (arm, model)) in config.arms.iter().zip(&models).enumerate() {
+            let joints = first_joint..first_joint + model.n();
+            first_joint = joints.end;
+            let couplings = config.couplings.iter().filter(|c| c.touches(index));
+            let couplings = couplings.map(|c| c.name.clone()).collect();
+            arms.push(ArmInterface::new(arm, model, Place { index, joints, couplings }, &clock)?);
+        }
+        let couplings =
+            config.couplings.iter().map(|c| coupling(c, &models)).collect::<Result<Vec<_>, _>>()?;
+        let rest = |arm: &ArmInterface| arm.timing.rest_ticks * arm.timing.ticks_per_servo as f64;
+        let plant_arm = |(arm, model): (&crate::config::ArmConfig, Model)| PlantArm {
+            contacts: arm.contacts(&model),
+            q: arm.start.clone(),
+            model,
+        };
+        Ok(Self {
+            rest_ticks: arms.iter().map(rest).fold(0.0, f64::max),
+            arms,
+            plant: build(PlantConfig {
+                arms: config.arms.iter().zip(models).map(plant_arm).collect(),
+                couplings,
+            }),
+            capabilities: config.arms.into_iter().map(|arm| arm.capabilities).collect(),
+            clock,
+            tick: 0,
+            torques: vec![0.0; first_joint],
+        })
+    }
+
+    /// The arms, in the order of the configuration. They share the simulation.
+    #[must_use]
+    pub fn into_arms(mut self) -> Vec<SimulatedArm> {
+        let capabilities = std::mem::take(&mut self.capabilities);
+        let handles: Vec<_> = self.arms.iter().map(|arm| arm.external.clone()).collect();
+        let simulation = Rc::new(RefCell::new(self));
+        (capabilities.into_iter().zip(handles).enumerate())
+            .map(|(index, (capabilities, external))| {
+                SimulatedArm::of(Rc::clone(&simulation), index, capabilities, external)
+            })
+            .collect()
+    }
+
+    /// Moves on to the next interface cycle of an arm that passes its bus, and reads the arm.
+    pub(crate) fn read(&mut self, index: usize, sample: &mut Sample) -> Result<(), DeviceFault> {
+        let result = self.read_cycle(index, sample);
+        self.arms[index].rows.finish();
+        result
+    }
+
+    fn read_cycle(&mut self, index: usize, sample: &mut Sample) -> Result<(), DeviceFault> {
+        loop {
+            while self.tick < self.arms[index].timing.next_cycle() {
+                self.advance();
+            }
+            let arm = &mut self.arms[index];
+            let passes = arm.begin_cycle(&mut *self.plant);
+            let state = arm.q(&*self.plant).iter().chain(arm.dq(&*self.plant));
+            if !state.into_iter().all(|value| value.is_finite()) {
+                return Err(fault::diverged());
+            }
+            if passes {
+                arm.measure(&*self.plant, sample);
+                return Ok(());
+            }
+        }
+    }
+
+    /// Moves on by a tick.
+    fn advance(&mut self) {
+        let plant = &mut *self.plant;
+        for arm in &mut self.arms {
+            if self.tick == arm.timing.next_cycle() {
+                // Nobody read it in time.
+                arm.begin_cycle(plant);
+            }
+            if arm.timing.is_servo_tick(self.tick) {
+                arm.servo_tick(plant);
+            }
+        }
+        self.run_physics();
+        self.tick += 1;
+        for arm in &mut self.arms {
+            if arm.timing.is_servo_tick(self.tick) {
+                arm.end_servo_period(&mut *self.plant);
+            }
+        }
+    }
+
+    /// The physics steps of a tick.
+    fn run_physics(&mut self) {
+        let period_s = 1.0 / self.clock.rate_hz;
+        let steps = self.clock.steps_per_tick;
+        let dt_s = period_s / f64::from(steps);
+        let begin_s = (self.tick as f64 - self.rest_ticks) * period_s;
+        for step in 0..steps {
+            for arm in &mut self.arms {
+                arm.step_drives(&*self.plant, dt_s, &mut self.torques);
+            }
+            self.plant.step(begin_s + f64::from(step) * dt_s, dt_s, &self.torques);
+        }
+    }
+}
+
+/// A coupling with its frames found.
+fn coupling(config: &CouplingConfig, models: &[Model]) -> Result<PlantCoupling, SimulationError> {
+    let error = |reason: String| SimulationError::Coupling { coupling: config.name.clone(), reason };
+    let find = |(arm, frame): &(usize, String)| {
+        let model = models.get(*arm).ok_or_else(|| error(format!("there is no arm {arm}")))?;
+        let frame = model.frame(frame).map_err(|source| error(source.to_string()))?;
+        Ok(PlantFrame { arm: *arm, frame })
+    };
+    if config.first.0 == config.second.0 {
+        return Err(error("both of its frames are on one arm".to_owned()));
+    }
+    Ok(PlantCoupling {
+        frames: [find(&config.first)?, find(&config.second)?],
+        stiffness_n_per_m: config.stiffness_n_per_m.get(),
+        damping_ns_per_m: config.damping_ns_per_m.get(),
+    })
+}

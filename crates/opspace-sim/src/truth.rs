@@ -1,0 +1,148 @@
+//! The rows of the true state that an arm leaves between two reads.
+
+use crate::external::{self, ExternalForce, ExternalRows};
+use crate::plant::Plant;
+use crate::timing::Timing;
+use nalgebra::Vector3;
+use opspace_backend::{Layout, Signal, TruthLayouts, TruthRow};
+use opspace_model::Model;
+use std::ops::Range;
+
+/// Rows since the last read, with room for those of many missed cycles.
+pub(crate) struct TruthRows {
+    joints: Vec<String>,
+    contacts: Vec<String>,
+    truth: Vec<f64>,
+    truth_width: usize,
+    servo: Vec<f64>,
+    servo_commands: Vec<Option<u64>>,
+    external: Option<ExternalRows>,
+    /// They were read: the next row replaces them.
+    read: bool,
+    /// Somebody may read them.
+    kept: bool,
+}
+
+impl TruthRows {
+    /// No rows yet, with room for `cycles` of `ratio` servo ticks.
+    pub fn new(
+        model: &Model,
+        contacts: Vec<String>,
+        with_external: bool,
+        cycles: usize,
+        ratio: usize,
+    ) -> Self {
+        let joints: Vec<String> = model.joints().iter().map(|j| j.name.clone()).collect();
+        let n = joints.len();
+        let truth_width = 2 * n + 3 * contacts.len();
+        Self {
+            truth: Vec::with_capacity(cycles * truth_width),
+            truth_width,
+            servo: Vec::with_capacity(cycles * ratio * n),
+            servo_commands: Vec::with_capacity(cycles * ratio),
+            external: with_external.then(|| ExternalRows::new(model, cycles)),
+            contacts,
+            joints,
+            read: false,
+            kept: true,
+        }
+    }
+
+    pub fn layouts(&self) -> TruthLayouts {
+        let mut truth = vec![Signal::new("q", "rad", &self.joints), Signal::new("dq", "rad/s", &self.joints)];
+        truth.extend(self.contacts.iter().map(|c| Signal::new(format!("{c}.force"), "N", &["x", "y", "z"])));
+        let servo = vec![Signal::new("motor_torque", "Nm", &self.joints)];
+        let layouts = TruthLayouts::new(
+            Layout { channel: "truth".to_owned(), signals: truth },
+            Layout { channel: "servo".to_owned(), signals: servo },
+        );
+        match &self.external {
+            Some(_) => layouts.with_external(external::layout()),
+            None => layouts,
+        }
+    }
+
+    /// Declares the rows as read.
+    pub fn finish(&mut self) {
+        self.read = true;
+    }
+
+    /// Declares that nobody reads rows any more.
+    pub fn abandon(&mut self) {
+        self.kept = false;
+    }
+
+    fn clear_if_read(&mut self) {
+        if self.read || !self.kept {
+            self.read = false;
+            self.servo_commands.clear();
+            self.servo.clear();
+            self.truth.clear();
+            if let Some(external) = &mut self.external {
+                external.clear();
+            }
+        }
+    }
+
+    /// Begins the row of a servo period.
+    pub fn begin_servo_period(&mut self, command: Option<u64>) {
+        self.clear_if_read();
+        self.servo_commands.push(command);
+        self.servo.resize(self.servo.len() + self.joints.len(), 0.0);
+    }
+
+    /// The row of the present servo period (n; Nm).
+    pub fn servo_row(&mut self) -> &mut [f64] {
+        let begin = self.servo.len() - self.joints.len();
+        &mut self.servo[begin..]
+    }
+
+    /// Adds the row of an interface cycle.
+    pub fn begin_cycle(&mut self, plant: &dyn Plant, arm: usize, joints: &Range<usize>) {
+        self.clear_if_read();
+        self.truth.extend_from_slice(&plant.q()[joints.clone()]);
+        self.truth.extend_from_slice(&plant.dq()[joints.clone()]);
+        for contact in 0..self.contacts.len() {
+            self.truth.extend_from_slice(plant.contact_force(arm, contact).as_slice());
+        }
+    }
+
+    /// Adds the row of the external force that is set from this cycle on, and the force that acted before it (N).
+    pub fn add_external(&mut self, set: Option<&ExternalForce>, acting: &Vector3<f64>) {
+        if let Some(external) = &mut self.external {
+            external.push(set, acting);
+        }
+    }
+
+    /// Writes the mean of the motors' torques over the servo periods that the rows hold (n; Nm); nothing without any.
+    pub fn average_motor_torque(&self, mean: &mut [f64]) {
+        let rows = self.servo_commands.len();
+        if rows == 0 {
+            return;
+        }
+        mean.fill(0.0);
+        for row in self.servo.chunks_exact(mean.len()) {
+            mean.iter_mut().zip(row).for_each(|(sum, torque)| *sum += torque);
+        }
+        mean.iter_mut().for_each(|sum| *sum /= rows as f64);
+    }
+
+    /// Visits the rows in the order of time: each period's rows of the drives, then the truth at its end.
+    pub fn visit(&self, timing: &Timing, visit: &mut dyn FnMut(TruthRow<'_>)) {
+        let (n, ratio) = (self.joints.len(), u64::from(timing.ratio));
+        let rows = self.servo_commands.iter().zip(self.servo.chunks_exact(n));
+        let mut rows = (timing.servo_tick - rows.len() as u64..).zip(rows);
+        let truths = self.truth.chunks_exact(self.truth_width);
+        let first = timing.servo_tick - (truths.len() as u64).saturating_sub(1) * ratio;
+        let mut external = self.external.iter().flat_map(ExternalRows::iter);
+        for (tick, truth) in (first..).step_by(timing.ratio as usize).zip(truths) {
+            for (servo_tick, (&command, row)) in rows.by_ref().take(timing.ratio as usize) {
+                visit(TruthRow::Servo { time_s: timing.time_s(servo_tick), command, row });
+            }
+            visit(TruthRow::State { time_s: timing.time_s(tick), row: truth });
+            if let Some(row) = external.next() {
+                visit(TruthRow::External { time_s: timing.time_s(tick), row });
+            }
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! A task law through the emulation of a velocity drive, with another inertia and another gain than the nominal ones.
+#![expect(clippy::unwrap_used, reason = "a test")]
+
+use nalgebra::{Matrix3, Vector3};
+use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Measured, Sample, Setpoints};
+use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
+use opspace_transformer::{
+    EmulatingTransformer, EmulationSetup, FrictionCompensation, FrictionCompensationParameters,
+    FrictionParameters, Matching, Transformer,
+};
+use std::f64::consts::TAU;
+
+const MASS: f64 = 0.3;
+const SERVO_HZ: f64 = 1000.0;
+
+/// Natural frequency of the critically damped task law, in radians per interface cycle.
+const TASK_RAD_PER_CYCLE: f64 = 0.03;
+
+/// What is left of a displacement of 1 after thirty time constants of the task law.
+const SETTLED: f64 = 1e-3;
+
+/// A displacement, in those at the start, that no stable loop has.
+const GONE: f64 = 1e3;
+
+/// A velocity drive and its interface.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    /// Bandwidth of the velocity loop over the servo rate.
+    bandwidth: f64,
+    ratio: u32,
+    delay: u32,
+    set_points: Setpoints,
+    current: bool,
+    mass_scale: f64,
+    kv_scale: f64,
+}
+
+impl Case {
+    fn kv(self) -> f64 {
+        TAU * self.bandwidth * SERVO_HZ * MASS
+    }
+
+    fn setup(self) -> EmulationSetup {
+        let none: FrictionParameters = toml::from_str(
+            "coulomb_nm = 0.0\nstatic_nm = 0.0\nstribeck_rad_per_s = 0.1\nviscous_nms_per_rad = 0.0",
+        )
+        .unwrap();
+        let servo = format!(
+            "velocity = {{ kv_nms_per_rad = {}, velocity_filter_hz = {} }}",
+            self.kv(),
+            0.12 * SERVO_HZ
+        );
+        EmulationSetup {
+            servos: vec![toml::from_str(&servo).unwrap()],
+            friction: FrictionCompensation::new([none].iter(), &FrictionCompensationParameters::default()),
+            resolution_rad: vec![TAU / 1.6e6],
+            inertias: vec![MASS],
+            torque_limits: vec![1e6],
+            servo_period_s: 1.0 / SERVO_HZ,
+            ratio: self.ratio,
+            delay: self.delay,
+            set_points: self.set_points,
+            matching: if self.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick },
+            gravity_by: GravityCompensation::Controller,
+            has_brakes: false,
+            current: self.current,
+            refine: None,
+        }
+    }
+
+    /// The largest displacement in the last tenth of a run that begins at rest, displaced by 1.
+    fn left(self) -> f64 {
+        let mut model = Model::new("lift").with_gravity(Vector3::zeros());
+        let joint = Joint { name: "lift".to_owned(), kind: JointKind::Prismatic, limits: Limits::NONE };
+        let inertia =
+            Inertia { mass: MASS, com: Vector3::zeros(), rotational: Matrix3::from_diagonal_element(1e-3) };
+        model.add_body(None, Placement::identity(), joint, inertia);
+        let mut data = Data::new(&model);
+        let mut transformer = EmulatingTransformer::new(&self.setup()).unwrap();
+        let period_s = f64::from(self.ratio) / SERVO_HZ;
+        let capabilities = Capabilities::new(["lift"], CommandKind::Velocity, period_s);
+        let capabilities =
+            if self.current { capabilities.measuring(&[Measured::MotorCurrent]) } else { capabilities };
+        let mut sample = Sample::new(&capabilities);
+        let omega = TASK_RAD_PER_CYCLE / period_s;
+        let (mass, kv) = (self.mass_scale * MASS, self.kv_scale * self.kv());
+        let keep = (-TAU * 0.12_f64).exp();
+        let (mut q, mut dq, mut seen, mut w) = (1.0_f64, 0.0, 1.0, 0.0);
+        let (mut from, mut to, mut age) = (0.0, 0.0, self.ratio);
+        let cycles = (30.0 / TASK_RAD_PER_CYCLE) as u32;
+        let mut left = 0.0_f64;
+        for cycle in 0..cycles {
+            if q.abs() > GONE {
+                return q.abs();
+            }
+            sample.q[0] = q;
+            let velocity = [transformer.observe(&sample).unwrap()[0]];
+            assert!(update(&model, &mut data, &[q], &velocity));
+            let torque = -MASS * omega * (omega * q + 2.0 * velocity[0]);
+            let mut new = [0.0];
+            transformer.transform(&data, &[torque], &mut new);
+            transformer.sent(&data, &new);
+            let mut mean = 0.0;
+            for tick in 0..=self.ratio {
+                if tick == self.delay {
+                    if age > 0 {
+                        from = self.set_points.at(from, to, age - 1, self.ratio);
+                    }
+                    (to, age) = (new[0], 0);
+                }
+                if tick == self.ratio {
+                    break;
+                }
+                w = keep * w + (1.0 - keep) * (q - seen) * SERVO_HZ;
+                seen = q;
+                let torque = kv * (self.set_points.at(from, to, age, self.ratio) - w);
+                age += 1;
+                mean += torque / f64::from(self.ratio);
+                let ddq = torque / mass;
+                q += (dq + 0.5 * ddq / SERVO_HZ) / SERVO_HZ;
+                dq += ddq / SERVO_HZ;
+            }
+            if let Some(measured) = &mut sample.motor_torque {
+                measured[0] = mean;
+            }
+            if 10 * cycle >= 9 * cycles {
+                left = left.max(q.abs());
+            }
+        }
+        left
+    }
+}
+
+/// Largest kv T/I, of the nominal inertia I and the interface period T, up to which half and twice the inertia are borne.
+/// Above it, a position cascade's emulation loses its stability with a wrong inertia at the same places.
+const ROBUST: f64 = 0.14;
+
+fn cases() -> impl Iterator<Item = Case> {
+    let of = |bandwidth: f64, ratio: u32| {
+        [0, ratio / 2, ratio].into_iter().flat_map(move |delay| {
+            [Setpoints::Held, Setpoints::Interpolated].into_iter().flat_map(move |set_points| {
+                [false, true].map(|current| Case {
+                    bandwidth,
+                    ratio,
+                    delay,
+                    set_points,
+                    current,
+                    mass_scale: 1.0,
+                    kv_scale: 1.0,
+                })
+            })
+        })
+    };
+    let drives =
+        [0.004, 0.008, 0.02, 0.04].into_iter().flat_map(|b| [1, 2, 5, 10].map(move |ratio| (b, ratio)));
+    drives.flat_map(move |(bandwidth, ratio)| of(bandwidth, ratio))
+}
+
+/// Displacements that a task law brings to rest, over velocity loops of 0.4 to 4 % of the servo rate, delays up to a whole
+/// interval and gains of 0.8 to 1.25 times the nominal ones; against zero.
+#[test]
+fn a_task_law_brings_a_velocity_robot_to_rest() {
+    for case in cases() {
+        for kv_scale in [0.8, 1.0, 1.25] {
+            let case = Case { kv_scale, ..case };
+            let left = case.left();
+            assert!(left < SETTLED, "{case:?}: {left}");
+        }
+    }
+}
+
+/// The same with half and twice the nominal inertia.
+#[test]
+fn a_task_law_brings_a_velocity_robot_of_another_inertia_to_rest() {
+    let mut count = 0;
+    for case in cases().filter(|case| TAU * case.bandwidth * f64::from(case.ratio) < ROBUST) {
+        for (mass_scale, kv_scale) in [(0.5, 0.8), (0.5, 1.25), (2.0, 0.8), (2.0, 1.25)] {
+            let case = Case { mass_scale, kv_scale, ..case };
+            let left = case.left();
+            assert!(left < SETTLED, "{case:?}: {left}");
+            count += 1;
+        }
+    }
+    assert!(count > 200, "{count} cases");
+}

@@ -1,0 +1,41 @@
+//! A robot that calls back: its own loop asks for a command once per cycle, and gets the same log, summary and outcome.
+//!
+//! `cargo run --release -p opspace --example callback` writes to `runs/callback`.
+
+#![expect(clippy::print_stdout, reason = "an example shows what it did")]
+
+#[path = "common/mod.rs"]
+mod common;
+
+use opspace::backend::{Backend, Command, Sample};
+use opspace::experiment::{BackendKind, Choice, Experiment, Files, Progress};
+use opspace::sim::SimulatedArm;
+
+/// A vendor's loop: it owns the timing, and calls back until it is told to stop.
+fn control(arm: &mut SimulatedArm, mut callback: impl FnMut(&Sample) -> Option<Vec<f64>>) {
+    let mut sample = Sample::new(arm.capabilities());
+    while arm.read(&mut sample).is_ok() {
+        match callback(&sample) {
+            Some(torque) => arm.write(Command::Torque(&torque)).expect("the arm takes torques"),
+            None if sample.time_s > 0.0 => break,
+            // Before control it holds itself.
+            None => {}
+        }
+    }
+    arm.stop();
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let choice = Choice { backend: BackendKind::Torque, ..Choice::default() };
+    let experiment = Experiment::load(Files::Disk, "tasks/compliant-x.toml".as_ref(), None, choice, &[])?;
+    let mut arm = experiment.simulated_arm()?;
+    let capabilities = arm.capabilities().clone();
+    common::record("callback", &experiment, |log| {
+        experiment.run_with(&capabilities, None, log, &Progress::default(), |run| {
+            control(&mut arm, |sample| match run.cycle(sample) {
+                Some(Command::Torque(torque)) => Some(torque.to_vec()),
+                _ => None,
+            });
+        })
+    })
+}

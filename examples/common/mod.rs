@@ -1,0 +1,33 @@
+//! What the examples have in common: a run into a folder, its replay, and a line about both.
+
+use opspace::experiment::run::replay::replay;
+use opspace::experiment::{Experiment, RunError, RunResult};
+use opspace::log::Recording;
+use std::error::Error;
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::Path;
+
+/// Runs into `runs/NAME`, with log, summary and report, and replays the log.
+pub fn record(
+    name: &str,
+    experiment: &Experiment,
+    run: impl FnOnce(BufWriter<File>) -> Result<RunResult<BufWriter<File>>, RunError>,
+) -> Result<(), Box<dyn Error>> {
+    let folder = Path::new("runs").join(name);
+    if folder.exists() {
+        fs::remove_dir_all(&folder)?;
+    }
+    let summary = experiment.in_folder(&folder, run)?;
+    let replayed = replay(experiment, &Recording::read(folder.join("run.mcap"))?)?;
+    assert_eq!(replayed.differing, 0, "{:?}", replayed.first_difference);
+    assert!(replayed.compared > 0 && replayed.unmatched.is_empty(), "{:?}", replayed.unmatched);
+    println!(
+        "{name}: {}; position error {:.2} mm rms; {} cycles replayed bit for bit; see {}",
+        summary.faulted.as_deref().unwrap_or("completed"),
+        1e3 * summary.metrics.position_rms_m.unwrap_or(f64::NAN),
+        replayed.compared,
+        folder.join("report.html").display(),
+    );
+    Ok(())
+}

@@ -1,0 +1,41 @@
+//! Reading a log: the rows of a channel by name, the outcome, and the files that it was made from.
+//!
+//! `cargo run --release -p opspace --example read_a_log -- [LOG]`; without LOG it records a run first.
+
+#![expect(clippy::print_stdout, reason = "an example shows what it did")]
+
+#[path = "common/mod.rs"]
+mod common;
+
+use opspace::experiment::{Choice, Experiment, Files, Progress};
+use opspace::log::{OutcomeRecord, Recording};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let path = match std::env::args().nth(1) {
+        Some(path) => path,
+        None => {
+            let choice = Choice { duration_s: Some(3.0), ..Choice::default() };
+            let experiment =
+                Experiment::load(Files::Disk, "tasks/compliant-x.toml".as_ref(), None, choice, &[])?;
+            common::record("read_a_log", &experiment, |log| experiment.run(log, &Progress::default()))?;
+            "runs/read_a_log/run.mcap".to_owned()
+        }
+    };
+    let recording = Recording::read(&path)?;
+    for channel in &recording.channels {
+        let signals = channel.layout.signals.iter().map(|signal| signal.name.as_str());
+        println!(
+            "{}: {} rows of {}",
+            channel.layout.channel,
+            channel.len(),
+            signals.collect::<Vec<_>>().join(", ")
+        );
+    }
+    let torque = recording.tick()?.signal("torque_desired").ok_or("this log has no torques")?;
+    let largest = torque.rows().flatten().filter(|t| t.is_finite()).fold(0.0, |max: f64, t| max.max(t.abs()));
+    println!("largest desired torque: {largest:.2} Nm");
+    println!("outcome: {:?}", OutcomeRecord::of(&recording));
+    let files = recording.attachments.iter().map(|file| file.name.as_str());
+    println!("files: {}", files.collect::<Vec<_>>().join(", "));
+    Ok(())
+}
