@@ -1,0 +1,71 @@
+//! A driver of an arm whose joints approach their position setpoints with a time constant.
+
+use opspace_backend::{
+    Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, Sample, Settings,
+};
+
+/// Opens the arm: `[driver]` has its `name`, the `time_constant_s`, and optionally `fails_after_s`.
+pub struct LaggingArmDriver;
+
+impl Driver for LaggingArmDriver {
+    fn name(&self) -> &str {
+        "lagging-arm"
+    }
+
+    fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        settings.expect_only(&["time_constant_s", "fails_after_s"])?;
+        if settings.command != CommandKind::Position {
+            return Err(DriverError::new("this arm takes positions only; use --backend position"));
+        }
+        let joints = settings.joints.len();
+        let mut arm = LaggingArm {
+            capabilities: Capabilities::new(settings.joints.clone(), settings.command, settings.period_s),
+            gain: 1.0 - (-settings.period_s / settings.number("time_constant_s")?).exp(),
+            fails_after_s: settings.number("fails_after_s").unwrap_or(f64::INFINITY),
+            time_s: 0.0,
+            q: vec![0.0; joints],
+            setpoint: vec![0.0; joints],
+        };
+        run(&mut arm);
+        Ok(())
+    }
+}
+
+struct LaggingArm {
+    capabilities: Capabilities,
+    gain: f64,
+    fails_after_s: f64,
+    time_s: f64,
+    q: Vec<f64>,
+    setpoint: Vec<f64>,
+}
+
+impl Backend for LaggingArm {
+    fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
+    }
+
+    fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        self.time_s += self.capabilities.period_s;
+        if self.time_s > self.fails_after_s {
+            return Err(DeviceFault::new(17, "the cable was pulled"));
+        }
+        for (q, setpoint) in self.q.iter_mut().zip(&self.setpoint) {
+            *q += self.gain * (setpoint - *q);
+        }
+        sample.time_s = self.time_s;
+        sample.q.copy_from_slice(&self.q);
+        Ok(())
+    }
+
+    fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
+        match command {
+            Command::Position(q) => self.setpoint.copy_from_slice(q),
+            Command::Hold => {}
+            _ => return Err(DeviceFault::new(1, "this arm takes positions only")),
+        }
+        Ok(())
+    }
+
+    fn stop(&mut self) {}
+}
