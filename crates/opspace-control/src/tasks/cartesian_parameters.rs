@@ -166,7 +166,7 @@ impl CartesianParameters {
         Self { reference, ..self }
     }
 
-    /// Which axes follow the reference, in the order of [`AXIS_NAMES`].
+    /// Which axes follow the reference, in the order of [`AXIS_NAMES`](crate::AXIS_NAMES).
     #[must_use]
     pub fn motion_axes(&self) -> [bool; 6] {
         self.axes.with_mode(AxisMode::Motion)
