@@ -22,10 +22,11 @@ pub fn record(
     let replayed = replay(experiment, &Recording::read(folder.join("run.mcap"))?)?;
     assert_eq!(replayed.differing, 0, "{:?}", replayed.first_difference);
     assert!(replayed.compared > 0 && replayed.unmatched.is_empty(), "{:?}", replayed.unmatched);
+    let error = summary.metrics.position_rms_m.map(|e| format!("; position error {:.2} mm rms", 1e3 * e));
     println!(
-        "{name}: {}; position error {:.2} mm rms; {} cycles replayed bit for bit; see {}",
+        "{name}: {}{}; {} cycles replayed bit for bit; see {}",
         summary.faulted.as_deref().unwrap_or("completed"),
-        1e3 * summary.metrics.position_rms_m.unwrap_or(f64::NAN),
+        error.unwrap_or_default(),
         replayed.compared,
         folder.join("report.html").display(),
     );
