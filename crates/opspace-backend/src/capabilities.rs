@@ -23,19 +23,19 @@ pub struct Capabilities {
     pub gravity_compensated_by: GravityCompensation,
     /// Behaviour of the drives where a command fails to come.
     pub on_missed_cycle: MissedCycle,
-    /// Whether samples have joint velocities.
+    /// Presence of joint velocities in samples.
     pub measures_velocity: bool,
-    /// Whether samples have motor torques.
+    /// Presence of motor torques in samples.
     pub measures_motor_torque: bool,
-    /// Whether samples have joint torques.
+    /// Presence of joint torques in samples.
     pub measures_joint_torque: bool,
-    /// Whether samples have a status.
+    /// Presence of a status in samples.
     pub reports_status: bool,
     /// The force sensors, in the order of [`Sample::wrenches`](crate::Sample::wrenches).
     pub force_sensors: Vec<ForceSensor>,
-    /// Whether brakes hold the robot when no controller commands it. Without them its servos do.
+    /// Presence of brakes, which hold the robot when no controller commands it. Without them its servos do.
     pub has_brakes: bool,
-    /// Whether the robot is a simulated one.
+    /// Simulated or real.
     pub world: World,
 }
 
@@ -65,7 +65,7 @@ impl Capabilities {
         }
     }
 
-    /// The same with these quantities measured, besides positions.
+    /// Adds measured quantities, besides positions.
     #[must_use]
     pub fn measuring(mut self, measured: &[Measured]) -> Self {
         for quantity in measured {
@@ -79,38 +79,38 @@ impl Capabilities {
         self
     }
 
-    /// The same with another force sensor.
+    /// Adds a force sensor.
     #[must_use]
     pub fn with_force_sensor(mut self, name: impl Into<String>, frame: impl Into<String>) -> Self {
         self.force_sensors.push(ForceSensor { name: name.into(), frame: frame.into() });
         self
     }
 
-    /// The same with these setpoints.
+    /// Sets the behaviour between two setpoints.
     #[must_use]
     pub fn with_setpoints(self, setpoints: Setpoints) -> Self {
         Self { setpoints, ..self }
     }
 
-    /// The same with gravity compensated by that part.
+    /// Sets the part that compensates gravity.
     #[must_use]
     pub fn with_gravity_compensated_by(self, gravity_compensated_by: GravityCompensation) -> Self {
         Self { gravity_compensated_by, ..self }
     }
 
-    /// The same with or without brakes.
+    /// Sets the presence of brakes.
     #[must_use]
     pub fn with_brakes(self, has_brakes: bool) -> Self {
         Self { has_brakes, ..self }
     }
 
-    /// The same with a status in each sample.
+    /// Adds a status to each sample.
     #[must_use]
     pub fn with_status(self) -> Self {
         Self { reports_status: true, ..self }
     }
 
-    /// The same as a simulated robot.
+    /// Marks the robot as simulated.
     #[must_use]
     pub fn simulated(self) -> Self {
         Self { world: World::Simulated, ..self }
