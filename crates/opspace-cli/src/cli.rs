@@ -152,9 +152,9 @@ pub struct RunArgs {
     #[arg(long)]
     pub robot: Option<PathBuf>,
 
-    /// Which kind of robot to be.
-    #[arg(long, value_enum, default_value_t = BackendArg::Position)]
-    pub backend: BackendArg,
+    /// Which kind of robot to be; what robot.toml says it takes if absent.
+    #[arg(long, value_enum)]
+    pub backend: Option<BackendArg>,
 
     /// What commands it.
     #[arg(long, value_enum, default_value_t = ControllerArg::Osc)]
@@ -184,14 +184,19 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
+    /// Move a real robot to the task's start_rad first, in a straight line of joint space at 0.2 rad/s at most. It knows
+    /// no obstacles: clear the way.
+    #[arg(long, conflicts_with = "simulate")]
+    pub move_to_start: bool,
+
     #[command(flatten)]
     pub output: OutputArgs,
 }
 
 impl RunArgs {
-    pub fn choice(&self) -> Choice {
+    pub fn choice(&self, default: BackendKind) -> Choice {
         Choice {
-            backend: self.backend.into(),
+            backend: self.backend.map_or(default, BackendKind::from),
             controller: self.controller.into(),
             transformer: self.transformer,
             profile: self.profile.clone(),

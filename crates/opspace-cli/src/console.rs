@@ -2,7 +2,7 @@
 
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
 use miette::{GraphicalReportHandler, GraphicalTheme};
-use opspace_experiment::evaluate::results::{Measure, NOTES, table};
+use opspace_experiment::evaluate::results::{Measure, notes, table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
 use std::io::{self, IsTerminal, Write};
@@ -113,7 +113,7 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     let mut text = render(&table(summaries, measures));
     if !console.quiet {
         let width = usize::from(width().unwrap_or(100));
-        for note in NOTES {
+        for note in notes(summaries) {
             text += &format!("\n{}\n", wrap(note, width));
         }
     }

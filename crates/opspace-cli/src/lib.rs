@@ -32,7 +32,7 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
     let console = Console { verbose: cli.verbose, quiet: cli.quiet };
     let outcome = match &cli.command {
         Command::Run(args) => commands::run::run(args, extensions, console),
-        Command::Bench(args) => commands::bench::bench(args, console),
+        Command::Bench(args) => commands::bench::bench(args, extensions, console),
         Command::Replay(args) => commands::replay::replay(args, extensions, console),
         Command::Report(args) => commands::report::report(args, extensions, console),
         Command::Check(args) => commands::check::check(args, extensions, console),

@@ -9,6 +9,8 @@ use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// The folder within a run's that has the motion to the start.
+pub const MOVE_TO_START: &str = "move-to-start";
 /// The rows of a suite.
 pub const ROWS: &str = "bench.json";
 /// The numbers of an identification.
@@ -37,7 +39,8 @@ pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<Pa
 }
 
 fn holds_results(folder: &Path) -> bool {
-    [LOG, SUMMARY, ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists())
+    let named = [LOG, SUMMARY, ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
+    named || folder.join(MOVE_TO_START).join(LOG).exists()
 }
 
 /// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
@@ -57,6 +60,10 @@ fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
 
 /// Removes what a run, a suite or an identification wrote, and nothing else.
 fn clear(folder: &Path) -> Result<(), Failure> {
+    let motion = folder.join(MOVE_TO_START);
+    if holds_results(&motion) {
+        clear(&motion)?;
+    }
     let identified = folder.join(IDENTIFICATION).exists();
     let logs = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let ours = logs.filter(|path| {

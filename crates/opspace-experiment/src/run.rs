@@ -7,6 +7,7 @@ pub mod experiment;
 pub mod folder;
 pub mod log_header;
 mod on_driver;
+mod real_robot;
 pub mod replay;
 pub mod summary;
 mod transformer;

@@ -9,7 +9,7 @@ use indicatif::ProgressBar;
 use opspace_experiment::Progress;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::report::page::{Shown, page};
-use opspace_experiment::{Experiment, Files, RunError, Suite, Summary};
+use opspace_experiment::{Experiment, Extensions, Files, RunError, Suite, Summary};
 use opspace_log::Recording;
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -25,11 +25,11 @@ struct Done {
     shown: Option<(Shown, Vec<u8>)>,
 }
 
-pub fn bench(args: &BenchArgs, console: Console) -> Outcome {
+pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Outcome {
     let (suite, name) = match &args.suite {
         Some(path) => {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            (Suite::load(Files::Disk, path)?, format!("bench-{stem}"))
+            (Suite::load_with(extensions, Files::Disk, path)?, format!("bench-{stem}"))
         }
         None => (Suite::load(Files::Embedded, Path::new(PAPER_SUITE))?, "bench".to_owned()),
     };

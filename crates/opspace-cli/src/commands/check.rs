@@ -2,15 +2,14 @@
 //! before anything moves.
 
 use crate::cli::CheckArgs;
+use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
-use opspace_experiment::files::interface::CommandParameter;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::preflight::{GainMargin, gain_margin};
+use opspace_experiment::preflight::{GainMargin, gain_margin, not_checked};
 use opspace_experiment::{
-    BackendKind, Choice, Experiment, Extensions, FileError, Files, Finding, Robot, Source, Suite, Task,
-    findings,
+    Choice, Experiment, Extensions, FileError, Files, Finding, Robot, Source, Suite, findings,
 };
 use opspace_model::{Model, UrdfOptions, UrdfWarning, suspicions};
 use serde_json::{Value, json};
@@ -24,10 +23,11 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, margin, found }) => {
+            Ok(Checked { what, margin, found, skipped }) => {
                 text += &format!("{}: {what}\n", path.display());
                 margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
                 found.iter().for_each(|found| note(console, found));
+                skipped.iter().for_each(|skipped| text += &format!("  not checked: {}\n", skipped.place));
             }
             Err(error) => exit = report(&error.into()),
         }
@@ -43,11 +43,13 @@ struct Checked {
     /// Of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
     found: Vec<Found>,
+    /// What could not be checked.
+    skipped: Vec<Found>,
 }
 
 impl Checked {
     fn clean(what: String) -> Self {
-        Self { what, margin: None, found: Vec::new() }
+        Self { what, margin: None, found: Vec::new(), skipped: Vec::new() }
     }
 }
 
@@ -64,9 +66,11 @@ impl Found {
     }
 }
 
-/// What will go wrong with these experiments, each thing once: runs that differ in what doesn't matter to it find
-/// the same.
-fn find<'a>(experiments: impl IntoIterator<Item = &'a Experiment>) -> Vec<Found> {
+/// The findings of these experiments, each once: runs that differ in what doesn't matter to it find the same.
+fn find<'a>(
+    experiments: impl IntoIterator<Item = &'a Experiment>,
+    findings: fn(&Experiment) -> Vec<Finding>,
+) -> Vec<Found> {
     let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
     for experiment in experiments {
         // All but the seed and the transformer, which no finding depends on.
@@ -98,19 +102,6 @@ fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
     suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
 }
 
-/// What a task's robot is: one that takes torques alone can't be a position robot.
-fn choice(task: &Path, extensions: &Extensions) -> Choice {
-    let robot = Task::load_with(&extensions.tasks, Files::Disk, task, &[])
-        .and_then(|task| Robot::load(Files::Disk, &task.robot_path(), &[]));
-    match robot {
-        Ok(robot) if robot.file.interface.command == CommandParameter::Torque => {
-            Choice { backend: BackendKind::Torque, ..Choice::default() }
-        }
-        // What is wrong with them is told when they are put together.
-        _ => Choice::default(),
-    }
-}
-
 fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<Checked, FileError> {
     if path.extension().is_some_and(|e| e == "urdf") {
         let source = Source::read(path)?;
@@ -127,19 +118,22 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
     };
     match Kind::of(source.text()) {
         Some(Kind::Suite) => {
-            let suite = Suite::load(Files::Disk, path)?;
+            let suite = Suite::load_with(extensions, Files::Disk, path)?;
             let what = format!("a suite of {} runs", suite.experiments.len());
-            Ok(Checked { found: find(&suite.experiments), ..Checked::clean(what) })
+            let (found, skipped) =
+                (find(&suite.experiments, findings), find(&suite.experiments, not_checked));
+            Ok(Checked { found, skipped, ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
-            let experiment =
-                Experiment::load_with(extensions, Files::Disk, path, None, choice(path, extensions), &[])?;
+            let choice = Choice { backend: own_backend(path, None, &[], extensions), ..Choice::default() };
+            let experiment = Experiment::load_with(extensions, Files::Disk, path, None, choice, &[])?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             let margin = gain_margin(&experiment);
-            let mut found = find([&experiment]);
+            let mut found = find([&experiment], findings);
+            let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             found.extend(small.map(|finding| Found::new(finding, &experiment)));
-            Ok(Checked { what, margin, found })
+            Ok(Checked { what, margin, found, skipped })
         }
         Some(Kind::Robot) => robot(),
         // What a folder stands for is a robot.
@@ -163,8 +157,9 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, margin, found }) => {
-            let findings: Vec<Value> = found.iter().map(told).collect();
+        Ok(Checked { what, margin, found, skipped }) => {
+            let [findings, not_checked] =
+                [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin = margin.as_ref().map(|margin| {
                 json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
             });
@@ -174,6 +169,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "is": what,
                 "position_gain_margin": margin,
                 "findings": findings,
+                "not_checked": not_checked,
             })
         }
         Err(error) => json!({

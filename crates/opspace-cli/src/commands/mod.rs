@@ -10,3 +10,17 @@ pub mod replay;
 pub mod report;
 pub mod run;
 pub mod schema;
+
+use opspace_experiment::{BackendKind, Extensions, Files};
+use std::path::Path;
+
+/// The kind of robot that robot.toml states.
+fn own_backend(
+    task: &Path,
+    robot: Option<&Path>,
+    settings: &[String],
+    extensions: &Extensions,
+) -> BackendKind {
+    // What is wrong with the files is told when they are put together.
+    BackendKind::stated(extensions, Files::Disk, task, robot, settings).unwrap_or(BackendKind::Position)
+}

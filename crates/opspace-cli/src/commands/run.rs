@@ -1,9 +1,10 @@
 //! `opspace run`: one task on one robot.
 
 use crate::cli::RunArgs;
+use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, results};
 use crate::interrupt;
-use crate::output::{LOG, REPORT, SUMMARY, prepare, pretty};
+use crate::output::{LOG, MOVE_TO_START, REPORT, SUMMARY, prepare, pretty};
 use indicatif::{ProgressBar, ProgressStyle};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::results::MEASURES;
@@ -14,24 +15,33 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
-    let experiment = Experiment::load_with(
-        extensions,
-        Files::Disk,
-        &args.task,
-        args.robot.as_deref(),
-        args.choice(),
-        &args.set,
-    )?;
+    let robot = args.robot.as_deref();
+    let choice = args.choice(own_backend(&args.task, robot, &args.set, extensions));
+    let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, choice, &args.set)?;
     for warning in &experiment.robot().warnings {
         console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
     }
     let default =
-        PathBuf::from(format!("runs/{}-{}", experiment.task().name(), args.choice().backend.name()));
+        PathBuf::from(format!("runs/{}-{}", experiment.task().name(), experiment.choice().backend.name()));
     if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
     }
     let folder = prepare(&args.output, &default, console)?;
     let progress = interrupt::watch();
+    if args.move_to_start {
+        let moved = experiment.move_to_start(extensions, &folder.join(MOVE_TO_START), &progress)?;
+        if let Some(moved) = moved.filter(|moved| exit_code(moved) != Exit::Done) {
+            args.output
+                .json
+                .print(|| pretty(&moved), || results(console, std::slice::from_ref(&moved), MEASURES))?;
+            say_end(&moved, console);
+            console.note(&format!(
+                "not run: the robot did not get to where the task starts; see {}",
+                folder.join(MOVE_TO_START).display()
+            ));
+            return Ok(exit_code(&moved));
+        }
+    }
     let summary = with_progress(&experiment, &progress, console, || {
         experiment.in_folder(&folder, |log| {
             if experiment.has_driver() && !args.simulate {
@@ -44,6 +54,13 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     args.output
         .json
         .print(|| pretty(&summary), || results(console, std::slice::from_ref(&summary), MEASURES))?;
+    say_end(&summary, console);
+    console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
+    Ok(exit_code(&summary))
+}
+
+/// Says how a run ended before its time.
+fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
     }
@@ -51,8 +68,6 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         let time = summary.fault_time_s.unwrap_or(f64::NAN);
         console.note(&format!("stopped at {time:.3} s: {fault}"));
     }
-    console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
-    Ok(exit_code(&summary))
 }
 
 /// 1 outranks 130 outranks 3.

@@ -5,10 +5,15 @@ use crate::run::summary::Summary;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What stands under every table of results.
-pub const NOTES: &[&str] = &[
-    "Every figure is from a simulation: one plant, one interface rate, one measurement and one estimator for \
-     position and torque robots alike. Parameters of the arm are partly assumed; its robot.toml says which.",
+/// Note under tables of simulated runs.
+const OF_SIMULATION: &str = "Every figure is from a simulation: one plant, one interface rate, one measurement and one \
+                             estimator for position and torque robots alike. Parameters of the arm are partly assumed; \
+                             its robot.toml says which.";
+/// Note under tables with runs of a real robot.
+const OF_A_ROBOT: &str = "Figures of a real robot are from its own measurements; those that need the true state or the true \
+                          torque of the motors are missing.";
+/// Notes under every table.
+const OF_ALL: [&str; 2] = [
     "Tracking alone is not the case for torque control: with velocity lead, inverse kinematics tracks as well. \
      Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
      could move.",
@@ -16,6 +21,14 @@ pub const NOTES: &[&str] = &[
      interval, and in the first servo period after the tick. The last alone hides what the held set-point does \
      between ticks.",
 ];
+
+/// The notes under a table of results.
+#[must_use]
+pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
+    let simulated = summaries.iter().any(|summary| summary.simulated).then_some(OF_SIMULATION);
+    let real = summaries.iter().any(|summary| !summary.simulated).then_some(OF_A_ROBOT);
+    simulated.into_iter().chain(real).chain(OF_ALL).collect()
+}
 
 /// Summaries that differ only in their seed, and the medians of what they say.
 #[derive(Clone, Debug)]
@@ -265,6 +278,7 @@ mod tests {
             profile: profile.to_owned(),
             ratio: 5,
             seed,
+            simulated: true,
             duration_s: 1.0,
             overrides: Vec::new(),
             label: None,

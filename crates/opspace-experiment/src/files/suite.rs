@@ -1,6 +1,7 @@
 //! Suites: which tasks run on which robots under which controllers.
 
 use crate::evaluate::results::{MEASURES, Measure};
+use crate::extensions::Extensions;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
 use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
@@ -92,6 +93,14 @@ impl Suite {
     /// # Errors
     /// What is wrong in any of the files, with its place.
     pub fn load(files: Files, path: &Path) -> Result<Self, FileError> {
+        Self::load_with(&Extensions::default(), files, path)
+    }
+
+    /// As [`load`](Self::load), with tasks of a user's own.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_with(extensions: &Extensions, files: Files, path: &Path) -> Result<Self, FileError> {
         let source = files.read(path)?;
         Kind::Suite.require(&source)?;
         let file: SuiteFile = parse(&source)?;
@@ -105,7 +114,14 @@ impl Suite {
                     for profile in or_default(profiles) {
                         for seed in or_default(&run.seeds) {
                             let choice = run.choice(case.as_ref(), profile.clone(), seed);
-                            experiments.push(run.experiment(files, path, task, case.as_ref(), choice)?);
+                            experiments.push(run.experiment(
+                                extensions,
+                                files,
+                                path,
+                                task,
+                                case.as_ref(),
+                                choice,
+                            )?);
                         }
                     }
                 }
@@ -134,6 +150,7 @@ impl SuiteRun {
 
     fn experiment(
         &self,
+        extensions: &Extensions,
         files: Files,
         suite: &Path,
         task: &Path,
@@ -145,7 +162,7 @@ impl SuiteRun {
         let profile = choice.profile.as_deref().unwrap_or("{profile}");
         let set: Vec<String> =
             self.set.iter().chain(further).map(|set| set.replace("{profile}", profile)).collect();
-        Experiment::load(files, &beside(suite, task), robot.as_deref(), choice, &set)
+        Experiment::load_with(extensions, files, &beside(suite, task), robot.as_deref(), choice, &set)
     }
 }
 

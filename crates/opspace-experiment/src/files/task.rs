@@ -44,7 +44,8 @@ pub struct TaskFile {
     /// How much friction is compensated.
     #[serde(default)]
     pub friction_compensation: FrictionCompensationParameters,
-    /// Where a simulated robot starts, at rest, by joint name, rad (m); joints left out start at 0.
+    /// Joint positions at the start by joint name, rad (m); 0 for joints left out. A simulated robot is put there, at rest;
+    /// a real one must be there, or be moved there (`run --move-to-start`).
     #[serde(default)]
     pub start_rad: BTreeMap<String, f64>,
     /// What changes while the controller runs, in the order of time.

@@ -1,6 +1,6 @@
 //! Reports: the figures of a run, laid out as the paper's, and pages of them.
 
-use crate::evaluate::results::{Group, Measure, NOTES, group, table};
+use crate::evaluate::results::{Group, Measure, group, notes, table};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
 use crate::run::experiment::Experiment;
@@ -57,7 +57,7 @@ pub fn page(title: &str, lead: &str, summaries: &[Summary], measures: &[Measure]
     let mut page = Page::new(title).lead(lead).section("Results").table(
         "Medians over the runs of each row, counted from the end of settling",
         &table(summaries, measures),
-        NOTES,
+        &notes(summaries),
     );
     if summaries.len() > 1 {
         for comparison in comparisons(summaries) {

@@ -39,7 +39,7 @@ pub enum RunError {
     },
     /// A real robot that is not where the task starts.
     #[error(
-        "joint '{joint}' is at {q_rad:.3} rad (m), and the task starts at {start_rad:.3}; move the robot there, or change start_rad"
+        "joint '{joint}' is at {q_rad:.3} rad (m), and the task starts at {start_rad:.3}; --move-to-start moves the robot there slowly, or change start_rad"
     )]
     AwayFromStart {
         /// Its joint that is farthest up the chain.

@@ -2,16 +2,12 @@
 
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
-use opspace_backend::{Backend, Capabilities, GroundTruth, SERVO, Sample, Sink, TruthLayouts, World};
+use opspace_backend::{Backend, Capabilities, GroundTruth, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{Channel, OutcomeRecord, Pace, Recorder, WriteStats, Writer, record};
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
-use std::cmp::Ordering::Less;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
-
-/// Largest distance of a real robot's joint from where the task starts, rad (m).
-const START_TOLERANCE_RAD: f64 = 0.02;
 
 /// Progress of a run, and a way to stop it, for other threads.
 #[derive(Debug, Default)]
@@ -85,10 +81,12 @@ impl Experiment {
         self.run_on(&mut self.simulated_arm()?, sink, progress)
     }
 
-    /// Runs the experiment on a robot.
+    /// Runs the experiment on a robot. A real one must be where the task starts
+    /// ([`motion_to_start`](Self::motion_to_start)).
     ///
     /// # Errors
-    /// A robot that contradicts robot.toml; a log that can't be written.
+    /// A robot that contradicts robot.toml; a real one that is elsewhere, or that an option for comparison alone would
+    /// command; a log that can't be written.
     pub fn run_on<W: Write + Send + 'static>(
         &self,
         backend: &mut dyn Backend,
@@ -102,23 +100,6 @@ impl Experiment {
         }
         let truth = backend.ground_truth().map(GroundTruth::layouts);
         self.run_with(&capabilities, truth, sink, progress, |run| drive(backend, run))
-    }
-
-    /// Checks that a real robot is where the task starts: nothing may jump there.
-    fn check_start(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
-        let mut sample = Sample::new(backend.capabilities());
-        backend.read(&mut sample).map_err(|fault| RunError::Unreadable { fault })?;
-        let joints = self.robot().model.joints().iter();
-        let away = joints.zip(self.start()?).zip(&sample.q).find(|((_, start), q)| {
-            // NaN is away, too.
-            (*q - start).abs().partial_cmp(&START_TOLERANCE_RAD) != Some(Less)
-        });
-        match away {
-            None => Ok(()),
-            Some(((joint, start_rad), &q_rad)) => {
-                Err(RunError::AwayFromStart { joint: joint.name.clone(), q_rad, start_rad })
-            }
-        }
     }
 
     /// Runs the experiment by `body`, which gets the run: it calls [`Run::cycle`] once per interface cycle until
@@ -154,6 +135,9 @@ impl Experiment {
         sink: W,
         progress: &'a Progress,
     ) -> Result<(ControlLoop, OpenLog<'a, W>), RunError> {
+        if capabilities.world == World::Real {
+            self.refuse_comparison_options()?;
+        }
         self.compare_capabilities(capabilities)?;
         let control = self.control_loop()?;
         let profile = self.profile().1;
@@ -168,7 +152,7 @@ impl Experiment {
             World::Simulated => Pace::Simulated,
             World::Real => Pace::RealTime,
         };
-        let (recorder, writer) = record(sink, self.header(), channels, pace)?;
+        let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
         let log = OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, began: Instant::now() };
         Ok((control, log))
     }

@@ -52,6 +52,30 @@ impl BackendKind {
     pub fn name(self) -> &'static str {
         self.command().name()
     }
+
+    /// The kind of robot that a task's robot (or another one) is by its robot.toml. `settings` as in
+    /// [`Experiment::load`].
+    ///
+    /// # Errors
+    /// What is wrong in either file, with its place.
+    pub fn stated(
+        extensions: &Extensions,
+        files: Files,
+        task: &Path,
+        robot: Option<&Path>,
+        settings: &[String],
+    ) -> Result<Self, FileError> {
+        let (robot_settings, task_settings) = split(settings, "robot");
+        let robot = match robot {
+            Some(robot) => robot.to_owned(),
+            None => Task::load_with(&extensions.tasks, files, task, &task_settings)?.robot_path(),
+        };
+        Ok(match Robot::load(files, &robot, &robot_settings)?.file.interface.command {
+            CommandParameter::Position => Self::Position,
+            CommandParameter::Velocity => Self::Velocity,
+            CommandParameter::Torque => Self::Torque,
+        })
+    }
 }
 
 /// Which controller.

@@ -6,6 +6,7 @@ use crate::files::source::Source;
 use crate::files::task::Task;
 use crate::run::error::RunError;
 use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use opspace_backend::World;
 use opspace_log::{Attachment, Header, LOG, Recording};
 use opspace_transformer::TransformerKind;
 use sha2::{Digest, Sha256};
@@ -15,9 +16,17 @@ use std::sync::Arc;
 
 /// Name of the metadata record in which a log keeps how it was made.
 pub const RUN: &str = "opspace.run";
+/// Entry that says whether the robot was real.
+const WORLD: &str = "world";
+const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
+
+/// Whether a log is that of a real robot.
+pub(super) fn is_real(recording: &Recording) -> bool {
+    recording.metadata(RUN).and_then(|entries| entries.get(WORLD)).is_some_and(|world| world == REAL)
+}
 
 /// The attachment in which a log keeps a recorded path, by the path as the task file gives it.
 fn recording_file(file: &Path) -> String {
@@ -26,12 +35,13 @@ fn recording_file(file: &Path) -> String {
 
 impl Experiment {
     /// What a log of this experiment says before its first row.
-    pub(crate) fn header(&self) -> Header {
+    pub(crate) fn header(&self, world: World) -> Header {
         let choice = self.choice();
         let mut entries = BTreeMap::from([
             ("opspace_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("task".to_owned(), self.task().source.name().to_owned()),
             ("robot".to_owned(), self.robot().source.name().to_owned()),
+            (WORLD.to_owned(), if world == World::Real { REAL } else { "simulated" }.to_owned()),
             ("backend".to_owned(), choice.backend.name().to_owned()),
             ("controller".to_owned(), choice.controller.name().to_owned()),
             ("profile".to_owned(), self.profile().0.to_owned()),

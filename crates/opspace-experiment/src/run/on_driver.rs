@@ -30,12 +30,22 @@ impl Experiment {
         sink: W,
         progress: &Progress,
     ) -> Result<RunResult<W>, RunError> {
+        self.with_driver(extensions, |backend| self.run_on(backend, sink, progress))
+    }
+
+    /// Opens the robot that `[driver]` names, and closes it after `body`.
+    pub(super) fn with_driver<T>(
+        &self,
+        extensions: &Extensions,
+        body: impl FnOnce(&mut dyn Backend) -> Result<T, RunError>,
+    ) -> Result<T, RunError> {
+        self.refuse_comparison_options()?;
         let driver = self.driver(extensions)?;
-        let (mut sink, mut result) = (Some(sink), None);
+        let (mut body, mut result) = (Some(body), None);
         let mut run = |backend: &mut dyn Backend| {
             // A driver calls it once.
-            if let Some(sink) = sink.take() {
-                result = Some(self.run_on(backend, sink, progress));
+            if let Some(body) = body.take() {
+                result = Some(body(backend));
             }
         };
         driver.with(&self.driver_settings(), &mut run).map_err(|error| self.driver_error(&error))?;
@@ -47,6 +57,11 @@ impl Experiment {
 
     fn driver<'a>(&self, extensions: &'a Extensions) -> Result<&'a dyn Driver, FileError> {
         let source = &self.robot.source;
+        if !self.has_driver() {
+            let message = "this robot has no [driver], so there is only its simulation";
+            let help = "a simulated robot needs no --move-to-start; a real one needs a [driver]".to_owned();
+            return Err(FileError::of_file(source.name(), message, Some(help)));
+        }
         let Some(Setting::Text(name)) = self.robot.file.driver.as_ref().and_then(|keys| keys.get(NAME))
         else {
             let message = "[driver] has no name";

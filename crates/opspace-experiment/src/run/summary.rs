@@ -2,6 +2,7 @@
 
 use crate::evaluate::metrics::{Metrics, Timing, metrics, timing};
 use crate::run::experiment::Experiment;
+use crate::run::log_header::is_real;
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use serde::Serialize;
@@ -27,6 +28,8 @@ pub struct Summary {
     pub ratio: u32,
     /// Of everything random.
     pub seed: u64,
+    /// Whether the robot was simulated.
+    pub simulated: bool,
     /// How long the controller was to run, s.
     pub duration_s: f64,
     /// The settings that changed the files.
@@ -75,6 +78,7 @@ impl Experiment {
             profile: self.profile().0.to_owned(),
             ratio: self.profile().1.ratio.get(),
             seed: self.seed(),
+            simulated: !is_real(recording),
             duration_s: self.duration_s(),
             overrides: self.settings().to_vec(),
             label: self.choice().label.clone(),

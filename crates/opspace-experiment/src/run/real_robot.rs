@@ -1,0 +1,186 @@
+//! What a real robot needs beside a simulated one: it is where the task starts, and nothing that exists for comparison
+//! alone commands it.
+
+use crate::extensions::Extensions;
+use crate::files::source::{FileError, Source};
+use crate::files::task::Task;
+use crate::files::task_kinds::TaskKinds;
+use crate::run::error::RunError;
+use crate::run::execute::Progress;
+use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use crate::run::summary::Summary;
+use opspace_backend::{Backend, Sample};
+use opspace_control::{SingularityHandling, TaskParameters};
+use opspace_model::{Joint, JointKind};
+use opspace_transformer::Method;
+use std::fmt::Write;
+use std::path::Path;
+
+/// Largest distance of a real robot's joint from where the task starts, rad (m).
+const START_TOLERANCE: f64 = 0.02;
+
+/// Highest speed of a joint on the way to the start, rad/s and m/s.
+const SPEED_RAD_PER_S: f64 = 0.2;
+const SPEED_M_PER_S: f64 = 0.05;
+/// The same as a share of the joint's velocity limit.
+const SPEED_SHARE: f64 = 0.1;
+/// Peak of a minimum-jerk motion's velocity over its mean.
+const MINIMUM_JERK_PEAK: f64 = 1.875;
+/// Least duration of the motion, and time to settle after it, s.
+const SHORTEST_S: f64 = 1.0;
+const SETTLE_S: f64 = 1.0;
+/// Natural frequency of the joints' error where the robot takes torques or velocities, rad/s: stiff, since friction leaves
+/// an error, and never above this share of the interface rate.
+const FREQUENCY_RAD_PER_S: f64 = 30.0;
+const FREQUENCY_SHARE: f64 = 0.06;
+
+impl Experiment {
+    /// Refuses the options that exist for comparison alone.
+    ///
+    /// # Errors
+    /// The first such option, at its key.
+    pub(super) fn refuse_comparison_options(&self) -> Result<(), FileError> {
+        let kind = self.transformer_kind();
+        if let Some(kind) =
+            kind.filter(|k| matches!(k.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop))
+        {
+            let message = format!(
+                "transformer '{}' is for comparison in simulation, not for a real robot",
+                kind.name()
+            );
+            let help = Some("use 'identified', or 'emulation'".to_owned());
+            return Err(FileError::at_key(
+                &self.robot.source,
+                ["profile", &self.profile_name],
+                message,
+                help,
+            ));
+        }
+        let events = self.task.events.iter().map(|event| &event.task);
+        for (name, task) in std::iter::once(&self.task.file.task).chain(events).flatten() {
+            let TaskParameters::Cartesian(task) = task else { continue };
+            if task.singularities != SingularityHandling::Damped {
+                let message =
+                    "this handling of singularities is for comparison in simulation, not for a real robot";
+                let key = ["task", name, "cartesian", "singularities"];
+                let help = Some("leave it out, or use \"damped\"".to_owned());
+                return Err(FileError::at_key(&self.task.source, key, message, help));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that a real robot is where the task starts: nothing may jump there.
+    pub(super) fn check_start(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
+        let q = positions(backend)?;
+        let joints = self.robot.model.joints().iter();
+        let away = joints.zip(self.start()?).zip(q).find(|((_, start), q)| !is_at(*q, *start));
+        match away {
+            None => Ok(()),
+            Some(((joint, start_rad), q_rad)) => {
+                Err(RunError::AwayFromStart { joint: joint.name.clone(), q_rad, start_rad })
+            }
+        }
+    }
+
+    /// An experiment on the same robot that moves it from `q` (rad or m, n) to where this one starts: all joints along
+    /// one line in joint space, at most 0.2 rad/s (0.05 m/s) and a tenth of the URDF's velocity limit. It knows no
+    /// obstacles. `None` if the robot is there already.
+    ///
+    /// # Errors
+    /// A position outside a joint's limits.
+    pub fn motion_to_start(&self, q: &[f64]) -> Result<Option<Self>, FileError> {
+        let goal = self.start()?;
+        if q.iter().zip(&goal).all(|(q, goal)| is_at(*q, *goal)) {
+            return Ok(None);
+        }
+        let joints = self.robot.model.joints();
+        let durations = joints.iter().zip(q).zip(&goal);
+        let motion_s = durations.fold(SHORTEST_S, |longest, ((joint, q), goal)| {
+            longest.max(MINIMUM_JERK_PEAK * (goal - q).abs() / slow_speed(joint))
+        });
+        // Named as if it lay beside the task, so that the robot's path counts from the same folder.
+        let name = Path::new(self.task.source.name()).with_file_name("move-to-start.toml");
+        let text = self.motion_text(q, &goal, motion_s);
+        let task = Task::from_sources_with::<FileError>(
+            &TaskKinds::new(),
+            Source::new(name.display().to_string(), text),
+            |named| Source::read(&named.path),
+        )?;
+        let controller = match self.choice.backend {
+            BackendKind::Position => ControllerKind::IkLead,
+            BackendKind::Velocity | BackendKind::Torque => ControllerKind::Osc,
+        };
+        let choice = Choice { controller, duration_s: None, label: None, ..self.choice.clone() };
+        Self::new(self.robot.clone(), task, choice, Vec::new()).map(Some)
+    }
+
+    /// The task file of a motion from `q` to `goal`.
+    fn motion_text(&self, q: &[f64], goal: &[f64], motion_s: f64) -> String {
+        let list = |values: &[f64]| {
+            let named = self.robot.model.joints().iter().zip(values);
+            let entries: Vec<String> =
+                named.map(|(joint, value)| format!("{:?} = {value:?}", joint.name)).collect();
+            entries.join(", ")
+        };
+        let file = &self.task.file;
+        let frequency_rad_per_s = FREQUENCY_RAD_PER_S.min(FREQUENCY_SHARE / self.profile.period_s());
+        let mut text = String::new();
+        let _ = writeln!(text, "# Moves the robot from where it was to where {} starts.", self.task.name());
+        let _ = writeln!(text, "robot = {:?}", file.robot.display().to_string());
+        let _ = writeln!(text, "duration_s = {:?}", motion_s + SETTLE_S);
+        let _ = writeln!(text, "priority = [\"joints\"]");
+        let _ = writeln!(text, "friction_compensation.gain = {:?}", file.friction_compensation.gain.get());
+        let _ = writeln!(text, "start_rad = {{ {} }}\n", list(q));
+        let _ = writeln!(text, "[task.joints.joint-tracking]");
+        let _ = writeln!(
+            text,
+            "gains = {{ frequency_rad_per_s = {frequency_rad_per_s:?}, damping_ratio = 1.0 }}"
+        );
+        let _ = writeln!(
+            text,
+            "reference.point-to-point = {{ duration_s = {motion_s:?}, goal.absolute_rad = {{ {} }} }}",
+            list(goal)
+        );
+        text
+    }
+
+    /// Opens the robot that `[driver]` names and moves it to where the task starts, slowly
+    /// ([`motion_to_start`](Self::motion_to_start)); log, summary and report of the motion are written into `folder`.
+    /// `None` if the robot is there already.
+    ///
+    /// # Errors
+    /// As [`run_on_driver`](Self::run_on_driver).
+    pub fn move_to_start(
+        &self,
+        extensions: &Extensions,
+        folder: &Path,
+        progress: &Progress,
+    ) -> Result<Option<Summary>, RunError> {
+        self.with_driver(extensions, |backend| {
+            let Some(motion) = self.motion_to_start(&positions(backend)?)? else { return Ok(None) };
+            motion.in_folder(folder, |log| motion.run_on(backend, log, progress)).map(Some)
+        })
+    }
+}
+
+/// NaN is away, too.
+fn is_at(q: f64, start: f64) -> bool {
+    (q - start).abs() < START_TOLERANCE
+}
+
+/// Joint positions of a robot now, rad or m (n).
+fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
+    let mut sample = Sample::new(backend.capabilities());
+    backend.read(&mut sample).map_err(|fault| RunError::Unreadable { fault })?;
+    Ok(sample.q)
+}
+
+/// Speed of a joint that nobody is surprised by, rad/s or m/s.
+fn slow_speed(joint: &Joint) -> f64 {
+    let slow = match joint.kind {
+        JointKind::Prismatic => SPEED_M_PER_S,
+        _ => SPEED_RAD_PER_S,
+    };
+    if joint.limits.velocity > 0.0 { slow.min(SPEED_SHARE * joint.limits.velocity) } else { slow }
+}

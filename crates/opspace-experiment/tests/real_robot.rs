@@ -1,0 +1,214 @@
+//! Experiments on a robot that is not known to be simulated: a simulated arm that declares itself real, and whose clock
+//! may start anywhere.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use opspace_backend::{
+    Backend, Capabilities, Command, DeviceFault, Driver, DriverError, GroundTruth, Sample, Settings,
+    TruthLayouts, TruthRow, World,
+};
+use opspace_experiment::{BackendKind, Choice, Experiment, Extensions, Files, Metrics, Progress, RunError};
+use opspace_log::Recording;
+use opspace_sim::SimulatedArm;
+use std::cell::RefCell;
+use std::io::Cursor;
+use std::path::Path;
+use std::rc::Rc;
+
+/// A simulated arm with other capabilities and another clock.
+struct Disguised {
+    arm: SimulatedArm,
+    capabilities: Capabilities,
+    clock_start_s: f64,
+}
+
+impl Disguised {
+    fn new(arm: SimulatedArm, world: World, clock_start_s: f64) -> Self {
+        let mut capabilities = arm.capabilities().clone();
+        capabilities.world = world;
+        Self { arm, capabilities, clock_start_s }
+    }
+}
+
+impl Backend for Disguised {
+    fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
+    }
+
+    fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        self.arm.read(sample)?;
+        sample.time_s += self.clock_start_s;
+        Ok(())
+    }
+
+    fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
+        self.arm.write(command)
+    }
+
+    fn stop(&mut self) {
+        self.arm.stop();
+    }
+
+    fn ground_truth(&self) -> Option<&dyn GroundTruth> {
+        (self.capabilities.world == World::Simulated).then_some(self)
+    }
+}
+
+impl GroundTruth for Disguised {
+    fn layouts(&self) -> TruthLayouts {
+        self.arm.layouts()
+    }
+
+    fn visit(&self, visit: &mut dyn FnMut(TruthRow<'_>)) {
+        self.arm.visit(&mut |mut row| {
+            match &mut row {
+                TruthRow::State { time_s, .. }
+                | TruthRow::Servo { time_s, .. }
+                | TruthRow::External { time_s, .. } => {
+                    *time_s += self.clock_start_s;
+                }
+                _ => {}
+            }
+            visit(row);
+        });
+    }
+}
+
+/// Opens one and the same arm each time.
+struct OneArm(Rc<RefCell<Disguised>>);
+
+impl Driver for OneArm {
+    fn name(&self) -> &str {
+        "one-arm"
+    }
+
+    fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
+        settings.expect_only(&[])?;
+        run(&mut *self.0.borrow_mut());
+        Ok(())
+    }
+}
+
+const ROBOT: &str = "robots/asimo-arm/robot.toml";
+const BACKENDS: [BackendKind; 3] = [BackendKind::Position, BackendKind::Velocity, BackendKind::Torque];
+
+fn experiment(task: &str, backend: BackendKind, settings: &[&str]) -> Experiment {
+    let choice = Choice { backend, duration_s: Some(2.0), ..Choice::default() };
+    let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
+    Experiment::load(Files::Embedded, Path::new(task), None, choice, &settings).unwrap()
+}
+
+/// Metrics of a simulated run on a clock that starts at `clock_start_s`, and the missed cycles.
+fn measured(experiment: &Experiment, clock_start_s: f64) -> (Metrics, u64) {
+    let mut arm = Disguised::new(experiment.simulated_arm().unwrap(), World::Simulated, clock_start_s);
+    let result = experiment.run_on(&mut arm, Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let recording = Recording::from_bytes(&result.sink.into_inner()).unwrap();
+    let summary = experiment.summary(&recording, &result.record, None);
+    assert_eq!(summary.faulted, None);
+    (summary.metrics, summary.missed_cycles)
+}
+
+/// Compared: every metric of runs on clocks that start at 1000 s and at -5 s, and those of the same run on a clock that starts
+/// at 0. They differ by the rounding of time stamps at most, with lost cycles and without.
+#[test]
+fn start_of_the_robots_clock_changes_no_metric() {
+    /// Rounding of a time stamp of 1000 s over a period of 1 ms is 1e-10; the motion amplifies it.
+    const RELATIVE: f64 = 1e-6;
+    let lossy = "robot.simulated.bus.lost_cycles_share=0.01";
+    for (backend, settings) in
+        [(BackendKind::Position, vec![lossy]), (BackendKind::Velocity, vec![]), (BackendKind::Torque, vec![])]
+    {
+        let experiment = experiment("tasks/compliant-x.toml", backend, &settings);
+        let (zero, missed) = measured(&experiment, 0.0);
+        let zero = serde_json::to_value(zero).unwrap();
+        assert_eq!(missed > 0, !settings.is_empty());
+        for clock_start_s in [1000.0, -5.0] {
+            let (shifted, shifted_missed) = measured(&experiment, clock_start_s);
+            assert_eq!(shifted_missed, missed);
+            let shifted = serde_json::to_value(shifted).unwrap();
+            let mut numbers = 0;
+            for (key, value) in zero.as_object().unwrap() {
+                let (a, b) = (value.as_f64(), shifted[key].as_f64());
+                assert_eq!(a.is_some(), b.is_some(), "{key}");
+                let Some((a, b)) = a.zip(b) else { continue };
+                assert!(
+                    (a - b).abs() <= RELATIVE * a.abs(),
+                    "{backend:?} from {clock_start_s} s: {key} {b}, not {a}"
+                );
+                numbers += 1;
+            }
+            assert!(numbers >= 5, "{numbers} metrics");
+        }
+    }
+}
+
+/// An arm that stands this far from where the task starts, behind a driver, rad.
+fn away(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<Disguised>>, Extensions) {
+    let mut config = experiment.arm_config().unwrap();
+    config.start.iter_mut().for_each(|q| *q += offset_rad);
+    let arm = Rc::new(RefCell::new(Disguised::new(SimulatedArm::new(config).unwrap(), World::Real, 30.0)));
+    let extensions = Extensions::default().with_driver(OneArm(Rc::clone(&arm)));
+    (arm, extensions)
+}
+
+/// Refusal of an arm that is away from the start, the distance left after the motion, its highest speed against the stated
+/// one, and the run afterwards.
+#[test]
+fn real_robot_is_moved_to_the_start_slowly_before_it_is_run() {
+    /// The reference's limit is 0.2 rad/s; a joint that friction held at first catches up with it.
+    const SPEED_RAD_PER_S: f64 = 1.5 * 0.2;
+    /// Rows over which a speed is taken, long beside the encoders' noise.
+    const WINDOW: usize = 50;
+    const WINDOW_S: f64 = 0.05;
+    const AT_START_RAD: f64 = 0.02;
+    for backend in BACKENDS {
+        let experiment = experiment("tasks/joint-tracking.toml", backend, &["robot.driver.name=one-arm"]);
+        let start = experiment.arm_config().unwrap().start;
+        let (arm, extensions) = away(&experiment, 0.3);
+        let progress = Progress::default();
+        let run = || experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress);
+
+        let refused = run().map(|_| ()).unwrap_err();
+        assert!(matches!(refused, RunError::AwayFromStart { .. }), "{refused}");
+        assert!(refused.to_string().contains("--move-to-start"), "{refused}");
+
+        let folder = tempfile::tempdir().unwrap();
+        let moved = experiment.move_to_start(&extensions, folder.path(), &progress).unwrap().unwrap();
+        assert_eq!(moved.faulted, None, "{backend:?}");
+        let recording = Recording::read(folder.path().join("run.mcap")).unwrap();
+        let q: Vec<&[f64]> = recording.tick().unwrap().signal("q").unwrap().rows().collect();
+        let passed = q.windows(WINDOW + 1).flat_map(|rows| rows[0].iter().zip(rows[WINDOW]));
+        let fastest = passed.fold(0.0_f64, |most, (from, to)| most.max((to - from).abs())) / WINDOW_S;
+        assert!((0.1..SPEED_RAD_PER_S).contains(&fastest), "{backend:?}: {fastest} rad/s");
+        for (q, start) in arm.borrow().arm.true_q().iter().zip(&start) {
+            assert!((q - start).abs() < AT_START_RAD, "{backend:?}: {q} and {start}");
+        }
+        assert_eq!(experiment.move_to_start(&extensions, folder.path(), &progress).unwrap(), None);
+        assert_eq!(run().unwrap().record.fault, None, "{backend:?}");
+    }
+}
+
+/// Refusals, each with its key, of what is allowed in simulation.
+#[test]
+fn options_for_comparison_are_refused_on_a_real_robot() {
+    for singularities in ["plain", "least-squares", "clamped"] {
+        let setting = format!("task.hand.cartesian.singularities={singularities}");
+        let settings = [setting.as_str(), "robot.driver.name=one-arm"];
+        let experiment = experiment("tasks/cartesian-tracking.toml", BackendKind::Position, &settings);
+        let (_, extensions) = away(&experiment, 0.0);
+        let progress = Progress::default();
+        let refused = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress);
+        let words = refused.map(|_| ()).unwrap_err().to_string();
+        assert!(words.contains("not for a real robot") && words.contains("singularities"), "{words}");
+        assert!(experiment.run(Cursor::new(Vec::new()), &progress).is_ok(), "it is allowed in simulation");
+    }
+}
+
+/// Words for a robot without a driver.
+#[test]
+fn robot_without_a_driver_can_not_be_moved_to_the_start() {
+    let experiment = experiment("tasks/joint-tracking.toml", BackendKind::Position, &[]);
+    let folder = tempfile::tempdir().unwrap();
+    let refused = experiment.move_to_start(&Extensions::default(), folder.path(), &Progress::default());
+    let words = refused.map(|_| ()).unwrap_err().to_string();
+    assert!(words.contains(ROBOT) && words.contains("no [driver]"), "{words}");
+}
