@@ -1,5 +1,5 @@
-//! No tick allocates: every experiment of the paper's suite on every robot and controller, while it runs, when
-//! it is stopped by a fault and when it is interrupted.
+//! No cycle allocates: every experiment of every suite on every robot and controller, with tasks of a user's own and with
+//! streamed targets, while it runs, when it is stopped by a fault of its own or of the device, and when it is interrupted.
 //!
 //! Compared: the allocator's own count at two successive ticks. It counts this thread only, and the whole
 //! loop runs on it: plant, drives and sensors of the simulated robot included.
@@ -10,15 +10,23 @@ mod counting;
 
 use common::{ik, load, osc, positions, torque, torques};
 use counting::{allocations, allocations_so_far};
+use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::quantity::NonNegative;
-use opspace_backend::{Sink, TICK};
-use opspace_control::Controller;
-use opspace_experiment::files::origin::PAPER_SUITE;
-use opspace_experiment::{Choice, ControllerKind, Experiment, Files, Suite};
-use opspace_loop::{Fault, Phase, Run, RunOutcome, drive};
+use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink, TICK};
+use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
+use opspace_experiment::files::task::NamedRecording;
+use opspace_experiment::{
+    BackendKind, Choice, ControllerKind, Experiment, FileError, Files, Source, Suite, Task, TaskKinds,
+};
+use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
+use opspace_model::{Data, Model};
+use opspace_sim::SimulatedArm;
 use opspace_transformer::{Method, TransformerKind};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
 
 /// The phase of each tick, with the allocator's count at its end.
 type Counts = Vec<(f64, usize)>;
@@ -50,14 +58,31 @@ fn count(
     controller: Box<dyn Controller>,
     interrupt_after: Option<usize>,
 ) -> (Counts, RunOutcome) {
+    let mut arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
+    count_on(&mut arm, experiment, controller, interrupt_after, |_| ())
+}
+
+/// The same on another robot; `prepare` sees the run before its first cycle.
+fn count_on(
+    robot: &mut dyn Backend,
+    experiment: &Experiment,
+    controller: Box<dyn Controller>,
+    interrupt_after: Option<usize>,
+    prepare: impl FnOnce(&mut Run<'_>),
+) -> (Counts, RunOutcome) {
     let interrupt = AtomicBool::new(false);
     let mut sink = Counter { counts: Vec::with_capacity(1 << 16), interrupt_after, interrupt: &interrupt };
-    let mut arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
     let control = common::control_loop(experiment, controller);
     let mut run = Run::new(control, experiment.duration_s(), &mut sink).with_stop_request(&interrupt);
-    drive(&mut arm, &mut run);
+    prepare(&mut run);
+    drive(robot, &mut run);
     let outcome = run.finish();
     (sink.counts, outcome)
+}
+
+/// The experiment's own controller.
+fn own_controller(experiment: &Experiment) -> Box<dyn Controller> {
+    experiment.controller().unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// Checks every tick but the first: only the controller's start may allocate.
@@ -84,24 +109,188 @@ fn the_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
-#[test]
-fn no_tick_of_the_paper_suite_allocates() {
-    let suite = Suite::load(Files::Embedded, Path::new(PAPER_SUITE)).unwrap_or_else(|e| panic!("{e}"));
-    let mut seen = Vec::new();
+/// Runs each experiment of a suite once, whatever its seeds, until after its last event. Returns how many there are.
+fn no_cycle_allocates_in(suite: &str) -> usize {
+    /// Longer than the torque's ramp, and more cycles than any delay line has.
+    const SHORT_S: f64 = 0.3;
+    const CYCLES: f64 = 80.0;
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/suites").join(suite).with_extension("toml");
+    let suite = Suite::load(Files::Disk, &path).unwrap_or_else(|e| panic!("{e}"));
+    let mut seen = BTreeSet::new();
     for experiment in &suite.experiments {
         let choice = Choice { seed: None, ..experiment.choice().clone() };
         let name = format!("{} {choice:?} {:?}", experiment.task().name(), experiment.settings());
-        if seen.contains(&name) {
+        if !seen.insert(name.clone()) {
             continue;
         }
-        let experiment = short(experiment, 0.5);
-        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
-        let (counts, ending) = count(&experiment, controller, None);
-        assert_eq!(ending, RunOutcome::Completed, "{name}");
+        let last_event_s = experiment.task().events.last().map_or(0.0, |event| event.time_s);
+        let counted_s = SHORT_S.max(CYCLES * experiment.profile().1.period_s());
+        let experiment = short(experiment, last_event_s + counted_s);
+        let (counts, _) = count(&experiment, own_controller(&experiment), None);
         check(&counts, &name);
-        seen.push(name);
     }
-    assert!(seen.len() >= 25, "only {}", seen.len());
+    seen.len()
+}
+
+#[test]
+fn no_cycle_of_the_paper_suite_allocates() {
+    assert!(no_cycle_allocates_in("paper") >= 25);
+}
+
+#[test]
+fn no_cycle_of_the_features_suite_allocates() {
+    assert!(no_cycle_allocates_in("features") >= 10);
+}
+
+#[test]
+fn no_cycle_of_the_limits_suite_allocates() {
+    assert!(no_cycle_allocates_in("limits") >= 5);
+}
+
+#[test]
+fn no_cycle_of_the_singularity_suite_allocates() {
+    assert!(no_cycle_allocates_in("singularity") >= 5);
+}
+
+#[test]
+fn no_cycle_of_the_stiffness_suite_allocates() {
+    assert!(no_cycle_allocates_in("stiffness") >= 10);
+}
+
+#[test]
+fn no_cycle_of_the_transformer_suite_allocates() {
+    assert!(no_cycle_allocates_in("transformer") >= 50);
+}
+
+#[test]
+fn no_cycle_of_the_robustness_suite_allocates() {
+    assert!(no_cycle_allocates_in("robustness") >= 50);
+}
+
+/// The sum of two joints' positions, rad: a user's coordinate.
+struct Sum;
+
+impl Coordinate for Sum {
+    fn rows(&self) -> usize {
+        1
+    }
+
+    fn value(&self, _model: &Model, data: &Data) -> Vector6<f64> {
+        Vector6::x() * (data.q[0] + data.q[3])
+    }
+
+    fn jacobian(&self, _model: &Model, _data: &Data, rows: &mut Matrix6xX<f64>) {
+        rows.fill(0.0);
+        rows[(0, 0)] = 1.0;
+        rows[(0, 3)] = 1.0;
+    }
+
+    fn bias(&self, _model: &Model, _data: &Data) -> Vector6<f64> {
+        Vector6::zeros()
+    }
+
+    fn element(&self, _row: usize) -> (&'static str, &'static str) {
+        ("sum", "rad")
+    }
+}
+
+/// A user's task above a hand whose targets come from another thread, with pauses in which they become stale, on all three
+/// kinds of robot; the device fails when it is read, or when it is written to.
+#[test]
+fn no_cycle_with_a_users_task_streamed_targets_and_device_faults_allocates() {
+    const TASK: &str = r#"
+        robot = "asimo-arm"
+        duration_s = 1.5
+        priority = ["sum", "hand", "rest"]
+        start_rad = { shoulder_pitch = -0.45, shoulder_roll = -0.35, shoulder_yaw = 0.25, elbow = -1.35 }
+        [task.sum.sum]
+        gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
+        [task.hand.cartesian]
+        frame = "hand"
+        axes = { y = "motion", z = "motion" }
+        reference.streamed = { timeout_s = 0.02 }
+        gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+        [task.rest.joint-damping]
+        damping_nms_per_rad = 1.0
+    "#;
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct SumParameters {
+        gains: CoordinateGains,
+    }
+    let mut kinds = TaskKinds::new();
+    let built = |p: &SumParameters, name: &str, _: &Model, _: &_| {
+        Ok(Box::new(CoordinateTask::new(name, Sum, p.gains)) as Box<_>)
+    };
+    kinds.register("sum", built).unwrap_or_else(|e| panic!("{e}"));
+    let named = |_: NamedRecording<'_>| -> Result<Source, FileError> { unreachable!("no path is recorded") };
+    for backend in BackendKind::ALL {
+        for (reads, writes) in [(usize::MAX, usize::MAX), (900, usize::MAX), (usize::MAX, 900)] {
+            let source = Source::new("streamed.toml", TASK);
+            let task = Task::from_sources_with(&kinds, source, named).unwrap_or_else(|e| panic!("{e}"));
+            let choice = Choice { backend, ..Choice::default() };
+            let experiment = common::experiment(common::robot(&[]), task, choice);
+            let arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
+            let mut robot = Failing { arm, reads, writes };
+            let mut sending = None;
+            let controller = own_controller(&experiment);
+            let (counts, ending) = count_on(&mut robot, &experiment, controller, None, |run| {
+                let (sender, receiver) = target_stream(run.targets());
+                run.set_target_stream(receiver);
+                sending = Some(thread::spawn(move || stream(sender)));
+            });
+            let sent = sending.and_then(|thread| thread.join().ok()).unwrap_or_default();
+            let name = format!("{backend:?}, {reads} reads, {writes} writes, {sent} targets");
+            let device = matches!(ending, RunOutcome::Faulted { fault: Fault::Device(_), .. });
+            assert_eq!(device, reads.min(writes) < usize::MAX, "{name}: {ending:?}");
+            assert!(sent > 10, "{name}");
+            check(&counts, &name);
+        }
+    }
+}
+
+/// Streams targets until the run has ended, with a pause after every fifth.
+fn stream(mut sender: TargetSender) -> usize {
+    let mut hand = CartesianTarget::of(sender.targets(), "hand").expect("the hand is streamed");
+    let mut sent = 0;
+    while !sender.is_closed() {
+        hand.twist([0.0, 0.05, 0.02, 0.0, 0.0, 0.0]).expect("finite");
+        sent += usize::from(sender.send(hand.task(), &hand.inputs()).expect("good values"));
+        thread::sleep(Duration::from_micros(if sent % 5 == 0 { 2000 } else { 50 }));
+    }
+    sent
+}
+
+/// A simulated arm that fails after so many reads or writes.
+struct Failing {
+    arm: SimulatedArm,
+    reads: usize,
+    writes: usize,
+}
+
+/// One less; a fault if there is none left.
+fn take_one(left: &mut usize) -> Result<(), DeviceFault> {
+    *left = left.checked_sub(1).ok_or(DeviceFault::new(17, "the cable was pulled"))?;
+    Ok(())
+}
+
+impl Backend for Failing {
+    fn capabilities(&self) -> &Capabilities {
+        self.arm.capabilities()
+    }
+
+    fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
+        take_one(&mut self.reads).and_then(|()| self.arm.read(sample))
+    }
+
+    fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
+        take_one(&mut self.writes).and_then(|()| self.arm.write(command))
+    }
+
+    fn stop(&mut self) {
+        self.arm.stop();
+    }
 }
 
 /// The stop and what follows it are ticks as well.
@@ -118,7 +307,7 @@ fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
         check(&counts, "a fault");
         assert!(counts.last().is_some_and(|(phase, _)| *phase == 2.0), "the stop was seen");
 
-        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let controller = own_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, Some(500));
         assert!(matches!(ending, RunOutcome::Interrupted { .. }), "{ending:?}");
         check(&counts, "an interrupt");
@@ -147,7 +336,7 @@ fn no_tick_of_a_run_with_missed_cycles_allocates() {
         ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
     ] {
         let experiment = short(&load(task, choice, &settings), 3.0);
-        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let controller = own_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, None);
         assert!(matches!(ending, RunOutcome::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
         let phase = |phase: Phase| counts.iter().filter(|(p, _)| *p == phase.code()).count();
@@ -188,7 +377,7 @@ fn no_tick_of_any_transformer_allocates() {
             continue;
         }
         let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);
-        let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
+        let controller = own_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, None);
         assert_eq!(ending, RunOutcome::Completed, "{transformer:?}");
         check(&counts, transformer.name());

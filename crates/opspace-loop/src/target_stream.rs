@@ -54,6 +54,12 @@ impl TargetSender {
         Ok(self.push())
     }
 
+    /// Whether the receiving end is gone: the run is over.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.ring.is_abandoned()
+    }
+
     /// Asks the robot to be held, or to go on.
     pub fn send_hold(&mut self, hold: bool) -> bool {
         self.targets.hold(hold);
