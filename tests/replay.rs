@@ -246,3 +246,18 @@ fn what_is_no_log_is_refused_by_name() {
         at("empty").says(&["empty/run.mcap: there is no such file"]);
     }
 }
+
+/// A log that opspace 0.1.0 wrote: whoever has one is told which version reads it, and it stays as it is.
+#[test]
+fn a_log_of_the_version_before_is_refused_with_the_version_that_reads_it() {
+    let folder = scratch();
+    let log = folder.path().join("run.mcap");
+    fs::copy(project("tests/logs/opspace-0.1.0.mcap"), &log).unwrap();
+    let before = fs::read(&log).unwrap();
+    for command in ["replay", "report"] {
+        let ran = opspace(folder.path(), &[command, "run.mcap"]).exits(2);
+        ran.says(&["run.mcap", "opspace 0.1.0 reads it", concat!("this is ", env!("CARGO_PKG_VERSION"))]);
+    }
+    assert_eq!(fs::read(&log).unwrap(), before);
+    assert!(!folder.path().join("report.html").exists());
+}
