@@ -38,8 +38,7 @@ fn cycles_with_a_stale_target_are_counted_in_the_summary() {
         arm.stop();
     };
     let progress = Progress::default();
-    let result =
-        experiment.run_with(&capabilities, truth, Cursor::new(Vec::new()), &progress, body).unwrap();
+    let result = experiment.run_with(&capabilities, truth, Cursor::new(Vec::new()), &progress, body).unwrap();
     let recording = Recording::from_bytes(&result.sink.into_inner()).unwrap();
     let summary = experiment.summary(&recording, &result.record, None);
     assert_eq!(summary.faulted, None);

@@ -51,6 +51,28 @@ pub(crate) fn default_blend_s() -> Positive {
     Positive::literal(0.1)
 }
 
+/// Time in which differences to a new target fade, s; `None` for a generated motion. `given` tells for each limit of the file
+/// whether it is there.
+///
+/// # Errors
+/// A key that belongs to the other shape.
+pub(crate) fn blending(
+    shape: StreamedShape,
+    blend_s: Option<Positive>,
+    given: &[(&str, bool)],
+) -> Result<Option<Positive>, String> {
+    match shape {
+        StreamedShape::Extrapolated => match given.iter().find(|(_, given)| *given) {
+            Some((name, _)) => Err(format!("`{name}` limits a motion with shape = \"generated\" only")),
+            None => Ok(Some(blend_s.unwrap_or_else(default_blend_s))),
+        },
+        StreamedShape::Generated if blend_s.is_some() => {
+            Err("`blend_s` goes with shape = \"extrapolated\" only".to_owned())
+        }
+        StreamedShape::Generated => Ok(None),
+    }
+}
+
 /// What a cycle's target is to the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Arrival {

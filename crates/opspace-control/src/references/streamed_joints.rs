@@ -5,7 +5,7 @@ use crate::per_joint::PerJoint;
 use crate::references::online::{MotionLimits, OnlineMotion};
 use crate::references::ramp::Quintic;
 use crate::references::streamed::{
-    Arrival, Freshness, OnTimeout, STOP_S, StreamedShape, default_blend_s, default_timeout_s,
+    Arrival, Freshness, OnTimeout, STOP_S, StreamedShape, blending, default_blend_s, default_timeout_s,
 };
 use crate::references::target::BLEND_S;
 use crate::targets::TaskTarget;
@@ -99,17 +99,10 @@ impl TryFrom<StreamedJointsFile> for StreamedJointReference {
             ("acceleration_rad_per_s2", file.acceleration_rad_per_s2),
             ("jerk_rad_per_s3", file.jerk_rad_per_s3),
         ];
-        let shape = match file.shape {
-            StreamedShape::Extrapolated => {
-                if let Some((name, _)) = limits.iter().find(|(_, limit)| limit.is_some()) {
-                    return Err(format!("`{name}` limits a motion with shape = \"generated\" only"));
-                }
-                JointShape::Extrapolated { blend_s: file.blend_s.unwrap_or_else(default_blend_s) }
-            }
-            StreamedShape::Generated => {
-                if file.blend_s.is_some() {
-                    return Err("`blend_s` goes with shape = \"extrapolated\" only".to_owned());
-                }
+        let given: Vec<_> = limits.iter().map(|(name, limit)| (*name, limit.is_some())).collect();
+        let shape = match blending(file.shape, file.blend_s, &given)? {
+            Some(blend_s) => JointShape::Extrapolated { blend_s },
+            None => {
                 let [velocity, acceleration, jerk] = limits.map(|(name, limit)| {
                     limit.ok_or_else(|| {
                         format!("shape = \"generated\" needs a limit `{name}`, which is missing")

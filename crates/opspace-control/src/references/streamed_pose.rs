@@ -4,7 +4,7 @@ use crate::orientation;
 use crate::references::blend::{Joining, moved};
 use crate::references::online::{MotionLimits, OnlineVector};
 use crate::references::streamed::{
-    Arrival, Freshness, OnTimeout, STOP_S, StreamedShape, default_blend_s, default_timeout_s, given,
+    Arrival, Freshness, OnTimeout, STOP_S, StreamedShape, blending, default_blend_s, default_timeout_s, given,
 };
 use crate::references::target::{BLEND_S, Target};
 use crate::targets::TaskTarget;
@@ -111,17 +111,11 @@ impl TryFrom<StreamedPoseFile> for StreamedReference {
             ("angular_acceleration_rad_per_s2", file.angular_acceleration_rad_per_s2),
             ("angular_jerk_rad_per_s3", file.angular_jerk_rad_per_s3),
         ];
-        let shape = match file.shape {
-            StreamedShape::Extrapolated => {
-                if let Some((name, _)) = linear.iter().chain(&angular).find(|(_, limit)| limit.is_some()) {
-                    return Err(format!("`{name}` limits a motion with shape = \"generated\" only"));
-                }
-                PoseShape::Extrapolated { blend_s: file.blend_s.unwrap_or_else(default_blend_s) }
-            }
-            StreamedShape::Generated => {
-                if file.blend_s.is_some() {
-                    return Err("`blend_s` goes with shape = \"extrapolated\" only".to_owned());
-                }
+        let given: Vec<_> =
+            linear.iter().chain(&angular).map(|(name, limit)| (*name, limit.is_some())).collect();
+        let shape = match blending(file.shape, file.blend_s, &given)? {
+            Some(blend_s) => PoseShape::Extrapolated { blend_s },
+            None => {
                 let (linear, angular) = (limits(linear)?, limits(angular)?);
                 if linear.is_none() && angular.is_none() {
                     return Err("shape = \"generated\" needs limits: `velocity_m_per_s`, `acceleration_m_per_s2` and \
