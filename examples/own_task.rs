@@ -15,46 +15,45 @@ use opspace::model::{
 };
 use serde::Deserialize;
 
-/// d = |x − p| of a frame's origin x to a point p, m. With n = (x − p)/d: ḋ = n · v, d̈ = n · a + |v − (n · v) n|²/d.
+/// d = |x − p|, the distance of a frame's origin x to a point p, m. With n = (x − p)/d, and v and a of x:
+/// ḋ = n · v, d̈ = n · a + |v − (n · v) n|²/d.
 struct Distance {
     frame: FrameId,
     point: Vector3<f64>,
 }
 
-impl Coordinate for Distance {
-    fn rows(&self) -> usize {
-        1
+impl Distance {
+    /// n and d.
+    fn direction_and_length(&self, model: &Model, data: &Data) -> (Vector3<f64>, f64) {
+        let away = frame_placement(model, data, self.frame).translation - self.point;
+        (away.normalize(), away.norm())
     }
+}
 
+impl Coordinate for Distance {
     fn value(&self, model: &Model, data: &Data) -> Vector6<f64> {
-        Vector6::x() * self.away_from_point(model, data).norm()
+        Vector6::x() * self.direction_and_length(model, data).1
     }
 
     fn jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
-        let direction = self.away_from_point(model, data).normalize();
+        let (n, _) = self.direction_and_length(model, data);
+        // J of the frame has its linear rows first: n · J_v is the row of ∂d/∂q.
         frame_jacobian(model, data, self.frame, rows);
         for mut column in rows.column_iter_mut() {
-            let along = direction.dot(&column.fixed_rows::<3>(0));
-            column.fill(0.0);
-            column[0] = along;
+            let by_joint = n.dot(&column.fixed_rows::<3>(0));
+            column.copy_from(&(Vector6::x() * by_joint));
         }
     }
 
     fn bias(&self, model: &Model, data: &Data) -> Vector6<f64> {
-        let (away, v) = (self.away_from_point(model, data), frame_velocity(model, data, self.frame).linear);
-        let (direction, a) = (away.normalize(), frame_bias_acceleration(model, data, self.frame).linear);
-        let across = v - direction * direction.dot(&v);
-        Vector6::x() * (direction.dot(&a) + across.norm_squared() / away.norm())
+        let (n, d) = self.direction_and_length(model, data);
+        let v = frame_velocity(model, data, self.frame).linear;
+        let a = frame_bias_acceleration(model, data, self.frame).linear;
+        Vector6::x() * (n.dot(&a) + (v - n * n.dot(&v)).norm_squared() / d)
     }
 
     fn element(&self, _row: usize) -> (&'static str, &'static str) {
         ("distance", "m")
-    }
-}
-
-impl Distance {
-    fn away_from_point(&self, model: &Model, data: &Data) -> Vector3<f64> {
-        frame_placement(model, data, self.frame).translation - self.point
     }
 }
 

@@ -1,58 +1,86 @@
-//! A task that panics: the robot is stopped, the log is complete, and the outcome says so.
+//! A task that panics while the robot moves: the robot is stopped, log and report are complete up to the panic and say so,
+//! and the log replays.
 //!
-//! `cargo run --release -p opspace --example panic_in_a_task`
+//! `cargo run --release -p opspace --example panic_in_a_task` writes to `runs/panic_in_a_task`.
 
 #![expect(clippy::print_stdout, reason = "an example shows what it did")]
 
-use opspace::backend::{CommandKind, Observable, Row, Signal};
-use opspace::control::{ControlInput, Controller};
-use opspace::control_loop::{ControlLoop, Fault, LoopConfig, Run, RunOutcome, drive};
-use opspace::experiment::{Experiment, Files};
+#[path = "common/mod.rs"]
+mod common;
 
-/// Holds the arm's weight, until it meets an error of its author's.
-struct Faulty;
+use nalgebra::{Matrix6xX, Vector6};
+use opspace::backend::{Backend, Sample};
+use opspace::control::{ControlError, Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
+use opspace::experiment::{Experiment, Extensions, Files, Progress, TaskKinds};
+use opspace::log::{OutcomeRecord, Recording};
+use opspace::model::{Data, Model};
+use serde::Deserialize;
 
-impl Controller for Faulty {
-    fn command_kind(&self) -> CommandKind {
-        CommandKind::Torque
+/// The angle of a joint, corrected by a table with an entry for each tenth of a radian. Its author forgot that angles go
+/// beyond the table's end.
+struct CorrectedAngle {
+    joint: usize,
+    corrections_rad: [f64; 8],
+}
+
+impl Coordinate for CorrectedAngle {
+    fn value(&self, _model: &Model, data: &Data) -> Vector6<f64> {
+        let angle = data.q[self.joint];
+        Vector6::x() * (angle + self.corrections_rad[(10.0 * angle.abs()) as usize])
     }
 
-    fn start(&mut self, _input: &ControlInput<'_>) {}
+    fn jacobian(&self, _model: &Model, _data: &Data, rows: &mut Matrix6xX<f64>) {
+        rows.fill(0.0);
+        rows[(0, self.joint)] = 1.0;
+    }
 
-    fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
-        assert!(input.measurement.time_s < 1.0, "a controller of one's own has an error");
-        command.copy_from_slice(input.data.gravity.as_slice());
+    fn bias(&self, _model: &Model, _data: &Data) -> Vector6<f64> {
+        Vector6::zeros()
+    }
+
+    fn element(&self, _row: usize) -> (&'static str, &'static str) {
+        ("angle", "rad")
     }
 }
 
-impl Observable for Faulty {
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    fn sample(&self, _row: &mut Row<'_>) {}
-}
-
-/// Counts the rows.
-struct Rows(u64);
-
-impl opspace::backend::Sink for Rows {
-    fn row(&mut self, channel: usize, _time_s: f64, _row: &[f64]) {
-        self.0 += u64::from(channel == opspace::backend::TICK);
-    }
+/// `[task.NAME.corrected-angle]` in a file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CorrectedAngleParameters {
+    joint: String,
+    reference: ScalarReference,
+    gains: CoordinateGains,
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let task = "tasks/gravity-compensation.toml".as_ref();
-    let experiment = Experiment::load(Files::Disk, task, None, Default::default(), &[])?;
+    let mut tasks = TaskKinds::new();
+    tasks.register("corrected-angle", |p: &CorrectedAngleParameters, name, model, _context| {
+        let key = format!("task.{name}.corrected-angle.joint");
+        let joint = model.joint(&p.joint).map_err(|unknown| ControlError::new(key, unknown))?;
+        let coordinate = CorrectedAngle { joint, corrections_rad: [0.0; 8] };
+        Ok(Box::new(CoordinateTask::new(name, coordinate, p.gains).with_references([p.reference.clone()])))
+    })?;
+    let extensions = Extensions::default().with_tasks(tasks);
+    let task = "examples/tasks/corrected_angle.toml".as_ref();
+    let experiment = Experiment::load_with(&extensions, Files::Disk, task, None, Default::default(), &[])?;
+
     let mut arm = experiment.simulated_arm()?;
-    let config = experiment.loop_config()?;
-    let control = ControlLoop::new(LoopConfig { controller: Box::new(Faulty), ..config })?;
-    let mut rows = Rows(0);
-    let mut run = Run::new(control, 8.0, &mut rows);
-    drive(&mut arm, &mut run);
-    let outcome = run.finish();
-    assert!(matches!(outcome, RunOutcome::Faulted { fault: Fault::Panicked, .. }), "{outcome:?}");
-    println!("stopped after {} rows: {outcome:?}", rows.0);
+    common::record("panic_in_a_task", &experiment, |log| {
+        experiment.run_on(&mut arm, log, &Progress::default())
+    })?;
+    // It was stopped where it was: it comes to rest and is held.
+    let mut sample = Sample::new(arm.capabilities());
+    for _ in 0..300 {
+        arm.read(&mut sample)?;
+    }
+    assert!(arm.true_dq().amax() < 1e-3, "at rest, rad/s: {:?}", arm.true_dq());
+
+    let recording = Recording::read("runs/panic_in_a_task/run.mcap")?;
+    let outcome = OutcomeRecord::of(&recording);
+    let fault = outcome.fault.ok_or("the log says why the run ended")?;
+    assert!(fault.contains("panicked"), "{fault}");
+    let moved = recording.tick()?.signal("arm.velocity").ok_or("the task is in the log")?;
+    let last = moved.rows().last().ok_or("the log has rows")?[0];
+    println!("the joint moved at {last:.2} rad/s in the last cycle of the log, and is at rest now");
     Ok(())
 }

@@ -1,5 +1,5 @@
-//! Two arms on one clock: the joints of the second follow those of the first, 20 ms late, with jitter and loss. Each log is
-//! replayed alone.
+//! Two arms in one simulation, on one clock: the joints of the second follow those of the first, 20 ms late, with jitter and
+//! loss, while an elastic band pulls at both hands. Each log is replayed alone.
 //!
 //! `cargo run --release -p opspace --example two_arms` writes to `runs/leader` and `runs/follower`.
 
@@ -8,9 +8,16 @@
 #[path = "common/mod.rs"]
 mod common;
 
+use opspace::backend::quantity::NonNegative;
 use opspace::backend::{Backend, GroundTruth, TICK};
 use opspace::control_loop::{ChannelParameters, Driven, Link, Run, Timeline, drive_together};
 use opspace::experiment::{Choice, Experiment, Files, Progress, RunError};
+use opspace::log::Recording;
+use opspace::model::Placement;
+use opspace::sim::{ArmConfig, CouplingConfig, Simulation, SimulationConfig};
+
+/// Distance of the second arm's base from the first's, m.
+const APART_M: f64 = 0.6;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let load = |task: &str| {
@@ -19,10 +26,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let leader = load("tasks/joint-tracking.toml")?;
     let follower = load("examples/tasks/follower.toml")?;
-    let (mut first, mut second) = (leader.simulated_arm()?, follower.simulated_arm()?);
-    let capabilities = [&first, &second].map(|arm| arm.capabilities().clone());
-    let truths = [&first, &second].map(|arm| arm.ground_truth().map(GroundTruth::layouts));
-    let [leader_truth, follower_truth] = truths;
+
+    // One plant with both arms, beside each other, and a band from hand to hand.
+    let placement = Placement::from_rpy([0.0; 3], [0.0, APART_M, 0.0]);
+    let band = CouplingConfig {
+        name: "band".to_owned(),
+        first: (0, "hand".to_owned()),
+        second: (1, "hand".to_owned()),
+        stiffness_n_per_m: NonNegative::literal(100.0),
+        damping_ns_per_m: NonNegative::literal(2.0),
+    };
+    let arms = vec![leader.arm_config()?, ArmConfig { placement, ..follower.arm_config()? }];
+    let mut arms = Simulation::new(SimulationConfig { arms, couplings: vec![band] })?.into_arms();
+    let [first, second] = &mut arms[..] else { unreachable!("two arms were configured") };
+
+    let (capabilities, truth) = (first.capabilities().clone(), first.layouts());
+    let (follower_capabilities, follower_truth) = (second.capabilities().clone(), second.layouts());
     let progress = Progress::default();
     let mut timeline = Timeline::new(&[1000, 1000])?;
     let parameters =
@@ -33,9 +52,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut follower_result = None;
         let recorded = common::record("leader", &leader, |leader_file| {
             let (leading, mut leader_log) =
-                leader.open(&capabilities[0], leader_truth, leader_file, &progress)?;
+                leader.open(&capabilities, Some(truth), leader_file, &progress)?;
             let (following, mut follower_log) =
-                follower.open(&capabilities[1], follower_truth, follower_file, &progress)?;
+                follower.open(&follower_capabilities, Some(follower_truth), follower_file, &progress)?;
             let row = Run::layouts(&leading, None).swap_remove(TICK);
             let to = (1, &following.targets(), "joints");
             let link = Link::new(&timeline, (0, &row), to, &[("q", "q"), ("dq", "dq")], parameters);
@@ -43,8 +62,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let mut leading = Run::new(leading, leader.duration_s(), &mut leader_log);
             let mut following = Run::new(following, follower.duration_s(), &mut follower_log);
             let mut robots = [
-                Driven { backend: &mut first, run: &mut leading },
-                Driven { backend: &mut second, run: &mut following },
+                Driven { backend: first, run: &mut leading },
+                Driven { backend: second, run: &mut following },
             ];
             drive_together(&mut robots, &mut links, &mut timeline);
             let outcomes = [leading.finish(), following.finish()];
@@ -54,5 +73,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         });
         recorded.map_err(|error| RunError::Incomplete { what: error.to_string() })?;
         follower_result.expect("the leader was recorded, so was the follower")
-    })
+    })?;
+    println!("the band pulled with up to {:.2} N", largest_pull(&Recording::read("runs/leader/run.mcap")?)?);
+    Ok(())
+}
+
+/// Largest force of the band on the hand of an arm, N.
+fn largest_pull(log: &Recording) -> Result<f64, Box<dyn std::error::Error>> {
+    let truth = log.channel("truth").ok_or("a simulation logs its true state")?;
+    let force = truth.signal("band.force").ok_or("the band is in the true state")?;
+    Ok(force.rows().map(|f| f.iter().map(|f| f * f).sum::<f64>().sqrt()).fold(0.0, f64::max))
 }

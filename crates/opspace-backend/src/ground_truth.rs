@@ -10,6 +10,12 @@ pub trait GroundTruth {
     /// Visits the rows that belong to the last [`read`](crate::Backend::read), those of missed cycles included, in the
     /// order of time. Allocates nothing.
     fn visit(&self, visit: &mut dyn FnMut(TruthRow<'_>));
+
+    /// Number of the interface cycle of the next sample, where the simulation knows it; the first cycle is 0. The simulated
+    /// bus loses the cycles with lower numbers that were not read: several robots on one clock are read without them.
+    fn next_sample_cycle(&self) -> Option<u64> {
+        None
+    }
 }
 
 /// The layouts of the rows of a simulation.

@@ -105,6 +105,16 @@ impl Count {
     pub const fn get(self) -> u32 {
         self.0
     }
+
+    /// For defaults in code.
+    ///
+    /// # Panics
+    /// If `value` is zero (at compile time in a `const`).
+    #[must_use]
+    pub const fn literal(value: u32) -> Self {
+        assert!(value > 0);
+        Self(value)
+    }
 }
 
 /// Reads exactly N values: TOML's reader alone would take the first N of more.

@@ -3,6 +3,7 @@
 //! The layout of a row is fixed before the run, so that sampling only copies numbers.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 /// One named quantity of a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,6 +61,14 @@ impl Layout {
     #[must_use]
     pub fn width(&self) -> usize {
         self.signals.iter().map(Signal::len).sum()
+    }
+
+    /// Columns of a signal in a row; `None` if there is no signal of that name.
+    #[must_use]
+    pub fn columns(&self, signal: &str) -> Option<Range<usize>> {
+        let place = self.signals.iter().position(|known| known.name == signal)?;
+        let start = self.signals[..place].iter().map(Signal::len).sum();
+        Some(start..start + self.signals[place].len())
     }
 }
 

@@ -24,3 +24,8 @@ pub trait Sink {
     /// Called between two cycles, when a simulated robot may wait.
     fn between_ticks(&mut self) {}
 }
+
+/// Discards the rows.
+impl Sink for () {
+    fn row(&mut self, _channel: usize, _time_s: f64, _row: &[f64]) {}
+}

@@ -6,22 +6,26 @@
 //!
 //! ```
 //! use opspace_control::{
-//!     Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
+//!     Compensation, ControlContext, ControlInput, Controller, LimitParameters, Measurement,
 //!     OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 //! };
-//! use opspace_model::{Data, Model, aba, update};
+//! use opspace_model::{Data, Model, aba, frame_placement, update};
 //! use std::collections::BTreeMap;
 //!
-//! # let inertial = r#"<inertial><origin xyz="0 0 -0.2"/><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0"
-//! #     iyy="0.01" iyz="0" izz="0.001"/></inertial>"#;
-//! # let joint = |name: &str, parent: &str, child: &str, z: f64| format!(r#"<joint name="{name}" type="continuous">
-//! #     <parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {z}"/><axis xyz="0 1 0"/></joint>"#);
-//! # let urdf = format!(r#"<robot name="r"><link name="base"/><link name="upper">{inertial}</link>
-//! #     <link name="lower">{inertial}</link><link name="hand"/>{}{}
-//! #     <joint name="tip" type="fixed"><parent link="lower"/><child link="hand"/><origin xyz="0 0 -0.4"/></joint></robot>"#,
-//! #     joint("shoulder", "base", "upper", 0.0), joint("elbow", "upper", "lower", -0.4));
-//! // An arm of two joints in the x-z plane, from its URDF.
-//! let model = Model::from_urdf(&urdf)?.model;
+//! // An arm of two joints in the x-z plane: links of 0.4 m and 1 kg each.
+//! let urdf = r#"<robot name="arm">
+//!   <link name="base"/>
+//!   <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
+//!   <link name="upper"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/>
+//!     <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
+//!   <joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
+//!     <origin xyz="0 0 -0.4"/><axis xyz="0 1 0"/></joint>
+//!   <link name="lower"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/>
+//!     <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
+//!   <joint name="tip" type="fixed"><parent link="lower"/><child link="hand"/><origin xyz="0 0 -0.4"/></joint>
+//!   <link name="hand"/>
+//! </robot>"#;
+//! let model = Model::from_urdf(urdf)?.model;
 //! let task: BTreeMap<String, TaskParameters> = toml::from_str(r#"
 //!     [hand.cartesian]
 //!     frame = "hand"
@@ -36,13 +40,15 @@
 //!     compensation: Compensation::Bias,
 //!     limits: LimitParameters::default(),
 //! };
-//! let limits = JointLimits::of(&model);
-//! let context = ControlContext { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
+//! let context = ControlContext::new(&model, 1e-3);
 //! let mut controller = OperationalSpaceController::new(&model, &parameters, &context)?;
 //!
 //! let (mut data, mut seen, mut tau) = (Data::new(&model), Measurement::new(2, 0, false), [0.0; 2]);
 //! seen.q.copy_from_slice(&[0.3, -0.9]);
 //! let (no_targets, no_feedforward) = (Targets::none(), [0.0; 2]);
+//! assert!(update(&model, &mut data, seen.q.as_slice(), seen.dq.as_slice()));
+//! let hand = model.frame("hand")?;
+//! let start = frame_placement(&model, &data, hand).translation;
 //! for tick in 0..1500 {
 //!     seen.time_s = f64::from(tick) * context.period_s;
 //!     assert!(update(&model, &mut data, seen.q.as_slice(), seen.dq.as_slice()));
@@ -63,7 +69,8 @@
 //!     seen.dq += &data.ddq * context.period_s;
 //!     seen.q += &seen.dq * context.period_s;
 //! }
-//! assert!(seen.dq.norm() < 1e-3, "the arm has arrived");
+//! let moved = frame_placement(&model, &data, hand).translation - start;
+//! assert!((moved.x - 0.1).abs() < 1e-3 && (moved.z - 0.05).abs() < 1e-3, "the hand has arrived");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

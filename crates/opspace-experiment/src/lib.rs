@@ -1,4 +1,28 @@
 //! Robot and task files, experiments assembled from them, suites, metrics and reports.
+//!
+//! ```
+//! use opspace_experiment::run::replay::replay;
+//! use opspace_experiment::{Choice, Experiment, Files, Progress};
+//! use opspace_log::Recording;
+//! use std::io::Cursor;
+//!
+//! // A task file names its robot; `Files::Disk` reads files of your own.
+//! let task = "tasks/cartesian-tracking.toml".as_ref();
+//! let choice = Choice { duration_s: Some(2.0), ..Choice::default() };
+//! let experiment = Experiment::load(Files::Embedded, task, None, choice, &[])?;
+//!
+//! // Run in simulation, with the log to memory; a `File` does as well.
+//! let result = experiment.run(Cursor::new(Vec::new()), &Progress::default())?;
+//! let log = Recording::from_bytes(result.sink.get_ref())?;
+//! let summary = experiment.summary(&log, &result.record, None);
+//! assert_eq!(summary.faulted, None);
+//! assert!(summary.metrics.position_rms_m.ok_or("a Cartesian task")? < 1e-3);
+//!
+//! // Every row of the log is recomputed from its inputs, bit for bit.
+//! let report = replay(&experiment, &log)?;
+//! assert_eq!((report.compared as u64, report.differing), (experiment.ticks(), 0));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 

@@ -9,6 +9,54 @@
 //!
 //! T does not change when inertia, friction and kv are scaled together: the scale of torque comes from the motor's current,
 //! or from the inertia that URDF and rotor give, or is not known; [`TorqueScale`] says which.
+//!
+//! ```
+//! use opspace_backend::quantity::Positive;
+//! use opspace_backend::{Capabilities, CommandKind, Measured, Setpoints};
+//! use opspace_identify::session::ExcitationSession;
+//! use opspace_identify::{ExcitationPlan, KnownParameters, identify};
+//! use opspace_model::Model;
+//! use opspace_sim::{ArmConfig, SimulatedArm};
+//! use opspace_transformer::{CascadedServo, ServoParameters};
+//!
+//! // In place of a robot: a turntable of 0.6 kg m², whose servo has gains that the identification does not know.
+//! let urdf = r#"<robot name="turntable"><link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="disc"/><axis xyz="0 0 1"/></joint>
+//!   <link name="disc"><inertial><mass value="2"/>
+//!     <inertia ixx="0.3" ixy="0" ixz="0" iyy="0.3" iyz="0" izz="0.6"/></inertial></link></robot>"#;
+//! let servo = ServoParameters::Cascaded(CascadedServo {
+//!     kp_per_s: Positive::literal(20.0),
+//!     kv_nms_per_rad: Positive::literal(30.0),
+//!     velocity_filter_hz: Positive::literal(600.0),
+//!     velocity_integral_time_s: None,
+//! });
+//! let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
+//!     .measuring(&[Measured::MotorCurrent])
+//!     .simulated();
+//! let model = Model::from_urdf(urdf)?.model;
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model, capabilities, vec![servo]))?;
+//!
+//! let known = KnownParameters {
+//!     joint: 0,
+//!     servo_period_s: 2e-4,
+//!     ratio: 5,
+//!     set_points: Setpoints::Held,
+//!     lower: -1.0,
+//!     upper: 1.0,
+//!     speed_limit: 5.0,
+//!     torque_limit: 50.0,
+//!     resolution: 1e-6,
+//!     inertia: None,
+//! };
+//! let plan = ExcitationPlan { period_s: 1.0, realisations: 1, speeds: 3, ..ExcitationPlan::default() };
+//! let interrupted = |_ticks: u64| false;
+//! let mut session = ExcitationSession::begin(&mut arm, 1, &interrupted)?;
+//! let found = identify(&mut session, &known, &plan)?;
+//! let servo = found.servo.ok_or("a servo is identified")?;
+//! assert!((servo.kp / 20.0 - 1.0).abs() < 0.01);
+//! assert!((servo.kv / 30.0 - 1.0).abs() < 0.01);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 

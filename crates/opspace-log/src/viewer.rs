@@ -47,10 +47,10 @@ impl Viewer {
         let Some(channel) = layouts.iter().position(|l| l.channel == TICK) else {
             return Ok(None);
         };
-        let Some(q) = columns(layouts[channel], "q") else {
+        let Some(q) = layouts[channel].columns("q") else {
             return Ok(None);
         };
-        let alike = |name| columns(layouts[channel], name).filter(|c| c.len() == q.len());
+        let alike = |name| layouts[channel].columns(name).filter(|c| c.len() == q.len());
         let names = layouts[channel].signals.iter().find(|s| s.name == "q").map(|s| &s.elements);
         let joint = |name: &String| JointState { name: name.clone(), ..JointState::default() };
         let joints = names.into_iter().flatten().map(joint).collect();
@@ -140,10 +140,4 @@ pub(crate) fn nanoseconds(time_s: f64) -> u64 {
 fn timestamp(ns: u64) -> Timestamp {
     let (s, rest) = (ns / 1_000_000_000, (ns % 1_000_000_000) as u32);
     u32::try_from(s).map_or(Timestamp::MAX, |s| Timestamp::new(s, rest))
-}
-
-fn columns(layout: &Layout, name: &str) -> Option<Range<usize>> {
-    let index = layout.signals.iter().position(|s| s.name == name)?;
-    let start = layout.signals[..index].iter().map(opspace_backend::Signal::len).sum();
-    Some(start..start + layout.signals[index].len())
 }

@@ -3,7 +3,7 @@
 use crate::link::Link;
 use crate::run::Run;
 use crate::timeline::Timeline;
-use opspace_backend::{Backend, Sample};
+use opspace_backend::{Backend, GroundTruth, Sample};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Reads the robot, lets the run compute, and writes its command, until the run is over. The robot ends in its safe state,
@@ -30,7 +30,8 @@ pub struct Driven<'a, 'b> {
 }
 
 /// The same for several robots on one clock, whose cycles come in the order of `timeline`, with links between them. The
-/// robots end in their safe states when all runs are over; a panic of one stops all.
+/// robots end in their safe states when all runs are over; a panic of one stops all. A cycle that a simulated bus loses is
+/// left out, so that the arms of one simulation are read in the order of their samples.
 ///
 /// # Panics
 /// If the timeline or a link has a robot that is not among `robots`.
@@ -40,7 +41,7 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
         while robots.iter().any(|robot| !robot.run.is_over()) {
             let next = timeline.next_cycle();
             let Driven { backend, run } = &mut robots[next.robot];
-            if run.is_over() {
+            if run.is_over() || is_lost(*backend, timeline.number(next)) {
                 continue;
             }
             cycle(*backend, run, &mut samples[next.robot], &mut |run, clock_s| {
@@ -60,6 +61,12 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
         }
         backend.stop();
     }
+}
+
+/// Whether a robot's simulated bus loses the cycle of that number.
+fn is_lost(backend: &dyn Backend, number: u64) -> bool {
+    let next = backend.ground_truth().and_then(GroundTruth::next_sample_cycle);
+    next.is_some_and(|next| number < next)
 }
 
 fn prepare(backend: &mut dyn Backend, run: &mut Run<'_>) -> Sample {

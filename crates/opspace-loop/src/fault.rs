@@ -130,7 +130,9 @@ pub enum Fault {
         age_s: f64,
     },
     /// A part of the control loop panicked: a task, a controller or a backend of the user.
-    #[error("the control loop panicked; the message was printed to standard error")]
+    #[error(
+        "the control loop panicked; the message was printed to standard error, and the log ends before the panic"
+    )]
     Panicked,
 }
 

@@ -3,6 +3,51 @@
 //! [`ControlLoop::step`] turns a sample into a command. A [`Run`] adds duration, stop requests, rows and an outcome;
 //! [`drive()`] pulls the samples from a [`Backend`](opspace_backend::Backend). A robot with a callback of its own calls
 //! [`Run::cycle`].
+//!
+//! ```
+//! use opspace_backend::{Capabilities, CommandKind, TICK};
+//! use opspace_control::{
+//!     Compensation, ControlContext, JointGains, JointPostureParameters, LimitParameters,
+//!     OperationalSpaceController, TaskParameters, TaskSet,
+//! };
+//! use opspace_loop::{ControlLoop, LoopConfig, Run, RunOutcome, drive};
+//! use opspace_model::Model;
+//! use opspace_sim::{ArmConfig, SimulatedArm};
+//!
+//! // A rod of 2 kg, its centre of mass 0.5 m from the hinge, on a motor that takes torques.
+//! let urdf = r#"<robot name="pendulum">
+//!   <link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+//!   <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+//!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+//! </robot>"#;
+//! let model = Model::from_urdf(urdf)?.model;
+//! let capabilities = Capabilities::new(["hinge"], CommandKind::Torque, 1e-3).simulated();
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model.clone(), capabilities.clone(), vec![]))?;
+//!
+//! // One task: hold the posture of the start.
+//! let context = ControlContext::new(&model, capabilities.period_s);
+//! let hold = JointPostureParameters::new(JointGains::new(10.0, 1.0)?);
+//! let tasks = TaskSet::builder(&model, &context)
+//!     .from_parameters("hold", &TaskParameters::JointPosture(hold))?
+//!     .build();
+//! let limits = LimitParameters::default();
+//! let controller =
+//!     OperationalSpaceController::from_tasks(&model, tasks, &context, Compensation::Bias, &limits);
+//!
+//! // Two seconds of control; `()` discards the rows, which a recorder would log.
+//! let control = ControlLoop::new(LoopConfig::new(model, capabilities, Box::new(controller)))?;
+//! let mut rows = ();
+//! let mut run = Run::new(control, 2.0, &mut rows);
+//! drive(&mut arm, &mut run);
+//!
+//! // By hand: the torque that holds the rod level is −m g l.
+//! let layout = Run::layouts(run.control(), None).swap_remove(TICK);
+//! let torque = layout.columns("torque_desired").ok_or("a signal of each row")?;
+//! assert!((run.row()[torque.start] + 2.0 * 9.81 * 0.5).abs() < 1e-2);
+//! assert_eq!(run.finish(), RunOutcome::Completed);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 

@@ -6,7 +6,7 @@
 
 use crate::phase::Phase;
 use crate::timeline::Timeline;
-use opspace_backend::{Layout, Signal};
+use opspace_backend::Layout;
 use opspace_control::{InputHandle, TargetError, Targets, TaskHandle};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -73,7 +73,7 @@ impl Link {
         let task = targets.task(task)?;
         let mut found = Vec::new();
         for &(signal, input) in copies {
-            let (range, input) = (place(row, signal)?, targets.input(&task, input)?);
+            let (range, input) = (columns(row, signal)?, targets.input(&task, input)?);
             if range.len() != input.len() {
                 return Err(TargetError::Length { expected: input.len(), found: range.len() }.into());
             }
@@ -85,7 +85,7 @@ impl Link {
             to,
             task,
             copies: found,
-            phase: place(row, "phase")?.start,
+            phase: columns(row, "phase")?.start,
             channel: Channel::new(timeline, parameters, width)?,
             values: vec![0.0; width],
         })
@@ -130,12 +130,9 @@ impl Link {
     }
 }
 
-/// The places of a signal in a row.
-fn place(layout: &Layout, name: &str) -> Result<Range<usize>, LinkError> {
-    let before = layout.signals.iter().take_while(|signal| signal.name != name);
-    let start: usize = before.map(Signal::len).sum();
-    let signal = layout.signals.iter().find(|signal| signal.name == name);
-    signal.map(|signal| start..start + signal.len()).ok_or_else(|| LinkError::Signal(name.to_owned()))
+/// Columns of a signal in a row.
+fn columns(layout: &Layout, name: &str) -> Result<Range<usize>, LinkError> {
+    layout.columns(name).ok_or_else(|| LinkError::Signal(name.to_owned()))
 }
 
 /// Packets under way.

@@ -185,7 +185,8 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// A part of the loop panicked: nothing more is computed or recorded.
+    /// A part of the loop panicked: nothing more is computed or recorded. The inputs of the cycle of the panic are in no
+    /// row, unless it came after the row, from the sink or the backend; a replay recomputes the cycles before it.
     pub fn abandon(&mut self) {
         if self.outcome.is_none() {
             self.outcome = Some(RunOutcome::Faulted { fault: Fault::Panicked, time_s: self.time_s() });

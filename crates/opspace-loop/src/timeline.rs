@@ -69,6 +69,15 @@ impl Timeline {
         (duration_s * self.ticks_per_s as f64).round() as u64
     }
 
+    /// Number of a cycle among those of its robot; the first cycle is 0.
+    ///
+    /// # Panics
+    /// If the timeline has no such robot.
+    #[must_use]
+    pub fn number(&self, cycle: Cycle) -> u64 {
+        cycle.tick / self.robots[cycle.robot].period
+    }
+
     /// The next cycle, which is counted as done.
     pub fn next_cycle(&mut self) -> Cycle {
         let mut first = 0;
@@ -104,8 +113,12 @@ mod tests {
             expected.extend((0..2 * u64::from(rate)).map(|k| (k * 3000 / u64::from(rate), robot)));
         }
         expected.sort_unstable();
+        let mut counted = [0; 3];
         for (tick, robot) in expected {
-            assert_eq!(timeline.next_cycle(), Cycle { robot, tick });
+            let cycle = timeline.next_cycle();
+            assert_eq!(cycle, Cycle { robot, tick });
+            assert_eq!(timeline.number(cycle), counted[robot]);
+            counted[robot] += 1;
         }
     }
 

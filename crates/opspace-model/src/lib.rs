@@ -1,14 +1,24 @@
 //! Rigid-body kinematics and dynamics from URDF.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
-//! use opspace_model::{Data, Model, crba, forward_kinematics};
+//! use opspace_model::{Data, Model, crba, forward_kinematics, gravity};
 //!
+//! // A rod of 2 kg that turns about the y axis, its centre of mass 0.5 m from the hinge.
+//! let urdf = r#"<robot name="pendulum">
+//!   <link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+//!   <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+//!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+//! </robot>"#;
 //! let model = Model::from_urdf(urdf)?.model;
 //! let mut data = Data::new(&model);
-//! forward_kinematics(&model, &mut data, &[0.0, -1.2, 1.5, 0.3, 1.0, 0.0]);
+//! forward_kinematics(&model, &mut data, &[0.0]);
 //! crba(&model, &mut data);
-//! println!("M = {:.3} kg m²", data.mass_matrix);
+//! gravity(&model, &mut data);
+//!
+//! // By hand: M = m l² + I, and the torque that holds the rod level is −m g l.
+//! assert!((data.mass_matrix[(0, 0)] - (2.0 * 0.5 * 0.5 + 0.1)).abs() < 1e-12);
+//! assert!((data.gravity[0] + 2.0 * 9.81 * 0.5).abs() < 1e-12);
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 //!

@@ -118,4 +118,8 @@ impl GroundTruth for SimulatedArm {
         let arm = &self.simulation.borrow().arms[self.index];
         arm.rows.visit(&arm.timing, visit);
     }
+
+    fn next_sample_cycle(&self) -> Option<u64> {
+        Some(SimulatedArm::next_sample_cycle(self))
+    }
 }

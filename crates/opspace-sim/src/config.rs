@@ -84,6 +84,9 @@ impl ArmConfig {
         if !joints.eq(&self.capabilities.joints) {
             return Err(SimulationError::Joints { declared: self.capabilities.joints.clone() });
         }
+        if self.servos.len() != self.model.n() {
+            return Err(SimulationError::Servos { found: self.servos.len(), joints: self.model.n() });
+        }
         let truths = [
             ("servo", self.simulated.servo.keys().collect::<Vec<_>>()),
             ("friction", self.simulated.friction.keys().collect()),

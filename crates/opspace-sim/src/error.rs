@@ -37,6 +37,14 @@ pub enum SimulationError {
         /// What is wrong with it.
         source: ServoError,
     },
+    /// Another number of servos than of joints.
+    #[error("{found} servos for {joints} joints")]
+    Servos {
+        /// Number of servos.
+        found: usize,
+        /// n.
+        joints: usize,
+    },
     /// A servo of another kind than the robot needs.
     #[error("the servo of joint '{joint}' does not take {} setpoints: {} is missing", setpoints.name(), needed(joint, *setpoints))]
     ServoKind {
@@ -175,6 +183,7 @@ impl SimulationError {
             Self::Servo { joint, .. } | Self::ServoKind { joint, .. } => {
                 Key::Profile(vec!["servo".into(), joint.clone()])
             }
+            Self::Servos { .. } => Key::Profile(vec!["servo".into()]),
             Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
             Self::NoArm | Self::Coupling { .. } => Key::Task(Vec::new()),

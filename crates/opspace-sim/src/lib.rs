@@ -13,6 +13,45 @@
 //! A released brake leaves the arm to velocity servos whose integrals are zero: it sags until they carry its weight. A
 //! position robot's servos hold it whether or not it has brakes. Motors of a robot that compensates gravity by itself give
 //! torques without gravity, in the rows and in the samples.
+//!
+//! ```
+//! use opspace_backend::quantity::Positive;
+//! use opspace_backend::{Backend, Capabilities, Command, CommandKind, Measured, Sample};
+//! use opspace_model::Model;
+//! use opspace_sim::{ArmConfig, SimulatedArm};
+//! use opspace_transformer::{CascadedServo, ServoParameters};
+//!
+//! // A rod of 2 kg, its centre of mass 0.5 m from the hinge, moved by a position servo.
+//! let urdf = r#"<robot name="pendulum">
+//!   <link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+//!   <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+//!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+//! </robot>"#;
+//! let model = Model::from_urdf(urdf)?.model;
+//! let servo = ServoParameters::Cascaded(CascadedServo {
+//!     kp_per_s: Positive::literal(20.0),
+//!     kv_nms_per_rad: Positive::literal(30.0),
+//!     velocity_filter_hz: Positive::literal(600.0),
+//!     velocity_integral_time_s: None,
+//! });
+//! let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
+//!     .measuring(&[Measured::MotorCurrent])
+//!     .simulated();
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model, capabilities, vec![servo]))?;
+//! let mut sample = Sample::new(arm.capabilities());
+//! for _ in 0..2000 {
+//!     arm.read(&mut sample)?;
+//!     arm.write(Command::Position(&[0.0]))?;
+//! }
+//!
+//! // By hand: the motor carries m g l, and the servo sags by m g l/(kp kv) to make it.
+//! let weight_nm = 2.0 * 9.81 * 0.5;
+//! let torque = sample.motor_torque.ok_or("measured")?;
+//! assert!((torque[0] + weight_nm).abs() < 2e-3);
+//! assert!((sample.q[0] - weight_nm / (20.0 * 30.0)).abs() < 1e-5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 
@@ -27,6 +66,7 @@ pub mod external;
 pub mod fault;
 pub mod force_sensor;
 pub mod friction;
+mod ideal;
 pub mod integrator;
 mod interface;
 pub mod motor;

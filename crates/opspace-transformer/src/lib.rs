@@ -1,4 +1,42 @@
 //! Joint torques to the commands that make a robot's servos produce them.
+//!
+//! A [`Transformer`] computes the command; a [`ServoLaw`] is the servo that it inverts, tick by tick.
+//!
+//! ```
+//! use opspace_backend::quantity::Positive;
+//! use opspace_model::{Data, Model, kinematics};
+//! use opspace_transformer::{CascadedServo, PaperTransformer, ServoLaw, ServoParameters, Transformer};
+//!
+//! // A joint with a position servo: τ = kv [kp (q_desired − q) − q̇], at 5 kHz.
+//! let urdf = r#"<robot name="pendulum">
+//!   <link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+//!   <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+//!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+//! </robot>"#;
+//! let model = Model::from_urdf(urdf)?.model;
+//! let servo = ServoParameters::Cascaded(CascadedServo {
+//!     kp_per_s: Positive::literal(20.0),
+//!     kv_nms_per_rad: Positive::literal(30.0),
+//!     velocity_filter_hz: Positive::literal(600.0),
+//!     velocity_integral_time_s: None,
+//! });
+//! let period_s = 2e-4;
+//! let law = ServoLaw::new(&servo, period_s)?;
+//! let mut transformer = PaperTransformer::new(vec![servo.gains(period_s)]);
+//!
+//! // Someone turns the joint at 0.4 rad/s; 3 Nm are desired meanwhile.
+//! let (mut data, mut q_desired, mut torque) = (Data::new(&model), [0.0], 0.0);
+//! let (mut memory, _) = law.rest(0.0, 0.0);
+//! for tick in 0..100 {
+//!     let q = 0.4 * f64::from(tick) * period_s;
+//!     kinematics(&model, &mut data, &[q], &[0.4]);
+//!     transformer.transform(&data, &[3.0], &mut q_desired);
+//!     torque = law.step(&mut memory, q_desired[0], q);
+//! }
+//! assert!((torque - 3.0).abs() < 1e-9, "the servo produces it");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 

@@ -13,6 +13,71 @@
 //! | record, read and replay runs | [`log`] |
 //! | identify the servos of a robot | [`identify`] |
 //! | run robot and task files | [`experiment`] |
+//!
+//! A position robot that is compliant: its servo is stiff, the transformer makes it produce the torques of a task.
+//!
+//! ```
+//! use opspace::backend::quantity::Positive;
+//! use opspace::backend::{Backend, Capabilities, CommandKind, Measured, Sample};
+//! use opspace::control::{
+//!     Compensation, ControlContext, JointGains, JointPostureParameters, LimitParameters,
+//!     OperationalSpaceController, TaskParameters, TaskSet,
+//! };
+//! use opspace::control_loop::{ControlLoop, LoopConfig, Run, RunOutcome, drive};
+//! use opspace::model::Model;
+//! use opspace::sim::{ArmConfig, SimulatedArm};
+//! use opspace::transformer::{CascadedServo, PaperTransformer, ServoParameters};
+//!
+//! // A rod of 2 kg, its centre of mass 0.5 m from the hinge, moved by a position servo.
+//! let urdf = r#"<robot name="pendulum">
+//!   <link name="base"/>
+//!   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+//!   <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+//!     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+//! </robot>"#;
+//! let model = Model::from_urdf(urdf)?.model;
+//! let servo = ServoParameters::Cascaded(CascadedServo {
+//!     kp_per_s: Positive::literal(20.0),
+//!     kv_nms_per_rad: Positive::literal(30.0),
+//!     velocity_filter_hz: Positive::literal(600.0),
+//!     velocity_integral_time_s: None,
+//! });
+//! let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
+//!     .measuring(&[Measured::MotorCurrent])
+//!     .simulated();
+//! let gains = vec![servo.gains(2e-4)];
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model.clone(), capabilities.clone(), vec![servo]))?;
+//!
+//! // Tasks to torques: a posture held by a soft spring.
+//! let context = ControlContext::new(&model, capabilities.period_s);
+//! let hold = JointPostureParameters::new(JointGains::new(5.0, 1.0)?);
+//! let tasks = TaskSet::builder(&model, &context)
+//!     .from_parameters("hold", &TaskParameters::JointPosture(hold))?
+//!     .build();
+//! let limits = LimitParameters::default();
+//! let controller =
+//!     OperationalSpaceController::from_tasks(&model, tasks, &context, Compensation::Bias, &limits);
+//!
+//! // Torques to positions, and both in a loop around the robot.
+//! let control = ControlLoop::new(LoopConfig {
+//!     transformer: Box::new(PaperTransformer::new(gains.clone())),
+//!     servo_gains: gains,
+//!     ..LoopConfig::new(model, capabilities, Box::new(controller))
+//! })?;
+//! let mut rows = ();
+//! let mut run = Run::new(control, 2.0, &mut rows);
+//! drive(&mut arm, &mut run);
+//!
+//! assert_eq!(run.finish(), RunOutcome::Completed);
+//!
+//! // By hand: the motor carries m g l. The servo alone would sag by 16 mrad to make it.
+//! let mut sample = Sample::new(arm.capabilities());
+//! arm.read(&mut sample)?;
+//! let torque = sample.motor_torque.ok_or("measured")?;
+//! assert!((torque[0] + 2.0 * 9.81 * 0.5).abs() < 1e-2);
+//! assert!(sample.q[0].abs() < 1e-3);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 #![forbid(unsafe_code)]
 

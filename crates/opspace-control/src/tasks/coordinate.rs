@@ -7,8 +7,10 @@ use opspace_model::{Data, Model};
 ///
 /// All methods hold at any state, and none may allocate.
 pub trait Coordinate: Send + 'static {
-    /// Number of functions, from 1 to 6.
-    fn rows(&self) -> usize;
+    /// Number of functions, from 1 to 6; 1 unless the coordinate has more.
+    fn rows(&self) -> usize {
+        1
+    }
 
     /// x at the state of `data`, its elements first.
     fn value(&self, model: &Model, data: &Data) -> Vector6<f64>;

@@ -1,0 +1,132 @@
+//! An arm whose drives do exactly as they are commanded: the smallest simulation, without a robot file.
+
+use crate::config::ArmConfig;
+use crate::parameters::{
+    BrakeParameters, BristleParameters, EndStopParameters, ScaleParameters, SimulatedParameters,
+};
+use opspace_backend::quantity::{Count, NonNegative, Positive};
+use opspace_backend::{Capabilities, CommandKind};
+use opspace_model::{Model, Placement, neutral};
+use opspace_transformer::{
+    CascadedServo, EstimatorParameters, FrictionParameters, JointParameters, ProfileParameters,
+    RotorParameters, ServoParameters,
+};
+use std::collections::BTreeMap;
+
+/// Servo ticks per interface cycle.
+const SERVO_TICKS: Count = Count::literal(5);
+
+/// Physics steps per servo tick.
+const PHYSICS_STEPS: f64 = 2.0;
+
+/// Stiffness of brakes and end stops, Nm/rad.
+const STIFFNESS: Positive = Positive::literal(5000.0);
+
+/// Damping of brakes and end stops, Nms/rad.
+const DAMPING: NonNegative = NonNegative::literal(20.0);
+
+/// A value that is divided by and otherwise has no effect.
+const UNUSED: Positive = Positive::literal(1.0);
+
+impl ArmConfig {
+    /// An arm without friction, rotor inertia, delay, noise or encoder counts. Its motors produce at once the torques that
+    /// they are commanded, up to the efforts of the URDF; an effort of zero is no limit. It starts at rest at the neutral
+    /// position (all zeros) and touches nothing. Change the fields for any other.
+    ///
+    /// `servos` has one servo per joint (n); it is empty for a torque robot with brakes, which needs none. Servos run at five
+    /// times the interface rate, physics at ten times.
+    ///
+    /// # Panics
+    /// If the period of `capabilities` is not a finite number above zero.
+    #[must_use]
+    pub fn ideal(model: Model, capabilities: Capabilities, servos: Vec<ServoParameters>) -> Self {
+        let servo_hz = f64::from(SERVO_TICKS.get()) / capabilities.period_s;
+        assert!(servo_hz.is_finite() && servo_hz > 0.0, "a period of {} s", capabilities.period_s);
+        let needs_none = capabilities.command == CommandKind::Torque && capabilities.has_brakes;
+        Self {
+            joints: model.joints().iter().map(|joint| drive(joint.limits.effort)).collect(),
+            servos: if needs_none { vec![unused_servo(); model.n()] } else { servos },
+            profile: profile(servo_hz),
+            simulated: plant(servo_hz * PHYSICS_STEPS),
+            start: neutral(&model),
+            model,
+            capabilities,
+            placement: Placement::identity(),
+            environment: Vec::new(),
+            external_forces: false,
+            rest_s: 0.0,
+            seed: 0,
+        }
+    }
+}
+
+/// A drive with this torque limit (Nm) and nothing between motor and joint.
+fn drive(effort: f64) -> JointParameters {
+    JointParameters {
+        torque_limit_nm: Positive::try_from(effort).unwrap_or(Positive::literal(f64::MAX)),
+        torque_rate_limit_nm_per_s: None,
+        acceleration_limit_rad_per_s2: None,
+        rotor: RotorParameters {
+            inertia_kg_m2: NonNegative::default(),
+            gear_ratio: UNUSED,
+            encoder_counts_per_turn: Count::literal(1),
+        },
+        friction: FrictionParameters {
+            coulomb_nm: NonNegative::default(),
+            static_nm: NonNegative::default(),
+            stribeck_rad_per_s: UNUSED,
+            viscous_nms_per_rad: NonNegative::default(),
+        },
+    }
+}
+
+/// The servo of a robot whose drives never use one.
+fn unused_servo() -> ServoParameters {
+    ServoParameters::Cascaded(CascadedServo {
+        kp_per_s: UNUSED,
+        kv_nms_per_rad: UNUSED,
+        velocity_filter_hz: UNUSED,
+        velocity_integral_time_s: None,
+    })
+}
+
+fn profile(servo_hz: f64) -> ProfileParameters {
+    ProfileParameters {
+        servo_hz: Positive::literal(servo_hz),
+        ratio: SERVO_TICKS,
+        delay_servo_ticks: Some(0),
+        transformer: None,
+        refine: None,
+        estimator: EstimatorParameters::default(),
+        servo: BTreeMap::new(),
+        velocity_servo: BTreeMap::new(),
+        identified: BTreeMap::new(),
+    }
+}
+
+fn plant(physics_hz: f64) -> SimulatedParameters {
+    SimulatedParameters {
+        physics_hz: Positive::literal(physics_hz),
+        current_loop_hz: None,
+        torque_noise_nm: NonNegative::default(),
+        encoder_quantisation: false,
+        torque_saturation: true,
+        bristle: BristleParameters {
+            stiffness_nm_per_rad: UNUSED,
+            damping_nms_per_rad: NonNegative::default(),
+            damping_fades_over_rad_per_s: UNUSED,
+        },
+        end_stop: EndStopParameters { stiffness_nm_per_rad: STIFFNESS, damping_nms_per_rad: DAMPING },
+        brake: BrakeParameters {
+            slips_at_torque_limits: UNUSED,
+            stiffness_nm_per_rad: STIFFNESS,
+            damping_nms_per_rad: DAMPING,
+        },
+        force_sensor: BTreeMap::new(),
+        scale: ScaleParameters::default(),
+        bus: Default::default(),
+        servo: BTreeMap::new(),
+        friction: BTreeMap::new(),
+        delay_servo_ticks: None,
+    }
+}

@@ -1,0 +1,39 @@
+//! Ideal arms: nothing but rigid bodies and the commanded torques.
+
+use opspace_backend::{Backend, Capabilities, Command, CommandKind, Sample};
+use opspace_model::Model;
+use opspace_sim::{ArmConfig, SimulatedArm, SimulationError};
+
+/// A rod of 2 kg, its centre of mass 0.5 m from the hinge; 0.6 kg m² about the hinge.
+const URDF: &str = r#"<robot name="pendulum"><link name="base"/>
+    <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+    <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link></robot>"#;
+
+fn config(command: CommandKind) -> ArmConfig {
+    let model = Model::from_urdf(URDF).expect("the URDF").model;
+    ArmConfig::ideal(model, Capabilities::new(["hinge"], command, 1e-3).simulated(), Vec::new())
+}
+
+/// Compared: the speed of the rod that falls from level, and √(2 m g l sin q/I) of conserved energy.
+#[test]
+fn rod_without_torque_conserves_energy() {
+    /// Error of the integrator and of the angle at which the brake had held the rod, rad/s.
+    const TOLERANCE_RAD_PER_S: f64 = 1e-3;
+    let mut arm = SimulatedArm::new(config(CommandKind::Torque)).expect("an arm");
+    let mut sample = Sample::new(arm.capabilities());
+    for _ in 0..300 {
+        arm.read(&mut sample).expect("it can be read");
+        arm.write(Command::Torque(&[0.0])).expect("it takes torques");
+    }
+    let (q, dq) = (arm.true_q()[0], arm.true_dq()[0]);
+    assert!(q > 0.5, "it fell: {q} rad");
+    let expected = (2.0 * 2.0 * 9.81 * 0.5 * q.sin() / 0.6).sqrt();
+    assert!((dq - expected).abs() < TOLERANCE_RAD_PER_S, "{dq} rad/s, expected {expected}");
+}
+
+#[test]
+fn position_arm_without_servos_is_refused() {
+    let refused = SimulatedArm::new(config(CommandKind::Position)).err();
+    assert_eq!(refused, Some(SimulationError::Servos { found: 0, joints: 1 }));
+}
