@@ -23,11 +23,15 @@ struct Group<'a> {
     controller: &'a str,
     profile: &'a str,
     ratio: u64,
+    /// Name of the transformer; empty where torques or positions pass as they are.
+    transformer: &'a str,
 }
 
 impl<'a> Group<'a> {
+    /// The paper's transformer for a position or velocity robot under torque control.
     fn new(task: &'a str, backend: &'a str, controller: &'a str, profile: &'a str) -> Self {
-        Self { task, backend, controller, profile, ratio: 5 }
+        let transformer = if backend != "torque" && controller == "osc" { "paper" } else { "" };
+        Self { task, backend, controller, profile, ratio: 5, transformer }
     }
 
     fn paper(task: &'a str, profile: &'a str) -> Self {
@@ -56,11 +60,6 @@ impl Bench {
     }
 
     fn group(&self, group: Group<'_>) -> Vec<&Value> {
-        let transformer = if (group.backend, group.controller) == ("position", "osc") {
-            "paper".into()
-        } else {
-            Value::Null
-        };
         let rows: Vec<&Value> = (self.rows.iter())
             .filter(|row| {
                 row["task"] == group.task
@@ -68,7 +67,7 @@ impl Bench {
                     && row["controller"] == group.controller
                     && row["profile"] == group.profile
                     && row["ratio"] == group.ratio
-                    && row["transformer"] == transformer
+                    && row["transformer"].as_str().unwrap_or_default() == group.transformer
             })
             .collect();
         assert!(!rows.is_empty(), "no row of {group:?}");
@@ -92,6 +91,11 @@ fn every_experiment_ran_on_every_robot_and_controller() {
         for task in EVERYWHERE {
             bench.group(Group::paper(task, profile));
             bench.group(Group::new(task, "torque", "osc", profile));
+            for backend in ["position", "velocity"] {
+                let of = Group::new(task, backend, "osc", profile);
+                bench.group(Group { transformer: "emulation+current", ..of });
+            }
+            bench.group(Group::new(task, "velocity", "osc", profile));
             if task != "gravity-compensation" {
                 bench.group(Group::new(task, "position", "ik", profile));
                 bench.group(Group::new(task, "position", "ik-lead", profile));
@@ -238,6 +242,61 @@ const TORQUE: [&str; 3] = ["torque", "osc", ""];
 
 fn through(transformer: &str) -> [&str; 3] {
     ["position", "osc", transformer]
+}
+
+/// The tasks of the paper's suite with the largest torque error of interval means that each bears: those of the position
+/// rows; joint tracking as Cartesian tracking.
+const INTERVAL_BARS: [(&str, f64); 4] = [
+    ("gravity-compensation", 0.05),
+    ("joint-tracking", 0.05),
+    ("cartesian-tracking", 0.05),
+    ("compliant-x", 0.06),
+];
+
+fn velocity(transformer: &str) -> [&str; 3] {
+    ["velocity", "osc", transformer]
+}
+
+/// Compared: torque errors of the velocity rows of the paper's suite, and fixed bounds; those through `paper` and those
+/// through `emulation+current`.
+#[test]
+fn velocity_robots_get_the_torques() {
+    let Some(bench) = Bench::read() else { return };
+    let rows = Rows(bench);
+    let emulation = velocity("emulation+current");
+    for profile in PROFILES {
+        for (task, bound) in INTERVAL_BARS {
+            rows.below(bound, (task, emulation, profile, ""), INTERVAL);
+            let error = |control| rows.values(task, control, profile, "", INTERVAL).0;
+            let (paper, emulated) = (error(velocity("paper")), error(emulation));
+            assert!(paper > emulated, "{task} {profile}: paper {paper}, emulation+current {emulated}");
+        }
+    }
+}
+
+/// Compared: tracking, the operator's force and motion, and the motion across it, of the velocity robot through
+/// `emulation+current` and of the torque robot.
+#[test]
+fn velocity_robots_track_and_comply_as_torque_robots_do() {
+    let Some(bench) = Bench::read() else { return };
+    let rows = Rows(bench);
+    for profile in PROFILES {
+        let ratio = |task: &str, metric: &str| {
+            let of = |control| rows.values(task, control, profile, "", metric).0;
+            of(velocity("emulation+current")) / of(TORQUE)
+        };
+        let hand = ratio("cartesian-tracking", "position_rms_m");
+        assert!(hand <= 1.5, "{profile}: hand error {hand}");
+        let joints = ratio("joint-tracking", "joint_rms_rad");
+        assert!(joints <= 1.5, "{profile}: joint error {joints}");
+        for task in ["compliant-x", "gravity-compensation"] {
+            let (force, motion) = (ratio(task, "hand_force_rms_n"), ratio(task, "hand_motion_rms_m"));
+            assert!((0.9..=1.1).contains(&force), "{task} {profile}: operator's force {force}");
+            assert!(motion >= 0.9, "{task} {profile}: operator's motion {motion}");
+        }
+        let across = ratio("compliant-x", "position_rms_m");
+        assert!(across <= 1.2, "{profile}: y and z {across}");
+    }
 }
 
 /// What the suite of transformers must show, in the file that `OPSPACE_TRANSFORMER_JSON` names: torque errors and tracking of

@@ -33,7 +33,7 @@ use followed::Followed;
 use motion::{Motion, motions};
 use opspace_control::{ControlInput, Measurement, Targets, TaskParameters, TaskSet};
 use opspace_model::{Data, Model, update};
-pub use servo_gain::{GainMargin, gain_margin};
+pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 use std::collections::BTreeMap;
 
 /// Something that will go wrong.

@@ -7,7 +7,7 @@ use crate::output::pretty;
 use opspace_experiment::files::interface::CommandParameter;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::preflight::{GainMargin, gain_margin};
+use opspace_experiment::preflight::{GainMargin, ServoLoop, gain_margin};
 use opspace_experiment::{
     BackendKind, Choice, Experiment, Extensions, FileError, Files, Finding, Robot, Source, Suite, Task,
     findings,
@@ -98,13 +98,18 @@ fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
     suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
 }
 
-/// What a task's robot is: one that takes torques alone can't be a position robot.
+/// The robot that a task is checked for: the one that its file says it is.
 fn choice(task: &Path, extensions: &Extensions) -> Choice {
     let robot = Task::load_with(&extensions.tasks, Files::Disk, task, &[])
         .and_then(|task| Robot::load(Files::Disk, &task.robot_path(), &[]));
     match robot {
-        Ok(robot) if robot.file.interface.command == CommandParameter::Torque => {
-            Choice { backend: BackendKind::Torque, ..Choice::default() }
+        Ok(robot) => {
+            let backend = match robot.file.interface.command {
+                CommandParameter::Position => BackendKind::Position,
+                CommandParameter::Velocity => BackendKind::Velocity,
+                CommandParameter::Torque => BackendKind::Torque,
+            };
+            Choice { backend, ..Choice::default() }
         }
         // What is wrong with them is told when they are put together.
         _ => Choice::default(),
@@ -165,14 +170,17 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
     match checked {
         Ok(Checked { what, margin, found }) => {
             let findings: Vec<Value> = found.iter().map(told).collect();
-            let margin = margin.as_ref().map(|margin| {
-                json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
-            });
+            let margin_of = |servo_loop: ServoLoop| {
+                margin.as_ref().filter(|margin| margin.servo_loop == servo_loop).map(|margin| {
+                    json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
+                })
+            };
             json!({
                 "file": path,
                 "ok": true,
                 "is": what,
-                "position_gain_margin": margin,
+                "position_gain_margin": margin_of(ServoLoop::Position),
+                "velocity_gain_margin": margin_of(ServoLoop::Velocity),
                 "findings": findings,
             })
         }

@@ -1,0 +1,139 @@
+//! The parts of a control loop, and whether they fit together.
+
+use crate::safety::SafetyParameters;
+use opspace_backend::{Capabilities, CommandKind};
+use opspace_control::Controller;
+use opspace_model::{Model, UnknownFrame};
+use opspace_transformer::{EstimatorParameters, FrictionCompensation, Identity, ServoGains, Transformer};
+use thiserror::Error;
+
+/// The parts of a [`ControlLoop`](crate::ControlLoop).
+pub struct LoopConfig {
+    /// The robot's model.
+    pub model: Model,
+    /// Properties of the robot and its interface.
+    pub capabilities: Capabilities,
+    /// Tasks to torques, or to positions.
+    pub controller: Box<dyn Controller>,
+    /// Torques to what the robot takes.
+    pub transformer: Box<dyn Transformer>,
+    /// Gains of the servos of a position or velocity robot (n); not used for a torque robot.
+    pub servo_gains: Vec<ServoGains>,
+    /// Velocity estimate of a robot that measures positions only.
+    pub estimator: EstimatorParameters,
+    /// Friction compensation n̂, added to the controller's torques.
+    pub friction: FrictionCompensation,
+    /// Torque limits of the drives, Nm or N (n).
+    pub torque_limits: Vec<f64>,
+    /// Supervision.
+    pub safety: SafetyParameters,
+}
+
+impl LoopConfig {
+    /// A torque robot without friction compensation, with the torque limits of the URDF and default supervision. Change
+    /// the fields for any other.
+    #[must_use]
+    pub fn new(model: Model, capabilities: Capabilities, controller: Box<dyn Controller>) -> Self {
+        Self {
+            torque_limits: model.joints().iter().map(|joint| joint.limits.effort).collect(),
+            friction: FrictionCompensation::none(model.n()),
+            transformer: Box::new(Identity),
+            servo_gains: Vec::new(),
+            estimator: EstimatorParameters::default(),
+            safety: SafetyParameters::default(),
+            model,
+            capabilities,
+            controller,
+        }
+    }
+
+    /// Checks that the parts fit together.
+    pub(crate) fn check(&self) -> Result<(), LoopError> {
+        let LoopConfig { model, capabilities, controller, transformer, .. } = self;
+        let joints = model.n();
+        let names = || model.joints().iter().map(|joint| joint.name.clone());
+        if !names().eq(capabilities.joints.iter().cloned()) {
+            return Err(LoopError::Joints { robot: capabilities.joints.clone(), model: names().collect() });
+        }
+        let takes = capabilities.command;
+        let servos = if takes == CommandKind::Torque { joints } else { self.servo_gains.len() };
+        let lengths = [
+            ("torque_limits", self.torque_limits.len()),
+            ("servo_gains", servos),
+            ("friction", self.friction.joints()),
+        ];
+        for (what, found) in lengths {
+            if found != joints {
+                return Err(LoopError::Length { what, found, joints });
+            }
+        }
+        let value = |what, allowed, found| Err(LoopError::Value { what, allowed, found });
+        if !(capabilities.period_s.is_finite() && capabilities.period_s > 0.0) {
+            return value("the period in seconds", "finite and above 0", capabilities.period_s);
+        }
+        if let Some(&limit) = self.torque_limits.iter().find(|limit| limit.is_nan() || **limit <= 0.0) {
+            return value("a torque limit", "above 0", limit);
+        }
+        let gains = self.servo_gains.iter().flat_map(|servo| [servo.stiffness, servo.damping]);
+        if let Some(gain) =
+            gains.filter(|_| takes != CommandKind::Torque).find(|gain| !gain.is_finite() || *gain < 0.0)
+        {
+            return value("a servo gain", "finite and not below 0", gain);
+        }
+        let gives = controller.command_kind();
+        if gives != CommandKind::Torque && gives != takes {
+            return Err(LoopError::Kind { part: "controller", gives, takes });
+        }
+        if transformer.takes() != takes {
+            return Err(LoopError::Kind { part: "transformer", gives: transformer.takes(), takes });
+        }
+        Ok(())
+    }
+}
+
+/// Parts that do not fit together.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum LoopError {
+    /// A force sensor on a frame that the model does not have.
+    #[error("force sensor: {0}")]
+    Sensor(#[from] UnknownFrame),
+    /// Other joints than the model's.
+    #[error("the robot's joints {robot:?} are not the model's joints {model:?}")]
+    Joints {
+        /// Declared by the robot.
+        robot: Vec<String>,
+        /// In the model.
+        model: Vec<String>,
+    },
+    /// An array that does not have a value for each joint.
+    #[error("{what} has {found} values; the model has {joints} joints")]
+    Length {
+        /// Which array.
+        what: &'static str,
+        /// Its length.
+        found: usize,
+        /// n.
+        joints: usize,
+    },
+    /// A value out of range.
+    #[error("{what} must be {allowed}, found {found}")]
+    Value {
+        /// Which value.
+        what: &'static str,
+        /// The values allowed.
+        allowed: &'static str,
+        /// The value.
+        found: f64,
+    },
+    /// A controller or a transformer whose commands the robot does not take.
+    #[error("the {part} gives {} commands, and the robot takes {} commands", gives.name(), takes.name())]
+    Kind {
+        /// `controller` or `transformer`.
+        part: &'static str,
+        /// What it gives.
+        gives: CommandKind,
+        /// What the robot takes.
+        takes: CommandKind,
+    },
+}
