@@ -5,6 +5,7 @@
 //! language (25 % about its medians over ten seeds), or fixed bounds.
 
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::io::Write;
 
 const FILE: &str = "OPSPACE_BENCH_JSON";
@@ -226,6 +227,31 @@ impl Rows {
         (median, values[values.len() - 1])
     }
 
+    /// A metric of two kinds of control, the first over the second with the same seed: the median over the seeds of the first.
+    fn median_ratio(&self, controls: [[&str; 3]; 2], row: (&str, &str), metric: &str) -> f64 {
+        let (task, profile) = row;
+        let by_seed = controls.map(|[backend, controller, transformer]| {
+            let same = self.0.rows.iter().filter(|row| {
+                row["task"] == task
+                    && row["backend"] == backend
+                    && row["controller"] == controller
+                    && row["transformer"].as_str().unwrap_or_default() == transformer
+                    && row["profile"] == profile
+            });
+            let value = |row: &Value| Some((row["seed"].as_u64()?, row["metrics"][metric].as_f64()?));
+            same.filter_map(value).collect::<BTreeMap<u64, f64>>()
+        });
+        let [of, over] = &by_seed;
+        let what = format!("{controls:?} {row:?} {metric}");
+        assert!(of.len() >= 3, "three seeds of {what}: {of:?}");
+        let pair = |(seed, value): (&u64, &f64)| {
+            value / over.get(seed).unwrap_or_else(|| panic!("no seed {seed} of the other of {what}"))
+        };
+        let mut ratios: Vec<f64> = of.iter().map(pair).collect();
+        ratios.sort_by(f64::total_cmp);
+        0.5 * (ratios[(ratios.len() - 1) / 2] + ratios[ratios.len() / 2])
+    }
+
     /// The median of a metric is at most `bound`, and no seed's is more than one and a half times it.
     fn below(&self, bound: f64, row: (&str, [&str; 3], &str, &str), metric: &str) {
         let (task, control, profile, label) = row;
@@ -275,23 +301,22 @@ fn velocity_robots_get_the_torques() {
 }
 
 /// Compared: tracking, the operator's force and motion, and the motion across it, of the velocity robot through
-/// `emulation+current` and of the torque robot.
+/// `emulation+current` and of the torque robot, seed by seed. The arm may resist the operator less, but not more.
 #[test]
 fn velocity_robots_track_and_comply_as_torque_robots_do() {
     let Some(bench) = Bench::read() else { return };
     let rows = Rows(bench);
+    let emulation = velocity("emulation+current");
     for profile in PROFILES {
-        let ratio = |task: &str, metric: &str| {
-            let of = |control| rows.values(task, control, profile, "", metric).0;
-            of(velocity("emulation+current")) / of(TORQUE)
-        };
+        let ratio =
+            |task: &str, metric: &str| rows.median_ratio([emulation, TORQUE], (task, profile), metric);
         let hand = ratio("cartesian-tracking", "position_rms_m");
         assert!(hand <= 1.5, "{profile}: hand error {hand}");
         let joints = ratio("joint-tracking", "joint_rms_rad");
         assert!(joints <= 1.5, "{profile}: joint error {joints}");
         for task in ["compliant-x", "gravity-compensation"] {
             let (force, motion) = (ratio(task, "hand_force_rms_n"), ratio(task, "hand_motion_rms_m"));
-            assert!((0.9..=1.1).contains(&force), "{task} {profile}: operator's force {force}");
+            assert!(force <= 1.1, "{task} {profile}: operator's force {force}");
             assert!(motion >= 0.9, "{task} {profile}: operator's motion {motion}");
         }
         let across = ratio("compliant-x", "position_rms_m");

@@ -8,7 +8,7 @@ use serde::Deserialize;
 /// What stands under every table of results.
 pub const NOTES: &[&str] = &[
     "Every figure is from a simulation: one plant, one interface rate, one measurement and one estimator for \
-     position and torque robots alike. Parameters of the arm are partly assumed; its robot.toml says which.",
+     position, velocity and torque robots alike. Parameters of the arm are partly assumed; its robot.toml says which.",
     "Tracking alone is not the case for torque control: with velocity lead, inverse kinematics tracks as well. \
      Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
      could move.",
