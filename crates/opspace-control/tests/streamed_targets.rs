@@ -83,7 +83,17 @@ impl Bench {
         let targets = controller.targets();
         let (base, row) = (common::input(&model, &data, &measurement), row(&controller));
         controller.start(&ControlInput { targets: &targets, clock_s: CLOCK_S, ..base });
-        Self { data, measurement, controller, targets, torque: vec![0.0; 7], row, clock_s: CLOCK_S, period_s: PERIOD_S, model }
+        Self {
+            data,
+            measurement,
+            controller,
+            targets,
+            torque: vec![0.0; 7],
+            row,
+            clock_s: CLOCK_S,
+            period_s: PERIOD_S,
+            model,
+        }
     }
 
     fn hand(&self) -> CartesianTarget {

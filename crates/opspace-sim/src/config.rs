@@ -14,7 +14,9 @@ use nalgebra::{DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
-use opspace_transformer::{FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
+use opspace_transformer::{
+    FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
+};
 
 /// The configuration of a simulated arm.
 #[derive(Clone, Debug)]
@@ -228,7 +230,9 @@ impl ArmConfig {
     fn true_servo(&self, joint: usize, nominal: &ServoParameters) -> Option<ServoParameters> {
         let (simulated, name) = (&self.simulated, self.name(joint));
         match nominal.takes() {
-            CommandKind::Velocity => simulated.velocity_servo.get(name).copied().map(ServoParameters::Velocity),
+            CommandKind::Velocity => {
+                simulated.velocity_servo.get(name).copied().map(ServoParameters::Velocity)
+            }
             _ => simulated.servo.get(name).cloned(),
         }
     }

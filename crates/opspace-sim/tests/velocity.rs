@@ -218,7 +218,8 @@ fn each_robot_runs_the_true_servo_of_its_kind() {
 
     let mut setpoint = START;
     setpoint[0] += 1e-3;
-    let torque = first_torques(&mut with_truths(setup(CommandKind::Position, "a-med")), Command::Position(&setpoint));
+    let torque =
+        first_torques(&mut with_truths(setup(CommandKind::Position, "a-med")), Command::Position(&setpoint));
     let expected = CASCADE[0] * CASCADE[1] * 1e-3;
     assert!((torque[0] - expected).abs() < ROUNDING_NM, "{torque:?} for {expected}");
 }

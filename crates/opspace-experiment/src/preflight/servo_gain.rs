@@ -1,4 +1,4 @@
-//! How much higher than believed the gains of position loops may be: the stability margin of a transformer.
+//! How much higher than believed the gains of position or velocity loops may be: the stability margin of a transformer.
 //!
 //! A transformer takes the servo's own stiffness and damping away; of a position loop whose gain is (1 + ε) kp, and not
 //! kp, it takes away too little position and leaves ε kv q̇ in the direction of motion. With what damps the joints beside
@@ -13,6 +13,13 @@
 //!
 //! ```text
 //! 1 + ε < 1 + (1 + ε) kp t̄ + (b − b̂ + d)/kv
+//! ```
+//!
+//! A velocity robot has no position loop to be too stiff: a velocity loop of (1 + ε) kv makes (1 + ε) times every torque that
+//! is asked for. What is left of a compensation that then exceeds the friction drives the joint:
+//!
+//! ```text
+//! B + (1 + ε) (D − B̂)  is positive definite
 //! ```
 //!
 //! The bound that is told is not the formula's but that of the run itself: the experiment's own backend and transformer on
@@ -158,8 +165,13 @@ impl GainMargin {
             self.transformer,
         );
         let (profile, robot) = (experiment.profile().0, experiment.robot());
-        let gains = experiment.servo_gains().ok()?;
-        let damping = (LEAST_EXCESS - excess) * gains[robot.model.joint(joint).ok()?].damping;
+        let relief = match self.servo_loop {
+            ServoLoop::Position => {
+                let kv = experiment.servo_gains().ok()?[robot.model.joint(joint).ok()?].damping;
+                format!("damp joint '{joint}' by {} Nms/rad more", short((LEAST_EXCESS - excess) * kv))
+            }
+            ServoLoop::Velocity => format!("compensate less of the friction of joint '{joint}' or damp it"),
+        };
         let measured = robot.file.interface.measures.contains(&Measured::MotorCurrent);
         let name = if self.transformer.starts_with("paper") { "emulation" } else { &self.transformer };
         let current = match self.transformer.ends_with("+current") || !measured {
@@ -169,9 +181,7 @@ impl GainMargin {
             }
         };
         let help = format!(
-            "{current}damp joint '{joint}' by {} Nms/rad more, or believe the gains to be higher than they are: that only \
-             makes the arm sluggish",
-            short(damping),
+            "{current}{relief}, or believe the gains to be higher than they are: that only makes the arm sluggish",
         );
         Some(Finding::new(&["profile", profile, "transformer"], message, help).of_robot())
     }
