@@ -270,8 +270,8 @@ fn through(transformer: &str) -> [&str; 3] {
     ["position", "osc", transformer]
 }
 
-/// The tasks of the paper's suite with the largest torque error of interval means that each bears: those of the position
-/// rows; joint tracking as Cartesian tracking.
+/// Tasks of the paper's suite, each with the largest acceptable torque error of interval means: those of the position rows;
+/// joint tracking as Cartesian tracking.
 const INTERVAL_BARS: [(&str, f64); 4] = [
     ("gravity-compensation", 0.05),
     ("joint-tracking", 0.05),
