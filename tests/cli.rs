@@ -681,6 +681,9 @@ fn check_is_for_the_robot_of_the_file() {
         fs::copy(project(file), folder.path().join(file)).unwrap();
     }
     let text = read(project("robots/asimo-arm/robot.toml"));
+    // What a robot does on a missed cycle follows from what it takes.
+    let text: String =
+        text.split_inclusive('\n').filter(|line| !line.starts_with("on_missed_cycle")).collect();
     for (command, margin) in
         [("position", "position_gain_margin"), ("velocity", "velocity_gain_margin"), ("torque", "none")]
     {
