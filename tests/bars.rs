@@ -5,6 +5,7 @@
 //! language (25 % about its medians over ten seeds), or fixed bounds.
 
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::io::Write;
 
 const FILE: &str = "OPSPACE_BENCH_JSON";
@@ -23,11 +24,15 @@ struct Group<'a> {
     controller: &'a str,
     profile: &'a str,
     ratio: u64,
+    /// Name of the transformer; empty where torques or positions pass as they are.
+    transformer: &'a str,
 }
 
 impl<'a> Group<'a> {
+    /// The paper's transformer for a position or velocity robot under torque control.
     fn new(task: &'a str, backend: &'a str, controller: &'a str, profile: &'a str) -> Self {
-        Self { task, backend, controller, profile, ratio: 5 }
+        let transformer = if backend != "torque" && controller == "osc" { "paper" } else { "" };
+        Self { task, backend, controller, profile, ratio: 5, transformer }
     }
 
     fn paper(task: &'a str, profile: &'a str) -> Self {
@@ -56,11 +61,6 @@ impl Bench {
     }
 
     fn group(&self, group: Group<'_>) -> Vec<&Value> {
-        let transformer = if (group.backend, group.controller) == ("position", "osc") {
-            "paper".into()
-        } else {
-            Value::Null
-        };
         let rows: Vec<&Value> = (self.rows.iter())
             .filter(|row| {
                 row["task"] == group.task
@@ -68,7 +68,7 @@ impl Bench {
                     && row["controller"] == group.controller
                     && row["profile"] == group.profile
                     && row["ratio"] == group.ratio
-                    && row["transformer"] == transformer
+                    && row["transformer"].as_str().unwrap_or_default() == group.transformer
             })
             .collect();
         assert!(!rows.is_empty(), "no row of {group:?}");
@@ -92,6 +92,11 @@ fn every_experiment_ran_on_every_robot_and_controller() {
         for task in EVERYWHERE {
             bench.group(Group::paper(task, profile));
             bench.group(Group::new(task, "torque", "osc", profile));
+            for backend in ["position", "velocity"] {
+                let of = Group::new(task, backend, "osc", profile);
+                bench.group(Group { transformer: "emulation+current", ..of });
+            }
+            bench.group(Group::new(task, "velocity", "osc", profile));
             if task != "gravity-compensation" {
                 bench.group(Group::new(task, "position", "ik", profile));
                 bench.group(Group::new(task, "position", "ik-lead", profile));
@@ -222,6 +227,31 @@ impl Rows {
         (median, values[values.len() - 1])
     }
 
+    /// A metric of two kinds of control, the first over the second with the same seed: the median over the seeds of the first.
+    fn median_ratio(&self, controls: [[&str; 3]; 2], row: (&str, &str), metric: &str) -> f64 {
+        let (task, profile) = row;
+        let by_seed = controls.map(|[backend, controller, transformer]| {
+            let same = self.0.rows.iter().filter(|row| {
+                row["task"] == task
+                    && row["backend"] == backend
+                    && row["controller"] == controller
+                    && row["transformer"].as_str().unwrap_or_default() == transformer
+                    && row["profile"] == profile
+            });
+            let value = |row: &Value| Some((row["seed"].as_u64()?, row["metrics"][metric].as_f64()?));
+            same.filter_map(value).collect::<BTreeMap<u64, f64>>()
+        });
+        let [of, over] = &by_seed;
+        let what = format!("{controls:?} {row:?} {metric}");
+        assert!(of.len() >= 3, "three seeds of {what}: {of:?}");
+        let pair = |(seed, value): (&u64, &f64)| {
+            value / over.get(seed).unwrap_or_else(|| panic!("no seed {seed} of the other of {what}"))
+        };
+        let mut ratios: Vec<f64> = of.iter().map(pair).collect();
+        ratios.sort_by(f64::total_cmp);
+        0.5 * (ratios[(ratios.len() - 1) / 2] + ratios[ratios.len() / 2])
+    }
+
     /// The median of a metric is at most `bound`, and no seed's is more than one and a half times it.
     fn below(&self, bound: f64, row: (&str, [&str; 3], &str, &str), metric: &str) {
         let (task, control, profile, label) = row;
@@ -238,6 +268,60 @@ const TORQUE: [&str; 3] = ["torque", "osc", ""];
 
 fn through(transformer: &str) -> [&str; 3] {
     ["position", "osc", transformer]
+}
+
+/// Tasks of the paper's suite, each with the largest acceptable torque error of interval means: those of the position rows;
+/// joint tracking as Cartesian tracking.
+const INTERVAL_BARS: [(&str, f64); 4] = [
+    ("gravity-compensation", 0.05),
+    ("joint-tracking", 0.05),
+    ("cartesian-tracking", 0.05),
+    ("compliant-x", 0.06),
+];
+
+fn velocity(transformer: &str) -> [&str; 3] {
+    ["velocity", "osc", transformer]
+}
+
+/// Compared: torque errors of the velocity rows of the paper's suite, and fixed bounds; those through `paper` and those
+/// through `emulation+current`.
+#[test]
+fn velocity_robots_get_the_torques() {
+    let Some(bench) = Bench::read() else { return };
+    let rows = Rows(bench);
+    let emulation = velocity("emulation+current");
+    for profile in PROFILES {
+        for (task, bound) in INTERVAL_BARS {
+            rows.below(bound, (task, emulation, profile, ""), INTERVAL);
+            let error = |control| rows.values(task, control, profile, "", INTERVAL).0;
+            let (paper, emulated) = (error(velocity("paper")), error(emulation));
+            assert!(paper > emulated, "{task} {profile}: paper {paper}, emulation+current {emulated}");
+        }
+    }
+}
+
+/// Compared: tracking, the operator's force and motion, and the motion across it, of the velocity robot through
+/// `emulation+current` and of the torque robot, seed by seed. The arm may resist the operator less, but not more.
+#[test]
+fn velocity_robots_track_and_comply_as_torque_robots_do() {
+    let Some(bench) = Bench::read() else { return };
+    let rows = Rows(bench);
+    let emulation = velocity("emulation+current");
+    for profile in PROFILES {
+        let ratio =
+            |task: &str, metric: &str| rows.median_ratio([emulation, TORQUE], (task, profile), metric);
+        let hand = ratio("cartesian-tracking", "position_rms_m");
+        assert!(hand <= 1.5, "{profile}: hand error {hand}");
+        let joints = ratio("joint-tracking", "joint_rms_rad");
+        assert!(joints <= 1.5, "{profile}: joint error {joints}");
+        for task in ["compliant-x", "gravity-compensation"] {
+            let (force, motion) = (ratio(task, "hand_force_rms_n"), ratio(task, "hand_motion_rms_m"));
+            assert!(force <= 1.1, "{task} {profile}: operator's force {force}");
+            assert!(motion >= 0.9, "{task} {profile}: operator's motion {motion}");
+        }
+        let across = ratio("compliant-x", "position_rms_m");
+        assert!(across <= 1.2, "{profile}: y and z {across}");
+    }
 }
 
 /// What the suite of transformers must show, in the file that `OPSPACE_TRANSFORMER_JSON` names: torque errors and tracking of

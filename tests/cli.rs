@@ -670,6 +670,36 @@ fn every_shell_gets_its_completion() {
     opspace(folder.path(), &["completion", "csh"]).exits(2).says(&["bash"]);
 }
 
+/// The margin that is told of a task, and the kind of robot that its robot file states.
+#[test]
+fn check_is_for_the_robot_of_the_file() {
+    let folder = scratch();
+    let (robot, tasks) = (folder.path().join("robots/asimo-arm"), folder.path().join("tasks"));
+    fs::create_dir_all(&robot).unwrap();
+    fs::create_dir_all(&tasks).unwrap();
+    for file in ["robots/asimo-arm/asimo-arm.urdf", "tasks/gravity-compensation.toml"] {
+        fs::copy(project(file), folder.path().join(file)).unwrap();
+    }
+    let text = read(project("robots/asimo-arm/robot.toml"));
+    // What a robot does on a missed cycle follows from what it takes.
+    let text: String =
+        text.split_inclusive('\n').filter(|line| !line.starts_with("on_missed_cycle")).collect();
+    for (command, margin) in
+        [("position", "position_gain_margin"), ("velocity", "velocity_gain_margin"), ("torque", "none")]
+    {
+        let stated = "command = \"position\"";
+        assert!(text.contains(stated));
+        fs::write(robot.join("robot.toml"), text.replace(stated, &format!("command = \"{command}\"")))
+            .unwrap();
+        let arguments = ["check", "tasks/gravity-compensation.toml", "--json", "-"];
+        let json = opspace(folder.path(), &arguments).exits(0).json();
+        let file = &json["files"][0];
+        for key in ["position_gain_margin", "velocity_gain_margin"] {
+            assert_eq!(file[key].is_object(), key == margin, "{command}: {key} in {file}");
+        }
+    }
+}
+
 #[test]
 fn check_knows_what_a_file_is() {
     let folder = scratch();

@@ -11,7 +11,7 @@
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; freedom that nothing damps |
-//! | `servo_gain` | position loops that may hardly have more gain than is believed |
+//! | `servo_gain` | position or velocity loops that may hardly have more gain than is believed |
 //! | `times` | events and references that the run is too short for |
 //!
 //! The robot is the believed one, at the task's start posture, its tasks followed without error.
@@ -33,7 +33,7 @@ use followed::Followed;
 use motion::{Motion, motions};
 use opspace_control::{ControlInput, Measurement, Targets, TaskParameters, TaskSet};
 use opspace_model::{Data, Model, update};
-pub use servo_gain::{GainMargin, gain_margin};
+pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 use std::collections::BTreeMap;
 
 /// Something that will go wrong.

@@ -110,6 +110,10 @@ fn nothing_is_found_in_good_files() {
     for task in [HAND, JOINTS, TIP] {
         assert_eq!(findings(&experiment(task, &[], Choice::default(), &[])), []);
     }
+    let velocity = Choice { backend: BackendKind::Velocity, ..Choice::default() };
+    for task in [HAND, JOINTS] {
+        assert_eq!(findings(&experiment(task, &[], velocity.clone(), &[])), []);
+    }
     let mut seen = 0;
     for entry in fs::read_dir(root().join("tasks")).unwrap() {
         let path = entry.unwrap().path();
@@ -268,15 +272,17 @@ fn tracking(experiment: &Experiment) -> f64 {
     metrics(experiment, &recording).position_rms_m.unwrap()
 }
 
-/// What is found against simulated runs, on both kinds of robot and at 1 kHz and 200 Hz: at gains that are called
+/// What is found against simulated runs, on each kind of robot and at 1 kHz and 200 Hz: at gains that are called
 /// unstable the hand shakes; at those that are proposed it follows, and nothing is found.
 #[test]
 fn gains_that_are_too_stiff() {
     for (backend, profile, unstable) in [
         (BackendKind::Torque, "a-med", 800.0),
         (BackendKind::Position, "a-med", 1000.0),
+        (BackendKind::Velocity, "a-med", 1000.0),
         (BackendKind::Torque, "b-soft", 200.0),
         (BackendKind::Position, "b-soft", 300.0),
+        (BackendKind::Velocity, "b-soft", 300.0),
     ] {
         let choice =
             Choice { backend, profile: Some(profile.to_owned()), duration_s: Some(1.2), ..Choice::default() };
@@ -294,6 +300,8 @@ fn gains_that_are_too_stiff() {
         assert_eq!(found.len(), 1, "{case}: {found:#?}");
         let words = ["would be unstable on this robot: the phase margin is -", "Hz, on joint '", "has 45°"];
         assert_says(&found[0], "task.hand.cartesian.gains.frequency_rad_per_s", &words);
+        let has_servo = found[0].message.contains("beside the servo's lag");
+        assert_eq!(has_servo, backend != BackendKind::Torque, "{case}: {}", found[0].message);
         let proposed = found[0].help.split(' ').nth(2).unwrap().parse::<f64>().unwrap();
         let soft = with(proposed);
         assert_eq!(findings(&soft), [], "{case}");

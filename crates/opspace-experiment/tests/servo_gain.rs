@@ -1,9 +1,9 @@
-//! How much more gain than believed a position loop may have: what is told against a formula, and against runs of the
+//! How much more gain than believed a position or velocity loop may have: what is told against a formula, and against runs of the
 //! simulated robot.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_experiment::Progress;
-use opspace_experiment::preflight::gain_margin;
+use opspace_experiment::preflight::{ServoLoop, gain_margin};
 use opspace_experiment::{BackendKind, Choice, Experiment, Files};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
@@ -16,7 +16,13 @@ const EMULATION_CURRENT: &str = "transformer=\"emulation+current\"";
 
 /// A task on the ASIMO-like arm, with settings of its profile and others.
 fn experiment(task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
-    let choice = Choice { profile: Some(profile.to_owned()), duration_s: Some(3.0), ..Choice::default() };
+    on(BackendKind::Position, task, profile, transformer, settings)
+}
+
+/// The same on a robot of that kind.
+fn on(backend: BackendKind, task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
+    let profile_name = Some(profile.to_owned());
+    let choice = Choice { backend, profile: profile_name, duration_s: Some(3.0), ..Choice::default() };
     let transformer = format!("robot.profile.{profile}.{transformer}");
     let settings: Vec<String> = std::iter::once(transformer).chain(settings.iter().cloned()).collect();
     let path = format!("tasks/{task}.toml");
@@ -54,6 +60,40 @@ fn the_margin_is_the_formulas() {
                 );
             }
         }
+    }
+}
+
+/// The margin of a velocity robot's gravity compensation, whose torques a gain that is too high scales, against the formula
+/// (1 + ε) (gain b − d) < b of the joint with the most friction.
+#[test]
+fn the_margin_of_a_velocity_robot_is_the_formulas() {
+    // As above.
+    const TOLERANCE: f64 = 0.004;
+    const FRICTION_NMS_PER_RAD: f64 = 2.0;
+    for (profile, transformer, gain, damping) in [
+        ("a-med", PAPER, 0.8, 0.0),
+        ("a-med", EMULATION, 0.98, 0.0),
+        ("b-soft", PAPER, 0.98, 0.0),
+        ("b-soft", EMULATION, 0.8, 0.0),
+        ("b-soft", EMULATION, 0.8, 0.5),
+    ] {
+        let settings = [
+            format!("task.rest.joint-damping.damping_nms_per_rad={damping:?}"),
+            format!("friction_compensation.gain={gain:?}"),
+        ];
+        let experiment = on(BackendKind::Velocity, "gravity-compensation", profile, transformer, &settings);
+        let margin = gain_margin(&experiment).unwrap();
+        let told = margin.excess.unwrap();
+        let formula = FRICTION_NMS_PER_RAD / (gain * FRICTION_NMS_PER_RAD - damping) - 1.0;
+        let case = format!("{profile} {transformer} {gain} {damping}");
+        assert!((told - formula).abs() < TOLERANCE, "{case}: {told} for {formula}");
+        assert_eq!(margin.servo_loop, ServoLoop::Velocity);
+        let finding = margin.finding(&experiment);
+        let words = finding.map(|finding| format!("{} {}", finding.message, finding.help));
+        assert_eq!(words.is_some(), formula < 0.05, "{case}: {words:?}");
+        assert!(words.is_none_or(|words| {
+            words.contains("velocity loops may have only 2") && words.contains("compensate less")
+        }));
     }
 }
 

@@ -1,9 +1,13 @@
-//! Transformers and servo sections of robots that take velocities.
+//! Transformers, servo sections and results of robots that take velocities.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
-use opspace_experiment::{BackendKind, Choice, Experiment, FileError, Files, Robot, Source, Task};
+use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::report::page::{Shown, page};
+use opspace_experiment::{BackendKind, Choice, Experiment, FileError, Files, Progress, Robot, Source, Task};
+use opspace_log::Recording;
 use opspace_transformer::{Method, ServoParameters, TransformerKind};
+use std::io::Cursor;
 use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
@@ -145,4 +149,29 @@ fn missing_servos_are_named() {
     let error = edited(cascaded, misplaced).unwrap_err();
     assert!(error.message().contains("'elbow' takes velocities"), "{error}");
     assert!(error.help().unwrap().contains("[profile.a-med.velocity_servo.elbow]"), "{error}");
+}
+
+/// Compared: metrics and page of a short simulated run, and the quantity of a velocity robot's setpoints; its largest
+/// acceleration, and the largest of the recorded signal.
+#[test]
+fn setpoints_of_a_velocity_robot_are_shown_as_velocities() {
+    let choice = Choice { backend: BackendKind::Velocity, duration_s: Some(0.6), ..Choice::default() };
+    let settings = ["settle_s=0.0".to_owned()];
+    let path = Path::new("tasks/gravity-compensation.toml");
+    let experiment = Experiment::load(Files::Embedded, path, None, choice, &settings).unwrap();
+    let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let recording = Recording::from_bytes(finished.sink.get_ref()).unwrap();
+    let summary = experiment.summary(&recording, &finished.record, None);
+
+    let rates = recording.channel("tick").unwrap().signal("setpoint_acceleration").unwrap();
+    let largest =
+        rates.rows().flatten().filter(|rate| rate.is_finite()).fold(0.0, |max: f64, v| max.max(v.abs()));
+    assert!(largest > 0.0);
+    assert_eq!(summary.metrics.setpoint_acceleration_max_rad_per_s2, Some(largest));
+    assert_eq!(summary.metrics.set_point_speed_max_rad_per_s, None);
+
+    let shown = Shown::new(&experiment, &recording, summary.clone());
+    let page = page("Title", "Lead.", &[summary], MEASURES, &[shown]);
+    assert!(page.contains("gravity-compensation: velocity robot, osc through"));
+    assert!(page.contains("velocity (rad/s)"), "the figure of the setpoints");
 }

@@ -23,7 +23,8 @@ pub(crate) struct Guard {
     /// Torque per velocity of each servo, Nms/rad or Ns/m.
     damping: Vec<f64>,
     setpoint: DVector<f64>,
-    speed: DVector<f64>,
+    /// Rate of change of the setpoints, rad/s, m/s or rad/s², m/s² (n); within a cycle, the setpoints before.
+    rate: DVector<f64>,
     clamped: DVector<f64>,
     /// Whether there is a setpoint.
     is_set: bool,
@@ -63,7 +64,7 @@ impl Guard {
             period_s,
             damping: gains.iter().map(|servo| servo.damping).collect(),
             setpoint: DVector::from_element(n, f64::NAN),
-            speed: DVector::zeros(n),
+            rate: DVector::zeros(n),
             clamped: DVector::zeros(n),
             is_set: false,
             watchdog: Watchdog::new(parameters, torque_limits, &speeds, period_s),
@@ -125,11 +126,11 @@ impl Guard {
         Ok(())
     }
 
-    /// Begins a cycle in which setpoints are computed: remembers those before, for the signal of their speed. The first
-    /// ones count from the measured state.
+    /// Begins a cycle in which setpoints are computed: remembers those before, for the signal of their rate of
+    /// change. The first ones count from the measured state.
     pub(crate) fn begin(&mut self, measurement: &Measurement) {
         let before = if self.is_set { &self.setpoint } else { measured(self.kind, measurement) };
-        self.speed.copy_from(before);
+        self.rate.copy_from(before);
     }
 
     /// Takes the torques for which setpoints are computed, Nm or N (n).
@@ -170,8 +171,8 @@ impl Guard {
     /// Ends a cycle in which setpoints were computed.
     pub(crate) fn finish(&mut self, missed: u64) {
         let elapsed_s = self.period_s * (missed + 1) as f64;
-        for (speed, setpoint) in self.speed.iter_mut().zip(&self.setpoint) {
-            *speed = (setpoint - *speed) / elapsed_s;
+        for (rate, setpoint) in self.rate.iter_mut().zip(&self.setpoint) {
+            *rate = (setpoint - *rate) / elapsed_s;
         }
         self.is_set = true;
     }
@@ -179,7 +180,7 @@ impl Guard {
     /// A cycle in which the robot is held: the setpoints of a position robot stay, those of a velocity robot are zero.
     pub(crate) fn hold(&mut self) {
         self.stop_watching();
-        self.speed.fill(0.0);
+        self.rate.fill(0.0);
         if self.kind == CommandKind::Velocity {
             self.setpoint.fill(0.0);
         }
@@ -204,20 +205,20 @@ fn measured(kind: CommandKind, measurement: &Measurement) -> &DVector<f64> {
 
 impl Observable for Guard {
     fn signals(&self) -> Vec<Signal> {
-        let (setpoint, unit, speed_unit) = match self.kind {
-            CommandKind::Velocity => ("dq_desired", "rad/s", "rad/s^2"),
-            _ => ("q_desired", "rad", "rad/s"),
+        let [(setpoint, unit), (rate, rate_unit)] = match self.kind {
+            CommandKind::Velocity => [("dq_desired", "rad/s"), ("setpoint_acceleration", "rad/s^2")],
+            _ => [("q_desired", "rad"), ("setpoint_speed", "rad/s")],
         };
         vec![
             Signal::new(setpoint, unit, &self.joints),
-            Signal::new("setpoint_speed", speed_unit, &self.joints),
+            Signal::new(rate, rate_unit, &self.joints),
             Signal::new("setpoint_clamped", "1", &self.joints),
         ]
     }
 
     fn sample(&self, row: &mut Row<'_>) {
         row.put(self.setpoint.as_slice());
-        row.put(self.speed.as_slice());
+        row.put(self.rate.as_slice());
         row.put(self.clamped.as_slice());
     }
 }

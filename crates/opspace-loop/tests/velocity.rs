@@ -74,6 +74,30 @@ fn setpoints_within_reach_give_the_desired_torques() {
     assert_eq!(record.values(record.rows.len() - 1, "setpoint_clamped"), [0.0, 0.0]);
 }
 
+/// Compared: the signal of how fast setpoints change, its unit, and differences of the setpoints' own signal over the
+/// period, while the torque ramp raises them.
+#[test]
+fn rate_of_velocity_setpoints_is_an_acceleration() {
+    /// Rounding of velocities of order 1 rad/s over the period.
+    const ROUNDING_RAD_PER_S2: f64 = 1e-9;
+    const ROW: usize = 80;
+    let record = driven(weight_and(4.0), [0.3, -0.2], KV, 0);
+    let unit = |name: &str| {
+        let signal = record.layout.signals.iter().find(|signal| signal.name == name);
+        signal.map(|signal| signal.unit.to_string())
+    };
+    assert_eq!(unit("dq_desired").as_deref(), Some("rad/s"));
+    assert_eq!(unit("setpoint_acceleration").as_deref(), Some("rad/s^2"));
+    assert_eq!(unit("setpoint_speed"), None);
+    let [before, now] = [ROW - 1, ROW].map(|row| record.values(row, "dq_desired"));
+    let rate = record.values(ROW, "setpoint_acceleration");
+    for joint in 0..2 {
+        let expected = (now[joint] - before[joint]) / PERIOD_S;
+        assert!((rate[joint] - expected).abs() < ROUNDING_RAD_PER_S2, "{rate:?} for {expected}");
+        assert!(expected.abs() > 1e-3, "{expected}: setpoints move");
+    }
+}
+
 /// Compared: the last command of a run, at rest and at a velocity within reach, and the weight by hand over kv: the servo's
 /// damping brakes. A joint that is faster gets the torque limit over kv below its velocity.
 #[test]

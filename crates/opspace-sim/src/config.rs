@@ -15,7 +15,7 @@ use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation};
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
 use opspace_transformer::{
-    FrictionParameters, JointParameters, ProfileParameters, ServoError, ServoLaw, ServoParameters,
+    FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
 
 /// The configuration of a simulated arm.
@@ -89,6 +89,7 @@ impl ArmConfig {
         }
         let truths = [
             ("servo", self.simulated.servo.keys().collect::<Vec<_>>()),
+            ("velocity_servo", self.simulated.velocity_servo.keys().collect()),
             ("friction", self.simulated.friction.keys().collect()),
         ];
         for (section, joints) in truths {
@@ -210,36 +211,60 @@ impl ArmConfig {
     }
 
     pub(crate) fn true_servos(&self, period_s: f64) -> Result<Vec<ServoLaw>, SimulationError> {
+        self.check_true_position_servos()?;
         let scale = &self.simulated.scale;
         (self.servos.iter().enumerate())
             .map(|(joint, nominal)| {
-                let servo = self.simulated.servo.get(self.name(joint)).unwrap_or(nominal);
-                self.check_servo(joint, servo)?;
-                let servo = servo.scaled(scale.kp.get(), scale.kv.get());
-                ServoLaw::new(&servo, period_s).map_err(|source| self.servo_error(joint, source))
+                self.check_servo(joint, nominal)?;
+                let truth = self.true_servo(joint, nominal);
+                let servo = truth.as_ref().unwrap_or(nominal).scaled(scale.kp.get(), scale.kv.get());
+                ServoLaw::new(&servo, period_s).map_err(|source| SimulationError::Servo {
+                    joint: self.name(joint).to_owned(),
+                    setpoints: nominal.takes(),
+                    truth: truth.is_some(),
+                    source,
+                })
             })
             .collect()
     }
 
-    /// Refuses a servo that does not take the setpoints that the drives have for it.
-    fn check_servo(&self, joint: usize, servo: &ServoParameters) -> Result<(), SimulationError> {
+    /// The true servo of a joint, from the table for servos of the same kind as the nominal one; `None` if it is the
+    /// nominal one.
+    fn true_servo(&self, joint: usize, nominal: &ServoParameters) -> Option<ServoParameters> {
+        let (simulated, name) = (&self.simulated, self.name(joint));
+        match nominal.takes() {
+            CommandKind::Velocity => {
+                simulated.velocity_servo.get(name).copied().map(ServoParameters::Velocity)
+            }
+            _ => simulated.servo.get(name).cloned(),
+        }
+    }
+
+    /// Refuses velocity servos in the table of the true position servos.
+    fn check_true_position_servos(&self) -> Result<(), SimulationError> {
+        let mut servos = self.simulated.servo.iter();
+        match servos.find(|(_, servo)| servo.takes() == CommandKind::Velocity) {
+            None => Ok(()),
+            Some((joint, _)) => Err(SimulationError::ServoKind {
+                joint: joint.clone(),
+                truth: true,
+                setpoints: CommandKind::Position,
+            }),
+        }
+    }
+
+    /// Refuses a nominal servo that does not take the setpoints that the drives have for it.
+    fn check_servo(&self, joint: usize, nominal: &ServoParameters) -> Result<(), SimulationError> {
         let setpoints = match self.capabilities.command {
             // The motors take torques, and brakes hold the arm.
             CommandKind::Torque if self.capabilities.has_brakes => return Ok(()),
             CommandKind::Torque | CommandKind::Position => CommandKind::Position,
             CommandKind::Velocity => CommandKind::Velocity,
         };
-        if servo.takes() == setpoints {
+        if nominal.takes() == setpoints {
             return Ok(());
         }
-        let joint = self.name(joint).to_owned();
-        let truth = self.simulated.servo.contains_key(&joint);
-        Err(SimulationError::ServoKind { joint, truth, setpoints })
-    }
-
-    fn servo_error(&self, joint: usize, source: ServoError) -> SimulationError {
-        let joint = self.name(joint).to_owned();
-        SimulationError::Servo { truth: self.simulated.servo.contains_key(&joint), joint, source }
+        Err(SimulationError::ServoKind { joint: self.name(joint).to_owned(), truth: false, setpoints })
     }
 
     /// The rigid bodies in the plant.

@@ -32,6 +32,8 @@ pub enum SimulationError {
     Servo {
         /// Its joint.
         joint: String,
+        /// The kind of its setpoints.
+        setpoints: CommandKind,
         /// Whether it is the true one, not the one that is believed.
         truth: bool,
         /// What is wrong with it.
@@ -46,7 +48,7 @@ pub enum SimulationError {
         joints: usize,
     },
     /// A servo of another kind than the robot needs.
-    #[error("the servo of joint '{joint}' does not take {} setpoints: {} is missing", setpoints.name(), needed(joint, *setpoints))]
+    #[error("the servo of joint '{joint}' does not take {} setpoints: {} is missing", setpoints.name(), needed(joint, *truth, *setpoints))]
     ServoKind {
         /// Its joint.
         joint: String,
@@ -154,13 +156,22 @@ pub enum SimulationError {
     },
 }
 
-/// The section that a servo of the kind would be.
-fn needed(joint: &str, setpoints: CommandKind) -> String {
+/// The table of the servos of a kind, in a profile and in `[simulated]`.
+fn table(setpoints: CommandKind) -> &'static str {
+    match setpoints {
+        CommandKind::Velocity => "velocity_servo",
+        CommandKind::Position | CommandKind::Torque => "servo",
+    }
+}
+
+/// The section that a servo of the kind would be: of `[simulated]`, or of the profile in use.
+fn needed(joint: &str, truth: bool, setpoints: CommandKind) -> String {
+    let root = if truth { "simulated." } else { "" };
     let kind = match setpoints {
-        CommandKind::Velocity => "velocity",
-        CommandKind::Position | CommandKind::Torque => "cascaded, .pid or .transfer-function",
+        CommandKind::Velocity => "",
+        CommandKind::Position | CommandKind::Torque => ".cascaded, .pid or .transfer-function",
     };
-    format!("servo.{joint}.{kind}")
+    format!("{root}{}.{joint}{kind}", table(setpoints))
 }
 
 impl SimulationError {
@@ -177,11 +188,12 @@ impl SimulationError {
             Self::Joint { section, source } => {
                 Key::Robot(vec!["simulated".into(), (*section).into(), source.name.clone()])
             }
-            Self::Servo { joint, truth: true, .. } | Self::ServoKind { joint, truth: true, .. } => {
-                Key::Robot(vec!["simulated".into(), "servo".into(), joint.clone()])
-            }
-            Self::Servo { joint, .. } | Self::ServoKind { joint, .. } => {
-                Key::Profile(vec!["servo".into(), joint.clone()])
+            Self::Servo { joint, setpoints, truth, .. } | Self::ServoKind { joint, setpoints, truth } => {
+                let own = [table(*setpoints).to_owned(), joint.clone()];
+                match truth {
+                    true => Key::Robot(std::iter::once("simulated".to_owned()).chain(own).collect()),
+                    false => Key::Profile(own.into()),
+                }
             }
             Self::Servos { .. } => Key::Profile(vec!["servo".into()]),
             Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),

@@ -126,6 +126,7 @@ fn plant(physics_hz: f64) -> SimulatedParameters {
         scale: ScaleParameters::default(),
         bus: Default::default(),
         servo: BTreeMap::new(),
+        velocity_servo: BTreeMap::new(),
         friction: BTreeMap::new(),
         delay_servo_ticks: None,
     }

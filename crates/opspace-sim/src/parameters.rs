@@ -3,7 +3,7 @@
 
 use crate::bus::BusParameters;
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_transformer::{FrictionParameters, ServoParameters};
+use opspace_transformer::{FrictionParameters, ServoParameters, VelocityServo};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -40,9 +40,12 @@ pub struct SimulatedParameters {
     /// What the field bus loses and delays; nothing if absent.
     #[serde(default)]
     pub bus: BusParameters,
-    /// True servos, by joint name, where they aren't the believed ones; `scale` is of these.
+    /// True position servos, by joint name, where they aren't the nominal ones; `scale` is of these.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
+    /// True velocity servos, by joint name, where they aren't the nominal ones; `scale` is of these.
+    #[serde(default)]
+    pub velocity_servo: BTreeMap<String, VelocityServo>,
     /// True friction, by joint name, where it isn't the believed one; `scale` is of this.
     #[serde(default)]
     pub friction: BTreeMap<String, FrictionParameters>,

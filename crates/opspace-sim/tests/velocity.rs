@@ -138,20 +138,90 @@ fn velocity_robot_without_brakes_holds_by_its_integral_or_sags() {
     assert!(expected.amax() > 5.0 * SAG_RAD_PER_S);
 }
 
-/// Compared: robots whose profile has servos of another kind, and the error that names the joint and what is missing.
+/// Compared: robots whose profile, or simulation, has servos of another kind, and the error with the key as files have it.
 #[test]
 fn servo_of_another_kind_is_refused() {
     let refused = |config: ArmConfig| SimulatedArm::new(config).err().expect("refused");
     let joint = "shoulder_pitch".to_owned();
+    let path = |parts: &[&str]| parts.iter().map(|part| (*part).to_owned()).collect::<Vec<_>>();
+
     let error = refused(setup(CommandKind::Velocity, "a-med"));
     let setpoints = CommandKind::Velocity;
     assert_eq!(error, SimulationError::ServoKind { joint: joint.clone(), truth: false, setpoints });
-    assert!(error.to_string().contains("servo.shoulder_pitch.velocity is missing"), "{error}");
-    assert_eq!(error.key(), Key::Profile(vec!["servo".to_owned(), joint.clone()]));
+    assert!(error.to_string().ends_with(": velocity_servo.shoulder_pitch is missing"), "{error}");
+    assert_eq!(error.key(), Key::Profile(path(&["velocity_servo", "shoulder_pitch"])));
+
     let mut position = velocity_robot(false, 0.0);
     position.capabilities.command = CommandKind::Position;
+    let error = refused(position);
     let setpoints = CommandKind::Position;
-    assert_eq!(refused(position), SimulationError::ServoKind { joint, truth: false, setpoints });
+    assert_eq!(error, SimulationError::ServoKind { joint: joint.clone(), truth: false, setpoints });
+    assert!(error.to_string().contains(": servo.shoulder_pitch.cascaded, .pid"), "{error}");
+    assert_eq!(error.key(), Key::Profile(path(&["servo", "shoulder_pitch"])));
+
+    let mut misplaced = velocity_robot(false, 0.0);
+    misplaced.simulated.servo.insert(joint.clone(), misplaced.servos[0].clone());
+    let error = refused(misplaced);
+    assert_eq!(error, SimulationError::ServoKind { joint, truth: true, setpoints });
+    assert!(error.to_string().contains(": simulated.servo.shoulder_pitch.cascaded, .pid"), "{error}");
+    assert_eq!(error.key(), Key::Robot(path(&["simulated", "servo", "shoulder_pitch"])));
+}
+
+/// Compared: the key of the error for a servo that holds no torque, by its kind, nominal and true.
+#[test]
+fn servo_that_holds_nothing_is_named_by_its_table() {
+    /// A gain so low that the setpoint for a torque of 1 Nm is beyond all bounds.
+    const NO_GAIN: &str = "kv_nms_per_rad = 1e-13\nvelocity_filter_hz = 600.0";
+    let joint = "shoulder_pitch".to_owned();
+    let key = |config: ArmConfig| SimulatedArm::new(config).err().expect("refused").key();
+
+    let mut nominal = velocity_robot(false, 0.0);
+    nominal.servos[0] = ServoParameters::Velocity(parsed(NO_GAIN));
+    assert_eq!(key(nominal), Key::Profile(vec!["velocity_servo".to_owned(), joint.clone()]));
+
+    let mut truth = velocity_robot(false, 0.0);
+    truth.simulated.velocity_servo.insert(joint.clone(), parsed(NO_GAIN));
+    let expected = vec!["simulated".to_owned(), "velocity_servo".to_owned(), joint];
+    assert_eq!(key(truth), Key::Robot(expected));
+}
+
+/// Compared: first torques of a joint with a true servo of each kind in one file, on a velocity and on a position robot, and
+/// the gains of the one for the robot's setpoints.
+#[test]
+fn each_robot_runs_the_true_servo_of_its_kind() {
+    /// Rounding of a position error, times the stiffness.
+    const ROUNDING_NM: f64 = 1e-9;
+    const TRUE_KV: f64 = 60.0;
+    const CASCADE: [f64; 2] = [30.0, 50.0];
+    let with_truths = |mut config: ArmConfig| {
+        let joint = || "shoulder_pitch".to_owned();
+        let velocity = format!("kv_nms_per_rad = {TRUE_KV:.1}\nvelocity_filter_hz = 600.0");
+        let [kp, kv] = CASCADE;
+        let position = format!(
+            "cascaded = {{ kp_per_s = {kp:.1}, kv_nms_per_rad = {kv:.1}, velocity_filter_hz = 600.0 }}"
+        );
+        config.simulated.velocity_servo.insert(joint(), parsed(&velocity));
+        config.simulated.servo.insert(joint(), parsed(&position));
+        arm(config)
+    };
+    let first_torques = |arm: &mut SimulatedArm, command: Command<'_>| {
+        read(arm);
+        arm.write(command).expect("it takes them");
+        read(arm);
+        servo_rows(arm)[0].1.clone()
+    };
+
+    let robot = velocity_robot(true, 0.0);
+    let torque = first_torques(&mut with_truths(robot), Command::Velocity(&[0.1, 0.1, 0.0, 0.0]));
+    assert!((torque[0] - TRUE_KV * 0.1).abs() < ROUNDING_NM, "{torque:?}");
+    assert!((torque[1] - KV * 0.1).abs() < ROUNDING_NM, "the nominal one of the next joint: {torque:?}");
+
+    let mut setpoint = START;
+    setpoint[0] += 1e-3;
+    let torque =
+        first_torques(&mut with_truths(setup(CommandKind::Position, "a-med")), Command::Position(&setpoint));
+    let expected = CASCADE[0] * CASCADE[1] * 1e-3;
+    assert!((torque[0] - expected).abs() < ROUNDING_NM, "{torque:?} for {expected}");
 }
 
 /// Compared: a torque robot without brakes before its first command and after a hold, and its position: its servos hold it.

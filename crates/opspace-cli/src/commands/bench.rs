@@ -67,9 +67,9 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     Ok(worst.unwrap_or(Exit::Done))
 }
 
-const LEAD: &str = "The same task file drives a position robot through the torque-to-position transformer, a \
-                    true torque robot, and a position robot by inverse kinematics; below is how close each came, \
-                    and what the hand that holds it felt.";
+const LEAD: &str = "The same task file drives position and velocity robots through a transformer of torques to \
+                    setpoints, a true torque robot, and a position robot by inverse kinematics; below is how close each \
+                    came, and what the hand that holds it felt.";
 
 /// Runs the experiments, several at once, each on one thread; results in their order.
 fn run_all(

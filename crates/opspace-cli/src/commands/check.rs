@@ -7,7 +7,7 @@ use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::preflight::{GainMargin, gain_margin, not_checked};
+use opspace_experiment::preflight::{GainMargin, ServoLoop, gain_margin, not_checked};
 use opspace_experiment::{
     Choice, Experiment, Extensions, FileError, Files, Finding, Robot, Source, Suite, findings,
 };
@@ -160,14 +160,17 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         Ok(Checked { what, margin, found, skipped }) => {
             let [findings, not_checked] =
                 [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
-            let margin = margin.as_ref().map(|margin| {
-                json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
-            });
+            let margin_of = |servo_loop: ServoLoop| {
+                margin.as_ref().filter(|margin| margin.servo_loop == servo_loop).map(|margin| {
+                    json!({ "excess": margin.excess, "joint": margin.joint, "transformer": margin.transformer })
+                })
+            };
             json!({
                 "file": path,
                 "ok": true,
                 "is": what,
-                "position_gain_margin": margin,
+                "position_gain_margin": margin_of(ServoLoop::Position),
+                "velocity_gain_margin": margin_of(ServoLoop::Velocity),
                 "findings": findings,
                 "not_checked": not_checked,
             })

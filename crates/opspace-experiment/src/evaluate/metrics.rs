@@ -45,8 +45,10 @@ pub struct Metrics {
     /// What of the torque error is within the intervals, √(e_servo² − e_interval²) in Nm, over what a held set-point must
     /// leave there at the speeds of the run; `None` where none is held.
     pub hold_ripple: Option<f64>,
-    /// Highest speed of a set-point, rad/s.
+    /// Highest speed of a position setpoint, rad/s.
     pub set_point_speed_max_rad_per_s: Option<f64>,
+    /// Highest acceleration of a velocity setpoint, rad/s².
+    pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
     /// Share of ticks at which a desired torque was cut off.
     pub torque_saturated_share: Option<f64>,
     /// Largest torque that the controller commanded to a joint, before anything cut it off, Nm.
@@ -90,9 +92,8 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
         }
     }
     run.hand(&mut metrics);
-    metrics.set_point_speed_max_rad_per_s = run.tick.signal("setpoint_speed").map(|speeds| {
-        run.settled(&run.tick.time_s).flat_map(|k| speeds.row(k)).fold(0.0, |max: f64, v| max.max(v.abs()))
-    });
+    metrics.set_point_speed_max_rad_per_s = run.largest("setpoint_speed");
+    metrics.setpoint_acceleration_max_rad_per_s2 = run.largest("setpoint_acceleration");
     metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
         mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
     });
@@ -226,6 +227,13 @@ impl<'a> Run<'a> {
             });
             (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
         }
+    }
+
+    /// Largest magnitude of a signal of the cycles, over its elements; `None` without the signal.
+    fn largest(&self, signal: &str) -> Option<f64> {
+        let values = self.tick.signal(signal)?;
+        let settled = self.settled(&self.tick.time_s);
+        Some(settled.flat_map(|k| values.row(k)).fold(0.0, |max: f64, v| max.max(v.abs())))
     }
 
     /// The largest torques and speeds.

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 /// Note under tables of simulated runs.
 const OF_SIMULATION: &str = "Every figure is from a simulation: one plant, one interface rate, one measurement and one \
-                             estimator for position and torque robots alike. Parameters of the arm are partly assumed; \
+                             estimator for position, velocity and torque robots alike. Parameters of the arm are partly assumed; \
                              its robot.toml says which.";
 /// Note under tables with runs of a real robot.
 const OF_A_ROBOT: &str = "Figures of a real robot are from its own measurements; those that need the true state or the true \

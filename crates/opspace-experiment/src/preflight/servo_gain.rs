@@ -1,4 +1,4 @@
-//! How much higher than believed the gains of position loops may be: the stability margin of a transformer.
+//! How much higher than believed the gains of position or velocity loops may be: the stability margin of a transformer.
 //!
 //! A transformer takes the servo's own stiffness and damping away; of a position loop whose gain is (1 + ε) kp, and not
 //! kp, it takes away too little position and leaves ε kv q̇ in the direction of motion. With what damps the joints beside
@@ -13,6 +13,13 @@
 //!
 //! ```text
 //! 1 + ε < 1 + (1 + ε) kp t̄ + (b − b̂ + d)/kv
+//! ```
+//!
+//! A velocity robot has no position loop to be too stiff: a velocity loop of (1 + ε) kv makes (1 + ε) times every torque that
+//! is asked for. What is left of a compensation that then exceeds the friction drives the joint:
+//!
+//! ```text
+//! B + (1 + ε) (D − B̂)  is positive definite
 //! ```
 //!
 //! The bound that is told is not the formula's but that of the run itself: the experiment's own backend and transformer on
@@ -57,9 +64,40 @@ const NUDGED_TICKS: u32 = 10;
 const GROWN: f64 = 30.0;
 const GONE: f64 = 1e-4;
 
-/// How much higher than believed the gains of position loops may be.
+/// Loops of the servos with a gain margin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServoLoop {
+    /// The position loops of a position robot.
+    Position,
+    /// The velocity loops of a velocity robot.
+    Velocity,
+}
+
+impl ServoLoop {
+    /// The loops of a robot that takes such commands; `None` for torques.
+    fn of(command: CommandKind) -> Option<Self> {
+        match command {
+            CommandKind::Position => Some(Self::Position),
+            CommandKind::Velocity => Some(Self::Velocity),
+            CommandKind::Torque => None,
+        }
+    }
+
+    /// Their name in messages.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position loops",
+            Self::Velocity => "velocity loops",
+        }
+    }
+}
+
+/// How much higher than believed the gains of position loops, or of velocity loops, may be.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GainMargin {
+    /// The loops that it is of.
+    pub servo_loop: ServoLoop,
     /// Largest share by which all of them may be higher at once; `None` beyond three times their value.
     pub excess: Option<f64>,
     /// The joint that becomes unstable first, if one does.
@@ -68,18 +106,16 @@ pub struct GainMargin {
     pub transformer: String,
 }
 
-/// The margin of an experiment's position loops in the tasks that it starts with; `None` where torques or positions pass
-/// as they are, and for velocity robots, which have no position loops.
+/// The margin of an experiment's servos in the tasks that it starts with: of the position loops of a position robot, of the
+/// velocity loops of a velocity robot; `None` where torques or positions pass as they are.
 #[must_use]
 pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
-    if experiment.command_kind() != CommandKind::Position {
-        return None;
-    }
+    let servo_loop = ServoLoop::of(experiment.command_kind())?;
     let transformer = experiment.transformer_kind()?.name().to_owned();
     let damping = law_damping(experiment)?;
     let (mut low, mut high) = (0.0, MOST_EXCESS);
     let Nudge::Grows(mut first) = nudge(experiment, &damping, high)? else {
-        return Some(GainMargin { excess: None, joint: None, transformer });
+        return Some(GainMargin { servo_loop, excess: None, joint: None, transformer });
     };
     while high - low > RESOLUTION {
         // Most margins are small.
@@ -91,22 +127,23 @@ pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
         }
     }
     let joint = Some(experiment.robot().model.joints()[first].name.clone());
-    Some(GainMargin { excess: Some(low), joint, transformer })
+    Some(GainMargin { servo_loop, excess: Some(low), joint, transformer })
 }
 
 impl fmt::Display for GainMargin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let loops = self.servo_loop.name();
         match (self.excess, &self.joint) {
             (Some(excess), Some(joint)) => {
                 write!(
                     f,
-                    "position loops may have up to {:.1} % more gain than the file says (joint '{joint}' first)",
+                    "{loops} may have up to {:.1} % more gain than the file says (joint '{joint}' first)",
                     100.0 * excess
                 )?;
             }
             _ => write!(
                 f,
-                "position loops may have {} times the gain that the file says, or more",
+                "{loops} may have {} times the gain that the file says, or more",
                 1.0 + MOST_EXCESS
             )?,
         }
@@ -121,15 +158,20 @@ impl GainMargin {
         let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
         let joint = self.joint.as_ref()?;
         let message = format!(
-            "position loops may have only {:.1} % more gain than the file says, with transformer '{}': beyond that the run \
+            "{} may have only {:.1} % more gain than the file says, with transformer '{}': beyond that the run \
              is unstable, joint '{joint}' first",
+            self.servo_loop.name(),
             100.0 * excess,
             self.transformer,
         );
-        let (profile, parameters) = experiment.profile();
-        let robot = experiment.robot();
-        let servo = &parameters.servo[joint];
-        let damping = (LEAST_EXCESS - excess) * servo.gains(parameters.servo_period_s()).damping;
+        let (profile, robot) = (experiment.profile().0, experiment.robot());
+        let relief = match self.servo_loop {
+            ServoLoop::Position => {
+                let kv = experiment.servo_gains().ok()?[robot.model.joint(joint).ok()?].damping;
+                format!("damp joint '{joint}' by {} Nms/rad more", short((LEAST_EXCESS - excess) * kv))
+            }
+            ServoLoop::Velocity => format!("compensate less of the friction of joint '{joint}' or damp it"),
+        };
         let measured = robot.file.interface.measures.contains(&Measured::MotorCurrent);
         let name = if self.transformer.starts_with("paper") { "emulation" } else { &self.transformer };
         let current = match self.transformer.ends_with("+current") || !measured {
@@ -139,9 +181,7 @@ impl GainMargin {
             }
         };
         let help = format!(
-            "{current}damp joint '{joint}' by {} Nms/rad more, or believe the gains to be higher than they are: that only \
-             makes the arm sluggish",
-            short(damping),
+            "{current}{relief}, or believe the gains to be higher than they are: that only makes the arm sluggish",
         );
         Some(Finding::new(&["profile", profile, "transformer"], message, help).of_robot())
     }
@@ -191,8 +231,7 @@ fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option
     let gain = bare.task().file.friction_compensation.gain.get();
     let compensated = robot.joints().iter().map(|j| gain * j.friction.viscous_nms_per_rad.get()).collect();
     let law = DMatrix::from_diagonal(&DVector::from_vec(compensated)) - damping;
-    let servos = robot.servos(profile);
-    let kv: Vec<f64> = servos.iter().map(|s| s.gains(profile.servo_period_s()).damping).collect();
+    let kv: Vec<f64> = bare.servo_gains().ok()?.iter().map(|gains| gains.damping).collect();
     let grows = |dq: &DVector<f64>| {
         let fed = |joint: &usize| kv[*joint] * dq[*joint] * dq[*joint];
         (0..n).max_by(|a, b| fed(a).total_cmp(&fed(b))).map(Nudge::Grows)
@@ -281,12 +320,13 @@ impl Observable for NudgedDamping {
     fn sample(&self, _row: &mut Row<'_>) {}
 }
 
-/// The experiment on the arm that is believed, its position loops' gains times `kp`, without anything that hides whether a
+/// The experiment on the arm that is believed, the gains of its position or velocity loops times `gain`, without anything that hides whether a
 /// nudge grows.
-fn bare(experiment: &Experiment, kp: f64) -> Option<Experiment> {
+fn bare(experiment: &Experiment, gain: f64) -> Option<Experiment> {
     let (mut robot, mut task) = (experiment.robot().clone(), experiment.task().clone());
     let servo_hz = experiment.profile().1.servo_hz.get();
     let current_loop_hz = robot.file.simulated.as_ref().and_then(|s| s.current_loop_hz);
+    let scaled = if experiment.command_kind() == CommandKind::Velocity { "kv" } else { "kp" };
     let lag = current_loop_hz.map_or_else(String::new, |hz| format!("current_loop_hz = {:?}\n", hz.get()));
     let sensors = robot.file.force_sensor.keys().map(|name| {
         format!(
@@ -298,7 +338,7 @@ fn bare(experiment: &Experiment, kp: f64) -> Option<Experiment> {
          bristle = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0, damping_fades_over_rad_per_s = 1.0 }}\n\
          end_stop = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
          brake = {{ slips_at_torque_limits = 1.0, stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
-         scale = {{ kp = {kp:?} }}\n{}",
+         scale = {{ {scaled} = {gain:?} }}\n{}",
         sensors.collect::<String>()
     );
     robot.file.simulated = Some(toml::from_str::<SimulatedParameters>(&plant).ok()?);

@@ -24,15 +24,21 @@
 //! B(s) = exp(−s d Ts) (1 − exp(−s T))/(R (1 − exp(−s Ts)))
 //! ```
 //!
-//! The bracket is zero without hold and lag: then the servo is inverted. With them it acts as added damping and
-//! inertia (its first terms in s), that is, as a servo that lags. The phase margin is 180° + arg L where |L| = 1. Not
-//! in it: the coupling of joints, friction and the motor's own lag. Two things aren't looked at: force feedback, where
+//! A velocity robot holds the velocity setpoint of its transformer, which inverts S, the servo's torque for a setpoint (kv
+//! without an integral), and compensates kv q̇ by the estimated velocity; Y is −S W:
+//!
+//! ```text
+//! L(s) = I C B Z(Ts) / (I s² − Z(Ts) [S V B + Y])
+//! ```
+//!
+//! Either bracket is zero without hold and lag: then the servo is inverted. With them it acts as added damping and
+//! inertia (its first terms in s), that is, as a servo that lags. The phase margin is 180° + arg L where |L| = 1. The
+//! emulating transformers are taken for the paper's: their observer has a lag of its own. Not in it: the coupling of joints, friction and the motor's own lag. Two things aren't looked at: force feedback, where
 //! the stiffness of the surroundings decides, and impedances, where the arm's inertia along the axis does.
 
 use super::{Case, Finding, kind, short};
-use crate::run::experiment::BackendKind;
 use nalgebra::{Complex, Matrix6xX};
-use opspace_backend::Setpoints;
+use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::{JointTask, RowGains, Task, TaskParameters};
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
 use std::f64::consts::{PI, TAU};
@@ -253,9 +259,10 @@ impl Law {
     }
 }
 
-/// A servo, and what equation (10) takes it for.
+/// A servo, and what its transformer takes it for.
 #[derive(Clone, Copy, Debug)]
 struct Servo {
+    takes: CommandKind,
     law: ServoLaw,
     gains: ServoGains,
     set_points: Setpoints,
@@ -264,7 +271,7 @@ struct Servo {
 impl Servo {
     fn of(servo: &ServoParameters, period_s: f64, set_points: Setpoints) -> Option<Self> {
         let law = ServoLaw::new(servo, period_s).ok()?;
-        Some(Self { law, gains: servo.gains(period_s), set_points })
+        Some(Self { takes: servo.takes(), law, gains: servo.gains(period_s), set_points })
     }
 }
 
@@ -293,13 +300,15 @@ struct Margin {
 impl Plant {
     fn new(case: &Case<'_>, joint: usize) -> Self {
         let profile: &ProfileParameters = case.experiment.profile().1;
-        let position = case.experiment.choice().backend == BackendKind::Position;
-        let robot = case.experiment.robot();
-        let set_points = robot.file.interface.set_points;
-        let servo = || Servo::of(&robot.servos(profile)[joint], profile.servo_period_s(), set_points);
+        let set_points = case.experiment.robot().file.interface.set_points;
+        let servos = match case.experiment.command_kind() {
+            CommandKind::Torque => Vec::new(),
+            CommandKind::Position | CommandKind::Velocity => case.experiment.servos().unwrap_or_default(),
+        };
+        let servo = |servo| Servo::of(servo, profile.servo_period_s(), set_points);
         Self {
             inertia: case.data.mass_matrix[(joint, joint)],
-            servo: position.then(servo).flatten(),
+            servo: servos.get(joint).and_then(servo),
             period_s: profile.period_s(),
             servo_period_s: profile.servo_period_s(),
             delay_s: f64::from(profile.delay()) * profile.servo_period_s(),
@@ -342,9 +351,17 @@ impl Plant {
             Setpoints::Held => late * held,
             Setpoints::Interpolated => late * held * held,
         };
-        let ServoGains { stiffness, damping } = servo.gains;
-        let led = own_hold * of_set_point * set_point / stiffness;
-        let servo_loop = led * (stiffness + damping * velocity) + own_hold * of_position;
+        let (led, servo_loop) = match servo.takes {
+            CommandKind::Velocity => {
+                let led = own_hold * set_point;
+                (led, led * of_set_point * velocity + own_hold * of_position)
+            }
+            CommandKind::Position | CommandKind::Torque => {
+                let ServoGains { stiffness, damping } = servo.gains;
+                let led = own_hold * of_set_point * set_point / stiffness;
+                (led, led * (stiffness + damping * velocity) + own_hold * of_position)
+            }
+        };
         self.inertia * c * led / (self.inertia * s * s - servo_loop)
     }
 
@@ -416,17 +433,18 @@ fn hold(s: Complex<f64>, period_s: f64) -> Complex<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use opspace_backend::quantity::Positive;
+    use opspace_backend::quantity::{NonNegative, Positive};
     use opspace_model::{Data, Joint, JointKind, Limits, Model};
     use opspace_model::{Inertia, Placement};
     use opspace_transformer::estimator::{EstimatorParameters, VelocityEstimator};
-    use opspace_transformer::{CascadedServo, PaperTransformer, Transformer};
+    use opspace_transformer::{
+        CascadedServo, PaperTransformer, Transformer, VelocityServo, VelocityTransformer,
+    };
 
     const INERTIA: f64 = 0.4;
 
-    fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<CascadedServo>) -> Plant {
-        let servo = servo
-            .and_then(|servo| Servo::of(&ServoParameters::Cascaded(servo), 1.0 / servo_hz, Setpoints::Held));
+    fn plant(servo_hz: f64, ratio: u32, delay: u32, filter_hz: f64, servo: Option<ServoParameters>) -> Plant {
+        let servo = servo.and_then(|servo| Servo::of(&servo, 1.0 / servo_hz, Setpoints::Held));
         Plant {
             inertia: INERTIA,
             servo,
@@ -438,12 +456,28 @@ mod tests {
     }
 
     /// As in the profiles of the robots: a velocity loop of `hz` about the inertia, a position loop of a fifth.
-    fn servo(hz: f64, filter_hz: f64) -> CascadedServo {
-        CascadedServo {
+    fn servo(hz: f64, filter_hz: f64) -> ServoParameters {
+        ServoParameters::Cascaded(CascadedServo {
             kp_per_s: Positive::literal(TAU * hz / 5.0),
             kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
             velocity_filter_hz: Positive::literal(filter_hz),
             velocity_integral_time_s: None,
+        })
+    }
+
+    /// The same velocity loop alone.
+    fn velocity_servo(hz: f64, filter_hz: f64) -> ServoParameters {
+        ServoParameters::Velocity(VelocityServo {
+            kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
+            ki_nm_per_rad: NonNegative::default(),
+            velocity_filter_hz: Positive::literal(filter_hz),
+        })
+    }
+
+    fn transformer(servo: &Servo) -> Box<dyn Transformer> {
+        match servo.takes {
+            CommandKind::Velocity => Box::new(VelocityTransformer::new(vec![servo.gains])),
+            _ => Box::new(PaperTransformer::new(vec![servo.gains])),
         }
     }
 
@@ -457,13 +491,14 @@ mod tests {
         let mut estimator = VelocityEstimator::new(1, &parameters, plant.period_s);
         let (mut q, mut dq) = (1e-3, 0.0);
         let mut drive = plant.servo.map(|servo| (servo.law, servo.law.rest(q, 0.0).0));
-        let transformer = plant.servo.map(|servo| PaperTransformer::new(vec![servo.gains]));
+        let transformer = plant.servo.as_ref().map(transformer);
         let mut model = Model::new("mass");
         let joint = Joint { name: "joint".into(), kind: JointKind::Continuous, limits: Limits::NONE };
         model.add_body(None, Placement::identity(), joint, Inertia::zero());
         let (mut data, mut transformer) = (Data::new(&model), transformer);
-        // A set-point that holds, or no torque.
-        let (mut active, mut next) = (if drive.is_some() { q } else { 0.0 }, 0.0);
+        // A setpoint that holds: the position, or no velocity and no torque.
+        let holds_position = plant.servo.is_some_and(|servo| servo.takes == CommandKind::Position);
+        let (mut active, mut next) = (if holds_position { q } else { 0.0 }, 0.0);
         let mut largest = 0.0_f64;
         let ticks = (duration_s / ts) as usize;
         for tick in 0..ticks {
@@ -503,12 +538,15 @@ mod tests {
             (1000.0, 5, 0, 80.0),
             (1000.0, 1, 0, 400.0),
         ] {
-            for hz in [None, Some(8.0), Some(20.0)] {
-                let servo = hz.map(|hz| servo(hz, 0.15 * servo_hz));
+            let servos = [8.0, 20.0].map(|hz| {
+                let filter_hz = 0.15 * servo_hz;
+                [Some(servo(hz, filter_hz)), Some(velocity_servo(hz, filter_hz))]
+            });
+            for servo in std::iter::once(None).chain(servos.into_iter().flatten()) {
                 for zeta in [0.4, 0.7, 1.0, 2.0] {
                     for step in 0..14 {
                         let omega = 10.0 * 1.5_f64.powi(step);
-                        let plant = plant(servo_hz, ratio, delay, filter_hz, servo);
+                        let plant = plant(servo_hz, ratio, delay, filter_hz, servo.clone());
                         grid.push((plant, Law::of(omega, zeta, 0.0)));
                     }
                 }
@@ -521,20 +559,23 @@ mod tests {
     /// needn't be right: it knows nothing of what lies beyond half the sampling rate.
     #[test]
     fn the_margin_tells_which_loops_are_stable() {
-        let (mut stable, mut unstable) = (0, 0);
+        // Of torque, position and velocity robots.
+        let (mut stable, mut unstable) = ([0; 3], [0; 3]);
         for (plant, law) in grid() {
             let margin = plant.margin(&law).expect("a law").degrees;
             let bandwidth = law.bandwidth().min(PI / plant.period_s);
             let left = simulated(&plant, &law, 400.0 / bandwidth + 200.0 * plant.period_s);
+            let kind = plant.servo.map_or(0, |servo| 1 + usize::from(servo.takes == CommandKind::Velocity));
             if margin < 0.0 {
-                unstable += 1;
+                unstable[kind] += 1;
                 assert!(left > 1.0, "{margin:.1}° and {left} left: {plant:?} {law:?}");
             } else if margin > 10.0 {
-                stable += 1;
+                stable[kind] += 1;
                 assert!(left < 1.0, "{margin:.1}° and {left} left: {plant:?} {law:?}");
             }
         }
-        assert!(stable > 100 && unstable > 100, "both are tried: {stable} and {unstable}");
+        let tried = |counts: [usize; 3]| counts.into_iter().all(|count| count > 50);
+        assert!(tried(stable) && tried(unstable), "all are tried: {stable:?} and {unstable:?}");
     }
 
     /// The margin of a loop without delay against the textbook's: tan φ = 2ζ w/ω at the crossover w.

@@ -200,6 +200,7 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
     joint_figure(
         "Joint positions",
         "True positions and their references.",
+        "position (rad)",
         (truth, "q", "true"),
         (tick, &reference),
     )
@@ -220,18 +221,29 @@ fn from_control_start(recording: &Recording) -> Recording {
 }
 
 fn set_points(tick: &ChannelData) -> Option<Figure> {
-    let set_points = tick.signal("q_desired")?;
+    if let Some(velocities) = tick.signal("dq_desired") {
+        return joint_figure(
+            "Set-points",
+            "The velocities that the robot was given, and those that were measured or estimated.",
+            "velocity (rad/s)",
+            (tick, "dq", "measured"),
+            (tick, &velocities),
+        );
+    }
+    let positions = tick.signal("q_desired")?;
     joint_figure(
         "Set-points",
         "The positions that the robot was given, and where its joints were measured.",
+        "position (rad)",
         (tick, "q", "measured"),
-        (tick, &set_points),
+        (tick, &positions),
     )
 }
 
 fn joint_figure(
     title: &str,
     caption: &str,
+    y_label: &str,
     (channel, name, label): (&ChannelData, &str, &str),
     (desired_channel, desired): (&ChannelData, &Column<'_>),
 ) -> Option<Figure> {
@@ -240,7 +252,7 @@ fn joint_figure(
         .map(|(j, joint)| Panel {
             title: joint.clone(),
             x_label: "time (s)".to_owned(),
-            y_label: "position (rad)".to_owned(),
+            y_label: y_label.to_owned(),
             series: [
                 series(label, &channel.time_s, &actual, j, Style::Solid),
                 series("desired", &desired_channel.time_s, desired, j, Style::Desired),
