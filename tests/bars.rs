@@ -301,7 +301,7 @@ fn velocity_robots_get_the_torques() {
 }
 
 /// Compared: tracking, the operator's force and motion, and the motion across it, of the velocity robot through
-/// `emulation+current` and of the torque robot, seed by seed. The arm may resist the operator less, but not more.
+/// `emulation+current` and of the torque robot, seed by seed: medians over ten seeds (three of joint tracking).
 #[test]
 fn velocity_robots_track_and_comply_as_torque_robots_do() {
     let Some(bench) = Bench::read() else { return };
@@ -316,7 +316,7 @@ fn velocity_robots_track_and_comply_as_torque_robots_do() {
         assert!(joints <= 1.5, "{profile}: joint error {joints}");
         for task in ["compliant-x", "gravity-compensation"] {
             let (force, motion) = (ratio(task, "hand_force_rms_n"), ratio(task, "hand_motion_rms_m"));
-            assert!(force <= 1.1, "{task} {profile}: operator's force {force}");
+            assert!((0.9..=1.1).contains(&force), "{task} {profile}: operator's force {force}");
             assert!(motion >= 0.9, "{task} {profile}: operator's motion {motion}");
         }
         let across = ratio("compliant-x", "position_rms_m");

@@ -8,8 +8,9 @@ mod toml_output;
 
 use crate::evaluate::table::{Cell, Table};
 use crate::files::interface::CommandParameter;
-use crate::files::robot::{Robot, choices};
+use crate::files::robot::Robot;
 use crate::files::source::FileError;
+use crate::files::suggest::choices;
 use crate::run::execute::Progress;
 use nalgebra::DMatrix;
 use opspace_backend::{Backend, CommandKind};

@@ -23,6 +23,21 @@ pub struct SimulatedArm {
     external: Option<ExternalForceHandle>,
 }
 
+impl Simulation {
+    /// The arms, in the order of the configuration. They share the simulation.
+    #[must_use]
+    pub fn into_arms(mut self) -> Vec<SimulatedArm> {
+        let capabilities = std::mem::take(&mut self.capabilities);
+        let handles: Vec<_> = self.arms.iter().map(|arm| arm.external.clone()).collect();
+        let simulation = Rc::new(RefCell::new(self));
+        (capabilities.into_iter().zip(handles).enumerate())
+            .map(|(index, (capabilities, external))| {
+                SimulatedArm::of(Rc::clone(&simulation), index, capabilities, external)
+            })
+            .collect()
+    }
+}
+
 impl SimulatedArm {
     /// An arm alone in its simulation, at rest at its start, holding itself.
     ///

@@ -6,7 +6,6 @@
 //! samples at the same time is read first. A cycle of an arm that the simulation passes before it is read is lost, as on
 //! a bus; its rows are kept until the arm is read, or dropped.
 
-use crate::arm::SimulatedArm;
 use crate::config::{CouplingConfig, SimulationConfig};
 use crate::error::SimulationError;
 use crate::fault;
@@ -16,14 +15,12 @@ use crate::rigid::RigidPlant;
 use crate::timing::Clock;
 use opspace_backend::{DeviceFault, Sample};
 use opspace_model::Model;
-use std::cell::RefCell;
-use std::rc::Rc;
 
 /// A plant, and all that drives and measures its arms.
 pub struct Simulation {
     pub(crate) plant: Box<dyn Plant>,
     pub(crate) arms: Vec<ArmInterface>,
-    capabilities: Vec<opspace_backend::Capabilities>,
+    pub(crate) capabilities: Vec<opspace_backend::Capabilities>,
     clock: Clock,
     tick: u64,
     /// Ticks until the last controller starts.
@@ -86,19 +83,6 @@ impl Simulation {
             tick: 0,
             torques: vec![0.0; first_joint],
         })
-    }
-
-    /// The arms, in the order of the configuration. They share the simulation.
-    #[must_use]
-    pub fn into_arms(mut self) -> Vec<SimulatedArm> {
-        let capabilities = std::mem::take(&mut self.capabilities);
-        let handles: Vec<_> = self.arms.iter().map(|arm| arm.external.clone()).collect();
-        let simulation = Rc::new(RefCell::new(self));
-        (capabilities.into_iter().zip(handles).enumerate())
-            .map(|(index, (capabilities, external))| {
-                SimulatedArm::of(Rc::clone(&simulation), index, capabilities, external)
-            })
-            .collect()
     }
 
     /// Moves on to the next interface cycle of an arm that passes its bus, and reads the arm.

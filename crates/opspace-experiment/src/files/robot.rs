@@ -4,7 +4,7 @@ use crate::files::interface::InterfaceParameters;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, parse};
-use crate::files::suggest::nearest;
+use crate::files::suggest::{choices, list};
 use crate::files::tool::{self, ToolFile};
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
@@ -381,22 +381,4 @@ fn force_sensors(
         found.push((name.clone(), frame));
     }
     Ok(found)
-}
-
-/// What could have been meant, and what there is.
-pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
-    name: &str,
-    known: impl IntoIterator<Item = &'a S>,
-) -> String {
-    let all: Vec<&str> = known.into_iter().map(AsRef::as_ref).collect();
-    let listed = list(all.iter().copied());
-    match nearest(name, all) {
-        Some(near) => format!("did you mean '{near}'? There are: {listed}"),
-        None => format!("there are: {listed}"),
-    }
-}
-
-fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    let names: Vec<&str> = names.collect();
-    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }

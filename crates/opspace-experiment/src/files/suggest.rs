@@ -1,4 +1,4 @@
-//! Near names, and the units that keys carry.
+//! Near names, lists of names, and the units that keys carry.
 
 /// The candidate that a name was likely meant to be, if one is near.
 ///
@@ -22,6 +22,25 @@ where
     });
     let best = scored.min_by(|a, b| a.1.cmp(&b.1).then(b.2.total_cmp(&a.2)));
     best.map(|(candidate, ..)| candidate)
+}
+
+/// What could have been meant, and what there is.
+pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
+    name: &str,
+    known: impl IntoIterator<Item = &'a S>,
+) -> String {
+    let all: Vec<&str> = known.into_iter().map(AsRef::as_ref).collect();
+    let listed = list(all.iter().copied());
+    match nearest(name, all) {
+        Some(near) => format!("did you mean '{near}'? There are: {listed}"),
+        None => format!("there are: {listed}"),
+    }
+}
+
+/// The names, separated by commas.
+pub(crate) fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
 pub(crate) struct Unit {

@@ -1,7 +1,7 @@
 //! What is mounted on a robot: a tool or a load, with its mass, and the frame at its tip.
 
-use crate::files::robot::choices;
 use crate::files::source::{FileError, Source};
+use crate::files::suggest::choices;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::{NonNegative, exactly};
 use opspace_model::{Inertia, Model, Placement, principal_moments};

@@ -8,7 +8,7 @@
 //!
 //! with the rows of all tasks that follow a reference in J, and what the task of all joints asks for in q̇_0.
 
-use super::{Case, input};
+use super::case::{Case, input};
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
 use opspace_control::ik::{ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S};
 use opspace_control::{Controller, Measurement, Targets, Task, TaskSet};

@@ -1,6 +1,7 @@
 //! Freedom that a task has lost where it starts, and freedom that nothing damps.
 
-use super::{Case, Finding, short};
+use super::case::Case;
+use super::finding::{Finding, short};
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
 use opspace_control::tasks::task::SINGULARITY_THRESHOLD;
 use opspace_model::{Data, Inversion, OperationalSpace, update};

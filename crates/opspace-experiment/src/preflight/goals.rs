@@ -1,8 +1,9 @@
 //! References that the arm can't reach.
 
+use super::case::Case;
+use super::finding::{Finding, short};
 use super::followed::{Followed, Instant, error};
 use super::motion::Motion;
-use super::{Case, Finding, short};
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_control::rank::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
@@ -333,9 +334,9 @@ mod tests {
         let mut measurement = Measurement::new(n, 0, false);
         measurement.q.copy_from_slice(&case.start);
         let (feedforward, targets) = (vec![0.0; n], Targets::none());
-        task.start(&super::super::input(model, &case.data, &measurement, &feedforward, &targets));
+        task.start(&crate::preflight::case::input(model, &case.data, &measurement, &feedforward, &targets));
         measurement.time_s = 1.0;
-        let control = super::super::input(model, &case.data, &measurement, &feedforward, &targets);
+        let control = crate::preflight::case::input(model, &case.data, &measurement, &feedforward, &targets);
         task.observe(&TaskInput { control, limited: true, target: TaskTarget::none(0.0) });
         task
     }

@@ -1,7 +1,8 @@
 //! Limits that contradict each other, the start posture, or the arm's weight.
 
+use super::case::{Case, kind};
+use super::finding::{Finding, short};
 use super::followed::Followed;
-use super::{Case, Finding, kind, short};
 use opspace_backend::GravityCompensation;
 use opspace_control::TaskParameters;
 use opspace_model::JointKind;

@@ -30,7 +30,8 @@
 //! Not in it: Coulomb friction, which only ever brakes while no more of it is compensated than there is; but the slope that
 //! a compensation has at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
 
-use super::{Finding, input, short};
+use super::case::input;
+use super::finding::{Finding, short};
 use crate::run::experiment::Experiment;
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;

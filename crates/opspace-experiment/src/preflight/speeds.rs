@@ -1,7 +1,8 @@
 //! References that are faster than what follows them.
 
+use super::case::{Case, kind};
+use super::finding::{Finding, short};
 use super::followed::{Followed, Instant};
-use super::{Case, Finding, kind, short};
 
 /// How much faster than allowed a reference may be before it is found: a sum of roundings.
 const TOLERANCE: f64 = 1.001;

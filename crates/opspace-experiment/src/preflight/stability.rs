@@ -36,7 +36,8 @@
 //! emulating transformers are taken for the paper's: their observer has a lag of its own. Not in it: the coupling of joints, friction and the motor's own lag. Two things aren't looked at: force feedback, where
 //! the stiffness of the surroundings decides, and impedances, where the arm's inertia along the axis does.
 
-use super::{Case, Finding, kind, short};
+use super::case::{Case, kind};
+use super::finding::{Finding, short};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::{JointTask, RowGains, Task, TaskParameters};

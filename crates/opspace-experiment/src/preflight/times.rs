@@ -1,7 +1,8 @@
 //! What the run is too short for.
 
+use super::case::{Case, InForce};
+use super::finding::{Finding, short};
 use super::followed::Followed;
-use super::{Case, Finding, InForce, short};
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
 /// What a duration that was meant to be equal may be off by, s.

@@ -4,8 +4,9 @@ use crate::extensions::Extensions;
 use crate::files::interface::CommandParameter;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
-use crate::files::robot::{Robot, choices};
+use crate::files::robot::Robot;
 use crate::files::source::FileError;
+use crate::files::suggest::choices;
 use crate::files::task::Task;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::{

@@ -1,8 +1,8 @@
 //! Running an experiment on the robot that `[driver]` of robot.toml names.
 
 use crate::extensions::Extensions;
-use crate::files::robot::choices;
 use crate::files::source::FileError;
+use crate::files::suggest::choices;
 use crate::run::error::RunError;
 use crate::run::execute::{Progress, RunResult};
 use crate::run::experiment::Experiment;

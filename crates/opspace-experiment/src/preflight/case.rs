@@ -1,0 +1,116 @@
+//! An experiment at its start, and the tasks that are in force one after the other.
+
+use super::motion::{Motion, motions};
+use crate::run::experiment::Experiment;
+use opspace_control::{ControlInput, Measurement, Targets, TaskParameters, TaskSet};
+use opspace_model::{Data, Model, update};
+use std::collections::BTreeMap;
+
+/// The kind of a task, as its table in a file is named.
+pub(super) fn kind(task: &TaskParameters) -> &str {
+    match task {
+        TaskParameters::Cartesian(_) => "cartesian",
+        TaskParameters::CenterOfMass(_) => "center-of-mass",
+        TaskParameters::Swivel(_) => "swivel",
+        TaskParameters::JointTracking(_) => "joint-tracking",
+        TaskParameters::JointPosture(_) => "joint-posture",
+        TaskParameters::JointDamping(_) => "joint-damping",
+        TaskParameters::Registered(task) => task.kind(),
+    }
+}
+
+/// Controller input whose clock counts from the start of control.
+pub(super) fn input<'a>(
+    model: &'a Model,
+    data: &'a Data,
+    measurement: &'a Measurement,
+    feedforward_torque: &'a [f64],
+    targets: &'a Targets,
+) -> ControlInput<'a> {
+    ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
+}
+
+/// An experiment at its start.
+pub(super) struct Case<'a> {
+    pub(super) experiment: &'a Experiment,
+    pub(super) model: &'a Model,
+    /// rad or m (n).
+    pub(super) start: Vec<f64>,
+    /// At the start, at rest.
+    pub(super) data: Data,
+    /// Those that come into force while it runs, in the order of time.
+    pub(super) stacks: Vec<InForce<'a>>,
+}
+
+/// The tasks that are in force for a while.
+pub(super) struct InForce<'a> {
+    pub(super) from_s: f64,
+    pub(super) priority: &'a [String],
+    pub(super) task: &'a BTreeMap<String, TaskParameters>,
+    /// The tasks themselves, not started.
+    pub(super) tasks: TaskSet,
+    /// Of the tasks that lead a frame or the centre of mass, in the order of priority.
+    pub(super) motions: Vec<Motion<'a>>,
+}
+
+impl<'a> Case<'a> {
+    pub(super) fn new(experiment: &'a Experiment) -> Option<Self> {
+        let (model, task) = (&experiment.robot().model, experiment.task());
+        let start = experiment.start().ok()?;
+        let mut data = Data::new(model);
+        if !update(model, &mut data, &start, &vec![0.0; model.n()]) {
+            return None;
+        }
+        let first = (0.0, task.file.priority.as_slice(), &task.file.task);
+        let later = task.events.iter().map(|event| (event.time_s, event.priority.as_slice(), &event.task));
+        let stacks = std::iter::once(first)
+            .chain(later.filter(|(from_s, ..)| *from_s < experiment.duration_s()))
+            .map(|(from_s, priority, task)| {
+                let tasks = experiment.task_set(priority, task)?;
+                Some(InForce { from_s, priority, task, tasks, motions: motions(priority, task, model) })
+            })
+            .collect::<Option<_>>()?;
+        Some(Self { experiment, model, start, data, stacks })
+    }
+
+    /// Where a value of a task stands: in the task itself, or in the last event that changed it before the stack
+    /// came into force.
+    pub(super) fn key(&self, stack: usize, name: &str, rest: &[&str]) -> Vec<String> {
+        let changed =
+            (1..=stack).rev().find(|&k| self.stacks[k].task.get(name) != self.stacks[k - 1].task.get(name));
+        match changed {
+            Some(stack) => vec!["event".to_owned(), (stack - 1).to_string(), "set".to_owned()],
+            None => ["task", name].iter().chain(rest).map(|&part| part.to_owned()).collect(),
+        }
+    }
+
+    /// Where the reference of a task stands.
+    pub(super) fn reference_key(&self, stack: usize, name: &str) -> Vec<String> {
+        let kind = self.stacks[stack].task.get(name).map_or("", kind);
+        self.key(stack, name, &[kind, "reference"])
+    }
+
+    /// From when on a task's reference of that stack is followed, s: its own event's time, or that of an earlier
+    /// one since which it hasn't changed.
+    pub(super) fn begin_s(&self, stack: usize, same: impl Fn(&InForce<'_>) -> bool) -> f64 {
+        let first = (0..=stack).rev().take_while(|&k| same(&self.stacks[k])).last();
+        self.stacks[first.unwrap_or(stack)].from_s
+    }
+
+    /// The range in which a joint is kept, rad or m.
+    pub(super) fn range(&self, joint: usize) -> (f64, f64) {
+        let limits = &self.model.joints()[joint].limits;
+        let margin = self.margin();
+        (limits.lower + margin, limits.upper - margin)
+    }
+
+    /// How far joints are kept from their ends, rad or m.
+    pub(super) fn margin(&self) -> f64 {
+        let limits = &self.experiment.task().file.limits;
+        if limits.enforce { limits.position_margin_rad.get() } else { 0.0 }
+    }
+
+    pub(super) fn joint(&self, joint: usize) -> &str {
+        &self.model.joints()[joint].name
+    }
+}
