@@ -775,3 +775,30 @@ fn a_robot_without_joints_has_a_table() {
     let ran = opspace(folder.path(), &["model", "table.urdf"]).exits(0);
     assert!(ran.stdout.contains("0 moving joints on a fixed base"), "{}", ran.stdout);
 }
+
+/// A task with an impedance, whose gains depend on the arm's inertia.
+#[test]
+fn check_says_what_it_could_not_check() {
+    let arguments = ["check", "tasks/panda-impedance.toml"];
+    let said = opspace(Path::new(ROOT), &arguments).exits(0).stdout;
+    assert!(said.contains("not checked: tasks/panda-impedance.toml"), "{said}");
+    let json = opspace(Path::new(ROOT), &[&arguments[..], &["--json", "-"]].concat()).exits(0).json();
+    let skipped = json["files"][0]["not_checked"].as_array().unwrap();
+    assert!(skipped.iter().all(|one| one["help"] == "try it in simulation") && !skipped.is_empty(), "{json}");
+}
+
+/// Compared: the kind of robot in the summary, and the one that robot.toml states, or that is asked for.
+#[test]
+fn run_is_on_the_kind_of_robot_that_robot_toml_states() {
+    let folder = scratch();
+    let task = project("tasks/gravity-compensation.toml");
+    let command = "robot.interface.command=velocity";
+    for (asked, backend) in [(&[][..], "velocity"), (&["--backend", "torque"][..], "torque")] {
+        let set = ["--set", command, "--set", "robot.interface.on_missed_cycle=hold-last"];
+        let fixed =
+            ["run", &task, "--duration-s", "0.2", "--set", "settle_s=0", "--out", backend, "--json", "-"];
+        let ran = opspace(folder.path(), &[&fixed[..], &set, asked].concat()).exits(0);
+        assert_eq!(ran.json()["backend"], backend);
+        assert_eq!(ran.json()["simulated"], true);
+    }
+}

@@ -14,7 +14,7 @@ const OF_A_ROBOT: &str = "Figures of a real robot are from its own measurements;
                           torque of the motors are missing.";
 /// Notes under every table.
 const OF_ALL: [&str; 2] = [
-    "Tracking alone is not the case for torque control: with velocity lead, inverse kinematics tracks as well. \
+    "Tracking alone does not justify torque control: with velocity lead, inverse kinematics tracks as well. \
      Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
      could move.",
     "Torque error: motor torque against desired torque, relative, at servo rate, on the mean over each interface \
@@ -187,56 +187,46 @@ pub const MEASURES: &[Measure] = &[
     Measure::RealTime,
 ];
 
+/// Title and unit of a column, the factor from SI units to it, and its value in a summary.
+struct Row(&'static str, &'static str, f64, fn(&Summary) -> Option<f64>);
+
 impl Measure {
+    /// Everything about a measure, once.
+    fn row(self) -> Row {
+        match self {
+            Self::PositionRms => Row("position rms", "mm", 1e3, |s| s.metrics.position_rms_m),
+            Self::PositionMax => Row("position max", "mm", 1e3, |s| s.metrics.position_max_m),
+            Self::OrientationRms => Row("orientation rms", "mrad", 1e3, |s| s.metrics.orientation_rms_rad),
+            Self::OrientationMax => Row("orientation max", "mrad", 1e3, |s| s.metrics.orientation_max_rad),
+            Self::JointRms => Row("joint rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
+            Self::ForceRms => Row("force rms", "N", 1.0, |s| s.metrics.force_rms_n),
+            Self::HandForce => Row("hand force", "N", 1.0, |s| s.metrics.hand_force_rms_n),
+            Self::HandMotion => Row("hand motion", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
+            Self::TorqueErrorServo => Row("torque error servo", "%", 1e2, |s| s.metrics.torque_error_servo),
+            Self::TorqueErrorInterval => {
+                Row("torque error interval", "%", 1e2, |s| s.metrics.torque_error_interval)
+            }
+            Self::TorqueErrorTick => Row("torque error tick", "%", 1e2, |s| s.metrics.torque_error_tick),
+            Self::HoldRipple => Row("hold ripple", "×", 1.0, |s| s.metrics.hold_ripple),
+            Self::TorqueMax => Row("torque max", "N·m", 1.0, |s| s.metrics.torque_commanded_max_nm),
+            Self::TorqueStepMax => Row("torque step max", "N·m", 1.0, |s| s.metrics.torque_step_max_nm),
+            Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
+            Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
+            Self::TickTime => Row("tick time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
+            Self::RealTime => Row("real time", "×", 1.0, |s| s.timing.realtime_factor),
+        }
+    }
+
     /// Title and unit of its column.
     fn head(self) -> (&'static str, &'static str) {
-        match self {
-            Self::PositionRms => ("position rms", "mm"),
-            Self::PositionMax => ("position max", "mm"),
-            Self::OrientationRms => ("orientation rms", "mrad"),
-            Self::OrientationMax => ("orientation max", "mrad"),
-            Self::JointRms => ("joint rms", "mrad"),
-            Self::ForceRms => ("force rms", "N"),
-            Self::HandForce => ("hand force", "N"),
-            Self::HandMotion => ("hand motion", "mm"),
-            Self::TorqueErrorServo => ("torque error servo", "%"),
-            Self::TorqueErrorInterval => ("torque error interval", "%"),
-            Self::TorqueErrorTick => ("torque error tick", "%"),
-            Self::HoldRipple => ("hold ripple", "×"),
-            Self::TorqueMax => ("torque max", "N·m"),
-            Self::TorqueStepMax => ("torque step max", "N·m"),
-            Self::SpeedMax => ("speed max", "rad/s"),
-            Self::Limited => ("limited", "%"),
-            Self::TickTime => ("tick time", "µs"),
-            Self::RealTime => ("real time", "×"),
-        }
+        let Row(title, unit, ..) = self.row();
+        (title, unit)
     }
 
     /// Its median over runs, in the unit of its column.
     fn cell(self, group: &Group<'_>) -> Cell {
-        let scaled = |factor: f64, number: fn(&Summary) -> Option<f64>| {
-            Cell::from(group.median(number).map(|value| factor * value))
-        };
-        match self {
-            Self::PositionRms => scaled(1e3, |s| s.metrics.position_rms_m),
-            Self::PositionMax => scaled(1e3, |s| s.metrics.position_max_m),
-            Self::OrientationRms => scaled(1e3, |s| s.metrics.orientation_rms_rad),
-            Self::OrientationMax => scaled(1e3, |s| s.metrics.orientation_max_rad),
-            Self::JointRms => scaled(1e3, |s| s.metrics.joint_rms_rad),
-            Self::ForceRms => scaled(1.0, |s| s.metrics.force_rms_n),
-            Self::HandForce => scaled(1.0, |s| s.metrics.hand_force_rms_n),
-            Self::HandMotion => scaled(1e3, |s| s.metrics.hand_motion_rms_m),
-            Self::TorqueErrorServo => scaled(1e2, |s| s.metrics.torque_error_servo),
-            Self::TorqueErrorInterval => scaled(1e2, |s| s.metrics.torque_error_interval),
-            Self::TorqueErrorTick => scaled(1e2, |s| s.metrics.torque_error_tick),
-            Self::HoldRipple => scaled(1.0, |s| s.metrics.hold_ripple),
-            Self::TorqueMax => scaled(1.0, |s| s.metrics.torque_commanded_max_nm),
-            Self::TorqueStepMax => scaled(1.0, |s| s.metrics.torque_step_max_nm),
-            Self::SpeedMax => scaled(1.0, |s| s.metrics.speed_max_rad_per_s),
-            Self::Limited => scaled(1e2, |s| s.metrics.limited_share),
-            Self::TickTime => scaled(1e-3, |s| Some(s.timing.tick_ns_median)),
-            Self::RealTime => scaled(1.0, |s| s.timing.realtime_factor),
-        }
+        let Row(.., factor, value) = self.row();
+        Cell::from(group.median(value).map(|value| factor * value))
     }
 }
 
