@@ -2,7 +2,7 @@
 //!
 //! The rate of the clock is the least common multiple of the servo rates. A read of an arm moves the simulation on to that
 //! arm's next interface cycle that passes its bus, and no further: if arms are read in the order of their
-//! [next samples](SimulatedArm::next_sample_s), every command is in time, and it does not matter which of two arms with
+//! [next samples](crate::SimulatedArm::next_sample_s), every command is in time, and it does not matter which of two arms with
 //! samples at the same time is read first. A cycle of an arm that the simulation passes before it is read is lost, as on
 //! a bus; its rows are kept until the arm is read, or dropped.
 
