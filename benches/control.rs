@@ -1,9 +1,9 @@
-//! What a control tick costs, dynamics and control together, beside Pinocchio and TSID: `cargo bench --bench control`,
-//! with the names of ticks behind `--` for those alone.
+//! Cost of a control cycle, dynamics and control together, beside Pinocchio and TSID: `cargo bench --bench control`,
+//! with the names of cycles behind `--` for those alone.
 //!
 //! Peers are measured in the same run if they have been built by `benches/pinocchio/build target/pinocchio` and
-//! `benches/tsid/build target/tsid`. All cycle over random states of a seven-joint arm with a pose task and a posture, and
-//! print the median over repetitions. Pinocchio's tick has no limits and no damping; TSID's has bounds on torques,
+//! `benches/tsid/build target/tsid`. All cycle over random states of a seven-joint arm with a pose task and a posture,
+//! and print the median over repetitions. Pinocchio's cycle has no limits and no damping; TSID's has bounds on torques,
 //! velocities and accelerations, and weighs its two tasks in one QP.
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
@@ -37,7 +37,7 @@ frequency_rad_per_s = 6.325
 damping_ratio = 0.79
 "#;
 
-/// As the TSID peer's.
+/// Acceleration limit, equal to that of the TSID peer.
 const ACCELERATION_LIMIT_RAD_PER_S2: f64 = 500.0;
 
 fn main() {
@@ -90,7 +90,7 @@ fn main() {
     }
 }
 
-/// Where the controller is started, which is its reference, and states of the arm.
+/// Posture at the controller's start, which is its reference, and states of the arm.
 struct States {
     home: Vec<f64>,
     q: Vec<Vec<f64>>,
@@ -141,7 +141,7 @@ struct Bench<'a> {
     controller: OperationalSpaceController,
     tau: Vec<f64>,
     row: Vec<f64>,
-    /// Where in a row the share of the weakest direction stands.
+    /// Index in a row of the share of the weakest direction.
     share: usize,
     targets: Targets,
 }
@@ -196,7 +196,7 @@ impl<'a> Bench<'a> {
         self.controller.start(&input(self.model, &self.data, &self.seen, &self.targets));
     }
 
-    /// One tick.
+    /// Computes one control cycle.
     fn run(&mut self, q: &[f64], dq: &[f64]) {
         self.seen.q.copy_from_slice(q);
         self.seen.dq.copy_from_slice(dq);
@@ -211,7 +211,7 @@ impl<'a> Bench<'a> {
         self.row[self.share]
     }
 
-    /// Which share of the states is damped, and which is limited, one after the other.
+    /// Shares of the states that are damped, and that are limited, each state after the one before it.
     fn shares(&mut self, states: &States) -> (f64, f64) {
         let (mut damped, mut limited) = (0, 0);
         self.start(&states.home);

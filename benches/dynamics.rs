@@ -1,10 +1,10 @@
-//! What the dynamics cost, beside Pinocchio: `cargo bench --bench dynamics`, with robots' names behind `--` for those
+//! Cost of the dynamics, beside Pinocchio: `cargo bench --bench dynamics`, with robots' names behind `--` for those
 //! alone.
 //!
 //! Pinocchio is measured in the same run if it has been built by `benches/pinocchio/build target/pinocchio`; without it
-//! ours is measured alone. Both cycle over many random states and print the median over repetitions. All start from q but
-//! `cholesky`, which factors one M. benches/pinocchio/README.md says what the peer's rows are; its `crba` fills one triangle,
-//! ours both, and its derivatives yield M besides.
+//! ours is measured alone. Both cycle over many random states and print the median over repetitions. All start from q
+//! but `cholesky`, which factors one M. benches/pinocchio/README.md says what the peer's rows are; its `crba` fills one
+//! triangle, ours both, and its derivatives yield M besides.
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
@@ -113,7 +113,7 @@ impl<'a> Bench<'a> {
         Self { model, tip, data: Data::new(model), states: States::new(model) }
     }
 
-    /// Each operation from q on, as Pinocchio's are.
+    /// Measures each operation from q on, as Pinocchio's are measured.
     fn measure(&mut self, calls: usize) -> Vec<(&'static str, f64)> {
         let Self { model, tip, data, states } = self;
         let (model, tip, n) = (*model, *tip, model.n());
@@ -163,7 +163,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// One tick of operational-space control without limits and damping: a pose task of six rows over a posture.
+/// One control cycle in operational space without limits and damping: a pose task of six rows over a posture.
 struct Tick {
     desired: Placement,
     jacobian: Matrix6xX<f64>,
@@ -179,7 +179,7 @@ impl Tick {
         Self { desired, jacobian, space: OperationalSpace::new(n), posture: vec![0.0; n], tau: vec![0.0; n] }
     }
 
-    /// τ = Jᵀ Λ (a − J̇ q̇) + Nᵀ (M (−kp q − kv q̇)) + h, with a from the errors of position and rotation.
+    /// Computes τ = Jᵀ Λ (a − J̇ q̇) + Nᵀ (M (−kp q − kv q̇)) + h, with a from the errors of position and rotation.
     #[inline(never)]
     fn run(&mut self, model: &Model, data: &mut Data, tip: FrameId, q: &[f64], dq: &[f64]) {
         kinematics(model, data, q, dq);
@@ -230,7 +230,7 @@ fn chain(n: usize) -> Model {
     model
 }
 
-/// Inverse and forward dynamics are linear in the number of joints.
+/// Measures inverse and forward dynamics over the number of joints, in which they are linear.
 fn scaling(calls: usize) {
     println!("\na chain: ns, and ns per joint");
     println!("{:8}{:>10}{:>8}{:>10}{:>8}", "joints", "rnea", "", "aba", "");
@@ -250,7 +250,7 @@ fn scaling(calls: usize) {
     }
 }
 
-/// States per second, one after another and in lanes.
+/// Measures states per second, one after another and in lanes.
 fn batches(calls: usize, root: &Path) {
     let path = root.join("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
     let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
@@ -263,14 +263,14 @@ fn batches(calls: usize, root: &Path) {
     }
 }
 
-/// As above: a first round warms up.
+/// Measures like [`sweep`], after a first round that warms up.
 fn warm_sweep<T: Real>(model: &Model<T>, calls: usize) -> Vec<(&'static str, f64)> {
     let (mut data, states) = (Data::new(model), States::new(model));
     sweep(model, &mut data, &states, calls);
     sweep(model, &mut data, &states, calls)
 }
 
-/// The algorithms that are written for one state and for lanes: ns per state.
+/// Measures the algorithms that are written for one state and for lanes: ns per state.
 fn sweep<T: Real>(
     model: &Model<T>,
     data: &mut Data<T>,

@@ -1,4 +1,4 @@
-//! What a control tick costs, and what it is made of: `cargo bench`.
+//! Cost of a control cycle and of its parts: `cargo bench`.
 
 use divan::{Bencher, black_box};
 use nalgebra::Matrix6xX;

@@ -1,4 +1,5 @@
-//! A robot whose handle borrows and belongs to one thread, as vendors' handles do: nothing asks for `Send` or `'static`.
+//! A robot whose handle borrows and belongs to one thread, as vendors' handles do: nothing asks for `Send` or
+//! `'static`.
 //!
 //! `cargo run --release -p opspace --example borrowed_handle` writes to `runs/borrowed_handle`.
 

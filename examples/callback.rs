@@ -11,7 +11,7 @@ use opspace::backend::{Backend, Command, Sample};
 use opspace::experiment::{BackendKind, Choice, Experiment, Files, Progress};
 use opspace::sim::SimulatedArm;
 
-/// A vendor's loop: it owns the timing, and calls back until it is told to stop.
+/// A vendor's loop: it owns the timing, and calls back until a callback returns nothing.
 fn control(arm: &mut SimulatedArm, mut callback: impl FnMut(&Sample) -> Option<Vec<f64>>) {
     let mut sample = Sample::new(arm.capabilities());
     while arm.read(&mut sample).is_ok() {

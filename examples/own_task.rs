@@ -23,7 +23,7 @@ struct Distance {
 }
 
 impl Distance {
-    /// n and d.
+    /// Direction n and distance d.
     fn direction_and_length(&self, model: &Model, data: &Data) -> (Vector3<f64>, f64) {
         let away = frame_placement(model, data, self.frame).translation - self.point;
         (away.normalize(), away.norm())
@@ -57,7 +57,7 @@ impl Coordinate for Distance {
     }
 }
 
-/// `[task.NAME.distance]` in a file.
+/// Parameters of `[task.NAME.distance]` in a file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DistanceParameters {

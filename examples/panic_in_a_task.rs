@@ -1,5 +1,5 @@
-//! A task that panics while the robot moves: the robot is stopped, log and report are complete up to the panic and say so,
-//! and the log replays.
+//! A task that panics while the robot moves: the robot is stopped, log and report are complete up to the panic and say
+//! so, and the log replays.
 //!
 //! `cargo run --release -p opspace --example panic_in_a_task` writes to `runs/panic_in_a_task`.
 
@@ -16,8 +16,8 @@ use opspace::log::{OutcomeRecord, Recording};
 use opspace::model::{Data, Model};
 use serde::Deserialize;
 
-/// The angle of a joint, corrected by a table with an entry for each tenth of a radian. Its author forgot that angles go
-/// beyond the table's end.
+/// The angle of a joint, corrected by a table with an entry for each tenth of a radian. Its author forgot that angles
+/// go beyond the table's end.
 struct CorrectedAngle {
     joint: usize,
     corrections_rad: [f64; 8],
@@ -43,7 +43,7 @@ impl Coordinate for CorrectedAngle {
     }
 }
 
-/// `[task.NAME.corrected-angle]` in a file.
+/// Parameters of `[task.NAME.corrected-angle]` in a file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CorrectedAngleParameters {

@@ -1,7 +1,7 @@
 //! Cartesian targets from another thread, 100 in a second, with a pause in which they become stale.
 //!
-//! `cargo run --release -p opspace --example streamed_targets` runs for 4 s of real time, writes to `runs/streamed_targets`,
-//! and replays it: targets are logged inputs.
+//! `cargo run --release -p opspace --example streamed_targets` runs for 4 s of real time, writes to
+//! `runs/streamed_targets`, and replays it: targets are logged inputs.
 
 #![expect(clippy::print_stdout, reason = "an example shows what it did")]
 

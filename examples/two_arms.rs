@@ -1,5 +1,5 @@
-//! Two arms in one simulation, on one clock: the joints of the second follow those of the first, 20 ms late, with jitter and
-//! loss, while an elastic band pulls at both hands. Each log is replayed alone.
+//! Two arms in one simulation, on one clock: the joints of the second follow those of the first, 20 ms late, with
+//! jitter and loss, while an elastic band pulls at both hands. Each log is replayed alone.
 //!
 //! `cargo run --release -p opspace --example two_arms` writes to `runs/leader` and `runs/follower`.
 

@@ -1,7 +1,8 @@
-//! No cycle allocates: every experiment of every suite on every robot and controller, with tasks of a user's own and with
-//! streamed targets, while it runs, when it is stopped by a fault of its own or of the device, and when it is interrupted.
+//! Allocations in a cycle: none in every experiment of every suite on every robot and controller, with tasks defined by
+//! the user and with streamed targets, during the run, on a stop by a fault of its own or of the device, and on an
+//! interruption.
 //!
-//! Compared: the allocator's own count at two successive ticks. It counts this thread only, and the whole
+//! Compared: the allocator's own count at two successive cycles. It counts this thread only, and the whole
 //! loop runs on it: plant, drives and sensors of the simulated robot included.
 
 mod common;
@@ -28,10 +29,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// The phase of each tick, with the allocator's count at its end.
+/// Phase of each cycle, with the allocator's count at its end.
 type Counts = Vec<(f64, usize)>;
 
-/// Counts, and interrupts after some ticks.
+/// A sink that counts allocations, and interrupts the run after some cycles.
 struct Counter<'a> {
     counts: Counts,
     interrupt_after: Option<usize>,
@@ -50,7 +51,7 @@ impl Sink for Counter<'_> {
     }
 }
 
-/// Place of the signal `phase` in a row of the loop.
+/// Index of the signal `phase` in a row of the loop.
 const PHASE: usize = 3;
 
 fn count(
@@ -62,7 +63,7 @@ fn count(
     count_on(&mut arm, experiment, controller, interrupt_after, |_| ())
 }
 
-/// The same on another robot; `prepare` sees the run before its first cycle.
+/// Runs a controller on `robot` and counts the allocations; `prepare` gets the run before its first cycle.
 fn count_on(
     robot: &mut dyn Backend,
     experiment: &Experiment,
@@ -80,12 +81,12 @@ fn count_on(
     (sink.counts, outcome)
 }
 
-/// The experiment's own controller.
+/// Builds the experiment's own controller.
 fn own_controller(experiment: &Experiment) -> Box<dyn Controller> {
     experiment.controller().unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Checks every tick but the first: only the controller's start may allocate.
+/// Checks every cycle but the first: only the controller's start may allocate.
 fn check(counts: &Counts, name: &str) {
     const CONTROL: f64 = 1.0;
     assert!(counts.iter().filter(|(phase, _)| *phase == CONTROL).count() > 50, "{name}");
@@ -96,7 +97,7 @@ fn check(counts: &Counts, name: &str) {
     }
 }
 
-/// A run of half a second: longer than the torque's ramp and several periods of all filters.
+/// Shortens an experiment to half a second: longer than the torque's ramp and several periods of all filters.
 fn short(experiment: &Experiment, duration_s: f64) -> Experiment {
     let mut task = experiment.task().clone();
     task.file.settle_s = NonNegative::default();
@@ -111,7 +112,7 @@ fn the_counter_counts() {
 
 /// Runs each experiment of a suite once, whatever its seeds, until after its last event. Returns how many there are.
 fn no_cycle_allocates_in(suite: &str) -> usize {
-    /// Longer than the torque's ramp, and more cycles than any delay line has.
+    /// Duration longer than the torque's ramp, s, and a number of cycles larger than any delay line's.
     const SHORT_S: f64 = 0.3;
     const CYCLES: f64 = 80.0;
     let path =
@@ -168,7 +169,7 @@ fn no_cycle_of_the_robustness_suite_allocates() {
     assert!(no_cycle_allocates_in("robustness") >= 50);
 }
 
-/// The sum of two joints' positions, rad: a user's coordinate.
+/// A user's coordinate: the sum of two joints' positions, rad.
 struct Sum;
 
 impl Coordinate for Sum {
@@ -195,8 +196,8 @@ impl Coordinate for Sum {
     }
 }
 
-/// A user's task above a hand whose targets come from another thread, with pauses in which they become stale, on all three
-/// kinds of robot; the device fails when it is read, or when it is written to.
+/// A user's task above a hand whose targets come from another thread, with pauses in which they become stale, on all
+/// three kinds of robot; the device fails when it is read, or when it is written to.
 #[test]
 fn no_cycle_with_a_users_task_streamed_targets_and_device_faults_allocates() {
     const TASK: &str = r#"
@@ -262,14 +263,14 @@ fn stream(mut sender: TargetSender) -> usize {
     sent
 }
 
-/// A simulated arm that fails after so many reads or writes.
+/// A simulated arm that fails after a number of reads or writes.
 struct Failing {
     arm: SimulatedArm,
     reads: usize,
     writes: usize,
 }
 
-/// One less; a fault if there is none left.
+/// Decrements a counter; a fault if it is zero.
 fn take_one(left: &mut usize) -> Result<(), DeviceFault> {
     *left = left.checked_sub(1).ok_or(DeviceFault::new(17, "the cable was pulled"))?;
     Ok(())
@@ -293,7 +294,7 @@ impl Backend for Failing {
     }
 }
 
-/// The stop and what follows it are ticks as well.
+/// Stops and interruptions: the cycles of the stop and after it don't allocate either.
 #[test]
 fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
     for choice in [osc("a-med"), torque("a-med")] {
@@ -323,7 +324,7 @@ fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
     check(&counts, "a jump");
 }
 
-/// Cycles that are bridged, a dropout from which it resumes, and one that is too long.
+/// Missed cycles that are bridged, a dropout from which the run resumes, and one that is too long.
 #[test]
 fn no_tick_of_a_run_with_missed_cycles_allocates() {
     let dropouts =

@@ -1,5 +1,5 @@
-//! The bars that the paper's experiments must clear, read from what `opspace bench --json` wrote: run it, then
-//! this test with `OPSPACE_BENCH_JSON` naming the file. Without it the test says so and checks nothing.
+//! Bounds that the paper's experiments must keep, read from the output of `opspace bench --json`: run it, then this
+//! test with `OPSPACE_BENCH_JSON` naming the file. Without it the test says so and checks nothing.
 //!
 //! Compared: medians over seeds of this simulation, and figures of one written independently, in another
 //! language (25 % about its medians over ten seeds), or fixed bounds.
@@ -16,7 +16,7 @@ struct Bench {
     rows: Vec<Value>,
 }
 
-/// What names a group of runs that differ only in their seed.
+/// Key of a group of runs that differ only in their seed.
 #[derive(Clone, Copy, Debug)]
 struct Group<'a> {
     task: &'a str,
@@ -24,12 +24,12 @@ struct Group<'a> {
     controller: &'a str,
     profile: &'a str,
     ratio: u64,
-    /// Name of the transformer; empty where torques or positions pass as they are.
+    /// Name of the transformer; empty where torques or positions pass without one.
     transformer: &'a str,
 }
 
 impl<'a> Group<'a> {
-    /// The paper's transformer for a position or velocity robot under torque control.
+    /// Creates the key of runs with the paper's transformer, for a position or velocity robot under torque control.
     fn new(task: &'a str, backend: &'a str, controller: &'a str, profile: &'a str) -> Self {
         let transformer = if backend != "torque" && controller == "osc" { "paper" } else { "" };
         Self { task, backend, controller, profile, ratio: 5, transformer }
@@ -41,7 +41,7 @@ impl<'a> Group<'a> {
 }
 
 impl Bench {
-    /// The file that the environment names, if it names one.
+    /// Reads the file that the environment names, if it names one.
     fn read() -> Option<Self> {
         Self::read_from(FILE)
     }
@@ -179,8 +179,9 @@ fn the_hand_moves_a_compliant_arm_and_not_a_stiff_one() {
     }
 }
 
-/// How far a slow push of 20 N moves a spring of 400 N/m, at twelve postures: tasks/suites/stiffness.toml, run into the
-/// file that `OPSPACE_STIFFNESS_JSON` names, against 50 mm, within 1 % on the torque robot and 10 % on the position robot.
+/// Compared: the displacement of a spring of 400 N/m by a slow push of 20 N, at twelve postures
+/// (tasks/suites/stiffness.toml, run into the file that `OPSPACE_STIFFNESS_JSON` names), and 50 mm, within 1 % on the
+/// torque robot and 10 % on the position robot.
 #[test]
 fn a_stiffness_is_what_was_asked_for() {
     let Some(bench) = Bench::read_from("OPSPACE_STIFFNESS_JSON") else { return };
@@ -199,7 +200,7 @@ fn a_stiffness_is_what_was_asked_for() {
     }
 }
 
-/// The rows of a suite's file that the environment names, by what tells them apart.
+/// Rows of a suite's file that the environment names, found by their settings.
 struct Rows(Bench);
 
 impl Rows {
@@ -227,7 +228,8 @@ impl Rows {
         (median, values[values.len() - 1])
     }
 
-    /// A metric of two kinds of control, the first over the second with the same seed: the median over the seeds of the first.
+    /// Ratio of a metric of two kinds of control with the same seed, the first over the second: the median over the
+    /// seeds of the first.
     fn median_ratio(&self, controls: [[&str; 3]; 2], row: (&str, &str), metric: &str) -> f64 {
         let (task, profile) = row;
         let by_seed = controls.map(|[backend, controller, transformer]| {
@@ -252,7 +254,7 @@ impl Rows {
         0.5 * (ratios[(ratios.len() - 1) / 2] + ratios[ratios.len() / 2])
     }
 
-    /// The median of a metric is at most `bound`, and no seed's is more than one and a half times it.
+    /// Checks that the median of a metric is at most `bound`, and each seed's value at most one and a half times it.
     fn below(&self, bound: f64, row: (&str, [&str; 3], &str, &str), metric: &str) {
         let (task, control, profile, label) = row;
         let (median, worst) = self.values(task, control, profile, label, metric);
@@ -270,8 +272,8 @@ fn through(transformer: &str) -> [&str; 3] {
     ["position", "osc", transformer]
 }
 
-/// Tasks of the paper's suite, each with the largest acceptable torque error of interval means: those of the position rows;
-/// joint tracking as Cartesian tracking.
+/// Tasks of the paper's suite, each with the largest acceptable torque error of interval means: those of the position
+/// rows; joint tracking as Cartesian tracking.
 const INTERVAL_BARS: [(&str, f64); 4] = [
     ("gravity-compensation", 0.05),
     ("joint-tracking", 0.05),
@@ -324,8 +326,8 @@ fn velocity_robots_track_and_comply_as_torque_robots_do() {
     }
 }
 
-/// What the suite of transformers must show, in the file that `OPSPACE_TRANSFORMER_JSON` names: torque errors and tracking of
-/// each transformer on the experiments of the paper, against fixed bounds, the torque robot and inverse kinematics.
+/// Compared: torque errors and tracking of each transformer on the experiments of the paper, in the file that
+/// `OPSPACE_TRANSFORMER_JSON` names, and fixed bounds, the torque robot and inverse kinematics.
 #[test]
 fn emulating_the_servo_gives_the_torques() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
@@ -365,8 +367,9 @@ fn emulating_the_servo_gives_the_torques() {
     }
 }
 
-/// What a held set-point leaves within an interval, over what the drive's timing predicts. Not of compliant-x on the stiff
-/// drives: it moves so slowly that what encoder counts leave in the servo's own velocity is as large.
+/// Compared: the ripple that a held setpoint leaves within an interval, and the one that the drive's timing predicts.
+/// Compliant-x on the stiff drives is left out: it moves so slowly that the encoder counts in the servo's own velocity
+/// have an effect as large.
 #[test]
 fn what_is_left_is_the_ripple_of_a_held_set_point() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
@@ -384,7 +387,8 @@ fn what_is_left_is_the_ripple_of_a_held_set_point() {
     }
 }
 
-/// The same suite: known delays, other ratios, wrong gains without and with their refinement, other servos, other robots.
+/// Compared: torque errors in the same suite and fixed bounds, with known delays, other ratios, wrong gains without and
+/// with their refinement, other servos, and other robots.
 #[test]
 fn torques_come_whatever_the_drives_are() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
@@ -418,9 +422,9 @@ fn torques_come_whatever_the_drives_are() {
     }
 }
 
-/// The suite of what is borne, in the file that `OPSPACE_ROBUSTNESS_JSON` names. With the current every row ends, the hand
-/// within 15 mm of its path unless the bus was dead or the motors too weak; without it a position loop that is 30 % too stiff
-/// is stopped, and the cause is named.
+/// Runs of the suite of deviations, in the file that `OPSPACE_ROBUSTNESS_JSON` names. With the motors' current every
+/// run ends, the hand within 15 mm of its path unless the bus was dead or the motors too weak; without it a position
+/// loop that is 30 % too stiff is stopped, and the cause is named.
 #[test]
 fn one_thing_that_is_not_as_it_should_be_is_borne() {
     let Some(bench) = Bench::read_from("OPSPACE_ROBUSTNESS_JSON") else { return };

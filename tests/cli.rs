@@ -1,4 +1,4 @@
-//! The command line as a user meets it: what is written where, said where, and with which exit code.
+//! The command line from the user's side: output, its place, and the exit code.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -16,7 +16,7 @@ use std::time::Duration;
 const COMMANDS: [&str; 9] =
     ["run", "bench", "replay", "report", "check", "model", "new", "schema", "completion"];
 
-/// The promises of a summary and of a row of bench.
+/// Keys that a summary and a row of bench always contain.
 const ROW: [&str; 14] = [
     "task",
     "robot",
@@ -143,7 +143,8 @@ fn what_is_chosen_stands_in_the_summary() {
     );
 }
 
-/// The same file, seed and binary: the same bits in every signal but the wall clock's. Another seed: others.
+/// Runs of the same file, seed and binary: the same bits in every signal but the wall clock's. Another seed: other
+/// bits.
 #[test]
 fn a_run_can_be_had_again() {
     let folder = scratch();
@@ -226,7 +227,7 @@ fn quiet_says_nothing_but_results() {
     assert!(ran.stdout.contains("compliant-x") && !ran.stdout.contains("simulation"), "{}", ran.stdout);
 }
 
-/// A reader that went away: the end is quiet, the results are on the disk.
+/// A reader that closes its pipe: the program ends quietly, and the results are on the disk.
 #[test]
 fn a_closed_pipe_ends_quietly() {
     let folder = scratch();
@@ -252,7 +253,7 @@ fn a_closed_pipe_ends_quietly() {
 
 const ROOT_ROBOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/asimo-arm");
 
-/// A run too long to end by itself, once its log holds some seconds.
+/// Starts a run too long to end by itself, and returns it once its log holds some seconds.
 fn long_run(folder: &Path) -> (Child, PathBuf) {
     let task = task("compliant-x");
     let mut run = command(folder, &["run", &task, "--duration-s", "2000", "--out", "out"]);
@@ -282,7 +283,7 @@ fn an_interrupt_stops_the_run_and_closes_its_log() {
     opspace(folder.path(), &["report", "out"]).exits(0);
 }
 
-/// The process killed in the middle: what is in the file is the beginning of the run, to the bit.
+/// A process killed during the run: the file holds the beginning of the run, to the bit.
 #[test]
 fn a_killed_run_leaves_a_log_that_is_good_so_far() {
     let folder = scratch();
@@ -304,7 +305,7 @@ fn a_killed_run_leaves_a_log_that_is_good_so_far() {
     assert!((0..1000).all(|k| a.row(k) == b.row(k)), "the same run, cut short");
 }
 
-/// The exit codes of a suite's runs: a fault outranks what went well.
+/// Exit codes of a suite's runs: a fault outranks success.
 #[test]
 fn a_fault_ends_with_1_and_its_cause() {
     let folder = scratch();
@@ -430,7 +431,7 @@ fn numbers(list: &Value) -> Vec<f64> {
     list.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
-/// Masses, centres and offsets against what stands in the text of the file.
+/// Compared: masses, centres and offsets, and the text of the file.
 #[test]
 fn the_table_of_a_robot_says_what_its_file_says() {
     let folder = scratch();
@@ -470,7 +471,7 @@ fn the_table_of_a_robot_says_what_its_file_says() {
     assert_near(&tool["offset_m"], "<joint name=\"ee_fixed_joint\"");
 }
 
-/// What the reader warns of, and what the model as a whole does: on stderr with the file, and as JSON.
+/// Warnings of the reader, and of the model as a whole: on stderr with the file, and as JSON.
 #[test]
 fn what_looks_wrong_with_a_robot_is_said() {
     let folder = scratch();
@@ -555,7 +556,7 @@ const SCHEMAS: [(&str, &str); 3] = [
     ("suite", "tasks/suite.schema.json"),
 ];
 
-/// The schemas beside the files, which editors read, against what the program says today.
+/// Compared: the schemas beside the files, which editors read, and the program's present output.
 #[test]
 fn the_schemas_in_the_project_are_those_of_the_program() {
     let folder = scratch();
@@ -570,7 +571,7 @@ fn the_schemas_in_the_project_are_those_of_the_program() {
     opspace(folder.path(), &["schema", "robots"]).exits(2).says(&["robot"]);
 }
 
-/// What of a value a schema forbids: keys unknown or missing, kinds of value.
+/// Returns the violation of a schema by a value: unknown or missing keys, or the wrong kind of a value.
 fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<String> {
     if let Some(reference) = schema["$ref"].as_str() {
         let name = reference.strip_prefix("#/$defs/").unwrap();
@@ -631,7 +632,8 @@ fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<Stri
     elements.filter_map(|element| refused(root, &schema["items"], element, at)).next()
 }
 
-/// The files of the project against the schemas; with a key too many, or without one, they are refused.
+/// Validation of the project's files by the schemas; with an additional key, or without a required one, they are
+/// refused.
 #[test]
 fn the_schemas_accept_the_projects_files_and_no_others() {
     let files = [
@@ -670,7 +672,7 @@ fn every_shell_gets_its_completion() {
     opspace(folder.path(), &["completion", "csh"]).exits(2).says(&["bash"]);
 }
 
-/// The margin that is told of a task, and the kind of robot that its robot file states.
+/// The gain margin that is reported for a task, for the kind of robot that its robot file states.
 #[test]
 fn check_is_for_the_robot_of_the_file() {
     let folder = scratch();
@@ -716,7 +718,7 @@ fn check_knows_what_a_file_is() {
     );
     assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
 
-    // Several: each is told of, and one that is wrong is enough.
+    // Several files: each is reported, and one with a mistake is enough.
     fs::write(folder.path().join("bad.toml"), "robot = \".\"\nduration_s = 1.0\n").unwrap();
     fs::write(folder.path().join("other.toml"), "[package]\nname = \"x\"\n").unwrap();
     let arguments = ["check", ROOT_ROBOT, "bad.toml", "other.toml", "none.toml", "--json", "-"];
@@ -745,7 +747,7 @@ fn a_file_of_another_kind_is_told_apart() {
     opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is meant here"]);
 }
 
-/// A file of results is written when all went well and not before; the samples are never written over.
+/// Writing of results: a file is written only if all states are valid; the samples are never overwritten.
 #[test]
 fn samples_write_no_file_that_they_should_not() {
     let folder = scratch();
@@ -767,7 +769,7 @@ fn samples_write_no_file_that_they_should_not() {
     assert!(read(path("new.jsonl")).contains("tau_rnea"));
 }
 
-/// A robot that only stands has a table too.
+/// A robot without moving joints has a table too.
 #[test]
 fn a_robot_without_joints_has_a_table() {
     let folder = scratch();

@@ -1,6 +1,6 @@
-//! A bus that loses cycles, in whole experiments: the arm is held by its servos, and goes on without a jump.
+//! Buses that lose cycles, in whole experiments: the servos hold the arm, and control resumes without a jump.
 //!
-//! Compared throughout: what the log says the arm truly did, and what it does on a good bus.
+//! Compared throughout: the arm's true motion in the log, and that on a good bus.
 
 mod common;
 
@@ -11,7 +11,7 @@ use opspace_log::Recording;
 use opspace_loop::{Fault, Phase, RunOutcome};
 use opspace_transformer::TransformerKind;
 
-/// When the bus is dead, s.
+/// Interval in which the bus is dead, s.
 const DEAD: (f64, f64) = (3.0, 3.3);
 const DROPOUT: &str = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
 
@@ -21,27 +21,27 @@ fn tracking(choice: Choice, transformer: &str, settings: &[&str]) -> Experiment 
     load("cartesian-tracking", choice, settings)
 }
 
-/// Largest of a signal of a channel between two times.
+/// Largest magnitude of a signal of a channel between two times.
 fn largest(run: &Run, channel: &str, signal: &str, from_s: f64, to_s: f64) -> f64 {
     let rows = run.channel(channel).time_s.iter().zip(run.signal(channel, signal).rows());
     let within = rows.filter(|(t, _)| (from_s..to_s).contains(*t)).flat_map(|(_, row)| row);
     within.fold(0.0, |max: f64, v| max.max(v.abs()))
 }
 
-/// The true joints at a time.
+/// True joint positions at a time.
 fn joints(run: &Run, time_s: f64) -> Vec<f64> {
     let k = run.channel("truth").time_s.partition_point(|&t| t < time_s - 1e-9);
     run.signal("truth", "q").row(k).to_vec()
 }
 
-/// Ticks of a phase: how many, and the time of the first.
+/// Number of cycles of a phase, and the time of the first.
 fn ticks(run: &Run, phase: Phase) -> (usize, f64) {
     let phases = run.signal("tick", "phase");
     let found: Vec<usize> = (0..phases.len()).filter(|&k| phases.row(k)[0] == phase.code()).collect();
     (found.len(), found.first().map_or(f64::NAN, |&k| run.channel("tick").time_s[k]))
 }
 
-/// How well the hand followed its path from a time on, m.
+/// Tracking error of the hand from a time on, rms, m.
 fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> f64 {
     let mut task = experiment.task().clone();
     task.file.settle_s = serde_json::from_value(from_s.into()).expect("a time");
@@ -50,8 +50,8 @@ fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> 
     metrics(&late, recording).position_rms_m.expect("a Cartesian task")
 }
 
-/// A bus that is dead for 0.3 s at the fastest of the stroke. Compared besides: how far each joint goes on, and the lead of
-/// its last set-point, (τ/kv + q̇)/kp: 40 mrad of the stiff servo and 80 mrad of the soft one.
+/// Dropout of 0.3 s at the fastest instant of the stroke. Compared besides: the distance that each joint continues, and
+/// the distance of its last setpoint, (τ/kv + q̇)/kp: 40 mrad of the stiff servo and 80 mrad of the soft one.
 #[test]
 fn a_dropout_is_held_and_left_without_a_jump() {
     for profile in ["a-med", "b-soft"] {
@@ -106,7 +106,7 @@ fn a_dropout_is_held_and_left_without_a_jump() {
     }
 }
 
-/// Inverse kinematics goes on from the set-points that held the arm, and joint references are joined likewise.
+/// Resumption of inverse kinematics from the setpoints that held the arm, and of joint references likewise.
 #[test]
 fn other_controllers_go_on_without_a_jump_too() {
     for (task, choice) in [
@@ -120,7 +120,7 @@ fn other_controllers_go_on_without_a_jump_too() {
         let run = run(&load(task, choice.clone(), &[DROPOUT]));
         assert_eq!(run.ending, RunOutcome::Completed, "{task} {choice:?}");
         let resumed_s = ticks(&run, Phase::Resuming).1;
-        // Set-points move no faster than they do all the while, and the arm hardly more.
+        // Setpoints move no faster than they do all the while, and the arm hardly more.
         for (channel, signal) in [("tick", "setpoint_speed"), ("truth", "dq")] {
             let [after, usual] =
                 [(&run, resumed_s), (&good, 0.5)].map(|(run, t)| largest(run, channel, signal, t, 5.0));
@@ -132,7 +132,7 @@ fn other_controllers_go_on_without_a_jump_too() {
     }
 }
 
-/// A torque robot's drives hold the last torque, and the arm moves on; its brakes catch it.
+/// Dropout of a torque robot: the drives hold the last torque, the arm moves on, and its brakes stop it.
 #[test]
 fn a_torque_robot_is_braked_before_it_goes_on() {
     let experiment = load(
@@ -148,7 +148,7 @@ fn a_torque_robot_is_braked_before_it_goes_on() {
     assert!(after < 2e-3, "{after} m");
 }
 
-/// Compared: tracking with cycles that get lost now and then, all of them bridged, and without.
+/// Compared: tracking with occasionally lost cycles, all of them bridged, and without.
 #[test]
 fn lost_cycles_are_bridged() {
     for profile in ["a-med", "b-soft"] {
@@ -164,7 +164,7 @@ fn lost_cycles_are_bridged() {
     }
 }
 
-/// Longer than is borne: stopped where it was held.
+/// Dropout longer than the longest tolerated one: the run is stopped where the arm was held.
 #[test]
 fn a_bus_that_is_dead_for_too_long_stops_the_run() {
     let dead = "robot.simulated.bus.dropouts=[{ at_s = 2.0, duration_s = 1.2 }]";
@@ -179,7 +179,7 @@ fn a_bus_that_is_dead_for_too_long_stops_the_run() {
     assert!(moved < 2e-3, "it stayed where the servos had held it: {moved} rad");
 }
 
-/// A servo whose kp is 30 % higher than the paper's transformer believes runs away: it is caught by what its motors do,
+/// A servo whose kp is 30 % higher than the paper's transformer assumes is unstable: the power of its motors reveals it
 /// before it is too fast.
 #[test]
 fn a_servo_that_runs_away_is_caught_by_its_power() {

@@ -1,5 +1,5 @@
-//! The paper's transformer where it is exact, and the errors it has elsewhere, against what follows from the
-//! timing of servo and interface.
+//! Exactness of the paper's transformer where its conditions hold, and its errors elsewhere, against those that follow
+//! from the timing of servo and interface.
 
 mod common;
 
@@ -57,7 +57,7 @@ fn set_points_at_servo_rate_give_the_desired_torques_to_rounding() {
     }
 }
 
-/// Compared: the same two, each time with one of the conditions broken. The test above would see it.
+/// Compared: the same two torques, each time with one of the conditions violated; the test above would fail.
 #[test]
 fn each_condition_of_exactness_counts() {
     let ratio = "robot.profile.b-soft.ratio=1".to_owned();
@@ -73,8 +73,8 @@ fn each_condition_of_exactness_counts() {
     }
 }
 
-/// Artificial damping and inertia of the paper's transformer, from the timing alone (first order in a
-/// period): with velocity v and acceleration a at the interface tick,
+/// Artificial damping and inertia of the paper's transformer, from the timing alone (first order in a period): with
+/// velocity v and acceleration a at the interface cycle,
 ///
 /// ```text
 /// mean(τ_motor) − τ_desired = −b v − m a
@@ -102,7 +102,7 @@ fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
 }
 
 /// Least squares of the torque error, mean over the time that a command acts, on −v and −a of one joint at the
-/// tick at which it was given: (b, m) and the share of the error that they explain.
+/// interface cycle in which it was given: (b, m) and the share of the error that they explain.
 fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f64) {
     let (ratio, period_s) = (profile.ratio.get() as usize, profile.period_s());
     let delay = profile.delay() as usize;

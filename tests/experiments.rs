@@ -1,4 +1,4 @@
-//! Whole experiments: how well each robot and controller does, and that the same file gives the same run.
+//! Whole experiments: performance of each robot and controller, and reproducibility of a run.
 //!
 //! Two bands are used. The published ones are of a simulation written independently, in another language; runs
 //! here are of single seeds, so they are looked up in the range over ten of them.
@@ -63,7 +63,7 @@ fn the_paper_transformer_errs_under_a_hand_as_published() {
     }
 }
 
-/// Compared: set-points once in five servo ticks and at every one, on the same arm.
+/// Compared: setpoints once in five servo ticks and at every one, on the same arm.
 #[test]
 fn set_points_at_servo_rate_all_but_remove_the_error() {
     let settings = ["robot.profile.b-soft.ratio=1"];

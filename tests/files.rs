@@ -1,5 +1,5 @@
-//! Files that are wrong: each is refused with exit code 2, the file and its line, what is wrong and the remedy; and
-//! whatever a file holds, the program doesn't panic. Files that `opspace new` makes: once filled in, they run.
+//! Files with mistakes: each is refused with exit code 2, the file and its line, the mistake and the remedy; no content
+//! of a file makes the program panic. Files that `opspace new` makes: once filled in, they run.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -10,7 +10,7 @@ use opspace_log::Recording;
 use std::fs;
 use std::path::Path;
 
-/// A folder with the arm and a task that is right.
+/// Creates a folder with the arm and a valid task.
 fn arm() -> tempfile::TempDir {
     let folder = scratch();
     for file in ["robot.toml", "asimo-arm.urdf"] {
@@ -124,7 +124,7 @@ refused! {
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
 }
 
-/// The names of files near the one that is missing, and where they are.
+/// Names of files near the missing one, and their folder.
 #[test]
 fn a_missing_file_is_told_with_what_there_is() {
     let folder = arm();
@@ -166,7 +166,7 @@ fn a_setting_errs_as_a_file_does() {
     set("", &["--set"]);
 }
 
-/// What each transformer needs of the robot.
+/// Requirements of each transformer on the robot.
 #[test]
 fn a_transformer_that_the_robot_cannot_have_is_refused() {
     let folder = arm();
@@ -199,13 +199,13 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
     refused("identified", &[&one], &["joint 'shoulder_roll'", "missing"]);
 }
 
-/// The arm's URDF with one thing wrong.
+/// Checks the arm's URDF with one mistake.
 #[track_caller]
 fn urdf(old: &str, new: &str, line: Option<&str>, words: &[&str]) {
     refused("asimo-arm.urdf", old, new, line, words);
 }
 
-/// A whole URDF that is wrong as such.
+/// Checks a whole URDF that is invalid.
 #[track_caller]
 fn whole_urdf(text: &str, words: &[&str]) -> Ran {
     let folder = scratch();
@@ -323,8 +323,8 @@ fn what_is_no_urdf_is_told_from_one() {
     opspace(folder.path(), &["check", "a.urdf"]).exits(2).says(&["a.urdf: is not UTF-8 (line 1)", "UTF-8"]);
 }
 
-/// Files cut off, with bytes changed, and with lines gone, as an editor or a disk may leave them. They are right or
-/// they are refused in words; `opspace` itself looks for panics.
+/// Files that are cut off, with bytes changed, and with lines removed, as an editor or a disk may leave them. They are
+/// accepted or refused with a message; `opspace` itself checks for panics.
 #[test]
 fn a_spoilt_file_never_makes_a_panic() {
     let folder = arm();
@@ -360,7 +360,7 @@ fn a_spoilt_file_never_makes_a_panic() {
     }
 }
 
-/// A value for each key that `opspace new` asks for: of no robot, but possible.
+/// Returns a possible value, of no particular robot, for each key that `opspace new` asks for.
 fn value_of(key: &str) -> &'static str {
     match key {
         "command" => "\"position\"",
@@ -391,13 +391,13 @@ fn value_of(key: &str) -> &'static str {
     }
 }
 
-/// The line without its `#`, if it stands for a value to be written; its key.
+/// Returns the line without its `#` and its key, if it stands for a value to be written.
 fn to_fill(line: &str) -> Option<&str> {
     let (key, _) = line.strip_prefix("# ")?.split_once(" =")?;
     key.chars().all(|c| c.is_ascii_alphanumeric() || c == '_').then_some(key)
 }
 
-/// `opspace new`, then each value written as `check` asks for it, then a run on both kinds of robot.
+/// `opspace new`, then each value written as `check` asks for it, then a run as a position robot and as a torque robot.
 #[track_caller]
 fn new_filled_and_run(robot: &str) {
     let folder = scratch();
@@ -486,7 +486,7 @@ fn a_new_robot_doesnt_touch_what_is_there() {
     assert!(Path::new(&folder.path().join("fourth/robot.toml")).exists());
 }
 
-/// What a run needs and the URDF doesn't say: told at once, by joint.
+/// Values that a run needs and a URDF may lack: reported at once, by joint.
 #[test]
 fn a_new_robot_is_told_what_its_urdf_lacks() {
     let folder = scratch();

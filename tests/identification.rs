@@ -19,7 +19,7 @@ fn robot(settings: &[&str]) -> Robot {
     Robot::load(Files::Embedded, Path::new(ROBOT), &settings).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Shorter than what is usual: a test.
+/// Request with a shorter excitation than usual.
 fn short(profile: &str) -> Request {
     Request {
         profile: Some(profile.to_owned()),
@@ -34,7 +34,8 @@ struct Bar {
     kv: f64,
 }
 
-/// What was found against what the file says of the plant, whatever is believed: kp and kv relative, the delay in ticks.
+/// Compared: the identified parameters and those of the plant in the file, whatever the nominal ones: kp and kv
+/// relative, the delay in servo ticks.
 #[track_caller]
 fn assert_identified(profile: &str, settings: &[&str], delay: u32, truth: [f64; 2], bar: &Bar) -> Identified {
     let found = identified_of(robot(settings), short(profile));
@@ -87,7 +88,7 @@ fn a_drive_that_interpolates_set_points_is_found() {
     assert!(found.servo_toml().contains("elbow = { pid = {"), "{}", found.servo_toml());
 }
 
-/// Without current the scale comes from the inertia, here the true one; viscous friction is within kv.
+/// Identification without current: the scale comes from the inertia, here the true one; viscous friction is within kv.
 #[test]
 fn without_current_the_scale_comes_from_the_inertia() {
     const KP: f64 = 0.10;
@@ -126,7 +127,7 @@ fn a_joint_that_does_not_move_is_refused_with_the_reason() {
     assert_eq!(found.robot_toml("arm.urdf").expect("it can be edited"), None);
 }
 
-/// It is said to be a cascade of gains, and its velocity loop integrates.
+/// A servo whose stated structure is a cascade of gains while its velocity loop integrates is refused.
 #[test]
 fn a_servo_that_is_not_what_it_is_said_to_be_is_refused() {
     let settings = [
@@ -137,7 +138,7 @@ fn a_servo_that_is_not_what_it_is_said_to_be_is_refused() {
     assert!(reason.contains("no cascaded servo explains"), "{reason}");
 }
 
-/// The file that is written is a robot whose plant is the one that was identified, and whose belief is what was found.
+/// The written robot file: its plant is the identified one, and its nominal parameters are the identified ones.
 #[test]
 fn the_written_robot_has_the_same_plant_and_the_identified_belief() {
     const ROUNDING: f64 = 1e-3;

@@ -1,8 +1,8 @@
-//! What `opspace identify robots/asimo-arm` must find, read from the folder that it wrote: run it, then this test with
-//! `OPSPACE_IDENTIFIED` naming the folder. Without it the test says so and checks nothing.
+//! Bounds on the results of `opspace identify robots/asimo-arm`, read from the folder that it wrote: run it, then this
+//! test with `OPSPACE_IDENTIFIED` naming the folder. Without it the test says so and checks nothing.
 //!
-//! Compared: identified parameters with those that the simulation runs with, and a run that believes the identified ones
-//! with one that believes the true ones.
+//! Compared: identified parameters with those that the simulation runs with, and a run with the identified nominal
+//! parameters with one with the true ones.
 
 mod cli_common;
 
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 const FOLDER: &str = "OPSPACE_IDENTIFIED";
 
-/// The bars of a profile: relative errors of kp and kv.
+/// Bounds of a profile: relative errors of kp and kv.
 fn bars(profile: &str) -> [f64; 2] {
     match profile {
         "a-med" => [0.03, 0.03],
@@ -22,7 +22,7 @@ fn bars(profile: &str) -> [f64; 2] {
     }
 }
 
-/// The folder that the environment names, and what was identified there.
+/// Returns the folder that the environment names, and its identification.
 fn identified() -> Option<(PathBuf, Value)> {
     let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else {
         let _ = writeln!(std::io::stderr(), "skipped: {FOLDER} names no folder of `opspace identify`");
@@ -74,8 +74,8 @@ fn torque_error(profile: &str, robot: &str, transformer: &str) -> f64 {
     summary["metrics"]["torque_error_interval"].as_f64().expect("a number")
 }
 
-/// Torque errors with identified and with true parameters believed: of the emulated servo; and of equation (10) with gains
-/// split from the fitted closed loop alone, beside the true ones.
+/// Compared: torque errors with identified and with true nominal parameters, of the emulated servo, and of equation
+/// (10) with gains split from the fitted closed loop alone, beside the true ones.
 #[test]
 fn control_with_what_was_found_is_as_good_as_with_the_truth() {
     let Some((folder, identification)) = identified() else { return };

@@ -1,5 +1,5 @@
-//! `opspace model --samples` against Pinocchio's numbers: what a user gets who checks our model with his own
-//! library. See `tests/oracles/pinocchio/README.md`.
+//! Compared: `opspace model --samples` and Pinocchio's numbers, as by a user who checks our model with another library.
+//! See `tests/oracles/pinocchio/README.md`.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -14,7 +14,7 @@ use std::process::Stdio;
 
 /// Largest error of an entry relative to max(1, the reference's largest).
 const TOLERANCE: f64 = 1e-9;
-/// The same where the mass matrix or the task's inertia is inverted.
+/// Largest relative error of an entry where the mass matrix or the task's inertia is inverted.
 const INVERSE_TOLERANCE: f64 = 1e-8;
 
 const INPUTS: [&str; 5] = ["q", "dq", "ddq", "tau_in", "f_tip"];
@@ -31,7 +31,7 @@ struct Oracle {
     urdf: String,
     tip: String,
     samples: Vec<Value>,
-    /// The states as JSON lines.
+    /// States as JSON lines.
     lines: String,
 }
 
@@ -101,7 +101,7 @@ fn from_stdin(folder: &Path, arguments: &[&str], input: &str) -> Ran {
     Ran { code: output.status.code().unwrap(), stdout: text(output.stdout), stderr: text(output.stderr) }
 }
 
-/// A file of states, standard input, and results into a file: the same lines.
+/// States from a file, from standard input, and with results into a file: the same lines.
 #[test]
 fn states_come_from_a_file_or_from_standard_input() {
     let Oracle { urdf, tip, lines, .. } = oracle("ur5");

@@ -1,5 +1,5 @@
-//! `opspace replay`: whatever was run comes out again bit for bit, and a log that is not what was run is told
-//! from it, to the number.
+//! `opspace replay`: every run is reproduced bit for bit, and a log that differs from the run is detected, to the
+//! number.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -62,7 +62,7 @@ fn a_run_with_missed_cycles_comes_out_again() {
     comes_out_again("joint-tracking", &["--set", dead, "--controller", "ik-lead"]);
 }
 
-/// A push that the arm can't withstand.
+/// Settings of a push that the arm can't withstand.
 const PUSH: [&str; 2] = [
     "surroundings.operator.spring.motion.random.rms_m=2.0",
     "surroundings.operator.spring.stiffness_n_per_m=3000",
@@ -80,7 +80,7 @@ fn a_run_that_faulted_comes_out_again_with_its_fault() {
     }
 }
 
-/// The recording as a log again, its rows changed by `change`.
+/// Records a recording again as a log, with its rows changed by `change`.
 fn recorded_again(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelData)) -> PathBuf {
     let own = |name: &str| name != LOG && name != GAPS;
     let header = Header {
@@ -105,7 +105,7 @@ fn recorded_again(recording: &Recording, to: PathBuf, change: impl Fn(&mut Chann
     to
 }
 
-/// Where a signal's element stands in the rows of a channel.
+/// Index of a signal's element in the rows of a channel.
 fn place(channel: &ChannelData, signal: &str, element: &str) -> usize {
     let before = channel.layout.signals.iter().take_while(|s| s.name != signal);
     let offset: usize = before.map(|s| s.elements.len()).sum();
@@ -113,7 +113,7 @@ fn place(channel: &ChannelData, signal: &str, element: &str) -> usize {
     offset + within.expect(element)
 }
 
-/// Adds to one number of the ticks.
+/// Adds to one number of the channel `tick`.
 fn nudge(tick: usize, signal: &'static str, element: &'static str, by: f64) -> impl Fn(&mut ChannelData) {
     move |channel| {
         if channel.layout.channel == "tick" {
@@ -156,7 +156,7 @@ fn one_changed_command_is_found_to_the_number() {
     assert_eq!((first["logged"].as_f64(), first["recomputed"].as_f64()), (Some(was), Some(is)));
 }
 
-/// A measurement changed: all that was computed from it is not what is computed from it now.
+/// A changed measurement: all values computed from it differ in the replay.
 #[test]
 fn one_changed_measurement_is_found_at_its_tick_and_joint() {
     let folder = scratch();
@@ -171,7 +171,7 @@ fn one_changed_measurement_is_found_at_its_tick_and_joint() {
     }
 }
 
-/// A difference outranks damage.
+/// A log that differs and is damaged: the difference outranks the damage.
 #[test]
 fn a_log_that_differs_and_is_cut_fails() {
     let folder = scratch();
@@ -184,8 +184,8 @@ fn a_log_that_differs_and_is_cut_fails() {
     replay(&changed).exits(1).says(&["damaged"]);
 }
 
-/// A byte changed anywhere, or the end missing: never the same as a whole log. What is good of it is compared, and
-/// is equal.
+/// A byte changed anywhere, or the end missing: the log never counts as a whole one. Its undamaged part is compared,
+/// and is equal.
 #[test]
 fn damage_is_told_and_what_is_good_is_compared() {
     let folder = scratch();
@@ -247,7 +247,7 @@ fn what_is_no_log_is_refused_by_name() {
     }
 }
 
-/// A log that opspace 0.1.0 wrote: whoever has one is told which version reads it, and it stays as it is.
+/// A log written by opspace 0.1.0: the message names the version that reads it, and the log is unchanged.
 #[test]
 fn a_log_of_the_version_before_is_refused_with_the_version_that_reads_it() {
     let folder = scratch();

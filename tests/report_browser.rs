@@ -1,5 +1,5 @@
-//! The report of a run in a browser: everything is laid out and drawn, and the browser has nothing to complain of.
-//! Without Chromium nothing is tested, and that is said.
+//! The report of a run in a browser: everything is laid out and drawn, without messages on the console. Without
+//! Chromium nothing is tested, and the test says so.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -11,7 +11,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Puts what the browser made of the page into its DOM: each figure's size and texts, and every error.
+/// Script that writes the browser's layout of the page into its DOM: each figure's size and texts, and every error.
 const PROBE: &str = r#"
 <script>
 const errors = [];
@@ -51,7 +51,7 @@ fn browser() -> Option<&'static str> {
     found
 }
 
-/// What the browser makes of a page.
+/// Returns the layout of a page in the browser.
 fn probed(browser: &str, page: &Path) -> Value {
     let folder = page.parent().unwrap();
     let probing = folder.join("probing.html");
@@ -74,7 +74,7 @@ fn probed(browser: &str, page: &Path) -> Value {
     serde_json::from_str(&json).expect("what the probe says")
 }
 
-/// That every figure is drawn, and its captions.
+/// Checks that every figure is drawn, and returns the captions.
 fn captions(probe: &Value) -> Vec<String> {
     assert_eq!(probe["errors"], serde_json::json!([]));
     assert!(
@@ -92,7 +92,7 @@ fn captions(probe: &Value) -> Vec<String> {
     figures.iter().map(|figure| figure["caption"].as_str().unwrap().to_owned()).collect()
 }
 
-/// The texts in the figure whose caption holds `word`.
+/// Returns the texts in the figure whose caption contains `word`.
 fn texts<'a>(probe: &'a Value, word: &str) -> Vec<&'a str> {
     let figures = probe["figures"].as_array().unwrap();
     let figure = figures.iter().find(|figure| figure["caption"].as_str().unwrap().contains(word));

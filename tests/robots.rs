@@ -1,5 +1,5 @@
-//! The robots of the project: every folder under `robots/` is right and does its task, as a position robot and as a
-//! torque robot; and what is written of each in its URDF is what its source says.
+//! Robots of the project: every folder under `robots/` is valid and its robot does its task, as a position robot and as
+//! a torque robot; the values in each URDF are those of its source.
 
 #![expect(clippy::unwrap_used, reason = "a test")]
 
@@ -29,8 +29,8 @@ fn robots() -> Vec<String> {
     names
 }
 
-/// A task that a robot can do: the one in which it reaches for something; else the first, by its file's name, that is
-/// for it.
+/// Path of a task that a robot can do: the one in which it reaches for something; else the first one for it, by file
+/// name.
 fn first_task(robot: &str) -> PathBuf {
     let files = fs::read_dir(project("tasks")).unwrap().map(|entry| entry.unwrap().path());
     let mut tasks: Vec<PathBuf> =
@@ -44,7 +44,7 @@ fn first_task(robot: &str) -> PathBuf {
     tasks.into_iter().find(is_for).unwrap_or_else(|| panic!("no task is for {robot}"))
 }
 
-/// `opspace check` finds nothing to say against a robot, its URDF and a task for it.
+/// Checks by `opspace check`: no finding on a robot, its URDF and a task for it.
 #[test]
 fn every_robot_is_right() {
     let names = robots();
@@ -56,13 +56,13 @@ fn every_robot_is_right() {
         let task = first_task(&name);
         let arguments = ["check", &files[0], &files[1], task.to_str().unwrap()];
         let ran = opspace(Path::new(&project(".")), &arguments).exits(0);
-        // A line a file, and one on how much more gain the task bears.
+        // A line per file, and one on how much more gain the task tolerates.
         assert_eq!((ran.stdout.lines().count(), ran.stderr.as_str()), (4, ""), "{name}");
     }
 }
 
-/// Compared: the true path of the hand and the reference of the task, which moves by more than a decimetre. What the
-/// transformer loses to held set-points is seen on the position robot, what friction does on both.
+/// Compared: the true path of the hand and the reference of the task, which moves by more than a decimetre. The error
+/// of the transformer through held setpoints shows on the position robot, that of friction on both.
 #[test]
 fn every_robot_does_its_task_on_both_backends() {
     const POSITION_ROBOT_M: f64 = 0.015;
@@ -84,7 +84,7 @@ fn model(urdf: &str) -> Model {
     Model::from_urdf(urdf).unwrap_or_else(|e| panic!("{e}")).model
 }
 
-/// The URDF of a robot of the project.
+/// Loads the URDF of a robot of the project.
 fn urdf(name: &str) -> Model {
     model(&read(project(&format!("robots/{name}/{name}.urdf"))))
 }

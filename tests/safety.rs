@@ -1,6 +1,6 @@
-//! Starts and stops of the simulated arm: no jump at the start, and a stop that is one, whatever the cause.
+//! Starts and stops of the simulated arm: no jump at the start, and a stop at rest, whatever the cause.
 //!
-//! Compared throughout: what the log says the arm truly did, and the bounds that a safe start and stop keep. A
+//! Compared throughout: the arm's true motion in the log, and the bounds that a safe start and stop keep. A
 //! scripted robot, for faults that a simulation doesn't have, is in the tests of opspace-backend.
 
 mod common;
@@ -17,7 +17,7 @@ use opspace_sim::EnvironmentObjectParameters;
 const START: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
 const STOPPED: f64 = 2.0;
 
-/// A second of a task without friction compensation, on the arm as it is.
+/// An experiment of one second without friction compensation, on the arm with its own parameters.
 fn still(choice: Choice) -> Experiment {
     let choice = Choice { duration_s: Some(1.0), ..choice };
     load("gravity-compensation", choice, &["settle_s=0", "friction_compensation.gain=0"])
@@ -45,13 +45,13 @@ fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
     })
 }
 
-/// The first tick of control.
+/// Index of the first cycle of control.
 fn first(run: &Run) -> usize {
     run.signal("tick", "phase").rows().position(|p| p[0] == 1.0).expect("control began")
 }
 
-/// Compared: the first set-point, and the one at which the servos carry the weight by potential energy; the
-/// true speed over the start, and a person's slowest.
+/// Compared: the first setpoint, and the one at which the servos hold the weight by potential energy; the true speed
+/// over the start, and a person's slowest.
 #[test]
 fn a_start_is_from_holding_still_without_a_jump() {
     for choice in [osc("a-med"), osc("b-soft"), torque("a-med")] {
@@ -83,8 +83,8 @@ fn a_start_is_from_holding_still_without_a_jump() {
     }
 }
 
-/// Compared: the logged desired torque of a controller that asks for 5 Nm more from the first tick on, and the
-/// straight line from the weight to it over 0.2 s.
+/// Compared: the logged desired torque of a controller that demands 5 Nm more from the first cycle on, and the straight
+/// line from the weight to it over 0.2 s.
 #[test]
 fn torque_comes_in_over_the_ramp() {
     for choice in [osc("a-med"), torque("a-med")] {
@@ -126,12 +126,12 @@ fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
     fault.clone()
 }
 
-/// Checks that the log goes on for 0.2 s after the stop, at the end of which nothing moves any more, and that
-/// the arm is held: it has not gone on from where it came to rest.
+/// Checks that the log continues for 0.2 s after the stop, at the end of which nothing moves any more, and that the arm
+/// is held: it has not moved on from where it came to rest.
 fn at_rest(experiment: &Experiment, run: &Run, name: &str) {
-    /// What is left of a joint's speed, rad/s.
+    /// Largest remaining speed of a joint, rad/s.
     const STILL: f64 = 0.03;
-    /// What braking from 1 to 2 rad/s takes: a position servo of kp = 25/s stops within 1/kp of the speed.
+    /// Largest braking distance from 1 to 2 rad/s: a position servo of kp = 25/s stops within 1/kp of the speed.
     const STOPPING_RAD: f64 = 0.1;
     let phase = run.signal("tick", "phase");
     let stop = phase.rows().position(|p| p[0] == STOPPED).expect("it was stopped");
@@ -165,7 +165,7 @@ fn a_joint_limit_stops_the_arm() {
     }
 }
 
-/// A robot of which less speed is allowed.
+/// The robot with a lower speed limit.
 fn slow_robot(limit: f64) -> Robot {
     let robot = robot(&[]);
     let urdf = robot.urdf.text().replace("velocity=\"8\"", &format!("velocity=\"{limit}\""));

@@ -1,18 +1,18 @@
-//! How the benches beside peers take times: as the peers do.
+//! Timing of the benches that are compared with peers, by the same method as the peers.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-/// Random states that a bench cycles over.
+/// Number of random states that a bench cycles over.
 pub const STATES: usize = 1024;
-/// Times taken, of which the median counts.
+/// Number of repetitions, of which the median counts.
 pub const REPETITIONS: usize = 15;
-/// Calls in each of them.
+/// Number of calls in each repetition.
 pub const CALLS: usize = 10_000;
 
-/// Median over the repetitions of the mean time of a call, ns.
+/// Median over the repetitions of the mean duration of a call, ns.
 pub fn time(calls: usize, mut call: impl FnMut(usize)) -> f64 {
     let mut means: Vec<f64> = (0..=REPETITIONS)
         .map(|_| {
@@ -27,7 +27,7 @@ pub fn time(calls: usize, mut call: impl FnMut(usize)) -> f64 {
     means[REPETITIONS / 2]
 }
 
-/// The rows that a peer prints: `name number`.
+/// Runs a peer and returns the rows that it prints: `name number`.
 pub fn measure_peer(peer: &Path, urdf: &Path, tip: &str) -> BTreeMap<String, f64> {
     let out = Command::new(peer).arg(urdf).arg(tip).output().expect("the peer runs");
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));

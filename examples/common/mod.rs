@@ -1,4 +1,4 @@
-//! What the examples have in common: a run into a folder, its replay, and a line about both.
+//! Common parts of the examples: a run into a folder, its replay, and a line about both.
 
 use opspace::experiment::run::replay::replay;
 use opspace::experiment::{Experiment, RunError, RunResult};

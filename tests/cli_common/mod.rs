@@ -1,4 +1,4 @@
-//! The program as its users start it.
+//! The program, started as its users start it.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
@@ -13,7 +13,7 @@ pub fn project(path: &str) -> String {
     format!("{ROOT}/{path}")
 }
 
-/// What a command left behind.
+/// Output and exit code of a command.
 pub struct Ran {
     pub code: i32,
     pub stdout: String,
@@ -27,7 +27,7 @@ impl Ran {
         self
     }
 
-    /// That each of the words stands in what was said on stderr.
+    /// Checks that stderr contains each of the words.
     #[track_caller]
     pub fn says(self, words: &[&str]) -> Self {
         for word in words {
@@ -49,7 +49,7 @@ pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// Runs `opspace` in a folder. However it ends, it ends in its own words.
+/// Runs `opspace` in a folder, and checks that it neither panics nor is killed.
 #[track_caller]
 pub fn opspace(folder: &Path, arguments: &[&str]) -> Ran {
     let output = command(folder, arguments).output().expect("it starts");
@@ -60,12 +60,12 @@ pub fn opspace(folder: &Path, arguments: &[&str]) -> Ran {
     Ran { code, stdout, stderr }
 }
 
-/// A folder that is gone after the test.
+/// Creates a folder that is removed after the test.
 pub fn scratch() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
 
-/// Runs a task of the project for two seconds into `folder/name`, and gives the log's path.
+/// Runs a task of the project for two seconds into `folder/name`, and returns the log's path.
 #[track_caller]
 pub fn run(folder: &Path, name: &str, task: &str, options: &[&str]) -> PathBuf {
     let task = project(&format!("tasks/{task}.toml"));

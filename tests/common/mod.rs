@@ -1,4 +1,4 @@
-//! Experiments of the files in the program, run into memory.
+//! Experiments of the files embedded in the program, run into memory.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
@@ -27,7 +27,7 @@ pub fn torque(profile: &str) -> Choice {
     Choice { backend: BackendKind::Torque, ..osc(profile) }
 }
 
-/// Position robot, inverse kinematics, with or without lead.
+/// Position robot, inverse kinematics, with or without velocity lead.
 pub fn ik(profile: &str, controller: ControllerKind) -> Choice {
     Choice { controller, ..osc(profile) }
 }
@@ -56,7 +56,7 @@ fn owned(settings: &[&str]) -> Vec<String> {
     settings.iter().map(|s| (*s).to_owned()).collect()
 }
 
-/// The robot with drives that do what they are asked: no current loop, encoder counts, noise or torque limit.
+/// Returns the robot with ideal drives: no current loop, encoder counts, noise or torque limit.
 pub fn ideal(mut robot: Robot) -> Robot {
     let simulated = robot.file.simulated.as_mut().expect("the arm can be simulated");
     simulated.current_loop_hz = None;
@@ -66,7 +66,7 @@ pub fn ideal(mut robot: Robot) -> Robot {
     robot
 }
 
-/// How a run ended, and its rows.
+/// Outcome of a run, and its rows.
 pub struct Run {
     pub ending: RunOutcome,
     pub recording: Recording,
@@ -82,10 +82,10 @@ impl Run {
     }
 }
 
-/// Rows as they come, in memory.
+/// A sink that keeps the rows in memory.
 pub struct Memory {
     pub recording: Recording,
-    /// Set, with the flag, at the end of that many ticks.
+    /// Number of cycles after which the flag is raised.
     pub interrupt_after: Option<u64>,
     ticks: u64,
 }
@@ -122,14 +122,14 @@ pub fn run(experiment: &Experiment) -> Run {
     run_with(experiment, controller, None)
 }
 
-/// Runs an experiment and says how well it went.
+/// Runs an experiment and returns its metrics.
 pub fn measure(experiment: &Experiment) -> Metrics {
     let run = run(experiment);
     assert_eq!(run.ending, RunOutcome::Completed, "{}", experiment.task().name());
     metrics(experiment, &run.recording)
 }
 
-/// Runs any controller on the simulated robot of an experiment, interrupted after some ticks.
+/// Runs any controller on the simulated robot of an experiment, interrupted after some cycles.
 pub fn run_with(
     experiment: &Experiment,
     controller: Box<dyn Controller>,
@@ -153,7 +153,7 @@ pub fn control_loop(experiment: &Experiment, controller: Box<dyn Controller>) ->
     ControlLoop::new(LoopConfig { controller, ..config }).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// A controller made of a function of the measurement: what a test needs the robot to be told.
+/// A controller made of a function of the measurement: its commands are those of the test.
 pub struct Told<F> {
     pub kind: CommandKind,
     pub command: F,

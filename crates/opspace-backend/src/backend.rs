@@ -15,8 +15,8 @@ pub trait Backend {
     /// The properties of the robot and its interface. They do not change.
     fn capabilities(&self) -> &Capabilities;
 
-    /// Waits for the next cycle and fills the sample. Missed cycles show as a gap in [`Sample::time_s`]. The same sample
-    /// is never returned twice.
+    /// Waits for the next cycle and fills the sample. Missed cycles show as a gap in [`Sample::time_s`]. The same
+    /// sample is never returned twice.
     ///
     /// # Errors
     /// The fault for which the robot can't be read. The run ends.

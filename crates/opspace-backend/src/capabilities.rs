@@ -21,7 +21,7 @@ pub struct Capabilities {
     pub setpoints: Setpoints,
     /// The part that compensates gravity.
     pub gravity_compensated_by: GravityCompensation,
-    /// Behaviour of the drives where a command fails to come.
+    /// Behaviour of the drives in a cycle in which no command arrives.
     pub on_missed_cycle: MissedCycle,
     /// Presence of joint velocities in samples.
     pub measures_velocity: bool,
@@ -126,7 +126,7 @@ pub struct ForceSensor {
     pub frame: String,
 }
 
-/// Where a robot is.
+/// World that a robot belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum World {
     /// In a simulation or a log.
@@ -159,7 +159,7 @@ impl Setpoints {
     }
 }
 
-/// Behaviour of the drives where a command fails to come.
+/// Behaviour of the drives in a cycle in which no command arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
 pub enum MissedCycle {

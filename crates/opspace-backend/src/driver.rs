@@ -1,4 +1,4 @@
-//! Drivers: how a program opens a robot around a run.
+//! Drivers: the interface through which a program opens a robot for a run.
 
 use crate::backend::Backend;
 use crate::command::CommandKind;
@@ -21,8 +21,8 @@ pub trait Driver {
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError>;
 }
 
-/// What a driver is given to open a robot: the kind of command it is opened for, the joints and period that robot.toml
-/// states, and the other keys of `[driver]`.
+/// Settings with which a driver opens a robot: the kind of command it is opened for, the joints and period that
+/// robot.toml states, and the other keys of `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
@@ -53,7 +53,7 @@ impl Settings {
         Self { command, joints, period_s, values: BTreeMap::new() }
     }
 
-    /// The same with another key.
+    /// Sets the value of a key.
     #[must_use]
     pub fn with(mut self, key: impl Into<String>, value: Setting) -> Self {
         self.values.insert(key.into(), value);

@@ -4,8 +4,8 @@ use std::borrow::Cow;
 use std::error::Error;
 use std::fmt;
 
-/// A fault that the robot or its driver reports: the code and the words of the device, as they are to appear in summary,
-/// log and error messages.
+/// A fault that the robot or its driver reports: the code and the words of the device, as they are to appear in
+/// summary, log and error messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DeviceFault {

@@ -11,8 +11,9 @@ pub trait GroundTruth {
     /// order of time. Allocates nothing.
     fn visit(&self, visit: &mut dyn FnMut(TruthRow<'_>));
 
-    /// Number of the interface cycle of the next sample, where the simulation knows it; the first cycle is 0. The simulated
-    /// bus loses the cycles with lower numbers that were not read: several robots on one clock are read without them.
+    /// Number of the interface cycle of the next sample, where the simulation knows it; the first cycle is 0. The
+    /// simulated bus loses the cycles with lower numbers that were not read: several robots on one clock are read
+    /// without them.
     fn next_sample_cycle(&self) -> Option<u64> {
         None
     }
@@ -37,7 +38,7 @@ impl TruthLayouts {
         Self { truth, servo, external: None }
     }
 
-    /// The same with a layout of external forces.
+    /// Adds a layout of external forces.
     #[must_use]
     pub fn with_external(self, external: Layout) -> Self {
         Self { external: Some(external), ..self }

@@ -1,7 +1,7 @@
 //! The contract between opspace and a robot.
 //!
-//! A driver implements [`Backend`] and depends on this crate alone, which has no dependencies. The feature `schema` adds
-//! serde and schemars to the quantities and enums that stand in files.
+//! A driver implements [`Backend`] and depends on this crate alone, which has no dependencies. The feature `schema`
+//! adds serde and schemars to the quantities and enums that stand in files.
 //!
 //! ```
 //! use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};

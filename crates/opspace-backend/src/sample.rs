@@ -20,17 +20,17 @@ pub struct Sample {
     pub joint_torque: Option<Vec<f64>>,
     /// Readings of the force sensors, raw, in each sensor's axes, ON the robot: fx, fy, fz (N), mx, my, mz (Nm).
     pub wrenches: Vec<[f64; 6]>,
-    /// What the robot says of itself.
+    /// Status reported by the robot.
     pub status: Option<Status>,
 }
 
-/// What a robot says of itself in a sample.
+/// Status reported by a robot in a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Status {
     /// The device's own status word.
     pub word: u32,
-    /// Whether the device changed the last command to keep limits of its own.
+    /// True if the device changed the last command to keep limits of its own.
     pub command_limited: bool,
 }
 
@@ -59,8 +59,8 @@ impl Sample {
         }
     }
 
-    /// Copies what this sample has room for from another sample of the same robot. A quantity that the other lacks becomes
-    /// NaN. Allocates nothing.
+    /// Copies what this sample has room for from another sample of the same robot. A quantity that the other lacks
+    /// becomes NaN. Allocates nothing.
     ///
     /// # Panics
     /// If an array has another length.

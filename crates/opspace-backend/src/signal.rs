@@ -1,4 +1,4 @@
-//! What can be seen of a run: named signals, sampled every tick into one row of numbers.
+//! Signals: the named quantities of a run, sampled every cycle into one row of numbers.
 //!
 //! The layout of a row is fixed before the run, so that sampling only copies numbers.
 
@@ -12,12 +12,12 @@ pub struct Signal {
     pub name: String,
     /// SI unit (`rad`, `m`, `Nm`, `N`, `s`, `1`), mixed ones separated by a comma.
     pub unit: Cow<'static, str>,
-    /// What each element is: joint names, axes; one label an element.
+    /// Labels of the elements: joint names or axes; one label per element.
     pub elements: Vec<String>,
 }
 
 impl Signal {
-    /// A signal with one element a label.
+    /// A signal with one element per label.
     #[must_use]
     pub fn new<S: AsRef<str>>(
         name: impl Into<String>,
@@ -34,30 +34,30 @@ impl Signal {
         Self::new(name, unit, &["value"])
     }
 
-    /// How many numbers it is.
+    /// Number of elements.
     #[must_use]
     pub fn len(&self) -> usize {
         self.elements.len()
     }
 
-    /// Whether it has no elements (a robot without joints).
+    /// Returns true if it has no elements (a robot without joints).
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.elements.is_empty()
     }
 }
 
-/// The rows of one channel: which signals stand in them, in which order.
+/// Layout of the rows of one channel: its signals, in their order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// The channel's name.
     pub channel: String,
-    /// In the order of the row.
+    /// Signals, in the order of the row.
     pub signals: Vec<Signal>,
 }
 
 impl Layout {
-    /// How many numbers a row holds.
+    /// Number of values in a row.
     #[must_use]
     pub fn width(&self) -> usize {
         self.signals.iter().map(Signal::len).sum()
@@ -103,7 +103,7 @@ impl<'a> Row<'a> {
         self.put(&[value]);
     }
 
-    /// Leaves out values: they are not a number.
+    /// Puts NaN in place of `count` values that are left out.
     ///
     /// # Panics
     /// As [`put`](Self::put).
@@ -113,18 +113,18 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// How many values are still to come.
+    /// Number of values still to be put.
     #[must_use]
     pub fn remaining(&self) -> usize {
         self.free.len()
     }
 }
 
-/// Something whose inside can be recorded.
+/// A part whose signals can be recorded.
 pub trait Observable {
-    /// What [`sample`](Self::sample) will put, in its order. Called once, before the run.
+    /// Signals whose values [`sample`](Self::sample) puts, in its order. Called once, before the run.
     fn signals(&self) -> Vec<Signal>;
 
-    /// Puts this tick's values: allocates nothing.
+    /// Puts the values of this cycle. Allocates nothing.
     fn sample(&self, row: &mut Row<'_>);
 }

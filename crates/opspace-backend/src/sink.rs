@@ -9,7 +9,7 @@ pub const SERVO: usize = 2;
 /// Channel number of the external forces put into a simulation: one per interface cycle.
 pub const EXTERNAL: usize = 3;
 
-/// Signal of [`TICK`]: wall time of a step, ns. Never the same twice.
+/// Signal of [`TICK`]: wall-clock duration of a step, ns. It differs from run to run.
 pub const TICK_TIME: &str = "tick_time";
 /// Signal of [`TICK`]: 1 in the cycle in which a stop was asked for.
 pub const STOP_REQUESTED: &str = "stop_requested";

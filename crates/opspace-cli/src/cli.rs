@@ -1,4 +1,4 @@
-//! The arguments, and nothing else.
+//! The command-line arguments, and nothing else.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -38,7 +38,7 @@ Exit codes:
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Run one task on a robot and say how well it went.
+    /// Run one task on a robot and report its metrics.
     #[command(after_help = "\
 Examples:
   opspace run tasks/compliant-x.toml
@@ -76,7 +76,7 @@ that contradict each other, a singular start, freedom that nothing damps, a run 
 `findings`.")]
     Check(CheckArgs),
 
-    /// Find a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
+    /// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
     #[command(after_help = "\
 Told beforehand are the servo's structure, the rates, limits, URDF and rotors; gains, filter, delay and friction are not. \
 The scale of torque comes from the motors' current where the robot measures it, else from URDF and rotor inertia; without \
@@ -115,12 +115,12 @@ The new robot.toml lists every value that must be known, commented out with what
         after_help = "For bash:  opspace completion bash > ~/.local/share/bash-completion/completions/opspace"
     )]
     Completion {
-        /// Which shell.
+        /// Shell of the script.
         shell: Shell,
     },
 }
 
-/// Results for other programs.
+/// Output of results for other programs.
 #[derive(Debug, Args)]
 pub struct JsonArgs {
     /// Write the results as JSON to this file; `-` prints them instead of the text.
@@ -128,7 +128,7 @@ pub struct JsonArgs {
     pub json: Option<PathBuf>,
 }
 
-/// Where results go.
+/// Output folder of results, and their JSON.
 #[derive(Debug, Args)]
 pub struct OutputArgs {
     #[command(flatten)]
@@ -148,31 +148,31 @@ pub struct RunArgs {
     /// The task file.
     pub task: PathBuf,
 
-    /// Another robot than the task's: its folder or its robot.toml.
+    /// Robot in place of the task's: its folder or its robot.toml.
     #[arg(long)]
     pub robot: Option<PathBuf>,
 
-    /// Which kind of robot to be; what robot.toml says it takes if absent.
+    /// Robot interface to simulate; the one that robot.toml states if absent.
     #[arg(long, value_enum)]
     pub backend: Option<BackendArg>,
 
-    /// What commands it.
+    /// Controller that commands the robot.
     #[arg(long, value_enum, default_value_t = ControllerArg::Osc)]
     pub controller: ControllerArg,
 
-    /// Another transformer from torques to positions than the profile's, or the best for what the robot declares.
+    /// Transformer from torques to setpoints, in place of the profile's or of the best for what the robot declares.
     #[arg(long, value_parser = transformers())]
     pub transformer: Option<TransformerKind>,
 
-    /// Another profile of the robot than its default one.
+    /// Profile of the robot in place of its default one.
     #[arg(long)]
     pub profile: Option<String>,
 
-    /// Another seed than the task's.
+    /// Seed in place of the task's.
     #[arg(long)]
     pub seed: Option<u64>,
 
-    /// Another duration than the task's, s.
+    /// Duration in place of the task's, s.
     #[arg(long, value_name = "S", value_parser = positive, allow_negative_numbers = true)]
     pub duration_s: Option<f64>,
 
@@ -184,8 +184,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
-    /// Move a real robot to the task's start_rad first, in a straight line of joint space at 0.2 rad/s at most. It knows
-    /// no obstacles: clear the way.
+    /// Move a real robot to the task's start_rad first, along a straight line in joint space at 0.2 rad/s at most. It
+    /// knows no obstacles: clear the way.
     #[arg(long, conflicts_with = "simulate")]
     pub move_to_start: bool,
 
@@ -216,10 +216,10 @@ fn positive(text: &str) -> Result<f64, String> {
 
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// The suite file; without it the paper's experiments.
+    /// The suite file; the paper's experiments if absent.
     pub suite: Option<PathBuf>,
 
-    /// How many runs at once; without it one for each processor.
+    /// Number of simultaneous runs; one for each processor if absent.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
 
@@ -232,7 +232,7 @@ pub struct ReplayArgs {
     /// A log (run.mcap), or the folder of a run.
     pub log: PathBuf,
 
-    /// Another task, on the same measurements.
+    /// Another task, computed on the same measurements.
     #[arg(long, value_name = "FILE")]
     pub task: Option<PathBuf>,
 
@@ -246,7 +246,7 @@ pub struct ReportArgs {
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
 
-    /// Write the page to this file; without it report.html beside the first log.
+    /// Write the page to this file; report.html beside the first log if absent.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 
@@ -269,19 +269,19 @@ pub struct IdentifyArgs {
     /// The robot's folder or its robot.toml.
     pub robot: PathBuf,
 
-    /// One joint only.
+    /// Identify this joint alone.
     #[arg(long)]
     pub joint: Option<String>,
 
-    /// Another profile than the robot's default one.
+    /// Profile of the robot in place of its default one.
     #[arg(long)]
     pub profile: Option<String>,
 
-    /// Where joints stand, rad or m; the others in the middle of their range.
+    /// Joint positions during the identification, rad or m; the middle of the range for the other joints.
     #[arg(long, value_name = "JOINT=VALUE", value_delimiter = ',', value_parser = joint_value)]
     pub start_rad: Vec<(String, f64)>,
 
-    /// Of the excitation's phases, and of everything random in the simulation.
+    /// Seed of the excitation's phases, and of all random numbers in the simulation.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 
@@ -305,7 +305,7 @@ pub struct ModelArgs {
     /// A robot folder, its robot.toml, or a URDF file.
     pub robot: PathBuf,
 
-    /// The frame for which samples are computed.
+    /// Frame for which the samples are computed.
     #[arg(long, value_name = "FRAME", requires = "samples")]
     pub tip: Option<String>,
 
@@ -327,7 +327,7 @@ pub struct ModelArgs {
 
 #[derive(Debug, Args)]
 pub struct NewArgs {
-    /// The folder to make.
+    /// The folder to create.
     pub dir: PathBuf,
 
     /// The robot's URDF; it is copied into the folder.
@@ -337,14 +337,14 @@ pub struct NewArgs {
 
 #[derive(Debug, Args)]
 pub struct SchemaArgs {
-    /// Which kind of file.
+    /// Kind of file.
     #[arg(value_enum)]
     pub kind: SchemaKind,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum SchemaKind {
-    /// robot.toml
+    /// A robot file (robot.toml).
     Robot,
     /// A task file.
     Task,
@@ -354,11 +354,11 @@ pub enum SchemaKind {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum BackendArg {
-    /// It takes joint positions; torques go through the transformer.
+    /// Robot that takes joint positions; torques pass through the transformer.
     Position,
-    /// A velocity robot, through the transformer.
+    /// Robot that takes joint velocities; torques pass through the transformer.
     Velocity,
-    /// It takes joint torques.
+    /// Robot that takes joint torques.
     Torque,
 }
 
@@ -368,7 +368,7 @@ pub enum ControllerArg {
     Osc,
     /// Inverse kinematics, streamed as positions.
     Ik,
-    /// The same with velocity lead, and gravity sag made up for.
+    /// Inverse kinematics with velocity lead and compensation of the gravity sag, streamed as positions.
     IkLead,
 }
 
@@ -392,7 +392,7 @@ impl From<ControllerArg> for ControllerKind {
     }
 }
 
-/// The transformers by their names.
+/// Parser of the transformers' names.
 fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
     let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.about()));
     PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))

@@ -1,4 +1,4 @@
-//! Results to stdout, everything else to stderr; a closed pipe ends quietly.
+//! Results to stdout, everything else to stderr; a closed pipe ends the program quietly.
 
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
 use miette::{GraphicalReportHandler, GraphicalTheme};
@@ -8,21 +8,21 @@ use opspace_experiment::{FileError, RunError, Summary};
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
-/// Why a command didn't do what was asked.
+/// Reason for which a command failed.
 #[derive(Debug)]
 pub enum Failure {
-    /// A file is wrong.
+    /// A mistake in a file.
     File(FileError),
-    /// Something is wrong that has no place in a file: the message, and the exit code.
+    /// An error without a place in a file: the message, and the exit code.
     Other(String, Exit),
-    /// Nobody reads our output any more.
+    /// The reader of the output has closed the pipe.
     ClosedPipe,
 }
 
-/// How a command ends.
+/// Exit of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// All well.
+    /// Success.
     Done,
     /// The run failed: a fault, a divergence, a difference.
     Failed,
@@ -30,7 +30,7 @@ pub enum Exit {
     Bad,
     /// Done, but data was lost or a log is damaged.
     DataLost,
-    /// Interrupted, log closed.
+    /// Interrupted, with the log closed.
     Interrupted,
 }
 
@@ -65,13 +65,13 @@ impl From<RunError> for Failure {
 }
 
 impl Failure {
-    /// A file that can't be written or made, with what the system says.
+    /// An error of a file that can't be written or created, with the system's message.
     pub fn io(what: &str, path: &std::path::Path, error: &io::Error) -> Self {
         Self::Other(format!("{}: {what}: {error}", path.display()), Exit::Bad)
     }
 }
 
-/// What may be said where.
+/// Verbosity of the messages to stderr.
 #[derive(Clone, Copy, Debug)]
 pub struct Console {
     pub verbose: bool,
@@ -79,27 +79,27 @@ pub struct Console {
 }
 
 impl Console {
-    /// A word on the way, to stderr.
+    /// Prints a progress message to stderr, unless quiet.
     pub fn note(self, text: &str) {
         if !self.quiet {
             let _ = writeln!(io::stderr(), "{text}");
         }
     }
 
-    /// A word for those who want to know more, to stderr.
+    /// Prints a detail to stderr, if verbose.
     pub fn detail(self, text: &str) {
         if self.verbose {
             let _ = writeln!(io::stderr(), "{text}");
         }
     }
 
-    /// Whether a progress bar is welcome.
+    /// True if a progress bar can be shown: not quiet, and stderr is a terminal.
     pub fn shows_progress(self) -> bool {
         !self.quiet && io::stderr().is_terminal()
     }
 }
 
-/// A result, to stdout.
+/// Prints a result to stdout.
 pub fn print(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| match error.kind() {
@@ -108,7 +108,7 @@ pub fn print(text: &str) -> Result<(), Failure> {
     })
 }
 
-/// Results as a table with its notes.
+/// Renders results as a table with its notes.
 pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) -> String {
     let mut text = render(&table(summaries, measures));
     if !console.quiet {
@@ -120,7 +120,8 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     text
 }
 
-/// A table as text. Columns that the terminal is too narrow for follow below, beside the first column again.
+/// Renders a table as text. Columns that don't fit into the terminal's width follow below, with the first column
+/// repeated.
 pub fn render(table: &Table) -> String {
     let texts = table.texts();
     let heads: Vec<String> = (0..table.columns.len()).map(|place| head(table, place)).collect();
@@ -135,7 +136,7 @@ pub fn render(table: &Table) -> String {
     drawn.join("\n")
 }
 
-/// A column's head: above numbers a word on each line, for these are narrow.
+/// Renders a column's head: above numbers one word per line, since these columns are narrow.
 fn head(table: &Table, place: usize) -> String {
     let column = &table.columns[place];
     let mut lines = column.title.replace(' ', if is_numeric(table, place) { "\n" } else { " " });
@@ -149,13 +150,13 @@ fn is_numeric(table: &Table, place: usize) -> bool {
     table.rows.iter().filter_map(|row| row.get(place)).all(Cell::is_numeric)
 }
 
-/// A line below the heads, blanks between columns.
+/// Style of a table: a line below the heads, blanks between columns.
 const STYLE: TableStyle = TableStyle::new().header_separator(LineStyle::none().fill('─'));
 
-/// A blank on each side of a cell.
+/// Padding of a cell: a blank on each side.
 const PADDING: usize = 2;
 
-/// Which columns stand side by side: as many as fit, each time with the first.
+/// Groups of columns that are drawn side by side: as many as fit, each group with the first column.
 fn blocks(widths: &[usize], most: Option<usize>) -> Vec<Vec<usize>> {
     let most = most.unwrap_or(usize::MAX);
     let first = widths.first().copied().unwrap_or(0);
@@ -191,7 +192,7 @@ fn draw(table: &Table, texts: &[Vec<String>], heads: &[String], places: &[usize]
     drawn.lines().map(|line| line.trim_end().to_owned() + "\n").collect()
 }
 
-/// An error, to stderr: one line, then the place in its file and the remedy.
+/// Prints an error to stderr: one line, then the place in its file and the remedy.
 pub fn report(failure: &Failure) -> Exit {
     let mut err = io::stderr().lock();
     match failure {
@@ -225,20 +226,20 @@ pub fn report(failure: &Failure) -> Exit {
     }
 }
 
-/// With what the frame about a line of a file begins.
+/// Beginning of the frame around a line of a file.
 const FRAME: &str = "╭─";
 
-/// Whether a stream takes colours.
+/// True if a stream takes colours.
 fn colours(stream: &impl IsTerminal) -> bool {
     stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Columns of the terminal; `None` without one.
+/// Width of the terminal in columns; `None` without a terminal.
 fn width() -> Option<u16> {
     io::stdout().is_terminal().then(|| terminal_size::terminal_size().map(|(width, _)| width.0)).flatten()
 }
 
-/// Text in lines no longer than `width`.
+/// Wraps text into lines no longer than `width`.
 fn wrap(text: &str, width: usize) -> String {
     let mut lines: Vec<String> = vec![String::new()];
     for word in text.split_whitespace() {

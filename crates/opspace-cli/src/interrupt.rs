@@ -1,10 +1,10 @@
-//! Ctrl-C asks for a safe stop.
+//! Safe stop of a run on Ctrl-C.
 
 use opspace_experiment::Progress;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-/// A watch whose run stops safely when the user interrupts the program.
+/// Returns a progress whose run stops safely when the user interrupts the program.
 pub fn watch() -> Arc<Progress> {
     let watch = Arc::new(Progress::default());
     let seen = Arc::clone(&watch);

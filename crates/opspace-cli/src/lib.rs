@@ -1,5 +1,5 @@
-//! The `opspace` command line, and [`main_with`]: the same command line in a binary of one's own, with drivers and tasks of
-//! one's own.
+//! The `opspace` command line, and [`main_with`]: the same command line in a binary of one's own, with drivers and
+//! tasks of one's own.
 //!
 //! ```no_run
 //! use opspace_cli::{Extensions, main_with};
@@ -24,8 +24,8 @@ use console::{Console, Exit};
 pub use opspace_experiment::Extensions;
 use std::process::ExitCode;
 
-/// The whole command line, with drivers and tasks of a user's own. Reads the program's arguments; the result is its exit
-/// code.
+/// Runs the whole command line, with drivers and tasks defined by the user. Reads the program's arguments; the result
+/// is its exit code.
 #[must_use]
 pub fn main_with(extensions: &Extensions) -> ExitCode {
     let cli = Cli::parse();

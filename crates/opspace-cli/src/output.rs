@@ -1,4 +1,4 @@
-//! The folder of a run. What was recorded is never overwritten unasked.
+//! Folder of a run. Recorded results are never overwritten unless requested.
 
 use crate::cli::{JsonArgs, OutputArgs};
 use crate::console::{Console, Exit, Failure, print};
@@ -9,18 +9,18 @@ use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The folder within a run's that has the motion to the start.
+/// Name of the folder, within that of a run, for the motion to the start.
 pub const MOVE_TO_START: &str = "move-to-start";
-/// The rows of a suite.
+/// File name of a suite's rows.
 pub const ROWS: &str = "bench.json";
-/// The numbers of an identification.
+/// File name of an identification's numbers.
 pub const IDENTIFICATION: &str = "identification.json";
-/// The identified keys of a robot file.
+/// File name of a robot file's identified keys.
 pub const SERVO_FILE: &str = "servo.toml";
-/// A robot file with them.
+/// File name of a robot file with the identified keys.
 pub const ROBOT_FILE: &str = "robot.toml";
 
-/// Makes the folder for results. A default one that holds some is moved aside; one that was asked for is
+/// Creates the folder for results. An existing default folder with results is moved aside; one given by the user is
 /// only reused with `--force`.
 pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<PathBuf, Failure> {
     let folder = args.out.clone().unwrap_or_else(|| default.to_owned());
@@ -58,7 +58,7 @@ fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Removes what a run, a suite or an identification wrote, and nothing else.
+/// Removes the files that a run, a suite or an identification wrote, and nothing else.
 fn clear(folder: &Path) -> Result<(), Failure> {
     let motion = folder.join(MOVE_TO_START);
     if holds_results(&motion) {
@@ -85,7 +85,7 @@ pub fn write(path: &Path, text: &str) -> Result<(), Failure> {
 }
 
 impl JsonArgs {
-    /// Puts the results where `--json` asks for them, and as text on stdout unless they took its place.
+    /// Writes the results where `--json` requests them, and prints them as text unless the JSON is printed instead.
     pub fn print(&self, json: impl FnOnce() -> String, text: impl FnOnce() -> String) -> Result<(), Failure> {
         match &self.json {
             Some(path) if path == Path::new("-") => return print(&json()),
@@ -96,12 +96,12 @@ impl JsonArgs {
     }
 }
 
-/// JSON as a person would read it.
+/// Formats JSON for a reader.
 pub fn pretty(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
 
-/// The log that is meant by a path: a folder stands for the `run.mcap` in it.
+/// Reads the log that a path denotes: a folder stands for the `run.mcap` in it.
 pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
     let path = if path.is_dir() { path.join(LOG) } else { path.to_owned() };
     match Recording::read(&path) {

@@ -1,9 +1,9 @@
-//! What can be wrong with a stack of tasks, and where in its file it stands.
+//! Errors of a task set, with the key at which they stand in its file.
 
 use opspace_model::{UnknownFrame, UnknownJoint};
 use thiserror::Error;
 
-/// A stack of tasks that can't be built for this robot.
+/// A task set that can't be built for this robot.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{key}: {reason}")]
 pub struct ControlError {
@@ -23,7 +23,7 @@ impl ControlError {
         Self::new(key, Reason::Value { message })
     }
 
-    /// The same, with its key below another one.
+    /// Returns the error with its key below another one.
     pub(crate) fn below(self, key: &str) -> Self {
         Self { key: format!("{key}.{}", self.key), reason: self.reason }
     }
@@ -35,14 +35,14 @@ impl ControlError {
         &self.key
     }
 
-    /// What is wrong with it.
+    /// Reason of the error.
     #[must_use]
     pub fn reason(&self) -> &Reason {
         &self.reason
     }
 }
 
-/// What is wrong with a value.
+/// Reason for which a value is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Reason {
@@ -107,11 +107,11 @@ pub enum Reason {
     TooManyAxes {
         /// The task.
         name: String,
-        /// Its axes that are not free.
+        /// Number of its axes that are not free.
         axes: usize,
-        /// The same of all tasks above it.
+        /// Number of axes of all tasks above it that are not free.
         above: usize,
-        /// n.
+        /// Number of joints, n.
         joints: usize,
     },
     /// A rotation axis for a frame that this arm can't turn on the spot.
@@ -124,7 +124,7 @@ pub enum Reason {
         name: String,
         /// The rotation axis.
         axis: &'static str,
-        /// n.
+        /// Number of joints, n.
         joints: usize,
     },
     /// Axes that this arm can't move, or not beside those of the tasks above, wherever it stands.
@@ -137,11 +137,11 @@ pub enum Reason {
     RankDeficient {
         /// The task.
         name: String,
-        /// Its axes that are not free.
+        /// Number of its axes that are not free.
         axes: usize,
-        /// The same of all tasks above it.
+        /// Number of axes of all tasks above it that are not free.
         above: usize,
-        /// The highest rank found.
+        /// Highest rank over the sampled configurations.
         rank: usize,
     },
     /// A per-axis table that leaves out an axis which needs a value.
@@ -194,9 +194,9 @@ pub enum Reason {
     /// A joint task above others that moves more joints than such a task can.
     #[error("a task of some joints can have {most} of them at most, not {joints}")]
     TooManyJoints {
-        /// How many there are.
+        /// Number of joints that the task names.
         joints: usize,
-        /// How many there may be.
+        /// Largest number of joints.
         most: usize,
     },
     /// A task that becomes one of another kind while it runs.
@@ -206,9 +206,9 @@ pub enum Reason {
     KindChanged {
         /// The task.
         name: String,
-        /// What it was.
+        /// Kind of the task of that name so far.
         was: &'static str,
-        /// What it would be.
+        /// Kind of the new task.
         is: &'static str,
     },
     /// A task whose streamed inputs are not those of the task of its name in another task set.
@@ -252,7 +252,7 @@ pub enum Reason {
         /// The joint.
         joint: String,
     },
-    /// Inverse kinematics for a stack that asks for no motion.
+    /// Inverse kinematics for a task set that asks for no motion.
     #[error(
         "no task of this stack asks for a motion, so inverse kinematics has nothing to follow: it needs a \
          cartesian or a joint-tracking task"
@@ -267,9 +267,9 @@ pub enum Reason {
     /// A list that should have one number a joint.
     #[error("{given} numbers for {joints} joints")]
     JointCount {
-        /// How many there are.
+        /// Number of values given.
         given: usize,
-        /// n.
+        /// Number of joints, n.
         joints: usize,
     },
 }

@@ -4,9 +4,9 @@
 //! q̇_ref = J⁺ (ẋ_d + 20 (x_d − x(q_ref))) + (I − J⁺ J) 2 (q_0 − q_ref)
 //! ```
 //!
-//! integrated at the robot's period, never corrected by the measured position: the robot's own servo
-//! closes the loop. Stiff by nature: a compliant axis holds its reference. With a [`ServoLead`], what
-//! the servo lags behind is added: q_ref + q̇_ref/kp + g/(kp kv).
+//! integrated at the robot's period, never corrected by the measured position: the robot's own servo closes the loop.
+//! Stiff by nature: a compliant axis holds its reference. With a [`ServoLead`], the lag of the servo is compensated:
+//! q_ref + q̇_ref/kp + g/(kp kv).
 //!
 //! J⁺ is the dynamically consistent inverse of an arm whose mass matrix is the identity, damped near
 //! singularities as the torque controller's is.
@@ -26,13 +26,13 @@ use opspace_backend::{Observable, Row, Signal};
 use opspace_model::{Data, Model, gravity, kinematics};
 use std::fmt;
 
-/// How fast the error of a reference is worked off, 1/s.
+/// Gain with which the error of a reference decays, 1/s.
 pub const ERROR_GAIN_PER_S: f64 = 20.0;
 
-/// How fast the posture is returned to where the tasks leave freedom, 1/s.
+/// Gain with which the posture is restored where the tasks leave freedom, 1/s.
 pub const POSTURE_GAIN_PER_S: f64 = 2.0;
 
-/// What of the joints' position servos can be led: one number a joint each.
+/// Parameters of the joints' position servos by which their lag is compensated: one value per joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServoLead {
     /// Gain kp of the position loop, 1/s: the servo lags q̇/kp behind.
@@ -46,18 +46,18 @@ pub struct InverseKinematicsController {
     schedule: TaskSchedule,
     context: ControlContext,
     lead: Option<ServoLead>,
-    /// Of the reference posture, with the identity in place of M's factor.
+    /// Kinematics and gravity at the reference posture, with the identity in place of M's factor.
     data: Data,
     q: DVector<f64>,
     dq: DVector<f64>,
     scratch: DVector<f64>,
-    /// What was streamed last (n).
+    /// Joint positions streamed last, rad or m (n).
     streamed: DVector<f64>,
     own_signals: Vec<Signal>,
 }
 
 impl InverseKinematicsController {
-    /// A controller of the tasks in a file, with a lead against the servos' lag if one is given.
+    /// A controller of the tasks in a file, with compensation of the servos' lag if a lead is given.
     ///
     /// # Errors
     /// As for the torque controller; tasks without a motion to follow; a lead of another length than the number of
@@ -128,8 +128,9 @@ impl InverseKinematicsController {
         self.schedule.schedule(time_s, tasks);
     }
 
-    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first one has
-    /// 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in the targets.
+    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first
+    /// one has 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in
+    /// the targets.
     ///
     /// # Errors
     /// As [`prepare`](Self::prepare).
@@ -166,7 +167,7 @@ impl InverseKinematicsController {
         }
     }
 
-    /// q_ref with what the servo needs to be led by.
+    /// Computes q_ref with the compensation of the servo's lag.
     fn stream(&mut self, command: &mut [f64]) {
         for (i, out) in command.iter_mut().enumerate() {
             *out = self.q[i];
@@ -178,7 +179,7 @@ impl InverseKinematicsController {
         self.streamed.copy_from_slice(command);
     }
 
-    /// What a set-point makes up for of the servo's sag at `data`'s posture.
+    /// Offset of a setpoint that compensates the servo's sag under gravity at `data`'s posture, rad or m.
     fn sag(&self, joint: usize) -> f64 {
         match &self.lead {
             Some(lead) if !self.context.gravity_by_robot => {
@@ -220,7 +221,7 @@ impl Controller for InverseKinematicsController {
         self.schedule.current_mut().observe(input);
     }
 
-    /// Goes on from the set-points that held the robot, not from where they left it: so they don't jump.
+    /// Continues from the setpoints that held the robot, not from where they left it, so that they don't jump.
     fn resume(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
         self.dq.fill(0.0);

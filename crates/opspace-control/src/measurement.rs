@@ -1,9 +1,9 @@
-//! What a controller sees of a robot.
+//! Measurement of a robot, as its controller receives it.
 
 use nalgebra::DVector;
 use opspace_model::Force;
 
-/// One tick's view of the robot, the same from every backend. n is the number of joints.
+/// Measurement of one control cycle, the same from every backend. n is the number of joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
     /// Time on the robot's clock since the controller was started, s.
@@ -12,8 +12,8 @@ pub struct Measurement {
     pub q: DVector<f64>,
     /// Joint velocities as estimated by the backend, rad/s or m/s (n).
     pub dq: DVector<f64>,
-    /// Motor torque at the joint as measured (motor current times torque constant), Nm (n): the mean since
-    /// the last tick. `None` if this robot doesn't measure it.
+    /// Motor torque at the joint as measured (motor current times torque constant), Nm (n): the mean since the last
+    /// cycle. `None` if this robot doesn't measure it.
     pub motor_torque: Option<DVector<f64>>,
     /// Wrenches of the force sensors, in the order in which the robot declares them: world axes, at the
     /// sensor frame's origin, ON the robot, tared at start (N, Nm).

@@ -31,13 +31,13 @@ pub struct OperationalSpaceController {
     context: ControlContext,
     compensation: Compensation,
     limiter: Option<Limiter>,
-    /// Of the tasks (n).
+    /// Torques of the tasks, Nm or N (n).
     torque: DVector<f64>,
     joint_torque: DVector<f64>,
     scratch: DVector<f64>,
-    /// Commanded beside the tasks' torques (n).
+    /// Torques commanded beside those of the tasks, Nm or N (n).
     compensation_torque: DVector<f64>,
-    /// What was commanded last (n).
+    /// Torques commanded last, Nm or N (n).
     commanded: DVector<f64>,
     joint_names: Vec<String>,
 }
@@ -102,10 +102,9 @@ impl OperationalSpaceController {
         self.schedule.check(tasks)
     }
 
-    /// Carries out `tasks` from now on in place of those that were carried out, whose number they take, and returns those.
-    /// Tasks of the same name continue from
-    /// each other; the torque moves no faster than the robot's limit allows. Allocates nothing; only tasks that were
-    /// there, or scheduled, when the signals were listed are in the log.
+    /// Carries out `tasks` from now on in place of the present ones, whose number they take, and returns those. Tasks
+    /// of the same name continue from each other; the torque moves no faster than the robot's limit allows. Allocates
+    /// nothing; only tasks that were there, or scheduled, when the signals were listed are in the log.
     pub fn switch(&mut self, tasks: TaskSet, input: &ControlInput<'_>) -> TaskSet {
         self.schedule.switch(tasks, input)
     }
@@ -115,8 +114,9 @@ impl OperationalSpaceController {
         self.schedule.schedule(time_s, tasks);
     }
 
-    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first one has
-    /// 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in the targets.
+    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first
+    /// one has 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in
+    /// the targets.
     ///
     /// # Errors
     /// As [`prepare`](Self::prepare).
@@ -130,26 +130,26 @@ impl OperationalSpaceController {
         self.schedule.number()
     }
 
-    /// The tasks that are carried out now.
+    /// The tasks in force.
     #[must_use]
     pub fn tasks(&self) -> &TaskSet {
         self.schedule.current()
     }
 
-    /// Torque comes in from holding still.
+    /// Takes the torques that hold the arm still as commanded last: the torque ramps in from them.
     fn hold_still(&mut self, data: &Data) {
         for (i, commanded) in self.commanded.iter_mut().enumerate() {
             *commanded = if self.context.gravity_by_robot { 0.0 } else { data.gravity[i] };
         }
     }
 
-    /// Whether a limit changed the last command.
+    /// Returns true if a limit changed the last command.
     #[must_use]
     pub fn is_limited(&self) -> bool {
         self.limiter.as_ref().is_some_and(|limiter| limiter.is_limited())
     }
 
-    /// Goes the long way even where no limit is in force: for tests and benches, which compare the two.
+    /// Solves every level even where no limit is in force: for tests and benches, which compare the two.
     #[doc(hidden)]
     pub fn without_shortcut(&mut self) {
         if let Some(limiter) = &mut self.limiter {

@@ -14,14 +14,14 @@ use std::marker::PhantomData;
 /// `{ shoulder = 1.0, elbow = 2.0 }`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PerJoint<T> {
-    /// The same for every joint.
+    /// One value for all joints.
     All(T),
-    /// One for each joint.
+    /// One value for each joint, by name.
     Each(BTreeMap<String, T>),
 }
 
 impl<T: Copy> PerJoint<T> {
-    /// One value a joint, in the order of q. `key` is where the values stand in the file.
+    /// Returns one value per joint, in the order of q. `key` is the place of the values in the file.
     ///
     /// # Errors
     /// A name that is no joint's; a joint without a value.

@@ -1,4 +1,4 @@
-//! References: where a task should be, how fast, and with which acceleration.
+//! References: position, velocity and acceleration that a task follows.
 
 pub(crate) mod blend;
 pub mod filter;

@@ -1,8 +1,8 @@
 //! Targets streamed to a controller, as one row of numbers.
 //!
 //! The layout is fixed when the controller is built: for each task that has inputs a time stamp and its inputs, and for
-//! the whole controller a request to hold and the number of a task set. NaN stands for "as configured". Names are resolved
-//! once, to handles; writing through a handle checks the values and allocates nothing.
+//! the whole controller a request to hold and the number of a task set. NaN stands for "as configured". Names are
+//! resolved once, to handles; writing through a handle checks the values and allocates nothing.
 //!
 //! ```
 //! use opspace_backend::Signal;
@@ -51,15 +51,15 @@ struct TaskSlots {
 /// Streamed values that a Cartesian task takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AllowedInputs {
-    /// Modes of each axis (in the order of [`AXIS_NAMES`](crate::AXIS_NAMES)): motion, compliant, force. None for an axis that is not in the
-    /// task.
+    /// Modes of each axis (in the order of [`AXIS_NAMES`](crate::AXIS_NAMES)): motion, compliant, force. None for an
+    /// axis that is not in the task.
     pub modes: [[bool; 3]; 6],
-    /// Whether frequency and damping ratio can be streamed: the task follows by `gains`.
+    /// True if frequency and damping ratio can be streamed: the task follows by `gains`.
     pub gains: bool,
 }
 
 impl AllowedInputs {
-    /// Whether an axis, by its place, can take a mode.
+    /// Returns true if an axis, by its place, can take a mode.
     #[must_use]
     pub fn admits(&self, axis: usize, mode: AxisMode) -> bool {
         AxisMode::IN_TASK.into_iter().zip(self.modes[axis]).any(|(known, allowed)| allowed && known == mode)
@@ -437,7 +437,7 @@ impl Targets {
         }
     }
 
-    /// Whether the robot is asked to be held.
+    /// Returns true if the robot is asked to be held.
     #[must_use]
     pub fn is_held(&self) -> bool {
         self.row.get(HOLD).is_some_and(|&hold| hold == 1.0)

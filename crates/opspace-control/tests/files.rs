@@ -1,5 +1,4 @@
-//! What a task file may say, and what is said when it is wrong: the text of every error and the key that
-//! it points at.
+//! Task files that are wrong: the text of every error and the key that it points at.
 
 mod common;
 
@@ -138,8 +137,8 @@ fn errors_name_the_value_and_the_choices() {
     }
 }
 
-/// Lists of joints that name none, one twice, one that isn't there and too many, against their error; a list that is left
-/// out means all joints.
+/// Lists of joints that name none, one twice, one that isn't there and too many, against their error; a list that is
+/// left out means all joints.
 #[test]
 fn a_task_of_some_joints_names_them() {
     let build = |joints: &str| {
@@ -214,7 +213,7 @@ fn slips_are_refused_by_the_parser() {
     }
 }
 
-/// What is force-controlled must be sensed.
+/// A force axis needs a sensor.
 #[test]
 fn a_force_axis_without_a_sensor_is_refused() {
     let text =

@@ -1,4 +1,4 @@
-//! Random stacks on random arms: what each level does to itself and to the others, by forward dynamics (the
+//! Random task sets on random arms: the effects of each level on itself and on the others, by forward dynamics (the
 //! articulated-body algorithm) and by formulas written out here.
 
 mod common;
@@ -24,13 +24,13 @@ const POWER: f64 = 1e-10;
 /// what [`ROUNDING`] allows for.
 const REGULAR: f64 = 0.02;
 
-/// What counts as an effect: far above rounding, far below what stacks ask for (1 to 100).
+/// Least size of an effect: far above rounding, far below what task sets ask for (1 to 100).
 const EFFECT: f64 = 1e-3;
 
-/// Regular stacks of every test.
+/// Number of regular task sets of every test.
 const COUNT: usize = 400;
 
-/// When the law is asked, s after the start: the sinusoids are faded in by then.
+/// Time of the state in which the law is evaluated, s after the start: the sinusoids are faded in by then.
 const TIME_S: f64 = 0.37;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -335,7 +335,7 @@ impl Rest {
         }
     }
 
-    /// What it would make of the joints if nothing stood above it, rad/s².
+    /// Joint accelerations that it asks for if nothing stands above it, rad/s².
     fn wanted(self, start: &Data, data: &Data) -> DVector<f64> {
         match self {
             Self::Nothing => DVector::zeros(data.q.len()),
@@ -350,7 +350,7 @@ impl Rest {
     }
 }
 
-/// A stack on an arm, where it started and where it is.
+/// A task set on an arm, the state at its start and the present one.
 struct Case {
     model: Model,
     tasks: Vec<Task>,
@@ -421,7 +421,7 @@ impl Case {
             .all(|task| sampled(&ran.controller, &format!("{}.weakest_share", task.name)) == [1.0])
     }
 
-    /// The first `levels` of the stack, with what is below all of them or without.
+    /// Runs the first `levels` of the task set, with what is below all of them or without.
     fn run(&self, levels: usize, with_rest: bool) -> Option<Ran> {
         let with_rest = with_rest && !matches!(self.rest, Rest::Nothing);
         let mut names: Vec<String> = self.tasks[..levels].iter().map(|t| format!("\"{}\"", t.name)).collect();
@@ -483,7 +483,7 @@ fn cases(seed: u64, count: usize) -> impl Iterator<Item = (usize, Case)> {
     (0..40 * count).filter_map(move |i| Case::random(&mut numbers).map(|case| (i, case))).take(count)
 }
 
-/// What the other tests are run on, counted: every kind of task and of axes, at the top and below.
+/// Counts the cases that the other tests are run on: every kind of task and of axes, at the top and below.
 #[test]
 fn the_stacks_are_of_every_kind() {
     let mut kinds = std::collections::BTreeMap::new();
@@ -507,7 +507,7 @@ fn the_stacks_are_of_every_kind() {
     assert!(kinds.len() == 24 && !missing, "{kinds:?}");
 }
 
-/// The accelerations of each task under its stack as far as the task, against those under all of the stack.
+/// The accelerations of each task under its task set as far as the task, against those under all of the task set.
 #[test]
 fn no_level_accelerates_one_above_it() {
     let (mut seen, mut moved) = (0, 0);
@@ -550,8 +550,8 @@ fn every_level_moves_as_its_law_asks() {
     assert!(lower > 80 && 2 * disturbed > lower, "{disturbed} of {lower} levels were disturbed from above");
 }
 
-/// The torques of a stack against Gauss' principle of least constraint: the joints' accelerations are those nearest to
-/// what the lowest task wants, in the metric of M, of all that give every row above it its a*.
+/// The torques of a task set against Gauss' principle of least constraint: the joints' accelerations are those nearest
+/// to what the lowest task wants, in the metric of M, of all that give every row above it its a*.
 #[test]
 fn a_feasible_stack_constrains_as_little_as_possible() {
     for (i, case) in cases(13, COUNT) {

@@ -17,7 +17,7 @@ use opspace_model::{
 /// condition numbers around 1e4.
 const ROUNDING: f64 = 1e-9;
 
-/// Poles found as eigenvalues of a matrix that isn't symmetric, relative to their size.
+/// Poles as eigenvalues of a matrix that isn't symmetric, relative to their size.
 const POLES: f64 = 1e-6;
 
 /// Λ, K (with springs on some axes only, if `loose`) of a task with `rows` rows; the rest is zero.
@@ -95,7 +95,7 @@ fn every_mode_has_the_damping_ratio_asked_for() {
     }
 }
 
-/// A hand led by an impedance, off its place and moving, with a force on it.
+/// A hand controlled by an impedance, off its place and moving, with a force on it.
 struct Held {
     model: Model,
     axes: &'static [usize],
@@ -203,7 +203,7 @@ fn springs(axes: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(axes.len(), axes.len(), |r, c| if r == c { all[axes[r]] } else { 0.0 })
 }
 
-/// Λ ẍ + D ẋ + K (x − x_d) against the force, with D found as in
+/// Λ ẍ + D ẋ + K (x − x_d) against the force, with D computed as in
 /// [`the_designed_damping_is_the_square_root_of_the_stiffness`] from Λ by plain inverses, or as given.
 #[test]
 fn the_hand_answers_a_force_as_a_spring_and_a_damper_would() {
@@ -374,7 +374,7 @@ fn integrating(integral: &str) -> String {
     )
 }
 
-/// The hand's acceleration in a state that stays, tick by tick, against ω² times the error and its sum, bounded.
+/// The hand's acceleration in a state that stays, cycle by cycle, against ω² times the error and its sum, bounded.
 #[test]
 fn the_integral_grows_by_the_error_up_to_its_limit() {
     let model = four_joints();
@@ -421,8 +421,7 @@ fn left_over(integral: &str) -> f64 {
     Vector3::new(error[0], error[1], error[2]).norm()
 }
 
-/// What is left of the error with an integral against what is left without, and with one that is bounded too tightly:
-/// its bound less.
+/// Remaining error with an integral against that without, and with one that is bounded too tightly: its bound less.
 #[test]
 fn the_integral_removes_a_constant_disturbance() {
     let without = left_over("");

@@ -280,8 +280,8 @@ frequency_rad_per_s = 3.0
 damping_ratio = 0.7
 "#;
 
-/// The same state under three stacks: what a level does must not show in the accelerations of those
-/// above it, and must show in its own.
+/// One state under three task sets: the effects of a level must not show in the accelerations of those above it, and
+/// must show in its own.
 #[test]
 fn no_task_accelerates_a_task_above_it() {
     let model = seven_joints();
@@ -459,7 +459,8 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     (measurement.wrenches[0].linear.x, frame_velocity(&model, &data, hand).linear.x)
 }
 
-/// What the integral has left of the force error after 4 s: some e-folds of its time constant below the sensor's noise, N.
+/// Largest force error that the integral leaves after 4 s, N: some e-folds of its time constant, below the sensor's
+/// noise.
 const SETTLED_N: f64 = 1e-3;
 
 /// Force control against its target, and against what a compliant axis makes of the same disturbance.
@@ -502,7 +503,7 @@ fn joint_damping_brakes_every_joint() {
     }
 }
 
-/// What a sensed moment adds to the torques, and to the task's force, against Jᵀ of the gain times it.
+/// Torques and task force that a sensed moment adds, against Jᵀ of the gain times it.
 #[test]
 fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
     let model = seven_joints();

@@ -1,5 +1,5 @@
-//! Arms that move under limits: they come back within them, stop at their ends, keep to their way, and forget what was not a
-//! number. Against the motion that forward dynamics makes of the commands.
+//! Arms that move under limits: they come back within them, stop at their ends, keep to their way, and forget what was
+//! not a number. Against the motion that forward dynamics makes of the commands.
 
 mod common;
 
@@ -9,7 +9,8 @@ use nalgebra::{DVector, Vector3};
 use opspace_control::{ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
 
-/// By what share of itself a bound is widened between levels, some times over, and so how far a command may be beyond it.
+/// By what share of itself a bound is widened between levels, some times over, and so how far a command may be beyond
+/// it.
 const ROUNDING: f64 = 1e-8;
 
 /// An arm under its law, integrated at 1 kHz with torques held.
@@ -163,7 +164,7 @@ fn joints_stop_at_the_ends_of_their_ranges() {
     assert!(stopped > 5, "joints stand at the ends of their ranges: {stopped}");
 }
 
-/// Where a hand would be with the joints displaced, from where it is.
+/// Displacement of the hand if the joints are displaced by `offset` (rad), m.
 fn way_to(offset: &[f64; 7]) -> Vector3<f64> {
     let model = seven_joints();
     let hand = |q: &[f64]| {
@@ -174,8 +175,8 @@ fn way_to(offset: &[f64; 7]) -> Vector3<f64> {
     hand(&q) - hand(&REACHED)
 }
 
-/// How a hand moves that is asked for far more than it may do: the largest speed (m/s), the largest angle (°) between its
-/// velocity and the straight way while it is faster than 0.1 m/s, and what is left of the way after `seconds`.
+/// Motion of a hand that is asked for far more than it may do: the largest speed (m/s), the largest angle (°) between
+/// its velocity and the straight way while it is faster than 0.1 m/s, and the rest of the way after `seconds` (m).
 fn hurried(limits: &JointLimits, more: &str, duration_s: f64, seconds: f64) -> (f64, f64, f64) {
     let way = way_to(&[0.3, -0.2, 0.1, 0.4, -0.2, 0.3, 0.1]);
     let offset = way.as_slice();
@@ -205,8 +206,8 @@ fn generous() -> JointLimits {
     JointLimits { lower: vec![-3.0; 7], upper: vec![3.0; 7], velocity: vec![20.0; 7], ..workable() }
 }
 
-/// How far from the straight way a hand may be driven by limits that slowing down alone would respect: the weight of what
-/// leads aside is ten times, not infinitely, that of what slows down.
+/// Largest angle (°) to the straight way under limits that slowing down alone would respect: the weight of errors
+/// across the way is ten times, not infinitely, that of errors along it.
 const ASIDE_DEG: f64 = 10.0;
 
 /// The hand's speed against the limit of its task, and its direction against the straight way.
@@ -235,7 +236,7 @@ fn limits_slow_a_hand_down_rather_than_lead_it_aside() {
     }
 }
 
-/// The same arm held at one state for half a second: with a load that saturates a joint meanwhile, its integral stands where
+/// One arm held at one state for half a second: with a load that saturates a joint meanwhile, its integral stands where
 /// one that has just begun stands; without the load it has grown.
 #[test]
 fn integrals_stand_still_while_a_limit_is_in_force() {
@@ -266,7 +267,7 @@ fn integrals_stand_still_while_a_limit_is_in_force() {
             }
             tau
         };
-        // Two ticks integrate: the first, and the one in which the limit comes to be known.
+        // Two cycles integrate: the first, and the one in which the limit comes to be known.
         let (begun, held, free) = (after(1, 0.0), after(500, 400.0), after(500, 0.0));
         let size = (&free - &begun).amax();
         assert!(size > 1.0, "half a second of integral is {size} Nm");
@@ -275,7 +276,7 @@ fn integrals_stand_still_while_a_limit_is_in_force() {
     }
 }
 
-/// What isn't a number, wherever it is measured: the command isn't one either, for the backend to refuse; there is no
+/// Measurements that aren't numbers, anywhere: the command isn't one either, for the backend to refuse; there is no
 /// panic, and after another start the command is a number again.
 #[test]
 fn what_is_not_a_number_gives_no_command() {
@@ -316,8 +317,9 @@ fn what_is_not_a_number_gives_no_command() {
     }
 }
 
-/// The same without another start: what isn't a number is over with its tick, whatever the law remembers of what it
-/// senses and misses. Without limits, a wrench that is lost for a tick against a controller that wasn't asked in that tick.
+/// Measurements that aren't numbers, without another start: they are over with their cycle, whatever the law remembers
+/// of what it senses and misses. Without limits, a wrench that is lost for a cycle against a controller that wasn't
+/// asked in that cycle.
 #[test]
 fn what_is_not_a_number_is_forgotten() {
     type Break = fn(&mut Measurement);
@@ -437,8 +439,8 @@ fn a_planar_arm_keeps_its_limits() {
     assert!(limited > 100, "{limited} ticks were limited");
 }
 
-/// A hand faster than its speed limit and joints too weak to brake it as asked: it is braked as hard as they can, against
-/// the time that its own law alone takes.
+/// A hand faster than its speed limit and joints too weak to brake it as asked: it is braked as hard as they can,
+/// against the time that its own law alone takes.
 #[test]
 fn a_hand_that_is_too_fast_is_braked_as_hard_as_torques_allow() {
     let slow_law = DAMPED.replace("frequency_rad_per_s = 14.0", "frequency_rad_per_s = 0.5");
@@ -460,8 +462,8 @@ fn a_hand_that_is_too_fast_is_braked_as_hard_as_torques_allow() {
     );
 }
 
-/// An arm that can't even hold itself, with noise in its velocities: how the torques change from tick to tick, against the
-/// size of the noise.
+/// An arm that can't even hold itself, with noise in its velocities: the changes of the torques from cycle to cycle,
+/// against the size of the noise.
 #[test]
 fn noise_in_the_velocity_is_no_direction() {
     let jump = |text: &str, noise: f64| {

@@ -1,5 +1,5 @@
-//! Commands within the robot's limits, against the tasks' own torques where no limit is in the way, against an independent
-//! cascade of least squares where one is.
+//! Commands within the robot's limits, against the tasks' own torques where no limit is in the way, against an
+//! independent cascade of least squares where one is.
 
 mod common;
 
@@ -16,16 +16,16 @@ use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity
 /// Two solutions of one programme, by methods with tolerances of 1e-9 and smaller, relative to their size.
 const SOLVERS: f64 = 1e-6;
 
-/// How near to a bound, relative to its size, a command is said to stand at it.
+/// Distance from a bound, relative to its size, within which a command is said to be at it.
 const AT_BOUND: f64 = 1e-6;
 
-/// How near to a bound a command stands that a level above wanted there: what the widening between levels lets the lower
+/// Distance from a bound of a command that a level above wanted there: what the widening between levels lets the lower
 /// ones do where rows are nearly parallel.
 const MET: f64 = 1e-4;
 
 const HAND_POSE: &[usize] = &[0, 1, 2, 3, 4, 5];
 
-/// A stack, how many joints its arm has, and the rows of its levels: frames and axes.
+/// A task set, the number of joints of its arm, and the rows of its levels: frames and axes.
 struct Case {
     text: &'static str,
     joints: usize,
@@ -90,13 +90,13 @@ impl Scene {
         self.torque(&mut self.controller(&without_limits(text), &JointLimits::none(self.model.n())))
     }
 
-    /// What the arm was commanded when it was started: gravity's torque there.
+    /// Torques commanded when the arm was started: gravity's there.
     fn before(&self) -> DVector<f64> {
         at_state(&self.model, &self.start, &vec![0.0; self.model.n()], 0.0).0.gravity
     }
 }
 
-/// The torques of a stack without limits against those of the whole cascade with limits that are never reached, also
+/// The torques of a task set without limits against those of the whole cascade with limits that are never reached, also
 /// where the tasks damp directions near a singularity.
 #[test]
 fn limits_out_of_reach_change_nothing() {
@@ -140,7 +140,7 @@ struct Rows {
 }
 
 impl Rows {
-    /// The levels of a case, with what their frames' accelerations are under the torques of the stack without limits.
+    /// The levels of a case, with their frames' accelerations under the torques of the task set without limits.
     fn of(scene: &Scene, case: &Case, unlimited: &DVector<f64>) -> Vec<Self> {
         let mass_inverse = scene.data.mass_matrix.clone().try_inverse().expect("M is regular");
         let mut nullspace = DMatrix::identity(case.joints, case.joints);
@@ -199,7 +199,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// What the limits leave at the scene's state, by their documentation: no position limits.
+    /// Bounds that the limits leave at the scene's state, by their documentation: no position limits.
     fn new(scene: &Scene, limits: &JointLimits) -> Self {
         let (n, dq, before) = (scene.model.n(), &scene.data.dq, scene.before());
         let side = |sign: f64| {
@@ -226,8 +226,8 @@ impl Bounds {
     }
 }
 
-/// The smallest |E w − f| with w ≥ 0: Lawson and Hanson, *Solving least squares problems*, 1974, ch. 23. Columns of E have
-/// length one.
+/// The smallest |E w − f| with w ≥ 0: Lawson and Hanson, *Solving least squares problems*, 1974, ch. 23. Columns of E
+/// have length one.
 fn non_negative_distance(e: &DMatrix<f64>, f: &DVector<f64>) -> f64 {
     let mut w = DVector::zeros(e.ncols());
     let mut passive: Vec<usize> = Vec::new();
@@ -259,8 +259,8 @@ fn non_negative_distance(e: &DMatrix<f64>, f: &DVector<f64>) -> f64 {
 }
 
 /// By how much each level's residual, then the distance to the `posture` in kinetic energy, could still fall at `ddq`
-/// (Karush, Kuhn and Tucker): what of its gradient neither the rows above nor the bounds that are met hold back, with the
-/// gradient and what it would be at rest. Scaled to unit inertia.
+/// (Karush, Kuhn and Tucker): what of its gradient neither the rows above nor the bounds that are met hold back, with
+/// the gradient and what it would be at rest. Scaled to unit inertia.
 fn slopes(
     scene: &Scene,
     levels: &[Rows],
@@ -314,8 +314,8 @@ fn slopes(
     slopes
 }
 
-/// Limits that bind on a scene, and that some motion near the one asked for respects: random ones of torque, torque rate,
-/// velocity and acceleration.
+/// Limits that bind on a scene, and that some motion near the one asked for respects: random ones of torque, torque
+/// rate, velocity and acceleration.
 fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers) -> JointLimits {
     let n = scene.model.n();
     let ddq = accelerations(&scene.model, &scene.data, unlimited.as_slice());
@@ -341,8 +341,8 @@ fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers
     limits
 }
 
-/// Runs `check` on random scenes with limits that bind, of each stack: scene, case, limits, the torque without limits and
-/// the controller after its tick, with its torque.
+/// Runs `check` on random scenes with limits that bind, of each task set: scene, case, limits, the torque without
+/// limits and the controller after its cycle, with its torque.
 fn on_bound_scenes(
     seed: u64,
     count: usize,
@@ -374,8 +374,9 @@ fn on_bound_scenes(
     }
 }
 
-/// The gradient of each level's documented residual against what the bounds and the levels above hold back of it: nothing
-/// is left by which it could fall. Of the last level, whose metric is M, what is left bounds the distance to the optimum.
+/// The gradient of each level's documented residual against what the bounds and the levels above hold back of it:
+/// nothing is left by which it could fall. Of the last level, whose metric is M, what is left bounds the distance to
+/// the optimum.
 #[test]
 fn each_level_is_as_near_as_the_limits_and_the_levels_above_allow() {
     let mut missed = [0; 3];
@@ -396,7 +397,7 @@ fn each_level_is_as_near_as_the_limits_and_the_levels_above_allow() {
     assert!(missed[0] > 40 && missed[1] > 40 && missed[2] > 15, "levels that limits hold off: {missed:?}");
 }
 
-/// The stack's text with its first level alone.
+/// The task set's text with its first level alone.
 fn first_level(text: &str) -> String {
     let first = text.split("[task.").nth(1).expect("the file has a task");
     format!("priority = [\"hand\"]\n[task.{first}")
@@ -455,7 +456,7 @@ fn what_limits_a_joint_is_a_signal() {
     assert!(without.signals().iter().all(|signal| !signal.name.starts_with("limit")));
 }
 
-/// Where the tasks above leave nothing free: limits that bind against the first levels' acceleration without the posture.
+/// Tasks that leave nothing free: limits that bind against the first levels' acceleration without the posture.
 #[test]
 fn a_level_without_freedom_changes_nothing() {
     let full = ELBOW.replace("z = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0", 

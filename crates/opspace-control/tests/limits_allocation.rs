@@ -1,5 +1,5 @@
-//! No tick allocates that has to bring its command within limits: limits that bind, bounds that must be widened, poses from
-//! regular to singular and back. The active set solves them all.
+//! No control cycle allocates that has to bring its command within limits: limits that bind, bounds that must be
+//! widened, poses from regular to singular and back. The active set solves them all.
 
 mod common;
 #[path = "../../opspace-log/tests/counting/mod.rs"]
@@ -32,8 +32,8 @@ frequency_rad_per_s = 8.0
 damping_ratio = 0.8
 "#;
 
-/// Allocations in each of 3000 ticks against none, along a way from one pose through the stretched arm, where the hand's
-/// rows are dependent, to beyond the ends of the joints' ranges.
+/// Allocations in each of 3000 cycles against none, along a way from one pose through the stretched arm, where the
+/// hand's rows are dependent, to beyond the ends of the joints' ranges.
 #[test]
 fn no_limited_tick_allocates() {
     let (model, file) = (seven_joints(), File::read(STACK));

@@ -1,5 +1,5 @@
 //! Two solvers of quadratic programmes, by different algorithms and hands, against each other; the active set's
-//! solutions against the conditions that define a minimum, and against minima found on paper. The random programmes
+//! solutions against the conditions that define a minimum, and against minima computed by hand. The random programmes
 //! have equalities, rows that depend on others, bounds that meet in one point, and Hessians up to 1e8 from singular.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
@@ -19,7 +19,7 @@ const AGREEMENT: f64 = 1e-6;
 /// x of the same programme by another order of the rows, relative to 1 + |x|: rounding, times the root of the
 /// Hessian's condition.
 const ORDER: f64 = 1e-9;
-/// Numbers found on paper.
+/// Numbers computed by hand.
 const ROUNDING: f64 = 16.0 * f64::EPSILON;
 
 fn config(cases: u32) -> ProptestConfig {
@@ -30,7 +30,7 @@ fn config(cases: u32) -> ProptestConfig {
 #[derive(Clone, Debug)]
 struct RowCase {
     bounds: Bounds,
-    /// Of rows before, with their weights: in place of the coefficients.
+    /// Combination of rows before, with their weights: in place of the coefficients.
     depends: Option<[(Index, f64); 2]>,
     coefficients: Vec<f64>,
     /// From the value to the lower and the upper bound.
@@ -151,8 +151,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     (&a - b).norm() / (1.0 + a.norm())
 }
 
-/// How far x and λ are from a minimum: H x + g + C λ = 0, l ≤ Cᵀ x ≤ u, and λ positive only where Cᵀ x = u,
-/// negative only where Cᵀ x = l. Each relative to the terms of its sum.
+/// Distance of x and λ from a minimum: H x + g + C λ = 0, l ≤ Cᵀ x ≤ u, and λ positive only where Cᵀ x = u, negative
+/// only where Cᵀ x = l. Each relative to the terms of its sum.
 fn violation_of_conditions(program: &QuadraticProgram, solver: &ActiveSet) -> f64 {
     let (x, multipliers) =
         (DVector::from_column_slice(solver.x()), DVector::from_column_slice(solver.multipliers()));
@@ -312,7 +312,7 @@ fn nearest(rows: &[([f64; 2], f64, f64)]) -> QuadraticProgram {
     program
 }
 
-/// Against minima and multipliers found on paper, with the signs of the latter.
+/// Against minima and multipliers computed by hand, with the signs of the latter.
 #[test]
 fn the_point_nearest_to_one_two() {
     let free = f64::INFINITY;

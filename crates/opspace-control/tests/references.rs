@@ -153,8 +153,8 @@ fn difference(a: &Motion, b: &Motion) -> f64 {
 }
 
 /// Pose, velocity and acceleration at time 0 against the start's, at rest.
-/// Compared: the target of a trajectory that is joined, at that instant with where it is joined from, and a second later
-/// with the reference itself; in between, its derivatives with differences.
+/// Compared: the target of a trajectory that is joined, at that instant with where it is joined from, and a second
+/// later with the reference itself; in between, its derivatives with differences.
 #[test]
 fn a_reference_is_joined_from_anywhere_without_a_jump() {
     /// Before the first instant at which derivatives are looked at.
@@ -336,7 +336,7 @@ proptest! {
     }
 }
 
-/// What a goal's table leaves out or has too much.
+/// Keys that a goal's table lacks or has too many of.
 #[test]
 fn a_goal_and_its_limits_come_together() {
     let linear = "velocity_m_per_s = 0.5\nacceleration_m_per_s2 = 2.0\njerk_m_per_s3 = 20.0";

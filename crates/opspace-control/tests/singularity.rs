@@ -169,8 +169,8 @@ fn a_task_without_any_freedom_left_asks_for_no_torque() {
     }
 }
 
-/// What a nullspace lets through to the task above it, along each eigenvector of Λ⁻¹: one less the damping's share
-/// λ g(λ), by the formula of the spectrum, below the threshold; nothing above it.
+/// Share that a nullspace lets through to the task above it, along each eigenvector of Λ⁻¹: one less the damping's
+/// share λ g(λ), by the formula of the spectrum, below the threshold; nothing above it.
 #[test]
 fn the_leak_is_what_damping_takes_and_nothing_else() {
     let (model, threshold, tolerance) = (seven_joints_in(1.0), 0.2, 1e-10);

@@ -18,8 +18,8 @@ use std::collections::BTreeMap;
 
 const PERIOD_S: f64 = 1e-3;
 
-/// What is left of a difference half a second after it was to be joined, m: targets in every cycle restart its fading,
-/// which then is an exponential decay.
+/// Rest of a difference half a second after it was to be joined, m: targets in every cycle restart its fading, which
+/// then is an exponential decay.
 const JOINED: f64 = 1e-9;
 
 const Q: [f64; 7] = [0.3, 0.7, -0.4, -1.1, 0.2, 0.9, 0.5];
@@ -100,7 +100,7 @@ impl Bench {
         CartesianTarget::of(&self.targets, "hand").expect("a streamed task")
     }
 
-    /// Where the hand is.
+    /// Pose of the hand.
     fn placement(&self) -> Placement {
         frame_placement(&self.model, &self.data, self.model.frame("hand").expect("a frame"))
     }
@@ -164,9 +164,9 @@ fn write(hand: &mut CartesianTarget, target: &Target, targets: &mut Targets, sta
 const SINUSOID: &str = "sinusoid = { ramp_s = 0.5, x = [{ amplitude_m = 0.05, frequency_hz = 0.5 }], \
     z = [{ amplitude_m = 0.03, frequency_hz = 0.8 }], ry = [{ amplitude_rad = 0.1, frequency_hz = 0.5 }] }";
 
-/// Compared: desired accelerations of a task that has the sinusoid in its file, and of one to which the same poses, twists
-/// and accelerations are streamed in every cycle. Extrapolation doesn't know the jerk, so they differ by what the largest
-/// jerk changes in a few periods, and by half of that in periods of half the length.
+/// Compared: desired accelerations of a task that has the sinusoid in its file, and of one to which the same poses,
+/// twists and accelerations are streamed in every cycle. Extrapolation doesn't know the jerk, so they differ by what
+/// the largest jerk changes in a few periods, and by half of that in periods of half the length.
 #[test]
 fn streamed_motion_gives_the_acceleration_of_the_same_reference_in_a_file() {
     /// Difference over the change of acceleration in a period.
@@ -182,8 +182,8 @@ fn streamed_motion_gives_the_acceleration_of_the_same_reference_in_a_file() {
     assert!((HALVED[0]..HALVED[1]).contains(&ratio), "{ratio}");
 }
 
-/// Largest difference between the desired accelerations of a filed and a streamed sinusoid, largest change of the filed one
-/// in a period, and its largest value.
+/// Largest difference between the desired accelerations of a filed and a streamed sinusoid, largest change of the filed
+/// one in a period, and its largest value.
 fn streamed_and_filed(period_s: f64) -> [f64; 3] {
     let (mut of_file, mut of_stream) = (Bench::new(&hand(ALL, SINUSOID, "")), Bench::new(&streamed(ALL, "")));
     (of_file.period_s, of_stream.period_s) = (period_s, period_s);
@@ -210,7 +210,7 @@ fn streamed_and_filed(period_s: f64) -> [f64; 3] {
     [difference, change, largest]
 }
 
-/// What the reference of a bench does in a cycle: position and velocity.
+/// Reference of a bench in a cycle: position and velocity.
 fn reference(bench: &Bench) -> [Vector3<f64>; 2] {
     ["hand.reference", "hand.reference_velocity"].map(|name| Vector3::from_column_slice(&bench.signal(name)))
 }
@@ -354,8 +354,8 @@ fn reference_holds_before_the_first_target_and_starts_from_the_hand_after_a_hold
     assert!((reference(&bench)[0] - home.translation).norm() < 1e-9);
 }
 
-/// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force, and of a controller
-/// whose file has these.
+/// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force, and of a
+/// controller whose file has these.
 #[test]
 fn modes_gains_and_forces_change_at_a_step() {
     const SENSOR: &str =
@@ -401,7 +401,8 @@ fn modes_gains_and_forces_change_at_a_step() {
     assert_eq!(bench.signal("hand.modes"), [2.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
 }
 
-/// Compared: the reference in the cycle in which a compliant axis comes into motion, far from where it held, and the hand.
+/// Compared: the reference in the cycle in which a compliant axis comes into motion, far from where it held, and the
+/// hand.
 #[test]
 fn axis_that_comes_into_motion_starts_where_the_hand_is() {
     let axes = r#"{ x = "compliant", y = "motion", z = "motion" }"#;

@@ -1,4 +1,4 @@
-//! What a task moves: velocities, accelerations and Jacobians against differences of poses along random motions and
+//! Controlled frames: velocities, accelerations and Jacobians against differences of poses along random motions and
 //! against the model's own functions; and axes that turn with the robot.
 
 mod common;
@@ -179,9 +179,9 @@ fn the_centre_of_mass_moves_as_the_momentum_does() {
     }
 }
 
-/// Of a task whose axes turn with the robot: the acceleration along its axes as they lie at the instant, differenced
-/// from velocities that forward dynamics leads to, against a* computed from pose and velocity. The axes turn, so that
-/// the rate of the velocity *in* them is another.
+/// Acceleration of a task whose axes turn with the robot, along its axes as they lie at the instant: differenced from
+/// velocities that result from forward dynamics, against a* computed from pose and velocity. The axes turn, so that the
+/// rate of the velocity *in* them is another.
 #[test]
 fn axes_that_turn_are_followed_as_they_lie() {
     let mut numbers = Numbers::new(24);

@@ -1,5 +1,5 @@
-//! Stacks that change while the robot moves: how far torques step, what goes on and what begins anew, what is in the
-//! log; and that nothing is allocated.
+//! Task sets that change while the robot moves: the steps of the torques, what goes on and what begins anew, the
+//! contents of the log; and that nothing is allocated.
 
 mod common;
 #[path = "../../opspace-log/tests/counting/mod.rs"]
@@ -33,7 +33,7 @@ const START: [f64; 7] = [0.3, 0.7, -0.4, -1.1, 0.2, 0.9, 0.5];
 
 const SINUSOID: &str = "sinusoid = { ramp_s = 0.1, x = [{ amplitude_m = 0.05, frequency_hz = 1.0 }], z = [{ amplitude_m = 0.08, frequency_hz = 0.7 }] }";
 
-/// A stack of `hand`, and what is under it.
+/// A task set of `hand`, and what is under it.
 fn hand(axes: &str, reference: &str, law: &str, rest: &str) -> String {
     format!(
         "priority = [\"hand\", \"rest\"]\n\
@@ -55,7 +55,7 @@ fn goal(offset: [f64; 3]) -> String {
     )
 }
 
-/// Stacks that differ in gains, goals, axis modes, laws, tasks and their order.
+/// Task sets that differ in gains, goals, axis modes, laws, tasks and their order.
 fn stacks() -> Vec<String> {
     let joints = "joint-tracking = { reference.sinusoid.joints.j4 = [{ amplitude_rad = 0.3, frequency_hz = 1.0 }], gains = { frequency_rad_per_s = 12.0, damping_ratio = 1.0 } }";
     let force = "force = { sensor = \"wrist\", target_n = { x = 8.0 } }";
@@ -92,7 +92,7 @@ fn robot(model: &Model, torque_rate: f64) -> ControlContext {
     ControlContext { limits, ..facts(model, "hand") }
 }
 
-/// When another stack comes into force, and whether by schedule.
+/// A change to another task set: its cycle, the number of the set, and true if it comes by schedule.
 #[derive(Clone, Copy, Debug)]
 struct Change {
     tick: usize,
@@ -100,8 +100,8 @@ struct Change {
     scheduled: bool,
 }
 
-/// The arm under one stack after the other, integrated: the largest step of a torque (Nm) at the `changes`, and at any
-/// tick. Nothing allocates in an update or a switch.
+/// The arm under one task set after the other, integrated: the largest step of a torque (Nm) at the `changes`, and in
+/// any cycle. Nothing allocates in an update or a switch.
 fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks: usize) -> [f64; 2] {
     let files: Vec<File> = stacks().iter().map(|text| File::read(text)).collect();
     let robot = robot(model, torque_rate);
@@ -115,7 +115,7 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     }
     let (mut data, mut measurement) = at_state(model, &START, &[0.0; 7], 0.0);
     controller.start(&common::input(model, &data, &measurement));
-    // The torque comes in from holding still.
+    // The torque ramps in from holding still.
     let mut before = data.gravity.clone();
     let (mut tau, mut steps) = ([0.0; 7], [0.0_f64; 2]);
     for tick in 0..ticks {
@@ -142,7 +142,7 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     steps
 }
 
-/// The step of each torque from tick to tick against the rate, whatever changes into whatever at any moment. Without
+/// The step of each torque from cycle to cycle against the rate, whatever changes into whatever at any moment. Without
 /// the rate's limit the same changes step further.
 #[test]
 fn no_change_moves_a_torque_faster_than_its_rate() {
@@ -211,8 +211,8 @@ reference.sinusoid.joints.j1 = [{ amplitude_rad = 0.2, frequency_hz = 0.9 }]
 gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
 "#;
 
-/// Bits of all references under gains that change twice, then with an axis that gives way, against those of a run in
-/// which nothing changes.
+/// Bits of all references under gains that change twice, then with a compliant axis, against those of a run in which
+/// nothing changes.
 #[test]
 fn references_go_on_when_only_gains_change() {
     let model = seven_joints();
@@ -270,9 +270,9 @@ fn steps(model: &Model, before: &str, after: &str, task: &str, time_s: f64) -> [
     [(new_place - place).amax(), (new_velocity - velocity).amax(), (right - left).amax()]
 }
 
-/// A goal that changes in mid-motion, or takes over from a sinusoid: position and velocity of the reference to rounding,
-/// its acceleration to what the jerks (up to 50 m/s³ or rad/s³ on either side) make of two hundredths of a millisecond. A
-/// point-to-point motion in its place sets out from rest: the test can fail.
+/// A goal that changes in mid-motion, or takes over from a sinusoid: position and velocity of the reference to
+/// rounding, its acceleration to what the jerks (up to 50 m/s³ or rad/s³ on either side) make of two hundredths of a
+/// millisecond. A point-to-point motion in its place sets out from rest: the test can fail.
 #[test]
 fn a_new_goal_takes_over_the_motion() {
     let model = seven_joints();
@@ -321,8 +321,8 @@ fn a_new_goal_takes_over_the_motion() {
     assert!(moving > 30, "{moving} of 40 changes were in mid-motion");
 }
 
-/// The hand drifts along an axis that gives way, and about one; then both follow again: their reference begins where
-/// the hand is, at rest. The others' goes on where it was, though the hand isn't there.
+/// The hand drifts along a compliant axis, and about one; then both follow again: their reference begins where the hand
+/// is, at rest. The others' goes on where it was, though the hand isn't there.
 #[test]
 fn an_axis_that_follows_again_begins_where_the_hand_is() {
     let model = seven_joints();
@@ -397,8 +397,8 @@ fn row(controller: &OperationalSpaceController) -> Vec<(String, Vec<f64>)> {
         .collect()
 }
 
-/// The layout of the log before, between and after scheduled stacks; and which of its values are numbers: those of the
-/// tasks in force, and no others.
+/// The layout of the log before, between and after scheduled task sets; and which of its values are numbers: those of
+/// the tasks in force, and no others.
 #[test]
 fn the_log_keeps_its_layout_and_leaves_out_what_is_not_in_force() {
     let model = seven_joints();
@@ -435,7 +435,7 @@ fn the_log_keeps_its_layout_and_leaves_out_what_is_not_in_force() {
             }
         }
     }
-    // A stack that wasn't there when the signals were listed: its tasks aren't in the log, and nothing moves.
+    // A task set that wasn't there when the signals were listed: its tasks aren't in the log, and nothing moves.
     switch(&mut controller, &model, &SWINGING.replace("elbow", "new"), 6.0);
     tick(&mut controller, &model, 6.0);
     assert_eq!(controller.signals(), signals);

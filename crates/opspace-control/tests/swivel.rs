@@ -101,8 +101,8 @@ fn jacobian_and_bias_equal_central_differences() {
     assert!(compared > 180, "few postures are near a singularity: {compared}");
 }
 
-/// The angle against the rotation of the elbow about the line from shoulder to wrist, by Rodrigues' formula: the part of
-/// the direction that is perpendicular to the line, rotated by the angle, points to the elbow.
+/// The angle against the rotation of the elbow about the line from shoulder to wrist, by Rodrigues' formula: the part
+/// of the direction that is perpendicular to the line, rotated by the angle, points to the elbow.
 #[test]
 fn the_angle_rotates_the_direction_to_the_elbow() {
     let model = panda();
@@ -138,8 +138,8 @@ fn straight_arm() -> Model {
     arm(&links, &[("wrist", 3, [0.0, 0.0, 0.35])], 1.0)
 }
 
-/// Bends of the elbow down to none against what the task does there: value, Jacobian and bias are finite, the Jacobian is
-/// zero with the arm straight, and the torque of a task far from its reference is finite and vanishes with the bend.
+/// Bends of the elbow down to none against what the task does there: value, Jacobian and bias are finite, the Jacobian
+/// is zero with the arm straight, and the torque of a task far from its reference is finite and vanishes with the bend.
 #[test]
 fn a_straight_arm_is_safe() {
     const TORQUE_OF_NOTHING_NM: f64 = 1e-9;
@@ -183,7 +183,8 @@ fn a_straight_arm_is_safe() {
     }
 }
 
-/// The three vectors of the angle made parallel: the elbow on the line, the direction along it, the wrist at the shoulder.
+/// The three vectors of the angle made parallel: the elbow on the line, the direction along it, the wrist at the
+/// shoulder.
 #[test]
 fn the_jacobian_is_zero_where_the_angle_is_undefined() {
     let model = seven_joints();
@@ -199,8 +200,8 @@ fn the_jacobian_is_zero_where_the_angle_is_undefined() {
     }
 }
 
-/// The angle two seconds after a motion of half a radian began, by the controller's signal and by the coordinate itself,
-/// against the goal; and the hand's pose above it in the priority against that at the start.
+/// The angle two seconds after a motion of half a radian began, by the controller's signal and by the coordinate
+/// itself, against the goal; and the hand's pose above it in the priority against that at the start.
 #[test]
 fn the_elbow_goes_to_its_angle_while_the_hand_stays() {
     const SETTLED: f64 = 2e-3;

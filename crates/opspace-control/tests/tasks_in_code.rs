@@ -152,7 +152,7 @@ fn a_users_task_is_carried_out_below_a_built_in_one() {
     assert_eq!(sampled(&controller, "sum.force").len(), 1, "its force is in the log");
 }
 
-/// What the controller sees is the input: this keeps the user's trait object-safe and free of lifetimes.
+/// Refused: a name twice, a task below one of all joints, a frequency of zero. The task trait is object-safe.
 #[test]
 fn names_and_priority_are_checked() {
     let model = seven_joints();

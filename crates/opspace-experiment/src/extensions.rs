@@ -1,4 +1,4 @@
-//! Drivers and tasks of a user's own, compiled into the program.
+//! Drivers and tasks defined by the user, compiled into the program.
 
 use crate::files::task_kinds::TaskKinds;
 use opspace_backend::Driver;
@@ -8,20 +8,20 @@ use std::fmt;
 #[derive(Default)]
 #[non_exhaustive]
 pub struct Extensions {
-    /// The drivers.
+    /// Drivers of robots.
     pub drivers: Vec<Box<dyn Driver>>,
-    /// The kinds of tasks.
+    /// Kinds of tasks beside the built-in ones.
     pub tasks: TaskKinds,
 }
 
 impl Extensions {
-    /// The same with these kinds of tasks.
+    /// Replaces the kinds of tasks.
     #[must_use]
     pub fn with_tasks(self, tasks: TaskKinds) -> Self {
         Self { tasks, ..self }
     }
 
-    /// The same with another driver.
+    /// Adds a driver.
     #[must_use]
     pub fn with_driver(mut self, driver: impl Driver + 'static) -> Self {
         self.drivers.push(Box::new(driver));

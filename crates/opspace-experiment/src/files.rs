@@ -1,4 +1,4 @@
-//! Robot, task and suite files: reading them, and naming what is wrong in them.
+//! Robot, task and suite files: reading them, and describing the mistakes in them.
 
 pub(crate) mod explain;
 pub mod interface;

@@ -1,4 +1,4 @@
-//! `opspace identify`: a robot's servos, found by moving its joints, and what is written of them.
+//! `opspace identify`: identification of a robot's servos by moving its joints, and the files that hold the results.
 //!
 //! The identification itself is [`opspace_identify`]; here it is given a robot from its file, and its
 //! results become a section of that file, a whole file, numbers, and a page.
@@ -25,20 +25,21 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 
-/// What is to be identified.
+/// Request for an identification.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// The profile; the robot's default one if absent.
+    /// The robot's profile; its default one if absent.
     pub profile: Option<String>,
-    /// One joint; all of them if absent.
+    /// The joint to identify; all of them if absent.
     pub joint: Option<String>,
-    /// Where joints stand, by name, rad or m; in the middle of their range where they aren't named.
+    /// Joint positions during the identification, by name, rad or m; the middle of the range for joints that aren't
+    /// named.
     pub start_rad: Vec<(String, f64)>,
-    /// How they are excited.
+    /// Excitation of the joints.
     pub plan: ExcitationPlan,
 }
 
-/// A robot whose servos are to be identified: everything checked.
+/// A robot whose servos are to be identified, with everything checked.
 #[derive(Clone, Debug)]
 pub struct Identifying {
     robot: Robot,
@@ -49,28 +50,28 @@ pub struct Identifying {
     plan: ExcitationPlan,
 }
 
-/// A joint that was identified.
+/// An identified joint.
 #[derive(Clone, Debug, Serialize)]
 pub struct IdentifiedJoint {
-    /// Its name.
+    /// Name of the joint.
     #[serde(skip)]
     pub name: String,
-    /// What was known of it.
+    /// Parameters of the joint that are known beforehand.
     #[serde(skip)]
     pub told: KnownParameters,
-    /// What the servo is said to be.
+    /// Structure of the servo as robot.toml states it.
     #[serde(skip)]
     pub structure: Structure,
-    /// Where it stood, rad (m).
+    /// Position of the joint before its excitation, rad (m).
     pub position_rad: f64,
-    /// Its inertia from URDF and rotor, with the other joints free and held, kg m² (kg).
+    /// Inertia of the joint from URDF and rotor, with the other joints free and held, kg m² (kg).
     pub urdf_inertia_kg_m2: Option<[f64; 2]>,
-    /// What was found.
+    /// Result of the identification.
     #[serde(flatten)]
     pub found: Identification,
     /// D* as measured at the largest amplitude, Nm/rad: frequency (Hz), real and imaginary part.
     pub effective_servo: Vec<[f64; 3]>,
-    /// Why it can't be driven by torques; null if it can.
+    /// Reason why the joint can't be driven by torques; null if it can.
     pub no_torque_mode: Option<String>,
 }
 
@@ -79,19 +80,19 @@ pub struct IdentifiedJoint {
 pub enum Structure {
     /// A proportional velocity loop within a proportional position loop.
     Cascaded,
-    /// The same with its gains multiplied out: stiffness and damping.
+    /// A cascade with its gains multiplied out: stiffness and damping.
     Pid,
 }
 
-/// All that was identified of a robot.
+/// Results of the identification of a robot.
 #[derive(Clone, Debug)]
 pub struct Identified {
     robot: Robot,
     profile_name: String,
     profile: ProfileParameters,
-    /// In the order in which they were identified.
+    /// Identified joints, in the order of identification.
     pub joints: Vec<IdentifiedJoint>,
-    /// How long the robot was moved, s on its own clock.
+    /// Duration of the robot's motion, s on the robot's own clock.
     pub robot_s: f64,
     seed: u64,
 }
@@ -107,17 +108,17 @@ struct Json<'a> {
     ratio: u32,
     seed: u64,
     robot_s: f64,
-    /// Null where the joints don't agree.
+    /// Delay of the servos, servo ticks; null where the joints don't agree.
     delay_servo_ticks: Option<u32>,
     joints: BTreeMap<&'a str, &'a IdentifiedJoint>,
 }
 
 impl Identifying {
-    /// Checks what is asked for.
+    /// Checks a request against the robot.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, positions outside its limits, a robot that takes no positions, and servos of a
-    /// structure that can't be identified.
+    /// Names that the robot doesn't have, positions outside its limits, a robot that takes no positions, and servos of
+    /// a structure that can't be identified.
     pub fn new(robot: Robot, request: Request) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(request.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
@@ -169,7 +170,7 @@ impl Identifying {
         self.joints.len()
     }
 
-    /// The simulated robot, at rest where it is to be identified.
+    /// Returns the simulated robot, at rest in the posture of the identification.
     ///
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
@@ -197,8 +198,8 @@ impl Identifying {
         SimulatedArm::new(setup).map_err(|e| FileError::of_file(robot.source.name(), e.to_string(), None))
     }
 
-    /// Identifies the joints, one after the other, on any robot that stands where it is to be identified. `begun` is told
-    /// the name of each.
+    /// Identifies the joints, one after the other, on any robot that stands in the posture of the identification.
+    /// `begun` gets the name of each.
     ///
     /// # Errors
     /// The fault of the robot, or the interruption, that ended it.
@@ -241,7 +242,7 @@ impl Identifying {
         })
     }
 
-    /// What is known of a joint, its servo's gains, its friction and the delay not among it.
+    /// Returns what is known of a joint beforehand: neither its servo's gains, nor its friction, nor the delay.
     fn told(&self, joint: usize) -> KnownParameters {
         let limits = &self.robot.model.joints()[joint].limits;
         let drive = &self.robot.joints()[joint];
@@ -260,7 +261,7 @@ impl Identifying {
         }
     }
 
-    /// A joint's inertia where the robot stands: the others free, 1/(M⁻¹)_ii, and held, M_ii.
+    /// Inertia of a joint in the posture of the robot: with the others free, 1/(M⁻¹)_ii, and held, M_ii.
     fn inertia(&self, joint: usize) -> [f64; 2] {
         let model = &self.robot.model;
         let mut data = Data::new(model);
@@ -304,13 +305,13 @@ fn effective_servo(found: &Identification) -> Vec<[f64; 3]> {
 }
 
 impl Identified {
-    /// Whether every joint can be driven by torques.
+    /// True if every joint can be driven by torques.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.joints.iter().all(|j| j.no_torque_mode.is_none())
     }
 
-    /// The delay in servo ticks that most joints were found to have, and whether all have it.
+    /// Returns the delay that is identified for most joints, servo ticks, and true if all joints have it.
     fn delay(&self) -> Option<(u32, bool)> {
         let delays: Vec<u32> =
             self.joints.iter().filter_map(|j| j.found.servo.as_ref()).map(|s| s.delay).collect();
@@ -319,7 +320,7 @@ impl Identified {
         Some((most, count(most) == delays.len()))
     }
 
-    /// Joint by joint, what was found.
+    /// Table of the identified parameters, joint by joint.
     #[must_use]
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
@@ -373,7 +374,7 @@ impl Identified {
         table
     }
 
-    /// All numbers.
+    /// All numbers, in the form of `identification.json`.
     #[must_use]
     pub fn json(&self) -> impl Serialize + '_ {
         Json {

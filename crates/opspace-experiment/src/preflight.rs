@@ -1,8 +1,7 @@
-//! What will go wrong when a task runs on its robot, found before anything moves.
+//! Findings on a task and its robot before anything moves: what will go wrong when the task runs.
 //!
-//! What can't be built at all is an error of [`Experiment::new`]. What is found here can be run, but not with the
-//! success that its author hopes for; every finding says the number that is wrong and what to do about it. One file
-//! a kind:
+//! A task that can't be built at all is an error of [`Experiment::new`]. A finding concerns a task that can be run, but
+//! without the success that its author expects; it states the wrong number and a remedy. One file per kind:
 //!
 //! | file | finds |
 //! |---|---|
@@ -11,10 +10,10 @@
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; freedom that nothing damps |
-//! | `servo_gain` | position or velocity loops that may hardly have more gain than is believed |
+//! | `servo_gain` | position or velocity loops that tolerate hardly more gain than the nominal one |
 //! | `times` | events and references that the run is too short for |
 //!
-//! The robot is the believed one, at the task's start posture, its tasks followed without error.
+//! The robot is the nominal one, at the task's start posture; its tasks are followed without error.
 
 mod case;
 mod finding;
@@ -34,8 +33,8 @@ pub use finding::Finding;
 use followed::Followed;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 
-/// Everything that will go wrong, as far as it can be told without running; empty for most. What a [`GainMargin`] finds
-/// comes from itself.
+/// Computes all findings that need no run; empty for most tasks. The finding of a gain margin comes from
+/// [`GainMargin::finding`].
 #[must_use]
 pub fn findings(experiment: &Experiment) -> Vec<Finding> {
     let Some(case) = Case::new(experiment) else {
@@ -61,7 +60,7 @@ pub fn findings(experiment: &Experiment) -> Vec<Finding> {
     found
 }
 
-/// Tasks that don't tell what [`findings`] needs: what is said of them is incomplete.
+/// Lists the tasks that don't report what [`findings`] needs: their findings are incomplete.
 #[must_use]
 pub fn not_checked(experiment: &Experiment) -> Vec<Finding> {
     let torques = experiment.choice().controller == ControllerKind::Osc;

@@ -1,4 +1,4 @@
-//! What is found before anything moves: each kind in a file that has it, and none in the files that are shipped.
+//! Findings before anything moves: each kind on a file that provokes it, and none on the files of the project.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_control::rank::reach;
@@ -12,7 +12,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// Nothing is wrong with it.
+/// A task without findings, on a Cartesian task.
 const HAND: &str = r#"
 robot = "ROBOTS/asimo-arm"
 duration_s = 2.0
@@ -32,7 +32,7 @@ frequency_rad_per_s = 6.0
 damping_ratio = 0.8
 "#;
 
-/// Nor with this one.
+/// A task without findings, on a joint task.
 const JOINTS: &str = r#"
 robot = "ROBOTS/asimo-arm"
 duration_s = 2.0
@@ -45,7 +45,7 @@ gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
 reference.point-to-point = { goal = { absolute_rad = { elbow = -0.35 } }, duration_s = 1.0 }
 "#;
 
-/// Nor with this one: two links of 1 m in the x-z plane.
+/// A task without findings: two links of 1 m in the x-z plane.
 const TIP: &str = r#"
 robot = "ROBOTS/planar-2-link"
 duration_s = 2.0
@@ -64,7 +64,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// An experiment from a task's text with some of it changed, each old part for a new one.
+/// Builds an experiment from a task's text with changes, each an old part and a new one.
 fn experiment(task: &str, changes: &[(&str, &str)], choice: Choice, settings: &[&str]) -> Experiment {
     let folder = TempDir::new().unwrap();
     let mut text = task.replace("ROBOTS", root().join("robots").to_str().unwrap());
@@ -77,7 +77,7 @@ fn experiment(task: &str, changes: &[(&str, &str)], choice: Choice, settings: &[
     Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, choice, &settings).unwrap()
 }
 
-/// The one thing that a change brings about, and the line at which it is told.
+/// Returns the only finding that a change provokes, and the line of its place.
 fn only(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Finding, Option<usize>) {
     let experiment = experiment(task, changes, Choice::default(), settings);
     let mut found = findings(&experiment);
@@ -96,7 +96,7 @@ fn assert_says(finding: &Finding, key: &str, words: &[&str]) {
     }
 }
 
-/// Files that are made to go wrong, with what they are for.
+/// Files of the project that provoke findings on purpose, with words of the findings.
 const MADE_TO_GO_WRONG: [(&str, &str); 4] = [
     ("panda-out-of-reach", "can't be reached"),
     ("ur5e-out-of-reach", "can't be reached"),
@@ -136,7 +136,7 @@ fn nothing_is_found_in_good_files() {
     assert!(seen >= 8);
 }
 
-/// Where the asimo arm's shoulder is, and the direction from there to its hand at the start of [`HAND`].
+/// Position of the asimo arm's shoulder, and the direction from there to its hand at the start of [`HAND`].
 fn shoulder_and_direction() -> ([f64; 3], [f64; 3]) {
     let experiment = experiment(HAND, &[], Choice::default(), &[]);
     let model = &experiment.robot().model;
@@ -147,7 +147,7 @@ fn shoulder_and_direction() -> ([f64; 3], [f64; 3]) {
     (shoulder.into(), (hand - shoulder).normalize().into())
 }
 
-/// A goal for [`HAND`], so far from the shoulder.
+/// A goal for [`HAND`], at a distance from the shoulder.
 fn goal(distance_m: f64) -> String {
     let (shoulder, direction) = shoulder_and_direction();
     let [x, y, z] = [0, 1, 2].map(|i| shoulder[i] + distance_m * direction[i]);
@@ -156,7 +156,8 @@ fn goal(distance_m: f64) -> String {
 
 const OFFSET: &str = "position = { offset_m = [0.05, 0.0, 0.05] }";
 
-/// The distance told against the one that was asked for, the reach against the links' lengths of 0.235 and 0.275 m.
+/// Compared: the reported distance and the demanded one; the reported reach and the links' lengths of 0.235 and 0.275
+/// m.
 #[test]
 fn a_goal_beyond_the_arms_reach() {
     let (found, line) = only(HAND, &[(OFFSET, &goal(0.7))], &[]);
@@ -181,7 +182,7 @@ fn a_goal_beyond_the_arms_reach() {
     assert!((links - 0.51).abs() < 1e-12);
 }
 
-/// By how much a goal near the shoulder is missed, against the triangle of the two links at the elbow's end, 0.01 rad
+/// Compared: the error at a goal near the shoulder, and the triangle of the two links at the elbow's end, 0.01 rad
 /// before -130°.
 #[test]
 fn a_goal_that_the_elbow_cant_bend_to() {
@@ -199,7 +200,7 @@ fn a_goal_that_the_elbow_cant_bend_to() {
     assert_eq!(findings(&inside), []);
 }
 
-/// Goals of joints and postures against the URDF's elbow, which ends at 0, and the margin of 0.01.
+/// Compared: goals of joints and postures, and the URDF's elbow, which ends at 0, with the margin of 0.01.
 #[test]
 fn postures_beyond_the_joints_ends() {
     let (found, _) = only(JOINTS, &[("elbow = -0.35 } }", "elbow = 0.15 } }")], &[]);
@@ -216,8 +217,8 @@ fn postures_beyond_the_joints_ends() {
     assert_eq!(findings(&without), []);
 }
 
-/// The speed told against the peak of a minimum-jerk motion, 1.875 times the mean: 1 rad in 0.2 s, and 0.9 of 8 rad/s
-/// allowed.
+/// Compared: the reported speed, and the peak of a minimum-jerk motion, 1.875 times the mean: 1 rad in 0.2 s, with 0.9
+/// of 8 rad/s allowed.
 #[test]
 fn a_reference_faster_than_the_joints() {
     let faster = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.2")];
@@ -229,8 +230,8 @@ fn a_reference_faster_than_the_joints() {
     assert_eq!(findings(&experiment(JOINTS, &slower, Choice::default(), &[])), []);
 }
 
-/// The joints' speed for a motion of the tip, against the closed form of two links of 1 m: with both at right angles
-/// the shoulder alone moves the tip along z at 1 rad/s for 1 m/s.
+/// Compared: the joints' speed for a motion of the tip, and the closed form of two links of 1 m: with both at right
+/// angles the shoulder alone moves the tip along z at 1 rad/s for 1 m/s.
 #[test]
 fn a_frame_faster_than_the_joints() {
     let text = TIP.replace(
@@ -247,7 +248,7 @@ fn a_frame_faster_than_the_joints() {
     );
 }
 
-/// Speeds against the task's own limit: the peak of 0.0707 m in 1 s is 0.133 m/s.
+/// Compared: speeds and the task's own limit; the peak of 0.0707 m in 1 s is 0.133 m/s.
 #[test]
 fn a_reference_faster_than_its_tasks_limit() {
     let limited =
@@ -261,7 +262,7 @@ fn a_reference_faster_than_its_tasks_limit() {
     assert_eq!(findings(&experiment(HAND, &changes, Choice::default(), &[])), []);
 }
 
-/// The root-mean-square error of the hand in a simulated run, m; infinite where the run was stopped.
+/// Root-mean-square error of the hand in a simulated run, m; infinite where the run was stopped.
 fn tracking(experiment: &Experiment) -> f64 {
     let sink = std::io::Cursor::new(Vec::new());
     let finished = experiment.run(sink, &Progress::default()).unwrap();
@@ -272,8 +273,8 @@ fn tracking(experiment: &Experiment) -> f64 {
     metrics(experiment, &recording).position_rms_m.unwrap()
 }
 
-/// What is found against simulated runs, on each kind of robot and at 1 kHz and 200 Hz: at gains that are called
-/// unstable the hand shakes; at those that are proposed it follows, and nothing is found.
+/// Compared: findings and simulated runs, on each kind of robot and at 1 kHz and 200 Hz. At gains that are reported as
+/// unstable the hand shakes; at the proposed ones it follows, and nothing is reported.
 #[test]
 fn gains_that_are_too_stiff() {
     for (backend, profile, unstable) in [
@@ -337,7 +338,7 @@ fn gains_that_are_too_stiff() {
     );
 }
 
-/// Limits against each other and against the start.
+/// Compared: limits with each other and with the start.
 #[test]
 fn limits_that_contradict_each_other() {
     let (found, _) = only(HAND, &[], &["limits.velocity_share=1.5"]);
@@ -371,8 +372,8 @@ fn limits_that_contradict_each_other() {
     assert_says(&found, "joint.elbow.acceleration_limit_rad_per_s2", &words);
 }
 
-/// Torques against the arm's weight in closed form: two links of 1 m and 1 kg, their centres in the middle, the
-/// shoulder 0.6 rad above the horizontal and the elbow bent by 1.2.
+/// Compared: torques and the arm's weight in closed form. Two links of 1 m and 1 kg, their centres in the middle, the
+/// shoulder 0.6 rad above the horizontal and the elbow bent by 1.2 rad.
 #[test]
 fn weight_that_a_joint_cant_carry() {
     let needed = 9.81 * (1.5 * f64::cos(0.6) + 0.5 * f64::cos(1.8));
@@ -403,7 +404,7 @@ fn weight_that_a_joint_cant_carry() {
     assert_says(&found, "joint.shoulder.torque_rate_limit_nm_per_s", &words);
 }
 
-/// The direction that is lost against the geometry: the straight arm can't move its tip along itself.
+/// Compared: the lost direction and the geometry; the straight arm can't move its tip along itself.
 #[test]
 fn a_singular_start() {
     let straight =

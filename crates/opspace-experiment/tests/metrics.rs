@@ -1,4 +1,4 @@
-//! Metrics of made-up logs, against what they must be by hand.
+//! Metrics of synthetic logs, against values computed by hand.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use nalgebra::Vector3;
@@ -10,7 +10,7 @@ use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
 use std::path::Path;
 
-/// Sums of some thousand numbers.
+/// Relative rounding of sums of some thousand numbers.
 const ROUNDING: f64 = 1e-12;
 
 const Q: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
@@ -28,7 +28,7 @@ fn hand(experiment: &Experiment, q: &[f64]) -> Vector3<f64> {
     frame_placement(model, &data, model.frame("hand").unwrap()).translation
 }
 
-/// A log of 8 s at 1 kHz, 5 servo ticks each: what each row holds is given by its index.
+/// Builds a log of 8 s at 1 kHz with 5 servo ticks per row; the content of each row is given by its index.
 fn log(
     experiment: &Experiment,
     tick: impl Fn(usize) -> Vec<f64>,
@@ -38,7 +38,7 @@ fn log(
     log_at(experiment, [0.0; 4], tick, truth, servo)
 }
 
-/// The same, with joints that move at these speeds.
+/// Builds a log like [`log`], with joints that move at the speeds `dq`.
 fn log_at(
     experiment: &Experiment,
     dq: [f64; 4],
@@ -86,13 +86,13 @@ fn log_at(
     Recording::from_bytes(sink.get_ref()).unwrap()
 }
 
-/// Two numbers the same but for rounding.
+/// True if two numbers are equal except for rounding.
 fn near(a: Option<f64>, b: f64) -> bool {
     a.is_some_and(|a| (a - b).abs() <= ROUNDING * b.abs().max(1.0))
 }
 
-/// The error over y and z alone (x is compliant), true position against reference, against a square wave of
-/// known height; and nothing before the end of settling counts.
+/// Compared: the error over y and z alone (x is compliant), true position against reference, and a square wave of known
+/// height. Rows before the end of settling don't count.
 #[test]
 fn position_errors_count_motion_axes_of_the_true_position_after_settling() {
     let experiment = experiment("compliant-x");
@@ -115,7 +115,7 @@ fn position_errors_count_motion_axes_of_the_true_position_after_settling() {
     assert_eq!((metrics.orientation_rms_rad, metrics.joint_rms_rad, metrics.force_rms_n), (None, None, None));
 }
 
-/// The hand's motion against the displacement from the start in x that two postures have.
+/// Compared: the hand's motion, and the displacement from the start in x of two postures.
 #[test]
 fn hand_motion_is_the_displacement_from_the_start_over_the_reported_axes() {
     let experiment = experiment("compliant-x");
@@ -131,7 +131,7 @@ fn hand_motion_is_the_displacement_from_the_start_over_the_reported_axes() {
     assert!(near(metrics(&experiment, &recording).hand_motion_rms_m, moved));
 }
 
-/// The three torque errors against those of a pattern that repeats every interval: its rms, its mean, its
+/// Compared: the three torque errors, and those of a pattern that repeats every interval: its rms, its mean and its
 /// first value, relative to the desired torque, pooled over joints of different size.
 #[test]
 fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
@@ -152,8 +152,8 @@ fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
     assert!(near(metrics.torque_error_tick, 2.0 * 0.1 / size), "{metrics:?}");
 }
 
-/// The hold ripple against a sawtooth made by hand, 1.2 times as high as constant speeds make it without current loop,
-/// beside a constant error.
+/// Compared: the hold ripple beside a constant error, and a sawtooth 1.2 times as high as constant speeds produce
+/// without a current loop.
 #[test]
 fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_set_point_leaves() {
     let hold_ripple = |choice: Choice, settings: &[&str]| {
@@ -173,7 +173,7 @@ fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_set_point_leav
     // The current loop smooths the sawtooth to this at 1 kHz (a recursion in another language).
     let ripple = hold_ripple(Choice::default(), &[]).unwrap();
     assert!((ripple * 0.534_703_767_082 / 1.2 - 1.0).abs() < 1e-11, "{ripple}");
-    // A servo that is stiffer than believed leaves more: less is beyond it.
+    // A servo that is stiffer than its nominal value leaves more ripple: the same ripple is a smaller multiple of it.
     let stiffer = hold_ripple(Choice::default(), &["robot.simulated.scale.kp=1.5"]);
     assert!(near(stiffer, ripple / 1.5), "{stiffer:?}");
     let torque = Choice { backend: BackendKind::Torque, ..Choice::default() };
@@ -182,7 +182,7 @@ fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_set_point_leav
     assert_eq!(hold_ripple(Choice::default(), &["robot.profile.a-med.ratio=1"]), None);
 }
 
-/// A run without desired torque has no torque error, rather than a number that looks like one.
+/// A run without desired torque has no torque error, rather than a meaningless number.
 #[test]
 fn without_desired_torque_there_is_no_torque_error() {
     let experiment = experiment("cartesian-tracking");
@@ -195,7 +195,7 @@ fn without_desired_torque_there_is_no_torque_error() {
     );
 }
 
-/// Quantiles of computing times against those of the numbers 1 to 8000; ticks at rest don't count.
+/// Compared: quantiles of computing times, and those of the numbers 1 to 8000; cycles at rest don't count.
 #[test]
 fn computing_times_count_controlled_ticks() {
     let experiment = experiment("cartesian-tracking");

@@ -1,4 +1,4 @@
-//! Settings from the command line against the same file edited by hand: equal values, errors that name them.
+//! Settings from the command line against the same file edited by hand: equal values, errors that name the settings.
 
 use opspace_experiment::files::overrides::{apply, apply_below, split};
 use opspace_experiment::files::source::{FileError, Source, parse};
@@ -100,7 +100,7 @@ fn table(text: &str) -> toml::Table {
     text.parse().expect("TOML")
 }
 
-/// Compares the file with a setting with the file edited by hand, and that both are accepted.
+/// Compares a file with a setting to the file edited by hand, and checks that both are accepted.
 #[track_caller]
 fn equals_by_hand(setting: &str, from: &str, to: &str) {
     let applied = set(&[setting]).expect("applied");
@@ -109,7 +109,7 @@ fn equals_by_hand(setting: &str, from: &str, to: &str) {
     parse::<TaskFile>(&applied).expect("accepted");
 }
 
-/// What reading the file with these settings refuses.
+/// Returns the error of reading the file with these settings.
 fn refusal(settings: &[&str]) -> FileError {
     match set(settings) {
         Err(error) => error,

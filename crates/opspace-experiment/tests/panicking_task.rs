@@ -1,4 +1,4 @@
-//! A user's task that panics while the robot moves: its log is closed, says so, and replays.
+//! A user's task that panics while the robot moves: the log is closed, records the panic, and replays.
 
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
@@ -11,10 +11,10 @@ use serde::Deserialize;
 use std::io::Cursor;
 use std::path::Path;
 
-/// Joint of the task.
+/// Index of the task's joint.
 const JOINT: usize = 0;
 
-/// Position from which on the task panics, rad; the task starts at −0.45 rad and moves down.
+/// Position below which the task panics, rad; the task starts at −0.45 rad and moves down.
 const PANICS_BELOW_RAD: f64 = -0.6;
 
 /// The position of a joint, which panics beyond [`PANICS_BELOW_RAD`].
@@ -73,8 +73,8 @@ fn experiment() -> Experiment {
     Experiment::new(robot, task.expect("a good task"), Choice::default(), Vec::new()).expect("they fit")
 }
 
-/// Compared: the logged positions and the position of the panic, the outcome in the log and that of the run, and the rows of
-/// the log and of its replay.
+/// Compared: the logged positions and the position of the panic, the outcome in the log and that of the run, and the
+/// rows of the log and of its replay.
 #[test]
 fn log_of_a_panic_ends_before_it_and_replays() {
     let experiment = experiment();

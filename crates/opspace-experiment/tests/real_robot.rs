@@ -73,7 +73,7 @@ impl GroundTruth for Disguised {
     }
 }
 
-/// Opens one and the same arm each time.
+/// A driver that opens the same arm each time.
 struct OneArm(Rc<RefCell<Disguised>>);
 
 impl Driver for OneArm {
@@ -107,8 +107,8 @@ fn measured(experiment: &Experiment, clock_start_s: f64) -> (Metrics, u64) {
     (summary.metrics, summary.missed_cycles)
 }
 
-/// Compared: every metric of runs on clocks that start at 1000 s and at -5 s, and those of the same run on a clock that starts
-/// at 0. They differ by the rounding of time stamps at most, with lost cycles and without.
+/// Compared: every metric of runs on clocks that start at 1000 s and at -5 s, and those of the same run on a clock that
+/// starts at 0. They differ by the rounding of time stamps at most, with lost cycles and without.
 #[test]
 fn start_of_the_robots_clock_changes_no_metric() {
     /// Rounding of a time stamp of 1000 s over a period of 1 ms is 1e-10; the motion amplifies it.
@@ -150,8 +150,8 @@ fn away(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<Disguised>>, Ex
     (arm, extensions)
 }
 
-/// Refusal of an arm that is away from the start, the distance left after the motion, its highest speed against the stated
-/// one, and the run afterwards.
+/// Refusal of an arm that is away from the start, the distance left after the motion, its highest speed against the
+/// stated one, and the run afterwards.
 #[test]
 fn real_robot_is_moved_to_the_start_slowly_before_it_is_run() {
     /// The reference's limit is 0.2 rad/s; a joint that friction held at first catches up with it.

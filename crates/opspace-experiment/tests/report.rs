@@ -1,4 +1,4 @@
-//! Figures, tables and pages: well-formed XML that holds what went in, drawn where it belongs.
+//! Figures, tables and pages: well-formed XML that contains the input, drawn in the right place.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -26,7 +26,7 @@ fn texts(document: &Document<'_>) -> Vec<String> {
         .collect()
 }
 
-/// The series' lines, without those of a legend of so many labels; axes and marks are fainter.
+/// Lines of the series, without those of a legend of so many labels; axes and marks are fainter.
 fn lines<'a, 'i>(document: &'a Document<'i>, labels: usize) -> Vec<Node<'a, 'i>> {
     let line = |node: &Node<'_, '_>| {
         node.tag_name().name() == "polyline"
@@ -35,7 +35,7 @@ fn lines<'a, 'i>(document: &'a Document<'i>, labels: usize) -> Vec<Node<'a, 'i>>
     document.descendants().filter(line).skip(labels).collect()
 }
 
-/// The points of a line, in units of its picture.
+/// Points of a line, in units of its picture.
 fn points(line: &Node<'_, '_>) -> Vec<(f64, f64)> {
     let point = |part: &str| {
         let (x, y) = part.split_once(',').expect("x and y");
@@ -67,7 +67,7 @@ fn wave(amplitude: f64, phase: f64, samples: usize) -> (Vec<f64>, Vec<f64>) {
     (x, y)
 }
 
-/// Four joints as in figure 8 of the paper.
+/// Figure of four joints, like figure 8 of the paper.
 fn joints(samples: usize) -> Figure {
     let joint = |(index, name): (usize, &str)| {
         let (x, desired) = wave(3.0 + index as f64, index as f64, samples);
@@ -116,7 +116,7 @@ fn four_joints_make_four_panels_with_one_legend() {
     assert!(svg.len() < 300_000, "{} bytes", svg.len());
 }
 
-/// Points of a measured response: a dot for each that has logarithms, a decade as wide as the next.
+/// Points of a measured response: a dot for each that has logarithms, and decades of equal width.
 #[test]
 fn decades_are_of_one_width_and_points_are_dots() {
     const TOLERANCE: f64 = 1.0;
@@ -170,7 +170,8 @@ fn points_stay_within_the_picture() {
     assert!(extents[0].3 < extents[4].2, "the second row is below the first");
 }
 
-/// Extremes of the reduced line against those of all samples: the same bits, whatever the phase of a peak.
+/// Compared: extremes of the reduced line and those of all samples; they are the same bits, whatever the phase of a
+/// peak.
 #[test]
 fn decimation_keeps_every_extreme_and_gap() {
     let (x, mut y) = wave(1.0, 0.3, 100_000);
@@ -206,7 +207,7 @@ fn decimation_keeps_every_extreme_and_gap() {
     assert!(decimate(&x, &sparse, (0.0, 8.0), 400).len() <= 400);
 }
 
-/// A value over the height of a panel: the line's height in the picture is the value's share of the axis.
+/// Compared: the height of a line in the picture, and the share of the axis that the value has.
 #[test]
 fn a_line_is_drawn_to_scale() {
     let series = Series::new("a", vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 10.0, 5.0, 10.0]);
@@ -225,7 +226,7 @@ fn a_line_is_drawn_to_scale() {
     );
 }
 
-/// One sample among many against its place in the picture: peaks and gaps survive the reduction.
+/// Compared: one sample among many and its place in the picture; peaks and gaps survive the reduction.
 #[test]
 fn peaks_and_gaps_reach_the_picture() {
     let x: Vec<f64> = (0..40_000).map(|k| f64::from(k) * 2e-4).collect();
@@ -272,7 +273,7 @@ fn figures_without_data_say_so() {
     has(&said(vec![panel("p", partly)]), "b: no finite value");
 }
 
-/// Whatever the numbers: XML, and no coordinate that is not a number.
+/// Arbitrary numbers: the result is XML, without a coordinate that is not a number.
 #[test]
 fn odd_numbers_make_sound_figures() {
     let tiny = f64::MIN_POSITIVE;
@@ -378,7 +379,7 @@ fn numbers_have_four_digits() {
     }
 }
 
-/// Texts of a column against decimals counted by hand.
+/// Compared: texts of a column and decimals counted by hand.
 #[test]
 fn a_column_shares_its_decimals() {
     let column = |numbers: &[f64]| {
@@ -495,7 +496,7 @@ fn a_page_stands_alone() {
     assert!(named("svg").iter().all(|svg| svg.attribute("role") == Some("img")));
 }
 
-/// Text with markup in every place where a page takes text: it comes back as text, and adds no element.
+/// Text with markup in every place where a page takes text: it is read back as text, and adds no element.
 #[test]
 fn everything_is_escaped() {
     let page = |text: &str| {
@@ -542,7 +543,7 @@ fn chromium() -> Option<PathBuf> {
     std::env::split_paths(&path).map(|folder| folder.join("chromium")).find(|file| file.is_file())
 }
 
-/// Opened in a browser: no message on the console, and every figure is laid out within the window.
+/// A page opened in a browser: no message on the console, and every figure is within the window.
 #[test]
 fn a_browser_lays_out_every_figure() {
     let Some(chromium) = chromium() else {

@@ -1,5 +1,5 @@
-//! How much more gain than believed a position or velocity loop may have: what is told against a formula, and against runs of the
-//! simulated robot.
+//! Gain margin of position and velocity loops: the reported margin against a formula, and against runs of the simulated
+//! robot.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_experiment::Progress;
@@ -19,7 +19,7 @@ fn experiment(task: &str, profile: &str, transformer: &str, settings: &[String])
     on(BackendKind::Position, task, profile, transformer, settings)
 }
 
-/// The same on a robot of that kind.
+/// A task on the ASIMO-like arm as a robot of the kind `backend`, with settings.
 fn on(backend: BackendKind, task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
     let profile_name = Some(profile.to_owned());
     let choice = Choice { backend, profile: profile_name, duration_s: Some(3.0), ..Choice::default() };
@@ -33,8 +33,8 @@ fn excess(experiment: &Experiment) -> Option<f64> {
     gain_margin(experiment).unwrap().excess
 }
 
-/// The margin of gravity compensation, where all but the joints' own damping is known, against the formula
-/// ε < ((1 − gain) b + d)/kv + (1 + ε) kp t̄ of the worst joint, with and without the hold's t̄ = (R−1)/2 Ts.
+/// Compared: the margin of gravity compensation, where all but the joints' own damping is known, and the formula ε <
+/// ((1 − gain) b + d)/kv + (1 + ε) kp t̄ of the worst joint, with and without the hold's t̄ = (R−1)/2 Ts.
 #[test]
 fn the_margin_is_the_formulas() {
     // 0.1 % of bisection, and what the formula leaves out: it knows neither the observer nor the filters.
@@ -63,8 +63,8 @@ fn the_margin_is_the_formulas() {
     }
 }
 
-/// The margin of a velocity robot's gravity compensation, whose torques a gain that is too high scales, against the formula
-/// (1 + ε) (gain b − d) < b of the joint with the most friction.
+/// Compared: the margin of a velocity robot's gravity compensation, whose torques an excess gain scales, and the
+/// formula (1 + ε) (gain b − d) < b of the joint with the most friction.
 #[test]
 fn the_margin_of_a_velocity_robot_is_the_formulas() {
     // As above.
@@ -97,7 +97,8 @@ fn the_margin_of_a_velocity_robot_is_the_formulas() {
     }
 }
 
-/// With the motors' current a wrong gain shows: the margin is at least ten times that without.
+/// Compared: the margins with and without measurement of the motors' current, which reveals a wrong gain; the first is
+/// more than 50 % and ten times the second.
 #[test]
 fn the_motors_current_lifts_the_margin() {
     for profile in ["a-med", "b-soft"] {
@@ -110,7 +111,7 @@ fn the_motors_current_lifts_the_margin() {
     }
 }
 
-/// How a run of the simulated robot ends whose position loops have that share of gain too much, and its highest speed,
+/// Outcome of a run of the simulated robot whose position loops have that share of excess gain, and its highest speed,
 /// rad/s.
 fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) {
     let scale = format!("robot.simulated.scale.kp={:?}", 1.0 + excess);
@@ -121,8 +122,8 @@ fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) 
     (finished.outcome, speed)
 }
 
-/// The margin against the simulated robot with all its friction, weight and noise: within it the arm moves on, slower
-/// than its speed limit; clearly beyond it the run ends in a fault.
+/// Compared: the margin, and the simulated robot with all its friction, weight and noise. Within the margin the arm
+/// moves on, slower than its speed limit; clearly beyond it the run ends in a fault.
 #[test]
 fn the_simulated_robot_is_stable_within_the_margin_and_not_beyond() {
     const WITHIN: f64 = 0.8;
@@ -149,8 +150,8 @@ fn the_simulated_robot_is_stable_within_the_margin_and_not_beyond() {
     }
 }
 
-/// A small margin is told with its number and what to do; a large one isn't; and where torques pass as they are, there is
-/// none.
+/// A small margin is reported with its number and a remedy; a large one isn't; where torques pass without a
+/// transformer, there is none.
 #[test]
 fn a_small_margin_is_a_finding() {
     let small = experiment("gravity-compensation", "a-med", EMULATION, &[]);

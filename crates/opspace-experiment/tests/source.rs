@@ -1,4 +1,4 @@
-//! What a strict file says when it is wrong: the text and the line of each error, against what was written.
+//! Errors of the strict reader: the text and the line of each error, against the mistake in the file.
 
 use std::collections::BTreeMap;
 
@@ -90,7 +90,7 @@ damping_ratio = 0.79
 time_s = 1.0
 "#;
 
-/// The error of `GOOD` with one piece replaced.
+/// Returns the error of `GOOD` with one piece replaced.
 fn error(from: &str, to: &str) -> FileError {
     assert!(GOOD.contains(from), "{from:?} is not in the good file");
     let source = Source::new("tasks/x.toml", GOOD.replacen(from, to, 1));
@@ -99,7 +99,7 @@ fn error(from: &str, to: &str) -> FileError {
     error
 }
 
-/// As the command line shows it.
+/// Renders an error as the command line shows it.
 fn rendered(error: &FileError) -> String {
     let mut text = String::new();
     miette::GraphicalReportHandler::new_themed(miette::GraphicalTheme::unicode_nocolor())
@@ -109,14 +109,14 @@ fn rendered(error: &FileError) -> String {
     text
 }
 
-/// Compares the display (place and message) and the help with the texts wanted.
+/// Compares the display (place and message) and the help with the expected texts.
 #[track_caller]
 fn says(error: &FileError, display: &str, help: &str) {
     assert_eq!(error.to_string(), display);
     assert_eq!(error.help().unwrap_or(""), help);
 }
 
-/// The text under an error's label.
+/// Returns the text under an error's label.
 fn underlined(error: &FileError) -> String {
     let label = error.labels().expect("a label").next().expect("one label");
     let code = error.source_code().expect("the file's text");
@@ -305,7 +305,7 @@ fn text_that_is_not_toml_is_refused_at_its_place() {
     assert_eq!(error("time_s = 1.0\n", "time_s = [1.0,").line(), Some(12));
 }
 
-/// Other editors' line ends, a byte-order mark and an empty file: as the plain text, or a plain refusal.
+/// Line ends of other editors, a byte-order mark and an empty file: read as the plain text, or refused plainly.
 #[test]
 fn line_ends_and_marks_do_not_matter() {
     let dos = format!("\u{feff}{}", GOOD.replace('\n', "\r\n"));
@@ -317,7 +317,7 @@ fn line_ends_and_marks_do_not_matter() {
     assert!(rendered(&empty).contains("missing key"));
 }
 
-/// Deep nesting is refused, and does not overflow the stack.
+/// Deep nesting is refused, and does not overflow the call stack.
 #[test]
 fn depth_is_bounded() {
     let dotted = format!("{}=1", vec!["a"; 100_000].join("."));

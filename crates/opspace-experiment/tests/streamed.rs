@@ -8,8 +8,8 @@ use opspace_log::Recording;
 use std::io::Cursor;
 use std::path::Path;
 
-/// Counted: cycles in which the target was stale, and cycles from the sample in which its age passed the timeout to the end,
-/// without the ones in which a renewed target was younger.
+/// Counted: cycles in which the target was stale, and cycles from the sample in which its age passed the timeout to the
+/// end, without the ones in which a renewed target was younger.
 #[test]
 fn cycles_with_a_stale_target_are_counted_in_the_summary() {
     /// Cycles, of 1 ms, at which the target is renewed.

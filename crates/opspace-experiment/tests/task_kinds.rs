@@ -1,4 +1,4 @@
-//! Kinds of tasks beside the built-in ones: registered ones in a file, and what is said about a mistake in them.
+//! Kinds of tasks beside the built-in ones: registered ones in a file, and the errors of mistakes in them.
 
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, TaskParameters};
@@ -10,7 +10,7 @@ use opspace_model::{Data, Model};
 use serde::Deserialize;
 use std::path::Path;
 
-/// The sum of all joints' positions.
+/// A task of the sum of all joints' positions.
 struct JointSum;
 
 impl Coordinate for JointSum {
@@ -73,7 +73,7 @@ fn panda() -> Robot {
     Robot::load(Files::Disk, &path, &[]).expect("a robot")
 }
 
-/// The signals of an experiment's controller against the task that the file names by its registered kind.
+/// Compared: the signals of an experiment's controller, and the task that the file names by its registered kind.
 #[test]
 fn a_registered_kind_is_built_from_its_table() {
     let task = load(TASK).expect("a good file");
@@ -84,7 +84,7 @@ fn a_registered_kind_is_built_from_its_table() {
     assert!(controller.signals().iter().any(|signal| signal.name == "sum.value"));
 }
 
-/// Files with one mistake each against the line, the message and the help that name it.
+/// Compared: files with one mistake each, and the line, the message and the help of the error.
 #[test]
 fn mistakes_in_a_registered_kind_are_placed() {
     let table = TASK.replace("damping_ratio = 1.0", "damping_ration = 1.0");
@@ -110,7 +110,7 @@ fn mistakes_in_a_registered_kind_are_placed() {
     assert!(error.message().contains("above 0"), "{error:?}");
 }
 
-/// A kind under the name of another one.
+/// A kind under the name of another one is refused.
 #[test]
 fn a_taken_name_is_refused() {
     let build = |p: &JointSumParameters, name: &str, _: &Model, _: &opspace_control::ControlContext| {
@@ -138,7 +138,7 @@ gains = {{ frequency_rad_per_s = 10.0, damping_ratio = 1.0 }}
     format!("{}{swivel}{}", &TASK[..begin], &TASK[end..])
 }
 
-/// A swivel task in a file against its signal.
+/// Compared: a swivel task in a file and its signal.
 #[test]
 fn a_swivel_task_is_read_from_a_file() {
     let text = swivel("0.5");
@@ -151,8 +151,8 @@ fn a_swivel_task_is_read_from_a_file() {
     assert_eq!(error.line(), Some(7), "{error:?}");
 }
 
-/// Findings of a swivel task whose reference is too fast for the joints, and of the same one with time enough; both by the
-/// key of the task's own reference.
+/// Findings of a swivel task whose reference is too fast for the joints, and of one with enough time; both at the key
+/// of the task's own reference.
 #[test]
 fn preflight_follows_every_task() {
     let experiment = |duration_s: &str| {
@@ -170,7 +170,7 @@ fn preflight_follows_every_task() {
     assert!(not_checked(&experiment("0.8")).is_empty(), "its gains are known");
 }
 
-/// A task with an impedance, of which the gains depend on the arm's inertia, against what is said to be unchecked.
+/// Compared: a task with an impedance, whose gains depend on the arm's inertia, and the list of what is not checked.
 #[test]
 fn unknown_gains_are_reported() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-impedance.toml");

@@ -12,7 +12,7 @@ use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
 
-/// The ASIMO-like arm with these settings, as a robot that is not simulated.
+/// Reads the ASIMO-like arm with these settings, as a robot that is not simulated.
 fn robot(settings: &[&str]) -> Result<Robot, FileError> {
     let settings: Vec<String> = settings.iter().map(|setting| format!("robot.{setting}")).collect();
     let mut robot = Robot::load(Files::Embedded, Path::new(ROBOT), &settings)?;
@@ -30,7 +30,7 @@ fn experiment(transformer: Option<&str>, settings: &[&str]) -> Result<Experiment
     on_robot(robot(settings)?, BackendKind::Velocity, transformer)
 }
 
-/// The robot file with this section taken out, or with another text in its place, and its URDF.
+/// Reads the robot file with a section removed or replaced, and its URDF.
 fn edited(from: &str, to: &str) -> Result<Robot, FileError> {
     let arm = robot(&[])?;
     let text = arm.source.text();
@@ -65,7 +65,7 @@ fn transformers_of_a_velocity_robot_command_velocities() {
     }
 }
 
-/// The transformer that is chosen by default for a velocity robot and for a position robot that declare the same.
+/// The default transformer of a velocity robot, and that of a position robot with the same declarations.
 #[test]
 fn default_is_chosen_as_for_positions() {
     for (settings, method, current) in [

@@ -1,28 +1,28 @@
-//! Odd random-phase multisines: what excites a joint.
+//! Odd random-phase multisines for the excitation of a joint.
 //!
-//! Lines are odd multiples of one over the period, spread evenly over the logarithm of frequency. What an even
-//! nonlinearity makes of them comes out at even lines, what an odd one (friction) makes, also at odd lines that were left
-//! out: both are seen, and neither is taken for the linear response at the cost of a bias that changes with the phases.
+//! Lines are odd multiples of one over the period, spread evenly over the logarithm of frequency. The output of an even
+//! nonlinearity is at even lines, that of an odd one (friction) also at odd lines that were left out: both are
+//! detected, and neither is taken for the linear response at the cost of a bias that changes with the phases.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
-/// Phases are drawn so often, and those kept whose signal has the lowest peak.
+/// Number of draws of the phases; those whose signal has the lowest peak are kept.
 const DRAWS: usize = 12;
 
-/// One period of a periodic set-point, sampled at the interface.
+/// Period of a periodic setpoint, sampled at the interface.
 #[derive(Clone, Debug)]
 pub struct Multisine {
     /// Excited lines, in periods of the signal per period; odd, ascending.
     pub lines: Vec<usize>,
-    /// One period, rms 1.
+    /// Samples of one period, rms 1.
     pub samples: Vec<f64>,
 }
 
 impl Multisine {
-    /// Amplitudes fall as one over frequency: as much of the speed to each line, and little of it where only torque
-    /// comes of it. `samples` is the number of ticks of a period.
+    /// Returns a multisine whose amplitudes fall as one over frequency: the same speed for each line, and little of it
+    /// at high frequencies, where only torque results. `samples` is the number of interface cycles of a period.
     #[must_use]
     pub fn new(lines: &[usize], samples: usize, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -46,22 +46,22 @@ impl Multisine {
         peak(&self.samples)
     }
 
-    /// Highest rate of change, per tick.
+    /// Highest rate of change, per interface cycle.
     #[must_use]
     pub fn steepest(&self) -> f64 {
         let next = self.samples.iter().cycle().skip(1);
         self.samples.iter().zip(next).map(|(a, b)| (b - a).abs()).fold(0.0, f64::max)
     }
 
-    /// The value at a tick, the period going on for ever.
+    /// Value at an interface cycle, the period repeating for ever.
     #[must_use]
     pub fn at(&self, tick: usize) -> f64 {
         self.samples[tick % self.samples.len()]
     }
 }
 
-/// Odd lines from `lowest` to `highest`, about `per_decade` in a decade where there are so many, with at least one odd
-/// line left out between any two above the first few.
+/// Returns odd lines from `lowest` to `highest`, about `per_decade` in a decade where there are so many, with at least
+/// one odd line left out between any two above the first few.
 #[must_use]
 pub fn odd_lines(lowest: usize, highest: usize, per_decade: f64) -> Vec<usize> {
     let odd = |x: f64| 2 * ((x - 1.0) / 2.0).round().max(0.0) as usize + 1;
@@ -103,7 +103,7 @@ mod tests {
         Multisine::new(&odd_lines(1, 160, 12.0), SAMPLES, seed)
     }
 
-    /// The discrete Fourier sum of the samples at every line, against what was asked for.
+    /// Compares the discrete Fourier sum of the samples at every line with the requested one.
     #[test]
     fn only_the_asked_odd_lines_are_excited_by_one_over_frequency() {
         const TOLERANCE: f64 = 1e-9;

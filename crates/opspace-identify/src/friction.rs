@@ -1,35 +1,34 @@
-//! Friction from passes at constant speed in both directions.
+//! Identification of friction from runs at constant speed in both directions.
 //!
-//! Half the difference of the torques of the two directions, over the same positions, is friction: gravity is the same in
-//! both. Over speed it is Stribeck's curve and viscous friction,
-//! `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
+//! Half the difference of the torques of the two directions, over the same positions, is friction: gravity is the same
+//! in both. Over speed it is Stribeck's curve and viscous friction, `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-/// Speeds over which static friction may fall to Coulomb friction, as shares of the highest speed: 24 of them.
+/// Number of Stribeck speeds tried, as shares of the highest speed.
 const GRID: i32 = 24;
 
-/// Stribeck's speed where none can be seen, rad/s (m/s).
+/// Stribeck's speed where the data show none, rad/s (m/s).
 const NO_STRIBECK: f64 = 0.05;
 
 /// Friction of a joint, as it is written into robot.toml.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Friction {
-    /// Fc, Nm (N).
+    /// Coulomb friction Fc, Nm (N).
     pub coulomb: f64,
-    /// Fs, Nm (N).
+    /// Static friction Fs, Nm (N).
     pub static_friction: f64,
-    /// vs, rad/s (m/s).
+    /// Stribeck's speed vs, rad/s (m/s).
     pub stribeck: f64,
-    /// Fv, Nms/rad (Ns/m).
+    /// Viscous friction Fv, Nms/rad (Ns/m).
     pub viscous: f64,
-    /// What the curve leaves of the passes, rms, Nm (N).
+    /// Residual of the runs against the curve, rms, Nm (N).
     pub residual: f64,
 }
 
 impl Friction {
-    /// The curve at a speed above 0.
+    /// Friction by the curve at a speed above 0.
     #[must_use]
     pub fn at(&self, speed: f64) -> f64 {
         let fall = (-(speed / self.stribeck).powi(2)).exp();
@@ -40,13 +39,13 @@ impl Friction {
 /// Friction measured at a speed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ConstantVelocityRun {
-    /// Rad/s (m/s), above 0.
+    /// Speed, rad/s (m/s), above 0.
     pub speed: f64,
-    /// Half the difference of both directions, Nm (N).
+    /// Friction: half the difference of both directions' torques, Nm (N).
     pub torque: f64,
 }
 
-/// The curve through passes at different speeds; `None` for fewer than three.
+/// Fits the curve to runs at different speeds; `None` for fewer than three.
 #[must_use]
 pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
     let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
@@ -68,7 +67,8 @@ pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
     Some(best)
 }
 
-/// Least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` where one of them would be negative.
+/// Solves the least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` if one of them would be
+/// negative.
 fn curve(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<Friction> {
     let value = |column: usize, speed: f64| match column {
         0 => 1.0,
@@ -106,7 +106,7 @@ mod tests {
         speeds.map(|speed| ConstantVelocityRun { speed, torque: truth.at(speed) }).collect()
     }
 
-    /// The fitted curve against the one on which the passes lie.
+    /// Compares the fitted curve with the one on which the runs lie.
     #[test]
     fn a_stribeck_curve_comes_back() {
         const TOLERANCE: f64 = 0.03;

@@ -1,15 +1,16 @@
-//! From frequency responses to the servo: the exact multirate model, fitted to what was measured.
+//! Identification of the servo from frequency responses: the exact multirate model, fitted to the measurements.
 //!
-//! With the motor's current both sides of the drive are seen, set-point and position on one, torque on the other; its gains
-//! then follow whatever the joint does (see [`interval`](crate::interval)). Without it only T = y/q_desired is known,
+//! With the motor's current, both sides of the drive are measured, setpoint and position on one, torque on the other;
+//! its gains are then determined whatever the joint does (see [`interval`](crate::interval)). Without it only
+//! T = y/q_desired is known,
 //!
 //! ```text
 //! T ≈ kv kp / (I s² + (kv + b) s + kv kp)
 //! ```
 //!
-//! so that kv kp/I and (kv + b)/I follow, and no more. Coulomb friction is known from how far the joint lags at constant
-//! speed, and counts as the viscous friction that takes as much out of a Gaussian velocity, √(2/π) Fc/σ; viscous friction
-//! is taken into kv, which it raises by as much and lowers kp accordingly: by some percent.
+//! so that kv kp/I and (kv + b)/I are determined, and no more. Coulomb friction is known from the joint's lag at
+//! constant speed, and counts as the viscous friction that dissipates as much of a Gaussian velocity, √(2/π) Fc/σ;
+//! viscous friction is included in kv, which it raises by as much, and it lowers kp accordingly: by some percent.
 
 use crate::interval::{Drive, Interval, Rates};
 use crate::least_squares::{Minimum, minimise};
@@ -18,49 +19,50 @@ use crate::response::Point;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
 
-/// The model is not trusted beyond this, however little noise there is.
+/// Relative error assumed of the model, however little noise there is.
 const MODEL_ERROR: f64 = 0.01;
 
-/// What is taken for granted of a drive's filter and current loop, and how loosely (a factor), where the data don't say:
-/// a filter at an eighth of the servo's rate, a current loop of 1 kHz.
+/// Assumed values of a drive's filter and current loop where the data don't determine them, each with its tolerance
+/// (a factor): a filter at an eighth of the servo's rate, a current loop of 1 kHz.
 const FILTER_OF_RATE: f64 = 0.125;
 const FILTER_WITHIN: f64 = 10.0;
 pub(super) const CURRENT_LOOP_HZ: f64 = 1000.0;
 const CURRENT_LOOP_WITHIN: f64 = 4.0;
 
-/// How often gains and inertia are fitted in turn.
+/// Number of alternating fits of gains and inertia.
 const TURNS: usize = 4;
 
-/// The responses at one amplitude.
+/// Frequency responses at one amplitude.
 #[derive(Clone, Debug)]
 pub struct AmplitudeLevel {
     /// Rms of the joint's velocity, rad/s (m/s).
     pub speed: f64,
-    /// Position over set-point.
+    /// Position over setpoint.
     pub position: Vec<Point>,
-    /// Mean torque over set-point, Nm/rad, where current is measured.
+    /// Mean torque over setpoint, Nm/rad, where current is measured.
     pub torque: Option<Vec<Point>>,
 }
 
-/// The servo that explains the responses.
+/// Servo that explains the responses.
 #[derive(Clone, Debug)]
 pub struct Gains {
-    /// The drive and the joint; per inertia, and with an inertia of 1, where torque was not measured.
+    /// Drive and joint; per inertia, and with an inertia of 1, where torque was not measured.
     pub drive: Drive,
-    /// Servo ticks until a set-point acts.
+    /// Servo ticks until a setpoint acts.
     pub delay: u32,
     /// Relative standard deviations of kp and kv.
     pub deviation: [f64; 2],
-    /// Viscous friction that amounts to what held the joint back, for each level, Nms/rad (or per inertia).
+    /// Viscous friction equivalent to the joint's resistance, for each level, Nms/rad (or per inertia).
     pub friction: Vec<f64>,
     /// Relative error of the modelled torque, rms, where it was measured.
     pub torque_residual: Option<f64>,
-    /// How much worse the next best delay explains the data: a ratio of costs.
+    /// Ratio of the costs of the next best delay and of the best.
     pub delay_margin: f64,
 }
 
-/// Fits the servo, the delay of `rates` left open; `lag` (rad, m) is how far Coulomb friction keeps the joint behind its
-/// set-point, for where torque is not measured. `None` where the responses say nothing.
+/// Fits the servo, including its delay in place of that of `rates`; `lag` (rad, m) is the distance by which Coulomb
+/// friction keeps the joint behind its setpoint, for where torque is not measured. `None` where the responses determine
+/// nothing.
 #[must_use]
 pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<Gains> {
     let measured = levels.iter().all(|l| l.torque.is_some());
@@ -155,7 +157,7 @@ fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<(
     Some(gains(drive_of(&minimum.x), rates, &minimum, friction, None))
 }
 
-/// Where the phase has come to −45°: about the corner of the position loop, Hz.
+/// Frequency at which the phase has come to −45°, about the corner of the position loop, Hz.
 #[must_use]
 pub fn corner_hz(position: &[Point]) -> Option<f64> {
     Some(position.iter().find(|p| p.value.arg() < -TAU / 8.0).or(position.last())?.hz)
@@ -174,17 +176,17 @@ fn gains(
     (minimum.cost, gains)
 }
 
-/// How far a logarithm is from what is likely, in units of what is as far as likely.
+/// Residual of a logarithm: its distance from that of the `likely` value, in units of that of the factor `within`.
 fn beyond(logarithm: f64, likely: f64, within: f64) -> f64 {
     (logarithm - likely.ln()) / within.ln()
 }
 
-/// All lines of all levels: position and torque.
+/// Position and torque at all lines of all levels.
 fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
     levels.iter().flat_map(|level| level.position.iter().zip(level.torque.iter().flatten()))
 }
 
-/// Gains to begin from, as if the set-points were continuous: `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
+/// Initial gains, as if the setpoints were continuous: `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
 fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     let low = |hz: f64| hz * rates.period_s() < 0.15;
     let late = (f64::from(rates.delay) + 0.5 * f64::from(rates.ratio)) * rates.servo_period_s;
@@ -208,9 +210,9 @@ fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     })
 }
 
-/// What the joint is beside the inertia of `drive`: more inertia, and viscous friction at each level, from the force that the
-/// model needs to explain the positions. Inertia shows above the frequencies of friction and below those of the encoder's
-/// noise, friction below them.
+/// Returns the joint's inertia beside that of `drive`, and viscous friction at each level, from the force that the
+/// model needs to explain the positions. Inertia is visible above the frequencies of friction and below those of the
+/// encoder's noise, friction below them.
 fn joint(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<(f64, Vec<f64>)> {
     let interval = Interval::new(drive, rates);
     let within = |from: f64, to: f64| {
@@ -241,7 +243,7 @@ fn joint(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<(f64,
     Some((more, friction))
 }
 
-/// Two real coefficients of complex columns, by least squares.
+/// Solves for two real coefficients of complex columns, by least squares.
 fn linear(rows: &[([Complex<f64>; 2], Complex<f64>)]) -> Option<[f64; 2]> {
     let mut matrix = DMatrix::zeros(2 * rows.len(), 2);
     let mut right = DVector::zeros(2 * rows.len());

@@ -1,4 +1,4 @@
-//! The result of an identification, and what it needs to know beforehand.
+//! Result of an identification, and the parameters that it needs.
 
 use crate::friction::{ConstantVelocityRun, Friction};
 use crate::gains;
@@ -12,29 +12,29 @@ use serde::Serialize;
 use std::f64::consts::TAU;
 use thiserror::Error;
 
-/// What is known of a joint beforehand.
+/// Parameters of a joint known before its identification.
 #[derive(Clone, Debug)]
 pub struct KnownParameters {
-    /// Its place in the robot's order.
+    /// Index of the joint in the robot's order.
     pub joint: usize,
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
-    /// Servo ticks per interface tick.
+    /// Servo ticks per interface cycle.
     pub ratio: u32,
-    /// What the drive does with set-points until the next one comes.
+    /// Behaviour of the drive between two setpoints: hold or interpolate.
     pub set_points: Setpoints,
-    /// Position limits, rad (m).
+    /// Lower position limit, rad (m).
     pub lower: f64,
-    /// Upper end of them.
+    /// Upper position limit, rad (m).
     pub upper: f64,
-    /// Rad/s (m/s).
+    /// Speed limit, rad/s (m/s).
     pub speed_limit: f64,
-    /// Nm (N).
+    /// Torque limit, Nm (N).
     pub torque_limit: f64,
-    /// One encoder count at the joint, rad (m).
+    /// Resolution, one encoder count at the joint, rad (m).
     pub resolution: f64,
-    /// Its inertia where it stands from URDF and rotor, with the other joints free and with them held, kg m² (kg); `None`
-    /// where the rotor's is not known.
+    /// Inertia in the initial position from URDF and rotor, with the other joints free and with them held, kg m² (kg);
+    /// `None` where the rotor's is not known.
     pub inertia: Option<[f64; 2]>,
 }
 
@@ -45,22 +45,22 @@ impl KnownParameters {
     }
 }
 
-/// How a joint is excited. Times are in seconds.
+/// Parameters of the excitation of a joint. Times are in seconds.
 #[derive(Clone, Debug)]
 pub struct ExcitationPlan {
     /// Period of the multisines: one over the distance of two lines.
     pub period_s: f64,
-    /// Periods that are kept of each realisation; one more is waited for until it has settled.
+    /// Number of periods kept of each realisation; one more precedes them until the response has settled.
     pub periods: usize,
-    /// Realisations, each with phases of its own, at each amplitude.
+    /// Number of realisations, each with phases of its own, at each amplitude.
     pub realisations: usize,
     /// Amplitudes as shares of the largest safe one.
     pub amplitudes: Vec<f64>,
-    /// Lines in a decade.
+    /// Number of lines in a decade.
     pub lines_per_decade: f64,
-    /// Speeds at which friction is measured.
+    /// Number of speeds at which friction is measured.
     pub speeds: usize,
-    /// Of the phases.
+    /// Seed of the phases.
     pub seed: u64,
 }
 
@@ -78,72 +78,73 @@ impl Default for ExcitationPlan {
     }
 }
 
-/// Coherence and error up to which a frequency counts to the range in which the fit is trusted.
+/// Coherence and error up to which a frequency is within the bandwidth of the fit.
 pub(crate) const COHERENT: f64 = 0.95;
 const CLOSE: f64 = 0.10;
 
-/// Where the scale of torque comes from.
+/// Source of the scale of torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TorqueScale {
-    /// The motors' current.
+    /// Motor current.
     MotorCurrent,
-    /// The inertia that URDF and rotor give.
+    /// Inertia given by URDF and rotor.
     Urdf,
-    /// Nowhere: kv, inertia and friction are known as ratios to the inertia only.
+    /// None: kv, inertia and friction are known as ratios to the inertia only.
     Unknown,
 }
 
-/// Why a joint can't be inverted.
+/// Reason why a joint can't be inverted.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentificationFailure {
-    /// Nothing can be seen within its limits.
+    /// Motion within the limits that is too small for the encoder.
     #[error(
         "within its limits it can be moved by {reached:.2e} rad (m) rms only, and its encoder shows {least:.2e}"
     )]
     NoRoom {
-        /// Rad (m).
+        /// Amplitude reached, rms, rad (m).
         reached: f64,
-        /// Rad (m).
+        /// Smallest amplitude that the encoder shows, rad (m).
         least: f64,
     },
-    /// It stays where it is.
+    /// Joint that does not follow its setpoints.
     #[error(
         "it does not follow its set-points: at {hz:.1} Hz it moves by {gain:.2} of what is asked; is it locked, braked or in contact?"
     )]
     DoesNotFollow {
-        /// Hz.
+        /// Frequency, Hz.
         hz: f64,
-        /// |T|.
+        /// Gain |T| there.
         gain: f64,
     },
-    /// There is no linear part to speak of.
+    /// Response without a dominant linear part.
     #[error("{:.0} % of its motion is not linear in its set-points", 100.0 * distortion)]
     NotLinear {
         /// Rms outside the excited lines over rms at them.
         distortion: f64,
     },
-    /// No gains explain it.
+    /// Responses that no gains explain.
     #[error("no cascaded servo explains its motion: the best is off by {:.0} % (allowed: {:.0} %)", 100.0 * error, 100.0 * allowed)]
     NotExplained {
-        /// Relative, rms.
+        /// Relative error of the fit, rms.
         error: f64,
-        /// Relative, rms.
+        /// Largest relative error allowed, rms.
         allowed: f64,
     },
-    /// The responses determine no gains.
+    /// Responses that determine no gains.
     #[error("its responses determine no servo: torque and motion don't belong together")]
     Undetermined,
-    /// The motion had to be broken off.
+    /// Motion that was aborted.
     #[error("its motion was broken off: {0}")]
     Stopped(AbortReason),
 }
 
-/// How far an identified servo can be trusted.
+/// Fit quality of an identified servo.
 #[derive(Clone, Debug, Serialize)]
 pub struct FitQuality {
-    /// Up to where coherence is good, and so is the fit: of the torque where it was measured, else of T; Hz.
+    /// Highest frequency up to which coherence and fit are good, Hz: fit of the torque where it was measured, else of
+    /// T.
     pub bandwidth_hz: f64,
     /// Relative error of the modelled T, rms.
     pub position_residual: f64,
@@ -151,71 +152,71 @@ pub struct FitQuality {
     pub torque_residual: Option<f64>,
     /// Relative standard deviations of kp and kv.
     pub deviation: [f64; 2],
-    /// How many times worse the next best delay explains the responses.
+    /// Ratio of the costs of the next best delay and of the best.
     pub delay_margin: f64,
-    /// Inertia as identified over what URDF and rotor give; `None` where either is missing.
+    /// Identified inertia over that given by URDF and rotor; `None` where either is missing.
     pub inertia_over_urdf: Option<f64>,
 }
 
-/// The servo of a joint, in Nm, or over the inertia where the scale of torque is not known.
+/// Servo of a joint, in Nm, or over the inertia where the scale of torque is not known.
 #[derive(Clone, Debug, Serialize)]
 pub struct Servo {
-    /// 1/s.
+    /// Position gain, 1/s.
     pub kp: f64,
-    /// Nms/rad (Ns/m), or 1/s.
+    /// Velocity gain, Nms/rad (Ns/m), or 1/s.
     pub kv: f64,
-    /// Hz.
+    /// Cut-off of the velocity filter, Hz.
     pub velocity_filter_hz: f64,
-    /// Servo ticks.
+    /// Delay of setpoints, servo ticks.
     pub delay: u32,
-    /// Hz; `None` where torque was not measured.
+    /// Bandwidth of the current loop, Hz; `None` where torque was not measured.
     pub current_loop_hz: Option<f64>,
-    /// What the drive moves, rotor included, kg m² (kg), or 1.
+    /// Inertia that the drive moves, rotor included, kg m² (kg), or 1.
     pub inertia: f64,
-    /// Nm (N), or rad/s².
+    /// Friction of the joint, Nm (N), or rad/s².
     pub friction: Option<Friction>,
-    /// The passes from which friction comes.
+    /// Runs from which friction is identified.
     pub passes: Vec<ConstantVelocityRun>,
 }
 
-/// What was measured at one amplitude.
+/// Measurements at one amplitude.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// Rms of the set-point's offset, rad (m).
+    /// Rms of the setpoint's offset, rad (m).
     pub rms: f64,
     /// Rms of the joint's velocity, rad/s (m/s).
     pub speed: f64,
-    /// T.
+    /// Closed-loop response T.
     pub position: Vec<Point>,
-    /// Mean torque over set-point, Nm/rad.
+    /// Mean torque over setpoint, Nm/rad.
     pub torque: Option<Vec<Point>>,
-    /// Of the position.
+    /// Distortion of the position.
     pub distortion: Distortion,
 }
 
-/// A joint, identified or not.
+/// Result for a joint, identified or not.
 #[derive(Clone, Debug, Serialize)]
 pub struct Identification {
-    /// Where the scale of torque comes from.
+    /// Source of the scale of torque.
     pub scale: TorqueScale,
-    /// Amplitude by amplitude, the largest first.
+    /// Measurements at each amplitude, the largest first.
     pub measured: Vec<Measured>,
-    /// The servo; with a reason not to use it below, for information only.
+    /// Identified servo; for information only if [`refused`](Self::refused) gives a reason.
     pub servo: Option<Servo>,
-    /// Viscous friction that amounts to what held the joint back at the largest amplitude, in the servo's units.
+    /// Viscous friction equivalent to the joint's resistance at the largest amplitude, in the servo's units.
     pub equivalent_friction: f64,
     /// T as a rational function behind hold and delay.
     pub rational: Option<Rational>,
-    /// Of the rational model, relative, rms.
+    /// Relative error of the rational model, rms.
     pub rational_residual: Option<f64>,
-    /// How far it can be trusted.
+    /// Fit quality of the servo.
     pub trust: Option<FitQuality>,
-    /// Why it can't be inverted.
+    /// Reason why it can't be inverted.
     pub refused: Option<String>,
 }
 
 impl Identification {
-    /// Why the joint can't be driven by torques; `None` if it can.
+    /// Reason why the joint can't be driven by torques; `None` if it can.
     #[must_use]
     pub fn no_torque_mode(&self) -> Option<String> {
         let ratios = "the scale of torque is not known: only ratios to the inertia are. Measure the motor's current, or \
@@ -223,8 +224,8 @@ impl Identification {
         self.refused.clone().or((self.scale == TorqueScale::Unknown).then(|| ratios.to_owned()))
     }
 
-    /// D* = T/(G* (1 − T)) of equation (6) of the paper, at a frequency and a T, with G* of the identified inertia and
-    /// viscous friction.
+    /// Effective servo D* = T/(G* (1 − T)) of equation (6) of the paper, at a frequency and a T, with G* of the
+    /// identified inertia and viscous friction.
     #[must_use]
     pub fn effective_servo(&self, hz: f64, position: Complex<f64>) -> Option<Complex<f64>> {
         let servo = self.servo.as_ref()?;
@@ -234,7 +235,7 @@ impl Identification {
         Some(position * inverse_joint / (Complex::new(1.0, 0.0) - position))
     }
 
-    /// T of the identified servo at a frequency, Hz, as its drive makes it.
+    /// Response T of the identified servo at a frequency, Hz.
     #[must_use]
     pub fn model(&self, told: &KnownParameters, hz: f64) -> Option<Complex<f64>> {
         Some(self.responses(told, hz)?.position_with_friction(self.equivalent_friction, TAU * hz))
@@ -252,8 +253,8 @@ impl Identification {
         Interval::new(&drive, told.rates(servo.delay)).responses(hz)
     }
 
-    /// Whether the response at one of the lines at the largest amplitude is well measured and well explained: the torque's
-    /// where it was measured, which is what a transformer needs, else the position's.
+    /// True if the response at one of the lines at the largest amplitude is well measured and well explained: the
+    /// torque's where it was measured, which is what a transformer needs, else the position's.
     pub(crate) fn explains(&self, told: &KnownParameters, line: usize) -> bool {
         let Some(largest) = self.measured.first() else { return false };
         let position = largest.position[line];

@@ -1,47 +1,48 @@
-//! What a drive and its joint do within an interface interval, exactly: servo ticks, held or interpolated set-point, delay, current loop.
+//! Exact model of a drive and its joint within an interface interval: servo ticks, held or interpolated setpoint,
+//! delay, current loop.
 //!
-//! A joint of inertia I under motor torque m and a smooth force F, its servo run R times for each set-point:
+//! A joint of inertia I under motor torque m and a smooth force F, its servo run R times for each setpoint:
 //!
 //! ```text
 //! w += a ((y − y₋)/Ts − w)     u = kv [kp (q_desired − y) − w]     ṁ = (u − m)/T_m     I q̈ = m + F
 //! ```
 //!
-//! At a frequency of the set-points both outputs, the position at the interface tick and the mean torque over the interval,
-//! are linear in set-point and force, aliases included:
+//! At a frequency of the setpoints both outputs, the position at the interface cycle and the mean torque over the
+//! interval, are linear in setpoint and force, aliases included:
 //!
 //! ```text
 //! y = A q_desired + B F        τ̄ = C q_desired + D F
 //! ```
 //!
-//! Eliminating F gives the torque from what was commanded **and measured**, whatever the joint is held back or moved by:
-//! friction, gravity, other joints. I is then left in what happens within the interval alone.
+//! Eliminating F gives the torque from what was commanded **and measured**, whatever force acts on the joint:
+//! friction, gravity, other joints. I then only affects the motion within the interval.
 
 use nalgebra::{Complex, SMatrix, SVector};
 use opspace_backend::Setpoints;
 use std::f64::consts::TAU;
 
-/// Rates and delay, which are counted in servo ticks.
+/// Rates and delay, in servo ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
-    /// Servo ticks per interface tick.
+    /// Servo ticks per interface cycle.
     pub ratio: u32,
-    /// Servo ticks until a set-point acts, at most `ratio`.
+    /// Servo ticks until a setpoint acts, at most `ratio`.
     pub delay: u32,
-    /// What the drive does with set-points until the next one comes.
+    /// Behaviour of the drive between two setpoints: hold or interpolate.
     pub set_points: Setpoints,
 }
 
 impl Rates {
-    /// Time between two interface ticks, s.
+    /// Time between two interface cycles, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
         f64::from(self.ratio) * self.servo_period_s
     }
 }
 
-/// A drive and its joint.
+/// Parameters of a drive and its joint.
 #[derive(Clone, Copy, Debug)]
 pub struct Drive {
     /// Position gain, 1/s.
@@ -50,44 +51,44 @@ pub struct Drive {
     pub kv: f64,
     /// Cut-off of the velocity filter, Hz.
     pub velocity_filter_hz: f64,
-    /// Bandwidth of the current loop, Hz; infinite where the motor follows at once.
+    /// Bandwidth of the current loop, Hz; infinite where the motor follows without lag.
     pub current_loop_hz: f64,
-    /// Kg m² (kg).
+    /// Inertia that the drive moves, kg m² (kg).
     pub inertia: f64,
 }
 
-/// Memory of an interval: q, q̇, w, y₋, m, the set-point before and the one before that.
+/// Number of states of an interval: q, q̇, w, y₋, m, the setpoint before and the one before that.
 const MEMORY: usize = 7;
 type Memory = SVector<f64, MEMORY>;
 type ComplexMatrix = SMatrix<Complex<f64>, MEMORY, MEMORY>;
 
-/// The four responses at one frequency.
+/// Frequency responses of the interval at one frequency.
 #[derive(Clone, Copy, Debug)]
 pub struct Responses {
-    /// A: position at the tick, of the set-point.
+    /// A: position at the interface cycle per unit of setpoint.
     pub position_of_set_point: Complex<f64>,
-    /// B: position at the tick, of the force.
+    /// B: position at the interface cycle per unit of force.
     pub position_of_force: Complex<f64>,
-    /// C: mean torque, of the set-point.
+    /// C: mean torque per unit of setpoint.
     pub torque_of_set_point: Complex<f64>,
-    /// D: mean torque, of the force.
+    /// D: mean torque per unit of force.
     pub torque_of_force: Complex<f64>,
 }
 
 impl Responses {
-    /// The force, over the set-point, that explains a measured position response.
+    /// Force over setpoint that explains a measured position response.
     #[must_use]
     pub fn force(&self, position: Complex<f64>) -> Complex<f64> {
         (position - self.position_of_set_point) / self.position_of_force
     }
 
-    /// The mean torque, over the set-point, that goes with a measured position response.
+    /// Mean torque over setpoint that belongs to a measured position response.
     #[must_use]
     pub fn torque(&self, position: Complex<f64>) -> Complex<f64> {
         self.torque_of_set_point + self.torque_of_force * self.force(position)
     }
 
-    /// The position response where the only force is viscous friction `b` (Nms/rad) at angular frequency `omega`.
+    /// Position response where the only force is viscous friction `b` (Nms/rad) at angular frequency `omega`.
     #[must_use]
     pub fn position_with_friction(&self, b: f64, omega: f64) -> Complex<f64> {
         let one = Complex::new(1.0, 0.0);
@@ -95,22 +96,22 @@ impl Responses {
     }
 }
 
-/// The interval as a linear map, for one drive and its rates.
+/// Linear map of an interval, for one drive and its rates.
 #[derive(Clone, Debug)]
 pub struct Interval {
     rates: Rates,
-    /// From memory to memory, and to the mean torque.
+    /// Maps from the state to the next state, and to the mean torque.
     memory: SMatrix<f64, MEMORY, MEMORY>,
     memory_torque: Memory,
-    /// From the set-point.
+    /// Maps from the setpoint.
     set_point: Memory,
     set_point_torque: f64,
-    /// From a force during each servo period.
+    /// Maps from a force during each servo period.
     force: Vec<(Memory, f64)>,
 }
 
 impl Interval {
-    /// For a drive at these rates.
+    /// Returns the map of a drive at these rates.
     #[must_use]
     pub fn new(drive: &Drive, rates: Rates) -> Self {
         let tick = Tick::new(drive, rates.servo_period_s);
@@ -128,7 +129,7 @@ impl Interval {
         Self { rates, memory, memory_torque, set_point, set_point_torque, force }
     }
 
-    /// The responses at a frequency, Hz.
+    /// Returns the responses at a frequency, Hz.
     ///
     /// `None` where the map has a pole at that very frequency.
     #[must_use]
@@ -161,7 +162,7 @@ impl Interval {
     }
 }
 
-/// One servo period.
+/// Coefficients of one servo period.
 #[derive(Clone, Copy, Debug)]
 struct Tick {
     period_s: f64,
@@ -169,7 +170,7 @@ struct Tick {
     kv: f64,
     filter: f64,
     inertia: f64,
-    /// Of the motor's lag over a period: what is left of it, its time integral and the integral of that.
+    /// Decay of the motor's lag over a period, its time integral and the integral of that.
     lag: f64,
     lag_s: f64,
     lag_s2: f64,
@@ -192,8 +193,8 @@ impl Tick {
         }
     }
 
-    /// An interval from `memory` on under a set-point, with a force of 1 during the servo period `pushed`: the memory at
-    /// its end and the mean torque.
+    /// Computes an interval from `memory` on under a setpoint, with a force of 1 during the servo period `pushed`: the
+    /// state at its end and the mean torque.
     fn roll(&self, memory: Memory, rates: &Rates, set_point: f64, pushed: Option<u32>) -> (Memory, f64) {
         let [mut q, mut dq, mut w, mut last, mut motor, before, earlier] = memory.data.0[0];
         let t = self.period_s;
@@ -228,7 +229,7 @@ mod tests {
         Drive { kp: 25.0, kv: 47.0, velocity_filter_hz: 200.0, current_loop_hz: 1000.0, inertia: 0.38 }
     }
 
-    /// The frequency response against the same recursion run in time under a sine, to which it settles.
+    /// Compares the frequency response with the steady state of the same recursion run in time under a sine.
     #[test]
     fn the_responses_are_what_a_sine_settles_to() {
         const TOLERANCE: f64 = 1e-6;
@@ -256,7 +257,7 @@ mod tests {
         }
     }
 
-    /// Torque from set-point and position, against the torque of the same drive with other forces on its joint.
+    /// Compares the torque from setpoint and position with that of the same drive with other forces on its joint.
     #[test]
     fn the_torque_follows_from_set_point_and_position_whatever_else_acts_on_the_joint() {
         const TOLERANCE: f64 = 1e-9;

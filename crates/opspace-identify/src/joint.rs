@@ -1,4 +1,4 @@
-//! One joint, moved about where it stands until its servo is known: amplitudes that its limits allow, multisines, slow passes.
+//! Identification of one joint, moved about its initial position: amplitudes within its limits, multisines, slow runs.
 
 use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
@@ -20,7 +20,8 @@ use opspace_control::ramp::minimum_jerk;
 /// Identifies one joint of a robot that holds itself.
 ///
 /// # Errors
-/// A fault of the robot, or an interruption. A joint that can't be inverted is no error: its identification says why.
+/// If the robot fails, or the run is interrupted. A joint that can't be inverted is no error: its identification says
+/// why.
 pub fn identify(
     session: &mut ExcitationSession<'_>,
     told: &KnownParameters,
@@ -54,50 +55,50 @@ pub fn identify(
 /// Highest excited frequency over the interface rate: beyond, aliases and the model's own limits prevail.
 const BAND: f64 = 0.4;
 
-/// What of a limit is used: of the way to the nearest position limit, of the speed limit, and of the torque that is left
-/// beside what holds the joint.
+/// Shares of the limits that are used: of the distance to the nearest position limit, of the speed limit, and of the
+/// torque that remains beside that which holds the joint.
 const TRAVEL_USED: f64 = 0.3;
 const SPEED_USED: f64 = 0.3;
 const TORQUE_USED: f64 = 0.5;
 
-/// At which of it a motion is broken off.
+/// Shares of the limits at which a motion is aborted.
 const TRAVEL_AT_MOST: f64 = 0.8;
 const SPEED_AT_MOST: f64 = 0.9;
 const TORQUE_AT_MOST: f64 = 0.95;
 
-/// Furthest that a joint is moved from where it stands, rad (m): inertia and gravity should stay what they are.
+/// Largest distance of a joint from its initial position, rad (m): inertia and gravity should be nearly constant.
 const FURTHEST: f64 = 0.35;
 
-/// The first, careful amplitude, in encoder counts (rms), and what must be reached for the encoder to show it.
+/// First, careful amplitude, in encoder counts (rms), and the smallest one that the encoder shows.
 const FIRST_COUNTS: f64 = 10.0;
 const LEAST_COUNTS: f64 = 20.0;
 
-/// Speed is a difference over so long, s.
+/// Time over which speed is computed as a difference, s.
 const SPEED_OVER_S: f64 = 2e-3;
 
-/// Most trials until an amplitude is found, and how often it may be halved when it was too large after all.
+/// Most trials until an amplitude is found, and most halvings of one that was too large after all.
 const TRIALS: usize = 20;
 const HALVED_AT_MOST: usize = 3;
 
-/// How long an amplitude is tried, and how long a motion fades in and out, s.
+/// Duration of the trial of an amplitude, and of the fading of a motion in and out, s.
 const TRIAL_S: f64 = 0.5;
 const FADE_S: f64 = 0.2;
 
-/// A servo that follows has |T| near 1 at low frequencies: less than this is none that does.
+/// Smallest |T| at low frequencies of a servo that follows: it has |T| near 1.
 const FOLLOWS: f64 = 0.5;
 
-/// A joint that turns needs so many times what its friction keeps it behind its set-point until it moves steadily.
+/// Travel of the setpoint after a reversal, in multiples of the lag due to friction, until the joint moves steadily.
 const TURNS_WITHIN: f64 = 8.0;
 
-/// Relative errors of torque and position beyond which the servo is not of the structure that it is said to have. Without
-/// measured torque a joint that others couple with strongly fails it too: its gains would be wrong.
+/// Relative errors of torque and position beyond which the servo is not of the assumed structure. Without measured
+/// torque a joint with strong coupling to others fails it too: its gains would be wrong.
 const TORQUE_EXPLAINED: f64 = 0.10;
 const POSITION_EXPLAINED: f64 = 0.10;
 
-/// Power outside the excited lines beyond which no linear servo is left to be inverted.
+/// Power outside the excited lines beyond which there is no linear servo to invert.
 const LINEAR: f64 = 0.5;
 
-/// How long turning takes where the scale of torque isn't known, and at most, s.
+/// Time of a reversal where the scale of torque isn't known, and longest time to brake from the speed to rest, s.
 const TURNS_IN_S: f64 = 0.05;
 const TURNS_AT_LAST_S: f64 = 1.0;
 
@@ -135,7 +136,7 @@ impl Joint<'_, '_> {
         };
         self.rational(found, gains.delay);
         let scale = match (found.scale, self.told.inertia) {
-            // The joints beside neither quite hold nor quite give way.
+            // The joints beside neither quite hold nor move freely.
             (TorqueScale::Urdf, Some([free, held])) => 0.5 * (free + held),
             _ => 1.0,
         };
@@ -170,24 +171,25 @@ impl Joint<'_, '_> {
         }
     }
 
-    /// To the nearest limit, rad (m).
+    /// Distance to the nearest limit, rad (m).
     fn room(&self) -> f64 {
         let at = self.session.posture(self.told.joint);
         (at - self.told.lower).min(self.told.upper - at).max(0.0)
     }
 
-    /// How far the joint is moved for its identification, rad (m).
+    /// Largest distance that the joint is moved for its identification, rad (m).
     fn travel(&self) -> f64 {
         (TRAVEL_USED * self.room()).min(FURTHEST)
     }
 
-    /// Torque beside what holds the joint, Nm (N).
+    /// Torque that remains beside that which holds the joint, Nm (N).
     fn spare_torque(&self) -> f64 {
         let holds = self.session.torque(self.told.joint).unwrap_or(0.0).abs();
         TORQUE_USED * (self.told.torque_limit - holds).max(0.0)
     }
 
-    /// The largest safe amplitude (rms): from a careful one on, each tried for a moment and made larger by what limits leave.
+    /// Returns the largest safe amplitude (rms): from a careful one on, each is tried briefly and raised as limits
+    /// allow.
     fn amplitude(&mut self, excitation: &Multisine) -> Result<f64, IdentificationFailure> {
         let most = self.travel() / excitation.crest();
         let least = LEAST_COUNTS * self.told.resolution;
@@ -214,7 +216,7 @@ impl Joint<'_, '_> {
         Ok(rms)
     }
 
-    /// All amplitudes, the largest first; one that turns out to be too large is halved.
+    /// Measures all amplitudes, the largest first; one that turns out to be too large is halved.
     fn measure_levels(&mut self, found: &mut Identification) -> Result<(), IdentificationFailure> {
         let samples = (self.plan.period_s / self.session.period_s()).round() as usize;
         let lines = odd_lines(1, (BAND * samples as f64) as usize, self.plan.lines_per_decade);
@@ -241,7 +243,7 @@ impl Joint<'_, '_> {
         Ok(())
     }
 
-    /// By how much an amplitude could be larger.
+    /// Returns the factor by which an amplitude could be larger.
     fn trial(&mut self, excitation: &Multisine, rms: f64) -> Result<f64, AbortReason> {
         let period_s = self.session.period_s();
         let holds = self.session.torque(self.told.joint).unwrap_or(0.0);
@@ -261,7 +263,7 @@ impl Joint<'_, '_> {
         Ok(share(SPEED_USED * self.told.speed_limit, &speed).min(share(self.spare_torque(), &torque)))
     }
 
-    /// An excitation for some ticks, faded in before and out after; the ticks between.
+    /// Runs an excitation for some interface cycles, faded in before and out after; returns the cycles between.
     fn excite(
         &mut self,
         excitation: &Multisine,
@@ -278,7 +280,7 @@ impl Joint<'_, '_> {
         Ok((record, fade..fade + ticks))
     }
 
-    /// All realisations at one amplitude.
+    /// Measures all realisations at one amplitude.
     fn measure(
         &mut self,
         excitations: &[Multisine],
@@ -323,7 +325,7 @@ impl Joint<'_, '_> {
         if distortion > LINEAR { Err(IdentificationFailure::NotLinear { distortion }) } else { Ok(()) }
     }
 
-    /// A rational model of T at the largest amplitude: of the lowest order beyond which little is gained.
+    /// Fits a rational model of T at the largest amplitude: of the lowest order beyond which little is gained.
     fn rational(&self, found: &mut Identification, delay: u32) {
         let Some(largest) = found.measured.first() else { return };
         let weight = |p: &response::Point| 1.0 / f64::hypot(p.noise, 0.01 * p.value.norm());
@@ -346,7 +348,8 @@ impl Joint<'_, '_> {
         }
     }
 
-    /// To and fro at constant speeds, fast to slow: the slower, the longer it takes a joint to turn against its friction.
+    /// Moves back and forth at constant speeds, fast to slow: the slower, the longer the reversal of a joint against
+    /// its friction takes.
     fn sweeps(&mut self, gains: &Gains) -> Result<Vec<Sweep>, IdentificationFailure> {
         let period_s = self.session.period_s();
         let told = self.told;
@@ -371,7 +374,7 @@ impl Joint<'_, '_> {
         Ok(sweeps)
     }
 
-    /// The straight line through the faster half of the sweeps, where static friction has no part.
+    /// Fits the straight line through the faster half of the sweeps, where static friction has no part.
     fn lag(&self, sweeps: &[Sweep]) -> Lag {
         let period_s = self.session.period_s();
         let lags: Vec<(f64, f64)> = (sweeps.iter().take(sweeps.len().div_ceil(2)))
@@ -389,7 +392,7 @@ impl Joint<'_, '_> {
         if line.at_rest > 0.0 && line.per_speed.is_finite() { line } else { Lag::default() }
     }
 
-    /// Twice to and fro at a speed, turning gently, and back.
+    /// Moves twice back and forth at a speed, with gentle reversals, and back to the start.
     fn sweep(&mut self, speed: f64, reach: f64, gains: &Gains) -> Result<Record, AbortReason> {
         let period_s = self.session.period_s();
         // Turning takes some of the spare torque.
@@ -448,7 +451,7 @@ impl Joint<'_, '_> {
     }
 }
 
-/// Rms velocity of what was measured, rad/s (m/s), as far as the encoder shows it.
+/// Rms of the measured velocity, rad/s (m/s), within the encoder's resolution.
 fn speed(realisations: &[Realisation], period_s: f64) -> f64 {
     let over = ((SPEED_OVER_S / period_s).round() as usize).max(1);
     let (mut power, mut count) = (0.0, 0.0);

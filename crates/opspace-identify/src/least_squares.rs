@@ -1,20 +1,20 @@
-//! Nonlinear least squares by Levenberg and Marquardt, with differences for derivatives: a handful of parameters.
+//! Nonlinear least squares by the Levenberg-Marquardt method, with differences for derivatives: for a few parameters.
 
 use nalgebra::{DMatrix, DVector};
 
 const STEPS: usize = 60;
 const DIFFERENCE: f64 = 1e-6;
-/// Change of the cost below which nothing more is gained.
+/// Relative change of the cost at which the iteration ends.
 const GAIN: f64 = 1e-9;
 
-/// Where the residuals are smallest.
+/// Minimum of the residuals.
 #[derive(Clone, Debug)]
 pub struct Minimum {
-    /// Parameters.
+    /// Parameters at the minimum.
     pub x: Vec<f64>,
     /// Sum of squared residuals.
     pub cost: f64,
-    /// Standard deviation of each parameter, the residuals being taken for independent noise of one size.
+    /// Standard deviation of each parameter, assuming that the residuals are independent noise of one size.
     pub deviation: Vec<f64>,
 }
 
@@ -78,7 +78,7 @@ fn jacobian(
 mod tests {
     use super::*;
 
-    /// The minimum against parameters from which exact samples of a decaying exponential were made.
+    /// Compares the minimum with the parameters from which exact samples of a decaying exponential were computed.
     #[test]
     fn parameters_of_an_exponential_come_back() {
         const TOLERANCE: f64 = 1e-6;

@@ -1,11 +1,12 @@
-//! A rational model of a measured frequency response, with delay and hold taken out.
+//! Rational model of a measured frequency response, with delay and hold separated.
 //!
 //! ```text
 //! T(jω) ≈ hold(jω) e^{−jω t_d} N(jω)/D(jω)        hold(jω) = (1 − e^{−jωT})/(jωT)
 //! ```
 //!
-//! C. K. Sanathanan, J. Koerner, *Transfer function synthesis as a ratio of two complex polynomials*, IEEE Trans. Automatic
-//! Control 8(1), 1963: linear least squares in the coefficients, weighted by the denominator of the round before.
+//! C. K. Sanathanan, J. Koerner, *Transfer function synthesis as a ratio of two complex polynomials*, IEEE Trans.
+//! Automatic Control 8(1), 1963: linear least squares in the coefficients, weighted by the denominator of the round
+//! before.
 
 use nalgebra::{Complex, DMatrix, DVector};
 use opspace_transformer::polynomial::{roots, value};
@@ -14,45 +15,45 @@ use std::f64::consts::TAU;
 
 const ROUNDS: usize = 30;
 
-/// A measured value of the response.
+/// Measured value of the response.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Hz.
+    /// Frequency, Hz.
     pub hz: f64,
-    /// T.
+    /// Value of T.
     pub value: Complex<f64>,
-    /// How much it counts.
+    /// Weight in the fit.
     pub weight: f64,
 }
 
-/// N(s)/D(s) behind a hold and a delay.
+/// Rational function N(s)/D(s) behind a hold and a delay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Rational {
     /// Coefficients of N from s⁰ on.
     pub numerator: Vec<f64>,
     /// Coefficients of D from s⁰ on; the first is 1.
     pub denominator: Vec<f64>,
-    /// Over which the input is held, s.
+    /// Time over which the input is held, s.
     pub hold_s: f64,
-    /// Until it acts, s.
+    /// Delay until the input acts, s.
     pub delay_s: f64,
 }
 
 impl Rational {
-    /// The response at a frequency, Hz.
+    /// Response at a frequency, Hz.
     #[must_use]
     pub fn at(&self, hz: f64) -> Complex<f64> {
         let s = Complex::new(0.0, TAU * hz);
         held(hz, self.hold_s, self.delay_s) * value(&self.numerator, s) / value(&self.denominator, s)
     }
 
-    /// Whether all poles decay.
+    /// True if all poles have a negative real part.
     #[must_use]
     pub fn is_stable(&self) -> bool {
         roots(&self.denominator).iter().all(|p| p.re < 0.0)
     }
 
-    /// Whether the inverse would be stable: all zeros decay.
+    /// True if the inverse would be stable: all zeros have a negative real part.
     #[must_use]
     pub fn is_minimum_phase(&self) -> bool {
         roots(&self.numerator).iter().all(|p| p.re < 0.0)
@@ -65,7 +66,7 @@ impl Rational {
     }
 }
 
-/// The rms of |model − measured|/|measured|.
+/// Rms of |model − measured|/|measured|.
 pub fn relative(pairs: impl Iterator<Item = (Complex<f64>, Complex<f64>)>) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for (model, measured) in pairs {
@@ -122,7 +123,7 @@ fn put(rows: &mut DMatrix<f64>, target: usize, column: usize, value: Complex<f64
     rows[(2 * target + 1, column)] = value.im;
 }
 
-/// What a hold and a delay do to a response.
+/// Response of a hold and a delay.
 #[must_use]
 pub fn held(hz: f64, hold_s: f64, delay_s: f64) -> Complex<f64> {
     let half = 0.5 * TAU * hz * hold_s;
@@ -134,11 +135,11 @@ pub fn held(hz: f64, hold_s: f64, delay_s: f64) -> Complex<f64> {
 mod tests {
     use super::*;
 
-    /// How many times worse a fit with a wrong delay is, at least, than what rounding leaves of the right one.
+    /// Smallest ratio of the residuals of fits with a wrong delay and with the right one, where rounding remains.
     const WORSE: f64 = 1e3;
     const ROUNDING: f64 = 1e-12;
 
-    /// The fitted coefficients against those from which the response was computed.
+    /// Compares the fitted coefficients with those from which the response was computed.
     #[test]
     fn a_rational_function_behind_hold_and_delay_comes_back() {
         const TOLERANCE: f64 = 1e-6;

@@ -1,26 +1,27 @@
 //! Frequency responses from periodic records: H1, coherence, noise and nonlinear distortion.
 //!
-//! The set-point is known exactly, so that `H1 = S_yu / S_uu` has no bias from noise at the input. What differs between
-//! periods of one realisation is noise; what differs between realisations beyond that is what the joint's nonlinearity
-//! makes of other phases (R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*, chapters 2 to 4).
+//! The setpoint is known exactly, so that `H1 = S_yu / S_uu` has no bias from noise at the input. Differences between
+//! periods of one realisation are noise; differences between realisations beyond that are the effect of other phases on
+//! the joint's nonlinearity
+//! (R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*, chapters 2 to 4).
 
 use nalgebra::Complex;
 use realfft::RealFftPlanner;
 use serde::Serialize;
 
-/// One realisation of the excitation: a period of what was asked, and each period of what came of it.
+/// Realisation of the excitation: one period of the setpoint, and each period of the response.
 #[derive(Clone, Debug, Default)]
 pub struct Realisation {
-    /// The set-point's period.
+    /// One period of the setpoint.
     pub input: Vec<f64>,
-    /// The response, period by period.
+    /// Response, period by period.
     pub periods: Vec<Vec<f64>>,
 }
 
-/// The response at an excited line.
+/// Response at an excited line.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Point {
-    /// Hz.
+    /// Frequency, Hz.
     pub hz: f64,
     /// Output over input: H1.
     #[serde(serialize_with = "complex")]
@@ -31,31 +32,31 @@ pub struct Point {
     pub noise: f64,
 }
 
-/// How much of the output is not the linear response, each rms over the rms at excited lines.
+/// Share of the output that is not the linear response, each rms over the rms at excited lines.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Distortion {
-    /// At even lines: even nonlinearities.
+    /// Share at even lines: even nonlinearities.
     pub even: f64,
-    /// At odd lines that were not excited: odd nonlinearities, friction above all.
+    /// Share at odd lines that were not excited: odd nonlinearities, friction above all.
     pub odd: f64,
-    /// What noise alone gives at a line.
+    /// Share of noise alone, rms over all lines.
     pub noise: f64,
 }
 
 impl Distortion {
-    /// All that is not linear.
+    /// Share of even and odd nonlinearities together.
     #[must_use]
     pub fn total(&self) -> f64 {
         f64::hypot(self.even, self.odd)
     }
 }
 
-/// A complex number as [real, imaginary].
+/// Serializes a complex number as [real, imaginary].
 fn complex<S: serde::Serializer>(value: &Complex<f64>, serializer: S) -> Result<S::Ok, S::Error> {
     [value.re, value.im].serialize(serializer)
 }
 
-/// The response at `lines`, from realisations sampled every `period_s`.
+/// Computes the response at `lines`, from realisations sampled every `period_s`.
 #[must_use]
 pub fn frequency_response(realisations: &[Realisation], lines: &[usize], period_s: f64) -> Vec<Point> {
     let transformed: Vec<_> = realisations.iter().map(transform).collect();
@@ -85,7 +86,7 @@ pub fn frequency_response(realisations: &[Realisation], lines: &[usize], period_
     lines.iter().map(point).collect()
 }
 
-/// What comes out where nothing was put in, up to the highest of `lines`.
+/// Computes the output at lines that are not excited, up to the highest of `lines`.
 #[must_use]
 pub fn distortion(realisations: &[Realisation], lines: &[usize]) -> Distortion {
     let (mut linear, mut even, mut odd, mut noise) = (0.0, 0.0, 0.0, 0.0);
@@ -134,8 +135,8 @@ mod tests {
     const PERIOD_S: f64 = 1e-3;
     const POLE: f64 = 0.9;
 
-    /// What a joint that is a first-order filter, and `bend` times the cube of the set-point, makes of a multisine, once
-    /// it has settled.
+    /// Response of a joint that is a first-order filter, plus `bend` times the cube of the setpoint, to a multisine,
+    /// once it has settled.
     fn filtered(seed: u64, bend: f64) -> (Vec<usize>, Realisation) {
         let lines = odd_lines(1, 200, 10.0);
         let multisine = Multisine::new(&lines, SAMPLES, seed);
@@ -152,7 +153,7 @@ mod tests {
         (lines, Realisation { input: multisine.samples, periods })
     }
 
-    /// The estimate against the filter's transfer function (1 − p) z⁻¹ / (1 − p z⁻¹).
+    /// Compares the estimate with the filter's transfer function (1 − p) z⁻¹ / (1 − p z⁻¹).
     #[test]
     fn a_filter_is_found_as_its_transfer_function() {
         const TOLERANCE: f64 = 1e-9;

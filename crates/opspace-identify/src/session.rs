@@ -1,79 +1,79 @@
-//! Moving one joint about where it stands while the others hold, within limits that are watched at every tick.
+//! Motion of one joint about its initial position while the others hold, within limits checked at every control cycle.
 
 use opspace_backend::{Backend, Command, DeviceFault, Sample};
 use thiserror::Error;
 
-/// Speed is a difference over so long, s.
+/// Time over which speed is computed as a difference, s.
 const SPEED_OVER_S: f64 = 4e-3;
 
-/// What a joint may do while it is excited.
+/// Limits of a joint while it is excited.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Furthest from where it stands, rad (m).
+    /// Largest distance from its initial position, rad (m).
     pub travel: f64,
-    /// Rad/s (m/s).
+    /// Highest speed, rad/s (m/s).
     pub speed: f64,
-    /// Nm (N), gravity's share included.
+    /// Largest motor torque, Nm (N), gravity's share included.
     pub torque: f64,
 }
 
-/// Why a motion was broken off.
+/// Reason why a motion was aborted.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum AbortReason {
-    /// The robot itself.
+    /// Fault of the robot.
     #[error(transparent)]
     Fault(#[from] DeviceFault),
-    /// A measured position is not a finite number.
+    /// Measured position that is not a finite number.
     #[error("the measured position of joint {0} is not a finite number")]
     NotFinite(usize),
-    /// It went further than it may.
+    /// Distance beyond the limit.
     #[error("it moved {0} rad (m) from where it stood")]
     Travel(f64),
-    /// It went faster than it may.
+    /// Speed beyond the limit.
     #[error("it reached {0} rad/s (m/s)")]
     Speed(f64),
-    /// The motor gave more than it should.
+    /// Motor torque beyond the limit.
     #[error("its motor reached {0} Nm (N)")]
     Torque(f64),
-    /// Someone asked for it.
+    /// Requested interruption.
     #[error("interrupted")]
     Interrupted,
 }
 
 impl AbortReason {
-    /// Whether nothing more can be done with the robot; else a smaller motion may do.
+    /// True if nothing more can be done with the robot; otherwise a smaller motion may be possible.
     #[must_use]
     pub fn is_final(&self) -> bool {
         matches!(self, Self::Fault(_) | Self::NotFinite(_) | Self::Interrupted)
     }
 }
 
-/// What was asked of a joint and what it did, tick by tick, about where it stood.
+/// Setpoints and response of a joint at each control cycle, relative to its initial position.
 #[derive(Clone, Debug, Default)]
 pub struct Record {
-    /// Set-points' offsets, rad (m).
+    /// Offsets of the setpoints, rad (m).
     pub asked: Vec<f64>,
-    /// Positions at the ticks at which these were given, rad (m).
+    /// Positions at the control cycles at which these were given, rad (m).
     pub position: Vec<f64>,
-    /// Mean motor torque over the interval that begins with each tick, Nm (N); empty where it is not measured.
+    /// Mean motor torque over the interval that begins with each control cycle, Nm (N); empty where it is not measured.
     pub torque: Vec<f64>,
 }
 
 impl Record {
-    /// The furthest that a value was from zero.
+    /// Largest absolute value.
     #[must_use]
     pub fn peak(values: &[f64]) -> f64 {
         values.iter().fold(0.0, |most, v| v.abs().max(most))
     }
 }
 
-/// A robot that holds itself, and one joint of which is moved.
+/// Session with a robot that holds itself, and one joint of which is moved.
 pub struct ExcitationSession<'a> {
     robot: &'a mut dyn Backend,
     sample: Sample,
-    /// Where each joint is to stand.
+    /// Position in which each joint is held.
     posture: Vec<f64>,
-    /// What the set-points are ahead of it, so that the servos hold the weight there.
+    /// Offset of the setpoints from it, so that the servos hold the weight there.
     bias: Vec<f64>,
     set_points: Vec<f64>,
     ticks: u64,
@@ -81,11 +81,12 @@ pub struct ExcitationSession<'a> {
 }
 
 impl<'a> ExcitationSession<'a> {
-    /// Takes the robot over where it stands: set-points at the measured positions make it sag by what the servos need to
-    /// hold its weight, and that much is added to them from then on. `ended` is told the ticks and says whether to stop.
+    /// Takes control of the robot in its present position: setpoints at the measured positions make it sag by the error
+    /// that the servos need to hold its weight, and that error is added to them from then on. `ended` is called with
+    /// the number of control cycles and returns true to stop.
     ///
     /// # Errors
-    /// The robot's faults; an interruption.
+    /// If the robot fails, or the run is interrupted.
     pub fn begin(
         robot: &'a mut dyn Backend,
         joints: usize,
@@ -116,31 +117,31 @@ impl<'a> ExcitationSession<'a> {
         Ok(session)
     }
 
-    /// Time between two ticks, s.
+    /// Time between two control cycles, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
         self.robot.capabilities().period_s
     }
 
-    /// Interface ticks so far.
+    /// Number of control cycles so far.
     #[must_use]
     pub fn ticks(&self) -> u64 {
         self.ticks
     }
 
-    /// Where a joint stands, rad (m).
+    /// Position in which a joint is held, rad (m).
     #[must_use]
     pub fn posture(&self, joint: usize) -> f64 {
         self.posture[joint]
     }
 
-    /// The motor torque that was measured last, Nm (N).
+    /// Motor torque measured last, Nm (N).
     #[must_use]
     pub fn torque(&self, joint: usize) -> Option<f64> {
         self.sample.motor_torque.as_ref().map(|t| t[joint])
     }
 
-    /// Whether motor torque is measured.
+    /// True if motor torque is measured.
     #[must_use]
     pub fn measures_torque(&self) -> bool {
         self.sample.motor_torque.is_some()
@@ -149,7 +150,7 @@ impl<'a> ExcitationSession<'a> {
     /// Holds all joints for a while.
     ///
     /// # Errors
-    /// The robot's faults; an interruption.
+    /// If the robot fails, or the run is interrupted.
     pub fn rest(&mut self, seconds: f64) -> Result<(), AbortReason> {
         for _ in 0..(seconds / self.period_s()).ceil() as u64 {
             self.tick(0, 0.0)?;
@@ -157,11 +158,11 @@ impl<'a> ExcitationSession<'a> {
         Ok(())
     }
 
-    /// Leads a joint's set-point along offsets from its posture; it stays at the last one. Broken off, it goes back to where
-    /// it stood.
+    /// Moves a joint's setpoint along offsets from its posture; it stays at the last one. If aborted, it returns to its
+    /// initial position.
     ///
     /// # Errors
-    /// The bound that was reached, or the robot's fault.
+    /// If a bound was reached, the robot fails, or the run is interrupted.
     pub fn run_trajectory(
         &mut self,
         joint: usize,
@@ -209,7 +210,7 @@ impl<'a> ExcitationSession<'a> {
         }
     }
 
-    /// Reads, and gives the next set-points; the torque that was read is of the interval before.
+    /// Reads, and sends the next setpoints; returns the torque read, which is of the interval before.
     fn tick(&mut self, joint: usize, offset: f64) -> Result<Option<f64>, AbortReason> {
         self.ticks += 1;
         if (self.ended)(self.ticks) {

@@ -1,16 +1,16 @@
-//! To and fro at a constant speed: what holds a joint back, without its inertia.
+//! Motion back and forth at a constant speed, from which friction follows without inertia.
 
 use crate::friction::ConstantVelocityRun;
 use crate::gains::Gains;
 use crate::session::Record;
 
-/// A joint's way to and fro at a constant speed.
+/// Motion of a joint back and forth at a constant speed.
 pub(crate) struct Sweep {
-    /// Rad/s (m/s).
+    /// Speed, rad/s (m/s).
     pub speed: f64,
-    /// How far from the middle the joint has long been at that speed, rad (m).
+    /// Distance from the middle within which the joint moves steadily at that speed, rad (m).
     pub half: f64,
-    /// What was asked and measured on the way.
+    /// Setpoints and measurements of the motion.
     pub record: Record,
 }
 
@@ -19,7 +19,7 @@ impl Sweep {
     fn half_difference(&self, quantity: impl Fn(&Record, usize) -> f64, period_s: f64) -> Option<f64> {
         let record = &self.record;
         let mut sums = [(0.0, 0.0); 2];
-        // The first leg only leads to where the others begin.
+        // The first leg only moves to where the others begin.
         let turned = record.asked.windows(2).position(|w| w[1] < w[0])?;
         for k in turned..record.asked.len() - 1 {
             let v = (record.asked[k + 1] - record.asked[k]) / period_s;
@@ -33,12 +33,12 @@ impl Sweep {
         (m > 0.0 && n > 0.0).then(|| 0.5 * (forth / n - back / m))
     }
 
-    /// How far the joint is behind its set-point, rad (m).
+    /// Lag of the joint behind its setpoint, rad (m).
     pub fn lag(&self, period_s: f64) -> Option<f64> {
         self.half_difference(|record, k| record.asked[k] - record.position[k], period_s)
     }
 
-    /// Friction at this speed: of the measured torque, else of how far the joint lags beyond what grows with speed.
+    /// Friction at this speed: from the measured torque, else from the lag beyond the part that grows with speed.
     pub fn friction(&self, gains: &Gains, lag: Lag, period_s: f64) -> Option<ConstantVelocityRun> {
         let torque = if self.record.torque.is_empty() {
             gains.drive.kv * gains.drive.kp * (self.lag(period_s)? - lag.per_speed * self.speed)
@@ -49,12 +49,12 @@ impl Sweep {
     }
 }
 
-/// How far a joint is behind its set-point at constant speed: a part that Coulomb friction makes, and one that grows with
-/// speed, which the servo makes and in which viscous friction can't be told apart.
+/// Lag of a joint behind its setpoint at constant speed: a part due to Coulomb friction, and one that grows with
+/// speed, due to the servo and to viscous friction, which can't be separated.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Lag {
-    /// Rad (m).
+    /// Part due to Coulomb friction, rad (m).
     pub at_rest: f64,
-    /// s.
+    /// Part per unit of speed, s.
     pub per_speed: f64,
 }

@@ -5,30 +5,30 @@ use crate::recording::{ChannelData, Recording};
 use opspace_backend::{Layout, Sink, TICK, TICK_TIME};
 use std::collections::BTreeSet;
 
-/// Where a replay first came to another number than the log.
+/// First number of a replay that differs from the log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Which tick, from 0.
+    /// Number of the control cycle, from 0.
     pub tick: usize,
-    /// Its time on the robot's clock, s.
+    /// Time of the control cycle on the robot's clock, s.
     pub time_s: f64,
-    /// Which signal.
+    /// Name of the signal.
     pub signal: String,
-    /// Which element of it: a joint, an axis.
+    /// Name of its element: a joint, an axis.
     pub element: String,
-    /// What the log says.
+    /// Value in the log.
     pub logged: f64,
-    /// What came out now.
+    /// Value of the replay.
     pub recomputed: f64,
 }
 
-/// Compares the ticks of a replay with those of the log, bit for bit, signal by signal of the same name.
+/// Comparison of the control cycles of a replay with those of the log, bit for bit, signal by signal of the same name.
 #[derive(Debug)]
 pub struct Comparer<'a> {
     logged: &'a ChannelData,
-    /// Where the elements that are compared stand: in the log's rows and in the replay's.
+    /// Indices of the elements compared: in the log's rows and in the replay's.
     slots: Vec<(usize, usize)>,
-    /// Sums of squared differences, one a slot.
+    /// Sums of squared differences, one per slot.
     squares: Vec<f64>,
     unmatched: Vec<String>,
     next: usize,
@@ -37,10 +37,10 @@ pub struct Comparer<'a> {
 }
 
 impl<'a> Comparer<'a> {
-    /// For the ticks of a log, and a replay with rows of that layout.
+    /// Returns the comparison for the control cycles of a log, and a replay with rows of that layout.
     ///
     /// # Errors
-    /// A log without ticks.
+    /// If the log has no control cycles.
     pub fn new(recording: &'a Recording, replay: &Layout) -> Result<Self, LogError> {
         let logged = recording.tick()?;
         let mut slots = Vec::new();
@@ -61,7 +61,7 @@ impl<'a> Comparer<'a> {
         Ok(Self { logged, slots, squares, unmatched, next: 0, differing: 0, first: None })
     }
 
-    /// How many ticks were compared.
+    /// Number of control cycles compared.
     #[must_use]
     pub fn compared(&self) -> usize {
         self.next.min(self.logged.len())
@@ -73,13 +73,13 @@ impl<'a> Comparer<'a> {
         &self.unmatched
     }
 
-    /// How many ticks the log has.
+    /// Number of control cycles in the log.
     #[must_use]
     pub fn logged(&self) -> usize {
         self.logged.len()
     }
 
-    /// How many ticks differ.
+    /// Number of control cycles that differ.
     #[must_use]
     pub fn differing(&self) -> u64 {
         self.differing

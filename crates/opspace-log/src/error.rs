@@ -1,64 +1,64 @@
-//! What can go wrong with a log.
+//! Errors of writing and reading logs.
 
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// A log can't be written or read.
+/// Reason why a log can't be written or read.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LogError {
-    /// The sink failed (a full disk, for one): what was written before it is readable.
+    /// Failure of the sink (for example, a full disk): what was written before it is readable.
     #[error("can't write the log: {0}")]
     Write(#[source] io::Error),
-    /// The file can't be read at all.
+    /// File that can't be read at all.
     #[error("can't read {}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Cause of the failure.
         source: io::Error,
     },
-    /// The file doesn't begin as an MCAP file does.
+    /// File that doesn't begin as an MCAP file does.
     #[error("this is not an MCAP file: it doesn't begin with the bytes 89 'MCAP0' 0D 0A")]
     NotMcap,
-    /// An MCAP file, but nothing of opspace can be read from it.
+    /// MCAP file from which nothing of opspace can be read.
     #[error("this MCAP file holds no channel recorded by opspace{}", because(damage.as_ref()))]
     NoChannel {
-        /// What is broken, if anything is.
+        /// Damage of the file, if there is any.
         damage: Option<Damage>,
     },
-    /// A log that lacks what a replay needs.
+    /// Log that lacks a signal or channel that a replay needs.
     #[error("this log has no '{name}', which a replay needs")]
     NoSignal {
-        /// The signal or channel.
+        /// Name of the signal or channel.
         name: String,
     },
-    /// Two channels to be recorded have one name.
+    /// Two channels of one name.
     #[error("two channels are called '{name}'; each needs a name of its own")]
     DuplicateChannel {
-        /// The name.
+        /// Name of the channels.
         name: String,
     },
-    /// The header's model isn't the robot whose rows are recorded.
+    /// Model in the header that isn't the robot whose rows are recorded.
     #[error("q in the channel 'tick' has {elements} elements but the model '{model}' has {joints} joints")]
     ModelMismatch {
-        /// The model's name.
+        /// Name of the model.
         model: String,
-        /// How many joints it has.
+        /// Number of joints of the model.
         joints: usize,
-        /// How many elements q has in the layout.
+        /// Number of elements of q in the layout.
         elements: usize,
     },
 }
 
-/// Where a log stops being readable. All that was read before is good.
+/// Damage at which a log stops being readable. Everything read before is intact.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Damage {
-    /// What is wrong.
+    /// Description of the damage.
     pub what: String,
-    /// Time of the last good row, s; `None` if there is none.
+    /// Time of the last intact row, s; `None` if there is none.
     pub after_s: Option<f64>,
 }
 
@@ -76,7 +76,7 @@ fn because(damage: Option<&Damage>) -> String {
 }
 
 impl From<mcap::McapError> for LogError {
-    /// Of a writer: the sink's own error where it is one.
+    /// Converts a writer's error: to the sink's own error where it is one.
     fn from(error: mcap::McapError) -> Self {
         Self::Write(match error {
             mcap::McapError::Io(e) => e,

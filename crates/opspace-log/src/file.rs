@@ -1,6 +1,6 @@
-//! The MCAP file as the writer's thread builds it.
+//! MCAP file as the writer's thread builds it.
 //!
-//! Bytes are only ever appended, a whole chunk at a time, so that a file cut anywhere is a good prefix and a
+//! Bytes are only ever appended, a whole chunk at a time, so that a file cut anywhere is an intact prefix and a
 //! piece of one chunk. Attachments, metadata and all definitions come first. Nothing in the file depends on
 //! the wall clock, except where a real-time run's chunks end.
 
@@ -19,25 +19,25 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Write};
 
-/// A chunk is closed at this size: large enough to compress, small to lose.
+/// Size at which a chunk is closed, bytes: large enough to compress well, small enough to lose.
 const CHUNK_BYTES: usize = 256 * 1024;
 
-/// ... and after this time on the robot's clock: at most so much of a run is lost when it is killed.
+/// Time on the robot's clock after which a chunk is closed, ns: at most so much of a run is lost when it is killed.
 const CHUNK_NS: u64 = 1_000_000_000;
 
-/// Gaps listed one by one; later ones are only counted.
+/// Number of gaps listed one by one; later ones are only counted.
 const LISTED_GAPS: usize = 1000;
 
-/// A topic of the file.
+/// Topic of the file.
 struct Topic {
     id: u16,
     sequence: u32,
 }
 
-/// Rows that were dropped.
+/// Gap of dropped rows.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Gap {
-    /// How many.
+    /// Number of rows dropped.
     pub records: u64,
     /// Time of the first, s.
     pub from_s: f64,
@@ -50,7 +50,7 @@ pub(crate) struct File<W: Write> {
     rows: Vec<(Topic, Vec<usize>)>,
     viewer: Option<(Viewer, Topic, Topic)>,
     log: Topic,
-    /// Message bytes in the open chunk, and the time of its first.
+    /// Size of the messages in the open chunk, bytes, and the time of its first.
     chunk_bytes: usize,
     chunk_from_ns: u64,
     message: Vec<u8>,
@@ -60,7 +60,7 @@ pub(crate) struct File<W: Write> {
 }
 
 impl<W: Write> File<W> {
-    /// Writes all that is known before the run.
+    /// Writes everything that is known before the run.
     pub fn create(sink: W, header: Header, channels: &[Channel]) -> Result<Self, LogError> {
         let layouts: Vec<&Layout> = channels.iter().map(|c| &c.layout).collect();
         let viewer = Viewer::new(&layouts, header.model)?;
@@ -115,7 +115,7 @@ impl<W: Write> File<W> {
         })
     }
 
-    /// Writes a row, and what viewers see of it.
+    /// Writes a row, and the messages that viewers show of it.
     pub fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) -> Result<(), LogError> {
         let ns = nanoseconds(time_s);
         self.last_s = time_s;
@@ -145,7 +145,7 @@ impl<W: Write> File<W> {
         Ok(())
     }
 
-    /// Notes that rows are missing here.
+    /// Records that rows are missing here.
     pub fn gap(&mut self, gap: Gap) -> Result<(), LogError> {
         self.lost += gap.records;
         if self.gaps.len() < LISTED_GAPS {
@@ -168,7 +168,7 @@ impl<W: Write> File<W> {
         Ok(())
     }
 
-    /// Writes the gaps, the outcome and the footer; `dropped` is how many records were lost in all.
+    /// Writes the gaps, the outcome and the footer; `dropped` is the number of all lost records.
     pub fn finish(mut self, dropped: u64, outcome: Option<&OutcomeRecord>) -> Result<W, LogError> {
         let untold = dropped.saturating_sub(self.lost);
         if untold > 0 {
@@ -203,7 +203,7 @@ fn own_metadata() -> BTreeMap<String, String> {
     entries.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
 }
 
-/// A topic of one of Foxglove's own message types.
+/// Adds a topic of one of Foxglove's own message types.
 fn known_topic<M: Encode, W: Write>(
     mcap: &mut mcap::Writer<NoSeek<W>>,
     topic: &str,
@@ -221,7 +221,7 @@ fn encode<M: Encode>(message: &M, out: &mut Vec<u8>) -> Result<(), LogError> {
     message.encode(out).map_err(|e| LogError::Write(std::io::Error::other(e.to_string())))
 }
 
-/// Writes a message and says how long it is.
+/// Writes a message and returns its length.
 fn put<W: Write>(
     mcap: &mut mcap::Writer<NoSeek<W>>,
     topic: &mut Topic,

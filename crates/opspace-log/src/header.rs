@@ -1,4 +1,4 @@
-//! What stands in a log beside the rows.
+//! Contents of a log beside the rows.
 
 use opspace_backend::Layout;
 use opspace_model::Model;
@@ -16,18 +16,18 @@ pub const LOG: &str = "opspace.log";
 /// `from_s`, `to_s` and `records`.
 pub const GAPS: &str = "opspace.gaps";
 
-/// What is known before the run. It is written first, so that a log cut short still has it.
+/// Data known before the run. They are written first, so that a log cut short still has them.
 #[derive(Clone, Debug, Default)]
 pub struct Header {
     /// Named tables: seeds, hashes, overrides.
     pub metadata: Vec<(String, BTreeMap<String, String>)>,
     /// Whole files: the URDF, robot.toml, the task.
     pub attachments: Vec<Attachment>,
-    /// With the robot, the log shows where its links are (`/tf`); needs `q` in the channel `tick`.
+    /// Model of the robot, for the poses of its links in the log (`/tf`); needs `q` in the channel `tick`.
     pub model: Option<Arc<Model>>,
 }
 
-/// A file within the log.
+/// File within the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Attachment {
     /// File name.
@@ -39,19 +39,19 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    /// A file of that content.
+    /// Returns a file of that content.
     #[must_use]
     pub fn new(name: impl Into<String>, media_type: impl Into<String>, data: impl Into<Vec<u8>>) -> Self {
         Self { name: name.into(), media_type: media_type.into(), data: data.into() }
     }
 }
 
-/// A channel to be recorded.
+/// Channel to be recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// What stands in its rows. The channel called `tick` feeds `/joint_states` and `/tf` from its
+    /// Layout of its rows. The channel called `tick` feeds `/joint_states` and `/tf` from its
     /// signals `q`, `dq` and `motor_torque`.
     pub layout: Layout,
-    /// How often a row comes, Hz: the ring is sized by it.
+    /// Rate of the rows, Hz; it determines the size of the ring.
     pub rate_hz: f64,
 }

@@ -1,4 +1,4 @@
-//! The logged inputs of a run: samples, targets, stop requests and device faults, in their order.
+//! Logged inputs of a run: samples, targets, stop requests and device faults, in their order.
 //!
 //! A replay feeds them to the same control loop.
 
@@ -7,7 +7,7 @@ use crate::outcome::OutcomeRecord;
 use crate::recording::{ChannelData, Column, Recording};
 use opspace_backend::{Capabilities, DEVICE_FAILED, DeviceFault, Layout, STOP_REQUESTED, Sample, Status};
 
-/// The logged inputs of a run, row by row.
+/// Logged inputs of a run, row by row.
 pub struct LoggedInputs<'a> {
     columns: Columns<'a>,
     targets: Vec<Column<'a>>,
@@ -17,14 +17,14 @@ pub struct LoggedInputs<'a> {
     target_row: Vec<f64>,
 }
 
-/// The inputs of one cycle.
+/// Inputs of one control cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoggedInput<'a> {
-    /// The sample, or the fault for which there is none.
+    /// Sample of the cycle, or the fault for which there is none.
     pub read: Result<&'a Sample, &'a DeviceFault>,
-    /// The row of targets.
+    /// Row of targets.
     pub targets: &'a [f64],
-    /// Whether a stop was asked for in this cycle.
+    /// True if a stop was requested in this cycle.
     pub stop_requested: bool,
 }
 
@@ -41,10 +41,10 @@ struct Columns<'a> {
 }
 
 impl<'a> LoggedInputs<'a> {
-    /// The inputs in a log of a robot with these capabilities and targets.
+    /// Returns the inputs in a log of a robot with these capabilities and targets.
     ///
     /// # Errors
-    /// A log without one of them.
+    /// If the log lacks one of them.
     pub fn new(
         recording: &'a Recording,
         capabilities: &Capabilities,
@@ -83,7 +83,7 @@ impl<'a> LoggedInputs<'a> {
         })
     }
 
-    /// The inputs of the next cycle; `None` at the end of the log.
+    /// Returns the inputs of the next cycle; `None` at the end of the log.
     pub fn next_input(&mut self) -> Option<LoggedInput<'_>> {
         let k = self.next;
         if k >= self.columns.tick.len() {

@@ -1,8 +1,8 @@
-//! Recording runs to MCAP and reading them back.
+//! Recording of runs to MCAP files, and reading of these.
 //!
-//! The control thread pushes rows of numbers into a ring and nothing else; a thread of its own writes them
+//! The control thread only pushes rows of numbers into a ring; a separate thread writes them
 //! ([`record`]). A log opens in Foxglove and PlotJuggler, and [`Recording`] reads it back bit for bit, or
-//! what is good of it if it is damaged.
+//! its intact part if it is damaged.
 //!
 //! ```
 //! use opspace_backend::{Layout, Signal};

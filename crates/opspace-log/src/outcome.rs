@@ -1,4 +1,4 @@
-//! The outcome of a run, a record at the end of its log.
+//! Outcome of a run, a record at the end of its log.
 
 use crate::recording::Recording;
 use opspace_backend::DeviceFault;
@@ -7,21 +7,22 @@ use std::collections::BTreeMap;
 /// Name of the metadata record of the outcome.
 pub const OUTCOME: &str = "opspace.outcome";
 
-/// How a run ended, in words.
+/// Outcome of a run as a record of text entries.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OutcomeRecord {
-    /// The cause of a fault; `None` if there was none.
+    /// Cause of a fault; `None` if there was none.
     pub fault: Option<String>,
-    /// Whether the run was asked to stop.
+    /// True if the run was asked to stop.
     pub interrupted: bool,
     /// Time of a fault or of a stop request since the start of control, s.
     pub time_s: Option<f64>,
-    /// The fault as the robot reported it.
+    /// Fault as the robot reported it.
     pub device_fault: Option<DeviceFault>,
 }
 
 impl OutcomeRecord {
-    /// The outcome in a log. Of a log that was cut short nothing is known but the fault in its last row, if there is one.
+    /// Returns the outcome in a log. If the log was cut short, only the fault in its last row is known, if there is
+    /// one.
     #[must_use]
     pub fn of(recording: &Recording) -> Self {
         recording.metadata(OUTCOME).map_or_else(|| Self::of_last_row(recording), Self::of_entries)
@@ -47,7 +48,7 @@ impl OutcomeRecord {
         Self { fault: (code != 0.0).then_some(words), ..Self::default() }
     }
 
-    /// The metadata record.
+    /// Entries of the metadata record.
     pub(crate) fn entries(&self) -> BTreeMap<String, String> {
         let outcome = match (&self.fault, self.interrupted) {
             (Some(_), _) => "faulted",

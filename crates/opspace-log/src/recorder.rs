@@ -1,4 +1,4 @@
-//! From the control thread to the file: a ring of numbers and the thread that empties it.
+//! Recorder from the control thread to the file: a ring of numbers and the thread that empties it.
 
 use crate::error::LogError;
 use crate::file::{File, Gap};
@@ -12,48 +12,48 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// What to do when the disk can't keep up and the ring is full.
+/// Behaviour when the disk can't keep up and the ring is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// Wait: time is the simulation's own. Nothing is lost, and the file's bytes depend on the rows alone.
+    /// Wait, in simulated time. Nothing is lost, and the file's bytes depend on the rows alone.
     Simulated,
     /// Drop the row, count it and note the gap: the robot doesn't wait.
     RealTime,
 }
 
-/// How much of a run the ring holds, s: longer than a disk stalls, as a rule.
+/// Duration of the rows that the ring holds, s: longer than a disk usually stalls.
 const RING_S: f64 = 2.0;
 
-/// The ring's largest size, numbers (512 MB), whatever the rates say.
+/// Largest size of the ring, numbers (512 MB), whatever the rates.
 const RING_MAX: f64 = 64e6;
 
-/// What stands before a row in the ring: channel and time.
+/// Length of the prefix of a row in the ring: channel and time.
 const PREFIX: usize = 2;
 
-/// Length of a [`Gap`] in the ring, where it stands as a channel after the last: first, last, how many.
+/// Length of a [`Gap`] in the ring, where it stands as a channel after the last: first, last, number of rows.
 const GAP: usize = 3;
 
-/// How long the writer's thread sleeps when there is nothing to write: a small part of [`RING_S`].
+/// Sleep of the writer's thread when there is nothing to write: a small part of [`RING_S`].
 const POLL: Duration = Duration::from_millis(2);
 
-/// How long a simulation sleeps when the ring is full.
+/// Sleep of a simulation when the ring is full.
 const WAIT: Duration = Duration::from_micros(200);
 
-/// A real-time run that stands still writes what it has after this time.
+/// Time without new rows after which a real-time run writes what it has.
 const STILL: Duration = Duration::from_secs(1);
 
-/// The control thread's end: takes rows. Drop it when the run is over.
+/// Recorder of the control thread, which takes rows. Drop it when the run is over.
 #[derive(Debug)]
 pub struct Recorder {
     ring: Producer<f64>,
     widths: Vec<usize>,
     pace: Pace,
-    /// What was dropped since the last row that wasn't.
+    /// Rows dropped since the last recorded one.
     gap: Gap,
     dropped: Arc<AtomicU64>,
 }
 
-/// The writer's thread. [`finish`](Self::finish) it; dropping it finishes the file too, but tells no error.
+/// Handle of the writer's thread. [`finish`](Self::finish) it; dropping it finishes the file too, but reports no error.
 #[derive(Debug)]
 pub struct Writer<W> {
     thread: Option<JoinHandle<Result<(WriteStats, W), LogError>>>,
@@ -61,20 +61,20 @@ pub struct Writer<W> {
     outcome: Arc<Mutex<Option<OutcomeRecord>>>,
 }
 
-/// What became of the rows.
+/// Numbers of rows written and dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub struct WriteStats {
-    /// Rows in the file.
+    /// Number of rows in the file.
     pub records: u64,
-    /// Rows that were dropped because the ring was full; the gaps stand in the file.
+    /// Number of rows dropped because the ring was full; the gaps are in the file.
     pub dropped: u64,
 }
 
 /// Begins a log: writes the header and starts the thread that writes the rows.
 ///
 /// # Errors
-/// Two channels of one name; a model that doesn't fit the rows; a sink that fails.
+/// If two channels have one name, if a model doesn't fit the rows, or if the sink fails.
 pub fn record<W: Write + Send + 'static>(
     sink: W,
     header: Header,
@@ -108,7 +108,7 @@ pub fn record<W: Write + Send + 'static>(
     Ok((recorder, Writer { thread: Some(thread), stop, outcome }))
 }
 
-/// Numbers that the ring holds: at least two of the longest rows and a gap.
+/// Size of the ring, numbers: at least two of the longest rows and a gap.
 fn ring_size(channels: &[Channel]) -> usize {
     let per_second: f64 = channels.iter().map(|c| (PREFIX + c.layout.width()) as f64 * c.rate_hz).sum();
     let widest = channels.iter().map(|c| c.layout.width()).max().unwrap_or(0);
@@ -118,9 +118,9 @@ fn ring_size(channels: &[Channel]) -> usize {
 }
 
 impl Recorder {
-    /// Takes a row of the channel with that index (in the order given to [`record`]) at `time_s` on the
+    /// Records a row of the channel with that index (in the order given to [`record`]) at `time_s` on the
     /// robot's clock. Allocates, locks and formats nothing. With a full ring a simulated run waits here (call
-    /// [`wait_for_space`](Self::wait_for_space) between the ticks so that it doesn't), a real-time run
+    /// [`wait_for_space`](Self::wait_for_space) between the control cycles so that it doesn't), a real-time run
     /// drops the row.
     ///
     /// # Panics
@@ -141,7 +141,7 @@ impl Recorder {
         }
     }
 
-    /// Between ticks: a simulated run waits until half the ring is free. A real-time run doesn't.
+    /// Waits, between the control cycles of a simulated run, until half the ring is free. A real-time run doesn't wait.
     pub fn wait_for_space(&mut self) {
         let half = self.ring.buffer().capacity() / 2;
         while self.pace == Pace::Simulated && self.ring.slots() < half && !self.ring.is_abandoned() {
@@ -149,13 +149,13 @@ impl Recorder {
         }
     }
 
-    /// How many rows were dropped so far.
+    /// Number of rows dropped so far.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Whether the rows still go anywhere: not after the sink failed, or the writer was finished.
+    /// True if rows are still written: false after the sink failed, or the writer was finished.
     #[must_use]
     pub fn is_writing(&self) -> bool {
         !self.ring.is_abandoned()
@@ -183,7 +183,7 @@ impl Recorder {
         self.dropped.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Notes the gap, if there is room.
+    /// Records the gap, if there is room.
     fn put_gap(&mut self) -> bool {
         let Gap { records, from_s, to_s } = self.gap;
         let put = self.put(self.widths.len(), from_s, &[from_s, to_s, records as f64]);
@@ -193,7 +193,7 @@ impl Recorder {
         put
     }
 
-    /// Puts all of a record into the ring, or nothing.
+    /// Puts a whole record into the ring, or nothing.
     fn put(&mut self, channel: usize, time_s: f64, row: &[f64]) -> bool {
         let Ok(chunk) = self.ring.write_chunk_uninit(PREFIX + row.len()) else {
             return false;
@@ -204,7 +204,7 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// The last gap is told as well.
+    /// Records the last gap as well.
     fn drop(&mut self) {
         while self.gap.records > 0 && !self.put_gap() && !self.ring.is_abandoned() {
             thread::sleep(WAIT);
@@ -217,12 +217,12 @@ impl<W> Writer<W> {
     /// what it pushes afterwards is lost.
     ///
     /// # Errors
-    /// The sink's failure, now or during the run.
+    /// If the sink fails, now or during the run.
     pub fn finish(mut self) -> Result<(WriteStats, W), LogError> {
         self.joined()
     }
 
-    /// The same with the outcome of the run, which becomes a record at the end of the log.
+    /// Finishes the log as [`finish`](Self::finish) does, with the outcome of the run as a record at its end.
     ///
     /// # Errors
     /// As [`finish`](Self::finish).
@@ -256,14 +256,14 @@ impl<W> Drop for Writer<W> {
     }
 }
 
-/// The writer's thread: the ring's other end and the file.
+/// State of the writer's thread: the reading end of the ring, and the file.
 struct Drain<W: Write> {
     ring: Consumer<f64>,
     widths: Vec<usize>,
     row: Vec<f64>,
     file: File<W>,
     records: u64,
-    /// Set before the stop, by whoever knows how the run ended.
+    /// Outcome, set before the stop by whoever knows how the run ended.
     outcome: Arc<Mutex<Option<OutcomeRecord>>>,
 }
 
@@ -296,7 +296,7 @@ impl<W: Write> Drain<W> {
         Ok((written, self.file.finish(dropped, outcome.as_ref())?))
     }
 
-    /// Writes what stands in the ring now; whether there was anything.
+    /// Writes the present content of the ring; returns true if there was any.
     fn empty(&mut self) -> Result<bool, LogError> {
         let mut left = self.ring.slots();
         let any = left > 0;

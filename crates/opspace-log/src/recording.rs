@@ -1,8 +1,8 @@
-//! Reading a log back: everything, or everything good before the damage.
+//! Reading of a log: everything, or the part before the damage.
 //!
-//! The file is walked record by record rather than through its index, and a chunk's checksum is checked before
-//! anything of it is believed. Where the file as a whole is not what was written (cut short, or a checksum
-//! fails), rows are also counted, so that a chunk that can't be recognised any more leaves no hole.
+//! The file is read record by record rather than through its index, and a chunk's checksum is verified before
+//! any of it is used. If the file as a whole is not what was written (cut short, or a checksum
+//! fails), rows are also counted, so that a chunk that can't be recognised any more leaves no undetected gap.
 
 use crate::error::{Damage, LogError};
 use crate::header::{Attachment, GAPS};
@@ -14,34 +14,34 @@ use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-/// A log in memory.
+/// Log in memory.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// What was sampled, in the order in which it was recorded.
+    /// Recorded channels, in the order in which they were recorded.
     pub channels: Vec<ChannelData>,
     /// Files within the log.
     pub attachments: Vec<Attachment>,
-    /// Named tables. Nothing but the checksum of the whole file guards them: don't rely on those of a damaged
+    /// Named tables. They are protected only by the checksum of the whole file: don't rely on those of a damaged
     /// one.
     pub metadata: Vec<(String, BTreeMap<String, String>)>,
-    /// Who wrote the log.
+    /// Library that wrote the log.
     pub library: String,
-    /// Why there may be less than was recorded; `None` for a whole file.
+    /// Damage, due to which there may be less than was recorded; `None` for a whole file.
     pub damage: Option<Damage>,
 }
 
-/// The rows of a channel.
+/// Rows of a channel.
 #[derive(Clone, Debug)]
 pub struct ChannelData {
-    /// What stands in a row.
+    /// Layout of a row.
     pub layout: Layout,
     /// Time of each row on the robot's clock, s.
     pub time_s: Vec<f64>,
-    /// The rows, one behind the other.
+    /// All rows, one behind the other.
     pub rows: Vec<f64>,
 }
 
-/// One signal of all rows of a channel.
+/// Single signal of all rows of a channel.
 #[derive(Clone, Copy, Debug)]
 pub struct Column<'a> {
     data: &'a ChannelData,
@@ -64,7 +64,7 @@ impl Recording {
     /// Reads a log from memory.
     ///
     /// # Errors
-    /// If this is no MCAP file, or no channel of opspace's can be read from it. Other damage is told in
+    /// If this is no MCAP file, or no channel of opspace can be read from it. Other damage is reported in
     /// [`damage`](Self::damage).
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
         if !bytes.starts_with(MAGIC) {
@@ -82,33 +82,33 @@ impl Recording {
         Ok(recording)
     }
 
-    /// The channel of that name.
+    /// Returns the channel of that name.
     #[must_use]
     pub fn channel(&self, name: &str) -> Option<&ChannelData> {
         self.channels.iter().find(|c| c.layout.channel == name)
     }
 
-    /// The channel of the control loop.
+    /// Returns the channel of the control loop.
     ///
     /// # Errors
-    /// A log without it.
+    /// If the log lacks it.
     pub fn tick(&self) -> Result<&ChannelData, LogError> {
         self.channel("tick").ok_or_else(|| LogError::NoSignal { name: "tick".to_owned() })
     }
 
-    /// The attached file of that name.
+    /// Returns the attached file of that name.
     #[must_use]
     pub fn attachment(&self, name: &str) -> Option<&Attachment> {
         self.attachments.iter().find(|a| a.name == name)
     }
 
-    /// The table of that name.
+    /// Returns the table of that name.
     #[must_use]
     pub fn metadata(&self, name: &str) -> Option<&BTreeMap<String, String>> {
         self.metadata.iter().find(|(n, _)| n == name).map(|(_, entries)| entries)
     }
 
-    /// How many rows the recorder had to drop.
+    /// Number of rows that the recorder had to drop.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.metadata(GAPS).and_then(|gaps| gaps.get("records")?.parse().ok()).unwrap_or(0)
@@ -116,29 +116,29 @@ impl Recording {
 }
 
 impl ChannelData {
-    /// How many rows there are.
+    /// Number of rows.
     #[must_use]
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no rows.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
 
-    /// The row at index `k`, all signals.
+    /// Returns the row at index `k`, all signals.
     ///
     /// # Panics
-    /// If there are not so many.
+    /// If `k` isn't below the number of rows.
     #[must_use]
     pub fn row(&self, k: usize) -> &[f64] {
         let width = self.layout.width();
         &self.rows[k * width..(k + 1) * width]
     }
 
-    /// The signal of that name.
+    /// Returns the signal of that name.
     #[must_use]
     pub fn signal(&self, name: &str) -> Option<Column<'_>> {
         let signals = &self.layout.signals;
@@ -149,34 +149,34 @@ impl ChannelData {
 }
 
 impl<'a> Column<'a> {
-    /// How many rows there are.
+    /// Number of rows.
     #[must_use]
     pub fn len(&self) -> usize {
         self.data.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no rows.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.data.is_empty()
     }
 
-    /// The signal in row `k`, one number an element.
+    /// Returns the signal in row `k`, one number per element.
     ///
     /// # Panics
-    /// If there are not so many rows.
+    /// If `k` isn't below the number of rows.
     #[must_use]
     pub fn row(&self, k: usize) -> &'a [f64] {
         let start = k * self.stride + self.offset;
         &self.data.rows[start..start + self.signal.len()]
     }
 
-    /// The signal in each row.
+    /// Returns the signal in each row.
     pub fn rows(self) -> impl ExactSizeIterator<Item = &'a [f64]> {
         (0..self.len()).map(move |k| self.row(k))
     }
 
-    /// What each element is.
+    /// Names of the elements.
     #[must_use]
     pub fn elements(&self) -> &'a [String] {
         &self.signal.elements
@@ -189,7 +189,7 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Whether the file is as it was written: its end is there and the checksums of both its sections hold.
+/// Verifies that the file is as it was written: its end is there and the checksums of both its sections hold.
 fn verify(bytes: &[u8]) -> Result<(), String> {
     let mut summary = None;
     let mut records = Records { bytes, at: MAGIC.len() };
@@ -218,21 +218,21 @@ fn no_end() -> String {
     "it has no proper end: the recording was cut short".to_owned()
 }
 
-/// A recording being read.
+/// Recording while it is read.
 #[derive(Default)]
 struct Reader {
     recording: Recording,
-    /// By channel of the recording: the signals' lengths, and the number of the next row.
+    /// Shape of each channel of the recording: the signals' lengths, and the number of the next row.
     shape: Vec<(Vec<usize>, u32)>,
-    /// From the file's channels to the recording's; `None` for those of others.
+    /// Map from the file's channels to the recording's; `None` for those of others.
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
-    /// Damage that ends nothing: a table or an attachment that can't be read.
+    /// Damage after which reading continues: a table or an attachment that can't be read.
     aside: Option<String>,
 }
 
 impl Reader {
-    /// Takes record after record, until one is bad: says what.
+    /// Reads record after record, until one is damaged; the error describes it.
     fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
         for raw in (Records { bytes, at: MAGIC.len() }) {
             let raw = raw?;

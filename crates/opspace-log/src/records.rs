@@ -1,35 +1,35 @@
-//! The records of an MCAP file, as far as [`Recording`](crate::Recording) needs them
+//! Records of an MCAP file, as far as [`Recording`](crate::Recording) needs them
 //! (<https://mcap.dev/spec>).
 //!
-//! The crate `mcap` writes our logs; reading, it reserves whatever a length in the file says, up to 4 GiB for
-//! one flipped bit. Here nothing is reserved that isn't there.
+//! The crate `mcap` writes our logs; for reading, it allocates whatever a length in the file says, up to 4 GiB for
+//! one flipped bit. Here nothing is allocated beyond the data present.
 
 use crate::header::Attachment;
 use mcap::records::op;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// A chunk larger than this isn't believed, bytes: our own have a quarter of a MiB, other tools' some MiB.
+/// Largest chunk that is accepted, bytes: our own have a quarter of a MiB, other tools' some MiB.
 const CHUNK_MAX: u64 = 64 << 20;
 
-/// Opcode and length.
+/// Size of opcode and length, bytes.
 const PREFIX: usize = 9;
 
-/// The records from a place in `bytes` on.
+/// Iterator over the records in `bytes`, from a given position.
 pub(crate) struct Records<'a> {
     pub bytes: &'a [u8],
     pub at: usize,
 }
 
-/// A record as it stands in the file or in a chunk.
+/// Record as it stands in the file or in a chunk.
 pub(crate) struct Raw<'a> {
     pub opcode: u8,
     pub body: &'a [u8],
-    /// Where it begins.
+    /// Position of its beginning, bytes.
     pub at: usize,
 }
 
-/// A record that is understood.
+/// Record of a known kind.
 pub(crate) enum Record<'a> {
     Header { library: String },
     Channel { id: u16, metadata: BTreeMap<String, String> },
@@ -42,7 +42,7 @@ pub(crate) enum Record<'a> {
     Other,
 }
 
-/// Records packed together.
+/// Chunk of records, packed together.
 pub(crate) struct Chunk<'a> {
     size: u64,
     crc: u32,
@@ -75,7 +75,7 @@ fn first(rest: &[u8], at: usize) -> Option<Raw<'_>> {
 }
 
 impl<'a> Raw<'a> {
-    /// What the record says.
+    /// Parses the content of the record.
     pub fn parse(&self) -> Result<Record<'a>, String> {
         let broken = || format!("the record at byte {} is broken", self.at);
         let record = self.fields().ok_or_else(broken)?;
@@ -86,7 +86,7 @@ impl<'a> Raw<'a> {
         Ok(record)
     }
 
-    /// `None` if it is too short for its fields.
+    /// Fields of the record; `None` if it is too short for them.
     fn fields(&self) -> Option<Record<'a>> {
         let mut fields = Fields(self.body);
         Some(match self.opcode {
@@ -126,7 +126,7 @@ impl<'a> Raw<'a> {
 }
 
 impl<'a> Chunk<'a> {
-    /// The records in it, once their checksum holds.
+    /// Returns the records in it, after verifying their checksum.
     pub fn unpack(&self) -> Result<Cow<'a, [u8]>, String> {
         if self.size > CHUNK_MAX {
             return Err(format!("a chunk of {} bytes; {CHUNK_MAX} are allowed", self.size));
@@ -144,7 +144,7 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// A checksum of 0 means that none was written.
+/// Verifies a checksum; one of 0 means that none was written.
 pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), String> {
     if saved == 0 || crc32fast::hash(bytes) == saved {
         Ok(())
@@ -153,7 +153,7 @@ pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), Strin
     }
 }
 
-/// The fields of a record that are still to be read.
+/// Fields of a record that are still to be read.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

@@ -1,8 +1,8 @@
-//! A layout as protobuf: the message definition, the bytes of a row, and back.
+//! Protobuf form of a layout: the message definition, the bytes of a row, and back.
 //!
 //! A row of the channel `tick` is a message `opspace.Tick`: field 1 is `double t` (s), then one packed
-//! `repeated double` a signal, in the layout's order. Doubles keep their bits. Names that protobuf can't
-//! spell, units and element labels stand as JSON in the channel's metadata.
+//! `repeated double` per signal, in the layout's order. Doubles keep their bits. Names that protobuf doesn't
+//! allow, units and element labels stand as JSON in the channel's metadata.
 
 use opspace_backend::{Layout, Signal};
 use prost::Message;
@@ -15,12 +15,12 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Key of the layout in a channel's metadata.
 const LAYOUT: &str = "opspace.layout";
 
-/// How many numbers each signal of a layout has.
+/// Number of elements of each signal of a layout.
 pub(crate) fn widths(layout: &Layout) -> Vec<usize> {
     layout.signals.iter().map(Signal::len).collect()
 }
 
-/// The name of the message of a channel, and the serialised `FileDescriptorSet` that defines it.
+/// Returns the name of the message of a channel, and the serialised `FileDescriptorSet` that defines it.
 pub(crate) fn definition(layout: &Layout) -> (String, Vec<u8>) {
     let message = pascal_case(&layout.channel);
     let field = |name: String, number, label| FieldDescriptorProto {
@@ -49,13 +49,13 @@ pub(crate) fn definition(layout: &Layout) -> (String, Vec<u8>) {
     (format!("opspace.{message}"), set.encode_to_vec())
 }
 
-/// The field number of a signal; protobuf keeps 19000 to 19999 for itself.
+/// Field number of a signal; protobuf reserves 19000 to 19999.
 fn number(signal: usize) -> u32 {
     let n = signal as u32 + 2;
     if n < 19_000 { n } else { n + 1_000 }
 }
 
-/// `hand.position` becomes `hand_position`; each differs from the others, in lowerCamelCase (protobuf's
+/// Field names: `hand.position` becomes `hand_position`; each differs from the others, in lowerCamelCase (protobuf's
 /// JSON names) too.
 fn field_names(layout: &Layout) -> Vec<String> {
     let mut taken = BTreeSet::from(["t".to_owned()]);
@@ -85,7 +85,7 @@ fn pascal_case(name: &str) -> String {
     identifier(name).split('_').map(capital).collect()
 }
 
-/// A channel's metadata: the layout, so that it is restored exactly.
+/// Metadata of a channel: the layout, so that it is restored exactly.
 pub(crate) fn channel_metadata(layout: &Layout) -> BTreeMap<String, String> {
     let fields = field_names(layout);
     let signal = |(s, field): (&Signal, String)| json!({ "name": s.name, "unit": s.unit, "field": field, "elements": s.elements });
@@ -94,7 +94,7 @@ pub(crate) fn channel_metadata(layout: &Layout) -> BTreeMap<String, String> {
     BTreeMap::from([(LAYOUT.to_owned(), text)])
 }
 
-/// The layout of a channel with that metadata. `None` if opspace didn't write the channel.
+/// Returns the layout of a channel with that metadata. `None` if opspace didn't write the channel.
 pub(crate) fn layout(metadata: &BTreeMap<String, String>) -> Option<Result<Layout, String>> {
     let text = metadata.get(LAYOUT)?;
     let read = || {
@@ -114,7 +114,7 @@ fn signal(value: &Value) -> Option<Signal> {
     })
 }
 
-/// Puts the message of a row behind what stands in `out`.
+/// Appends the message of a row to `out`.
 pub(crate) fn encode(widths: &[usize], time_s: f64, mut row: &[f64], out: &mut Vec<u8>) {
     double::encode(1, &time_s, out);
     for (i, &width) in widths.iter().enumerate() {
@@ -124,7 +124,7 @@ pub(crate) fn encode(widths: &[usize], time_s: f64, mut row: &[f64], out: &mut V
     }
 }
 
-/// Puts the row of a message behind what stands in `rows` and returns its time. `None`, and nothing put,
+/// Appends the row of a message to `rows` and returns its time. Returns `None`, and appends nothing,
 /// if the message is not as [`encode`] writes it.
 pub(crate) fn decode(widths: &[usize], message: &[u8], rows: &mut Vec<f64>) -> Option<f64> {
     let before = rows.len();
@@ -171,7 +171,7 @@ mod tests {
         }
     }
 
-    /// The field names against protobuf's rules: identifiers, unique also as lowerCamelCase.
+    /// Checks the field names against protobuf's rules: identifiers, unique also as lowerCamelCase.
     #[test]
     fn every_signal_gets_a_legal_and_unique_field() {
         let (message, bytes) = definition(&awkward());
@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(fields[1].name(), "hand_position");
     }
 
-    /// The layout before and after the metadata.
+    /// Compares the layout before and after the metadata.
     #[test]
     fn the_layout_survives_its_metadata() {
         assert_eq!(layout(&channel_metadata(&awkward())).unwrap().unwrap(), awkward());
@@ -198,7 +198,7 @@ mod tests {
         assert!(layout(&broken).unwrap().is_err());
     }
 
-    /// A message with anything missing, added or of another layout is refused, and leaves nothing behind.
+    /// Checks that a message with anything missing, added or of another layout is refused, and leaves nothing behind.
     #[test]
     fn a_message_of_another_layout_is_refused() {
         let mut message = Vec::new();

@@ -1,4 +1,4 @@
-//! What viewers know by name: `foxglove.JointStates` and `foxglove.FrameTransforms`, made of the rows of
+//! Message types that viewers know: `foxglove.JointStates` and `foxglove.FrameTransforms`, computed from the rows of
 //! the channel `tick` on the writer's thread.
 
 use crate::error::LogError;
@@ -12,19 +12,19 @@ use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The channel that viewers' messages are made of.
+/// Channel from which viewers' messages are computed.
 const TICK: &str = "tick";
 
-/// Time between two of them, ns: 50 Hz is smooth to the eye, and a small part of the log.
+/// Time between two messages, ns: 50 Hz looks smooth, and is a small part of the log.
 const PERIOD_NS: u64 = 20_000_000;
 
-/// The messages of the last instant shown, overwritten in place.
+/// Messages of the last instant shown, overwritten in place.
 pub(crate) struct Viewer {
     /// Index of the channel `tick`.
     pub channel: usize,
-    /// `/joint_states`.
+    /// Message of `/joint_states`.
     pub joints: JointStates,
-    /// `/tf`.
+    /// Message of `/tf`.
     pub bodies: Option<Bodies>,
     q: Range<usize>,
     dq: Option<Range<usize>>,
@@ -32,7 +32,7 @@ pub(crate) struct Viewer {
     last_ns: Option<u64>,
 }
 
-/// Where the links are.
+/// Poses of the links.
 pub(crate) struct Bodies {
     pub transforms: FrameTransforms,
     model: Arc<Model>,
@@ -42,7 +42,7 @@ pub(crate) struct Bodies {
 }
 
 impl Viewer {
-    /// `None` without a channel `tick` that has a signal `q`.
+    /// Returns the viewer; `None` without a channel `tick` that has a signal `q`.
     pub fn new(layouts: &[&Layout], model: Option<Arc<Model>>) -> Result<Option<Self>, LogError> {
         let Some(channel) = layouts.iter().position(|l| l.channel == TICK) else {
             return Ok(None);
@@ -65,7 +65,7 @@ impl Viewer {
         }))
     }
 
-    /// Shows a row if it is time for it: then the messages are to be written.
+    /// Updates the messages from a row if it is time for it; returns true if they are to be written.
     pub fn show(&mut self, ns: u64, row: &[f64]) -> bool {
         if self.last_ns.is_some_and(|last| ns.abs_diff(last) < PERIOD_NS) {
             return false;
@@ -119,7 +119,7 @@ impl Bodies {
     }
 }
 
-/// A warning for `/log`.
+/// Returns a warning for `/log`.
 pub(crate) fn warning(ns: u64, message: String) -> Log {
     Log {
         timestamp: Some(timestamp(ns)),
@@ -130,7 +130,7 @@ pub(crate) fn warning(ns: u64, message: String) -> Log {
     }
 }
 
-/// A time on the robot's clock as the log's timestamps have it.
+/// Converts a time on the robot's clock to the log's timestamps.
 pub(crate) fn nanoseconds(time_s: f64) -> u64 {
     // The cast saturates, and takes NaN to 0.
     let since_zero = (time_s * 1e9).round() as i64;

@@ -1,4 +1,4 @@
-//! Damaged logs: cut anywhere, any byte changed, the process killed. Nothing panics, nothing wrong is believed.
+//! Damaged logs: cut anywhere, any byte changed, the process killed. Nothing panics, no wrong data is accepted.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod common;

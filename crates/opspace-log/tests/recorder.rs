@@ -16,7 +16,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The tick channel with the smallest ring there is.
+/// Channel `tick` with the smallest ring there is.
 fn tiny() -> Vec<Channel> {
     vec![Channel { rate_hz: 0.0, ..channels().remove(0) }]
 }
@@ -179,7 +179,7 @@ fn a_real_time_run_drops_and_counts() {
     run.check();
 }
 
-/// A gap that lasts to the end of the run is told like any other.
+/// Checks that a gap that lasts to the end of the run is reported like any other.
 #[test]
 fn the_last_gap_is_told() {
     let mut run = Stalled::new();

@@ -1,4 +1,4 @@
-//! What goes in comes out: values, layouts, files; and what viewers need is there.
+//! Round trip of values, layouts and files; presence of the messages that viewers need.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod common;
@@ -30,7 +30,7 @@ fn values_keep_their_bits() {
     }
 }
 
-/// Layouts, metadata and attachments read against those given; signals found by name in the row.
+/// Layouts, metadata and attachments read against those given; signals looked up by name in the row.
 #[test]
 fn the_layout_and_the_files_come_back() {
     let (_, bytes) = log(header(), 3);
@@ -90,7 +90,7 @@ fn a_foreign_reader_finds_the_fields() {
         [("t", 1), ("q", 2), ("dq", 3), ("motor_torque", 4), ("no_joints", 5), ("hand_position", 6)];
     assert_eq!(names, expected);
 
-    /// The same message, written down by hand.
+    /// Message of the channel `tick`, declared by hand.
     #[derive(Clone, PartialEq, prost::Message)]
     struct Tick {
         #[prost(double, tag = "1")]
@@ -159,7 +159,7 @@ fn viewers_find_the_joints_and_the_links() {
     }
 }
 
-/// What can't be recorded is refused by name.
+/// Checks that data that can't be recorded are refused by name.
 #[test]
 fn what_does_not_fit_is_refused() {
     let twice = vec![channels().remove(0), channels().remove(0)];

@@ -1,7 +1,7 @@
 //! One control cycle: from a sample to a command.
 //!
-//! [`ControlLoop::step`] is a function of sample, targets and its own state. It knows no robot, thread, clock or sink, and
-//! allocates, locks and formats nothing.
+//! [`ControlLoop::step`] is a function of sample, targets and its own state. It knows no robot, thread, clock or sink,
+//! and allocates, locks and formats nothing.
 //!
 //! # Where limits act
 //!
@@ -17,9 +17,9 @@
 //!
 //! # Missed cycles
 //!
-//! Missed cycles are told from the robot's clock. Up to `bridged_cycles` of them are tolerated: time goes on, and so do
-//! references. After more the robot is held until it stands still; then estimates begin anew, references are joined
-//! from where the robot is, and torques ramp in as at the start.
+//! Missed cycles are detected from the robot's clock. Up to `bridged_cycles` of them are tolerated: time and references
+//! go on. After more the robot is held until it stands still; then estimates begin anew, references are joined from
+//! where the robot is, and torques ramp in as at the start.
 
 use crate::fault::Fault;
 use crate::guard::Guard;
@@ -155,7 +155,7 @@ impl ControlLoop {
         })
     }
 
-    /// One cycle. Targets are those that are in force now ([`targets`](Self::targets)). Allocates nothing.
+    /// Computes one cycle. Targets are those in force now ([`targets`](Self::targets)). Allocates nothing.
     pub fn step(&mut self, sample: &Sample, targets: &Targets) -> Step<'_> {
         self.outgoing = Outgoing::None;
         let result = match self.phase {
@@ -173,7 +173,8 @@ impl ControlLoop {
         }
     }
 
-    /// The robot could not be read, or did not take a command. The result has the last command, if the state is known.
+    /// Stops because the robot could not be read, or did not take a command. The result has the last command, if the
+    /// state is known.
     pub fn fail(&mut self, fault: DeviceFault) -> Step<'_> {
         self.outgoing = Outgoing::None;
         if self.phase == Phase::Stopped {
@@ -182,7 +183,7 @@ impl ControlLoop {
         self.stop_for(Fault::Device(fault))
     }
 
-    /// A stop that was asked for. The result has the last command, in place of that of this cycle.
+    /// Stops because a stop was requested. The result has the last command, in place of that of this cycle.
     pub fn stop(&mut self) -> Step<'_> {
         self.outgoing = Outgoing::None;
         if self.phase != Phase::Stopped {
@@ -257,7 +258,7 @@ impl ControlLoop {
         &self.row
     }
 
-    /// The robot holds itself while its force sensors are tared.
+    /// Averages the force sensors' readings while the robot holds itself at rest.
     fn rest(&mut self, sample: &Sample) -> Result<(), Fault> {
         let observed = self.observe(sample);
         self.count_cycles();
@@ -425,9 +426,9 @@ impl ControlLoop {
         self.command.fill(f64::NAN);
     }
 
-    /// A position robot gets one last setpoint, which carries the weight and leads by v/kp, and keeps it: the stiff servo
-    /// stops the arm. A velocity robot is braked by its servo's damping. A state that is not known, or that was long ago,
-    /// leaves the last setpoint: it is as good a place to hold.
+    /// Computes the last setpoint. A position robot gets one that balances the weight and is ahead of the measured
+    /// position by v/kp, and keeps it: the stiff servo stops the arm. A velocity robot is braked by its servo's
+    /// damping. If the state is unknown or outdated, the setpoint before stays: it is as good a place to hold.
     fn set_last_setpoint(&mut self) {
         let estimator = &self.state.estimator;
         let unknown = !estimator.is_known() || self.state.data.q.iter().any(|q| !q.is_finite());
@@ -486,7 +487,7 @@ fn layout(
     Layout { channel: "tick".to_owned(), signals }
 }
 
-/// Finds the first joint whose command is not a finite number.
+/// Checks that the command of every joint is a finite number.
 fn check_finite(command: &[f64]) -> Result<(), Fault> {
     match command.iter().position(|value| !value.is_finite()) {
         Some(joint) => Err(Fault::CommandNotFinite { joint }),

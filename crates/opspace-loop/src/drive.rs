@@ -6,8 +6,8 @@ use crate::timeline::Timeline;
 use opspace_backend::{Backend, GroundTruth, Sample};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Reads the robot, lets the run compute, and writes its command, until the run is over. The robot ends in its safe state,
-/// whatever happens: a panic in a task, a controller or the backend stops it as well, and is the run's outcome.
+/// Reads the robot, lets the run compute, and writes its command, until the run is over. The robot ends in its safe
+/// state, whatever happens: a panic in a task, a controller or the backend stops it as well, and is the run's outcome.
 pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
     let mut sample = prepare(backend, run);
     let cycles = || {
@@ -21,7 +21,7 @@ pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
     backend.stop();
 }
 
-/// A robot of several, and its run.
+/// One of several robots, and its run.
 pub struct Driven<'a, 'b> {
     /// The robot.
     pub backend: &'a mut dyn Backend,
@@ -29,9 +29,9 @@ pub struct Driven<'a, 'b> {
     pub run: &'a mut Run<'b>,
 }
 
-/// The same for several robots on one clock, whose cycles come in the order of `timeline`, with links between them. The
-/// robots end in their safe states when all runs are over; a panic of one stops all. A cycle that a simulated bus loses is
-/// left out, so that the arms of one simulation are read in the order of their samples.
+/// Drives several robots on one clock, whose cycles come in the order of `timeline`, with links between them. The
+/// robots end in their safe states when all runs are over; a panic of one stops all. A cycle that a simulated bus loses
+/// is left out, so that the arms of one simulation are read in the order of their samples.
 ///
 /// # Panics
 /// If the timeline or a link has a robot that is not among `robots`.
@@ -63,7 +63,7 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
     }
 }
 
-/// Whether a robot's simulated bus loses the cycle of that number.
+/// Returns true if a robot's simulated bus loses the cycle of that number.
 fn is_lost(backend: &dyn Backend, number: u64) -> bool {
     let next = backend.ground_truth().and_then(GroundTruth::next_sample_cycle);
     next.is_some_and(|next| number < next)
@@ -76,7 +76,7 @@ fn prepare(backend: &mut dyn Backend, run: &mut Run<'_>) -> Sample {
     Sample::new(backend.capabilities())
 }
 
-/// One cycle: `arrive` may write targets once the sample, at the given time of the robot's clock (s), is there.
+/// Runs one cycle: `arrive` may write targets once the sample, at the given time of the robot's clock (s), is there.
 fn cycle(
     backend: &mut dyn Backend,
     run: &mut Run<'_>,

@@ -32,15 +32,15 @@ pub enum Fault {
     /// The robot's clock stood still or went back.
     #[error("the robot's clock went from {before_s} s to {now_s} s")]
     Clock {
-        /// The tick before, s.
+        /// Time of the sample before, s.
         before_s: f64,
-        /// This tick, s.
+        /// Time of this sample, s.
         now_s: f64,
     },
     /// The robot was silent for too long.
     #[error("the robot was silent for {silent_s} s; limit: {limit_s} s")]
     Dropout {
-        /// How long no sample came, s.
+        /// Time without a sample, s.
         silent_s: f64,
         /// `longest_dropout_s`.
         limit_s: f64,
@@ -50,7 +50,7 @@ pub enum Fault {
     HoldFailed {
         /// Joint index.
         joint: usize,
-        /// For how long it was held, s.
+        /// Time for which it was held, s.
         held_s: f64,
     },
     /// A measured position is further from the one before than any speed explains.
@@ -58,7 +58,7 @@ pub enum Fault {
     PositionJump {
         /// Joint index.
         joint: usize,
-        /// From one sample to the next, rad or m.
+        /// Distance from one sample to the next, rad or m.
         step: f64,
         /// Limit, rad or m.
         limit: f64,
@@ -68,7 +68,7 @@ pub enum Fault {
     JointLimit {
         /// Joint index.
         joint: usize,
-        /// Measured, rad or m.
+        /// Measured position, rad or m.
         q: f64,
         /// Lower limit, rad or m.
         lower: f64,
@@ -80,22 +80,22 @@ pub enum Fault {
     Speed {
         /// Joint index.
         joint: usize,
-        /// Estimated, rad/s or m/s.
+        /// Estimated speed, rad/s or m/s.
         dq: f64,
         /// Limit, rad/s or m/s.
         limit: f64,
     },
-    /// A joint is further from its set-point than full torque and full speed explain.
+    /// A joint is further from its setpoint than full torque and full speed explain.
     #[error("following error of joint {joint}: {error}, limit {limit}")]
     FollowingError {
         /// Joint index.
         joint: usize,
-        /// Distance, rad or m.
+        /// Distance from the setpoint, rad or m.
         error: f64,
         /// Limit, rad or m.
         limit: f64,
     },
-    /// The motor of a position robot gives another torque than the one that its set-points were made for.
+    /// The motor of a position robot gives another torque than the one for which its setpoints were made.
     #[error("joint {joint}: the motor's torque is {deviation} Nm from what is asked for, limit {limit}")]
     TorqueDeviation {
         /// Joint index.

@@ -26,17 +26,18 @@ pub(crate) struct Guard {
     /// Rate of change of the setpoints, rad/s, m/s or rad/s², m/s² (n); within a cycle, the setpoints before.
     rate: DVector<f64>,
     clamped: DVector<f64>,
-    /// Whether there is a setpoint.
+    /// True once there is a setpoint.
     is_set: bool,
     watchdog: Watchdog,
     /// Torques for which the setpoints in force were made, Nm or N (n).
     torque_desired: DVector<f64>,
-    /// Whether they were made for torques.
+    /// True if the setpoints in force were made for torques.
     watching: bool,
 }
 
 impl Guard {
-    /// For setpoints of that kind to servos with these gains, with torque limits (n; Nm, N). `None` for a torque robot.
+    /// Guard for setpoints of that kind to servos with these gains, with torque limits (n; Nm, N). `None` for a torque
+    /// robot.
     pub(crate) fn new(
         kind: CommandKind,
         model: &Model,
@@ -78,7 +79,7 @@ impl Guard {
         self.setpoint.as_slice()
     }
 
-    /// Where new setpoints are to be written.
+    /// Setpoints to be overwritten (rad, m or rad/s, m/s; n).
     pub(crate) fn setpoint_mut(&mut self) -> &mut [f64] {
         self.setpoint.as_mut_slice()
     }
@@ -87,7 +88,7 @@ impl Guard {
     /// for torques.
     ///
     /// # Errors
-    /// The joint whose motor does something else.
+    /// The first joint whose motor deviates by more than a bound.
     pub(crate) fn watch(&mut self, measurement: &Measurement, missed: u64) -> Result<(), Fault> {
         match &measurement.motor_torque {
             Some(torque) if self.watching && missed == 0 => {
@@ -97,7 +98,7 @@ impl Guard {
         }
     }
 
-    /// Stops comparing them.
+    /// Stops comparing torques, and clears the means.
     pub(crate) fn stop_watching(&mut self) {
         self.watching = false;
         self.watchdog.reset();
@@ -107,7 +108,7 @@ impl Guard {
     /// farther away it was stopped by something, or the setpoint jumped.
     ///
     /// # Errors
-    /// The first joint that is not.
+    /// The first joint that is farther away.
     pub(crate) fn check_following(&self, measurement: &Measurement, missed: u64) -> Result<(), Fault> {
         if self.is_set { self.check_distance(measurement, missed) } else { Ok(()) }
     }
@@ -186,8 +187,8 @@ impl Guard {
         }
     }
 
-    /// The setpoints of a velocity robot that brake it with the servo's damping and carry the torques `holding` (Nm or N;
-    /// n).
+    /// Sets setpoints of a velocity robot that brake it with the servo's damping and produce the torques `holding` (Nm
+    /// or N; n).
     pub(crate) fn brake(&mut self, holding: &[f64]) {
         for (i, setpoint) in self.setpoint.iter_mut().enumerate() {
             *setpoint = holding[i] / self.damping[i];

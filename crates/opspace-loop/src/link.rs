@@ -1,8 +1,8 @@
 //! Links between robots: signals of one robot's row become inputs of another robot's targets, through a channel with
 //! delay, jitter, loss and reordering.
 //!
-//! A link acts on the integer clock of a [`Timeline`]. What arrives is an input of the receiving robot and is in its log, so
-//! that each robot's log can be replayed alone.
+//! A link acts on the integer clock of a [`Timeline`]. What arrives is an input of the receiving robot and is in its
+//! log, so that each robot's log can be replayed alone.
 
 use crate::phase::Phase;
 use crate::timeline::Timeline;
@@ -22,7 +22,7 @@ pub struct ChannelParameters {
     pub jitter_s: f64,
     /// Probability that a packet is lost.
     pub loss: f64,
-    /// Whether a packet may arrive after one that was sent later.
+    /// True if a packet may arrive after one that was sent later.
     pub reordering: bool,
     /// Seed.
     pub seed: u64,
@@ -58,8 +58,8 @@ pub struct Link {
 }
 
 impl Link {
-    /// A link from the robot `from`, whose rows have the layout `row`, to the task `task` of the robot `to`, that copies
-    /// signals to inputs: pairs of a signal of the row and an input of the task.
+    /// A link from the robot `from`, whose rows have the layout `row`, to the task `task` of the robot `to`, that
+    /// copies signals to inputs: pairs of a signal of the row and an input of the task.
     ///
     /// # Errors
     /// Names that are not known, lengths that differ, parameters out of range.
@@ -114,8 +114,8 @@ impl Link {
         self.channel.send(tick, &self.values);
     }
 
-    /// Writes what has arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s). A sender that is
-    /// held or stopped asks the receiver to hold. Allocates nothing.
+    /// Writes what has arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s). A sender that
+    /// is held or stopped asks the receiver to hold. Allocates nothing.
     pub fn deliver(&mut self, tick: u64, clock_s: f64, targets: &mut Targets) {
         while let Some(values) = self.channel.receive(tick) {
             targets.hold([Phase::Held, Phase::Stopped].map(Phase::code).contains(&values[0]));
@@ -135,7 +135,7 @@ fn columns(layout: &Layout, name: &str) -> Result<Range<usize>, LinkError> {
     layout.columns(name).ok_or_else(|| LinkError::Signal(name.to_owned()))
 }
 
-/// Packets under way.
+/// Packets in transit.
 struct Channel {
     delay: u64,
     jitter: u64,
@@ -213,7 +213,7 @@ mod tests {
         Channel::new(&Timeline::new(&[1000]).expect("a good clock"), parameters, 1).expect("a good clock")
     }
 
-    /// Sends its own tick at each of 1000 ticks; what arrives when.
+    /// Sends the number of each of 1000 ticks; returns the ticks of arrival with the numbers.
     fn arrivals(mut channel: Channel) -> Vec<(u64, f64)> {
         let mut arrivals = Vec::new();
         for tick in 0..1100 {

@@ -1,4 +1,4 @@
-//! The parts of a control loop, and whether they fit together.
+//! The parts of a control loop, and the checks that they fit together.
 
 use crate::safety::SafetyParameters;
 use opspace_backend::{Capabilities, CommandKind};
@@ -13,9 +13,9 @@ pub struct LoopConfig {
     pub model: Model,
     /// Properties of the robot and its interface.
     pub capabilities: Capabilities,
-    /// Tasks to torques, or to positions.
+    /// Controller: tasks to torques, or to positions.
     pub controller: Box<dyn Controller>,
-    /// Torques to what the robot takes.
+    /// Transformer: torques to the robot's commands.
     pub transformer: Box<dyn Transformer>,
     /// Gains of the servos of a position or velocity robot (n); not used for a torque robot.
     pub servo_gains: Vec<ServoGains>,
@@ -101,25 +101,25 @@ pub enum LoopError {
     /// Other joints than the model's.
     #[error("the robot's joints {robot:?} are not the model's joints {model:?}")]
     Joints {
-        /// Declared by the robot.
+        /// Joints declared by the robot.
         robot: Vec<String>,
-        /// In the model.
+        /// Joints of the model.
         model: Vec<String>,
     },
     /// An array that does not have a value for each joint.
     #[error("{what} has {found} values; the model has {joints} joints")]
     Length {
-        /// Which array.
+        /// Name of the array.
         what: &'static str,
-        /// Its length.
+        /// Number of its values.
         found: usize,
-        /// n.
+        /// Number of joints, n.
         joints: usize,
     },
     /// A value out of range.
     #[error("{what} must be {allowed}, found {found}")]
     Value {
-        /// Which value.
+        /// Name of the value.
         what: &'static str,
         /// The values allowed.
         allowed: &'static str,
@@ -131,9 +131,9 @@ pub enum LoopError {
     Kind {
         /// `controller` or `transformer`.
         part: &'static str,
-        /// What it gives.
+        /// Kind of command that the part gives.
         gives: CommandKind,
-        /// What the robot takes.
+        /// Kind of command that the robot takes.
         takes: CommandKind,
     },
 }

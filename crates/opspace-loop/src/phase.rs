@@ -50,7 +50,7 @@ const STANDSTILL_S: f64 = 0.05;
 const STANDSTILL_RAD: f64 = 1e-3;
 
 impl Standstill {
-    /// For n joints read every `period_s` (s); a robot that moves for longer than `max_hold_s` (s) is not held.
+    /// A test for n joints read every `period_s` (s); a robot that moves for longer than `max_hold_s` (s) is not held.
     pub(crate) fn new(n: usize, period_s: f64, max_hold_s: f64) -> Self {
         Self { period_s, max_hold_s, held_from_s: 0.0, q: vec![0.0; n], from_s: 0.0 }
     }
@@ -61,7 +61,7 @@ impl Standstill {
         self.restart(measurement);
     }
 
-    /// Whether the robot has not moved for long enough.
+    /// Returns true once the robot has not moved for [`STANDSTILL_S`], and for two periods at least.
     ///
     /// # Errors
     /// A joint that still moves after the longest time for which a robot is held.

@@ -17,7 +17,7 @@ use std::time::Instant;
 /// Time over which rows are recorded after a stop that was not the planned end, s.
 const AFTERMATH_S: f64 = 0.2;
 
-/// How a run ended.
+/// Outcome of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RunOutcome {
     /// It lasted as long as planned.
@@ -29,7 +29,7 @@ pub enum RunOutcome {
         /// Time since the start of control, s.
         time_s: f64,
     },
-    /// It was asked to stop.
+    /// A stop was requested, or the run was finished before it was over.
     Interrupted {
         /// Time since the start of control, s.
         time_s: f64,
@@ -46,7 +46,7 @@ pub struct Run<'a> {
     duration_cycles: u64,
     aftermath_cycles: u64,
     outcome: Option<RunOutcome>,
-    /// Whether a row was recorded since the sink could last work between cycles.
+    /// True if a row was recorded since the sink could last work between cycles.
     recorded: bool,
     history: History,
     row: Vec<f64>,
@@ -76,7 +76,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// The same run, which ends safely once `request` is set.
+    /// Adds a stop request: once `request` is set, the run ends safely.
     #[must_use]
     pub fn with_stop_request(self, request: &'a AtomicBool) -> Self {
         Self { stop_request: Some(request), ..self }
@@ -155,7 +155,7 @@ impl<'a> Run<'a> {
         self.outgoing()
     }
 
-    /// The robot could not be read. Returns the last command for the robot, where its state is known.
+    /// Stops because the robot could not be read. Returns the last command for the robot, where its state is known.
     pub fn fail(&mut self, fault: DeviceFault) -> Option<Command<'_>> {
         if self.is_stopped() {
             self.aftermath_cycles = 0;
@@ -167,8 +167,8 @@ impl<'a> Run<'a> {
         self.outgoing()
     }
 
-    /// The robot did not take the command of this cycle: a second row of the cycle says so, and nothing more is to be
-    /// written. A last setpoint that it does not take changes nothing: it is stopped all the same.
+    /// Stops because the robot did not take the command of this cycle: a second row of the cycle says so, and nothing
+    /// more is to be written. If the robot refuses a last setpoint, nothing changes: it is stopped all the same.
     pub fn refuse(&mut self, fault: DeviceFault) {
         if self.is_stopped() {
             return;
@@ -185,8 +185,9 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// A part of the loop panicked: nothing more is computed or recorded. The inputs of the cycle of the panic are in no
-    /// row, unless it came after the row, from the sink or the backend; a replay recomputes the cycles before it.
+    /// Ends the run after a panic in a part of the loop: nothing more is computed or recorded. The inputs of the cycle
+    /// of the panic are in no row, unless it came after the row, from the sink or the backend; a replay recomputes the
+    /// cycles before it.
     pub fn abandon(&mut self) {
         if self.outcome.is_none() {
             self.outcome = Some(RunOutcome::Faulted { fault: Fault::Panicked, time_s: self.time_s() });
@@ -212,13 +213,13 @@ impl<'a> Run<'a> {
         });
     }
 
-    /// Whether the robot is to be in its safe state.
+    /// Returns true once the robot is to be in its safe state.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.outcome.is_some()
     }
 
-    /// Whether no further cycle is wanted.
+    /// Returns true once no further cycle is wanted.
     #[must_use]
     pub fn is_over(&self) -> bool {
         match self.outcome {
@@ -275,7 +276,7 @@ fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
-/// The row of a cycle: what the run knows, then the loop's row, then its targets.
+/// Layout of the row of a cycle: the run's own signals, then the loop's row, then its targets.
 fn tick_layout(control: &ControlLoop) -> Layout {
     let own = [(TICK_TIME, "ns"), (STOP_REQUESTED, "1"), (DEVICE_FAILED, "1")];
     let mut signals: Vec<Signal> = own.map(|(name, unit)| Signal::scalar(name, unit)).into();

@@ -5,24 +5,24 @@ use opspace_backend::quantity::NonNegative;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What makes a run safe.
+/// Safety parameters of a run: torque ramp, taring, joint limits, missed cycles and watchdogs.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SafetyParameters {
-    /// Time over which the task's torque comes in from holding still, s.
+    /// Time over which the task's torque ramps in from the torque that holds the arm still, s.
     #[serde(default = "default_ramp")]
     pub torque_ramp_s: NonNegative,
     /// Time at rest before the start over which force sensors are tared, s.
     #[serde(default = "default_ramp")]
     pub tare_s: NonNegative,
-    /// How far beyond the URDF's joint limits a measured position is a fault, rad (m).
+    /// Distance beyond the URDF's joint limits from which a measured position is a fault, rad (m).
     #[serde(default)]
     pub limit_margin_rad: NonNegative,
-    /// How many interface cycles in a row may be missed while control goes on. After more the robot is held, and control
-    /// resumed when it stands still.
+    /// Number of consecutive interface cycles that may be missed while control goes on. After more the robot is held,
+    /// and control resumes when it stands still.
     #[serde(default = "default_bridged_cycles")]
     pub bridged_cycles: u32,
-    /// How long the robot may be silent, or take to stand still after it was, s. A longer time is a fault.
+    /// Longest time for which the robot may be silent, or take to stand still afterwards, s. A longer time is a fault.
     #[serde(default = "default_dropout")]
     pub longest_dropout_s: NonNegative,
     /// Watchdogs of a position robot that measures its motors' torque.

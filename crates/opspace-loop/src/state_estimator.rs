@@ -23,12 +23,12 @@ pub(crate) struct StateEstimator {
     tare_count: f64,
     start_s: Option<f64>,
     gap: SampleGap,
-    /// Whether the measurement is that of the last sample.
+    /// True if the measurement is that of the last sample.
     current: bool,
 }
 
 impl StateEstimator {
-    /// For a robot with these capabilities.
+    /// An estimator for a robot with these capabilities.
     ///
     /// # Errors
     /// A force sensor on a frame that the model does not have.
@@ -69,22 +69,22 @@ impl StateEstimator {
         &self.measurement
     }
 
-    /// How many interface cycles before the last sample were missed.
+    /// Number of interface cycles missed before the last sample.
     pub(crate) fn missed(&self) -> u64 {
         self.gap.missed()
     }
 
-    /// Whether so many cycles were missed that nothing that was estimated holds any more.
+    /// Returns true if so many cycles were missed that the estimates are no longer valid.
     pub(crate) fn is_lost(&self) -> bool {
         matches!(self.gap, SampleGap::Lost { .. })
     }
 
-    /// Whether the last state is too old to move the robot by: after a dropout, whose first sample was refused.
+    /// Returns true if the last state is too old to move the robot by: after a dropout whose first sample was refused.
     pub(crate) fn is_outdated(&self) -> bool {
         !self.current && self.is_lost()
     }
 
-    /// Whether a state was ever measured.
+    /// Returns true once a state was measured.
     pub(crate) fn is_known(&self) -> bool {
         self.measurement.q.iter().all(|q| q.is_finite())
     }
@@ -104,11 +104,11 @@ impl StateEstimator {
     }
 
     /// Turns a sample into a measurement and updates `data` with it. The joint velocities are those that the
-    /// transformer knows, else those that the robot measures, else filtered differences of positions. Of a robot that is
-    /// `held` the transformer knows nothing.
+    /// transformer knows, else those that the robot measures, else filtered differences of positions. The transformer
+    /// knows nothing of a robot that is `held`.
     ///
     /// # Errors
-    /// The fault that the [`Supervisor`] finds, or a mass matrix that can't be factored.
+    /// The fault that the [`Supervisor`] detects, or a mass matrix that can't be factored.
     pub(crate) fn observe(
         &mut self,
         sample: &Sample,

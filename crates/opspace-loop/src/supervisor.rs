@@ -1,4 +1,4 @@
-//! What a measured state must satisfy for a run to go on, and how much of it was missed.
+//! Conditions that a measured state must satisfy for a run to go on, and detection of missed cycles.
 
 use crate::fault::Fault;
 use crate::safety::SafetyParameters;
@@ -7,7 +7,7 @@ use opspace_backend::Sample;
 use opspace_control::Measurement;
 use opspace_model::Model;
 
-/// Checks every tick; allocates nothing.
+/// Checks the samples and states of a run, every cycle; allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
     joints: Vec<Bounds>,
@@ -17,23 +17,23 @@ pub struct Supervisor {
     last_time_s: f64,
 }
 
-/// How a sample follows the one before.
+/// Gap between a sample and the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleGap {
-    /// So few interface cycles after it that control goes on: one, unless some were missed.
+    /// Short gap, over which control goes on: one interface cycle, unless some were missed.
     Tolerated {
-        /// How many cycles came without a sample.
+        /// Number of cycles without a sample.
         missed: u64,
     },
-    /// So late that nothing that was estimated holds any more.
+    /// Long gap, after which the estimates are no longer valid.
     Lost {
-        /// How many cycles came without a sample.
+        /// Number of cycles without a sample.
         missed: u64,
     },
 }
 
 impl SampleGap {
-    /// How many cycles came without a sample.
+    /// Number of cycles without a sample.
     #[must_use]
     pub fn missed(self) -> u64 {
         match self {
@@ -42,10 +42,10 @@ impl SampleGap {
     }
 }
 
-/// How much faster than its limit a joint would have to be for a measured position to be a slip of the encoder.
+/// Factor of a joint's speed limit above which a step of the measured position is a slip of the encoder.
 const SLIP: f64 = 2.0;
 
-/// What an encoder may be off by beside, rad (m).
+/// Step of the measured position that is tolerated in addition, rad (m).
 const SLIP_RAD: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug)]
@@ -56,7 +56,7 @@ struct Bounds {
 }
 
 impl Supervisor {
-    /// For the limits in the URDF, widened by the margin, and a robot that is read every `period_s`.
+    /// A supervisor for the limits in the URDF, widened by the margin, and a robot that is read every `period_s` (s).
     #[must_use]
     pub fn new(model: &Model, safety: &SafetyParameters, period_s: f64) -> Self {
         let margin = safety.limit_margin_rad.get();
@@ -76,7 +76,7 @@ impl Supervisor {
         }
     }
 
-    /// Tells from the robot's clock how many cycles went by without a sample. Less than half a period is jitter.
+    /// Computes from the robot's clock how many cycles went by without a sample. Less than half a period is jitter.
     ///
     /// # Errors
     /// A clock that didn't move on.
@@ -94,7 +94,7 @@ impl Supervisor {
         Ok(if bridged { SampleGap::Tolerated { missed } } else { SampleGap::Lost { missed } })
     }
 
-    /// Whether the robot was silent for longer than is borne.
+    /// Checks that the robot was not silent for longer than `longest_dropout_s`.
     ///
     /// # Errors
     /// If it was.

@@ -54,7 +54,7 @@ impl TargetSender {
         Ok(self.push())
     }
 
-    /// Whether the receiving end is gone: the run is over.
+    /// Returns true if the receiving end is gone: the run is over.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.ring.is_abandoned()

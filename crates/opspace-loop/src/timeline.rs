@@ -3,8 +3,8 @@
 use thiserror::Error;
 
 /// Orders the interface cycles of several robots by time. The clock counts whole ticks of the least common multiple of
-/// their rates, so that no rounding decides which cycle comes first; of two cycles at one time that of the robot with the
-/// lower number does.
+/// their rates, so that no rounding decides which cycle comes first; of two cycles at one time that of the robot with
+/// the lower number does.
 #[derive(Clone, Debug)]
 pub struct Timeline {
     ticks_per_s: u64,
@@ -39,7 +39,7 @@ pub enum TimelineError {
 }
 
 impl Timeline {
-    /// For robots with these interface rates, Hz; all have their first cycle at tick 0.
+    /// A timeline for robots with these interface rates, Hz; all have their first cycle at tick 0.
     ///
     /// # Errors
     /// Rates that have no common clock.

@@ -1,7 +1,8 @@
-//! Whether a position robot's motors do what its set-points were made for.
+//! Watchdogs of the torque and power of a position robot's motors, against the torques for which its setpoints were
+//! made.
 //!
-//! A servo with other gains than those believed, or a set-point in another unit, gives other torques than those asked
-//! for, and may push its joint along. Two watches on each joint, as means that forget within [`MEMORY_S`]:
+//! A servo with other gains than the nominal ones, or a setpoint in another unit, gives other torques than desired, and
+//! may push its joint along. Two quantities are watched for each joint, as means with the time constant [`MEMORY_S`]:
 //!
 //! ```text
 //! |τ_motor − τ_desired|        and        (τ_motor − τ_desired) q̇
@@ -13,8 +14,8 @@ use opspace_backend::quantity::Positive;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What is older has faded from the means: short beside what an arm needs to get away, long beside the ripple of torque
-/// within an interface period, s.
+/// Time constant of the means, s: short compared with the time that an arm needs to get away, long compared with the
+/// period of torque ripple within an interface cycle.
 pub const MEMORY_S: f64 = 0.05;
 
 /// Bounds of the watchdogs. A bound of many times the limit is none.
@@ -36,18 +37,18 @@ impl Default for WatchdogParameters {
     }
 }
 
-/// Twice what the paper's transformer leaves on any task of this project.
+/// Default bound on the deviation: twice what the paper's transformer leaves on any task of this project.
 const fn default_deviation() -> Positive {
     Positive::literal(0.6)
 }
 
-/// Ten times what a servo that is what it is believed to be, or whose error the current corrects, puts in; one whose kp is
-/// 30 % higher puts in as much within 0.1 to 0.3 s.
+/// Default bound on the power: ten times that of a servo with its nominal parameters, or with an error that the
+/// measured current corrects; a servo whose kp is 30 % higher reaches it within 0.1 to 0.3 s.
 const fn default_power() -> Positive {
     Positive::literal(0.05)
 }
 
-/// Watches every tick; allocates nothing.
+/// Watchdog of motor torque and power, updated every cycle; allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Watchdog {
     gain: f64,
@@ -58,7 +59,8 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// For joints with these limits of torque (n; Nm, N) and speed (n; rad/s, m/s), watched every `period_s`.
+    /// A watchdog for joints with these limits of torque (n; Nm, N) and speed (n; rad/s, m/s), updated every `period_s`
+    /// (s).
     #[must_use]
     pub fn new(
         parameters: &WatchdogParameters,
@@ -78,14 +80,14 @@ impl Watchdog {
         }
     }
 
-    /// Forgets all.
+    /// Clears the means.
     pub fn reset(&mut self) {
         self.deviation.fill(0.0);
         self.power.fill(0.0);
     }
 
-    /// Takes in what the motors gave since the last tick and what they were to give (n each; Nm, N), with the joints'
-    /// speeds (n; rad/s, m/s).
+    /// Updates the means with the torques of the motors since the last cycle and the desired ones (n each; Nm, N), and
+    /// with the velocities of the joints (n; rad/s, m/s).
     ///
     /// # Errors
     /// The first joint beyond a bound.

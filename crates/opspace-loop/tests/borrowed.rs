@@ -9,8 +9,8 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 
-/// A vendor's handle, borrowed: the setpoints of all cycles. The counter is shared within the thread, so that the backend
-/// is not `Send`.
+/// A vendor's handle, borrowed: the setpoints of all cycles. The counter is shared within the thread, so that the
+/// backend is not `Send`.
 struct Borrowing<'a> {
     capabilities: Capabilities,
     handle: &'a mut Vec<f64>,

@@ -36,8 +36,8 @@ fn driven(kind: CommandKind, start_s: f64, faults: bool) -> Record {
     drive_robot(config(capabilities, controller), 0.5, &AtomicBool::new(false), robot)
 }
 
-/// Compared: rows, commands and outcome with clocks that start at 1000 s, 5 s before zero and one period before zero, and
-/// those with a clock that starts at zero, bit for bit; and the time stamps, less the start.
+/// Compared: rows, commands and outcome with clocks that start at 1000 s, 5 s before zero and one period before zero,
+/// and those with a clock that starts at zero, bit for bit; and the time stamps, less the start.
 #[test]
 fn start_of_the_clock_changes_nothing_but_time_stamps() {
     for kind in KINDS {

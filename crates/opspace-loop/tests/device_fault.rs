@@ -45,8 +45,8 @@ fn check(record: &Record, before: u64, phase: Phase, time_s: f64) {
     assert_eq!(record.phases()[row], phase.code());
 }
 
-/// Compared: outcome and rows of a run in which one cycle can't be read, and the device's code and words, and the 0.2 s of
-/// rows that follow.
+/// Compared: outcome and rows of a run in which one cycle can't be read, and the device's code and words, and the 0.2 s
+/// of rows that follow.
 #[test]
 fn fault_at_read_stops_the_robot() {
     for kind in KINDS {

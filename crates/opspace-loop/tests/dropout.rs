@@ -48,8 +48,8 @@ fn setpoints(record: &Record, kind: CommandKind, row: u64) -> &[f64] {
     }
 }
 
-/// Compared: the velocity that the controller sees of a joint that moves steadily, and that speed; the run's cycles with
-/// those missed, and the planned duration.
+/// Compared: the velocity that the controller sees of a joint that moves steadily, and that speed; the run's cycles
+/// with those missed, and the planned duration.
 #[test]
 fn few_missed_cycles_are_tolerated() {
     const SPEED: f64 = 1.3;
@@ -79,8 +79,8 @@ fn few_missed_cycles_are_tolerated() {
     }
 }
 
-/// Compared: the commands after a dropout of 0.1 s, and first holds, then the weight plus a ramp; the setpoints while it is
-/// held, and the last ones before (zero of a velocity robot); and the phases of the cycles.
+/// Compared: the commands after a dropout of 0.1 s, and first holds, then the weight plus a ramp; the setpoints while
+/// it is held, and the last ones before (zero of a velocity robot); and the phases of the cycles.
 #[test]
 fn robot_is_held_after_a_dropout_and_torques_ramp_in_again() {
     const EXTRA: f64 = 6.0;
@@ -137,7 +137,8 @@ fn moving_robot_is_held_until_it_is_at_rest() {
     }
 }
 
-/// Compared: the last command, and the first, which was made for the weight alone: the setpoint that carries it at rest.
+/// Compared: the last command, and the first, which was made for the weight alone: the setpoint that balances it at
+/// rest.
 #[test]
 fn robot_that_is_silent_for_too_long_is_stopped() {
     for kind in KINDS {
@@ -170,8 +171,8 @@ fn unknown_state_after_a_dropout_moves_no_setpoint() {
     }
 }
 
-/// Compared: the last command after an encoder's jump by a radian, and the first: the robot is held at the position before
-/// the jump.
+/// Compared: the last command after an encoder's jump by a radian, and the first: the robot is held at the position
+/// before the jump.
 #[test]
 fn position_jump_stops_the_robot_where_it_was_before() {
     for kind in KINDS {

@@ -71,8 +71,8 @@ impl Sink for All {
     }
 }
 
-/// Compared: the desired torques in the row of the drives, and those in the row of the cycle before, in which the command
-/// was written; NaN at rest, while held and after the stop.
+/// Compared: the desired torques in the row of the drives, and those in the row of the cycle before, in which the
+/// command was written; NaN at rest, while held and after the stop.
 #[test]
 fn rows_of_the_drives_have_the_torques_of_their_command() {
     for kind in common::KINDS {

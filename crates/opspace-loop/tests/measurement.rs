@@ -54,7 +54,8 @@ fn claims_to_move(cycle: u64, sample: &mut Sample) {
     sample.dq.as_mut().expect("measured").copy_from_slice(&MEASURED);
 }
 
-/// Runs a torque controller on a robot that measures velocities, and checks that it sees `expected` (rad/s) in each cycle.
+/// Runs a torque controller on a robot that measures velocities, and checks that it sees `expected` (rad/s) in each
+/// cycle.
 fn check_velocity(kind: CommandKind, transformer: Option<Box<dyn Transformer>>, expected: [f64; 2]) {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let log = Arc::clone(&seen);

@@ -77,7 +77,7 @@ impl Sink for Counter {
     }
 }
 
-/// A controller that carries the weight, until it panics.
+/// A controller that balances the weight, until it panics.
 fn panicking_controller() -> impl Controller {
     Commanded::torques(|data, measurement, tau| {
         let cycle = (measurement.time_s / PERIOD_S).round() as u64 + REST;
@@ -86,8 +86,8 @@ fn panicking_controller() -> impl Controller {
     })
 }
 
-/// Compared: outcome, calls and rows of a run in which a part panics in one cycle, and a fault, a stop in that cycle and no
-/// cycle after it.
+/// Compared: outcome, calls and rows of a run in which a part panics in one cycle, and a fault, a stop in that cycle
+/// and no cycle after it.
 #[test]
 fn panic_of_any_part_stops_the_robot() {
     silence();

@@ -20,7 +20,8 @@ const SETPOINT: f64 = 1e-6;
 /// Speed limit of the joints, rad/s.
 const SPEED: f64 = 5.0;
 
-/// Distance from the measured position at which a servo gives full torque at full speed, rad: (τ_max / kv + v_max) / kp.
+/// Distance from the measured position at which a servo gives full torque at full speed, rad:
+/// (τ_max / kv + v_max) / kp.
 fn reach(joint: usize) -> f64 {
     (LIMITS[joint] / KV[joint] + SPEED) / KP[joint]
 }
@@ -48,8 +49,8 @@ fn joint_far_from_its_setpoint_faults() {
     }
 }
 
-/// Compared: the setpoints of a transformer for servos a hundred times softer than they are, and the reach by hand around
-/// the measured position.
+/// Compared: the setpoints of a transformer for servos a hundred times softer than they are, and the reach by hand
+/// around the measured position.
 #[test]
 fn setpoints_are_clamped_around_the_measured_position() {
     let controller = Commanded::torques(|_, _, tau| tau.copy_from_slice(&[1e6, -1e6]));

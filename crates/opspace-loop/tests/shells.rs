@@ -18,7 +18,7 @@ fn driven(case: &Case, kind: CommandKind) -> Record {
     drive_robot(parts(kind), DURATION_S, &stop_request, robot)
 }
 
-/// The same run without a backend.
+/// Runs the case without a backend, fed by hand.
 fn fed_by_hand(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Record {
     let stop_request = AtomicBool::new(false);
     let control = ControlLoop::new(parts(kind)).expect("parts that fit");
@@ -56,8 +56,8 @@ fn without_stops(record: Record) -> Record {
     Record { told, told_in, ..record }
 }
 
-/// Compared: rows, time stamps, commands and outcome of a run that is driven, and of one that is fed with the same samples
-/// by hand, bit for bit.
+/// Compared: rows, time stamps, commands and outcome of a run that is driven, and of one that is fed with the same
+/// samples by hand, bit for bit.
 #[test]
 fn run_fed_by_hand_equals_the_driven_run() {
     for kind in KINDS {

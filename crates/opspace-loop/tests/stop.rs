@@ -16,7 +16,7 @@ const SETPOINT: f64 = 1e-6;
 /// A bound for sums of times, s.
 const ROUNDING: f64 = 1e-9;
 
-/// Checks the one command of a robot that is stopped at rest at [`START`]: it carries the weight.
+/// Checks the one command of a robot that is stopped at rest at [`START`]: it balances the weight.
 fn check_holding(kind: CommandKind, commands: &[Told]) {
     let expected = match kind {
         CommandKind::Torque => return assert_eq!(commands, []),
@@ -46,7 +46,8 @@ fn stop_request_before_control_is_a_safe_stop() {
     }
 }
 
-/// Compared: the cycle in which a stop is requested, and those of the row that says so, the last command, and the outcome.
+/// Compared: the cycle in which a stop is requested, and those of the row that says so, the last command, and the
+/// outcome.
 #[test]
 fn stop_request_acts_in_its_cycle() {
     const AT: u64 = 50;
@@ -82,7 +83,7 @@ fn planned_end_replaces_the_last_command_and_has_no_aftermath() {
     }
 }
 
-/// Compared: the setpoint at the stop of a robot that carries its own weight, and its position.
+/// Compared: the setpoint at the stop of a robot that compensates gravity itself, and its position.
 #[test]
 fn position_robot_that_compensates_its_gravity_stops_at_its_position() {
     let capabilities =

@@ -1,7 +1,7 @@
 //! Faults of measurements and commands, on a robot of each kind.
 //!
-//! Compared throughout: the commands that the scripted robot receives, cycle by cycle, and the rules of a safe stop; the
-//! robot never moves by itself.
+//! Compared throughout: the commands that the scripted robot receives, cycle by cycle, and the rules of a safe stop;
+//! the robot never moves by itself.
 
 mod common;
 
@@ -29,7 +29,8 @@ fn assert_fault(script: impl Fn(u64, &mut Sample) + Copy, expected: &Fault) {
     }
 }
 
-/// After a fault: one command for each cycle before it, one last setpoint, and nothing after it; the fault in every row.
+/// After a fault: one command for each cycle before it, one last setpoint, and nothing after it; the fault in every
+/// row.
 fn check_stop(kind: CommandKind, record: &Record) {
     let faulted = record.check_fault_rows(Phase::Control);
     let before = faulted - REST as usize;

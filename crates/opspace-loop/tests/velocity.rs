@@ -98,8 +98,8 @@ fn rate_of_velocity_setpoints_is_an_acceleration() {
     }
 }
 
-/// Compared: the last command of a run, at rest and at a velocity within reach, and the weight by hand over kv: the servo's
-/// damping brakes. A joint that is faster gets the torque limit over kv below its velocity.
+/// Compared: the last command of a run, at rest and at a velocity within reach, and the weight by hand over kv: the
+/// servo's damping brakes. A joint that is faster gets the torque limit over kv below its velocity.
 #[test]
 fn stop_brakes_and_carries_the_weight() {
     let weight = gravity_at(&START);
@@ -115,8 +115,8 @@ fn stop_brakes_and_carries_the_weight() {
     }
 }
 
-/// Compared: the commands after a dropout, and holds while the robot is tested for standstill; rows of setpoints that are
-/// zero; then the commands from the weight on, as at the start.
+/// Compared: the commands after a dropout, and holds while the robot is tested for standstill; rows of setpoints that
+/// are zero; then the commands from the weight on, as at the start.
 #[test]
 fn robot_is_held_after_a_dropout() {
     const BEFORE: usize = (60 - REST) as usize;

@@ -75,8 +75,8 @@ fn excess_motor_power_stops_the_robot() {
     }
 }
 
-/// Compared: the outcome for a deviation that stops a position robot, and a completed run: a torque robot's drives control
-/// their torques themselves.
+/// Compared: the outcome for a deviation that stops a position robot, and a completed run: a torque robot's drives
+/// control their torques themselves.
 #[test]
 fn torque_robot_has_no_watchdog() {
     assert_eq!(watched(CommandKind::Torque, 14.0, 0.0).outcome, RunOutcome::Completed);

@@ -26,8 +26,8 @@ use crate::rnea::bias;
 use crate::spatial::{Force, Motion, SpatialInertia, apply, apply_transposed, skew};
 use nalgebra::{DVector, Matrix3, Vector3};
 
-/// q̈ = M⁻¹ (τ − C q̇ − g) under the joint torques `tau` (n; Nm), into [`Data::ddq`] (rad/s²). Needs
-/// [`kinematics`](crate::kinematics()). Where a joint moves nothing that has inertia, no number comes of it.
+/// Computes q̈ = M⁻¹ (τ − C q̇ − g) under the joint torques `tau` (n; Nm), into [`Data::ddq`] (rad/s²). Needs
+/// [`kinematics`](crate::kinematics()). Not finite if a joint moves nothing that has inertia.
 ///
 /// A folded model is no tree: there the mass matrix, its factor and the bias are computed and left in `data`.
 ///
@@ -74,8 +74,8 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     }
 }
 
-/// q̈ = M⁻¹ (τ − C q̇ − g + Σ Jᵀ f): [`aba`] with wrenches f acting on the robot at frames (N, Nm; world axes, at
-/// each frame's origin). Leaves τ + Σ Jᵀ f in [`Data::torque`].
+/// Computes q̈ = M⁻¹ (τ − C q̇ − g + Σ Jᵀ f): [`aba`] with wrenches f acting on the robot at frames (N, Nm; world axes,
+/// at each frame's origin). Leaves τ + Σ Jᵀ f in [`Data::torque`].
 ///
 /// # Panics
 /// As [`aba`].
@@ -95,7 +95,7 @@ pub fn aba_external<T: Real>(
     data.torque = torque;
 }
 
-/// Forward dynamics of joints that move together, which are no tree: by the mass matrix, factored.
+/// Forward dynamics of a folded model, which is no tree: by the mass matrix, factored.
 fn solve_mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     crba(model, data);
     bias(model, data);
@@ -109,7 +109,7 @@ fn solve_mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     data.mass_matrix_factor.solve(data.ddq.as_mut_slice());
 }
 
-/// v × S q̇: what the joint's own speed adds to its body's acceleration.
+/// Velocity product v × S q̇: the part of its body's acceleration due to the joint's own speed.
 #[inline(always)]
 fn velocity_product<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
     screw_rate(data, i) * data.dq[i]
@@ -131,7 +131,7 @@ impl<T: Real> ArticulatedInertia<T> {
         }
     }
 
-    /// Adds I − U Uᵀ/D of another: what is left to carry once its joint gives way.
+    /// Adds I − U Uᵀ/D of another: its inertia as seen through its free joint.
     #[inline(always)]
     fn add_without(&mut self, other: &Self, u: &Force<T>, inverse_inertia: T) {
         let scaled = *u * inverse_inertia;

@@ -1,4 +1,4 @@
-//! Many states at once: one in each lane of a SIMD register.
+//! Evaluation of many states at once: one in each lane of a SIMD register.
 //!
 //! The algorithms are the same, to the line: [`Model::splat`](crate::Model::splat) makes a model whose numbers are
 //! [`Lanes`], and everything computed with it is computed for [`COUNT`] states side by side. For sweeps over states:
@@ -25,7 +25,7 @@ use nalgebra::SimdValue;
 /// [`COUNT`] numbers side by side.
 pub type Lanes = simba::simd::WideF64x4;
 
-/// How many states are evaluated at once.
+/// Number of states evaluated at once.
 pub const COUNT: usize = 4;
 
 /// Puts the entries of [`COUNT`] vectors side by side.
@@ -38,7 +38,7 @@ pub fn gather(vectors: &[&[f64]; COUNT], out: &mut [Lanes]) {
     }
 }
 
-/// One of the vectors that stand side by side.
+/// Copies one of the vectors that stand side by side to `out`.
 ///
 /// # Panics
 /// If `lane` isn't below [`COUNT`], or `out` is longer than `vectors`.

@@ -1,4 +1,4 @@
-//! The momentum of the whole robot about its centre of mass.
+//! Momentum of the whole robot about its centre of mass.
 //!
 //! Orin, Goswami and Lee, *Centroidal dynamics of a humanoid robot*, Autonomous Robots 35, 2013; in Pinocchio
 //! `ccrba` and `computeCentroidalMomentum`. World axes, linear part first. Rotors don't count.
@@ -26,7 +26,7 @@ use crate::real::Real;
 use crate::spatial::Force;
 use nalgebra::Vector3;
 
-/// A(q) with A q̇ = [`centroidal_momentum`], into [`Data::centroidal_map`] (6 × n; kg m, kg m²). Needs
+/// Computes A(q) with A q̇ = [`centroidal_momentum`], into [`Data::centroidal_map`] (6 × n; kg m, kg m²). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composites(model, data);

@@ -1,11 +1,11 @@
-//! The mass matrix factored, and what follows without its inverse.
+//! Factorization of the mass matrix, and products with its inverse.
 //!
 //! `M = U D Uᵀ` with U upper triangular and ones on its diagonal, from the tips to the base: then U has zeros wherever
-//! neither of two joints carries the other, as M has (RBDA §6.5; there `M = Lᵀ D L` with L = Uᵀ). In Pinocchio
-//! `cholesky::decompose`, `cholesky::solve` and `computeMinverse`.
+//! neither of two joints is an ancestor of the other, as M has (RBDA §6.5; there `M = Lᵀ D L` with L = Uᵀ). In
+//! Pinocchio `cholesky::decompose`, `cholesky::solve` and `computeMinverse`.
 //!
-//! A joint's carriers are numbered in a few unbroken rows: one in a chain, one more at each branching. All loops
-//! run over such rows, so that a tree costs only what isn't zero and a chain costs no more for it.
+//! The ancestors of a joint are numbered in a few contiguous ranges: one in a chain, one more at each branching. All
+//! loops run over such ranges, so that a tree costs only its non-zero entries and a chain costs no more for it.
 //!
 //! ```
 //! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
@@ -30,20 +30,20 @@ use std::ops::Range;
 /// U and D of M = U D Uᵀ. The identity until [updated](Self::update).
 #[derive(Clone, Debug)]
 pub struct MassMatrixFactor<T = f64> {
-    /// Column k holds rows 0 to k − 1 of U; zero where M is. What is on and below the diagonal isn't read.
+    /// Column k holds rows 0 to k − 1 of U; zero where M is. Entries on and below the diagonal aren't read.
     upper: DMatrix<T>,
-    /// 1/D.
+    /// Reciprocals of D.
     reciprocal: Vec<T>,
-    /// The rows of U⁻¹, one a column. Scratch.
+    /// Rows of U⁻¹, one per column. Intermediate values.
     inverse_rows: DMatrix<T>,
-    /// For each joint the first that is numbered behind all that it carries.
+    /// Per joint: first joint that is numbered behind all its descendants.
     ends: Vec<usize>,
-    /// For each joint the first of the unbroken row of its carriers that ends with it, and the joint that carries
-    /// that first one.
+    /// Per joint: first joint of the contiguous range of ancestors that ends with it, and the parent of that first
+    /// joint.
     rows: Vec<(usize, Option<usize>)>,
 }
 
-/// A joint and all that carry it, as unbroken rows from it inwards.
+/// Joint `last` and its ancestors as contiguous ranges, from it towards the base.
 #[inline]
 fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterator<Item = Range<usize>> + '_ {
     let mut last = last;
@@ -55,7 +55,7 @@ fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterat
     })
 }
 
-/// The joint that carries joint `k`.
+/// Parent of joint `k`.
 #[inline]
 fn carrier(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
     let (first, carrier) = rows[k];
@@ -63,13 +63,13 @@ fn carrier(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
 }
 
 impl<T: Real> MassMatrixFactor<T> {
-    /// Of the identity, with the sparsity of a robot's mass matrix.
+    /// Factor of the identity, with the sparsity of a robot's mass matrix.
     #[must_use]
     pub fn new(model: &Model<T>) -> Self {
         let n = model.n();
         let mut rows: Vec<(usize, Option<usize>)> = Vec::with_capacity(n);
         for joint in 0..n {
-            // Folded joints may couple any two: as if each carried the next.
+            // Folded joints may couple any two: as if each were the parent of the next.
             let above = if model.is_folded() { joint.checked_sub(1) } else { model.bodies[joint].parent };
             rows.push(match above {
                 Some(c) if c + 1 == joint => rows[c],
@@ -88,11 +88,11 @@ impl<T: Real> MassMatrixFactor<T> {
 
     /// Factors a mass matrix of the model's pattern (n × n, kg m²).
     ///
-    /// Returns `false`, with the factor half done, if a pivot isn't positive (in lanes: any of them): it isn't positive
-    /// definite.
+    /// Returns `false`, with the factor incomplete, if a pivot isn't positive (in lanes: any of them): the matrix isn't
+    /// positive definite.
     ///
     /// # Panics
-    /// If it isn't n × n.
+    /// If the matrix isn't n × n.
     #[must_use]
     pub fn update(&mut self, mass_matrix: &DMatrix<T>) -> bool {
         let n = self.reciprocal.len();
@@ -123,13 +123,13 @@ impl<T: Real> MassMatrixFactor<T> {
         true
     }
 
-    /// As the factor of the identity.
+    /// Resets to the factor of the identity.
     pub fn set_identity(&mut self) {
         self.upper.fill_with_identity();
         self.reciprocal.fill(T::one());
     }
 
-    /// x of M x = b, in place of b.
+    /// Solves M x = b, in place of b.
     ///
     /// # Panics
     /// If `x` is shorter than n.
@@ -150,7 +150,7 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
-    /// M⁻¹ X in place of X (n × n): all columns at once, row by row.
+    /// Computes M⁻¹ X in place of X (n × n): all columns at once, row by row.
     ///
     /// # Panics
     /// If `x` isn't n × n.
@@ -181,8 +181,8 @@ impl<T: Real> MassMatrixFactor<T> {
         x.transpose_mut();
     }
 
-    /// J M⁻¹ Jᵀ (6 × 6): how a force at a task moves it. Leaves J U⁻ᵀ D⁻¹ in place of J (6 × n), for
-    /// [`finish_solve`](Self::finish_solve).
+    /// Returns J M⁻¹ Jᵀ (6 × 6), the task acceleration per unit of task force. Leaves J U⁻ᵀ D⁻¹ in place of J (6 × n),
+    /// for [`finish_solve`](Self::finish_solve).
     ///
     /// # Panics
     /// If `jacobian` doesn't have n columns.
@@ -193,7 +193,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let (columns, _) = jacobian.as_mut_slice().as_chunks_mut::<6>();
         for k in (0..n).rev() {
             let y = columns[k];
-            // Joints that don't carry the frame stay out of it.
+            // Joints that don't move the frame stay out of it.
             if y == [T::zero(); 6] {
                 continue;
             }
@@ -208,10 +208,10 @@ impl<T: Real> MassMatrixFactor<T> {
         Matrix6::from_fn(|r, c| mobility[c][r])
     }
 
-    /// J M⁻¹ in place of what [`mobility`](Self::mobility) has left (6 × n).
+    /// Computes J M⁻¹ in place of the result of [`mobility`](Self::mobility) (6 × n).
     ///
     /// # Panics
-    /// If it doesn't have n columns.
+    /// If `half` doesn't have n columns.
     pub fn finish_solve(&self, half: &mut Matrix6xX<T>) {
         let n = self.reciprocal.len();
         assert_eq!(half.ncols(), n, "one Jacobian column a joint");
@@ -226,8 +226,8 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
-    /// M⁻¹ (n × n) = Σ_k w_k w_kᵀ / D_k with w_k the k-th row of U⁻¹. It isn't zero where joint k carries the joint,
-    /// and these are numbered in one row.
+    /// Computes M⁻¹ (n × n) = Σ_k w_k w_kᵀ / D_k with w_k the k-th row of U⁻¹. Its non-zero entries are those of joint
+    /// k and its descendants, which are numbered contiguously.
     ///
     /// # Panics
     /// If `out` isn't n × n.
@@ -258,13 +258,13 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
-    /// The joint that carries joint `k`.
+    /// Parent of joint `k`.
     #[inline]
     fn carrier(&self, k: usize) -> Option<usize> {
         carrier(&self.rows, k)
     }
 
-    /// What of column k of U is above the diagonal.
+    /// Column k of U above the diagonal.
     #[inline]
     fn column(&self, k: usize) -> &[T] {
         &self.upper.as_slice()[k * self.reciprocal.len()..][..k]
@@ -287,8 +287,8 @@ pub fn cholesky<T: Real>(data: &mut Data<T>) -> bool {
     data.mass_matrix_factor.update(&data.mass_matrix)
 }
 
-/// M⁻¹ into [`Data::mass_matrix_inverse`]. Needs [`cholesky`]. What is wanted is seldom the inverse:
-/// [`MassMatrixFactor::solve`] gives M⁻¹ x for less.
+/// Computes M⁻¹ into [`Data::mass_matrix_inverse`]. Needs [`cholesky`]. The inverse itself is seldom needed:
+/// [`MassMatrixFactor::solve`] gives M⁻¹ x at less cost.
 pub fn mass_matrix_inverse<T: Real>(data: &mut Data<T>) {
     data.mass_matrix_factor.inverse(&mut data.mass_matrix_inverse);
 }

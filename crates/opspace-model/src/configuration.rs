@@ -1,4 +1,4 @@
-//! Where q lives: sums and differences on the robot's configuration space.
+//! Configuration space of the robot: sums and differences on it.
 //!
 //! Without a floating base q is n numbers and these are plain sums. With one, q begins with its position and unit
 //! quaternion, q̇ with its velocity in its own axes, and steps go along the screw motions of SE(3). In Pinocchio
@@ -19,7 +19,7 @@ use crate::model::Model;
 use crate::spatial::skew;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
-/// The configuration of all zeros, a floating base not turned (nq). Allocates.
+/// Configuration of all zeros, a floating base not turned (nq). Allocates.
 #[must_use]
 pub fn neutral(model: &Model) -> Vec<f64> {
     let mut q = vec![0.0; model.nq()];
@@ -29,7 +29,7 @@ pub fn neutral(model: &Model) -> Vec<f64> {
     q
 }
 
-/// q ⊕ v: where the robot is after moving at the constant velocity `v` (n) for 1 s from `q` (nq), into `out` (nq).
+/// Configuration q ⊕ v that the robot reaches at the constant velocity `v` (n) in 1 s from `q` (nq), into `out` (nq).
 ///
 /// # Panics
 /// If a slice is shorter than that.
@@ -50,8 +50,8 @@ pub fn integrate(model: &Model, q: &[f64], v: &[f64], out: &mut [f64]) {
     }
 }
 
-/// v with `from` ⊕ v = `to` (nq each), into `out` (n): the constant velocity that leads from one to the other in
-/// 1 s, a floating base turning by π at most.
+/// Velocity v with `from` ⊕ v = `to` (nq each), into `out` (n): the constant velocity that moves the robot from one
+/// to the other in 1 s, a floating base turning by π at most.
 ///
 /// # Panics
 /// If a slice is shorter than that.
@@ -77,7 +77,7 @@ fn pose(q: &[f64]) -> (Vector3<f64>, UnitQuaternion<f64>) {
     )
 }
 
-/// ∫₀¹ exp(s ω×) ds: what a body that turns by ω while it moves makes of its velocity.
+/// Left Jacobian ∫₀¹ exp(s ω×) ds: the mean rotation of a body that turns by ω, which maps its velocity to its path.
 fn left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     let angle = angular.norm();
     let w = skew(angular);
@@ -92,7 +92,7 @@ fn left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + w * a + w * w * b
 }
 
-/// The inverse of [`left_jacobian`], for angles up to π.
+/// Inverse of [`left_jacobian`], for angles up to π.
 fn inverse_left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     let angle = angular.norm();
     let w = skew(angular);
@@ -105,6 +105,6 @@ fn inverse_left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - w * 0.5 + w * w * b
 }
 
-/// Below it the next term of each series is lost in rounding; above it the quotients' own rounding is, where they
-/// are multiplied with the angle's square, rad.
+/// Angle below which the next term of each series is lost in rounding, rad; above it the quotients' own rounding is,
+/// where they are multiplied with the angle's square.
 const SMALL_ANGLE: f64 = 1e-2;

@@ -1,4 +1,4 @@
-//! The Coriolis matrix of Christoffel's symbols.
+//! Coriolis matrix of Christoffel's symbols.
 //!
 //! Echeandia and Wensing, *Numerical methods to compute the Coriolis matrix and Christoffel symbols for
 //! rigid-body systems*, J. Computational and Nonlinear Dynamics 16(9), 2021; in Pinocchio
@@ -28,13 +28,13 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion, SpatialInertia, skew};
 use nalgebra::{Matrix3, Vector3};
 
-/// Every velocity term of a body, or of several: `B = ½ (v ×* I − I v × + (I v) ×̄*)`, where `f ×̄* m` is
-/// `m ×* f`. In the blocks of a 6×6, only two are not zero: `[0, −l ×; 0, D]`. They add like inertias.
+/// Velocity terms of a body, or of several: `B = ½ (v ×* I − I v × + (I v) ×̄*)`, where `f ×̄* m` is
+/// `m ×* f`. In the blocks of a 6×6, only two are not zero: `[0, −l ×; 0, D]`. They are summed like inertias.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoriolisFactor<T> {
     /// l: linear momentum.
     linear: Vector3<T>,
-    /// D: what the angular velocity is mapped to.
+    /// D: map of the angular velocity.
     angular: Matrix3<T>,
 }
 
@@ -43,8 +43,8 @@ impl<T: Real> CoriolisFactor<T> {
         Self { linear: Vector3::zeros(), angular: Matrix3::zeros() }
     }
 
-    /// Of a body that moves at `v`: `2 D = ω× I − I ω× − k× − (u× h× + h× u×)` with k its angular momentum and u its
-    /// linear velocity.
+    /// Returns the factor of a body that moves at `v`: `2 D = ω× I − I ω× − k× − (u× h× + h× u×)` with k its angular
+    /// momentum and u its linear velocity.
     fn new(inertia: &SpatialInertia<T>, v: &Motion<T>) -> Self {
         let momentum = inertia.apply(v);
         let (w, h, u) = (skew(&v.angular), skew(&inertia.first_moment), skew(&v.linear));
@@ -72,9 +72,9 @@ impl<T: Real> CoriolisFactor<T> {
     }
 }
 
-/// C(q, q̇) into [`Data::coriolis_matrix`] (n × n, Nms/rad). Needs [`kinematics`](crate::kinematics()).
+/// Computes C(q, q̇) into [`Data::coriolis_matrix`] (n × n, Nms/rad). Needs [`kinematics`](crate::kinematics()).
 ///
-/// Entry (i, j) is not zero only where one of the two joints carries the other.
+/// Entry (i, j) is not zero only where one of the two joints is an ancestor of the other.
 pub fn coriolis<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composite_factors(model, data);
     data.coriolis_matrix.as_mut_slice().fill(T::zero());
@@ -93,7 +93,7 @@ pub fn coriolis<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// Inertia and velocity terms of every body with all that it carries.
+/// Computes inertia and velocity terms of every body with its descendants.
 pub(crate) fn composite_factors<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     bodies(model, data);
     for (factor, (inertia, v)) in

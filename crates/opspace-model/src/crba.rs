@@ -1,9 +1,9 @@
-//! The mass matrix, by the composite-rigid-body algorithm.
+//! Mass matrix, by the composite-rigid-body algorithm.
 //!
 //! RBDA table 6.2; in Pinocchio `crba`.
 //!
 //! ```text
-//! I_i = sum of the inertias over the subtree of i          M_ij = S_jᵀ I_i S_i  where j carries i
+//! I_i = sum of the inertias over the subtree of i          M_ij = S_jᵀ I_i S_i  where j is an ancestor of i
 //! ```
 //!
 //! ```
@@ -22,7 +22,7 @@ use crate::data::Data;
 use crate::model::Model;
 use crate::real::Real;
 
-/// M(q) with the rotors' inertias on its diagonal, into [`Data::mass_matrix`] (n × n, full, kg m²). Needs
+/// Computes M(q) with the rotors' inertias on its diagonal, into [`Data::mass_matrix`] (n × n, full, kg m²). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 ///
 /// Column i is the torque of every joint while joint i alone accelerates at 1 rad/s²: it moves only its
@@ -32,7 +32,7 @@ pub fn crba<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     mass_matrix(model, data);
 }
 
-/// M of the composites.
+/// Computes M from the composite inertias.
 #[inline]
 pub(crate) fn mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let mass_matrix = &mut data.mass_matrix;
@@ -52,13 +52,13 @@ pub(crate) fn mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// The inertia of every body with all that it carries.
+/// Computes the composite inertia of every body: its own and those of its descendants.
 pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     bodies(model, data);
     compose(model, data);
 }
 
-/// Adds to the inertia of every body those of all that it carries.
+/// Adds to the inertia of every body those of its descendants.
 #[inline]
 pub(crate) fn compose<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (i, body) in model.bodies.iter().enumerate().rev() {
@@ -69,7 +69,7 @@ pub(crate) fn compose<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// The inertia of every body on its own.
+/// Computes the inertia of every body on its own.
 #[inline]
 pub(crate) fn bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (inertia, (body, place)) in data.composite.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {

@@ -1,4 +1,4 @@
-//! What the algorithms compute: allocated once, written every tick.
+//! Results of the algorithms: allocated once, written every control cycle.
 //!
 //! ```
 //! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
@@ -19,24 +19,24 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion, Placement, SpatialInertia};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
 
-/// Scratch and results of the algorithms for one model: n is the number of its joints. Each field names the
-/// function that fills it.
+/// Results and intermediate values of the algorithms for one model: n is the number of its joints. Each field names
+/// the function that fills it.
 ///
-/// What belongs to a body (`placement`, `screw`, `velocity`, ...: index i is body i) is in world axes, and what
-/// is spatial is about one common point, [`origin`](Self::origin). Nothing need then be transformed from body
-/// to body: velocities, forces and inertias of a tree just add up.
+/// Quantities of a body (`placement`, `screw`, `velocity`, ...: index i is body i) are in world axes, and spatial
+/// quantities are about one common point, [`origin`](Self::origin). Nothing needs to be transformed from body
+/// to body: velocities, forces and inertias of a tree are summed as they are.
 #[derive(Clone, Debug)]
 pub struct Data<T: Real = f64> {
     /// Joint positions of the last [`forward_kinematics`](crate::forward_kinematics), rad or m (nq).
     pub q: DVector<T>,
     /// Joint velocities of the last [`kinematics`](crate::kinematics()), rad/s or m/s (n).
     pub dq: DVector<T>,
-    /// Where the base is: the point about which spatial quantities are taken, m in the world. By
+    /// Position of the base, the point about which spatial quantities are taken, m in the world. By
     /// [`forward_kinematics`](crate::forward_kinematics).
     pub origin: Vector3<T>,
     /// Pose of each body in the world. By [`forward_kinematics`](crate::forward_kinematics).
     pub placement: Vec<Placement<T>>,
-    /// S: how each body moves per unit of its joint. By [`forward_kinematics`](crate::forward_kinematics).
+    /// S: motion of each body per unit of its joint. By [`forward_kinematics`](crate::forward_kinematics).
     pub screw: Vec<Motion<T>>,
     /// Velocity of each body. By [`kinematics`](crate::kinematics()).
     pub velocity: Vec<Motion<T>>,
@@ -54,7 +54,7 @@ pub struct Data<T: Real = f64> {
     pub bias: DVector<T>,
     /// g(q), Nm (n). By [`gravity`](crate::gravity).
     pub gravity: DVector<T>,
-    /// Joint torques, Nm (n). By [`rnea`](crate::rnea()); [`aba_external`](crate::aba_external) leaves its own here.
+    /// Joint torques, Nm (n). By [`rnea`](crate::rnea()); [`aba_external`](crate::aba_external) writes τ + Σ Jᵀ f here.
     pub torque: DVector<T>,
     /// Joint accelerations, rad/s² (n). By [`aba`](crate::aba()).
     pub ddq: DVector<T>,
@@ -70,7 +70,7 @@ pub struct Data<T: Real = f64> {
     /// ∂q̈/∂q̇ of forward dynamics (n × n), 1/s. By [`aba_derivatives`](crate::aba_derivatives).
     pub ddq_by_dq: DMatrix<T>,
 
-    /// Each body's joint, ratio and offset included.
+    /// Joint position of each body, ratio and offset included.
     pub(crate) angle: Vec<T>,
     pub(crate) sin_cos: Vec<(T, T)>,
     pub(crate) acceleration: Vec<Motion<T>>,
@@ -82,7 +82,7 @@ pub struct Data<T: Real = f64> {
     pub(crate) column: Vec<ArticulatedColumn<T>>,
 }
 
-/// The inertia of a subtree whose joints are free: a symmetric 6×6 in three blocks,
+/// Inertia of a subtree whose joints are free: a symmetric 6×6 in three blocks,
 /// `[f; n] = [linear, couplingᵀ; coupling, angular] [v; ω]`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArticulatedInertia<T> {
@@ -91,7 +91,7 @@ pub(crate) struct ArticulatedInertia<T> {
     pub angular: Matrix3<T>,
 }
 
-/// What the articulated-body algorithm keeps of a joint between its passes: U = I S, 1/D, u.
+/// Values of a joint kept between the passes of the articulated-body algorithm: U = I S, 1/D, u.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArticulatedColumn<T> {
     pub force: Force<T>,
@@ -100,7 +100,7 @@ pub(crate) struct ArticulatedColumn<T> {
 }
 
 impl<T: Real> Data<T> {
-    /// Room for every algorithm on `model`; all results zero, or the identity, until computed.
+    /// Allocates for every algorithm on `model`; all results are zero, or the identity, until computed.
     #[must_use]
     pub fn new(model: &Model<T>) -> Self {
         let (n, bodies) = (model.n(), model.bodies().len());

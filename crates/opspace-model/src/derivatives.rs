@@ -2,7 +2,7 @@
 //!
 //! Singh, Russell and Wensing, *Efficient analytical derivatives of rigid-body dynamics using spatial vector
 //! algebra*, IEEE Robotics and Automation Letters 7(2), 2022; in Pinocchio `computeRNEADerivatives` and
-//! `computeABADerivatives`. With j carrying i or the same:
+//! `computeABADerivatives`. With j an ancestor of i, or i itself:
 //!
 //! ```text
 //! Ψ̇_j = v_parent(j) × S_j        Ψ̈_j = a_parent(j) × S_j + v_parent(j) × Ψ̇_j        Ṡ_j = v_j × S_j
@@ -36,8 +36,8 @@ use crate::rnea::rnea;
 use crate::spatial::Motion;
 use nalgebra::{DVector, Vector3};
 
-/// ∂τ/∂q and ∂τ/∂q̇ of [`rnea`](crate::rnea()) at `ddq` (n; rad/s²), into [`Data::torque_by_q`] and
-/// [`Data::torque_by_dq`]; ∂τ/∂q̈ is the mass matrix. Also what [`rnea`](crate::rnea()) computes. Needs
+/// Computes ∂τ/∂q and ∂τ/∂q̇ of [`rnea`](crate::rnea()) at `ddq` (n; rad/s²), into [`Data::torque_by_q`] and
+/// [`Data::torque_by_dq`]; ∂τ/∂q̈ is the mass matrix. Also computes the results of [`rnea`](crate::rnea()). Needs
 /// [`kinematics`](crate::kinematics()).
 ///
 /// # Panics
@@ -75,7 +75,7 @@ pub fn rnea_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     }
 }
 
-/// How a body's screw changes, in the module's symbols.
+/// Rates of change of a body's screw, in the module's symbols.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rates<T> {
     psi_dot: Motion<T>,
@@ -104,9 +104,9 @@ impl<T: Real> Rates<T> {
     }
 }
 
-/// ∂q̈/∂q and ∂q̈/∂q̇ of [`aba`](crate::aba()) under `tau` (n; Nm), into [`Data::ddq_by_q`] and [`Data::ddq_by_dq`];
-/// ∂q̈/∂τ is M⁻¹. Also what [`aba`](crate::aba()) and [`rnea_derivatives`] compute. Needs
-/// [`kinematics`](crate::kinematics()) and [`cholesky`](crate::cholesky()).
+/// Computes ∂q̈/∂q and ∂q̈/∂q̇ of [`aba`](crate::aba()) under `tau` (n; Nm), into [`Data::ddq_by_q`] and
+/// [`Data::ddq_by_dq`]; ∂q̈/∂τ is M⁻¹. Also computes the results of [`aba`](crate::aba()) and [`rnea_derivatives`].
+/// Needs [`kinematics`](crate::kinematics()) and [`cholesky`](crate::cholesky()).
 ///
 /// ```text
 /// ∂q̈/∂q = −M⁻¹ ∂τ/∂q          ∂q̈/∂q̇ = −M⁻¹ ∂τ/∂q̇

@@ -22,7 +22,7 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion};
 use nalgebra::Vector3;
 
-/// ½ q̇ᵀ M q̇, rotors included, J. Needs [`kinematics`](crate::kinematics()).
+/// Kinetic energy ½ q̇ᵀ M q̇, rotors included, J. Needs [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn kinetic_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     let mut twice = T::zero();
@@ -35,20 +35,20 @@ pub fn kinetic_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     twice * T::splat(0.5)
 }
 
-/// The momentum of body i at `v`, about [`Data::origin`].
+/// Momentum of body i at `v`, about [`Data::origin`].
 #[inline]
 pub(crate) fn momentum<T: Real>(model: &Model<T>, data: &Data<T>, i: usize, v: &Motion<T>) -> Force<T> {
     model.bodies[i].spatial_inertia(&data.placement[i], &data.origin).apply(v)
 }
 
-/// The work against gravity from the plane through the world's origin, J. Needs
+/// Potential energy: work against gravity from the plane through the world's origin, J. Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 #[must_use]
 pub fn potential_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     -model.gravity.dot(&first_moment(model, data))
 }
 
-/// The centre of mass of all moving bodies in the world, m; `None` if they weigh nothing. Needs
+/// Centre of mass of all moving bodies in the world, m; `None` if they have no mass. Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 #[must_use]
 pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vector3<T>> {
@@ -56,14 +56,14 @@ pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vecto
     (mass != T::zero()).then(|| first_moment(model, data) / mass)
 }
 
-/// The velocity of the centre of mass (m/s, world axes); zero if the bodies weigh nothing. Needs
+/// Velocity of the centre of mass (m/s, world axes); zero if the bodies have no mass. Needs
 /// [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn com_velocity<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
     mean_over_mass(model, data, |body, com| data.velocity[body].at(com).linear)
 }
 
-/// J̇ q̇ of the centre of mass: its acceleration with q̈ = 0 (m/s², world axes); zero if the bodies weigh nothing.
+/// Acceleration J̇ q̇ of the centre of mass with q̈ = 0 (m/s², world axes); zero if the bodies have no mass.
 /// Needs [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn com_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
@@ -73,7 +73,7 @@ pub fn com_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>) -> Vecto
     })
 }
 
-/// The mean over all mass of what belongs to a body and its centre of mass, from [`Data::origin`].
+/// Mean over all mass of a quantity of each body and its centre of mass, from [`Data::origin`].
 fn mean_over_mass<T: Real>(
     model: &Model<T>,
     data: &Data<T>,

@@ -1,4 +1,4 @@
-//! Jacobians: how frames, points and the centre of mass move when the joints do, and their rates of change.
+//! Jacobians of frames, points and the centre of mass, and their rates of change.
 //!
 //! All are 6 × n, or 3 × n where nothing turns, linear rows first, and need
 //! [`forward_kinematics`](crate::forward_kinematics); their rates need [`kinematics`](crate::kinematics()). In
@@ -36,7 +36,7 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion};
 use nalgebra::{Matrix3xX, Matrix6xX, Vector3};
 
-/// J (6 × n) with J q̇ = [`frame_velocity`]: world axes, at the frame's origin. A revolute joint's column is
+/// Computes J (6 × n) with J q̇ = [`frame_velocity`]: world axes, at the frame's origin. A revolute joint's column is
 /// `[z × (p − o); z]`, a prismatic one's `[z; 0]`, with z its axis and o its origin.
 ///
 /// # Panics
@@ -51,7 +51,7 @@ pub fn frame_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
 }
 
-/// The Jacobian of a point fixed in a frame, given in that frame (m), with the frame's rotation: world axes.
+/// Computes the Jacobian of a point fixed in a frame, given in that frame (m), with the frame's rotation: world axes.
 ///
 /// # Panics
 /// If `jacobian` doesn't have n columns.
@@ -66,7 +66,7 @@ pub fn point_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
 }
 
-/// [`frame_jacobian`] in the frame's own axes.
+/// Computes [`frame_jacobian`] in the frame's own axes.
 ///
 /// # Panics
 /// If `jacobian` doesn't have n columns.
@@ -81,7 +81,7 @@ pub fn local_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point).turned_back(&place.rotation));
 }
 
-/// The spatial Jacobian: world axes, of the body's point that is at the world's origin.
+/// Computes the spatial Jacobian: world axes, of the body's point that is at the world's origin.
 ///
 /// # Panics
 /// If `jacobian` doesn't have n columns.
@@ -94,8 +94,8 @@ pub fn world_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, |i| data.screw[i].at(&-data.origin));
 }
 
-/// The motion of `frame` seen from `from`: the velocity of its origin relative to `from`, as a body that
-/// goes with `from` sees it, in the axes of `from`. J_rel = R_fromᵀ (J of `frame` − J of `from` at the same point).
+/// Computes the Jacobian of the motion of `frame` relative to `from`: the velocity of its origin as seen by a body
+/// that moves with `from`, in the axes of `from`. J_rel = R_fromᵀ (J of `frame` − J of `from` at the same point).
 ///
 /// # Panics
 /// If `jacobian` doesn't have n columns.
@@ -110,14 +110,14 @@ pub fn relative_jacobian<T: Real>(
     let point = frame_point(model, data, frame);
     let column = |i: usize| data.screw[i].at(&point).turned_back(&axes);
     sum_columns(model, frame, jacobian, column);
-    // What carries both moves neither against the other: its columns cancel to the bit.
+    // Common ancestors move neither against the other: their columns cancel to the bit.
     for i in model.support(from) {
         let column = -column(i);
         add(jacobian, model.bodies[i].joint, &column.linear, &column.angular);
     }
 }
 
-/// J̇ of [`frame_jacobian`].
+/// Computes J̇ of [`frame_jacobian`].
 ///
 /// # Panics
 /// If `rate` doesn't have n columns.
@@ -132,7 +132,7 @@ pub fn frame_jacobian_rate<T: Real>(
     sum_columns(model, frame, rate, |i| rate_at(data, i, &point, &velocity));
 }
 
-/// J̇ of [`local_jacobian`].
+/// Computes J̇ of [`local_jacobian`].
 ///
 /// # Panics
 /// If `rate` doesn't have n columns.
@@ -156,7 +156,7 @@ pub fn local_jacobian_rate<T: Real>(
     });
 }
 
-/// J̇ of [`world_jacobian`].
+/// Computes J̇ of [`world_jacobian`].
 ///
 /// # Panics
 /// If `rate` doesn't have n columns.
@@ -169,8 +169,8 @@ pub fn world_jacobian_rate<T: Real>(
     sum_columns(model, frame, rate, |i| screw_rate(data, i).at(&-data.origin));
 }
 
-/// J (3 × n) with J q̇ the velocity of the centre of mass of all moving bodies, world axes. Zero if they weigh
-/// nothing.
+/// Computes J (3 × n) with J q̇ the velocity of the centre of mass of all moving bodies, world axes. Zero if they
+/// have no mass.
 ///
 /// # Panics
 /// If `jacobian` doesn't have n columns.
@@ -195,13 +195,13 @@ pub(crate) fn add_external<T: Real>(model: &Model<T>, data: &mut Data<T>, frame:
     }
 }
 
-/// Ṡ = v × S.
+/// Rate of a screw: Ṡ = v × S.
 #[inline]
 pub(crate) fn screw_rate<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
     data.velocity[i].cross_motion(&data.screw[i])
 }
 
-/// The rate of a screw at a point that moves.
+/// Rate of a screw at a point that moves.
 #[inline]
 fn rate_at<T: Real>(data: &Data<T>, i: usize, point: &Vector3<T>, velocity: &Vector3<T>) -> Motion<T> {
     let mut rate = screw_rate(data, i).at(point);
@@ -209,7 +209,7 @@ fn rate_at<T: Real>(data: &Data<T>, i: usize, point: &Vector3<T>, velocity: &Vec
     rate
 }
 
-/// The columns of all joints that carry `frame`; zero for the others.
+/// Writes the columns of all joints that move `frame`; zero for the others.
 #[inline]
 fn sum_columns<T: Real>(
     model: &Model<T>,

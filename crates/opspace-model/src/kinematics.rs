@@ -1,4 +1,4 @@
-//! Where every body is and how it moves: forward kinematics to second order.
+//! Pose, velocity and acceleration of every body: forward kinematics to second order.
 //!
 //! RBDA §4.1 and the forward pass of table 5.1, in world axes; in Pinocchio `forwardKinematics`,
 //! `getFrameVelocity`, and `getFrameClassicalAcceleration` with q̈ = 0.
@@ -28,7 +28,7 @@ use crate::spatial::{Motion, Placement, SpatialInertia};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 impl JointKind {
-    /// The pose of the body at `x`, with its sine and cosine, in the frame in which `origin` is its pose at zero.
+    /// Pose of the body at `x`, with its sine and cosine, in the frame in which `origin` is its pose at zero.
     #[inline]
     pub(crate) fn placement<T: Real>(self, origin: &Placement<T>, x: T, (s, c): (T, T)) -> Placement<T> {
         let rotation = &origin.rotation;
@@ -47,13 +47,13 @@ impl JointKind {
     }
 }
 
-/// Places every body at `q` (nq; rad, m): [`Data::placement`], and its screw S: [`Data::screw`].
+/// Computes the pose of every body at `q` (nq; rad, m), [`Data::placement`], and its screw S, [`Data::screw`].
 ///
 /// A revolute joint's screw is `[o × z; z]`, a prismatic one's `[z; 0]`, with z its axis and o its place
 /// from [`Data::origin`].
 ///
-/// Angles keep their digits up to 1e6 rad; beyond 1e15 rad rotations are none. A floating base's quaternion is brought to
-/// length one; one of zeros gives no numbers.
+/// Angles keep their digits up to 1e6 rad; beyond 1e15 rad rotations are meaningless. The quaternion of a floating base
+/// is normalized; one of zeros gives NaN.
 ///
 /// # Panics
 /// If `q` is shorter than nq, or `data` is of a model with another number of bodies or joints.
@@ -87,19 +87,19 @@ pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]
 }
 
 impl<T: Real> Body<T> {
-    /// The centre of mass of a body at `place`, from `origin`.
+    /// Centre of mass of a body at `place`, from `origin`.
     #[inline]
     pub(crate) fn com(&self, place: &Placement<T>, origin: &Vector3<T>) -> Vector3<T> {
         place.act_point(&self.inertia.com) - origin
     }
 
-    /// The inertia of a body at `place`, about `origin`.
+    /// Inertia of a body at `place`, about `origin`.
     #[inline]
     pub(crate) fn spatial_inertia(&self, place: &Placement<T>, origin: &Vector3<T>) -> SpatialInertia<T> {
         SpatialInertia::new(&self.inertia, &place.rotation, &self.com(place, origin))
     }
 
-    /// S of a body at `place`.
+    /// Screw S of a body at `place`.
     #[inline]
     fn screw(&self, place: &Placement<T>, origin: &Vector3<T>) -> Motion<T> {
         let along = place.rotation.column(2) * self.ratio;
@@ -110,7 +110,7 @@ impl<T: Real> Body<T> {
     }
 }
 
-/// The six bodies of a floating base: all at its pose, with its axes for screws.
+/// Places the six bodies of a floating base: all at its pose, with its axes for screws.
 fn place_base<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
     let place =
         model.base * Placement { rotation: rotation(&q[3..7]), translation: Vector3::new(q[0], q[1], q[2]) };
@@ -126,15 +126,15 @@ fn place_base<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
     }
 }
 
-/// Of a unit quaternion x, y, z, w; one that is off by rounding is brought to length one first.
+/// Rotation matrix of a unit quaternion x, y, z, w; one that is off by rounding is normalized first.
 fn rotation<T: Real>(q: &[T]) -> Matrix3<T> {
     let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).simd_sqrt();
     let unit = Quaternion::new(q[3], q[0], q[1], q[2]) / length;
     UnitQuaternion::new_unchecked(unit).to_rotation_matrix().into_inner()
 }
 
-/// [`forward_kinematics`] at `q` (nq; rad, m), and the velocity and velocity-product acceleration of every body
-/// at `dq` (n; rad/s, m/s): [`Data::velocity`], [`Data::bias_acceleration`].
+/// Computes [`forward_kinematics`] at `q` (nq; rad, m), and the velocity and velocity-product acceleration of every
+/// body at `dq` (n; rad/s, m/s): [`Data::velocity`], [`Data::bias_acceleration`].
 ///
 /// # Panics
 /// If `q` is shorter than nq or `dq` than n.
@@ -162,14 +162,14 @@ pub fn kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[
     }
 }
 
-/// The pose of a frame in the world. Needs [`forward_kinematics`].
+/// Pose of a frame in the world. Needs [`forward_kinematics`].
 #[must_use]
 pub fn frame_placement<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Placement<T> {
     let frame = &model.frames[frame.0];
     frame.body.map_or(model.base, |b| data.placement[b]) * frame.placement
 }
 
-/// The velocity of a frame's origin (m/s) and of the frame (rad/s), in world axes. Needs [`kinematics`].
+/// Velocity of a frame's origin (m/s) and of the frame (rad/s), in world axes. Needs [`kinematics`].
 #[must_use]
 pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
     match model.frames[frame.0].body {
@@ -178,7 +178,7 @@ pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId)
     }
 }
 
-/// A frame's origin, from [`Data::origin`].
+/// Origin of a frame, from [`Data::origin`].
 #[inline]
 pub(crate) fn frame_point<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Vector3<T> {
     let frame = &model.frames[frame.0];
@@ -186,7 +186,7 @@ pub(crate) fn frame_point<T: Real>(model: &Model<T>, data: &Data<T>, frame: Fram
     body.act_point(&frame.placement.translation) - data.origin
 }
 
-/// J̇ q̇: the classical acceleration of a frame with q̈ = 0, in world axes (m/s², rad/s²): its linear part
+/// Classical acceleration J̇ q̇ of a frame with q̈ = 0, in world axes (m/s², rad/s²): its linear part
 /// is the rate of change of the linear part of [`frame_velocity`]. Needs [`kinematics`].
 #[must_use]
 pub fn frame_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {

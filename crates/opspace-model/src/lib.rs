@@ -22,9 +22,9 @@
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 //!
-//! A [`Model`] is what the robot is; [`Data`] is scratch and results for it, allocated once; the algorithms are
-//! functions of both, one file each, named as in the textbook (Featherstone, *Rigid Body Dynamics Algorithms*,
-//! "RBDA"). No algorithm allocates; reading a URDF, building a model and [`samples`] do.
+//! A [`Model`] describes the robot; [`Data`] holds results and intermediate values for it, allocated once; the
+//! algorithms are functions of both, one file each, named as in the textbook (Featherstone, *Rigid Body Dynamics
+//! Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, building a model and [`samples`] do.
 //!
 //! | wanted | here | in Pinocchio |
 //! |---|---|---|
@@ -42,9 +42,9 @@
 //! | locked joints | [`Model::locked`] | `buildReducedModel` |
 //! | many states at once | [`batch`] | – |
 //!
-//! Conventions: SI units, where rad and Nm stand for m and N on prismatic joints too; frames and
-//! data must be of the model that they are given with; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's origin;
-//! the root link is fixed to the world unless [`UrdfOptions`] say that it floats; a continuous joint has one
+//! Conventions: SI units, where rad and Nm stand for m and N on prismatic joints too; frames and data must be of the
+//! model that they are given with; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's
+//! origin; the root link is fixed to the world unless [`UrdfOptions`] say that it floats; a continuous joint has one
 //! coordinate.
 
 #![forbid(unsafe_code)]
@@ -98,7 +98,7 @@ pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_m
 pub use suspicion::{Suspicion, suspicions};
 pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
 
-/// Everything a controller needs of a state, once a tick: kinematics, M and its factor, bias and gravity.
+/// Computes the state quantities of a control cycle: kinematics, M and its factor, bias and gravity.
 ///
 /// Returns `false` if the mass matrix is not positive definite (a body without inertia, or a `q` that is not
 /// finite; in lanes, any of them): the factor is then unusable.

@@ -1,4 +1,4 @@
-//! The robot: its bodies, the coordinates that move them, and the frames on them.
+//! Model of a robot: its bodies, the coordinates that move them, and the frames on them.
 //!
 //! ```
 //! use nalgebra::{Matrix3, Vector3};
@@ -18,7 +18,7 @@ use crate::spatial::{Inertia, Placement};
 use nalgebra::{Matrix3, Unit, Vector3};
 use thiserror::Error;
 
-/// How a body moves against the one that carries it. Its axis is the z axis of its own frame: see [`Model`].
+/// Type of the joint between a body and its parent. Its axis is the z axis of the body's own frame: see [`Model`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointKind {
     /// Turns about z between its limits; one coordinate, rad.
@@ -31,7 +31,7 @@ pub enum JointKind {
     Floating,
 }
 
-/// What a joint may do. Infinite where there is no limit.
+/// Limits of a joint, infinite where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Lowest position, rad or m.
@@ -45,7 +45,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// No limit at all.
+    /// Limits of a joint without any.
     pub const NONE: Self = Self {
         lower: f64::NEG_INFINITY,
         upper: f64::INFINITY,
@@ -57,59 +57,59 @@ impl Limits {
 /// A coordinate of the robot: one entry of q̇, q̈ and τ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
-    /// As in the URDF.
+    /// Name of the joint in the URDF.
     pub name: String,
-    /// How it moves.
+    /// Type of the joint.
     pub kind: JointKind,
-    /// What it may do.
+    /// Limits of position, speed and torque.
     pub limits: Limits,
 }
 
-/// What moves as one: a link with a joint of its own, and all that is fixed to it.
+/// Rigid body: a link with a joint of its own, and all that is fixed to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Body<T = f64> {
-    /// The body that carries this one; `None` on the base. Always a lower index than its own.
+    /// Index of the parent body, always lower than its own; `None` on the base.
     pub parent: Option<usize>,
     /// Pose of this body's frame in the parent body's frame (in the base frame without parent) at zero.
     pub origin: Placement<T>,
-    /// How it moves.
+    /// Type of the joint that moves the body.
     pub kind: JointKind,
-    /// The coordinate that moves it: body i is moved by joint i, unless joints have been folded.
+    /// Index of the joint that moves the body: the body's own index, unless joints have been folded.
     pub joint: usize,
-    /// Whether that is the joint of another, which it follows.
+    /// True if that is the joint of another body, which this one follows.
     pub follows: bool,
-    /// It moves to `ratio` q + `offset`: 1 but for one that follows.
+    /// Ratio of the body's joint position, `ratio` q + `offset`: 1 unless it follows another.
     pub ratio: T,
-    /// rad or m.
+    /// Offset of the body's joint position, rad or m.
     pub offset: T,
     /// Inertia of the body and of everything fixed to it, payloads included, in the body's frame.
     pub inertia: Inertia<T>,
 }
 
-/// A named place on the robot: every link of the URDF is one.
+/// Named frame on the robot: every link of the URDF is one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame<T = f64> {
-    /// As in the URDF.
+    /// Name of the frame in the URDF.
     pub name: String,
-    /// The body that carries it; `None` if it is fixed to the base.
+    /// Index of the body that the frame is fixed to; `None` if it is fixed to the base.
     pub body: Option<usize>,
-    /// Its pose in that body's frame (in the base frame).
+    /// Pose of the frame in that body's frame (in the base frame without body).
     pub placement: Placement<T>,
 }
 
-/// Which [`Frame`] of a model: made by [`Model::frame`].
+/// Handle of a [`Frame`] of a model, returned by [`Model::frame`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct FrameId(pub(crate) usize);
 
-/// A tree of bodies on a fixed or floating base, and the frames on it.
+/// Tree of bodies on a fixed or floating base, and the frames on it.
 ///
 /// Bodies are numbered parents before children, depth first, the children of a link in the order of their
 /// joints' names (Pinocchio's order). Links joined by fixed joints are one body; they remain as frames.
 /// Body frames are turned against the URDF's so that every joint moves about or along its z axis: one code
 /// path, and the short one.
 ///
-/// Inertias, payloads and frames may be changed between two evaluations, without allocation but for new
-/// frames; the number of bodies and joints stays.
+/// Inertias, payloads and frames may be changed between two evaluations, without allocation except for new
+/// frames; the number of bodies and joints is constant.
 #[derive(Clone, Debug)]
 pub struct Model<T = f64> {
     pub(crate) name: String,
@@ -120,38 +120,38 @@ pub struct Model<T = f64> {
     pub(crate) gravity: Vector3<T>,
     pub(crate) base: Placement<T>,
     pub(crate) floating: bool,
-    /// Each body's inertia without payloads, and each frame's payload in that frame.
+    /// Inertia of each body without payloads, and payload of each frame in that frame.
     pub(crate) own: Vec<Inertia>,
     pub(crate) payloads: Vec<Inertia>,
 }
 
-/// A frame that the model doesn't have.
+/// Frame that the model doesn't have.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("no frame '{name}'; the frames are: {}", known.join(", "))]
 pub struct UnknownFrame {
-    /// The name asked for.
+    /// Name asked for.
     pub name: String,
-    /// The names there are.
+    /// Names of the model's frames.
     pub known: Vec<String>,
 }
 
-/// A joint that the model doesn't have.
+/// Joint that the model doesn't have.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("no joint '{name}'; the joints are: {}", known.join(", "))]
 pub struct UnknownJoint {
-    /// The name asked for.
+    /// Name asked for.
     pub name: String,
-    /// The names there are.
+    /// Names of the model's joints.
     pub known: Vec<String>,
 }
 
-/// The coordinates of a floating base, in their order.
+/// Names of the coordinates of a floating base, in their order.
 pub(crate) const BASE_JOINTS: [&str; 6] =
     ["base.linear.x", "base.linear.y", "base.linear.z", "base.angular.x", "base.angular.y", "base.angular.z"];
 
-/// Building and changing.
+/// Construction and modification.
 impl Model {
-    /// A robot without bodies yet, its base fixed at the world's origin, under standard gravity.
+    /// Returns a robot without bodies, its base fixed at the world's origin, under standard gravity.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
@@ -168,11 +168,11 @@ impl Model {
         }
     }
 
-    /// A robot whose root is free to move in space: a body of that inertia, and none on it yet.
+    /// Returns a robot whose root is free to move in space: a body of that inertia, and no other yet.
     ///
     /// Six coordinates come first in q̇: the root's linear and angular velocity, in its own axes. In q they are
     /// seven: its position in the world (m) and the unit quaternion x, y, z, w of its rotation. In the tree they
-    /// are six bodies in a row at one place, of which the last, number 5, carries the inertia.
+    /// are a chain of six bodies at one place, of which the last, number 5, has the inertia.
     #[must_use]
     pub fn floating(name: &str, root: Inertia) -> Self {
         let mut model = Self::new(name);
@@ -202,7 +202,7 @@ impl Model {
         self.push(self.on_root(parent), origin, joint, inertia)
     }
 
-    /// What has no parent stands on the root; a floating one is the last of its six bodies.
+    /// Parent of a body on the root: none on a fixed base, the last of the six bodies of a floating one.
     fn on_root(&self, parent: Option<usize>) -> Option<usize> {
         let parent = if self.floating { Some(parent.map_or(5, |p| p.max(5))) } else { parent };
         assert!(parent.is_none_or(|p| p < self.bodies.len()), "a parent comes before its children");
@@ -227,8 +227,8 @@ impl Model {
         self.bodies.len() - 1
     }
 
-    /// Adds a frame at `placement` in the frame of `body` (of the base, which may float). Of two of one name the first is
-    /// found.
+    /// Adds a frame at `placement` in the frame of `body` (of the base, which may float). Of two frames of one name
+    /// [`Model::frame`] returns the first.
     ///
     /// # Panics
     /// If there is no such body.
@@ -254,26 +254,26 @@ impl Model {
         self.sum_up(body);
     }
 
-    /// What hangs on a frame, in its axes: a tool, a load; no negative mass. It replaces what hung there before; zero
-    /// takes it off. Nothing hangs on the base.
+    /// Sets the payload of a frame, in its axes: a tool, a load; no negative mass. It replaces the payload set before;
+    /// zero removes it. A payload on the base is ignored.
     pub fn set_payload(&mut self, frame: FrameId, payload: Inertia) {
         self.payloads[frame.0] = payload;
         self.sum_up(self.frames[frame.0].body);
     }
 
-    /// Another inertia for a body and all that is fixed to it, payloads apart, in its frame. That is turned against the
-    /// URDF's: what is given in the axes of a link is `frame_info(link).placement.act_inertia(&inertia)` here.
+    /// Replaces the inertia of a body and all that is fixed to it, payloads apart, in the body's frame. That is turned
+    /// against the URDF's: an inertia in the axes of a link is `frame_info(link).placement.act_inertia(&inertia)` here.
     ///
     /// # Panics
-    /// If there is no such body, or it is one of the first five of a floating base, which are nothing but coordinates.
+    /// If there is no such body, or it is one of the first five of a floating base, which are coordinates only.
     pub fn set_inertia(&mut self, body: usize, inertia: Inertia) {
         assert!(!self.floating || body >= 5, "body 5 is the floating base");
         self.own[body] = inertia;
         self.sum_up(Some(body));
     }
 
-    /// A body's inertia from its own and its frames' payloads. From the beginning, so that what is taken
-    /// off leaves no rounding.
+    /// Computes a body's inertia from its own and its frames' payloads. Summed anew each time, so that a removed
+    /// payload leaves no rounding error.
     pub(crate) fn sum_up(&mut self, body: Option<usize>) {
         let Some(body) = body else { return };
         self.bodies[body].inertia = self.own[body];
@@ -285,7 +285,7 @@ impl Model {
         }
     }
 
-    /// What a joint may do from now on.
+    /// Sets the limits of a joint.
     ///
     /// # Panics
     /// If there is no such joint.
@@ -293,7 +293,7 @@ impl Model {
         self.joints[joint].limits = limits;
     }
 
-    /// The same robot elsewhere: pose of the base frame in the world. What q says of a floating base is
+    /// Returns the robot with its base frame at that pose in the world. The q of a floating base is
     /// relative to it.
     #[must_use]
     pub fn with_base(mut self, base: Placement) -> Self {
@@ -301,14 +301,14 @@ impl Model {
         self
     }
 
-    /// The same robot under another gravity, m/s² in world axes.
+    /// Returns the robot under another gravity, m/s² in world axes.
     #[must_use]
     pub fn with_gravity(mut self, gravity: Vector3<f64>) -> Self {
         self.gravity = gravity;
         self
     }
 
-    /// The same robot with its rotors' reflected inertias, kg m² (kg for a prismatic joint), one a joint.
+    /// Returns the robot with these reflected inertias of its rotors, kg m² (kg for a prismatic joint), one per joint.
     ///
     /// # Panics
     /// If there is not one for each joint.
@@ -318,7 +318,7 @@ impl Model {
         self
     }
 
-    /// The same robot with every mass and rotational inertia multiplied by `factor` (rotors and payloads too).
+    /// Returns the robot with every mass and rotational inertia multiplied by `factor` (rotors and payloads too).
     #[must_use]
     pub fn with_scaled_inertia(mut self, factor: f64) -> Self {
         let inertias = self.own.iter_mut().chain(&mut self.payloads);
@@ -330,7 +330,7 @@ impl Model {
         self
     }
 
-    /// The same robot in every lane: see [`batch`](crate::batch).
+    /// Returns the robot with its numbers in every lane: see [`batch`](crate::batch).
     #[must_use]
     pub fn splat<T: Real>(&self) -> Model<T> {
         let body = |b: &Body| Body {
@@ -360,43 +360,43 @@ impl Model {
 }
 
 impl<T: Real> Model<T> {
-    /// The robot's name in the URDF.
+    /// Name of the robot in the URDF.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// How many coordinates move: the length of q̇, q̈ and τ. Pinocchio's `nv`.
+    /// Number of degrees of freedom: the length of q̇, q̈ and τ. Pinocchio's `nv`.
     #[must_use]
     pub fn n(&self) -> usize {
         self.joints.len()
     }
 
-    /// The length of q: one more than [`n`](Self::n) with a floating base, whose rotation is a quaternion.
+    /// Length of q: one more than [`n`](Self::n) with a floating base, whose rotation is a quaternion.
     #[must_use]
     pub fn nq(&self) -> usize {
         self.n() + usize::from(self.floating)
     }
 
-    /// Whether the root is free to move.
+    /// True if the root is free to move.
     #[must_use]
     pub fn is_floating(&self) -> bool {
         self.floating
     }
 
-    /// Whether some body follows the joint of another.
+    /// True if some body follows the joint of another.
     #[must_use]
     pub fn is_folded(&self) -> bool {
         self.bodies.len() > self.joints.len()
     }
 
-    /// The joints, in the order of q̇.
+    /// Joints, in the order of q̇.
     #[must_use]
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
-    /// The bodies, parents before children.
+    /// Bodies, parents before children.
     #[must_use]
     pub fn bodies(&self) -> &[Body<T>] {
         &self.bodies
@@ -408,7 +408,7 @@ impl<T: Real> Model<T> {
         &self.rotor_inertia
     }
 
-    /// The frames, in the order of the URDF's tree.
+    /// Frames, in the order of the URDF's tree.
     #[must_use]
     pub fn frames(&self) -> &[Frame<T>] {
         &self.frames
@@ -432,10 +432,10 @@ impl<T: Real> Model<T> {
         self.bodies.iter().fold(T::zero(), |sum, body| sum + body.inertia.mass)
     }
 
-    /// The frame of that name.
+    /// Returns the frame of that name.
     ///
     /// # Errors
-    /// [`UnknownFrame`], which lists the names there are.
+    /// [`UnknownFrame`], which lists the names of the model.
     pub fn frame(&self, name: &str) -> Result<FrameId, UnknownFrame> {
         self.frames.iter().position(|f| f.name == name).map(FrameId).ok_or_else(|| UnknownFrame {
             name: name.to_owned(),
@@ -443,10 +443,10 @@ impl<T: Real> Model<T> {
         })
     }
 
-    /// The index of the joint of that name.
+    /// Returns the index of the joint of that name.
     ///
     /// # Errors
-    /// [`UnknownJoint`], which lists the names there are.
+    /// [`UnknownJoint`], which lists the names of the model.
     pub fn joint(&self, name: &str) -> Result<usize, UnknownJoint> {
         self.joints.iter().position(|j| j.name == name).ok_or_else(|| UnknownJoint {
             name: name.to_owned(),
@@ -454,29 +454,29 @@ impl<T: Real> Model<T> {
         })
     }
 
-    /// What is known of a frame.
+    /// Returns the name, body and placement of a frame.
     #[must_use]
     pub fn frame_info(&self, frame: FrameId) -> &Frame<T> {
         &self.frames[frame.0]
     }
 
-    /// The bodies before it are those of a floating base.
+    /// Index of the first body with a joint: the bodies before it are those of a floating base.
     pub(crate) fn first_jointed_body(&self) -> usize {
         if self.floating { 6 } else { 0 }
     }
 
-    /// The body that carries a frame and all bodies between it and the base, from the frame inwards.
+    /// Returns the body of a frame and all its ancestors, from the frame towards the base.
     pub fn support(&self, frame: FrameId) -> impl Iterator<Item = usize> + '_ {
         self.ancestry(self.frames[frame.0].body)
     }
 
-    /// A body and all that carry it, from it inwards.
+    /// Returns a body and all its ancestors, from it towards the base.
     pub(crate) fn ancestry(&self, body: Option<usize>) -> impl Iterator<Item = usize> + '_ {
         std::iter::successors(body, |&b| self.bodies[b].parent)
     }
 }
 
-/// The rotation that turns the z axis onto `axis`, exact for the coordinate axes.
+/// Rotation that turns the z axis onto `axis`, exact for the coordinate axes.
 #[must_use]
 pub fn z_onto(axis: &Unit<Vector3<f64>>) -> Matrix3<f64> {
     let z = axis.into_inner();

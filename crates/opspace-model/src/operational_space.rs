@@ -7,11 +7,11 @@
 //! Λ⁻¹ = J M⁻¹ Jᵀ          J̄ = M⁻¹ Jᵀ Λ          N = I − J̄ J
 //! ```
 //!
-//! Where the task can hardly move the robot, eigenvalues of Λ⁻¹ come near zero and Λ explodes. Each
+//! Close to a singularity, eigenvalues of Λ⁻¹ approach zero and Λ grows without bound. Each
 //! eigenvalue λ below `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² rising smoothly
 //! from 0 at the threshold; one above it is inverted exactly. J̄ and N are built from that same Λ, so
-//! what a damped direction does not carry is free to the tasks below. Other ways that the field knows are
-//! there to be compared with: [`Inversion`].
+//! the damped part of a direction is free to the tasks of lower priority. Other methods of the literature are
+//! available for comparison: [`Inversion`].
 //!
 //! ```
 //! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
@@ -36,22 +36,22 @@
 use crate::cholesky::MassMatrixFactor;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 
-/// How Λ⁻¹ is inverted where an eigenvalue λ of it comes near zero. A threshold t is relative to λ_ref: the largest
-/// eigenvalue, or what [`update_with`](OperationalSpace::update_with) is given.
+/// Inversion of Λ⁻¹ where an eigenvalue λ of it is close to zero. A threshold t is relative to λ_ref: the largest
+/// eigenvalue, or the reference given to [`update_with`](OperationalSpace::update_with).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Inversion {
     /// λ/(λ² + μ²) below the threshold t λ_ref, with μ = t λ_ref (1 − (λ/(t λ_ref))²); 1/λ, exactly, above it.
     Damped(f64),
-    /// 1/λ, whatever comes of it; zero only where λ isn't above zero.
+    /// 1/λ for every λ above zero, however small; 0 otherwise.
     Plain,
     /// λ/(λ² + μ²) with μ = t λ_ref everywhere (damped least squares): never exact.
     LeastSquares(f64),
-    /// 1/max(λ, t λ_ref): the condition number is bounded, and a lost direction still pushed at.
+    /// 1/max(λ, t λ_ref): the condition number is bounded, and forces still act along a lost direction.
     Clamped(f64),
 }
 
 impl Inversion {
-    /// The threshold below which directions aren't what they were, relative to the largest eigenvalue: 0 if none.
+    /// Threshold below which directions are modified, relative to the largest eigenvalue: 0 if none.
     fn threshold(self) -> f64 {
         match self {
             Self::Damped(threshold) | Self::Clamped(threshold) => threshold,
@@ -60,7 +60,7 @@ impl Inversion {
         }
     }
 
-    /// In place of 1/`value`.
+    /// Returns the replacement of 1/`value`.
     fn reciprocal(self, value: f64, reference: f64) -> f64 {
         match self {
             Self::Damped(threshold) => damped_reciprocal(value, threshold * reference),
@@ -74,7 +74,7 @@ impl Inversion {
     }
 }
 
-/// Λ and J̄ of one task of up to six rows, and what follows from them; preallocated for n joints.
+/// Λ and J̄ of one task of up to six rows; preallocated for n joints.
 #[derive(Clone, Debug)]
 pub struct OperationalSpace {
     /// Λ, the task's inertia (kg, kg m, kg m²): rows and columns past the task's are zero.
@@ -82,23 +82,23 @@ pub struct OperationalSpace {
     /// J̄ᵀ (6 × n), with J̄ the dynamically consistent inverse of J: rows past the task's are zero. It maps joint
     /// torques to the task's forces.
     pub jbar_transpose: Matrix6xX<f64>,
-    /// The share of each eigen-direction of Λ⁻¹ that the task still has, smallest eigenvalue's: 1 if
+    /// Share of the weakest eigen-direction of Λ⁻¹ (smallest eigenvalue) that the task still has: 1 if
     /// nothing is damped, 0 if a direction is lost.
     pub weakest_share: f64,
 }
 
 impl OperationalSpace {
-    /// Room for a task on a robot of `n` joints.
+    /// Allocates for a task on a robot of `n` joints.
     #[must_use]
     pub fn new(n: usize) -> Self {
         Self { task_inertia: Matrix6::zeros(), jbar_transpose: Matrix6xX::zeros(n), weakest_share: 1.0 }
     }
 
-    /// Computes all of it for the first `rows` rows of `jacobian`, with the mass matrix's factor at its state.
+    /// Computes Λ and J̄ for the first `rows` rows of `jacobian`, with the mass matrix's factor at its state.
     ///
     /// `threshold` is the ratio to the largest eigenvalue of Λ⁻¹ below which a direction is damped
     /// (0: none is). Rows of different units must have been scaled to one beforehand for that ratio to
-    /// mean anything. Of what isn't finite nothing is left: Λ is zero then, and the share.
+    /// mean anything. If the Jacobian or the factor is not finite, Λ and the share are zero.
     ///
     /// # Panics
     /// If `rows` is more than six or the sizes differ.
@@ -112,8 +112,8 @@ impl OperationalSpace {
         self.update_with(factor, jacobian, rows, Inversion::Damped(threshold), None);
     }
 
-    /// As [`update`](Self::update), with Λ⁻¹ inverted in another way, or thresholds relative to another `reference`
-    /// (1/kg) than the largest eigenvalue.
+    /// Variant of [`update`](Self::update) with Λ⁻¹ inverted in another way, or thresholds relative to another
+    /// `reference` (1/kg) than the largest eigenvalue.
     ///
     /// # Panics
     /// As [`update`](Self::update).
@@ -129,8 +129,8 @@ impl OperationalSpace {
         self.finish(factor);
     }
 
-    /// The first half of [`update_with`](Self::update_with), for where J̄ may not be needed: Λ and the weakest share.
-    /// J̄ᵀ holds what [`finish`](Self::finish) needs.
+    /// Computes the first half of [`update_with`](Self::update_with), for where J̄ may not be needed: Λ and the weakest
+    /// share. J̄ᵀ holds the intermediate result that [`finish`](Self::finish) needs.
     ///
     /// # Panics
     /// As [`update`](Self::update).
@@ -152,7 +152,7 @@ impl OperationalSpace {
         (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, inversion, reference);
     }
 
-    /// The second half: J̄ᵀ, once after each [`update_inertia`](Self::update_inertia).
+    /// Computes the second half, J̄ᵀ, once after each [`update_inertia`](Self::update_inertia).
     ///
     /// # Panics
     /// If the sizes differ.
@@ -165,8 +165,8 @@ impl OperationalSpace {
         }
     }
 
-    /// Nᵀ τ = τ − Jᵀ J̄ᵀ τ in place of τ, with the Jacobian of the last [`update`](Self::update): what of the joint
-    /// torques `tau` (n; Nm) doesn't accelerate the task.
+    /// Replaces τ by Nᵀ τ = τ − Jᵀ J̄ᵀ τ, with the Jacobian of the last [`update`](Self::update): the part of the joint
+    /// torques `tau` (n; Nm) that doesn't accelerate the task.
     ///
     /// # Panics
     /// If the sizes differ.
@@ -197,8 +197,8 @@ impl OperationalSpace {
     }
 }
 
-/// The inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the
-/// share that is left of its weakest direction.
+/// Inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the
+/// remaining share of its weakest direction.
 fn damped_inverse(
     mut a: Matrix6<f64>,
     rows: usize,
@@ -230,7 +230,7 @@ fn damped_inverse(
     (inverse, weakest_share)
 }
 
-/// The plain inverse, if it is certain without the spectrum that no eigenvalue is below the threshold:
+/// Plain inverse, if it is certain without the spectrum that no eigenvalue is below the threshold:
 /// λ_min ≥ 1/tr(A⁻¹), and λ_max ≤ tr(A) where that is the reference.
 fn certified_inverse(a: &Matrix6<f64>, rows: usize, reference: f64, threshold: f64) -> Option<Matrix6<f64>> {
     let inverse = positive_inverse(a)?;
@@ -238,7 +238,7 @@ fn certified_inverse(a: &Matrix6<f64>, rows: usize, reference: f64, threshold: f
     (1.0 >= threshold * reference * inverse_trace).then_some(inverse)
 }
 
-/// The inverse of a symmetric matrix by Gauss and Jordan's elimination without pivoting, which is stable if the
+/// Inverse of a symmetric matrix by Gauss-Jordan elimination without pivoting, which is stable if the
 /// matrix is positive definite; `None` if a pivot shows that it isn't.
 fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let mut swept = *a;

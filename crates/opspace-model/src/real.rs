@@ -1,4 +1,4 @@
-//! What the algorithms compute with: one number, or one in each lane of a SIMD register.
+//! Scalar type of the algorithms: one number, or one in each lane of a SIMD register.
 //!
 //! ```
 //! use opspace_model::{Data, Model, Real, crba, forward_kinematics};
@@ -15,8 +15,8 @@
 use nalgebra::SimdRealField;
 use std::f64::consts::FRAC_2_PI;
 
-/// `f64`, or several of them side by side ([`Lanes`](crate::batch::Lanes)). All algorithms without a branch on values
-/// are written for both; the number of one state is the default everywhere.
+/// Scalar of the algorithms: `f64`, or several of them side by side ([`Lanes`](crate::batch::Lanes)). All algorithms
+/// without a branch on values are written for both; the number of one state is the default everywhere.
 pub trait Real: SimdRealField<Element = f64> + Copy {}
 
 impl<T: SimdRealField<Element = f64> + Copy> Real for T {}
@@ -26,8 +26,8 @@ const HALF_PI: [f64; 2] = [1.5707963267341256, 6.077100506506192e-11];
 
 /// Sine and cosine of an angle (rad), to 2 units in the last place of 1 while it is below 1e6.
 ///
-/// Without a branch or a call, so that a loop over joints runs in SIMD registers: a library's cost as much as all
-/// else in forward kinematics. What it gives is the same on every machine.
+/// Without a branch or a call, so that a loop over joints runs in SIMD registers: a library's function would cost as
+/// much as all else in forward kinematics. The result is the same on every machine.
 #[inline]
 pub(crate) fn sin_cos<T: Real>(angle: T) -> (T, T) {
     let constant = T::splat;
@@ -81,7 +81,7 @@ const COSINE: [f64; 8] = [
 mod tests {
     use super::sin_cos;
 
-    /// Against the mathematics library's, all round the circle and some thousand turns away.
+    /// Compares with the mathematics library's, all round the circle and some thousand turns away.
     #[test]
     fn sine_and_cosine_are_right_to_the_last_places() {
         let angles = (-200_000..200_000).map(|i| f64::from(i) * 1.234_567e-4);

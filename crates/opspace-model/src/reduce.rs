@@ -1,4 +1,4 @@
-//! Robots with fewer joints: some locked at a place, or made to follow others.
+//! Reduced models: joints locked at a position, or coupled to other joints.
 //!
 //! ```
 //! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
@@ -16,61 +16,61 @@ use crate::model::{Body, Frame, Joint, JointKind, Model};
 use crate::spatial::Placement;
 use thiserror::Error;
 
-/// What a joint that follows another does: it moves to `ratio` q + `offset` (rad, m).
+/// Coupling of a joint to another: it moves to `ratio` q + `offset` (rad, m), with q of the leader.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Follows {
-    /// The joint whose q that is.
+    /// Index of the leader, the joint that q belongs to.
     pub leader: usize,
-    /// Of the joint's motion to its leader's.
+    /// Ratio of the joint's motion to its leader's.
     pub ratio: f64,
-    /// rad or m.
+    /// Position of the joint where its leader is at 0, rad or m.
     pub offset: f64,
 }
 
-/// A joint that can't be locked or folded.
+/// Reason why a joint can't be locked or folded.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum ReduceError {
-    /// There are not so many.
+    /// Joint index out of range.
     #[error("there is no joint {joint}: there are {count}, numbered from 0")]
     NoSuchJoint {
-        /// The index asked for.
+        /// Index asked for.
         joint: usize,
-        /// How many joints there are.
+        /// Number of joints of the model.
         count: usize,
     },
-    /// Twice the same.
+    /// Joint given twice.
     #[error("joint '{joint}' is given twice; leave one")]
     Repeated {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
     },
-    /// A floating base is no joint that could be locked or follow another.
+    /// Coordinate of a floating base, which can neither be locked nor follow another.
     #[error("'{joint}' is part of the floating base; load the URDF with a fixed base instead")]
     Base {
-        /// The coordinate.
+        /// Name of the coordinate.
         joint: String,
     },
-    /// Neither a place nor a ratio.
+    /// Position, ratio or offset that is not finite.
     #[error("joint '{joint}': {value} is not finite")]
     NotFinite {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// As given.
+        /// Value as given.
         value: f64,
     },
-    /// Joints that follow each other.
+    /// Joints that follow each other in a circle.
     #[error("joint '{joint}' follows itself")]
     FollowsItself {
-        /// One of them.
+        /// Name of one of them.
         joint: String,
     },
 }
 
 impl Model {
-    /// The robot with some joints locked, each at a position (rad, m): what they carried is fixed to what
-    /// carried it. In Pinocchio `buildReducedModel`. The other joints keep their order, frames all their names; a
-    /// locked joint's rotor is gone with it.
+    /// Returns the robot with some joints locked, each at a position (rad, m): bodies beyond a locked joint are fixed
+    /// to its parent. In Pinocchio `buildReducedModel`. The other joints keep their order, and all frames keep their
+    /// names; the rotor of a locked joint is dropped with it.
     ///
     /// # Errors
     /// [`ReduceError`], which names the joint at fault.
@@ -117,9 +117,10 @@ impl Model {
         Ok(left)
     }
 
-    /// The robot with some joints made to follow others (mimic joints): each of `followers` is a joint, its leader,
-    /// and the ratio and offset (rad, m) of `q_follower = ratio q_leader + offset`. What they move, moves with the
-    /// leader's coordinate; their own, and their limits, are gone. Their rotors turn with the leader's.
+    /// Returns the robot with some joints made to follow others (mimic joints): each of `followers` is a joint, its
+    /// leader, and the ratio and offset (rad, m) of `q_follower = ratio q_leader + offset`. The bodies of a follower
+    /// move with the leader's coordinate; its own coordinate and its limits are gone. Its rotor turns with the
+    /// leader's.
     ///
     /// # Errors
     /// [`ReduceError`], which names the joint at fault.
@@ -152,7 +153,7 @@ impl Model {
                 rule.leader = next.leader;
                 steps += 1;
                 if steps > self.n() {
-                    // By now surely on the circle, whatever led to it.
+                    // By now surely on the circle, whatever came before.
                     return Err(ReduceError::FollowsItself { joint: self.joints[rule.leader].name.clone() });
                 }
             }

@@ -1,4 +1,4 @@
-//! Inverse dynamics as what it is in the inertial parameters: linear.
+//! Regressor of inverse dynamics, which is linear in the inertial parameters.
 //!
 //! Atkeson, An and Hollerbach, *Estimation of inertial parameters of manipulator loads and links*, Int. J. Robotics
 //! Research 5(3), 1986; in Pinocchio `computeJointTorqueRegressor`, whose order of parameters this is.
@@ -26,11 +26,11 @@ use crate::rnea::accelerate;
 use crate::spatial::{Force, Inertia, Motion};
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-/// How many parameters a body has.
+/// Number of inertial parameters of a body.
 pub const PARAMETERS: usize = 10;
 
-/// π of a body: m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz, with I about the origin of its frame, in its
-/// axes (kg, kg m, kg m²).
+/// Inertial parameters π of a body: m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz, with I about the origin
+/// of its frame, in its axes (kg, kg m, kg m²).
 #[must_use]
 pub fn inertial_parameters(inertia: &Inertia) -> [f64; PARAMETERS] {
     let Inertia { mass, com, rotational } = inertia;
@@ -67,7 +67,7 @@ pub fn torque_regressor<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     }
 }
 
-/// The force on a body per unit of each of its parameters, at its velocity and acceleration in its own frame:
+/// Force on a body per unit of each of its parameters, at its velocity and acceleration in its own frame:
 /// `f = m a_o + α × h + ω × (ω × h)`, `n = I α + ω × I ω + h × a_o` with a_o the classical acceleration of its origin.
 fn body_regressor<T: Real>(v: &Motion<T>, a: &Motion<T>) -> [Force<T>; PARAMETERS] {
     let (w, alpha) = (&v.angular, &a.angular);

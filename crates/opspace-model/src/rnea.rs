@@ -1,4 +1,4 @@
-//! Inverse dynamics: the torques that a motion needs, by the recursive Newton–Euler algorithm.
+//! Inverse dynamics: the torques of a motion, by the recursive Newton–Euler algorithm.
 //!
 //! RBDA table 5.1; in Pinocchio `rnea`, `nonLinearEffects` and `computeGeneralizedGravity`.
 //!
@@ -85,7 +85,7 @@ pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     backward(model, &data.screw, &mut data.force, &mut data.gravity);
 }
 
-/// The same as [`bias`], from the inertias of the bodies.
+/// Computes [`bias`] from the inertias of the bodies.
 pub(crate) fn bias_of_bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let Data { composite, velocity, bias_acceleration, force, .. } = data;
     for (force, (inertia, (v, bias))) in
@@ -98,7 +98,7 @@ pub(crate) fn bias_of_bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     backward(model, &data.screw, &mut data.force, &mut data.bias);
 }
 
-/// The same as [`gravity`], from the inertias of all that each joint carries: what [`crba`](crate::crba) leaves.
+/// Computes [`gravity`] from the composite inertias of the subtrees, as [`crba`](crate::crba) leaves them.
 pub(crate) fn gravity_of_composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let up = -model.gravity;
     data.gravity.as_mut_slice().fill(T::zero());
@@ -108,8 +108,8 @@ pub(crate) fn gravity_of_composites<T: Real>(model: &Model<T>, data: &mut Data<T
     }
 }
 
-/// What `ddq` and gravity add to the bias acceleration of every body. Gravity is what it feels like: the whole
-/// robot accelerating upwards.
+/// Adds the part of `ddq` and of gravity to the bias acceleration of every body. Gravity enters as an upward
+/// acceleration of the base.
 #[inline]
 pub(crate) fn accelerate<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
     for (i, body) in model.bodies.iter().enumerate() {
@@ -121,9 +121,10 @@ pub(crate) fn accelerate<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T
     }
 }
 
-/// f = I a + v ×* I v: the net force on a body (RBDA eq. 2.72), in world axes about `origin`.
+/// Net force on a body, f = I a + v ×* I v (RBDA eq. 2.72), in world axes about `origin`.
 ///
-/// Newton's law for the centre of mass in world axes, Euler's about it in the body's, where its inertia stands still.
+/// Newton's law holds for the centre of mass in world axes, Euler's about it in the body's, where its inertia is
+/// constant.
 #[inline(always)]
 fn newton_euler<T: Real>(
     body: &Body<T>,
@@ -141,7 +142,7 @@ fn newton_euler<T: Real>(
     Force { linear, angular: apply(rotation, &moment) + com.cross(&linear) }
 }
 
-/// Each joint carries its own body and all bodies beyond: forces summed from the tips to the base.
+/// Sums forces from the tips to the base: each joint transmits those of its own body and of all bodies beyond.
 #[inline]
 fn backward<T: Real>(model: &Model<T>, screw: &[Motion<T>], force: &mut [Force<T>], torque: &mut DVector<T>) {
     torque.as_mut_slice().fill(T::zero());

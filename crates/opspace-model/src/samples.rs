@@ -1,5 +1,5 @@
-//! Every kinematic and dynamic quantity of a state at once, in a layout that other libraries can be
-//! compared with: what `opspace model URDF --tip FRAME --samples FILE` reads and writes.
+//! Every kinematic and dynamic quantity of a state at once, in a layout for comparisons with other
+//! libraries: the format that `opspace model URDF --tip FRAME --samples FILE` reads and writes.
 //!
 //! Matrices are flat and row-major; 6-vectors and Jacobians have linear rows first, in world axes at the
 //! tip's origin. Not for control: it allocates.
@@ -30,20 +30,20 @@ use nalgebra::{DMatrix, Matrix6xX, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// A task is rank-deficient if, with its rows scaled to equal weight, its least mobile direction has less
-/// than this share of the mobility of its most mobile one (as a ratio of singular values of J M^-½). Below
-/// it Λ, which divides by the square, has fewer than four digits left.
+/// Smallest ratio of singular values of J M^-½ at full rank. A task is rank-deficient if, with its rows scaled to equal
+/// weight, its least mobile direction has less than this share of the mobility of its most mobile one. Below it Λ,
+/// which divides by the square, has fewer than four digits left.
 const RANK_TOLERANCE: f64 = 1e-6;
 
-/// Within it sine and cosine keep their digits: see [`forward_kinematics`](crate::forward_kinematics).
+/// Largest angle at which sine and cosine keep their digits: see [`forward_kinematics`](crate::forward_kinematics).
 const MOST_TURNED_RAD: f64 = 1e6;
 
-/// How far from 1 the length of a quaternion may be: files print six digits and more.
+/// Largest difference from 1 of a quaternion's length: files print six digits and more.
 const QUATERNION_TOLERANCE: f64 = 1e-5;
 
-/// A state, and what acts on the robot in it. Lengths: n is the number of joints.
+/// State of a robot, and the forces that act on it. Lengths: n is the number of joints.
 ///
-/// Keys that it doesn't know are ignored when it is read: a line may carry another library's answers along.
+/// Unknown keys are ignored when it is read: a line may include another library's answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// Joint positions, rad or m (nq: a floating base has a quaternion).
@@ -56,7 +56,7 @@ pub struct Sample {
     pub tau_in: Vec<f64>,
     /// Force and moment on the robot at the tip, world axes, N and Nm (6).
     pub f_tip: Vec<f64>,
-    /// The rows of the tip's Jacobian that are the task: distinct, each from 0 to 5.
+    /// Rows of the tip's Jacobian that are the task: distinct, each from 0 to 5.
     #[serde(default = "all_rows")]
     pub task_rows: Vec<usize>,
 }
@@ -65,7 +65,7 @@ fn all_rows() -> Vec<usize> {
     (0..6).collect()
 }
 
-/// What follows from a [`Sample`]; k is the number of its task's rows.
+/// Quantities computed from a [`Sample`]; k is the number of its task's rows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quantities {
     /// Axes of the tip in the world (3 × 3).
@@ -74,54 +74,54 @@ pub struct Quantities {
     /// Origin of the tip in the world, m (3).
     #[serde(rename = "tip_p")]
     pub tip_position: Vec<f64>,
-    /// J q̇ (6).
+    /// Velocity of the tip, J q̇ (6).
     #[serde(rename = "tip_vel")]
     pub tip_velocity: Vec<f64>,
-    /// J (6 × n).
+    /// Jacobian J of the tip (6 × n).
     #[serde(rename = "J")]
     pub jacobian: Vec<f64>,
-    /// J̇ q̇: the tip's classical acceleration with q̈ = 0 (6).
+    /// Classical acceleration of the tip with q̈ = 0, J̇ q̇ (6).
     #[serde(rename = "Jdot_dq")]
     pub tip_bias_acceleration: Vec<f64>,
-    /// M (n × n).
+    /// Mass matrix M (n × n).
     #[serde(rename = "M")]
     pub mass_matrix: Vec<f64>,
-    /// g, the torques of gravity (n).
+    /// Torques g of gravity (n).
     #[serde(rename = "g")]
     pub gravity: Vec<f64>,
-    /// C q̇ + g (n).
+    /// Torques C q̇ + g at q̈ = 0 (n).
     #[serde(rename = "nle")]
     pub bias: Vec<f64>,
-    /// C of Christoffel's symbols (n × n).
+    /// Coriolis matrix C of Christoffel's symbols (n × n).
     #[serde(rename = "C")]
     pub coriolis_matrix: Vec<f64>,
-    /// M q̈ + C q̇ + g (n).
+    /// Torques of inverse dynamics, M q̈ + C q̇ + g (n).
     pub tau_rnea: Vec<f64>,
-    /// M⁻¹ (τ − C q̇ − g) (n).
+    /// Accelerations of forward dynamics, M⁻¹ (τ − C q̇ − g) (n).
     pub ddq_aba: Vec<f64>,
-    /// M q̈ + C q̇ + g − Jᵀ f (n).
+    /// Torques of inverse dynamics with the wrench at the tip, M q̈ + C q̇ + g − Jᵀ f (n).
     pub tau_rnea_fext: Vec<f64>,
-    /// M⁻¹ (τ − C q̇ − g + Jᵀ f) (n).
+    /// Accelerations of forward dynamics with the wrench at the tip, M⁻¹ (τ − C q̇ − g + Jᵀ f) (n).
     pub ddq_aba_fext: Vec<f64>,
     /// Centre of mass of all moving bodies in the world, m (3); none if nothing moves.
     pub com: Option<Vec<f64>>,
-    /// Joule.
+    /// Kinetic energy, J.
     pub kinetic_energy: f64,
-    /// Joule, zero at z = 0.
+    /// Potential energy, J; zero at z = 0.
     pub potential_energy: f64,
-    /// Λ = (J M⁻¹ Jᵀ)⁻¹ of the task's rows, undamped (k × k); none if the task is rank-deficient.
+    /// Task inertia Λ = (J M⁻¹ Jᵀ)⁻¹ of the task's rows, undamped (k × k); none if the task is rank-deficient.
     #[serde(rename = "Lambda")]
     pub task_inertia: Option<Vec<f64>>,
-    /// J̄ = M⁻¹ Jᵀ Λ (n × k); none if the task is rank-deficient.
+    /// Dynamically consistent inverse J̄ = M⁻¹ Jᵀ Λ (n × k); none if the task is rank-deficient.
     #[serde(rename = "Jbar")]
     pub dynamically_consistent_inverse: Option<Vec<f64>>,
-    /// N = I − J̄ J, acting on velocities (n × n); none if the task is rank-deficient.
+    /// Null-space projector N = I − J̄ J, acting on velocities (n × n); none if the task is rank-deficient.
     #[serde(rename = "N")]
     pub nullspace: Option<Vec<f64>>,
 }
 
 impl Quantities {
-    /// What is computed for every state; the task's come from the same matrices.
+    /// True if all that is computed for every state is finite; the task's quantities come from the same matrices.
     fn is_finite(&self) -> bool {
         let all = [
             &self.tip_velocity,
@@ -138,68 +138,68 @@ impl Quantities {
     }
 }
 
-/// Why a [`Sample`] can't be evaluated.
+/// Reason why a [`Sample`] can't be evaluated.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum SampleError {
-    /// Too few numbers or too many.
+    /// Input of a wrong length.
     #[error("`{key}` has {found} numbers; it needs {expected}")]
     Length {
-        /// Which input.
+        /// Key of the input.
         key: &'static str,
-        /// How many it needs.
+        /// Number of entries needed.
         expected: usize,
-        /// How many it has.
+        /// Number of entries given.
         found: usize,
     },
-    /// Infinite or not a number.
+    /// Input that is infinite or not a number.
     #[error("`{key}`[{index}] is {value}; give a finite number")]
     NotFinite {
-        /// Which input.
+        /// Key of the input.
         key: &'static str,
-        /// Where in it, from 0.
+        /// Index of the entry, from 0.
         index: usize,
-        /// What is there.
+        /// Value of the entry.
         value: f64,
     },
-    /// A task row that a frame's motion doesn't have.
+    /// Task row that a frame's motion doesn't have.
     #[error("`task_rows` has {row}; the rows are 0 1 2 (linear x y z) and 3 4 5 (angular x y z)")]
     NoSuchRow {
-        /// The row.
+        /// Row as given.
         row: usize,
     },
-    /// A task row twice.
+    /// Task row given twice.
     #[error("`task_rows` has {row} more than once; leave one")]
     RepeatedRow {
-        /// The row.
+        /// Row as given.
         row: usize,
     },
-    /// A joint that nothing resists, or a state so large that products overflow.
+    /// Mass matrix that is not positive definite: a joint without inertia, or a state so large that products overflow.
     #[error(
         "the mass matrix is not positive definite at this `q`: a joint moves a body without inertia about its axis, or the \
          numbers overflow"
     )]
     SingularMassMatrix,
-    /// A quaternion that is none.
+    /// Quaternion whose length is not 1.
     #[error("the quaternion `q`[3..7] has length {length}; give one of length 1: x, y, z, w")]
     Quaternion {
-        /// As given.
+        /// Length as given.
         length: f64,
     },
-    /// Further round than sines are known.
+    /// Angle beyond the range in which sines keep their digits.
     #[error("`q`: joint '{joint}' is turned by {angle} rad; give at most {MOST_TURNED_RAD}")]
     Turned {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// As given, rad.
+        /// Angle as given, rad.
         angle: f64,
     },
-    /// A state so large that products overflow.
+    /// State so large that products overflow.
     #[error("the numbers overflow: `dq`, `ddq`, `tau_in` or `f_tip` is too large")]
     Overflow,
 }
 
-/// All quantities at one state.
+/// Computes all quantities at one state.
 ///
 /// # Errors
 /// [`SampleError`], which names the input at fault.
@@ -295,7 +295,7 @@ fn check(model: &Model, sample: &Sample) -> Result<(), SampleError> {
     Ok(())
 }
 
-/// Λ, J̄ and N, row-major.
+/// Λ, J̄ and N of a task, row-major.
 struct Task {
     inertia: Vec<f64>,
     inverse: Vec<f64>,
@@ -322,8 +322,8 @@ fn task(data: &Data, jacobian: &Matrix6xX<f64>, rows: &[usize]) -> Option<Task> 
     })
 }
 
-/// Whether J M⁻¹ Jᵀ has an inverse, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ), whose columns are
-/// first brought to length one since they differ in unit.
+/// True if J M⁻¹ Jᵀ has an inverse, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ), whose columns are
+/// first scaled to length one since they differ in unit.
 fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
     let n = jacobian.ncols();
     if rows == 0 || rows > n {

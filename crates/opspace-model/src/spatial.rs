@@ -1,8 +1,7 @@
 //! Rigid-body quantities as pairs of 3-vectors: placements, motions, forces and inertias.
 //!
 //! Linear part first, angular part second, everywhere in opspace. A 6×6 matrix is never formed: the
-//! products below are what Featherstone's spatial operators (RBDA, table 2.1) come to when their
-//! zeros are left out.
+//! products below are Featherstone's spatial operators (RBDA, table 2.1) with their zeros left out.
 //!
 //! ```
 //! use nalgebra::Vector3;
@@ -20,7 +19,7 @@ use crate::real::Real;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
-/// The pose of a frame B in a frame A: `p_A = rotation · p_B + translation` (m).
+/// Pose of a frame B in a frame A: `p_A = rotation · p_B + translation` (m).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement<T = f64> {
     /// Axes of B in A.
@@ -30,7 +29,7 @@ pub struct Placement<T = f64> {
 }
 
 impl Placement {
-    /// A placement from URDF's `rpy` (rad; fixed axes x, y, z in that order) and `xyz` (m).
+    /// Returns the placement of URDF's `rpy` (rad; fixed axes x, y, z in that order) and `xyz` (m).
     #[must_use]
     pub fn from_rpy(rpy: [f64; 3], xyz: [f64; 3]) -> Self {
         Self {
@@ -39,7 +38,7 @@ impl Placement {
         }
     }
 
-    /// The same in every lane.
+    /// Returns this placement in every lane.
     #[must_use]
     pub fn splat<T: Real>(&self) -> Placement<T> {
         Placement { rotation: self.rotation.map(T::splat), translation: self.translation.map(T::splat) }
@@ -47,27 +46,27 @@ impl Placement {
 }
 
 impl<T: Real> Placement<T> {
-    /// The two frames coincide.
+    /// Placement of two frames that coincide.
     #[must_use]
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
-    /// The pose of A in B.
+    /// Pose of A in B.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// A point given in B, in A (m).
+    /// Transforms a point given in B to A (m).
     #[inline]
     #[must_use]
     pub fn act_point(&self, point: &Vector3<T>) -> Vector3<T> {
         apply(&self.rotation, point) + self.translation
     }
 
-    /// A motion given at B's origin in B's axes, at A's origin in A's axes.
+    /// Transforms a motion given at B's origin in B's axes to A's origin in A's axes.
     #[inline]
     #[must_use]
     pub fn act_motion(&self, m: &Motion<T>) -> Motion<T> {
@@ -75,7 +74,7 @@ impl<T: Real> Placement<T> {
         Motion { linear: self.rotation * m.linear + self.translation.cross(&angular), angular }
     }
 
-    /// A motion given in A, in B: the inverse of [`act_motion`](Self::act_motion).
+    /// Transforms a motion given in A to B: the inverse of [`act_motion`](Self::act_motion).
     #[inline]
     #[must_use]
     pub fn act_inverse_motion(&self, m: &Motion<T>) -> Motion<T> {
@@ -85,7 +84,7 @@ impl<T: Real> Placement<T> {
         }
     }
 
-    /// A force given at B's origin in B's axes, at A's origin in A's axes.
+    /// Transforms a force given at B's origin in B's axes to A's origin in A's axes.
     #[inline]
     #[must_use]
     pub fn act_force(&self, f: &Force<T>) -> Force<T> {
@@ -93,7 +92,7 @@ impl<T: Real> Placement<T> {
         Force { linear, angular: self.rotation * f.angular + self.translation.cross(&linear) }
     }
 
-    /// An inertia given in B, in A.
+    /// Transforms an inertia given in B to A.
     #[inline]
     #[must_use]
     pub fn act_inertia(&self, inertia: &Inertia<T>) -> Inertia<T> {
@@ -108,7 +107,7 @@ impl<T: Real> Placement<T> {
 impl<T: Real> Mul for Placement<T> {
     type Output = Self;
 
-    /// `X_AC = X_AB · X_BC`.
+    /// Product of placements: `X_AC = X_AB · X_BC`.
     #[inline]
     fn mul(self, other: Self) -> Self {
         Self {
@@ -121,9 +120,9 @@ impl<T: Real> Mul for Placement<T> {
 /// A velocity (m/s, rad/s) or an acceleration (m/s², rad/s²).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion<T = f64> {
-    /// Of the body's point at the frame's origin.
+    /// Velocity (acceleration) of the body's point at the frame's origin.
     pub linear: Vector3<T>,
-    /// Of the body.
+    /// Angular velocity (acceleration) of the body.
     pub angular: Vector3<T>,
 }
 
@@ -137,27 +136,27 @@ pub struct Force<T = f64> {
 }
 
 impl<T: Real> Motion<T> {
-    /// At rest.
+    /// Motion of a body at rest: zero.
     #[must_use]
     pub fn zero() -> Self {
         Self { linear: Vector3::zeros(), angular: Vector3::zeros() }
     }
 
-    /// The motion of the body's point at `point` from the frame's origin.
+    /// Motion of the body's point at `point` from the frame's origin.
     #[inline]
     #[must_use]
     pub fn at(&self, point: &Vector3<T>) -> Self {
         Self { linear: self.linear + self.angular.cross(point), angular: self.angular }
     }
 
-    /// In axes of which `rotation` gives those used so far.
+    /// Motion in new axes: `rotation` has the axes used so far in the new ones.
     #[inline]
     #[must_use]
     pub fn turned(&self, rotation: &Matrix3<T>) -> Self {
         Self { linear: apply(rotation, &self.linear), angular: apply(rotation, &self.angular) }
     }
 
-    /// In the axes that `rotation` gives.
+    /// Motion in the axes that are the columns of `rotation`.
     #[inline]
     #[must_use]
     pub fn turned_back(&self, rotation: &Matrix3<T>) -> Self {
@@ -177,7 +176,7 @@ impl<T: Real> Motion<T> {
         }
     }
 
-    /// `v ×*`: the same for a force (RBDA eq. 2.32).
+    /// `v ×*`: the rate of change of a force fixed in a frame that moves with `self` (RBDA eq. 2.32).
     #[inline]
     #[must_use]
     pub fn cross_force(&self, f: &Force<T>) -> Force<T> {
@@ -187,7 +186,7 @@ impl<T: Real> Motion<T> {
         }
     }
 
-    /// The power of a force on this motion, W.
+    /// Power of a force on this motion, W.
     #[inline]
     #[must_use]
     pub fn dot(&self, f: &Force<T>) -> T {
@@ -196,13 +195,13 @@ impl<T: Real> Motion<T> {
 }
 
 impl<T: Real> Force<T> {
-    /// No force.
+    /// Zero force.
     #[must_use]
     pub fn zero() -> Self {
         Self { linear: Vector3::zeros(), angular: Vector3::zeros() }
     }
 
-    /// The same force with its moment about `point`, given from the point used so far.
+    /// Returns this force with its moment taken about `point`, given relative to the point used so far.
     #[inline]
     #[must_use]
     pub fn about(&self, point: &Vector3<T>) -> Self {
@@ -210,7 +209,7 @@ impl<T: Real> Force<T> {
     }
 }
 
-/// Sums and scalings, the same for motions and forces.
+/// Sums and scalings of motions and forces alike.
 macro_rules! pair_arithmetic {
     ($t:ident) => {
         impl<T: Real> Add for $t<T> {
@@ -263,7 +262,7 @@ pair_arithmetic!(Force);
 /// Mass, centre of mass and rotational inertia of a rigid body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertia<T = f64> {
-    /// kg.
+    /// Mass, kg.
     pub mass: T,
     /// Centre of mass in the body's frame, m.
     pub com: Vector3<T>,
@@ -272,7 +271,7 @@ pub struct Inertia<T = f64> {
 }
 
 impl Inertia {
-    /// The same in every lane.
+    /// Returns this inertia in every lane.
     #[must_use]
     pub fn splat<T: Real>(&self) -> Inertia<T> {
         Inertia {
@@ -284,7 +283,7 @@ impl Inertia {
 }
 
 impl<T: Real> Inertia<T> {
-    /// No mass.
+    /// Inertia of a body without mass.
     #[must_use]
     pub fn zero() -> Self {
         Self { mass: T::zero(), com: Vector3::zeros(), rotational: Matrix3::zeros() }
@@ -294,7 +293,7 @@ impl<T: Real> Inertia<T> {
 impl Add for Inertia {
     type Output = Self;
 
-    /// Two bodies joined rigidly (parallel-axis theorem). Massless ones keep their rotational part.
+    /// Inertia of two bodies joined rigidly (parallel-axis theorem). Massless ones keep their rotational part.
     fn add(self, o: Self) -> Self {
         let mass = self.mass + o.mass;
         if mass == 0.0 {
@@ -312,7 +311,7 @@ impl Add for Inertia {
     }
 }
 
-/// The eigenvalues of a rotational inertia, ascending, kg m².
+/// Eigenvalues of a rotational inertia, ascending, kg m².
 #[must_use]
 pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     // Of order one first: the square of a tiny or huge moment is zero or infinite.
@@ -325,8 +324,8 @@ pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     moments
 }
 
-/// A rigid body's inertia about a fixed point, in fixed axes: what belongs to it in RBDA eq. 2.63,
-/// `[f; n] = [m, −h×; h×, I] [v; ω]`. Bodies that move as one just add up.
+/// Rigid body's inertia about a fixed point, in fixed axes: the blocks of RBDA eq. 2.63,
+/// `[f; n] = [m, −h×; h×, I] [v; ω]`. The inertias of bodies that move as one are summed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpatialInertia<T = f64> {
     /// m, kg.
@@ -338,13 +337,13 @@ pub struct SpatialInertia<T = f64> {
 }
 
 impl<T: Real> SpatialInertia<T> {
-    /// No mass.
+    /// Inertia of a body without mass.
     #[must_use]
     pub fn zero() -> Self {
         Self { mass: T::zero(), first_moment: Vector3::zeros(), second_moment: Matrix3::zeros() }
     }
 
-    /// Of a body in a frame of which `rotation` gives the axes, with its centre of mass at `com`.
+    /// Returns the inertia of a body in a frame of which `rotation` gives the axes, with its centre of mass at `com`.
     #[inline]
     #[must_use]
     pub fn new(inertia: &Inertia<T>, rotation: &Matrix3<T>, com: &Vector3<T>) -> Self {
@@ -353,7 +352,7 @@ impl<T: Real> SpatialInertia<T> {
         Self { mass: inertia.mass, first_moment, second_moment: turned + steiner(com, &first_moment) }
     }
 
-    /// The momentum of the body moving at `v`, or its inertial force under the acceleration `v`.
+    /// Momentum of the body moving at `v`, or its inertial force under the acceleration `v`.
     #[inline]
     #[must_use]
     pub fn apply(&self, v: &Motion<T>) -> Force<T> {
@@ -385,7 +384,7 @@ fn congruent<T: Real>(rotation: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> {
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
-/// A x. As [`product`] and [`apply_transposed`], written out: nalgebra's own are as fast for one number, but pass
+/// A x. Written out, as [`product`] and [`apply_transposed`] are: nalgebra's own are as fast for one number, but pass
 /// through memory for lanes.
 #[inline]
 pub(crate) fn apply<T: Real>(a: &Matrix3<T>, x: &Vector3<T>) -> Vector3<T> {
@@ -406,7 +405,7 @@ fn product<T: Real>(a: &Matrix3<T>, b: &Matrix3<T>) -> Matrix3<T> {
     Matrix3::from_columns(&[column(0), column(1), column(2)])
 }
 
-/// (c·h) 1 − c hᵀ with h = m c: the parallel-axis theorem's part.
+/// (c·h) 1 − c hᵀ with h = m c: the term of the parallel-axis theorem.
 #[inline]
 fn steiner<T: Real>(c: &Vector3<T>, h: &Vector3<T>) -> Matrix3<T> {
     let (xx, yy, zz) = (c.x * h.x, c.y * h.y, c.z * h.z);

@@ -1,10 +1,9 @@
-//! What of a model can be, but of a real robot seldom is: the slips of units, frames and placeholders that load
-//! without an error and spoil a simulation.
+//! Checks for values that are possible in a model but unusual in a real robot: wrong units, frames and placeholders
+//! that load without an error and spoil a simulation.
 //!
-//! Every rule is in this file, with its bound and where that comes from. None needs to know how large a link is:
-//! a mass and its principal moments say enough. What stands wrong in the text of a URDF itself (impossible
-//! moments, limits that are zero or equal) is said as a [`UrdfWarning`](crate::UrdfWarning), with its line, and not
-//! again here.
+//! Every rule is in this file, with its bound and its source. None needs the size of a link: a mass and its
+//! principal moments suffice. Errors in the text of a URDF itself (impossible moments, limits that are zero or
+//! equal) are reported as a [`UrdfWarning`](crate::UrdfWarning), with its line, and not repeated here.
 //!
 //! ```
 //! use nalgebra::{Matrix3, Vector3};
@@ -24,122 +23,123 @@ use nalgebra::Vector3;
 use std::f64::consts::PI;
 use thiserror::Error;
 
-/// Osmium's: no matter is denser.
+/// Density of osmium: no matter is denser.
 const DENSEST_KG_PER_M3: f64 = 22_590.0;
 
-/// Expanded polystyrene's. The lightest sound body of the robots in the tests has 52; the identity
-/// matrix that stands in many a file for an unknown inertia makes a body of 1 kg as light as 0.06.
+/// Density of expanded polystyrene. The lightest sound body of the robots in the tests has 52; the identity
+/// matrix that stands in many files for an unknown inertia gives a body of 1 kg a density of 0.06.
 const LIGHTEST_KG_PER_M3: f64 = 30.0;
 
-/// Centre of mass to frame, in radii of gyration. A uniform rod has √3 about its end; the robots in the tests have
-/// 3.7 at most, where Denavit and Hartenberg put the frame outside the link.
+/// Largest distance of the centre of mass from the frame, in radii of gyration. A uniform rod has √3 about its end; the
+/// robots in the tests have 3.7 at most, where the Denavit-Hartenberg convention puts the frame outside the link.
 const FARTHEST_IN_RADII: f64 = 6.0;
 
-/// Between a body and the one that carries it. A camera on a torso comes to some hundreds; grams for kilograms, and
-/// links put in only because a joint needs one, to thousands.
+/// Largest mass ratio between a body and its parent. A camera on a torso comes to some hundreds; grams for kilograms,
+/// and links put in only because a joint needs one, to thousands.
 const LARGEST_MASS_RATIO: f64 = 1000.0;
 
-/// Cables end joints' ranges after two or three turns; limits in degrees come to dozens.
+/// Widest range of a revolute joint: cables end joints' ranges after two or three turns; limits in degrees come to
+/// dozens.
 const WIDEST_TURN_RAD: f64 = 10.0 * PI;
 
-/// Longer than any axis but a gantry's; limits in millimetres come to hundreds.
+/// Widest range of a prismatic joint: longer than any axis but a gantry's; limits in millimetres come to hundreds.
 const WIDEST_SLIDE_M: f64 = 20.0;
 
-/// What looks wrong with a model. `part` is a body as a person would say it: `link 'elbow'`, after the link that its
-/// joint moves.
+/// Unusual value in a model. `part` names a body as in `link 'elbow'`, after the link that its joint moves.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Suspicion {
-    /// A centre of mass outside its body.
+    /// Centre of mass outside its body.
     #[error(
         "{part}: its centre of mass is {} m from its frame, {:.0} times its radius of gyration of {} m; \
          links have 4 times at most: give it in the link's own frame, in m",
         short(*distance_m), distance_m / radius_m, short(*radius_m)
     )]
     FarCentre {
-        /// Whose.
+        /// Name of the body.
         part: String,
-        /// From the origin of the body's frame, m.
+        /// Distance of the centre of mass from the origin of the body's frame, m.
         distance_m: f64,
-        /// The largest of the body, m.
+        /// Largest radius of gyration of the body, m.
         radius_m: f64,
     },
-    /// A body too compact for its mass.
+    /// Body too compact for its mass.
     #[error(
         "{part}: its largest principal moment is {} kg m²; even a ball of osmium of its {} kg has {}: \
          give moments in kg m², unless a point mass is meant",
         short(*moment), short(*mass), short(*least)
     )]
     SmallInertia {
-        /// Whose.
+        /// Name of the body.
         part: String,
-        /// kg.
+        /// Mass of the body, kg.
         mass: f64,
-        /// The largest principal one, kg m².
+        /// Largest principal moment of the body, kg m².
         moment: f64,
-        /// What a ball of the densest matter has, kg m².
+        /// Moment of a ball of this mass of the densest matter, kg m².
         least: f64,
     },
-    /// A body too wide for its mass.
+    /// Body too wide for its mass.
     #[error(
         "{part}: its principal moments {}, {}, {} kg m² with {} kg are those of a solid of {} kg/m³, lighter than \
          styrofoam; links have 50 and more: give moments about the centre of mass, in kg m², no placeholders",
         short(moments[0]), short(moments[1]), short(moments[2]), short(*mass), short(*density)
     )]
     LargeInertia {
-        /// Whose.
+        /// Name of the body.
         part: String,
-        /// kg.
+        /// Mass of the body, kg.
         mass: f64,
-        /// Ascending, kg m².
+        /// Principal moments, ascending, kg m².
         moments: [f64; 3],
-        /// Of the uniform ellipsoid that has this mass and these moments, kg/m³.
+        /// Density of the uniform ellipsoid that has this mass and these moments, kg/m³.
         density: f64,
     },
-    /// Neighbours of very different mass.
+    /// Parent and child of very different mass.
     #[error(
         "{heavy} has {} kg and {light} next to it {} kg; usual is a ratio below 1000: give both in kg, and fix a link \
          that is only a placeholder to a neighbour",
         short(masses[1]), short(masses[0])
     )]
     UnequalMasses {
-        /// The lighter body.
+        /// Name of the lighter body.
         light: String,
-        /// The body that carries it, or that it carries.
+        /// Name of the heavier body, its parent or child.
         heavy: String,
-        /// Theirs in this order, kg.
+        /// Masses of the heavier and the lighter body, kg.
         masses: [f64; 2],
     },
-    /// Joints that may do anything.
+    /// Joints without a limit of speed or effort.
     #[error(
         "{}: no {limit} limit, so that any {limit} passes; give <limit {limit}=\"...\"> from the motor's data",
         listed(joints)
     )]
     NoLimit {
-        /// Which, in the model's order.
+        /// Names of the joints, in the model's order.
         joints: Vec<String>,
-        /// `velocity` or `effort`.
+        /// Name of the limit: `velocity` or `effort`.
         limit: &'static str,
     },
-    /// A range in which no joint moves.
+    /// Position range wider than that of any joint.
     #[error("joint '{joint}': its range from {} to {} {}", short(*lower), short(*upper), widest(*kind))]
     WideRange {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// Which says the unit.
+        /// Type of the joint, which determines the unit.
         kind: JointKind,
-        /// rad or m.
+        /// Lower limit, rad or m.
         lower: f64,
-        /// rad or m.
+        /// Upper limit, rad or m.
         upper: f64,
     },
 }
 
-/// The rules about one body with mass.
+/// Rules about one body with mass.
 const OF_BODIES: [fn(&Part<'_>) -> Option<Suspicion>; 4] =
     [far_centre, small_inertia, large_inertia, unequal_masses];
 
-/// What looks wrong with a model, bodies first, in their order; empty for most. Allocates: for once after loading.
+/// Returns the unusual values of a model, bodies first, in their order; empty for most. Allocates: call it once after
+/// loading.
 #[must_use]
 pub fn suspicions(model: &Model) -> Vec<Suspicion> {
     let heavy = (0..model.bodies().len()).filter(|&i| model.bodies()[i].inertia.mass > 0.0);
@@ -151,7 +151,7 @@ pub fn suspicions(model: &Model) -> Vec<Suspicion> {
     of_bodies.chain(limits.into_iter().flatten()).chain(ranges).collect()
 }
 
-/// A body and what the rules ask of it.
+/// Body and the properties that the rules need.
 #[derive(Clone, Copy)]
 struct Part<'a> {
     model: &'a Model,
@@ -170,7 +170,7 @@ impl<'a> Part<'a> {
         &self.model.bodies()[self.number]
     }
 
-    /// After the first link on it, which is the one that its joint moves.
+    /// Name of the first link on it, which is the one that its joint moves.
     fn name(&self) -> String {
         let mut links = self.model.frames().iter().filter(|f| f.body == Some(self.number));
         match (links.next(), links.next()) {
@@ -180,13 +180,14 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// The largest principal moment of a ball of the densest matter: no body of that mass has a smaller one, kg m².
+    /// Principal moment of a ball of the densest matter, kg m²: no body of that mass has a smaller largest one.
     fn least_moment(&self) -> f64 {
         let radius = (3.0 * self.mass / (4.0 * PI * DENSEST_KG_PER_M3)).cbrt();
         0.4 * self.mass * radius * radius
     }
 
-    /// How far what is joined or fixed to it, and what it is joined to, is known to be, m.
+    /// Largest known distance from the body's frame to a child joint or a fixed frame, or from the parent's frame to
+    /// it, m.
     fn extent(&self) -> f64 {
         let (model, me) = (self.model, Some(self.number));
         let children = model.bodies().iter().filter(|b| b.parent == me).map(|b| b.origin.translation);
@@ -196,7 +197,8 @@ impl<'a> Part<'a> {
     }
 }
 
-/// Needs both: a bob at the end of a rod is far from its joint, but not from the frames there.
+/// Compares with both the radius of gyration and the extent: a bob at the end of a rod is far from its joint, but not
+/// from the frames there.
 fn far_centre(part: &Part<'_>) -> Option<Suspicion> {
     let distance_m = part.body().inertia.com.norm();
     let radius_m = (part.moments[2].max(part.least_moment()) / part.mass).sqrt();
@@ -213,7 +215,8 @@ fn small_inertia(part: &Part<'_>) -> Option<Suspicion> {
     (moment < least).then(|| Suspicion::SmallInertia { part: part.name(), mass, moment, least })
 }
 
-/// By the uniform ellipsoid with the same mass and moments: its semi-axes are a² = 5 (I₂ + I₃ − I₁) / 2m and so on.
+/// Compares the density of the uniform ellipsoid with the same mass and moments: its semi-axes are
+/// a² = 5 (I₂ + I₃ − I₁) / 2m and so on.
 fn large_inertia(part: &Part<'_>) -> Option<Suspicion> {
     let &Part { mass, moments, .. } = part;
     let sum: f64 = moments.iter().sum();
@@ -239,14 +242,14 @@ fn unequal_masses(part: &Part<'_>) -> Option<Suspicion> {
     })
 }
 
-/// One for all joints: a file that leaves out one limit leaves out most.
+/// Reports all joints without the limit at once: a file that leaves out one limit leaves out most.
 fn no_limit(model: &Model, limit: &'static str, of: fn(&Joint) -> f64) -> Option<Suspicion> {
     let free = |joint: &&Joint| joint.kind != JointKind::Floating && of(joint) == f64::INFINITY;
     let joints: Vec<String> = model.joints().iter().filter(free).map(|j| j.name.clone()).collect();
     (!joints.is_empty()).then_some(Suspicion::NoLimit { joints, limit })
 }
 
-/// Of a joint that has one: the others are continuous, or were made in code without limits.
+/// Checks the range of a joint with limits: others are continuous, or were made in code without limits.
 fn wide_range(joint: &Joint) -> Option<Suspicion> {
     let (lower, upper) = (joint.limits.lower, joint.limits.upper);
     let most = match joint.kind {
@@ -269,7 +272,7 @@ fn widest(kind: JointKind) -> &'static str {
     }
 }
 
-/// Three digits: `8.35`, `-170`, `1.20e-9`.
+/// Number with three digits: `8.35`, `-170`, `1.20e-9`.
 fn short(number: f64) -> String {
     let text = format!("{number:.2e}");
     match text.split_once('e').map(|(digits, exponent)| (digits, exponent.parse::<i32>())) {
@@ -281,7 +284,7 @@ fn short(number: f64) -> String {
     }
 }
 
-/// Names of joints, as many as can be taken in.
+/// Names of joints in one line, up to eight.
 fn listed(names: &[String]) -> String {
     const MOST: usize = 8;
     let word = if names.len() == 1 { "joint" } else { "joints" };

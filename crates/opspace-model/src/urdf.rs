@@ -1,8 +1,8 @@
-//! URDF text to [`Model`]: read, checked, and reduced to moving bodies.
+//! Conversion of URDF text to a [`Model`]: read, checked, and reduced to moving bodies.
 //!
-//! What the dynamics need must be in the file and be possible: a moving body without mass, a joint
-//! without limits or a tree with two roots is an error that names the element and its line, not a
-//! default. Shapes, materials, transmissions and `<dynamics>` are not looked at.
+//! Everything that the dynamics need must be in the file and be physically possible: a moving body without mass,
+//! a joint without limits or a tree with two roots is an error that names the element and its line, not a
+//! default. Shapes, materials, transmissions and `<dynamics>` are ignored.
 //!
 //! ```
 //! let urdf = r#"
@@ -38,33 +38,33 @@ use crate::reduce::{Follows, ReduceError};
 use crate::spatial::{Inertia, Placement};
 use read::{Description, JointElement, Motion};
 
-/// A model, and what in its file deserves a second look.
+/// Model read from a URDF, and the warnings about its file.
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// The robot.
+    /// Model of the robot.
     pub model: Model,
-    /// Mass of the links that can't move, of which the model knows nothing, kg.
+    /// Mass of the links that can't move, which are not part of the model, kg.
     pub standing_kg: f64,
-    /// What was accepted but looks wrong, in the order of the file.
+    /// Warnings about values that were accepted but look wrong, in the order of the file.
     pub warnings: Vec<UrdfWarning>,
 }
 
-/// What to make of a URDF beyond what stands in it.
+/// Options of reading a URDF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UrdfOptions {
-    /// The root link is free to move in space: see [`Model::floating`].
+    /// Root link free to move in space: see [`Model::floating`].
     pub floating_base: bool,
-    /// Mimic joints move with the joint that they name, instead of having coordinates of their own: see
+    /// Mimic joints move with their leader instead of having coordinates of their own: see
     /// [`Model::folded`].
     pub fold_mimics: bool,
 }
 
 impl Model {
-    /// The robot that a URDF describes, its root link fixed to the world.
+    /// Returns the robot that a URDF describes, its root link fixed to the world.
     ///
-    /// Revolute, continuous, prismatic and fixed joints are read. Bodies are merged across fixed joints and
-    /// numbered as [`Model`] says; every link becomes a [`Frame`](crate::Frame). The inertia of links that can't move is
-    /// dropped. A mimic joint is a joint of its own, with a warning.
+    /// Revolute, continuous, prismatic and fixed joints are read. Bodies are merged across fixed joints and numbered as
+    /// [`Model`] says; every link becomes a [`Frame`](crate::Frame). The inertia of links that can't move is dropped. A
+    /// mimic joint is a joint of its own, with a warning.
     ///
     /// # Errors
     /// [`UrdfError`], with the line of the element at fault: see [`UrdfErrorKind`].
@@ -72,7 +72,7 @@ impl Model {
         Self::from_urdf_with(text, UrdfOptions::default())
     }
 
-    /// [`from_urdf`](Self::from_urdf) with a floating base, or mimic joints folded.
+    /// Variant of [`from_urdf`](Self::from_urdf) with a floating base, or mimic joints folded.
     ///
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
@@ -89,14 +89,14 @@ impl Model {
     }
 }
 
-/// Where a link is: the body it belongs to, and its pose in that body's frame.
+/// Placement of a link: its body, and its pose in that body's frame.
 #[derive(Clone, Copy)]
 struct Place {
     body: Option<usize>,
     placement: Placement,
 }
 
-/// The model, and the mass of what can't move.
+/// Returns the model, and the mass of the links that can't move.
 fn assemble(
     description: &Description,
     order: &[tree::Step],
@@ -174,7 +174,7 @@ fn assemble(
     Ok((model, standing_kg))
 }
 
-/// Finite numbers can still be too large for their products.
+/// True if all entries are finite: finite numbers can still be too large for their products.
 fn is_finite(placement: &Placement) -> bool {
     placement.rotation.iter().chain(&placement.translation).all(|x| x.is_finite())
 }
@@ -183,7 +183,7 @@ fn is_finite_inertia(Inertia { mass, com, rotational }: &Inertia) -> bool {
     mass.is_finite() && com.iter().chain(rotational).all(|x| x.is_finite())
 }
 
-/// Every mimic joint with its leader.
+/// Folds every mimic joint into its leader.
 fn fold(model: &Model, description: &Description) -> Result<Model, UrdfError> {
     let mut followers = Vec::new();
     let mut line = 1;

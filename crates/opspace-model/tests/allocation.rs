@@ -18,7 +18,7 @@ use opspace_model::{
 };
 use std::hint::black_box;
 
-/// How often `work` allocates, reallocates or frees.
+/// Number of times that `work` allocates, reallocates or frees.
 fn allocations(work: impl FnOnce()) -> usize {
     let ((), count) = counted(work);
     count.allocations + count.frees
@@ -63,7 +63,7 @@ fn state(model: &Model) -> Vec<f64> {
     q
 }
 
-/// How often any algorithm allocates that is written for any number of lanes.
+/// Number of allocations of all algorithms that are written for any number of lanes.
 fn allocations_of_all<T: Real>(model: &Model<T>, [tip, second]: [FrameId; 2], q: &[T]) -> usize {
     let n = model.n();
     let (dq, ddq) = (vec![T::splat(0.2); n], vec![T::splat(-1.5); n]);
@@ -172,7 +172,7 @@ fn no_task_allocates() {
     }
 }
 
-/// What may be changed between two ticks: steps of q, and a model's loads, frames and limits.
+/// Checks all changes that are allowed between two control cycles: steps of q, and a model's loads, frames and limits.
 #[test]
 fn no_change_of_a_model_allocates() {
     for (robot, mut model, [tip, second]) in robots() {

@@ -25,7 +25,7 @@ struct State<T> {
     wrench: Force<T>,
 }
 
-/// What the algorithms make of a state, by name.
+/// Results of the algorithms for a state, by name.
 type Results<T> = Vec<(&'static str, Vec<T>)>;
 
 fn stacked<T: Real>(linear: &Vector3<T>, angular: &Vector3<T>) -> Vec<T> {

@@ -362,7 +362,7 @@ fn a_floating_urdf_without_mass_is_refused() {
     );
 }
 
-/// What is put on any of the six bodies of a floating base is put on the last, which has its velocity.
+/// Checks that frames put on any of the six bodies of a floating base are on the last, which has its velocity.
 #[test]
 fn all_of_a_floating_base_is_one_body() {
     let mut model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
@@ -385,7 +385,7 @@ const WHEEL: &str = r#"<robot name="cart">
 <joint name="axle" type="continuous"><parent link="cart"/><child link="wheel"/></joint>
 </robot>"#;
 
-/// A coordinate of the floating base has no joint that could lead, nor one that could be taken for it.
+/// Checks that a coordinate of the floating base is refused as leader of a joint, and its name for a joint of the URDF.
 #[test]
 fn a_floating_base_leads_no_mimic_joint_and_keeps_its_names() {
     let follows =

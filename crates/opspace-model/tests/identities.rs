@@ -165,7 +165,7 @@ proptest! {
         close(&[rate], &[vector(&case.tau).dot(&vector(&case.dq))], tolerance)?;
     }
 
-    /// What [`update`] finds in one pass, against each on its own.
+    /// Compares the results of [`update`] with those of the single functions.
     #[test]
     fn one_update_is_all_of_them(case in case()) {
         let mut alone = case.evaluated();

@@ -11,7 +11,7 @@ use oracle::{Oracle, numbers, oracle, relative_error};
 /// Largest error of any entry relative to max(1, largest entry of the reference), where both sides only add
 /// and multiply. Measured: below 1e-14.
 const TOLERANCE: f64 = 1e-9;
-/// The same where M or J M⁻¹ Jᵀ is inverted, of condition up to 1e6.
+/// Tolerance where M or J M⁻¹ Jᵀ is inverted, of condition up to 1e6.
 const INVERSE_TOLERANCE: f64 = 1e-8;
 
 const QUANTITIES: [(&str, f64); 19] = [

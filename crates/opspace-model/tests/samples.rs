@@ -41,7 +41,8 @@ fn has_task(quantities: &Quantities) -> bool {
     has[0]
 }
 
-/// Where UR5's elbow is straight or its wrist axes are parallel, six rows are five; beside it they are six.
+/// Checks that a singular pose (UR5 with straight elbow or parallel wrist axes) has no task quantities; one beside it
+/// has.
 #[test]
 fn a_singular_pose_has_no_task_quantities() {
     for joint in [2, 4] {
@@ -115,7 +116,7 @@ fn the_keys_are_those_of_the_contract() {
     assert_eq!(keys, expected);
 }
 
-/// What is written reads back to the same bits.
+/// Checks that written quantities read back to the same bits.
 #[test]
 fn quantities_survive_json() {
     let (model, tip) = robot("ur5", "tool0");
@@ -171,7 +172,7 @@ fn refuses_a_body_that_nothing_resists() {
     assert_eq!(evaluate(&model, tip, &at(&[0.0], &[3])), Err(SampleError::SingularMassMatrix));
 }
 
-/// What is too large to be computed is refused; nothing that isn't a number is answered.
+/// Checks that states too large to be computed are refused, and that no result is NaN.
 #[test]
 fn states_beyond_numbers_are_refused() {
     let (model, tip) = robot("ur5", "tool0");

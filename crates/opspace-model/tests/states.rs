@@ -19,12 +19,12 @@ use oracle::{Oracle, numbers, oracle, relative_error};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Largest error of any entry relative to max(1, largest entry of the reference): of positions and velocities.
+/// Largest error of any entry relative to max(1, largest entry of the reference), for positions and velocities.
 const KINEMATICS: f64 = 1e-9;
-/// The same of what has masses in it.
+/// Largest error of any entry, relative as [`KINEMATICS`], for quantities with masses in them.
 const DYNAMICS: f64 = 1e-8;
 
-/// What only positions and velocities go into.
+/// Quantities that depend on positions and velocities only.
 const KINEMATIC: [&str; 16] = [
     "tip_R",
     "tip_p",

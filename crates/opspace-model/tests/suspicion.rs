@@ -1,4 +1,4 @@
-//! What looks wrong with a model: bodies that can exist and the project's robots against the same with a slip in them.
+//! Unusual values in a model: possible bodies and the project's robots, and the same models with an error in them.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{Matrix3, Vector3};
@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 use std::fs;
 
 const PROJECT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
-/// Of densities and moments that are computed there and back.
+/// Tolerance of densities and moments that are computed there and back.
 const TOLERANCE: f64 = 1e-12;
 const LIMITS: Limits = Limits { lower: -2.0, upper: 2.0, velocity: 3.0, effort: 40.0 };
 
@@ -84,10 +84,10 @@ fn the_known_slips_in_published_robots_are_found() {
     assert_eq!(texts(&oracle("double_pendulum")), [""; 0], "the reader has said that its limits are zero");
 }
 
-/// What it does to a body, and what it looks like.
+/// Name of a slip, its effect on a body, and the check of its report.
 type Slip = (&'static str, fn(Inertia) -> Inertia, fn(&Suspicion) -> bool);
 
-/// The usual slips, each in each body of two good robots: something is said, and of that body.
+/// Checks that each of the usual slips in each body of two sound robots is reported, for that body.
 #[test]
 fn a_slip_in_any_body_is_found() {
     let slips: [Slip; 5] = [

@@ -313,7 +313,7 @@ proptest! {
     }
 }
 
-/// What a body that goes with `frame` adds to M: Jᵀ m J at its centre of mass, and Jᵀ I J of its turning.
+/// Contribution of a body fixed to `frame` to M: Jᵀ m J at its centre of mass, and Jᵀ I J of its rotation.
 fn added_mass(case: &Case, frame: FrameId, load: &Inertia) -> DMatrix<f64> {
     let (model, data) = (&case.model, case.evaluated());
     let j = jacobian(model.n(), |j| point_jacobian(model, &data, frame, &load.com, j));
@@ -412,7 +412,7 @@ proptest! {
         prop_assert_eq!(unloaded.rotor_inertia(), without.rotor_inertia());
     }
 
-    /// What can't be locked or folded, and what is said of it.
+    /// Checks the errors of joints that can't be locked or folded.
     #[test]
     fn impossible_reductions_name_the_joint(case in case()) {
         let (first, n, model) = (case.first_joint(), case.model.n(), &case.model);
@@ -695,7 +695,7 @@ fn impossible_mimics_are_named() {
     }
 }
 
-/// Of a Jacobian that isn't finite nothing is left, and the task says so.
+/// Checks that Λ and the share are zero for a Jacobian that isn't finite.
 #[test]
 fn a_task_of_no_numbers_is_lost() {
     let model = chain(7);
@@ -709,7 +709,8 @@ fn a_task_of_no_numbers_is_lost() {
     }
 }
 
-/// Joints that follow a circle: one on the circle is named, not one that leads into it. Ratios that overflow are no ratios.
+/// Joints that follow a circle: the error names one on the circle, not one that follows it from outside. Ratios that
+/// overflow are refused.
 #[test]
 fn a_circle_is_named_and_a_ratio_is_a_number() {
     let model = chain(4);

@@ -1,4 +1,4 @@
-//! What the URDF reader refuses, what it warns of, and what it makes of a file.
+//! Errors, warnings and models of the URDF reader.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{Matrix3, Vector3};

@@ -1,7 +1,8 @@
-//! One arm of a simulation as a [`Backend`].
+//! Simulated arm as a [`Backend`].
 //!
-//! At interface cycle k the sensors are read; the command written then acts from `delay` servo ticks later until the next
-//! one does. Between two cycles only the arm's own drives see it, and in cycles that the [bus](crate::bus) loses.
+//! At interface cycle k the sensors are read; the command written then acts from `delay` servo ticks later until the
+//! next one does. Between two cycles, and in cycles that the [bus](crate::bus) loses, only the arm's own drives act on
+//! its state.
 
 use crate::config::{ArmConfig, SimulationConfig};
 use crate::error::SimulationError;
@@ -14,8 +15,8 @@ use opspace_backend::{
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// A simulated robot that takes positions, velocities or torques. The table of the [crate] says what its drives do without
-/// commands.
+/// Simulated robot that accepts positions, velocities or torques. The table of the [crate] says what its drives do
+/// without commands.
 pub struct SimulatedArm {
     simulation: Rc<RefCell<Simulation>>,
     index: usize,
@@ -24,7 +25,7 @@ pub struct SimulatedArm {
 }
 
 impl Simulation {
-    /// The arms, in the order of the configuration. They share the simulation.
+    /// Returns the arms, in the order of the configuration. They share the simulation.
     #[must_use]
     pub fn into_arms(mut self) -> Vec<SimulatedArm> {
         let capabilities = std::mem::take(&mut self.capabilities);
@@ -39,10 +40,10 @@ impl Simulation {
 }
 
 impl SimulatedArm {
-    /// An arm alone in its simulation, at rest at its start, holding itself.
+    /// Returns an arm alone in its simulation, at rest at its start, holding itself.
     ///
     /// # Errors
-    /// Parameters that contradict each other, named by their key.
+    /// If parameters contradict each other; the error names them by their key.
     pub fn new(config: ArmConfig) -> Result<Self, SimulationError> {
         let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
         Simulation::new(config)?.into_arms().pop().ok_or(SimulationError::NoArm)
@@ -71,15 +72,15 @@ impl SimulatedArm {
         DVector::from_column_slice(simulation.arms[self.index].dq(&*simulation.plant))
     }
 
-    /// Time of the next sample on the robot's clock, s: that of the next interface cycle that the bus does not lose. Arms
-    /// of one simulation are to be read in the order of these times.
+    /// Time of the next sample on the robot's clock, s: that of the next interface cycle that the bus does not lose.
+    /// Arms of one simulation are to be read in the order of these times.
     #[must_use]
     pub fn next_sample_s(&self) -> f64 {
         self.simulation.borrow().arms[self.index].next_sample_s()
     }
 
-    /// Number of the interface cycle of the next sample; the first cycle is 0. A cycle with a lower number has no sample: who
-    /// orders the cycles of several arms by a clock of its own leaves it out.
+    /// Number of the interface cycle of the next sample; the first cycle is 0. A cycle with a lower number has no
+    /// sample: a program that orders the cycles of several arms by a clock of its own skips it.
     #[must_use]
     pub fn next_sample_cycle(&self) -> u64 {
         self.simulation.borrow().arms[self.index].next_sample

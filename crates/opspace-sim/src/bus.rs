@@ -1,7 +1,7 @@
-//! The field bus between controller and drives: cycles that get lost, and set-points that come late.
+//! Field bus between controller and drives: lost cycles and late setpoints.
 //!
-//! In a cycle that is lost neither the sample nor the set-point passes: the robot goes on with what it holds, and the
-//! controller waits for the next sample that comes. Until the controller starts, every cycle passes.
+//! In a lost cycle neither the sample nor the setpoint passes: the robot keeps its last command, and the
+//! controller waits for the next sample that passes. Until the controller starts, every cycle passes.
 
 use crate::random::{RngStream, generator};
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -10,36 +10,36 @@ use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// How bad the bus is; without any of it every cycle passes in time.
+/// Losses and delays of the bus; without any of them every cycle passes in time.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BusParameters {
-    /// Each cycle is lost with this probability, whatever became of the one before; below 1.
+    /// Probability with which each cycle is lost, independently of the one before; below 1.
     #[serde(default)]
     pub lost_cycles_share: NonNegative,
-    /// Times at which the bus is dead.
+    /// Intervals in which no cycle passes.
     #[serde(default)]
     pub dropouts: Vec<DropoutParameters>,
-    /// A set-point acts up to so many servo ticks later than after its delay, at random, which nobody tells the
-    /// controller; fewer than `ratio`, so that it acts before the next one.
+    /// Largest additional delay of a setpoint, servo ticks, at random and unknown to the controller; less than `ratio`,
+    /// so that it acts before the next one.
     #[serde(default)]
     pub jitter_servo_ticks: u32,
 }
 
-/// A time at which nothing passes.
+/// Interval in which no cycle passes.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DropoutParameters {
-    /// From when on, s after the controller's start.
+    /// Beginning, s after the controller's start.
     pub at_s: Positive,
-    /// For how long, s; at most 10.
+    /// Duration, s; at most 10.
     pub duration_s: Positive,
 }
 
-/// The longest dropout, s: a run keeps all that its robot did meanwhile.
+/// Longest dropout, s: a run keeps all rows of its robot meanwhile.
 pub const LONGEST_DROPOUT_S: f64 = 10.0;
 
-/// A bus, cycle by cycle.
+/// Simulated bus, cycle by cycle.
 #[derive(Clone, Debug)]
 pub struct Bus {
     parameters: BusParameters,
@@ -48,13 +48,13 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// A bus of a run with that seed.
+    /// Returns a bus of a run with that seed.
     #[must_use]
     pub fn new(parameters: &BusParameters, seed: u64) -> Self {
         Self { parameters: parameters.clone(), random: generator(seed, RngStream::Bus), late: 0 }
     }
 
-    /// Goes on to the cycle at `time_s`, s after the controller's start, and says whether it passes.
+    /// Advances to the cycle at `time_s`, s after the controller's start; returns true if it passes.
     pub fn passes(&mut self, time_s: f64) -> bool {
         let BusParameters { lost_cycles_share, dropouts, jitter_servo_ticks } = &self.parameters;
         // Both are drawn in every cycle, so that one leaves the other as it is.
@@ -66,7 +66,7 @@ impl Bus {
         time_s <= 0.0 || !(draw < lost_cycles_share.get() || dropouts.iter().any(dead))
     }
 
-    /// By how many servo ticks a set-point of the present cycle is late.
+    /// Delay of a setpoint of the present cycle, servo ticks, beyond the nominal one.
     #[must_use]
     pub fn late(&self) -> u32 {
         self.late

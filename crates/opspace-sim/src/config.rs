@@ -37,7 +37,7 @@ pub struct ArmConfig {
     pub placement: Placement,
     /// Objects that touch the arm, by name; positions and directions are in the world of the simulation.
     pub environment: Vec<(String, EnvironmentObjectParameters)>,
-    /// Whether a program may apply external forces while the simulation runs.
+    /// True if a program may apply external forces while the simulation runs.
     pub external_forces: bool,
     /// Positions at the start, at rest, rad or m (n).
     pub start: Vec<f64>,
@@ -56,7 +56,8 @@ pub struct SimulationConfig {
     pub couplings: Vec<CouplingConfig>,
 }
 
-/// A spring and a damper between the origins of frames of two arms, relaxed at the start: an elastic object that both hold.
+/// A spring and a damper between the origins of frames of two arms, relaxed at the start: an elastic object that both
+/// hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CouplingConfig {
     /// Its name in the true rows of both arms.
@@ -72,7 +73,7 @@ pub struct CouplingConfig {
 }
 
 impl CouplingConfig {
-    /// Whether it holds a frame of that arm.
+    /// True if it is attached to a frame of that arm.
     pub(crate) fn touches(&self, arm: usize) -> bool {
         self.first.0 == arm || self.second.0 == arm
     }

@@ -1,4 +1,4 @@
-//! The drives of one arm: commands in, torques on the links out.
+//! Drives of one arm: commands in, torques on the links out.
 //!
 //! The table of the [crate] says what they do without commands.
 
@@ -22,7 +22,7 @@ pub(crate) struct Drives {
     commands: u64,
     /// Values of the last command that had any (n).
     last: DVector<f64>,
-    /// Whether there was such a command.
+    /// True if there was such a command.
     commanded: bool,
     position: DVector<f64>,
     asked: DVector<f64>,
@@ -64,7 +64,7 @@ struct Active {
 
 impl Active {
     fn take(&mut self, command: u64, values: &DVector<f64>, ratio: u32) {
-        // A second one at the same tick goes from where the first would have gone from.
+        // A second one at the same servo tick goes from where the first would have gone from.
         if let Some(age) = self.age.checked_sub(1) {
             self.age = age;
             for i in 0..values.len() {
@@ -308,7 +308,8 @@ impl Drives {
         };
     }
 
-    /// A physics step of `dt_s` (s) at the true `q` (n; rad) and `dq` (n; rad/s): writes the torques on the links (n; Nm).
+    /// A physics step of `dt_s` (s) at the true `q` (n; rad) and `dq` (n; rad/s): writes the torques on the links (n;
+    /// Nm).
     pub fn step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [f64]) {
         for (i, joint) in self.drivetrains.iter_mut().enumerate() {
             torques[i] = joint.step(q[i], dq[i], dt_s, self.asked[i]);
@@ -339,7 +340,7 @@ impl Drives {
         self.joint_torque.take().as_slice()
     }
 
-    /// Whether a drive's torque limit was active since the last call.
+    /// True if a drive's torque limit was active since the last call.
     pub fn take_limited(&mut self) -> bool {
         std::mem::take(&mut self.limited)
     }

@@ -1,4 +1,4 @@
-//! Everything local to a joint: motor with its current loop, friction, end stop, brake, encoder.
+//! Drivetrain of a joint: motor with its current loop, friction, end stop, brake, encoder.
 //!
 //! Torques act on the link as `((motor − friction) + end stop) + brake`; contacts are the [plant's](crate::plant). The
 //! gear is rigid: the motor turns with the link, and the rotor's inertia is in the plant's mass matrix.
@@ -27,8 +27,8 @@ impl Drivetrain {
         Self { motor, friction, end_stop, brake, encoder, motor_torque: 0.0, joint_torque: 0.0 }
     }
 
-    /// The torque on the link (Nm), held over the next `dt_s` (s), at position `q` (rad) and velocity `dq` (rad/s), with
-    /// `commanded` (Nm) the input of the current loop.
+    /// The torque on the link (Nm), held over the next `dt_s` (s), at position `q` (rad) and velocity `dq` (rad/s),
+    /// with `commanded` (Nm) the input of the current loop.
     pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
         let motor = self.motor.step(commanded);
         let friction = self.friction.step(dq, dt_s);

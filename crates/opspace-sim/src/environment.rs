@@ -1,5 +1,5 @@
-//! Objects that touch the robot: an operator who holds it by a spring, pushes, a wall. `[surroundings.NAME.KIND]` in a
-//! task file.
+//! Objects of the environment that touch the robot: an operator with a spring, pushes, a wall.
+//! `[surroundings.NAME.KIND]` in a task file.
 
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
@@ -9,15 +9,15 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
-/// Something that exerts a force on one frame of the robot.
+/// Object that exerts a force on one frame of the robot.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum EnvironmentObjectParameters {
-    /// An operator who holds the frame by a spring and a damper.
+    /// Operator who holds the frame by a spring and a damper.
     Spring(SpringParameters),
     /// Pushes at given times.
     Pushes(PushesParameters),
-    /// A stiff plane.
+    /// Stiff plane.
     Wall(WallParameters),
 }
 
@@ -43,23 +43,24 @@ impl EnvironmentObjectParameters {
     }
 }
 
-/// `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`; the operator starts where the frame starts.
+/// Spring and damper to an operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`; the operator starts at the
+/// frame's initial position.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpringParameters {
-    /// The frame it holds.
+    /// Name of the frame that the operator holds.
     pub frame: String,
-    /// K, N/m.
+    /// Stiffness K, N/m.
     pub stiffness_n_per_m: NonNegative,
-    /// B, Ns/m.
+    /// Damping B, Ns/m.
     pub damping_ns_per_m: NonNegative,
     /// Factor on K and B in x, y and z of the world.
     #[serde(default = "everywhere", deserialize_with = "exactly")]
     pub gain: [NonNegative; 3],
-    /// The axes over which its force and the frame's motion are reported.
+    /// Axes over which its force and the frame's motion are reported.
     #[serde(default = "all_axes")]
     pub report: Vec<WorldAxis>,
-    /// The operator's motion.
+    /// Motion of the operator.
     pub motion: OperatorMotion,
 }
 
@@ -71,7 +72,7 @@ fn all_axes() -> Vec<WorldAxis> {
     vec![WorldAxis::X, WorldAxis::Y, WorldAxis::Z]
 }
 
-/// An axis of the world.
+/// Axis of the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum WorldAxis {
@@ -83,11 +84,11 @@ pub enum WorldAxis {
     Z,
 }
 
-/// The motion of an operator.
+/// Motion of an operator.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum OperatorMotion {
-    /// None.
+    /// No motion.
     Still {},
     /// Random within a band: 24 sines per axis, of random frequency, phase and amplitude.
     Random(RandomMotion),
@@ -103,7 +104,7 @@ pub struct RandomMotion {
     pub from_hz: Positive,
     /// Highest frequency, Hz.
     pub to_hz: Positive,
-    /// Time over which the motion comes in, s.
+    /// Time over which the motion ramps in, s.
     #[serde(default = "one_second")]
     pub ramp_s: Positive,
 }
@@ -116,40 +117,40 @@ const fn one_second() -> Positive {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushesParameters {
-    /// The frame that is pushed.
+    /// Name of the frame that is pushed.
     pub frame: String,
-    /// The pushes.
+    /// List of pushes.
     pub push: Vec<PushParameters>,
 }
 
-/// One push.
+/// Single push, a half sine in time.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushParameters {
-    /// When it begins, s from the controller's start.
+    /// Beginning, s from the controller's start.
     pub at_s: NonNegative,
     /// Duration, s.
     pub duration_s: Positive,
-    /// The force at its height, world axes, N.
+    /// Peak force, world axes, N.
     #[serde(deserialize_with = "exactly")]
     pub force_n: [f64; 3],
 }
 
-/// A plane that pushes back: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
+/// Plane that pushes back: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WallParameters {
-    /// The frame that meets it.
+    /// Name of the frame that touches it.
     pub frame: String,
-    /// A point of the plane in the world, m.
+    /// Point of the plane in the world, m.
     #[serde(deserialize_with = "exactly")]
     pub point_m: [f64; 3],
     /// Direction out of the wall, world axes; any length.
     #[serde(deserialize_with = "exactly")]
     pub normal: [f64; 3],
-    /// K, N/m.
+    /// Stiffness K, N/m.
     pub stiffness_n_per_m: Positive,
-    /// B, Ns/m.
+    /// Damping B, Ns/m.
     pub damping_ns_per_m: NonNegative,
 }
 

@@ -1,4 +1,4 @@
-//! What keeps an arm from being simulated.
+//! Errors of the parameters of a simulation.
 
 use opspace_backend::CommandKind;
 use opspace_model::{UnknownFrame, UnknownJoint};
@@ -9,60 +9,60 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SimulationError {
-    /// A command would act after the next one.
+    /// Command that would act after the next one.
     #[error("a delay of {delay} servo ticks is longer than the {ratio} of an interface period")]
     Delay {
-        /// `delay_servo_ticks`.
+        /// Delay, `delay_servo_ticks`.
         delay: u32,
-        /// `ratio`.
+        /// Servo ticks per interface cycle, `ratio`.
         ratio: u32,
-        /// Whether it is the true one that is too long, not the one that is believed.
+        /// True if the true delay is too long, not the nominal one.
         truth: bool,
     },
-    /// A truth about a joint that isn't there.
+    /// True value of a joint that doesn't exist.
     #[error("simulated.{section}: {source}")]
     Joint {
-        /// The key of `[simulated]`.
+        /// Key of `[simulated]`.
         section: &'static str,
-        /// What there is.
+        /// Name asked for, and the model's joints.
         source: UnknownJoint,
     },
-    /// A servo that can't be run.
+    /// Servo that can't be run.
     #[error("the servo of joint '{joint}': {source}")]
     Servo {
-        /// Its joint.
+        /// Name of its joint.
         joint: String,
-        /// The kind of its setpoints.
+        /// Quantity of its setpoints.
         setpoints: CommandKind,
-        /// Whether it is the true one, not the one that is believed.
+        /// True if it is the true servo, not the nominal one.
         truth: bool,
-        /// What is wrong with it.
+        /// Cause of the error.
         source: ServoError,
     },
-    /// Another number of servos than of joints.
+    /// Number of servos that differs from the number of joints.
     #[error("{found} servos for {joints} joints")]
     Servos {
         /// Number of servos.
         found: usize,
-        /// n.
+        /// Number of joints n.
         joints: usize,
     },
-    /// A servo of another kind than the robot needs.
+    /// Servo of another kind than the robot needs.
     #[error("the servo of joint '{joint}' does not take {} setpoints: {} is missing", setpoints.name(), needed(joint, *truth, *setpoints))]
     ServoKind {
-        /// Its joint.
+        /// Name of its joint.
         joint: String,
-        /// Whether it is the true one, not the nominal one.
+        /// True if it is the true servo, not the nominal one.
         truth: bool,
-        /// The setpoints that the drives have for it.
+        /// Quantity of the setpoints that the drives have for it.
         setpoints: CommandKind,
     },
-    /// Physics and servo don't fit.
+    /// Physics rate that is no multiple of the servo rate.
     #[error("physics at {physics_hz} Hz is not a whole multiple, 1 to 10000, of the servo's {servo_hz} Hz")]
     PhysicsRate {
-        /// `physics_hz`.
+        /// Physics rate `physics_hz`, Hz.
         physics_hz: f64,
-        /// `servo_hz`.
+        /// Servo rate `servo_hz`, Hz.
         servo_hz: f64,
     },
     /// Servo rates without a common clock.
@@ -70,93 +70,93 @@ pub enum SimulationError {
         "arms of one simulation have servo rates of {first_hz} Hz and {second_hz} Hz: whole numbers of hertz are needed"
     )]
     ServoRates {
-        /// Rate of one arm.
+        /// Servo rate of one arm, Hz.
         first_hz: f64,
-        /// Rate of another arm.
+        /// Servo rate of another arm, Hz.
         second_hz: f64,
     },
     /// Declared joints that are not those of the model.
     #[error("the declared joints are not those of the model, in its order: {}", declared.join(", "))]
     Joints {
-        /// The declared ones.
+        /// Names of the declared joints.
         declared: Vec<String>,
     },
-    /// A simulation without arms.
+    /// Simulation without arms.
     #[error("a simulation needs an arm")]
     NoArm,
-    /// A coupling of an arm or a frame that there isn't.
+    /// Coupling of an arm or a frame that doesn't exist, or of an arm with itself.
     #[error("coupling '{coupling}': {reason}")]
     Coupling {
-        /// Its name.
+        /// Name of the coupling.
         coupling: String,
-        /// The arm or the frame that is missing, or the arm that is named twice.
+        /// Missing arm or frame, or the arm that is named twice.
         reason: String,
     },
-    /// A bus on which nothing passes.
+    /// Bus on which nothing passes.
     #[error("a bus that loses {share} of its cycles passes nothing: less than 1")]
     LostCycles {
-        /// `lost_cycles_share`.
+        /// Share of lost cycles, `lost_cycles_share`.
         share: f64,
     },
-    /// A dropout that is too long to be kept.
+    /// Dropout too long for its rows to be kept.
     #[error("a dropout of {duration_s} s is longer than {longest_s} s")]
     Dropout {
-        /// `duration_s`.
+        /// Duration, `duration_s`, s.
         duration_s: f64,
-        /// What is the longest.
+        /// Longest duration allowed, s.
         longest_s: f64,
     },
-    /// A set-point would act after the next one.
+    /// Setpoint that would act after the next one.
     #[error("a jitter of {jitter} servo ticks is not fewer than the {ratio} of an interface period")]
     Jitter {
-        /// `jitter_servo_ticks`.
+        /// Jitter, `jitter_servo_ticks`.
         jitter: u32,
-        /// `ratio`.
+        /// Servo ticks per interface cycle, `ratio`.
         ratio: u32,
     },
-    /// A sensor of the robot has no quality in the simulation.
+    /// Force sensor of the robot without parameters in the simulation.
     #[error("force sensor '{sensor}' is declared, but [simulated.force_sensor.{sensor}] is missing")]
     UnknownSensorQuality {
-        /// Its name.
+        /// Name of the sensor.
         sensor: String,
     },
-    /// The frame of a force sensor is missing.
+    /// Force sensor on a frame that doesn't exist.
     #[error("force sensor '{sensor}': {source}")]
     SensorFrame {
-        /// Its name.
+        /// Name of the sensor.
         sensor: String,
-        /// The frames that there are.
+        /// Name asked for, and the model's frames.
         source: UnknownFrame,
     },
-    /// An object of the environment touches a frame that the robot does not have.
+    /// Object of the environment on a frame that the robot does not have.
     #[error("surroundings.{object}: {source}")]
     Frame {
-        /// Its name.
+        /// Name of the object.
         object: String,
-        /// What there is.
+        /// Name asked for, and the model's frames.
         source: UnknownFrame,
     },
-    /// A band from a higher to a lower frequency.
+    /// Band from a higher to a lower frequency.
     #[error("surroundings.{object}: to_hz is below from_hz")]
     Band {
-        /// Its name.
+        /// Name of the object.
         object: String,
     },
-    /// An operator that reports no axis.
+    /// Operator that reports no axis.
     #[error("surroundings.{object}: report names no axis; leave it out for all of x, y and z")]
     NothingReported {
-        /// Its name.
+        /// Name of the object.
         object: String,
     },
-    /// A wall without a direction.
+    /// Wall without a direction.
     #[error("surroundings.{object}: the normal has no length")]
     Normal {
-        /// Its name.
+        /// Name of the object.
         object: String,
     },
 }
 
-/// The table of the servos of a kind, in a profile and in `[simulated]`.
+/// Name of the table of the servos of a kind, in a profile and in `[simulated]`.
 fn table(setpoints: CommandKind) -> &'static str {
     match setpoints {
         CommandKind::Velocity => "velocity_servo",
@@ -164,7 +164,7 @@ fn table(setpoints: CommandKind) -> &'static str {
     }
 }
 
-/// The section that a servo of the kind would be: of `[simulated]`, or of the profile in use.
+/// Section in which a servo of the kind belongs: of `[simulated]`, or of the profile in use.
 fn needed(joint: &str, truth: bool, setpoints: CommandKind) -> String {
     let root = if truth { "simulated." } else { "" };
     let kind = match setpoints {
@@ -175,7 +175,7 @@ fn needed(joint: &str, truth: bool, setpoints: CommandKind) -> String {
 }
 
 impl SimulationError {
-    /// The file and the key that are to blame: a path from the root of the task or robot file.
+    /// File and key at fault: a path from the root of the task or robot file.
     #[must_use]
     pub fn key(&self) -> Key {
         let task = |name: &str, key: &str| Key::Task(vec!["surroundings".into(), name.into(), key.into()]);
@@ -217,13 +217,13 @@ impl SimulationError {
     }
 }
 
-/// Where an error's cause stands.
+/// Location of an error's cause.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Key {
-    /// In the robot file.
+    /// Path in the robot file.
     Robot(Vec<String>),
-    /// In the profile of the robot file that is in use.
+    /// Path in the profile of the robot file that is in use.
     Profile(Vec<String>),
-    /// In the task file.
+    /// Path in the task file.
     Task(Vec<String>),
 }

@@ -1,7 +1,7 @@
-//! External forces: a program pulls a frame of the robot while it runs.
+//! External forces, applied by a program to a frame of the robot while it runs.
 //!
-//! A force is set through a [`ExternalForceHandle`], read once per interface cycle and held until the next one. Rows of the
-//! channel `external` hold all of it, so that a simulation can be repeated from its log.
+//! A force is set through a [`ExternalForceHandle`], read once per interface cycle and held until the next one. Rows of
+//! the channel `external` hold all of it, so that a simulation can be repeated from its log.
 
 use nalgebra::Vector3;
 use opspace_backend::{Layout, Row, Signal};

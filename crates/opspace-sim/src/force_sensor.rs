@@ -1,4 +1,4 @@
-//! A six-axis force sensor: first-order bandwidth, constant bias, white noise.
+//! Six-axis force sensor: first-order bandwidth, constant bias, white noise.
 
 use crate::parameters::ForceSensorParameters;
 use nalgebra::Vector3;
@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
 
-/// In the sensor's own axes.
+/// Simulated force sensor, in its own axes.
 #[derive(Clone, Debug)]
 pub struct SimulatedForceSensor {
     gain: f64,
@@ -19,7 +19,7 @@ pub struct SimulatedForceSensor {
 }
 
 impl SimulatedForceSensor {
-    /// Filtered every `period_s` (s); its bias is drawn once.
+    /// Returns a sensor filtered every `period_s` (s); its bias is drawn once.
     #[must_use]
     pub fn new(parameters: &ForceSensorParameters, period_s: f64, mut random: ChaCha8Rng) -> Self {
         let mut uniform = |size: f64| Vector3::from_fn(|_, _| size * random.random_range(-1.0..=1.0));
@@ -34,12 +34,12 @@ impl SimulatedForceSensor {
         }
     }
 
-    /// Lets the true wrench (sensor axes, N, Nm) act for a period.
+    /// Filters the true wrench (sensor axes, N, Nm) over a period.
     pub fn follow(&mut self, wrench: &Force) {
         self.filtered += (*wrench - self.filtered) * self.gain;
     }
 
-    /// A reading, bias and noise included.
+    /// Returns a reading, bias and noise included.
     pub fn read(&mut self) -> Force {
         let mut white = |size: f64| -> Vector3<f64> {
             Vector3::from_fn(|_, _| {

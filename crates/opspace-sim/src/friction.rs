@@ -1,4 +1,4 @@
-//! Joint friction as the plant has it: LuGre bristles with Stribeck's curve.
+//! Joint friction in the plant: the LuGre model with Stribeck's curve.
 //!
 //! Canudas de Wit, Olsson, Åström, Lischinsky, *A new model for control of systems with friction*, IEEE
 //! Trans. Automatic Control 40(3), 1995:
@@ -24,7 +24,7 @@ pub struct LuGre {
 }
 
 impl LuGre {
-    /// At rest and relaxed; `scale` multiplies the believed friction.
+    /// Returns friction at rest with relaxed bristles; `scale` multiplies the nominal friction.
     #[must_use]
     pub fn new(friction: &FrictionParameters, bristle: &BristleParameters, scale: f64) -> Self {
         let coulomb = scale * friction.coulomb_nm.get();
@@ -40,7 +40,7 @@ impl LuGre {
         }
     }
 
-    /// The torque against the motion at velocity `v` (rad/s), held over the next `dt` (s), Nm. The
+    /// Returns the torque against the motion at velocity `v` (rad/s), held over the next `dt` (s), Nm. The
     /// bristles' equation is solved exactly for that velocity.
     pub fn step(&mut self, v: f64, dt: f64) -> f64 {
         let level = self.coulomb + self.stiction * (-(v / self.stribeck).powi(2)).exp();

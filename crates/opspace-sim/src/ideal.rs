@@ -1,4 +1,4 @@
-//! An arm whose drives do exactly as they are commanded: the smallest simulation, without a robot file.
+//! Ideal arm, whose drives produce exactly what is commanded: the smallest simulation, without a robot file.
 
 use crate::config::ArmConfig;
 use crate::parameters::{
@@ -29,12 +29,12 @@ const DAMPING: NonNegative = NonNegative::literal(20.0);
 const UNUSED: Positive = Positive::literal(1.0);
 
 impl ArmConfig {
-    /// An arm without friction, rotor inertia, delay, noise or encoder counts. Its motors produce at once the torques that
-    /// they are commanded, up to the efforts of the URDF; an effort of zero is no limit. It starts at rest at the neutral
-    /// position (all zeros) and touches nothing. Change the fields for any other.
+    /// Returns an arm without friction, rotor inertia, delay, noise or encoder counts. Its motors produce without lag
+    /// the torques that they are commanded, up to the efforts of the URDF; an effort of zero is no limit. It starts at
+    /// rest at the neutral position (all zeros) and touches nothing. Change the fields for any other.
     ///
-    /// `servos` has one servo per joint (n); it is empty for a torque robot with brakes, which needs none. Servos run at five
-    /// times the interface rate, physics at ten times.
+    /// `servos` has one servo per joint (n); it is empty for a torque robot with brakes, which needs none. Servos run
+    /// at five times the interface rate, physics at ten times.
     ///
     /// # Panics
     /// If the period of `capabilities` is not a finite number above zero.

@@ -1,4 +1,4 @@
-//! The classical fourth-order Runge–Kutta step of a robot under constant joint torques.
+//! Classical fourth-order Runge–Kutta step of a robot under constant joint torques.
 
 use nalgebra::DVector;
 use opspace_model::{Data, Model, aba, kinematics};
@@ -14,7 +14,7 @@ pub struct RungeKutta {
 }
 
 impl RungeKutta {
-    /// For one model.
+    /// Returns the integrator of one model.
     #[must_use]
     pub fn new(model: &Model) -> Self {
         let zero = DVector::zeros(model.n());
@@ -27,7 +27,7 @@ impl RungeKutta {
         }
     }
 
-    /// Moves `q` (rad, m) and `dq` (rad/s, m/s) on by `dt` (s) under `tau` (Nm, N; n). Error O(dt⁵) a step.
+    /// Advances `q` (rad, m) and `dq` (rad/s, m/s) by `dt` (s) under `tau` (Nm, N; n). Error O(dt⁵) per step.
     pub fn step(&mut self, model: &Model, q: &mut [f64], dq: &mut [f64], tau: &[f64], dt: f64) {
         self.q.copy_from_slice(q);
         self.dq.copy_from_slice(dq);

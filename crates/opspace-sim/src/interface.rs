@@ -1,4 +1,4 @@
-//! One arm of a simulation behind its interface: clock, bus, drives, sensors, and the rows of its true state.
+//! Interface of one arm of a simulation: clock, bus, drives, sensors, and the rows of its true state.
 
 use crate::bus::Bus;
 use crate::config::ArmConfig;
@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::Range;
 
-/// Cycles that may be lost in a row, beside dropouts, before room must be made for their rows.
+/// Number of cycles lost in a row, beside dropouts, for whose rows there is room.
 const LOST_CYCLES: usize = 64;
 
 /// An arm of a simulation without its rigid bodies.

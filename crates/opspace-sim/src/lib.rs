@@ -10,9 +10,9 @@
 //! | torque, without brakes | its position servos hold the position and the torque that they take over |
 //! | velocity, without brakes | its servos are commanded zero velocity: without an integral the arm sags under its weight |
 //!
-//! A released brake leaves the arm to velocity servos whose integrals are zero: it sags until they carry its weight. A
-//! position robot's servos hold it whether or not it has brakes. Motors of a robot that compensates gravity by itself give
-//! torques without gravity, in the rows and in the samples.
+//! A released brake leaves the arm to velocity servos whose integrals are zero: it sags until they hold its weight. A
+//! position robot's servos hold it whether or not it has brakes. Motors of a robot that compensates gravity by itself
+//! give torques without gravity, in the rows and in the samples.
 //!
 //! ```
 //! use opspace_backend::quantity::Positive;

@@ -1,8 +1,8 @@
-//! A motor's current loop: torque follows what is asked as a first-order lag.
+//! Current loop of a motor: the torque follows the command as a first-order lag.
 
 use std::f64::consts::TAU;
 
-/// Exact over each step: the mean torque of the step is what moves the arm.
+/// Motor, exact over each step: the mean torque of the step moves the arm.
 #[derive(Clone, Debug)]
 pub struct Motor {
     torque: f64,
@@ -12,7 +12,7 @@ pub struct Motor {
 }
 
 impl Motor {
-    /// Producing `torque` (Nm); `bandwidth_hz` `None` follows at once; steps of `dt` (s).
+    /// Returns a motor that produces `torque` (Nm); `bandwidth_hz` `None` is without lag; steps of `dt` (s).
     #[must_use]
     pub fn new(bandwidth_hz: Option<f64>, dt: f64, torque: f64) -> Self {
         let (decay, mean_decay) = match bandwidth_hz {
@@ -25,7 +25,7 @@ impl Motor {
         Self { torque, decay, mean_decay }
     }
 
-    /// The mean torque (Nm) of a step during which `asked` (Nm) is asked.
+    /// Returns the mean torque (Nm) of a step during which `asked` (Nm) is commanded.
     pub fn step(&mut self, asked: f64) -> f64 {
         let gap = self.torque - asked;
         self.torque = asked + gap * self.decay;

@@ -1,5 +1,5 @@
-//! `[simulated]` in robot.toml: where the simulated robot differs from, or goes beyond, what is believed
-//! of it. The controller never sees any of this.
+//! Parameters `[simulated]` of robot.toml: differences of the simulated robot from its nominal values, and additions to
+//! them. They are not known to the controller.
 
 use crate::bus::BusParameters;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -8,48 +8,48 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// The plant behind the interface.
+/// Parameters of the plant behind the interface.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedParameters {
     /// Steps of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`.
     pub physics_hz: Positive,
-    /// Bandwidth of the motors' first-order current loop, Hz; without it the motor follows at once.
+    /// Bandwidth of the motors' first-order current loop, Hz; if absent, the motor follows without lag.
     pub current_loop_hz: Option<Positive>,
     /// Noise of the measured motor torque, rms, Nm.
     #[serde(default)]
     pub torque_noise_nm: NonNegative,
-    /// Whether positions are read to a whole encoder count.
+    /// True if positions are read to a whole encoder count.
     #[serde(default = "yes")]
     pub encoder_quantisation: bool,
-    /// Whether the drives' torque limits hold.
+    /// True if the drives' torque limits are active.
     #[serde(default = "yes")]
     pub torque_saturation: bool,
-    /// The bristles of the friction model.
+    /// Bristles of the friction model.
     pub bristle: BristleParameters,
-    /// The stops at the ends of the joints' ranges.
+    /// End stops of the joints' ranges.
     pub end_stop: EndStopParameters,
-    /// The torque robot's brakes.
+    /// Brakes of the joints.
     pub brake: BrakeParameters,
-    /// How well each force sensor measures, by its name.
+    /// Measurement errors of each force sensor, by its name.
     #[serde(default)]
     pub force_sensor: BTreeMap<String, ForceSensorParameters>,
-    /// Truth over belief.
+    /// Ratios of true to nominal values.
     #[serde(default)]
     pub scale: ScaleParameters,
-    /// What the field bus loses and delays; nothing if absent.
+    /// Losses and delays of the field bus; none if absent.
     #[serde(default)]
     pub bus: BusParameters,
-    /// True position servos, by joint name, where they aren't the nominal ones; `scale` is of these.
+    /// True position servos, by joint name, where they differ from the nominal ones; `scale` applies to them.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
-    /// True velocity servos, by joint name, where they aren't the nominal ones; `scale` is of these.
+    /// True velocity servos, by joint name, where they differ from the nominal ones; `scale` applies to them.
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
-    /// True friction, by joint name, where it isn't the believed one; `scale` is of this.
+    /// True friction, by joint name, where it differs from the nominal one; `scale` applies to it.
     #[serde(default)]
     pub friction: BTreeMap<String, FrictionParameters>,
-    /// True delay of set-points in servo ticks, at most `ratio`, where it isn't the believed one; 0 if neither is
+    /// True delay of setpoints in servo ticks, at most `ratio`, where it differs from the nominal one; 0 if neither is
     /// given.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
@@ -59,41 +59,41 @@ const fn yes() -> bool {
     true
 }
 
-/// LuGre bristles: how friction builds up before the joint slides.
+/// Bristles of the LuGre model, which describe friction before the joint slides.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BristleParameters {
-    /// σ₀, Nm/rad.
+    /// Stiffness σ₀, Nm/rad.
     pub stiffness_nm_per_rad: Positive,
-    /// σ₁ at rest, Nms/rad.
+    /// Damping σ₁ at rest, Nms/rad.
     pub damping_nms_per_rad: NonNegative,
     /// Speed over which σ₁ fades, rad/s.
     pub damping_fades_over_rad_per_s: Positive,
 }
 
-/// A spring and a damper beyond each joint limit of the URDF.
+/// Spring and damper beyond each position limit of the URDF.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EndStopParameters {
-    /// Nm/rad.
+    /// Stiffness, Nm/rad.
     pub stiffness_nm_per_rad: Positive,
-    /// Nms/rad, while in the stop.
+    /// Damping, Nms/rad, while in the stop.
     pub damping_nms_per_rad: NonNegative,
 }
 
-/// A brake: a spring and a damper to where the joint stood when it fell in, slipping at its torque.
+/// Brake: a spring and a damper to the position at which it was engaged, slipping at its torque.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BrakeParameters {
     /// Torque at which it slips, as a multiple of the joint's torque limit.
     pub slips_at_torque_limits: Positive,
-    /// Nm/rad.
+    /// Stiffness, Nm/rad.
     pub stiffness_nm_per_rad: Positive,
-    /// Nms/rad.
+    /// Damping, Nms/rad.
     pub damping_nms_per_rad: NonNegative,
 }
 
-/// A six-axis force sensor.
+/// Six-axis force sensor.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForceSensorParameters {
@@ -103,26 +103,26 @@ pub struct ForceSensorParameters {
     pub noise_n: NonNegative,
     /// Noise of each moment, rms, Nm.
     pub noise_nm: NonNegative,
-    /// Constant error of each force, up to, N.
+    /// Largest constant error of each force, N.
     pub bias_n: NonNegative,
-    /// Constant error of each moment, up to, Nm.
+    /// Largest constant error of each moment, Nm.
     pub bias_nm: NonNegative,
 }
 
-/// The true value over the believed one.
+/// Ratios of true to nominal values.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScaleParameters {
-    /// Of the position loops' gains.
+    /// Scale of the position loops' gains.
     #[serde(default = "one")]
     pub kp: Positive,
-    /// Of the velocity loops' gains.
+    /// Scale of the velocity loops' gains.
     #[serde(default = "one")]
     pub kv: Positive,
-    /// Of Coulomb, static and viscous friction; 0 is a robot without friction.
+    /// Scale of Coulomb, static and viscous friction; 0 is a robot without friction.
     #[serde(default = "one_or_none")]
     pub friction: NonNegative,
-    /// Of all masses and inertias.
+    /// Scale of all masses and inertias.
     #[serde(default = "one")]
     pub inertia: Positive,
 }

@@ -1,15 +1,15 @@
-//! The interface between the simulation and a physics engine.
+//! Interface between the simulation and a physics engine.
 //!
-//! A plant is rigid bodies and contacts, and nothing else. Everything local to a joint (motor, friction, end stop, brake,
-//! encoder) is the [drivetrain](crate::drivetrain) above it, so that it is the same above any engine. A rotor on a rigid
-//! gear is part of the plant's mass matrix; a rotor on an elastic gear is a state of its drivetrain.
+//! A plant consists of rigid bodies and contacts only. Everything local to a joint (motor, friction, end stop, brake,
+//! encoder) is the [drivetrain](crate::drivetrain) above it, so that it is the same above any engine. A rotor on a
+//! rigid gear is part of the plant's mass matrix; a rotor on an elastic gear is a state of its drivetrain.
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
 use nalgebra::Vector3;
 use opspace_model::{Force, FrameId, Model};
 
-/// Rigid bodies of any number of arms, and what touches them.
+/// Rigid bodies of any number of arms, and the objects that touch them.
 pub trait Plant {
     /// True joint positions of all joints, one arm after the other, rad or m.
     fn q(&self) -> &[f64];
@@ -17,7 +17,8 @@ pub trait Plant {
     /// True joint velocities, in the order of [`q`](Self::q), rad/s or m/s.
     fn dq(&self) -> &[f64];
 
-    /// Moves on by `dt_s` (s) from the time `time_s` (s on the simulation's clock), with `joint_torques` (Nm or N, in the
+    /// Advances by `dt_s` (s) from the time `time_s` (s on the simulation's clock), with `joint_torques` (Nm or N, in
+    /// the
     /// order of [`q`](Self::q)) held over the step.
     fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]);
 
@@ -45,7 +46,7 @@ pub struct PlantFrame {
     pub frame: FrameId,
 }
 
-/// The parts of a plant.
+/// Parts of a plant.
 #[derive(Clone, Debug)]
 pub struct PlantConfig {
     /// The arms.
@@ -69,10 +70,10 @@ pub struct PlantArm {
 /// with d from the first to the second, and −F on the second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlantCoupling {
-    /// The two frames.
+    /// Frames that it connects.
     pub frames: [PlantFrame; 2],
-    /// K, N/m.
+    /// Stiffness K, N/m.
     pub stiffness_n_per_m: f64,
-    /// B, Ns/m.
+    /// Damping B, Ns/m.
     pub damping_ns_per_m: f64,
 }

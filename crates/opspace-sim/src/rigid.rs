@@ -1,4 +1,4 @@
-//! The library's own plant: rigid bodies by the articulated-body algorithm, integrated to fourth order.
+//! Plant of the library: rigid bodies by the articulated-body algorithm, integrated to fourth order.
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
@@ -10,8 +10,8 @@ use opspace_model::{
 };
 use std::ops::Range;
 
-/// Any number of arms. Joint torques and the forces of contacts are held over a step; the rigid bodies are integrated to
-/// fourth order.
+/// Plant of any number of arms. Joint torques and the forces of contacts are held over a step; the rigid bodies are
+/// integrated to fourth order.
 pub struct RigidPlant {
     arms: Vec<RigidArm>,
     couplings: Vec<Coupling>,
@@ -102,7 +102,7 @@ impl RigidArm {
         (x, v)
     }
 
-    /// Brings the forces of the environment and the external force up to date.
+    /// Updates the forces of the environment and the external force.
     fn touch(&mut self, time_s: f64) {
         for index in 0..self.objects.len() {
             let (x, v) = self.point(self.contacts[index].frame);
@@ -156,10 +156,10 @@ impl RigidArm {
 }
 
 impl RigidPlant {
-    /// At rest at the start.
+    /// Returns the plant at rest at the start.
     ///
     /// # Panics
-    /// If positions are not one per joint, or a coupling names an arm that there isn't.
+    /// If positions are not one per joint, or a coupling names an arm that doesn't exist.
     #[must_use]
     pub fn new(config: PlantConfig) -> Self {
         let mut arms = Vec::new();
@@ -187,7 +187,7 @@ impl Coupling {
         Self { parameters, contacts, relaxed: second - first }
     }
 
-    /// Brings its forces on the two arms up to date.
+    /// Updates its forces on the two arms.
     fn pull(&self, arms: &mut [RigidArm]) {
         let [(x, v), (y, w)] = self.parameters.frames.map(|at| arms[at.arm].point(at.frame));
         let stretch = (y - x) - self.relaxed;

@@ -1,10 +1,10 @@
-//! Any number of arms in one plant, on one clock.
+//! Simulation of any number of arms in one plant, on one clock.
 //!
-//! The rate of the clock is the least common multiple of the servo rates. A read of an arm moves the simulation on to that
-//! arm's next interface cycle that passes its bus, and no further: if arms are read in the order of their
-//! [next samples](crate::SimulatedArm::next_sample_s), every command is in time, and it does not matter which of two arms with
-//! samples at the same time is read first. A cycle of an arm that the simulation passes before it is read is lost, as on
-//! a bus; its rows are kept until the arm is read, or dropped.
+//! The rate of the clock is the least common multiple of the servo rates. A read of an arm moves the simulation on to
+//! that arm's next interface cycle that passes its bus, and no further: if arms are read in the order of their [next
+//! samples](crate::SimulatedArm::next_sample_s), every command is in time, and it does not matter which of two arms
+//! with samples at the same time is read first. A cycle of an arm that the simulation passes before it is read is lost,
+//! as on a bus; its rows are kept until the arm is read, or dropped.
 
 use crate::config::{CouplingConfig, SimulationConfig};
 use crate::error::SimulationError;
@@ -16,7 +16,7 @@ use crate::timing::Clock;
 use opspace_backend::{DeviceFault, Sample};
 use opspace_model::Model;
 
-/// A plant, and all that drives and measures its arms.
+/// Plant, and everything that drives and measures its arms.
 pub struct Simulation {
     pub(crate) plant: Box<dyn Plant>,
     pub(crate) arms: Vec<ArmInterface>,
@@ -30,18 +30,18 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Arms at rest at their starts, holding themselves, on the library's own rigid bodies.
+    /// Returns arms at rest at their starts, holding themselves, on the library's own rigid bodies.
     ///
     /// # Errors
-    /// Parameters that contradict each other, named by their key.
+    /// If parameters contradict each other; the error names them by their key.
     pub fn new(config: SimulationConfig) -> Result<Self, SimulationError> {
         Self::with_plant(config, |plant| Box::new(RigidPlant::new(plant)))
     }
 
-    /// Arms on another physics engine, which `build` makes of its parts.
+    /// Returns arms on another physics engine, which `build` creates from its parts.
     ///
     /// # Errors
-    /// Parameters that contradict each other, named by their key.
+    /// If parameters contradict each other; the error names them by their key.
     pub fn with_plant(
         config: SimulationConfig,
         build: impl FnOnce(PlantConfig) -> Box<dyn Plant>,
@@ -85,7 +85,7 @@ impl Simulation {
         })
     }
 
-    /// Moves on to the next interface cycle of an arm that passes its bus, and reads the arm.
+    /// Advances to the next interface cycle of an arm that passes its bus, and reads the arm.
     pub(crate) fn read(&mut self, index: usize, sample: &mut Sample) -> Result<(), DeviceFault> {
         let result = self.read_cycle(index, sample);
         self.arms[index].rows.finish();
@@ -110,7 +110,7 @@ impl Simulation {
         }
     }
 
-    /// Moves on by a tick.
+    /// Advances by a tick of the simulation.
     fn advance(&mut self) {
         let plant = &mut *self.plant;
         for arm in &mut self.arms {
@@ -131,7 +131,7 @@ impl Simulation {
         }
     }
 
-    /// The physics steps of a tick.
+    /// Runs the physics steps of a tick.
     fn run_physics(&mut self) {
         let period_s = 1.0 / self.clock.rate_hz;
         let steps = self.clock.steps_per_tick;
@@ -146,7 +146,7 @@ impl Simulation {
     }
 }
 
-/// A coupling with its frames found.
+/// Returns the coupling with its frames resolved.
 fn coupling(config: &CouplingConfig, models: &[Model]) -> Result<PlantCoupling, SimulationError> {
     let error = |reason: String| SimulationError::Coupling { coupling: config.name.clone(), reason };
     let find = |(arm, frame): &(usize, String)| {

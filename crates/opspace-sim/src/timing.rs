@@ -1,8 +1,8 @@
-//! The clocks of a simulation: physics steps, ticks of the simulation, servo ticks and interface cycles.
+//! Clocks of a simulation: physics steps, ticks of the simulation, servo ticks and interface cycles.
 
 use crate::error::SimulationError;
 
-/// Most physics steps per tick: more is a slip in a rate, and the run would not come back.
+/// Most physics steps per tick of the simulation: more is an error in a rate, and the run would not finish.
 const MAX_STEPS: f64 = 10_000.0;
 
 /// Servo ticks of one arm, counted from the start.
@@ -36,12 +36,12 @@ impl Timing {
         self.time_s(cycle * u64::from(self.ratio))
     }
 
-    /// The tick of the simulation at which the next interface cycle begins.
+    /// Tick of the simulation at which the next interface cycle begins.
     pub fn next_cycle(&self) -> u64 {
         self.cycles * u64::from(self.ratio) * self.ticks_per_servo
     }
 
-    /// Whether a servo tick begins at this tick of the simulation.
+    /// True if a servo tick begins at this tick of the simulation.
     pub fn is_servo_tick(&self, tick: u64) -> bool {
         tick.is_multiple_of(self.ticks_per_servo)
     }

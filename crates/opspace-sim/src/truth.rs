@@ -1,4 +1,4 @@
-//! The rows of the true state that an arm leaves between two reads.
+//! Rows of the true state of an arm between two reads.
 
 use crate::external::{self, ExternalForce, ExternalRows};
 use crate::plant::Plant;
@@ -17,9 +17,9 @@ pub(crate) struct TruthRows {
     servo: Vec<f64>,
     servo_commands: Vec<Option<u64>>,
     external: Option<ExternalRows>,
-    /// They were read: the next row replaces them.
+    /// True if the rows were read: the next row replaces them.
     read: bool,
-    /// Somebody may read them.
+    /// True if the rows may be read.
     kept: bool,
 }
 

@@ -29,7 +29,7 @@ fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
 /// Rounding of the gradient above.
 const WEIGHT_NM: f64 = 1e-7;
 
-/// Compared: the tick at which a set-point moves the servos' torque, and the delay of the file, for every delay
+/// Compares the servo tick at which a setpoint moves the servos' torque with the delay of the file, for every delay
 /// that there can be.
 #[test]
 fn a_command_acts_after_its_delay_to_the_tick() {
@@ -158,7 +158,7 @@ fn brakes_stop_a_moving_arm_and_keep_it() {
     assert!((arm.true_q() - stood).amax() < 1e-4);
 }
 
-/// Compared: a robot that carries its own weight under no torque, and one that doesn't.
+/// Compares a robot that compensates its own weight under no torque with one that doesn't.
 #[test]
 fn a_robot_that_carries_its_weight_needs_no_torque() {
     let fallen = |gravity_by| {

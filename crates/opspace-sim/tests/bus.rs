@@ -1,4 +1,4 @@
-//! The simulated bus: cycles that are lost, dropouts, and set-points that come late.
+//! Simulated bus: cycles that are lost, dropouts, and setpoints that come late.
 
 mod common;
 
@@ -26,7 +26,7 @@ fn traced(arm: &SimulatedArm) -> (Vec<f64>, Vec<(f64, u64)>) {
     (truth, servo)
 }
 
-/// Which of `periods` cycles were missed, each set-point the position just read; checks that all traces come, in order.
+/// Missed cycles among `periods`, each setpoint the position just read; checks that all traces come, in order.
 fn missed(arm: &mut SimulatedArm, periods: usize) -> Vec<bool> {
     let mut missed = Vec::new();
     let (mut ticks, mut servo_ticks) = (0, 0);
@@ -98,7 +98,7 @@ fn nothing_passes_in_a_dropout() {
     }
 }
 
-/// Compared: the servo tick at which each set-point acts, and its delay with up to `jitter` more.
+/// Compares the servo tick at which each setpoint acts with its delay, with up to `jitter` more.
 #[test]
 fn set_points_come_late_but_in_order() {
     for (delay, jitter) in [(0, 2), (3, 4), (5, 4)] {

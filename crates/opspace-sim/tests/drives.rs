@@ -14,7 +14,7 @@ use std::f64::consts::TAU;
 #[test]
 fn a_motor_follows_its_first_order_lag_exactly() {
     const FINE: u32 = 100_000;
-    /// Of an Euler step: first order.
+    /// Error of an Euler step: first order.
     const TOLERANCE: f64 = 1e-4;
     let (hz, dt, start) = (1000.0, 5e-5, 2.0);
     let mut motor = Motor::new(Some(hz), dt, start);

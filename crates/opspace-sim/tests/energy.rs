@@ -42,7 +42,7 @@ fn energy(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) -> (f64, f64) {
 /// articulated bodies and knows no energy.
 #[test]
 fn a_swinging_arm_without_friction_keeps_its_energy() {
-    /// Of the range of kinetic energy over the swing.
+    /// Tolerance as a share of the range of kinetic energy over the swing.
     const DRIFT: f64 = 1e-6;
     let steps_per_s = robot().simulated.physics_hz.get();
     let dt = 1.0 / steps_per_s;
@@ -66,7 +66,7 @@ fn a_swinging_arm_without_friction_keeps_its_energy() {
     assert!(drift < DRIFT * range, "{drift} J of {range} J");
 }
 
-/// Where a swing of `duration_s` ends with steps of `dt`: all positions and speeds.
+/// State at the end of a swing of `duration_s` with steps of `dt`: all positions and speeds.
 fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
     let mut integrator = RungeKutta::new(model);
     let mut q = DVector::from_column_slice(&START);

@@ -102,8 +102,8 @@ fn run(arms: &mut [SimulatedArm], order: &[usize], duration_s: f64) -> Vec<Seen>
     }
 }
 
-/// Compared bit by bit: samples and true rows of two arms in one simulation, and of each alone. The two are stored and read
-/// in either order.
+/// Compared bit by bit: samples and true rows of two arms in one simulation, and of each alone. The two are stored and
+/// read in either order.
 #[test]
 fn arms_of_one_simulation_equal_single_ones() {
     let configs = [general(CommandKind::Position, "a-med", 3), general(CommandKind::Torque, "a-med", 4)];
@@ -121,8 +121,8 @@ fn arms_of_one_simulation_equal_single_ones() {
     }
 }
 
-/// Compared: two arms of 5000 Hz and 1000 Hz drives in one simulation, in either order, with each other bit by bit, and with
-/// each alone but for rounding of the physics step.
+/// Compared: two arms of 5000 Hz and 1000 Hz drives in one simulation, in either order, with each other bit by bit, and
+/// with each alone but for rounding of the physics step.
 #[test]
 fn arms_may_have_different_rates() {
     /// Rounding of 1/1000/20 against 1/5000/4, grown over the run.
@@ -183,8 +183,8 @@ fn hand(model: &Model, q: &DVector<f64>) -> Vector3<f64> {
     frame_placement(model, &data, model.frame("hand").expect("the hand")).translation
 }
 
-/// Compared: forces of one wall on two arms that stand beside each other, one of them turned round, and the wall's stiffness
-/// times the depth of each hand, from its own model's kinematics and its placement.
+/// Compared: forces of one wall on two arms that stand beside each other, one of them turned round, and the wall's
+/// stiffness times the depth of each hand, from its own model's kinematics and its placement.
 #[test]
 fn arms_stand_where_they_are_placed() {
     const STIFFNESS: f64 = 500.0;
@@ -225,8 +225,8 @@ fn arms_stand_where_they_are_placed() {
     assert!((forces[0] - forces[1]).norm() > 1e-2, "their hands are at different heights");
 }
 
-/// Compared: forces of a spring between two hands on both arms, opposite to each other, and its stiffness times the change
-/// of the distance between the hands.
+/// Compared: forces of a spring between two hands on both arms, opposite to each other, and its stiffness times the
+/// change of the distance between the hands.
 #[test]
 fn coupling_pulls_two_arms_against_each_other() {
     const STIFFNESS: f64 = 800.0;

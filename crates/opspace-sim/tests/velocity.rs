@@ -35,7 +35,8 @@ fn moved(arm: &SimulatedArm) -> f64 {
     (arm.true_q() - DVector::from_column_slice(&START)).amax()
 }
 
-/// Compared: the velocity error of each joint on a velocity ramp, and the torque of the motion by inverse dynamics over kv.
+/// Compared: the velocity error of each joint on a velocity ramp, and the torque of the motion by inverse dynamics over
+/// kv.
 #[test]
 fn velocity_robot_follows_a_ramp() {
     /// Lag of the filter and of the hold, 0.5 ms, times the acceleration.
@@ -64,8 +65,8 @@ fn velocity_robot_follows_a_ramp() {
     assert!(dq[0] > 0.2 && data.torque.amax() / KV > 10.0 * LAG_RAD_PER_S, "{dq} {}", data.torque);
 }
 
-/// Compared: the deflection of braked joints, and their weight over the brakes' stiffness: before the first command, after
-/// a hold and after a stop. In between commands move the arm.
+/// Compared: the deflection of braked joints, and their weight over the brakes' stiffness: before the first command,
+/// after a hold and after a stop. In between commands move the arm.
 #[test]
 fn brakes_hold_a_velocity_robot() {
     /// Rounding of what is left of the brakes' oscillation.
@@ -110,8 +111,8 @@ fn brakes_hold_a_velocity_robot() {
     }
 }
 
-/// Compared: velocities without brakes before the first command and after a hold: zero with an integral, the weight over kv
-/// without one.
+/// Compared: velocities without brakes before the first command and after a hold: zero with an integral, the weight
+/// over kv without one.
 #[test]
 fn velocity_robot_without_brakes_holds_by_its_integral_or_sags() {
     /// Change of the weight over the way, and the decay of the servo's integral.
@@ -138,7 +139,8 @@ fn velocity_robot_without_brakes_holds_by_its_integral_or_sags() {
     assert!(expected.amax() > 5.0 * SAG_RAD_PER_S);
 }
 
-/// Compared: robots whose profile, or simulation, has servos of another kind, and the error with the key as files have it.
+/// Compared: robots whose profile, or simulation, has servos of another kind, and the error with the key as files have
+/// it.
 #[test]
 fn servo_of_another_kind_is_refused() {
     let refused = |config: ArmConfig| SimulatedArm::new(config).err().expect("refused");
@@ -185,8 +187,8 @@ fn servo_that_holds_nothing_is_named_by_its_table() {
     assert_eq!(key(truth), Key::Robot(expected));
 }
 
-/// Compared: first torques of a joint with a true servo of each kind in one file, on a velocity and on a position robot, and
-/// the gains of the one for the robot's setpoints.
+/// Compared: first torques of a joint with a true servo of each kind in one file, on a velocity and on a position
+/// robot, and the gains of the one for the robot's setpoints.
 #[test]
 fn each_robot_runs_the_true_servo_of_its_kind() {
     /// Rounding of a position error, times the stiffness.
@@ -224,7 +226,8 @@ fn each_robot_runs_the_true_servo_of_its_kind() {
     assert!((torque[0] - expected).abs() < ROUNDING_NM, "{torque:?} for {expected}");
 }
 
-/// Compared: a torque robot without brakes before its first command and after a hold, and its position: its servos hold it.
+/// Compared: a torque robot without brakes before its first command and after a hold, and its position: its servos hold
+/// it.
 #[test]
 fn torque_robot_without_brakes_holds_by_its_servos() {
     let mut config = setup(CommandKind::Torque, "a-med");

@@ -1,4 +1,4 @@
-//! Whether two builds of opspace compute the same numbers, bit by bit. `tests/same-bits/run` does all of it.
+//! Comparison of the numbers that two builds of opspace compute, bit by bit. `tests/same-bits/run` performs all steps.
 
 #![forbid(unsafe_code)]
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
@@ -15,14 +15,14 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Whether two builds of opspace compute the same numbers, bit by bit.
+/// Compare the numbers that two builds of opspace compute, bit by bit.
 #[derive(Parser)]
 enum Cli {
     /// Make every run of the suites, one seed each, and write a hash of every signal.
     Hash(HashArgs),
     /// Compare the hashes of an old build with those of a new one; exit code 1 if a difference isn't explained.
     Compare(CompareArgs),
-    /// Make one run with both builds and print where they part; exit code 1 if they do.
+    /// Make one run with both builds and print the first differences; exit code 1 if there are any unexplained.
     Locate(LocateArgs),
 }
 
@@ -40,11 +40,11 @@ struct HashArgs {
     #[arg(long = "suite", default_values = SUITES)]
     suites: Vec<String>,
 
-    /// How many runs at once.
+    /// Number of simultaneous runs.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
 
-    /// Another duration for every run than its task's, s.
+    /// Duration of every run in place of its task's, s.
     #[arg(long, value_name = "S")]
     duration_s: Option<f64>,
 
@@ -62,10 +62,10 @@ struct CompareArgs {
     /// The hashes of the old build.
     old: PathBuf,
 
-    /// Those of the new one.
+    /// The hashes of the new build.
     new: PathBuf,
 
-    /// The table of signals with another name.
+    /// The table of renamed signals.
     #[arg(long, value_name = "FILE")]
     signals: Option<PathBuf>,
 }
@@ -94,11 +94,11 @@ struct LocateArgs {
     #[arg(long)]
     new_checkout: PathBuf,
 
-    /// Another duration than the task's, s.
+    /// Duration in place of the task's, s.
     #[arg(long, value_name = "S")]
     duration_s: Option<f64>,
 
-    /// The table of signals with another name.
+    /// The table of renamed signals.
     #[arg(long, value_name = "FILE")]
     signals: Option<PathBuf>,
 }
@@ -119,7 +119,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Whether every run left a whole log.
+/// Hashes every run; true if each run left a complete log.
 fn hash(args: &HashArgs) -> Result<bool, String> {
     let side = Side::new(&args.program, &args.checkout, args.duration_s)?;
     let runs = side.runs(&args.suites)?;
@@ -136,7 +136,7 @@ fn hash(args: &HashArgs) -> Result<bool, String> {
     Ok(without == 0)
 }
 
-/// The lines of every run, in the runs' order.
+/// Hash lines of every run, in the order of the runs.
 fn hash_all(side: &Side, runs: &[Run], folder: &Path, args: &HashArgs) -> Result<Vec<String>, String> {
     let next = AtomicUsize::new(0);
     let done = Mutex::new(vec![Ok(String::new()); runs.len()]);
@@ -169,14 +169,14 @@ fn hash_one(side: &Side, run: &Run, folder: &Path, keep: bool) -> Result<String,
     Ok(lines(run, &made.hashes()))
 }
 
-/// Whether all is the same or explained.
+/// Compares two lists of hashes; true if all is equal or explained.
 fn compare_files(args: &CompareArgs) -> Result<bool, String> {
     let report = compare(&text(&args.old)?, &text(&args.new)?, &table(args.signals.as_deref())?)?;
     println!("{report}");
     Ok(report.is_clean())
 }
 
-/// Whether the run is the same, or its differences explained.
+/// Compares one run of both builds; true if it is equal, or its differences are explained.
 fn locate(args: &LocateArgs) -> Result<bool, String> {
     let table = table(args.signals.as_deref())?;
     let (old_lines, old) = record(args, "old", &args.old_program, &args.old_checkout)?;

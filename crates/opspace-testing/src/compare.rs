@@ -1,4 +1,4 @@
-//! Two lists of hashes, compared.
+//! Comparison of two lists of hashes.
 
 use crate::hashes::{FACT, Hash};
 use crate::signals::{Fate, Table};
@@ -6,26 +6,26 @@ use crate::suites::Run;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display};
 
-/// How many of the runs in which a signal differs are named.
+/// Largest number of runs that are named for a signal that differs.
 const NAMED: usize = 6;
 
-/// Suite and place.
+/// Suite of a run, and its place in it.
 type Key = (String, String);
 type Signals = BTreeMap<String, Hash>;
 
-/// What a comparison found.
+/// Result of a comparison.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// By kind and signal: the runs in which it isn't as it was, and how.
+    /// Runs in which a signal differs, and the difference, by kind and signal.
     findings: BTreeMap<(&'static str, String), Vec<String>>,
-    /// The lines of the table that fitted nothing.
+    /// Lines of the table that match nothing.
     idle: Vec<String>,
     runs: usize,
     compared: usize,
     explained: usize,
 }
 
-/// A run's lines of a list.
+/// Formats the lines of a run in a list of hashes.
 #[must_use]
 pub fn lines(run: &Run, hashes: &[Hash]) -> String {
     let head = format!("{}\t{} {}", run.suite, run.place, run.spelling);
@@ -37,7 +37,7 @@ pub fn lines(run: &Run, hashes: &[Hash]) -> String {
 /// Compares the list of an old build with that of a new one.
 ///
 /// # Errors
-/// If one of them is no such list.
+/// A text that is no such list.
 pub fn compare(old: &str, new: &str, table: &Table) -> Result<Report, String> {
     let (old, new) = (read(old)?, read(new)?);
     let names = |list: &BTreeMap<Key, Signals>| list.values().flat_map(|run| run.keys().cloned()).collect();
@@ -77,7 +77,7 @@ fn read(list: &str) -> Result<BTreeMap<Key, Signals>, String> {
 }
 
 impl Report {
-    /// Whether everything is the same, or explained; never if nothing was compared.
+    /// True if all signals are equal or explained, and at least one was compared.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.findings.is_empty() && self.compared > 0
@@ -163,7 +163,7 @@ mod tests {
         compare(OLD, new, &Table::parse(table).unwrap()).unwrap()
     }
 
-    /// The kinds and signals of what was found.
+    /// Kinds and signals of the findings.
     fn found(new: &str, table: &str) -> Vec<String> {
         compared(new, table).findings.keys().map(|(kind, signal)| format!("{kind} {signal}")).collect()
     }

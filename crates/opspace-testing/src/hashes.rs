@@ -3,24 +3,24 @@
 use opspace_log::{ChannelData, Recording};
 use sha2::{Digest, Sha256};
 
-/// The signal that is wall-clock time, and no result.
+/// Signal with wall-clock time, which is not a result.
 const WALL_CLOCK: &str = "tick_time";
 
-/// The name under which the time stamps of a channel's rows stand, beside its signals.
+/// Name of the time stamps of a channel's rows, among its signals.
 pub const TIME: &str = "(time)";
 
-/// What a signal was over a run.
+/// Hash of a signal over a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hash {
-    /// The channel.
+    /// Name of the channel.
     pub channel: String,
-    /// The signal.
+    /// Name of the signal.
     pub signal: String,
-    /// How many numbers stand in a row.
+    /// Number of elements in a row.
     pub elements: usize,
-    /// How many rows there are.
+    /// Number of rows.
     pub rows: usize,
-    /// The first 64 bits of the SHA-256 of all numbers, row by row; a text for what is no signal.
+    /// First 64 bits of the SHA-256 of all numbers, row by row; a text for facts that are no signals.
     pub hash: String,
 }
 
@@ -33,7 +33,7 @@ impl Hash {
     }
 }
 
-/// The channel of what is no signal.
+/// Channel of the facts that are no signals.
 pub const FACT: &str = "-";
 
 /// The hashes of all signals of a log.
@@ -64,7 +64,7 @@ pub fn signals(data: &ChannelData) -> impl Iterator<Item = &str> {
     data.layout.signals.iter().map(|signal| signal.name.as_str()).filter(|name| *name != WALL_CLOCK)
 }
 
-/// The bits of a number; of all that are none, the same ones.
+/// Bits of a number; the same ones for every NaN.
 #[must_use]
 pub fn bits(number: f64) -> u64 {
     if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }

@@ -1,4 +1,4 @@
-//! Where two logs of one run part.
+//! First differences of two logs of one run.
 
 use crate::hashes::{TIME, bits, signals};
 use crate::signals::{Fate, Table};
@@ -7,15 +7,15 @@ use opspace_log::{ChannelData, Recording};
 /// The first difference of a signal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Its row, from 0.
+    /// Index of the row, from 0.
     pub row: usize,
-    /// That row's time, s.
+    /// Time of the row, s.
     pub time_s: f64,
-    /// Channel and signal as the old build calls them, and the element.
+    /// Channel and signal by their names in the old build, and the element.
     pub name: String,
-    /// What it was.
+    /// Value in the old log.
     pub old: f64,
-    /// What it is.
+    /// Value in the new log.
     pub new: f64,
 }
 
@@ -51,7 +51,7 @@ fn of_signal(old: &ChannelData, signal: &str, new: &Recording, table: &Table) ->
     None
 }
 
-/// A signal's rows; for the name of the time stamps, these.
+/// Rows of a signal; the time stamps for the name of these.
 fn rows<'a>(channel: &'a ChannelData, signal: &str) -> Option<Vec<&'a [f64]>> {
     if signal == TIME {
         return Some(channel.time_s.chunks_exact(1).collect());

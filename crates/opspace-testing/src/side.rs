@@ -16,29 +16,29 @@ pub struct Side {
     duration_s: Option<f64>,
 }
 
-/// A run that was made.
+/// Results of a run.
 #[derive(Debug)]
 pub struct Made {
-    /// Exit code, and the fault that `summary.json` tells of.
+    /// Exit code of the run, and the fault in `summary.json`.
     pub facts: Vec<Hash>,
-    /// Its log; without one, what the program said.
+    /// Log of the run; without one, the program's output.
     pub recording: Result<Recording, String>,
 }
 
 impl Side {
-    /// A build with this program and checkout; `duration_s` instead of its tasks' durations, s.
+    /// Creates a build with this program and checkout; `duration_s` replaces its tasks' durations, s.
     ///
     /// # Errors
-    /// If one of them isn't there.
+    /// A program or checkout that isn't there.
     pub fn new(program: &Path, checkout: &Path, duration_s: Option<f64>) -> Result<Self, String> {
         let absolute = |path: &Path| path.canonicalize().map_err(|e| said(path, &e));
         Ok(Self { program: absolute(program)?, checkout: absolute(checkout)?, duration_s })
     }
 
-    /// The runs of suites, in their order.
+    /// Lists the runs of suites, in their order.
     ///
     /// # Errors
-    /// If a suite can't be read.
+    /// A suite that can't be read.
     pub fn runs(&self, suites: &[String]) -> Result<Vec<Run>, String> {
         let runs: Result<Vec<_>, _> =
             suites.iter().map(|suite| suites::runs(&self.checkout, suite)).collect();
@@ -48,7 +48,7 @@ impl Side {
     /// Makes a run and reads its log. The folder, which must not be there yet, is removed unless it is to be kept.
     ///
     /// # Errors
-    /// If the program can't be started, or the folder not removed.
+    /// A program that can't be started, or a folder that can't be removed.
     pub fn make(&self, run: &Run, folder: &Path, keep: bool) -> Result<Made, String> {
         let output = self.command(run, folder).output().map_err(|e| said(&self.program, &e))?;
         let made = Made {
@@ -73,7 +73,7 @@ impl Side {
 }
 
 impl Made {
-    /// A line for each fact and signal; of a run without a whole log, the facts alone.
+    /// Returns a line for each fact and signal; for a run without a complete log, the facts alone.
     #[must_use]
     pub fn hashes(&self) -> Vec<Hash> {
         let signals = self.recording.as_ref().map(of).unwrap_or_default();
@@ -91,7 +91,7 @@ fn fault(folder: &Path) -> String {
     summary.get("faulted").map_or_else(|| "(not told)".to_owned(), ToString::to_string)
 }
 
-/// The log, if there is all of it.
+/// Reads the log, if it is complete.
 fn recording(path: &Path, output: &Output) -> Result<Recording, String> {
     if !path.exists() {
         return Err(String::from_utf8_lossy(&output.stderr).into_owned());

@@ -1,7 +1,7 @@
-//! The table of signals that aren't called the same in two builds.
+//! The table of signals that have different names in two builds.
 //!
-//! A line each; the first that fits counts. Names are those of channel and signal, `tick/hand.force`; one `*` stands for
-//! any text, and in the new name for the same text. What follows `#` is a comment.
+//! One rule per line; the first one that matches counts. Names consist of channel and signal, `tick/hand.force`; one
+//! `*` stands for any text, and in the new name for the same text. Text after `#` is a comment.
 //!
 //! ```text
 //! *.weakest_share -> *.min_singular_gain
@@ -10,7 +10,7 @@
 //! (text) is not a finite number -> is no number
 //! ```
 //!
-//! The last kind is of words in the text of a fault.
+//! The last kind replaces words in the text of a fault.
 
 use std::collections::BTreeSet;
 
@@ -36,12 +36,12 @@ enum Kind {
     Text,
 }
 
-/// What became of a signal.
+/// Fate of a signal in the new build.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fate {
-    /// It is called so.
+    /// The signal exists under this name.
     Called(String),
-    /// It is not there any more.
+    /// The signal no longer exists.
     Gone,
 }
 
@@ -49,14 +49,14 @@ impl Table {
     /// Reads a table.
     ///
     /// # Errors
-    /// The line that isn't one of a table.
+    /// A line that is no rule of a table.
     pub fn parse(text: &str) -> Result<Self, String> {
         let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
         let rules = lines.filter(|line| !line.is_empty()).map(rule).collect::<Result<_, _>>()?;
         Ok(Self { rules })
     }
 
-    /// What became of a signal of the old build.
+    /// Returns the fate of a signal of the old build.
     #[must_use]
     pub fn fate(&self, old: &str) -> Fate {
         for rule in &self.rules {
@@ -69,20 +69,20 @@ impl Table {
         Fate::Called(old.to_owned())
     }
 
-    /// Whether a signal of the new build is meant to be new.
+    /// True if the table lists a signal of the new build as new.
     #[must_use]
     pub fn is_new(&self, new: &str) -> bool {
         self.rules.iter().any(|rule| rule.kind == Kind::New && matched(&rule.new, new).is_some())
     }
 
-    /// A text of the old build in the words of the new one.
+    /// Translates a text of the old build into the words of the new one.
     #[must_use]
     pub fn reworded(&self, old: &str) -> String {
         let rules = self.rules.iter().filter(|rule| rule.kind == Kind::Text);
         rules.fold(old.to_owned(), |text, rule| text.replace(&rule.old, &rule.new))
     }
 
-    /// The lines that fit none of these names of the old and the new build.
+    /// Returns the lines that match none of these names of the old and the new build.
     #[must_use]
     pub fn idle(&self, old: &BTreeSet<String>, new: &BTreeSet<String>) -> Vec<&str> {
         let fits = |rule: &&Rule| match rule.kind {
@@ -129,7 +129,7 @@ fn rule(line: &str) -> Result<Rule, String> {
     Ok(rule)
 }
 
-/// What the pattern's `*` stands for in this name, nothing without a `*`; `None` if the name doesn't fit.
+/// Text that the pattern's `*` stands for in this name, empty without a `*`; `None` if the name doesn't match.
 fn matched<'a>(pattern: &str, name: &'a str) -> Option<&'a str> {
     match pattern.split_once('*') {
         Some((before, after)) => name.strip_prefix(before)?.strip_suffix(after),

@@ -1,13 +1,13 @@
 //! The runs of a suite, with the arguments that `opspace run` takes for each of them.
 //!
-//! They are read here anew rather than by opspace's own reader, so that the files of an older checkout can be read as
-//! well; a key that isn't known is refused, since a setting left out would be one run less that is compared.
+//! The suites are read by a separate parser rather than by opspace's own, so that the files of an older checkout can be
+//! read as well. An unknown key is refused, since a setting left out would be one run less that is compared.
 
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
-/// The suites, by the names of their files in `tasks/suites/`.
+/// Suites, by the names of their files in `tasks/suites/`.
 pub const SUITES: [&str; 7] =
     ["paper", "features", "limits", "singularity", "transformer", "stiffness", "robustness"];
 
@@ -16,16 +16,16 @@ const FOLDER: &str = "tasks/suites";
 /// A run of a suite, with the first of its seeds.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// The suite's name.
+    /// Name of the suite.
     pub suite: String,
-    /// Its place in the suite, by which two checkouts' runs are paired: the numbers of its entry, and within this of
-    /// task, case and profile, each from 1.
+    /// Place of the run in the suite, by which two checkouts' runs are paired: the numbers of its entry, and within
+    /// this of task, case and profile, each from 1.
     pub place: String,
     /// Task, case, profile and seed as the suite spells them.
     pub spelling: String,
-    /// What follows `opspace run`, from the checkout's folder.
+    /// Arguments of `opspace run`, relative to the checkout's folder.
     pub arguments: Vec<String>,
-    /// How many seeds the suite has for it.
+    /// Number of seeds that the suite has for the run.
     pub seeds: usize,
 }
 
@@ -66,10 +66,10 @@ struct Case {
     set: Vec<String>,
 }
 
-/// The runs of a suite of a checkout, in the suite's order.
+/// Lists the runs of a suite of a checkout, in the suite's order.
 ///
 /// # Errors
-/// If the suite's file can't be read, or has keys that aren't known here.
+/// A suite file that can't be read, or that has unknown keys.
 pub fn runs(checkout: &Path, suite: &str) -> Result<Vec<Run>, String> {
     let path = checkout.join(FOLDER).join(suite).with_extension("toml");
     let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
@@ -127,12 +127,12 @@ impl Entry {
     }
 }
 
-/// A path that counts from the suite's file, from the checkout's folder.
+/// Converts a path relative to the suite's file into one relative to the checkout's folder.
 fn from_root(path: &Path) -> String {
     Path::new(FOLDER).join(path).display().to_string()
 }
 
-/// Each of the list, or once nothing.
+/// Returns each item of the list, or one `None` if it is empty.
 fn or_none<T: Clone>(list: &[T]) -> Vec<Option<T>> {
     if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
 }
@@ -148,7 +148,7 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
     }
 
-    /// The values of a flag.
+    /// Values of a flag in the arguments.
     fn values<'a>(arguments: &'a [String], flag: &str) -> Vec<&'a str> {
         let pairs = arguments[1..].chunks_exact(2);
         pairs.filter(|pair| pair[0] == flag).map(|pair| pair[1].as_str()).collect()

@@ -1,7 +1,7 @@
 //! No file of a crate imports, directly or through others, a file that imports it.
 //!
-//! Compared: the `use crate::` and `use super::` edges between the files of each crate, tests left out, with a list without
-//! cycles. Excepted are the dynamics' algorithm files of opspace-model, which share one `Model` and one `Data`.
+//! Compared: the `use crate::` and `use super::` edges between the files of each crate, tests left out, with a list
+//! without cycles. Excepted are the dynamics' algorithm files of opspace-model, which share one `Model` and one `Data`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -50,7 +50,7 @@ fn nested_imports_are_read() {
     assert_eq!(found, ["a::b::C", "a::d", "x::e", "x::y::f::G"]);
 }
 
-/// The modules that each module of a crate imports.
+/// Modules that each module of a crate imports.
 fn imports(src: &Path) -> BTreeMap<Module, BTreeSet<Module>> {
     let mut files = BTreeMap::new();
     collect(src, &mut Vec::new(), &mut files);
@@ -81,12 +81,12 @@ fn collect(folder: &Path, module: &mut Module, files: &mut BTreeMap<Module, Path
     }
 }
 
-/// The module in whose file an item is: the longest part of its path that is a module.
+/// Module in whose file an item is: the longest part of its path that is a module.
 fn defining(path: &[String], modules: &BTreeSet<Module>) -> Option<Module> {
     (1..=path.len()).rev().map(|length| path[..length].to_vec()).find(|part| modules.contains(part))
 }
 
-/// The paths that a file imports from its crate, from the crate's root on.
+/// Paths that a file imports from its crate, from the crate's root on.
 fn paths(text: &str, module: &[String]) -> Vec<Vec<String>> {
     let code = text.split("#[cfg(test)]\nmod").next().unwrap_or_default();
     let mut found = Vec::new();
@@ -105,7 +105,7 @@ fn paths(text: &str, module: &[String]) -> Vec<Vec<String>> {
     found
 }
 
-/// Writes out the braces of an import.
+/// Expands the braces of an import.
 fn flatten(tree: &str, prefix: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
     let Some(open) = tree.find('{') else {
         let own = tree.split("::").map(str::to_owned);
@@ -133,7 +133,8 @@ fn flatten(tree: &str, prefix: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
     prefix.truncate(length);
 }
 
-/// An import's path from the crate's root on; `None` for other crates. A re-export without `crate` is of a child module.
+/// Path of an import from the crate's root on; `None` for other crates. A re-export without `crate` is of a child
+/// module.
 fn from_root(path: Vec<String>, module: &[String], exported: bool) -> Option<Vec<String>> {
     let first = path.first()?.as_str();
     let rest = path[1..].to_vec();
@@ -148,7 +149,7 @@ fn from_root(path: Vec<String>, module: &[String], exported: bool) -> Option<Vec
     }
 }
 
-/// A cycle, if there is one, its first module again at its end.
+/// Returns a cycle, if there is one, with its first module repeated at the end.
 fn cycle(imports: &BTreeMap<Module, BTreeSet<Module>>) -> Option<Vec<String>> {
     let mut done = BTreeSet::new();
     imports.keys().find_map(|module| search(module, imports, &mut Vec::new(), &mut done))

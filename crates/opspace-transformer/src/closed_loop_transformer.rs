@@ -1,7 +1,7 @@
-//! The paper's steps 1) to 5): a transformer from a joint's measured closed loop T(s), without knowing its servo.
+//! The paper's steps 1) to 5): a transformer from a joint's measured closed loop T(s), without knowledge of its servo.
 //!
-//! With H(s) the joint from torque to position as one chooses to see it, E is the servo that would explain T, and D* where H
-//! is the ideal joint G* of equation (5):
+//! With H(s) the assumed model of the joint from torque to position, E is the servo that would explain T, and D* where
+//! H is the ideal joint G* of equation (5):
 //!
 //! ```text
 //! E = T/(H (1 − T))                                                  (6), step 3)
@@ -9,10 +9,10 @@
 //! q_desired = τ/(E (1 − T)) = H τ/T                                  (8), second form
 //! ```
 //!
-//! **Literally**, τ is the net torque on a joint that is alone and free: what gravity, other joints and contact add isn't in
-//! it, and 1/E predicts a motion that doesn't happen. The second form doesn't even look at q, and drifts. **Split**, 1/E is a
-//! compliance α and a velocity per torque, β s H; with the velocity measured, and not predicted from the torque, it is good
-//! for arms under gravity and contact:
+//! **Literally**, τ is the net torque on a single free joint: gravity, other joints and contact are not included, and
+//! 1/E predicts a motion that doesn't happen. The second form doesn't use q at all, and drifts. **Split**, 1/E is a
+//! compliance α and a velocity per torque, β s H; with the velocity measured, and not predicted from the torque, it is
+//! valid for arms under gravity and contact:
 //!
 //! ```text
 //! 1/E = α + β s H        q_desired = q + α τ + β q̇
@@ -32,16 +32,16 @@ use serde::Deserialize;
 use std::f64::consts::TAU;
 use thiserror::Error;
 
-/// A coefficient that is nothing beside the largest of its polynomial.
+/// Size of a coefficient, relative to the largest of its polynomial, that counts as zero.
 const NOTHING: f64 = 1e-9;
 
-/// Frequencies at which 1/E is split.
+/// Number of frequencies at which 1/E is split.
 const POINTS: u32 = 60;
 
-/// Most that a share of 1/E may be explained wrong by its split.
+/// Largest share of 1/E that its split may leave unexplained.
 const WORST_SPLIT: f64 = 0.3;
 
-/// A ratio of polynomials in s, coefficients from the constant up.
+/// Ratio of polynomials in s, coefficients in ascending order from the constant.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rational {
@@ -51,66 +51,66 @@ pub struct Rational {
     pub denominator: Vec<f64>,
 }
 
-/// What was measured of a joint in closed loop, and how it is seen.
+/// Measured closed loop of a joint, and the model of the joint assumed with it.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IdentifiedJoint {
-    /// T(s), from set-point to position.
+    /// T(s), from setpoint to position.
     pub closed_loop: Rational,
     /// H(s), from torque (Nm, N) to position (rad, m).
     pub open_loop: Rational,
-    /// The lowest frequency at which T can be trusted, Hz.
+    /// Lowest frequency of the band in which T is accurate, Hz.
     pub from_hz: Positive,
-    /// The highest one, Hz.
+    /// Highest frequency of the band in which T is accurate, Hz.
     pub to_hz: Positive,
 }
 
-/// A joint that can't be inverted from what was identified.
+/// Reason why a joint can't be inverted from what was identified.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentificationError {
-    /// A polynomial that is zero, or isn't there.
+    /// Polynomial that is zero, or missing.
     #[error("{what} is zero or empty")]
     Zero {
-        /// Which.
+        /// Name of the polynomial.
         what: &'static str,
     },
-    /// A band from a higher to a lower frequency.
+    /// Band from a higher to a lower frequency.
     #[error("to_hz isn't above from_hz")]
     Band,
-    /// q_desired would follow the rate of the torque.
+    /// Closed loop that falls off faster than the open loop: q_desired would follow the rate of the torque.
     #[error(
         "closed_loop falls off faster than open_loop (by {excess} powers of s): set-points would follow the rate of \
          the torque"
     )]
     Improper {
-        /// By how many powers of s.
+        /// Excess powers of s.
         excess: usize,
     },
-    /// Set-points would grow by themselves.
+    /// Unstable inverse: setpoints would grow by themselves.
     #[error(
         "set-points would grow without bound: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
     )]
     Unstable {
-        /// Its real part, rad/s.
+        /// Real part of the zero or pole, rad/s.
         at: f64,
     },
-    /// It is no compliance and velocity.
+    /// Inverse 1/E that is not a compliance and a velocity.
     #[error(
         "1/E isn't a compliance and a velocity within the band: {left:.2} of it is left over, alpha = {alpha:.3e} rad/Nm, \
          beta = {beta:.3e} s"
     )]
     Split {
-        /// α.
+        /// Compliance α, rad/Nm.
         alpha: f64,
-        /// β.
+        /// Velocity coefficient β, s.
         beta: f64,
-        /// Share that they don't explain.
+        /// Share of 1/E that they don't explain.
         left: f64,
     },
 }
 
-/// Coefficients up to the highest that counts.
+/// Returns the coefficients up to the highest that counts.
 fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
     let largest = polynomial.iter().fold(0.0, |largest: f64, c| largest.max(c.abs()));
     while polynomial.last().is_some_and(|c| c.abs() <= NOTHING * NOTHING * largest) {
@@ -124,7 +124,7 @@ impl Rational {
         value(&self.numerator, s) / value(&self.denominator, s)
     }
 
-    /// The ratio of two polynomials without what both have of s.
+    /// Returns the ratio of two polynomials without their common powers of s.
     fn reduced(numerator: Vec<f64>, denominator: Vec<f64>) -> Self {
         let (mut numerator, mut denominator) = (trimmed(numerator), trimmed(denominator));
         let rooted_at_zero = |p: &[f64]| {
@@ -138,14 +138,14 @@ impl Rational {
         Self { numerator, denominator }
     }
 
-    /// The largest real part of a pole.
+    /// Largest real part of a pole.
     fn slowest_pole(&self) -> Option<f64> {
         roots(&self.denominator).iter().map(|pole| pole.re).max_by(f64::total_cmp)
     }
 }
 
 impl IdentifiedJoint {
-    /// 1/E.
+    /// Inverse servo 1/E.
     fn inverse_servo(&self) -> Rational {
         let (t, h) = (&self.closed_loop, &self.open_loop);
         let order = t.numerator.len().max(t.denominator.len());
@@ -170,10 +170,11 @@ impl IdentifiedJoint {
         Ok(())
     }
 
-    /// α (rad/Nm) and β (s) as the stiffness 1/α and the damping β/α: least squares of 1/E relative to itself, over the band.
+    /// Returns α (rad/Nm) and β (s) as the stiffness 1/α and the damping β/α: least squares of 1/E relative to itself,
+    /// over the band.
     ///
     /// # Errors
-    /// If 1/E isn't that.
+    /// If 1/E can't be inverted, or isn't a compliance and a velocity.
     pub fn split(&self) -> Result<ServoGains, IdentificationError> {
         self.check()?;
         let inverse = self.inverse_servo();
@@ -203,7 +204,7 @@ impl IdentifiedJoint {
     }
 }
 
-/// A filter in s as it runs every `period_s`, by Tustin's rule.
+/// Filter in s, discretized for every `period_s` by Tustin's rule.
 #[derive(Clone, Debug)]
 struct Filter {
     numerator: Vec<f64>,
@@ -233,7 +234,7 @@ impl Filter {
         Self { numerator, denominator, memory: vec![0.0; order + 1] }
     }
 
-    /// The transposed direct form.
+    /// Computes the next output, in the transposed direct form.
     fn step(&mut self, input: f64) -> f64 {
         let output = self.numerator[0] * input + self.memory[0];
         for i in 1..self.numerator.len() {
@@ -243,21 +244,22 @@ impl Filter {
     }
 }
 
-/// Equation (8), literally: for a single joint that is free.
+/// Transformer by equation (8), literally: for a single joint that is free.
 #[derive(Clone, Debug)]
 pub struct LiteralTransformer {
     joints: Vec<Filter>,
-    /// Whether q is measured; else where it was at the start.
+    /// True if the measured q is used; otherwise the position at the start.
     measured: bool,
     start: DVector<f64>,
     begun: bool,
 }
 
 impl LiteralTransformer {
-    /// For joints of which this was identified, told every `period_s`; with the measured position or without.
+    /// Returns the transformer of joints with these models, called every `period_s`; with the measured position or
+    /// without.
     ///
     /// # Errors
-    /// The first joint that can't be inverted.
+    /// If a joint can't be inverted: the index of the first.
     pub fn new(
         joints: &[IdentifiedJoint],
         measured: bool,

@@ -1,6 +1,6 @@
-//! Measured motor current against what was to be expected: a disturbance observer on interval means.
+//! Comparison of measured motor current with the expected one: a disturbance observer on interval means.
 //!
-//! δ is how much more torque the motors give than is believed of them, through a wrong gain or a hold. A transformer asks
+//! δ is the excess of the motors' torque over the nominal one, through a wrong gain or a hold. A transformer asks
 //! for δ less.
 
 use crate::transformer::Transformer;
@@ -8,14 +8,15 @@ use nalgebra::DVector;
 use opspace_backend::{CommandKind, Sample};
 use opspace_model::Data;
 
-/// What of a new difference is believed: fast enough for a wrong gain, slow enough for the noise of the current.
+/// Share of a new difference that is taken over: fast enough for a wrong gain, slow enough for the noise of the
+/// current.
 const GAIN: f64 = 0.35;
 
-/// How far δ may go, in torque limits: it is an offset of a set-point, not a torque of a motor, and at speed a wrong gain
+/// Bound on δ, in torque limits: it is an offset of a setpoint, not a torque of a motor, and at speed a wrong gain
 /// asks for more than the motor's own torque.
 const LIMIT: f64 = 3.0;
 
-/// δ of n joints, Nm (N).
+/// Observer of the excess torque δ of n joints, Nm (N).
 #[derive(Clone, Debug)]
 pub struct CurrentObserver {
     surplus: DVector<f64>,
@@ -23,20 +24,20 @@ pub struct CurrentObserver {
 }
 
 impl CurrentObserver {
-    /// For drives with these torque limits (n; Nm, N).
+    /// Returns the observer for drives with these torque limits (n; Nm, N).
     #[must_use]
     pub fn new(torque_limits: &[f64]) -> Self {
         let limits = torque_limits.iter().map(|limit| LIMIT * limit).collect();
         Self { surplus: DVector::zeros(torque_limits.len()), limits }
     }
 
-    /// δ (n; Nm, N).
+    /// Excess torque δ (n; Nm, N).
     #[must_use]
     pub fn surplus(&self) -> &DVector<f64> {
         &self.surplus
     }
 
-    /// Takes in the mean torques that were measured over an interval, where `expected` was to be expected.
+    /// Updates δ with the mean torques measured over an interval, and those `expected`.
     pub fn update(&mut self, measured: &[f64], expected: &DVector<f64>) {
         for i in 0..self.limits.len() {
             let more = measured[i] - expected[i];
@@ -45,14 +46,14 @@ impl CurrentObserver {
         }
     }
 
-    /// Forgets all.
+    /// Resets δ to zero.
     pub fn reset(&mut self) {
         self.surplus.fill(0.0);
     }
 }
 
-/// Any transformer that says nothing of the torque between two ticks, corrected by measured current: the mean over an
-/// interval was to be what it was asked for by the commands that acted in it, which are two where set-points are delayed.
+/// Transformer corrected by measured current, for methods that predict no torque between two cycles: the expected mean
+/// torque of an interval is that of the commands that acted in it, which are two where setpoints are delayed.
 ///
 /// ```text
 /// τ̄_k = ((R − d) (τ − δ)_k₋₁ + d (τ − δ)_k₋₂)/R
@@ -60,19 +61,19 @@ impl CurrentObserver {
 pub struct CurrentCorrected {
     inner: Box<dyn Transformer>,
     observer: CurrentObserver,
-    /// Of an interval, under the last command.
+    /// Share of an interval under the last command.
     share: f64,
-    /// Of the last two commands, the later one first (n).
+    /// Torques asked of the last two commands, the later one first (n).
     asked: [DVector<f64>; 2],
     expected: DVector<f64>,
     given: DVector<f64>,
-    /// Commands in a row that were sent as they were made.
+    /// Number of commands in a row that were sent as computed.
     known: u32,
 }
 
 impl CurrentCorrected {
-    /// For drives with these torque limits (n; Nm, N), that run `ratio` times an interface tick and take a set-point
-    /// `delay` of their ticks late.
+    /// Returns the corrected transformer for drives with these torque limits (n; Nm, N), that run `ratio` times an
+    /// interface cycle and take a setpoint `delay` of their ticks late.
     #[must_use]
     pub fn new(inner: Box<dyn Transformer>, torque_limits: &[f64], ratio: u32, delay: u32) -> Self {
         let zero = DVector::zeros(torque_limits.len());
@@ -94,7 +95,7 @@ impl Transformer for CurrentCorrected {
     }
 
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
-        // A set-point that was changed on its way, or didn't come, says nothing of the drives.
+        // A setpoint that was changed on its way, or didn't come, says nothing of the drives.
         if let Some(measured) = sample.motor_torque.as_ref().filter(|_| self.known >= 2) {
             for (i, expected) in self.expected.iter_mut().enumerate() {
                 *expected = self.share * self.asked[0][i] + (1.0 - self.share) * self.asked[1][i];

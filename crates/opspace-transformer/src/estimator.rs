@@ -1,4 +1,4 @@
-//! Joint velocity from positions: finite difference at the interface rate, then a first-order low-pass.
+//! Estimation of joint velocity from positions: finite difference at the interface rate, then a first-order low-pass.
 //!
 //! This is the paper's estimate (§III: "estimated with the available data and then filtered with a low
 //! pass filter").
@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
-/// How velocity is estimated.
+/// Estimation of joint velocity.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EstimatorParameters {
@@ -18,36 +18,38 @@ pub struct EstimatorParameters {
 }
 
 impl Default for EstimatorParameters {
-    /// The cut-off of the paper's experiments, 150 Hz.
+    /// Returns the cut-off of the paper's experiments, 150 Hz.
     fn default() -> Self {
         Self { velocity_filter_hz: Positive::literal(150.0) }
     }
 }
 
-/// `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`, for n joints; T is longer where samples are missed.
+/// Velocity estimator of n joints: `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`; T is longer where samples are
+/// missed.
 #[derive(Clone, Debug)]
 pub struct VelocityEstimator {
     period_s: f64,
     gain: f64,
-    /// NaN before the first position.
+    /// Last positions; NaN before the first.
     last: DVector<f64>,
     velocity: DVector<f64>,
 }
 
 impl VelocityEstimator {
-    /// At rest; `period_s` between two positions.
+    /// Returns an estimator at rest; `period_s` between two positions.
     #[must_use]
     pub fn new(n: usize, parameters: &EstimatorParameters, period_s: f64) -> Self {
         let gain = 1.0 - (-TAU * parameters.velocity_filter_hz.get() * period_s).exp();
         Self { period_s, gain, last: DVector::from_element(n, f64::NAN), velocity: DVector::zeros(n) }
     }
 
-    /// The velocity (rad/s or m/s) with the new positions `q` (n; rad or m); 0 with the first.
+    /// Returns the velocity (rad/s or m/s) with the new positions `q` (n; rad or m); 0 with the first.
     pub fn update(&mut self, q: &[f64]) -> &[f64] {
         self.update_after(1, q)
     }
 
-    /// The same with positions that come that many periods after the last.
+    /// Returns the velocity as [`update`](Self::update) does, with positions that come that many periods after the
+    /// last.
     pub fn update_after(&mut self, periods: u64, q: &[f64]) -> &[f64] {
         let elapsed_s = periods as f64 * self.period_s;
         let gain = if periods == 1 { self.gain } else { 1.0 - (1.0 - self.gain).powf(periods as f64) };
@@ -61,7 +63,7 @@ impl VelocityEstimator {
         self.velocity.as_slice()
     }
 
-    /// Forgets all: the next positions are the first.
+    /// Resets the estimator: the next positions are the first.
     pub fn reset(&mut self) {
         self.last.fill(f64::NAN);
         self.velocity.fill(0.0);

@@ -5,7 +5,7 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Friction of one joint: `Fc` and `Fs` with Stribeck's fall from one to the other, and viscous.
+/// Friction of one joint: `Fc` and `Fs` with the Stribeck effect between them, and viscous friction.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FrictionParameters {
@@ -19,7 +19,7 @@ pub struct FrictionParameters {
     pub viscous_nms_per_rad: NonNegative,
 }
 
-/// How much of the friction model is compensated.
+/// Compensation of joint friction.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FrictionCompensationParameters {
@@ -46,8 +46,8 @@ const fn default_smoothing() -> Positive {
     Positive::literal(0.05)
 }
 
-/// The estimate n̂ of equation (11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
-/// backend, the same for position and torque robots.
+/// Friction compensation n̂ of equation (11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
+/// backend, for position and torque robots alike.
 #[derive(Clone, Debug)]
 pub struct FrictionCompensation {
     coulomb: DVector<f64>,
@@ -56,7 +56,7 @@ pub struct FrictionCompensation {
 }
 
 impl FrictionCompensation {
-    /// For joints with the friction that is believed of them.
+    /// Returns the compensation for joints with this nominal friction.
     #[must_use]
     pub fn new<'a>(
         joints: impl Iterator<Item = &'a FrictionParameters> + Clone,
@@ -79,14 +79,14 @@ impl FrictionCompensation {
         self.coulomb.len()
     }
 
-    /// No compensation for n joints.
+    /// Returns a compensation of zero for n joints.
     #[must_use]
     pub fn none(n: usize) -> Self {
         let zero = DVector::zeros(n);
         Self { coulomb: zero.clone(), viscous: zero, smoothing: default_smoothing().get() }
     }
 
-    /// n̂ of one joint at the velocity `dq`, Nm (N).
+    /// Friction torque n̂ of one joint at the velocity `dq`, Nm (N).
     #[inline]
     #[must_use]
     pub fn torque(&self, joint: usize, dq: f64) -> f64 {

@@ -1,4 +1,4 @@
-//! The transformer of a torque robot.
+//! Transformer of a torque robot.
 
 use crate::transformer::Transformer;
 use opspace_backend::CommandKind;

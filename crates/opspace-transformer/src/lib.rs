@@ -1,6 +1,6 @@
-//! Joint torques to the commands that make a robot's servos produce them.
+//! Conversion of joint torques to the commands that make a robot's servos produce them.
 //!
-//! A [`Transformer`] computes the command; a [`ServoLaw`] is the servo that it inverts, tick by tick.
+//! A [`Transformer`] computes the command; a [`ServoLaw`] is the servo that it inverts, evaluated every servo tick.
 //!
 //! ```
 //! use opspace_backend::quantity::Positive;

@@ -1,47 +1,48 @@
-//! Position, velocity and disturbance of a joint from its encoder, and with them what its drive remembers: a steady Kalman
+//! Observer of a joint's position, velocity, disturbance and servo memory from its encoder: a steady-state Kalman
 //! filter whose prediction is the emulated drive.
 //!
 //! ```text
-//! x = [q, q̇, servo, d]        x = x⁻ + L (y − q⁻)        ẋ: I (q̈ − d) = τ, the servo's, tick by tick
+//! x = [q, q̇, servo, d]        x = x⁻ + L (y − q⁻)        ẋ: I (q̈ − d) = τ, the servo's, at every servo tick
 //! ```
 //!
-//! d is the acceleration (rad/s²) that the prediction doesn't know of: it wanders at random, and is held between two ticks.
-//! The gain is made for the joint with its drive, not for a free mass: between two set-points a stiff drive moves the joint
-//! back to where it wants it, and a gain that doesn't know would correct what the drive has corrected already.
+//! d is the acceleration (rad/s²) that the prediction doesn't include: a random walk, held between two servo ticks. The
+//! gain is computed for the joint with its drive, not for a free mass: between two setpoints a stiff drive returns the
+//! joint to its reference, and a gain computed for a free mass would correct that motion a second time.
 
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoMemory};
 use nalgebra::{DMatrix, DVector};
 
-/// How fast the unknown acceleration wanders, rad/s² in a root of a second: less follows what a held set-point does within
-/// a period less, more follows a wrong model faster.
+/// Random walk of the unknown acceleration, rad/s² per √s: a smaller value follows less the motion of a held setpoint
+/// within a period, a larger one follows a wrong model faster.
 const WANDERS: f64 = 30.0;
 
-/// What an encoder is off by beside its resolution, rms, rad.
+/// Error of an encoder beside its resolution, rms, rad.
 const NOISE_RAD: f64 = 2e-6;
 
-/// Rms of a position that is read to a whole count, as a share of that count (a uniform error has 0.29).
+/// Rms error of a position that is read to a whole count, as a share of that count (a uniform error has 0.29).
 const QUANTISATION: f64 = 0.35;
 
-/// Most steps of Riccati's recursion: it forgets its start within some hundred.
+/// Largest number of steps of the Riccati recursion: it forgets its start within some hundred.
 const MOST_STEPS: u32 = 20_000;
 
-/// L of a joint: what of an innovation (rad) becomes position, velocity (1/s), the servo's memory and disturbance (1/s²).
+/// Observer gain L of a joint: correction of position, velocity (1/s), servo memory and disturbance (1/s²) per
+/// innovation (rad).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObserverGain {
-    /// Of the position.
+    /// Gain of the position.
     pub position: f64,
-    /// Of the velocity, 1/s.
+    /// Gain of the velocity, 1/s.
     pub velocity: f64,
-    /// Of what the servo remembers.
+    /// Gain of the servo's memory.
     pub memory: ServoMemory,
-    /// Of the disturbance, 1/s².
+    /// Gain of the disturbance, 1/s².
     pub disturbance: f64,
 }
 
-/// A joint of which the position is read every so many servo ticks.
+/// Joint whose position is read every so many servo ticks.
 #[derive(Clone, Copy, Debug)]
 pub struct ObservedJoint<'a> {
-    /// Its drive.
+    /// Servo law of its drive.
     pub servo: &'a ServoLaw,
     /// Inertia that the drive moves, kg m² (kg).
     pub inertia: f64,
@@ -54,7 +55,7 @@ pub struct ObservedJoint<'a> {
 }
 
 impl ObserverGain {
-    /// The fixed point of Riccati's recursion.
+    /// Returns the fixed point of the Riccati recursion.
     #[must_use]
     pub fn steady(joint: &ObservedJoint<'_>) -> Self {
         let step = joint.step();
@@ -87,7 +88,7 @@ impl ObserverGain {
 }
 
 impl ObservedJoint<'_> {
-    /// x a reading later, under a set-point that is known and so doesn't count: column by column.
+    /// State x one reading later, under a known setpoint, which has no effect on the error: column by column.
     fn step(&self) -> DMatrix<f64> {
         let order = self.servo.order();
         let n = order + 3;
@@ -117,7 +118,7 @@ mod tests {
     use super::*;
     use crate::servo::ServoParameters;
 
-    /// How much of an inertia may be missing, or too much, from what the gain is made for.
+    /// Inertia of the joint over that which the gain is computed for.
     const INERTIAS: [f64; 3] = [0.5, 1.0, 2.0];
 
     /// Encoder counts per motor turn, at a gear ratio of 100.
@@ -130,8 +131,8 @@ mod tests {
         ServoLaw::new(&parameters, 1.0 / servo_hz).expect("a servo")
     }
 
-    /// Moduli of the eigenvalues of the error dynamics (I − L H) F, the largest first, of a joint that has `scale` times the
-    /// inertia that the gain is made for.
+    /// Moduli of the eigenvalues of the error dynamics (I − L H) F, in descending order, of a joint that has `scale`
+    /// times the inertia that the gain is computed for.
     fn error_modes(servo: &ServoLaw, servo_hz: f64, ratio: u32, counts: f64, scale: f64) -> Vec<f64> {
         let joint = ObservedJoint {
             servo,
@@ -155,8 +156,9 @@ mod tests {
         modes
     }
 
-    /// The error dynamics (I − L H) F of a joint with its drive, whose eigenvalues must lie within the unit circle: drives
-    /// of 500 Hz to 5 kHz, read at each of their ticks to each tenth, with other inertias than the gain is made for.
+    /// Checks that the eigenvalues of the error dynamics (I − L H) F of a joint with its drive lie within the unit
+    /// circle: drives of 500 Hz to 5 kHz, read at each of their ticks to each tenth, with other inertias than the gain
+    /// is computed for.
     #[test]
     fn the_observer_is_stable() {
         for servo_hz in [500.0, 1000.0, 5000.0] {
@@ -186,8 +188,8 @@ mod tests {
     const VELOCITY_LOOPS: [(f64, f64); 7] =
         [(0.004, 0.0), (0.004, 0.2), (0.008, 0.0), (0.008, 0.2), (0.02, 0.0), (0.02, 0.2), (0.04, 0.0)];
 
-    /// The error dynamics of a joint with a velocity drive. The delay of setpoints is not in it: they are known. An integral
-    /// adds one mode that no position shows, a torque in the integral against the unknown acceleration, with the
+    /// Checks the error dynamics of a joint with a velocity drive. The delay of setpoints is not in it: they are known.
+    /// An integral adds one unobservable mode, a torque in the integral against the unknown acceleration, with the
     /// eigenvalue 1; the others must lie within the unit circle.
     #[test]
     fn the_observer_is_stable_with_a_velocity_drive() {

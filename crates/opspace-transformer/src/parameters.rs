@@ -1,4 +1,4 @@
-//! What is believed of a robot's drives: the parts of robot.toml that describe joints and profiles.
+//! Nominal parameters of a robot's drives: the parts of robot.toml that describe joints and profiles.
 
 use crate::closed_loop_transformer::IdentifiedJoint;
 use crate::estimator::EstimatorParameters;
@@ -12,7 +12,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-/// One joint's drive.
+/// Drive of one joint.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointParameters {
@@ -21,21 +21,21 @@ pub struct JointParameters {
     /// Highest rate of the commanded torque, Nm/s (N/s); the whole torque in 10 ms if absent.
     #[serde(default)]
     pub torque_rate_limit_nm_per_s: Option<Positive>,
-    /// Highest acceleration, with which the joint can also brake, rad/s² (m/s²); without it, joints are braked before
-    /// their ends with half of what the torque limit leaves beside gravity in the worst of many postures.
+    /// Highest acceleration, with which the joint can also brake, rad/s² (m/s²); if absent, joints brake before their
+    /// position limits with half of the torque that remains beside gravity in the worst of many postures.
     #[serde(default)]
     pub acceleration_limit_rad_per_s2: Option<Positive>,
-    /// The motor's rotor and encoder.
+    /// Rotor and encoder of the motor.
     pub rotor: RotorParameters,
     /// Friction at the joint.
     pub friction: FrictionParameters,
 }
 
-/// The motor's side of a joint.
+/// Rotor and encoder of a joint's motor.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RotorParameters {
-    /// Inertia of all that turns at motor speed, kg m².
+    /// Inertia of all parts that turn at motor speed, kg m².
     pub inertia_kg_m2: NonNegative,
     /// Motor turns per joint turn.
     pub gear_ratio: Positive,
@@ -44,47 +44,48 @@ pub struct RotorParameters {
 }
 
 impl RotorParameters {
-    /// Inertia felt at the joint: the gear ratio squared times the rotor's, kg m².
+    /// Inertia reflected to the joint: the gear ratio squared times the rotor's, kg m².
     #[must_use]
     pub fn reflected_inertia(&self) -> f64 {
         self.gear_ratio.get().powi(2) * self.inertia_kg_m2.get()
     }
 
-    /// One encoder count at the joint, rad.
+    /// Resolution of the joint position, one encoder count, rad.
     #[must_use]
     pub fn resolution_rad(&self) -> f64 {
         TAU / (f64::from(self.encoder_counts_per_turn.get()) * self.gear_ratio.get())
     }
 }
 
-/// How a robot is driven: rates, servo gains and what is made of them. A robot may have several profiles.
+/// Drive profile of a robot: rates, servo gains and transformer. A robot may have several profiles.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.
     pub servo_hz: Positive,
-    /// Servo ticks per interface tick: set-points are taken and positions given at `servo_hz / ratio`.
+    /// Servo ticks per interface cycle: setpoints are taken and positions given at `servo_hz / ratio`.
     pub ratio: Count,
-    /// Servo ticks from the interface tick at which a command is written until it acts; at most `ratio`. Left out where it
-    /// isn't known.
+    /// Servo ticks from the interface cycle at which a command is written until it acts; at most `ratio`. Absent if
+    /// unknown.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
-    /// What turns torques into positions or velocities; the best for what the robot declares if absent.
+    /// Method that converts torques to positions or velocities; if absent, the best for the robot's declared
+    /// properties.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
-    /// Gains refined from measured motor current while running; not at all if absent.
+    /// Refinement of the gains from measured motor current while running; none if absent.
     #[serde(default)]
     pub refine: Option<RefinementParameters>,
-    /// How joint velocity is estimated at the interface.
+    /// Estimator of joint velocity at the interface.
     pub estimator: EstimatorParameters,
-    /// The position servo of each joint, by joint name; may be left out where there are velocity servos.
+    /// Position servo of each joint, by joint name; may be left out where there are velocity servos.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
-    /// The velocity servo of each joint, by joint name: what drives the robot where it takes velocities. Absent if it takes
+    /// Velocity servo of each joint, by joint name, which drives a robot that accepts velocities. Absent if it accepts
     /// none.
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
-    /// What was measured of each joint's closed loop, by joint name: for the transformers `identified`.
+    /// Measured closed loop of each joint, by joint name, for the transformers `identified`.
     #[serde(default)]
     pub identified: BTreeMap<String, IdentifiedJoint>,
 }
@@ -96,13 +97,13 @@ impl ProfileParameters {
         1.0 / self.servo_hz.get()
     }
 
-    /// The delay in servo ticks; 0 where it isn't known.
+    /// Delay in servo ticks; 0 if unknown.
     #[must_use]
     pub fn delay(&self) -> u32 {
         self.delay_servo_ticks.unwrap_or(0)
     }
 
-    /// Time between two interface ticks, s.
+    /// Time between two interface cycles, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
         f64::from(self.ratio.get()) / self.servo_hz.get()

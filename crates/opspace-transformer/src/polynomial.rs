@@ -1,14 +1,14 @@
-//! Polynomials as their coefficients, from the constant on.
+//! Polynomials given by their coefficients, in ascending order from the constant.
 
 use nalgebra::{Complex, DMatrix};
 
-/// Its value.
+/// Value of a polynomial.
 #[must_use]
 pub fn value(coefficients: &[f64], at: Complex<f64>) -> Complex<f64> {
     coefficients.iter().rev().fold(Complex::new(0.0, 0.0), |sum, &c| sum * at + c)
 }
 
-/// That of two.
+/// Product of two polynomials.
 #[must_use]
 pub fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
     let mut product = vec![0.0; (a.len() + b.len()).saturating_sub(1)];
@@ -20,7 +20,7 @@ pub fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
     product
 }
 
-/// Its roots: eigenvalues of its companion.
+/// Roots of a polynomial: eigenvalues of its companion matrix.
 #[must_use]
 pub fn roots(coefficients: &[f64]) -> Vec<Complex<f64>> {
     let degree = coefficients.iter().rposition(|c| *c != 0.0).unwrap_or(0);
@@ -41,10 +41,10 @@ pub fn roots(coefficients: &[f64]) -> Vec<Complex<f64>> {
 mod tests {
     use super::*;
 
-    /// Of numbers that are solved for in floating point.
+    /// Tolerance of numbers that are solved for in floating point.
     const EXACT: f64 = 1e-9;
 
-    /// The value of a product at each of its roots, and the roots of what it is a product of.
+    /// Checks the value of a product at each of its roots, and the roots of its factors.
     #[test]
     fn a_product_has_the_roots_of_both() {
         let (a, b) = ([6.0, 5.0, 1.0], [4.0, 0.0, 1.0]);

@@ -1,4 +1,4 @@
-//! Gains of a servo refined while it runs: recursive least squares of measured motor torque.
+//! Refinement of a servo's gains while it runs: recursive least squares of measured motor torque.
 //!
 //! Over an interface interval a servo of a stiffness K and a damping D gives the mean torque
 //!
@@ -6,8 +6,8 @@
 //! τ̄ = K ē − D w̄ = a x₁ − b x₂        x₁ = K₀ ē, x₂ = D₀ w̄
 //! ```
 //!
-//! with e the position error and w the servo's velocity, both as emulated, and a and b the gains over those that are believed.
-//! They wander slowly at random, are bounded, and stay where nothing excites them.
+//! with e the position error and w the servo's velocity, both as emulated, and a and b the gains over the nominal ones.
+//! They follow a slow random walk, are bounded, and are constant without excitation.
 
 use nalgebra::{Matrix2, Vector2};
 use opspace_backend::quantity::Positive;
@@ -17,20 +17,20 @@ use serde::Deserialize;
 /// Noise of a mean torque that the model doesn't explain, as a share of the torque limit, rms.
 const NOISE: f64 = 0.01;
 
-/// What the gains are believed to be off by before anything is measured, rms, as a share of them.
+/// Initial uncertainty of the gains, rms, as a share of them.
 const UNCERTAIN: f64 = 0.1;
 
-/// How gains are refined while running.
+/// Refinement of servo gains while running.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RefinementParameters {
-    /// Time over which gains may change by a tenth, s: what is older counts less.
+    /// Time over which gains may change by a tenth, s: older measurements count less.
     pub time_s: Positive,
-    /// How far they may go from what the file says, as a share of it, below 1.
+    /// Largest deviation of the gains from the nominal ones, as a share of them, below 1.
     pub within: Share,
 }
 
-/// A share above 0 and below 1.
+/// Share above 0 and below 1.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(try_from = "f64")]
 pub struct Share(#[schemars(range(min = 0.0, max = 1.0))] f64);
@@ -47,10 +47,10 @@ impl TryFrom<f64> for Share {
     }
 }
 
-/// Stiffness and damping of one joint's servo over what is believed of them.
+/// Stiffness and damping of one joint's servo over the nominal ones.
 #[derive(Clone, Copy, Debug)]
 pub struct Refinement {
-    /// a and −b.
+    /// Estimates of a and −b.
     scales: Vector2<f64>,
     covariance: Matrix2<f64>,
     wander: f64,
@@ -59,7 +59,7 @@ pub struct Refinement {
 }
 
 impl Refinement {
-    /// For a drive of this torque limit (Nm, N), measured every `period_s`.
+    /// Returns the refinement for a drive of this torque limit (Nm, N), measured every `period_s`.
     #[must_use]
     pub fn new(parameters: &RefinementParameters, torque_limit: f64, period_s: f64) -> Self {
         Self {
@@ -71,7 +71,7 @@ impl Refinement {
         }
     }
 
-    /// Takes in a mean torque (Nm, N) with x₁ and x₂, and gives the scales of stiffness and damping.
+    /// Updates with a mean torque (Nm, N) and x₁ and x₂; returns the scales of stiffness and damping.
     pub fn update(&mut self, measured: f64, of_position: f64, of_velocity: f64) -> [f64; 2] {
         let x = Vector2::new(of_position, of_velocity);
         let p = self.covariance * x;
@@ -94,7 +94,7 @@ impl Refinement {
 mod tests {
     use super::*;
 
-    /// What the gains' own wandering leaves.
+    /// Error of the estimated gains due to their own random walk.
     const FOUND: f64 = 1e-3;
 
     fn refinement(within: f64) -> Refinement {
@@ -105,7 +105,7 @@ mod tests {
         Refinement::new(&parameters, 40.0, 1e-3)
     }
 
-    /// Torques of a servo with other gains than believed, and the scales found from them.
+    /// Checks the scales estimated from torques of a servo with other gains than the nominal ones.
     #[test]
     fn gains_are_found_from_torques() {
         let mut refinement = refinement(0.5);
@@ -118,7 +118,7 @@ mod tests {
         assert!((found[0] - 0.8).abs() < FOUND && (found[1] - 1.2).abs() < FOUND, "{found:?}");
     }
 
-    /// Scales of a servo that is further off than allowed, and of one that nothing moves.
+    /// Checks the scales of a servo that is further off than allowed, and of one that is not excited.
     #[test]
     fn scales_are_bounded_and_stay_at_rest() {
         let mut bounded = refinement(0.3);

@@ -1,6 +1,6 @@
-//! The position and velocity servos of drives, as they are known: what a transformer inverts.
+//! Nominal position and velocity servos of drives, which a transformer inverts.
 //!
-//! How each of them runs, tick by tick, is its [`ServoLaw`](crate::servo_law::ServoLaw).
+//! The [`ServoLaw`](crate::servo_law::ServoLaw) of each computes its torque at every servo tick.
 
 use crate::polynomial::value;
 use nalgebra::Complex;
@@ -10,21 +10,21 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
-/// A joint's servo.
+/// Servo of a joint.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ServoParameters {
-    /// A position loop around a velocity loop.
+    /// Position loop around a velocity loop.
     Cascaded(CascadedServo),
-    /// One loop: proportional, derivative, and integral where there is one.
+    /// Single loop: proportional, derivative, and optionally integral.
     Pid(PidServo),
-    /// Any other linear one: torque over position error.
+    /// Any other linear servo: torque over position error.
     TransferFunction(TransferFunctionServo),
-    /// A velocity loop alone, of a robot that takes velocities.
+    /// Velocity loop alone, of a robot that accepts velocities.
     Velocity(VelocityServo),
 }
 
-/// Equation (9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; with an integral the velocity loop has one.
+/// Equation (9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; optionally with an integral in the velocity loop.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CascadedServo {
@@ -43,16 +43,16 @@ pub struct CascadedServo {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PidServo {
-    /// K, Nm/rad (N/m).
+    /// Stiffness K, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// D, Nms/rad (Ns/m).
+    /// Damping D, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
     /// Cut-off of the low-pass on the finite difference, Hz.
     pub derivative_filter_hz: Positive,
-    /// What is differentiated.
+    /// Differentiated quantity.
     #[serde(default)]
     pub derivative_of: DerivativeOf,
-    /// Ki, Nm/(rad s) (N/(m s)).
+    /// Integral gain Ki, Nm/(rad s) (N/(m s)).
     #[serde(default)]
     pub integral_nm_per_rad_s: NonNegative,
 }
@@ -70,14 +70,14 @@ pub struct VelocityServo {
     pub velocity_filter_hz: Positive,
 }
 
-/// What the derivative of a PID servo is of.
+/// Differentiated quantity of a PID servo.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DerivativeOf {
-    /// The measured position: a set-point that jumps gives no kick.
+    /// Measured position: a setpoint that jumps gives no kick.
     #[default]
     Position,
-    /// The position error.
+    /// Position error.
     Error,
 }
 
@@ -92,11 +92,11 @@ pub struct TransferFunctionServo {
     pub denominator: Vec<f64>,
 }
 
-/// What a servo amounts to where its integral, its filters and its delays don't count.
+/// Equivalent gains of a servo without its integral, its filters and its delays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoGains {
-    /// Torque for a position error, Nm/rad (N/m): `kv kp` of a cascade. Zero for a velocity servo, which has no position
-    /// setpoint; check [`ServoParameters::takes`] before dividing by it.
+    /// Torque for a position error, Nm/rad (N/m): `kv kp` of a cascade. Zero for a velocity servo, which has no
+    /// position setpoint; check [`ServoParameters::takes`] before dividing by it.
     pub stiffness: f64,
     /// Torque against a velocity, Nms/rad (Ns/m): `kv` of a cascade and of a velocity servo.
     pub damping: f64,
@@ -110,12 +110,12 @@ impl ServoGains {
     }
 }
 
-/// A transfer function is taken for a stiffness and a damping at this share of the servo's rate: above most integrals, below
-/// most filters.
+/// Frequency, as a share of the servo's rate, at which the stiffness and damping of a transfer function are taken:
+/// above most integrals, below most filters.
 const GAINS_AT: f64 = 0.01;
 
 impl ServoParameters {
-    /// The quantity of its setpoint: position, or velocity.
+    /// Quantity of its setpoint: position, or velocity.
     #[must_use]
     pub fn takes(&self) -> CommandKind {
         match self {
@@ -124,8 +124,8 @@ impl ServoParameters {
         }
     }
 
-    /// What it amounts to; of a transfer function that runs every `period_s`, at a hundredth of that rate. A velocity servo
-    /// has a stiffness of zero.
+    /// Equivalent gains; of a transfer function that runs every `period_s`, at a hundredth of that rate. A velocity
+    /// servo has a stiffness of zero.
     #[must_use]
     pub fn gains(&self, period_s: f64) -> ServoGains {
         match self {
@@ -149,7 +149,8 @@ impl ServoParameters {
         }
     }
 
-    /// Whether it is those two gains alone, on the error and on the measured velocity, behind its filter.
+    /// True if the servo consists of those two gains alone, on the error and on the measured velocity, behind its
+    /// filter.
     #[must_use]
     pub fn has_two_gains(&self) -> bool {
         match self {
@@ -163,8 +164,8 @@ impl ServoParameters {
         }
     }
 
-    /// The same servo with the gain of its position loop, which a velocity servo does not have, and that of all of it
-    /// multiplied.
+    /// Returns this servo with the gain of its position loop multiplied by `kp`, which a velocity servo does not have,
+    /// and the gain of the whole servo by `kv`.
     #[must_use]
     pub fn scaled(&self, kp: f64, kv: f64) -> Self {
         let times = |value: Positive, scale: f64| Positive::try_from(value.get() * scale).unwrap_or(value);
@@ -196,7 +197,7 @@ impl ServoParameters {
 }
 
 impl TransferFunctionServo {
-    /// Its value for `delay` = z⁻¹.
+    /// Value of the transfer function for `delay` = z⁻¹.
     fn at(&self, delay: Complex<f64>) -> Complex<f64> {
         value(&self.numerator, delay) / value(&self.denominator, delay)
     }

@@ -1,23 +1,23 @@
-//! Whether a servo can be inverted: whether set-points that give torques stay bounded.
+//! Stability check of a servo's inverse: setpoints for desired torques must be bounded.
 
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoMemory};
 use nalgebra::DMatrix;
 use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
 
-/// An inverse that grows by more than this from one interface tick to the next isn't used.
+/// Largest growth of the inverse from one interface cycle to the next with which it is used.
 const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
-/// What of the torques under a set-point is to be as desired.
+/// Torques within an interval that are to match the desired one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Matching {
-    /// Their mean.
+    /// Mean torque of the interval.
     Mean,
-    /// Each, as well as can be.
+    /// Torque of each servo tick, in the least-squares sense.
     EachTick,
 }
 
-/// When a drive runs, and when its set-points act.
+/// Timing of a drive and of its setpoints.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ticks {
     pub period_s: f64,
@@ -26,40 +26,40 @@ pub(crate) struct Ticks {
     pub set_points: Setpoints,
 }
 
-/// A servo that can't be emulated, or not be inverted.
+/// Reason why a servo can't be emulated, or not be inverted.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum EmulationError {
-    /// It can't be run at all.
+    /// Servo that can't be run at all.
     #[error(transparent)]
     Servo(#[from] ServoError),
     /// Position and velocity servos on one robot.
     #[error("it takes {} setpoints, the servos before it take {}", takes.name(), others.name())]
     Mixed {
-        /// Setpoints of this servo.
+        /// Quantity of this servo's setpoints.
         takes: CommandKind,
-        /// Setpoints of the others.
+        /// Quantity of the others' setpoints.
         others: CommandKind,
     },
-    /// Torque comes later than the next set-point.
+    /// Torque that comes later than the next setpoint.
     #[error("a set-point makes no torque within the {ratio} servo ticks in which it acts")]
     NoTorque {
-        /// Servo ticks per interface tick.
+        /// Servo ticks per interface cycle.
         ratio: u32,
     },
-    /// Set-points that give the torques would grow without bound.
+    /// Unstable inverse: setpoints for the torques would grow without bound.
     #[error(
         "its inverse is unstable: set-points for a torque would grow {growth:.3} times from one to the next (zeros \
          outside the unit circle)"
     )]
     Unstable {
-        /// From one interface tick to the next.
+        /// Growth from one interface cycle to the next.
         growth: f64,
     },
 }
 
-/// Whether set-points that give a torque stay bounded, on a joint that is held: the growth of the servo's memory, and of
-/// the set-point that an interpolating drive comes from, when each set-point is the one that gives none.
+/// Checks that setpoints for a torque are bounded, on a joint that is held: the growth of the servo's memory, and of
+/// the previous setpoint of an interpolating drive, when each setpoint is the one that gives no torque.
 pub(crate) fn check_inverse(law: &ServoLaw, ticks: Ticks, matching: Matching) -> Result<(), EmulationError> {
     let run = |memory: ServoMemory, before: f64, new: f64| {
         let mut memory = memory;
@@ -80,7 +80,7 @@ pub(crate) fn check_inverse(law: &ServoLaw, ticks: Ticks, matching: Matching) ->
     if response.abs() <= f64::EPSILON * largest || largest == 0.0 {
         return Err(EmulationError::NoTorque { ratio: ticks.ratio });
     }
-    // The memory, and the set-point before.
+    // The memory, and the setpoint before.
     let order = law.order();
     let mut growth = DMatrix::zeros(order + 1, order + 1);
     for column in 0..=order {

@@ -1,12 +1,12 @@
-//! A servo as it runs, one tick after the other: linear, whatever its structure.
+//! Discrete-time law of a servo: linear, whatever its structure.
 //!
 //! ```text
 //! τ = c x + d_r q_desired + d_y y        x ← A x + b_r q_desired + b_y y
 //! ```
 //!
-//! y is the position that the servo reads at the tick, x its memory. The setpoint of a velocity servo, in the place of
-//! q_desired, is a velocity. The simulated drives run by it, and the emulation
-//! rolls it out.
+//! y is the position that the servo reads at the servo tick, x its memory. The setpoint of a velocity servo, in place
+//! of q_desired, is a velocity. The simulated drives run this law, and the emulation of the transformer predicts with
+//! it.
 
 use crate::servo::{
     CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo, VelocityServo,
@@ -16,47 +16,47 @@ use std::f64::consts::TAU;
 use std::ops::{Add, Mul, Sub};
 use thiserror::Error;
 
-/// Most that a servo remembers: order of a transfer function.
+/// Largest number of memory entries: order of a transfer function.
 pub const MAX_ORDER: usize = 6;
 
-/// A memory or a set-point at rest beyond this is the rounding error of one that isn't there.
+/// Memory or setpoint at rest beyond which it is the rounding error of one that doesn't exist.
 const LARGEST: f64 = 1e12;
 
-/// What a servo remembers from one tick to the next.
+/// Memory of a servo from one servo tick to the next.
 pub type ServoMemory = [f64; MAX_ORDER];
 
-/// A servo that can't be run.
+/// Reason why a servo can't be run.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ServoError {
-    /// Of a higher order than there is room for.
+    /// Order higher than [`MAX_ORDER`].
     #[error("a transfer function of order {order}; at most {MAX_ORDER} are taken")]
     Order {
-        /// That of the longer polynomial.
+        /// Order of the longer polynomial.
         order: usize,
     },
-    /// Torque that doesn't follow from errors, past or present.
+    /// Improper transfer function: its torque doesn't follow from errors, past or present.
     #[error("denominator[0] is zero or missing: this torque would depend on errors to come")]
     Improper,
-    /// No error makes a torque.
+    /// Transfer function that is zero: no error makes a torque.
     #[error("the numerator is zero: no position error would make a torque")]
     NoTorque,
-    /// At rest there is no set-point for a torque.
+    /// Servo without a setpoint for a torque at rest.
     #[error("this servo can't hold a torque at rest: no constant position error gives one")]
     HoldsNothing,
 }
 
-/// The law of a servo that runs every servo period.
+/// Law of a servo that runs every servo period.
 #[derive(Clone, Copy, Debug)]
 pub struct ServoLaw {
     order: usize,
     next: [Form; MAX_ORDER],
     torque: Form,
-    /// Memory and set-point at rest, at a position of 1 without torque, and at 0 with a torque of 1.
+    /// Memory and setpoint at rest, at a position of 1 without torque, and at 0 with a torque of 1.
     rest: [(ServoMemory, f64); 2],
 }
 
-/// A number that is a weighted sum of what a servo remembers and is given.
+/// Weighted sum of a servo's memory and inputs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Form {
     memory: ServoMemory,
@@ -113,10 +113,10 @@ impl Mul<f64> for Form {
 }
 
 impl ServoLaw {
-    /// For a servo that runs every `period_s`.
+    /// Returns the law of a servo that runs every `period_s`.
     ///
     /// # Errors
-    /// A transfer function that no servo can have.
+    /// If no servo can have the transfer function.
     pub fn new(servo: &ServoParameters, period_s: f64) -> Result<Self, ServoError> {
         let law = match servo {
             ServoParameters::Cascaded(servo) => Self::cascaded(servo, period_s),
@@ -134,7 +134,7 @@ impl ServoLaw {
         Self { order: next.len(), next: all, torque, rest: [([0.0; MAX_ORDER], 0.0); 2] }
     }
 
-    /// Memory that stays as it is and the torque asked for: linear equations in memory and set-point.
+    /// Solves for constant memory and the torque asked for: linear equations in memory and setpoint.
     fn solve_rest(&self, position: f64, torque: f64) -> Result<(ServoMemory, f64), ServoError> {
         let n = self.order;
         let mut a = DMatrix::zeros(n + 1, n + 1);
@@ -155,7 +155,7 @@ impl ServoLaw {
         Ok((std::array::from_fn(|i| if i < n { solution[i] } else { 0.0 }), solution[n]))
     }
 
-    /// `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`.
+    /// Cascade: `w ← w + a ((y − y₋)/Ts − w)`, `e = kp (q_desired − y) − w`, `z ← z + e Ts/Ti`, `τ = kv (e + z)`.
     fn cascaded(servo: &CascadedServo, period_s: f64) -> Self {
         let (velocity, integral) = (Form::memory(0), Form::memory(2));
         let velocity = filtered_rate(
@@ -175,7 +175,7 @@ impl ServoLaw {
         }
     }
 
-    /// `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`.
+    /// PID: `τ = K e + D w + i`, with w the filtered rate of e or of −y, and `i ← i + Ki Ts e`.
     fn pid(servo: &PidServo, period_s: f64) -> Self {
         let error = Form::SET_POINT - Form::POSITION;
         let differentiated = match servo.derivative_of {
@@ -193,7 +193,7 @@ impl ServoLaw {
         Self::of(&[rate, differentiated, integral], torque + integral)
     }
 
-    /// `w ← w + a ((y − y₋)/Ts − w)`, `e = q̇_desired − w`, `i ← i + ki Ts e`, `τ = kv e + i`.
+    /// Velocity loop: `w ← w + a ((y − y₋)/Ts − w)`, `e = q̇_desired − w`, `i ← i + ki Ts e`, `τ = kv e + i`.
     fn velocity(servo: &VelocityServo, period_s: f64) -> Self {
         let change = Form::POSITION - Form::memory(1);
         let rate = filtered_rate(Form::memory(0), change, servo.velocity_filter_hz.get(), period_s);
@@ -207,7 +207,7 @@ impl ServoLaw {
         Self::of(&[rate, Form::POSITION, integral], torque + integral)
     }
 
-    /// The transposed direct form.
+    /// Transfer function in the transposed direct form.
     fn transfer_function(servo: &TransferFunctionServo) -> Result<Self, ServoError> {
         let (b, a) = (&servo.numerator, &servo.denominator);
         let order = b.len().max(a.len()).saturating_sub(1);
@@ -229,13 +229,13 @@ impl ServoLaw {
         Ok(Self::of(&next, torque))
     }
 
-    /// How many numbers it remembers.
+    /// Number of memory entries.
     #[must_use]
     pub fn order(&self) -> usize {
         self.order
     }
 
-    /// Gives it a stiffness and a damping `to` in place of `from`: of a servo that
+    /// Sets the stiffness and the damping to `to` in place of `from`, for a servo that
     /// [has two gains](ServoParameters::has_two_gains). Allocates nothing.
     pub fn retune(&mut self, from: ServoGains, to: ServoGains) {
         let error = Form::SET_POINT - Form::POSITION;
@@ -245,8 +245,8 @@ impl ServoLaw {
         self.rest[1].1 = 1.0 / to.stiffness;
     }
 
-    /// The torque (Nm, N) for a set-point (rad, m; of a velocity servo rad/s, m/s) and the position that is read at this
-    /// tick (rad, m).
+    /// Returns the torque (Nm, N) for a setpoint (rad, m; of a velocity servo rad/s, m/s) and the position that is read
+    /// at this servo tick (rad, m).
     pub fn step(&self, memory: &mut ServoMemory, set_point: f64, position: f64) -> f64 {
         let now = *memory;
         let now = &now[..self.order];
@@ -256,11 +256,11 @@ impl ServoLaw {
         self.torque.value(now, set_point, position)
     }
 
-    /// What it remembers, and the set-point, at rest at `position` (rad, m) with this torque (Nm, N).
+    /// Memory and setpoint of the servo at rest at `position` (rad, m) with this torque (Nm, N).
     ///
-    /// A velocity servo with an integral rests under a load with the velocity setpoint 0, its integral carrying the load.
-    /// Without an integral the only setpoint at which it rests is τ/kv (rad/s, m/s): at the setpoint 0 the load moves the
-    /// joint at −τ/kv.
+    /// A velocity servo with an integral rests under a load with the velocity setpoint 0, its integral holding the
+    /// load. Without an integral the only setpoint at which it rests is τ/kv (rad/s, m/s): at the setpoint 0 the load
+    /// moves the joint at −τ/kv.
     #[must_use]
     pub fn rest(&self, position: f64, torque: f64) -> (ServoMemory, f64) {
         let [(displaced, there), (pushing, further)] = &self.rest;
@@ -268,7 +268,7 @@ impl ServoLaw {
         (memory, position * there + torque * further)
     }
 
-    /// Torque for a unit of set-point and for a unit of position, where both go with z = exp(jωTs).
+    /// Frequency response: torque per unit of setpoint and per unit of position, for z = exp(jωTs).
     #[must_use]
     pub fn response(&self, z: Complex<f64>) -> [Complex<f64>; 2] {
         let n = self.order;
@@ -288,7 +288,7 @@ impl ServoLaw {
     }
 }
 
-/// The filtered finite difference of what changed by `change` since the last tick, `rate` before.
+/// Filtered finite difference of a quantity that changed by `change` since the last servo tick, `rate` before.
 fn filtered_rate(rate: Form, change: Form, filter_hz: f64, period_s: f64) -> Form {
     let share = 1.0 - (-TAU * filter_hz * period_s).exp();
     rate * (1.0 - share) + change * (share / period_s)

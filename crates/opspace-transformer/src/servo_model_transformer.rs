@@ -1,26 +1,27 @@
-//! Torques into positions or velocities by emulating the servo between two interface ticks.
+//! Conversion of torques to positions or velocities by emulating the servo between two interface cycles.
 //!
-//! Equation (10) of the paper is exact at the instant at which the set-point is taken. A servo that runs R times faster
-//! then meets the same set-point with other positions. Here every servo tick up to the next set-point is emulated with
-//! the drive's own law, on the arm as it stands. The torques at the R ticks at which the set-point acts are
+//! Equation (10) of the paper is exact at the instant at which the setpoint is taken. A servo that runs R times faster
+//! then combines the same setpoint with other positions. Here every servo tick up to the next setpoint is emulated with
+//! the drive's own law, on the arm in its present state. The torques at the R servo ticks at which the setpoint acts
+//! are
 //!
 //! ```text
 //! τ_j = Y₀_j + Y₁_j q_desired        j = 0 … R − 1
 //! ```
 //!
-//! For drives that take velocities, q̇_desired stands in the place of q_desired here and below.
+//! For drives that accept velocities, q̇_desired stands in the place of q_desired here and below.
 //!
-//! Y₀ holds what the state and the set-point before still do, Y₁ (n × n) what a unit of set-point does. A drive that holds
-//! its set-point gets the one whose **mean** torque is the desired one; a drive that interpolates, the one that comes
-//! closest to it at **each** tick:
+//! Y₀ is the torque due to the state and the previous setpoint, Y₁ (n × n) the torque per unit of setpoint. A drive
+//! that holds its setpoint gets the one whose **mean** torque is the desired one; a drive that interpolates, the one
+//! that comes closest to it at **each** servo tick:
 //!
 //! ```text
 //! Σ Y₁_j q_desired = Σ (τ − δ − Y₀_j)        Σ Y₁_jᵀ Y₁_j q_desired = Σ Y₁_jᵀ (τ − δ − Y₀_j)
 //! ```
 //!
-//! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which so knows what
-//! the drive did within the interval. δ is how much more torque the motors give than the emulation says, where their
-//! current is [measured](crate::current).
+//! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which thereby
+//! includes the motion of the drive within the interval. δ is the excess of the motors' torque over the emulated one,
+//! where their current is [measured](crate::current).
 
 use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
@@ -34,44 +35,44 @@ use nalgebra::{DMatrix, DVector};
 use opspace_backend::{CommandKind, GravityCompensation, Sample, Setpoints};
 use opspace_model::Data;
 
-/// What is known of the robot.
+/// Parameters of the emulation: servos, joints and timing of the robot.
 #[derive(Clone, Debug)]
 pub struct EmulationSetup {
-    /// The servos, one a joint: all of them position servos, or all of them velocity servos.
+    /// Servos, one per joint: all of them position servos, or all of them velocity servos.
     pub servos: Vec<ServoParameters>,
-    /// The whole friction that is believed of the joints.
+    /// Whole nominal friction of the joints.
     pub friction: FrictionCompensation,
     /// Resolution of each encoder at the joint, rad.
     pub resolution_rad: Vec<f64>,
-    /// What each drive moves, kg m² (kg), at a posture like those to come: what the observer's gain is made for.
+    /// Inertia that each drive moves, kg m² (kg), at a representative posture: the observer's gain is computed for it.
     pub inertias: Vec<f64>,
-    /// Of each drive, Nm.
+    /// Torque limit of each drive, Nm.
     pub torque_limits: Vec<f64>,
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
-    /// Servo ticks per interface tick.
+    /// Servo ticks per interface cycle.
     pub ratio: u32,
-    /// Servo ticks until a set-point acts.
+    /// Servo ticks until a setpoint acts.
     pub delay: u32,
-    /// What the drives do with a set-point until the next one comes.
+    /// Behaviour of the drives between two setpoints: hold or interpolate.
     pub set_points: Setpoints,
-    /// Which torques are matched: mean ones, or those of each tick.
+    /// Torques that are matched: the mean ones, or those of each servo tick.
     pub matching: Matching,
-    /// Who carries the weight.
+    /// Side that compensates gravity: the robot or the controller.
     pub gravity_by: GravityCompensation,
-    /// Whether brakes hold a velocity robot until its first setpoint acts, its motors off. A position robot is held by its
-    /// servos.
+    /// True if brakes hold a velocity robot until its first setpoint acts, its motors off. A position robot is held by
+    /// its servos.
     pub has_brakes: bool,
-    /// Whether measured motor torques are made use of.
+    /// True if measured motor torques are used.
     pub current: bool,
-    /// How gains are refined from them; those of velocity servos are not.
+    /// Refinement of gains from measured motor torques; those of velocity servos are not refined.
     pub refine: Option<RefinementParameters>,
 }
 
-/// See the [module](self).
+/// Transformer that emulates the servo: see the [module](self).
 #[derive(Clone, Debug)]
 pub struct EmulatingTransformer {
-    /// The quantity of the setpoints.
+    /// Quantity of the setpoints.
     takes: CommandKind,
     drives: Vec<Drive>,
     friction: FrictionCompensation,
@@ -80,22 +81,22 @@ pub struct EmulatingTransformer {
     gravity_by: GravityCompensation,
     has_brakes: bool,
     current: Option<CurrentObserver>,
-    /// The arm and its drives at the present interface tick, as estimated.
+    /// Estimated state of the arm and its drives at the present interface cycle.
     state: State,
-    /// As predicted for the next one.
+    /// State predicted for the next interface cycle.
     predicted: State,
     rollout: State,
     /// Unknown joint accelerations, rad/s² (n).
     disturbance: DVector<f64>,
     in_force: InForce,
-    /// Whether anything was sent yet: before, the robot holds itself.
+    /// True if anything was sent yet: before, the robot holds itself.
     begun: bool,
     /// M⁻¹, and the accelerations without any motor torque (n).
     mass_inverse: DMatrix<f64>,
     free: DVector<f64>,
-    /// Whether these are of the present tick.
+    /// True if these are of the present interface cycle.
     frozen: bool,
-    /// Y₁ and what Y₀ lacks of the desired torque, for each tick.
+    /// Y₁, and desired torque minus Y₀, for each servo tick.
     responses: Vec<DMatrix<f64>>,
     missing: Vec<DVector<f64>>,
     normal: DMatrix<f64>,
@@ -105,9 +106,9 @@ pub struct EmulatingTransformer {
     intervals: f64,
     /// Mean emulated position error over the same time, rad (m) (n); used of position servos only.
     mean_error: DVector<f64>,
-    /// No acceleration but by the drives (n).
+    /// Zero acceleration except by the drives (n).
     rest: DVector<f64>,
-    /// Nothing more than is emulated (n).
+    /// Zero excess torque (n).
     none: DVector<f64>,
 }
 
@@ -119,7 +120,7 @@ struct Drive {
     refined: Option<Refined>,
 }
 
-/// A drive whose gains are refined while it runs: as believed at first, and as they are now.
+/// Drive whose gains are refined while it runs: nominal and present gains.
 #[derive(Clone, Copy, Debug)]
 struct Refined {
     refinement: Refinement,
@@ -128,8 +129,8 @@ struct Refined {
 }
 
 impl Refined {
-    /// Takes in the mean torque that was measured, where `emulated` was expected of a mean position error; gives what is
-    /// expected now.
+    /// Updates with the measured mean torque, where `emulated` was expected of a mean position error; returns the
+    /// torque that is expected now.
     fn update(&mut self, law: &mut ServoLaw, measured: f64, emulated: f64, error: f64) -> f64 {
         let (before, believed) = (self.now, self.believed);
         let velocity = (before.stiffness * error - emulated) / before.damping;
@@ -142,7 +143,7 @@ impl Refined {
     }
 }
 
-/// Set-points that the drives have when an interface tick begins, rad, m or rad/s, m/s (n).
+/// Setpoints of the drives at the start of an interface cycle, rad, m or rad/s, m/s (n).
 #[derive(Clone, Debug)]
 struct InForce {
     before: DVector<f64>,
@@ -152,12 +153,13 @@ struct InForce {
 }
 
 impl InForce {
-    /// The drive's set-point at a servo tick counted from the interface tick.
+    /// Setpoint of the drive at a servo tick counted from the interface cycle.
     fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
         ticks.set_points.at(self.before[joint], self.last[joint], self.age.saturating_add(tick), ticks.ratio)
     }
 
-    /// Where a drive goes from when a new set-point comes in force `delay` servo ticks after the interface tick.
+    /// Setpoint from which a drive continues when a new one comes in force `delay` servo ticks after the interface
+    /// cycle.
     fn left(&self, ticks: Ticks, joint: usize) -> f64 {
         match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
             Some(age) => ticks.set_points.at(self.before[joint], self.last[joint], age, ticks.ratio),
@@ -166,7 +168,7 @@ impl InForce {
     }
 }
 
-/// An arm and the memory of its drives, at a servo tick.
+/// State of the arm and of the memory of its drives, at a servo tick.
 #[derive(Clone, Debug)]
 struct State {
     q: DVector<f64>,
@@ -193,14 +195,14 @@ impl State {
         self.memory.fill([0.0; MAX_ORDER]);
     }
 
-    /// The drives' torques at this tick for their set-points, without limits.
+    /// Computes the drives' torques at this servo tick for their setpoints, without limits.
     fn drive(&mut self, drives: &[Drive], set_point: impl Fn(usize) -> f64) {
         for (i, drive) in drives.iter().enumerate() {
             self.torque[i] = drive.law.step(&mut self.memory[i], set_point(i), self.q[i]);
         }
     }
 
-    /// A servo period under these torques and the accelerations `free`.
+    /// Integrates over a servo period under these torques and the accelerations `free`.
     fn travel(&mut self, mass_inverse: &DMatrix<f64>, free: &DVector<f64>, period_s: f64) {
         let n = self.q.len();
         for i in 0..n {
@@ -218,10 +220,10 @@ impl State {
 }
 
 impl EmulatingTransformer {
-    /// For a robot at rest.
+    /// Returns the transformer for a robot at rest.
     ///
     /// # Errors
-    /// The first joint whose servo can't be emulated or inverted.
+    /// If a servo can't be emulated or inverted: the index of the first such joint.
     pub fn new(setup: &EmulationSetup) -> Result<Self, (usize, EmulationError)> {
         let n = setup.servos.len();
         let ticks = Ticks {
@@ -293,7 +295,7 @@ impl EmulatingTransformer {
         self.current.as_ref().map_or(&self.none, CurrentObserver::surplus)
     }
 
-    /// Takes in the measured positions against the predicted ones.
+    /// Corrects the predicted state with the measured positions.
     fn correct(&mut self, sample: &Sample) {
         self.state.copy_from(&self.predicted);
         for (i, drive) in self.drives.iter().enumerate() {
@@ -316,7 +318,7 @@ impl EmulatingTransformer {
         current.update(measured, &self.mean_torque);
     }
 
-    /// The arm as it stands, for a whole interval: M⁻¹ and what accelerates it beside the drives.
+    /// Computes M⁻¹ and the accelerations beside the drives' in the present state, for a whole interval.
     fn freeze(&mut self, data: &Data) {
         if self.frozen {
             return;
@@ -329,8 +331,8 @@ impl EmulatingTransformer {
             let friction = self.friction.torque(i, self.state.dq[i]);
             self.free[i] = self.surplus()[i] + carried - data.bias[i] - friction;
             if !self.begun {
-                // The robot holds itself: its drives are as they are at rest under its weight, or without it where brakes
-                // carry it.
+                // The robot holds itself: its drives are as they are at rest under its weight, or without it where
+                // brakes hold it.
                 let load = if self.has_brakes { 0.0 } else { data.gravity[i] - carried };
                 self.hold(i, load);
             }
@@ -339,7 +341,7 @@ impl EmulatingTransformer {
         self.free += &self.disturbance;
     }
 
-    /// The drive of a joint at rest where it stands, with this torque.
+    /// Sets the drive of a joint to rest at the present position, with this torque.
     fn hold(&mut self, joint: usize, torque: f64) {
         let law = &self.drives[joint].law;
         let (memory, set_point) = law.rest(self.state.q[joint], torque);
@@ -348,18 +350,18 @@ impl EmulatingTransformer {
         self.in_force.last[joint] = set_point;
     }
 
-    /// Whether brakes hold the robot until the setpoints of the present tick act.
+    /// True if brakes hold the robot until the setpoints of the present interface cycle act.
     fn is_braked(&self) -> bool {
         self.has_brakes && !self.begun
     }
 
-    /// One servo tick of the rollout under the set-point that is still in force.
+    /// Rolls out one servo tick under the setpoint that is still in force.
     fn roll_old(&mut self, tick: u32) {
         let (in_force, ticks) = (&self.in_force, self.ticks);
         self.rollout.drive(&self.drives, |i| in_force.at(ticks, i, tick));
     }
 
-    /// Y₁ of every tick, column by column, from the drives' and the arm's linear answer.
+    /// Computes Y₁ of every servo tick, column by column, from the linear response of the drives and the arm.
     fn respond(&mut self) {
         let ticks = self.ticks;
         for joint in 0..self.drives.len() {
@@ -373,7 +375,7 @@ impl EmulatingTransformer {
         }
     }
 
-    /// The linear system whose solution is the set-point, from Y₁ and what is missing.
+    /// Assembles the linear system whose solution is the setpoint, from Y₁ and the missing torque.
     fn assemble(&mut self) {
         self.normal.fill(0.0);
         self.solution.fill(0.0);
@@ -391,8 +393,8 @@ impl EmulatingTransformer {
         }
     }
 
-    /// The next interface tick, if the drives are given these set-points at the present one; without any they keep those
-    /// that they have.
+    /// Predicts the next interface cycle, if the drives are given these setpoints at the present one; without any they
+    /// keep those that they have.
     fn predict(&mut self, q_desired: Option<&[f64]>) {
         let ticks = self.ticks;
         let share = 1.0 / f64::from(ticks.ratio);
@@ -523,8 +525,8 @@ impl Transformer for EmulatingTransformer {
     }
 }
 
-/// x of A x = b in place of b, by Gauss' elimination; A (n × n) is overwritten. Its diagonal dominates: what a set-point
-/// does to its own drive is more than what it does to others through the arm.
+/// Solves A x = b in place of b, by Gaussian elimination; A (n × n) is overwritten. It is diagonally dominant: a
+/// setpoint affects its own drive more than the others, which it affects through the arm.
 fn eliminate(a: &mut DMatrix<f64>, b: &mut [f64]) {
     let n = b.len();
     for k in 0..n {

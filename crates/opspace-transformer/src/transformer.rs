@@ -1,4 +1,4 @@
-//! Torques to commands: the unit that makes a position or velocity robot take torques.
+//! Transformers from torques to commands: the unit through which a position or velocity robot accepts torques.
 //!
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
@@ -11,48 +11,48 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 use std::borrow::Cow;
 
-/// How torques become positions or velocities.
+/// Method of converting torques to positions or velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// Equation (10) of the paper; its inner stage for velocity servos.
     Paper,
-    /// The servo emulated over the next interval, its mean torque matched.
+    /// Emulation of the servo over the next interval, its mean torque matched.
     Emulation,
-    /// The same for drives that interpolate set-points, the torque of each servo tick matched.
+    /// Emulation of the servo for drives that interpolate setpoints, the torque of each servo tick matched.
     Interpolating,
-    /// Equation (10) with the gains that a measured closed loop has.
+    /// Equation (10) with the gains of a measured closed loop.
     Identified,
     /// Equation (8) on a measured closed loop, for a single free joint.
     IdentifiedLiteral,
-    /// Its second form, which doesn't look at the measured position.
+    /// Second form of equation (8), which doesn't use the measured position.
     IdentifiedOpenLoop,
 }
 
 impl Method {
-    /// Whether it is made from a measured closed loop.
+    /// True if the method needs a measured closed loop.
     #[must_use]
     pub fn needs_identification(self) -> bool {
         matches!(self, Self::Identified | Self::IdentifiedLiteral | Self::IdentifiedOpenLoop)
     }
 
-    /// Whether it must know when a set-point acts.
+    /// True if the method needs the delay until a setpoint acts.
     #[must_use]
     pub fn needs_delay(self) -> bool {
         matches!(self, Self::Emulation | Self::Interpolating)
     }
 }
 
-/// Which transformer.
+/// Transformer: a method, with or without correction by measured motor current.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TransformerKind {
-    /// How torques become positions or velocities.
+    /// Method of converting torques to positions or velocities.
     pub method: Method,
-    /// Whether measured motor current corrects it.
+    /// True if measured motor current corrects it.
     pub current: bool,
 }
 
 impl TransformerKind {
-    /// All there are.
+    /// All transformers.
     pub const ALL: [Self; 12] = [
         Self::new(Method::Paper, false),
         Self::new(Method::Paper, true),
@@ -68,7 +68,7 @@ impl TransformerKind {
         Self::new(Method::IdentifiedOpenLoop, true),
     ];
 
-    /// The names of all, in their order.
+    /// Names of all transformers, in the order of [`ALL`](Self::ALL).
     pub const NAMES: [&'static str; Self::ALL.len()] = [
         "paper",
         "paper+current",
@@ -88,21 +88,21 @@ impl TransformerKind {
         Self { method, current }
     }
 
-    /// Its name in files, tables and on the command line.
+    /// Name in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         let place = Self::ALL.iter().position(|kind| *kind == self);
         Self::NAMES[place.unwrap_or_default()]
     }
 
-    /// The one of that name.
+    /// Returns the transformer of that name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         let place = Self::NAMES.iter().position(|known| *known == name);
         place.map(|place| Self::ALL[place])
     }
 
-    /// What it does, in a line.
+    /// Description in one line.
     #[must_use]
     pub fn about(self) -> &'static str {
         if self.current {
@@ -122,14 +122,14 @@ impl TransformerKind {
         }
     }
 
-    /// Whether it needs the motors' current.
+    /// True if it needs the motors' current.
     #[must_use]
     pub fn needs_current(self) -> bool {
         self.current
     }
 
-    /// The best one for a robot that declares this of itself, and why. Without a known delay there is nothing to emulate
-    /// by, and the paper's is the most forgiving.
+    /// Returns the best transformer for a robot with these declared properties, and the reason. Without a known delay
+    /// emulation is not possible, and the paper's transformer is the most tolerant.
     #[must_use]
     pub fn best(set_points: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
         let Some(delay) = delay_servo_ticks else {
@@ -165,15 +165,15 @@ impl JsonSchema for TransformerKind {
     }
 }
 
-/// Turns desired torques into the commands that make a robot's servos produce them.
+/// Converter of desired torques to the commands that make a robot's servos produce them.
 pub trait Transformer: Send {
-    /// The quantity that comes out: what the robot takes.
+    /// Quantity of the command that it returns and the robot accepts.
     fn takes(&self) -> CommandKind {
         CommandKind::Position
     }
 
-    /// Takes in a new sample, before anything is made of it, and gives the joint velocities (rad/s, m/s; n) if it knows
-    /// them better than a filtered difference of positions does.
+    /// Processes a new sample, before any other use of it, and returns the joint velocities (rad/s, m/s; n) if its
+    /// estimate is better than a filtered difference of positions.
     fn observe(&mut self, _sample: &Sample) -> Option<&[f64]> {
         None
     }
@@ -182,24 +182,24 @@ pub trait Transformer: Send {
     /// state of `data`. Allocates nothing.
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]);
 
-    /// Takes the command (n) that the robot was given in the end, whoever asked for it.
+    /// Records the command (n) that was finally sent to the robot, whichever its source.
     fn sent(&mut self, _data: &Data, _command: &[f64]) {}
 
-    /// That many interface periods passed without a sample and without a set-point, the drives keeping what they had.
+    /// Reports that many interface periods without a sample and without a setpoint, the drives keeping their last one.
     fn missed(&mut self, _periods: u64) {}
 
-    /// Begins anew with the next sample, as with the very first.
+    /// Resets the transformer: the next sample is treated as the first.
     fn reset(&mut self) {}
 }
 
-/// The paper's transformer: two consecutive ones a joint, for the inner velocity loop and the outer
+/// Transformer of the paper: two consecutive stages per joint, for the inner velocity loop and the outer
 /// position loop of its cascaded servo.
 ///
 /// ```text
 /// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                   (10)
 /// ```
 ///
-/// Other position servos are taken for what they amount to; velocity servos have the
+/// Other position servos are represented by their equivalent gains; velocity servos have the
 /// [`VelocityTransformer`](crate::velocity_transformer::VelocityTransformer).
 #[derive(Clone, Debug)]
 pub struct PaperTransformer {
@@ -207,7 +207,7 @@ pub struct PaperTransformer {
 }
 
 impl PaperTransformer {
-    /// For joints with these servos.
+    /// Returns the transformer for joints with these servos.
     #[must_use]
     pub fn new(gains: Vec<ServoGains>) -> Self {
         Self { gains }

@@ -1,5 +1,5 @@
-//! The emulating transformer against drives that are run tick by tick here, on their own: each servo written down as a
-//! recursion, not taken from the emulation.
+//! Emulating transformer against drives that are run here on their own, servo tick by servo tick: each servo is written
+//! as a recursion, not taken from the emulation.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -18,10 +18,10 @@ const KP: [f64; 2] = [25.0, 20.0];
 const KV: [f64; 2] = [40.0, 8.0];
 const FILTER_HZ: f64 = 200.0;
 
-/// What an observer that starts without an error leaves of one, by rounding: relative to torques, and of velocities in m/s.
+/// Remaining error, by rounding, of an observer that starts without one: relative to torques, and of velocities in m/s.
 const EXACT: f64 = 1e-6;
 
-/// Acceleration along the lifts where they bear a load, m/s², and the forces that hold the lifts against it, N.
+/// Acceleration along the lifts where they hold a load, m/s², and the forces that hold the lifts against it, N.
 const GRAVITY: f64 = 9.81;
 const LOAD: [f64; 2] = [0.5 * GRAVITY, 0.2 * GRAVITY];
 
@@ -38,14 +38,14 @@ fn model(loaded: bool) -> Model {
     model
 }
 
-/// What the drives are.
+/// Structure of the drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Servo {
     Cascade,
     /// With an integral of the velocity error.
     CascadeIntegral,
     Pid,
-    /// A lead of which the torque comes a tick late.
+    /// Lead whose torque comes a servo tick late.
     Late,
     /// A velocity loop alone.
     Velocity,
@@ -163,7 +163,7 @@ impl Drives {
     fn new(case: Case) -> Self {
         let q = [0.1, -0.2];
         let none = [0.0; 2];
-        // Without brakes the integral carries the load.
+        // Without brakes the integral holds the load.
         let integral = if case.loaded && !case.has_brakes { LOAD } else { none };
         Self { case, q, dq: none, seen: q, velocity: none, integral, error: none, last: none }
     }
@@ -222,13 +222,14 @@ impl Drives {
     }
 }
 
-/// What a run gave.
+/// Result of a run.
 struct Run {
-    /// Desired torques, and those of the intervals in which each set-point acted: their mean, and tick by tick.
+    /// Desired torques, and those of the intervals in which each setpoint acted: their mean, and that of each servo
+    /// tick.
     asked: Vec<[f64; 2]>,
     means: Vec<[f64; 2]>,
     torques: Vec<[f64; 2]>,
-    /// How far the velocities that the transformer tells are from the true ones, at most, m/s.
+    /// Largest error of the velocities that the transformer returns, m/s.
     off: f64,
 }
 
@@ -237,7 +238,7 @@ fn sample(takes: CommandKind, current: bool) -> Sample {
     Sample::new(&if current { capabilities.measuring(&[Measured::MotorCurrent]) } else { capabilities })
 }
 
-/// Nothing is sent in ticks that are `missed`.
+/// Runs a case; nothing is sent in cycles that are `missed`.
 fn run(case: Case, missed: Range<i32>) -> Run {
     let matching = if case.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick };
     run_matching(case, matching, missed)
@@ -251,7 +252,7 @@ fn run_matching(case: Case, matching: Matching, missed: Range<i32>) -> Run {
     assert_eq!(transformer.takes(), takes);
     let mut drives = Drives::new(case);
     let mut sample = sample(takes, case.current);
-    // At rest without a load the set-point is where the joint is, or no velocity.
+    // At rest without a load the setpoint is where the joint is, or no velocity.
     let rest = if takes == CommandKind::Velocity { [0.0; 2] } else { drives.q };
     let (mut from, mut to, mut new) = (rest, rest, DVector::from_column_slice(&rest));
     let mut ramp = RATIO;
@@ -308,12 +309,12 @@ impl Run {
         relative(self.asked.iter().zip(&self.means).skip(100))
     }
 
-    /// The same from the first interval on.
+    /// Relative error of the mean torques from the first interval on.
     fn error_from_the_start(&self) -> f64 {
         relative(self.asked.iter().zip(&self.means))
     }
 
-    /// The same of every servo tick.
+    /// Relative error of the torques of every servo tick.
     fn error_at_ticks(&self) -> f64 {
         let each = self.asked.iter().flat_map(|asked| std::iter::repeat_n(asked, RATIO as usize));
         relative(each.zip(&self.torques).skip(100 * RATIO as usize))
@@ -329,8 +330,8 @@ fn relative<'a>(pairs: impl Iterator<Item = (&'a [f64; 2], &'a [f64; 2])>) -> f6
     (off / size).sqrt()
 }
 
-/// Mean torques of servos that are as believed against what was asked for, for every delay up to a whole interval; and
-/// the velocity between position readings 5 ms apart against the true one.
+/// Compares mean torques of servos with nominal gains with the desired ones, for every delay up to a whole interval;
+/// and the velocity between position readings 5 ms apart with the true one.
 #[test]
 fn mean_torques_are_the_desired_ones() {
     for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
@@ -368,7 +369,7 @@ fn velocity_robot_starts_from_its_brakes_or_its_integral() {
 }
 
 /// The torques of drives that interpolate, at every servo tick, against what was asked for: what is left is that a
-/// straight line of set-points can't give one torque all the way. Held set-points beside them.
+/// straight line of setpoints can't give one torque all the way. Held setpoints beside them.
 #[test]
 fn interpolated_set_points_give_the_torque_all_the_way() {
     for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid].into_iter().chain(VELOCITY_SERVOS) {
@@ -385,7 +386,8 @@ fn interpolated_set_points_give_the_torque_all_the_way() {
     }
 }
 
-/// The velocities told while set-points fail to come, and the drives hold the last one, against the true ones.
+/// Compares the estimated velocities while setpoints fail to come, and the drives hold the last one, with the true
+/// ones.
 #[test]
 fn the_estimate_goes_on_while_set_points_are_missed() {
     for servo in [Servo::Cascade].into_iter().chain(VELOCITY_SERVOS) {
@@ -398,8 +400,8 @@ fn the_estimate_goes_on_while_set_points_are_missed() {
     }
 }
 
-/// A position loop that is stiffer, or softer, than believed: torque errors with the motor current made use of against
-/// those without.
+/// Compares torque errors of a position loop stiffer, or softer, than the nominal one with and without use of the
+/// motor current.
 #[test]
 fn measured_currents_make_up_for_a_wrong_gain() {
     for gain_scale in [0.8, 1.1] {
@@ -409,8 +411,8 @@ fn measured_currents_make_up_for_a_wrong_gain() {
     }
 }
 
-/// A velocity loop with another gain than the nominal one: torque errors with the motor current made use of against those
-/// without.
+/// A velocity loop with another gain than the nominal one: torque errors with the motor current made use of against
+/// those without.
 #[test]
 fn measured_currents_make_up_for_a_wrong_velocity_gain() {
     for servo in VELOCITY_SERVOS {
@@ -425,7 +427,8 @@ fn measured_currents_make_up_for_a_wrong_velocity_gain() {
     }
 }
 
-/// The same with the gains refined while running: what is left once they are found, against the current alone.
+/// Compares the error with gains refined while running, after the transient, with the error of current correction
+/// alone.
 #[test]
 fn refined_gains_make_up_for_more() {
     for gain_scale in [0.7, 1.3] {
@@ -435,7 +438,7 @@ fn refined_gains_make_up_for_more() {
     }
 }
 
-/// What is said of servos whose inverse grows, or that make no torque in time.
+/// Checks the errors of servos whose inverse grows, or that make no torque in time.
 #[test]
 fn a_servo_that_cannot_be_inverted_is_refused() {
     let refused = |numerator: &str| {

@@ -11,7 +11,7 @@ const VISCOUS: f64 = 2.0;
 const KP: f64 = 40.0;
 const KV: f64 = 60.0;
 
-/// Of numbers that are solved for in floating point.
+/// Tolerance of numbers that are solved for in floating point.
 const EXACT: f64 = 1e-6;
 
 /// T of a mass with viscous friction under the cascade of equation (9), and H: the mass itself.
@@ -38,8 +38,8 @@ fn a_closed_loop_is_split_into_the_gains_that_it_has() {
     assert!((gains.position_loop() / KP - 1.0).abs() < EXACT, "{gains:?}");
 }
 
-/// Torques of the servo, and those that were asked for, root mean square over that of the latter: a sine on the mass alone,
-/// `pushed` by a torque that nobody told of.
+/// Torque error of the servo against the desired torques, rms over the rms of the latter: a sine on the mass alone,
+/// `pushed` by an unknown torque.
 fn error(measured_position: bool, pushed: f64) -> f64 {
     const PERIOD_S: f64 = 1e-3;
     const STEPS: u32 = 50;
@@ -72,7 +72,7 @@ fn error(measured_position: bool, pushed: f64) -> f64 {
     (off / size).sqrt()
 }
 
-/// On a joint that is alone and free both forms give the torque, but for the set-point's hold of half a period.
+/// On a joint that is alone and free both forms give the torque, but for the setpoint's hold of half a period.
 #[test]
 fn a_free_joint_gives_the_torque() {
     for measured_position in [true, false] {
@@ -81,7 +81,7 @@ fn a_free_joint_gives_the_torque() {
     }
 }
 
-/// A torque that nobody told of, of a sixth of the desired one's amplitude: it isn't in T, and both forms miss what it moves.
+/// Checks an unknown torque of a sixth of the desired one's amplitude: it isn't in T, and both forms miss its motion.
 #[test]
 fn a_push_is_not_in_it() {
     for measured_position in [true, false] {
@@ -90,7 +90,7 @@ fn a_push_is_not_in_it() {
     }
 }
 
-/// Set-points of the second form at two measured positions.
+/// Setpoints of the second form at two measured positions.
 #[test]
 fn the_second_form_is_blind() {
     let set_point = |q: f64| {

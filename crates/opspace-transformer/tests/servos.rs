@@ -10,7 +10,7 @@ const ROUNDING: f64 = 1e-9;
 
 const PERIOD_S: f64 = 1e-3;
 
-/// What is left of a velocity after a tick of a low-pass of 200 Hz.
+/// Share of a velocity that remains after a tick of a low-pass of 200 Hz.
 fn keep() -> f64 {
     (-TAU * 200.0 * PERIOD_S).exp()
 }
@@ -122,7 +122,7 @@ fn a_transfer_function_is_its_difference_equation() {
     assert_same(LAGGING, |k| torque[k]);
 }
 
-/// The torque of each servo at rest, and the one that memory and set-point were made for.
+/// The torque of each servo at rest, and the one that memory and setpoint were made for.
 #[test]
 fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
     for servo in ALL {
@@ -135,8 +135,8 @@ fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
     }
 }
 
-/// Velocity setpoints at rest under a load: the load over kv without an integral, zero with one. At another setpoint the
-/// torque of a servo without an integral differs by kv times the difference.
+/// Velocity setpoints at rest under a load: the load over kv without an integral, zero with one. At another setpoint
+/// the torque of a servo without an integral differs by kv times the difference.
 #[test]
 fn velocity_servo_rests_at_the_load_over_kv_or_at_zero() {
     let (_, setpoint) = law(VELOCITY).rest(0.7, 3.5);

@@ -14,7 +14,7 @@ const ROUNDING: f64 = 8.0 * f64::EPSILON;
 /// Rounding of some hundred steps of a filter, rad/s.
 const FILTERED: f64 = 1e-12;
 
-/// What is left of the filter's transient, rad/s.
+/// Remainder of the filter's transient, rad/s.
 const SETTLED: f64 = 1e-9;
 
 const PERIOD_S: f64 = 1e-3;
@@ -73,7 +73,7 @@ fn the_paper_transformer_is_equation_10() {
     }
 }
 
-/// Compared: the torque of equation (9) at the transformer's set-point, and the torque given to the transformer.
+/// Compared: the torque of equation (9) at the transformer's setpoint, and the torque given to the transformer.
 #[test]
 fn the_paper_transformer_inverts_equation_9() {
     for (q, dq, tau) in STATES {
@@ -99,7 +99,8 @@ fn the_velocity_transformer_is_the_inner_stage_of_equation_10() {
     }
 }
 
-/// Compared: the torque of the inner loop of (K9) at the transformer's setpoint, and the torque given to the transformer.
+/// Compared: the torque of the inner loop of (K9) at the transformer's setpoint, and the torque given to the
+/// transformer.
 #[test]
 fn the_velocity_transformer_inverts_the_velocity_loop() {
     for (q, dq, tau) in STATES {
@@ -111,8 +112,8 @@ fn the_velocity_transformer_inverts_the_velocity_loop() {
     }
 }
 
-/// Compared: the torque of a velocity loop whose kv is 0.8 of the nominal one, once the measured current corrects it, and
-/// the desired torque.
+/// Compared: the torque of a velocity loop whose kv is 0.8 of the nominal one, once the measured current corrects it,
+/// and the desired torque.
 #[test]
 fn current_corrects_a_velocity_gain() {
     const CYCLES: usize = 100;

@@ -16,7 +16,7 @@ const SERVO_HZ: f64 = 1000.0;
 /// Natural frequency of the critically damped task law, in radians per interface cycle.
 const TASK_RAD_PER_CYCLE: f64 = 0.03;
 
-/// What is left of a displacement of 1 after thirty time constants of the task law.
+/// Remainder of a displacement of 1 after thirty time constants of the task law.
 const SETTLED: f64 = 1e-3;
 
 /// A displacement, in those at the start, that no stable loop has.
@@ -131,8 +131,8 @@ impl Case {
     }
 }
 
-/// Largest kv T/I, of the nominal inertia I and the interface period T, up to which half and twice the inertia are borne.
-/// Above it, a position cascade's emulation loses its stability with a wrong inertia at the same places.
+/// Largest kv T/I, of the nominal inertia I and the interface period T, up to which half and twice the inertia are
+/// borne. Above it, a position cascade's emulation loses its stability with a wrong inertia at the same places.
 const ROBUST: f64 = 0.14;
 
 fn cases() -> impl Iterator<Item = Case> {
@@ -156,8 +156,8 @@ fn cases() -> impl Iterator<Item = Case> {
     drives.flat_map(move |(bandwidth, ratio)| of(bandwidth, ratio))
 }
 
-/// Displacements that a task law brings to rest, over velocity loops of 0.4 to 4 % of the servo rate, delays up to a whole
-/// interval and gains of 0.8 to 1.25 times the nominal ones; against zero.
+/// Displacements that a task law brings to rest, over velocity loops of 0.4 to 4 % of the servo rate, delays up to a
+/// whole interval and gains of 0.8 to 1.25 times the nominal ones; against zero.
 #[test]
 fn a_task_law_brings_a_velocity_robot_to_rest() {
     for case in cases() {
@@ -169,7 +169,7 @@ fn a_task_law_brings_a_velocity_robot_to_rest() {
     }
 }
 
-/// The same with half and twice the nominal inertia.
+/// Checks robots with half and twice the nominal inertia.
 #[test]
 fn a_task_law_brings_a_velocity_robot_of_another_inertia_to_rest() {
     let mut count = 0;

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What a run leaves behind.
+/// Results of a run.
 struct Done {
     summary: Summary,
     shown: Option<(Shown, Vec<u8>)>,
@@ -71,7 +71,7 @@ const LEAD: &str = "The same task file drives position and velocity robots throu
                     setpoints, a true torque robot, and a position robot by inverse kinematics; below is how close each \
                     came, and what the hand that holds it felt.";
 
-/// Runs the experiments, several at once, each on one thread; results in their order.
+/// Runs the experiments, several at once, each on one thread; the results are in the order of the experiments.
 fn run_all(
     experiments: &[Experiment],
     jobs: usize,
@@ -118,7 +118,7 @@ fn run_all(
     Ok(done)
 }
 
-/// Which runs are drawn and keep their log: of each task the first.
+/// Indices of the runs that are drawn and keep their log: the first of each task.
 fn shown(experiments: &[Experiment]) -> BTreeSet<usize> {
     let mut tasks = BTreeSet::new();
     (0..experiments.len()).filter(|&i| tasks.insert(experiments[i].task().source.name().to_owned())).collect()

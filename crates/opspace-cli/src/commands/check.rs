@@ -1,5 +1,5 @@
-//! `opspace check`: files, and files against each other, without running anything; and what will go wrong with a task
-//! before anything moves.
+//! `opspace check`: checks files, alone and against each other, without running anything, and reports predicted
+//! failures of a task before anything moves.
 
 use crate::cli::CheckArgs;
 use crate::commands::own_backend;
@@ -36,14 +36,14 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
     Ok(exit)
 }
 
-/// A file in which nothing is wrong, and what will go wrong with it.
+/// A valid file, and the predicted failures of its task.
 struct Checked {
-    /// What kind of file it is.
+    /// Kind of the file.
     what: String,
-    /// Of a task whose torques pass through a transformer.
+    /// Gain margin of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
     found: Vec<Found>,
-    /// What could not be checked.
+    /// Parts that could not be checked.
     skipped: Vec<Found>,
 }
 
@@ -66,7 +66,7 @@ impl Found {
     }
 }
 
-/// The findings of these experiments, each once: runs that differ in what doesn't matter to it find the same.
+/// Finds the findings of these experiments, each once: runs that differ only in unrelated settings have the same ones.
 fn find<'a>(
     experiments: impl IntoIterator<Item = &'a Experiment>,
     findings: fn(&Experiment) -> Vec<Finding>,
@@ -96,7 +96,7 @@ fn note(console: Console, found: &Found) {
     console.note(&format!("{}\n  help: {}", found.place, found.finding.help));
 }
 
-/// What in a URDF, or in the model that it makes, deserves a second look.
+/// Prints warnings about a URDF and about the model built from it.
 fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
     warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w}")));
     suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));

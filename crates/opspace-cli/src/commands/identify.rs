@@ -1,4 +1,4 @@
-//! `opspace identify`: the servos of a robot's joints, found by moving them.
+//! `opspace identify`: identification of the servos of a robot's joints by moving them.
 
 use crate::cli::IdentifyArgs;
 use crate::commands::run::style;
@@ -51,7 +51,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     Ok(if identified.is_complete() { Exit::Done } else { Exit::Failed })
 }
 
-/// Writes everything, and gives the paths.
+/// Writes all results, and returns their paths.
 fn write_results(folder: &Path, identified: &Identified) -> Result<Vec<String>, Failure> {
     let mut files = vec![
         (SERVO_FILE.to_owned(), identified.servo_toml()),
@@ -72,7 +72,7 @@ fn write_results(folder: &Path, identified: &Identified) -> Result<Vec<String>, 
     Ok(paths)
 }
 
-/// Shows which joint is being identified. How long each takes depends on the joint: the bar counts joints.
+/// Shows which joint is being identified. The bar counts joints, since the duration depends on the joint.
 fn with_progress<T>(
     identifying: &Identifying,
     console: Console,

@@ -21,6 +21,6 @@ fn own_backend(
     settings: &[String],
     extensions: &Extensions,
 ) -> BackendKind {
-    // What is wrong with the files is told when they are put together.
+    // Mistakes in the files are reported when the files are combined.
     BackendKind::stated(extensions, Files::Disk, task, robot, settings).unwrap_or(BackendKind::Position)
 }

@@ -1,4 +1,4 @@
-//! `opspace model`: a robot as tables, with what looks wrong with it; or its kinematics and dynamics at given states.
+//! `opspace model`: a robot as tables, with warnings about it; or its kinematics and dynamics at given states.
 
 use crate::cli::ModelArgs;
 use crate::console::{Console, Exit, Failure, Outcome, print, render};
@@ -25,14 +25,14 @@ pub fn model(args: &ModelArgs, console: Console) -> Outcome {
     Ok(Exit::Done)
 }
 
-/// A model, and what there is to say of it.
+/// A model and the warnings about it.
 struct Shown {
-    /// The URDF.
+    /// Name of the URDF.
     file: String,
     model: Model,
-    /// What links that can't move weigh; the model has none of them.
+    /// Mass of the links that can't move, kg; the model contains none of them.
     standing_kg: f64,
-    /// The reader's, then those of the model as a whole.
+    /// Warnings of the reader, then those about the model as a whole.
     warnings: Vec<String>,
 }
 
@@ -168,13 +168,13 @@ fn frame_table(model: &Model) -> Table {
     table
 }
 
-/// The bodies with their numbers; of a floating base's six only the one that is there.
+/// Bodies with their numbers; of a floating base's six only the last, which is the base itself.
 fn bodies(model: &Model) -> impl Iterator<Item = (usize, &Body)> {
     let first = if model.is_floating() { 5 } else { 0 };
     model.bodies().iter().enumerate().skip(first)
 }
 
-/// The frame of the link that a body is called after, which is the one that its joint moves.
+/// Frame of the link that a body is named after: the one that its joint moves.
 fn link_frame(model: &Model, body: Option<usize>) -> Option<&Frame> {
     model.frames().iter().find(|frame| frame.body == body)
 }
@@ -183,7 +183,7 @@ fn link(model: &Model, body: Option<usize>) -> &str {
     link_frame(model, body).map_or("the base", |frame| &frame.name)
 }
 
-/// The link on which a joint stands; of several that follow it, its own. `None` for a floating base.
+/// Parent link of a joint; with several bodies that follow the joint, that of its own body. `None` for a floating base.
 fn carried_by(model: &Model, joint: usize) -> Option<&str> {
     if model.joints()[joint].kind == JointKind::Floating {
         return None;
@@ -192,7 +192,7 @@ fn carried_by(model: &Model, joint: usize) -> Option<&str> {
     own.map(|body| link(model, body.parent))
 }
 
-/// The joint of a body, with what it makes of the joint's position if it follows that of another.
+/// Joint of a body, with the ratio and offset to the joint's position if the body follows it.
 fn mover(model: &Model, body: &Body) -> String {
     let name = &model.joints()[body.joint].name;
     match (body.kind, body.ratio, body.offset) {
@@ -203,27 +203,27 @@ fn mover(model: &Model, body: &Body) -> String {
     }
 }
 
-/// Below this a position is what rounding left of zero, m; a moment too, as a part of the largest.
+/// Largest position that is rounding of zero, m; for moments relative to the largest.
 const ROUNDING: f64 = 1e-9;
 
 fn rounded(value: f64, scale: f64) -> f64 {
     if value.abs() < ROUNDING * scale { 0.0 } else { value }
 }
 
-/// The centre of mass of a body in the frame of its link, m.
+/// Centre of mass of a body in the frame of its link, m.
 fn centre(model: &Model, body: usize) -> [f64; 3] {
     let com = model.bodies()[body].inertia.com;
     let in_link = link_frame(model, Some(body)).map_or(com, |link| link.placement.inverse().act_point(&com));
     [in_link.x, in_link.y, in_link.z].map(|x| rounded(x, 1.0))
 }
 
-/// Ascending, kg m².
+/// Principal moments of inertia of a body, ascending, kg m².
 fn moments(body: &Body) -> [f64; 3] {
     let moments = principal_moments(&body.inertia.rotational);
     moments.map(|moment| rounded(moment, moments[2]))
 }
 
-/// Where a frame is in that of the link to which it is fixed, m.
+/// Origin of a frame in the frame of the link to which it is fixed, m.
 fn offset(model: &Model, frame: &Frame) -> [f64; 3] {
     let point = frame.placement.translation;
     let at = link_frame(model, frame.body).map_or(point, |link| link.placement.inverse().act_point(&point));
@@ -291,7 +291,7 @@ fn as_json(shown: &Shown) -> Value {
     })
 }
 
-/// Writes a line for each state, to `out` or stdout. A file is written when all went well, and not before.
+/// Writes a line for each state, to `out` or stdout. A file is written only if all states are valid.
 fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>) -> Outcome {
     let bad = |text: String| Failure::Other(text, Exit::Bad);
     let out = out.filter(|path| *path != Path::new("-"));

@@ -1,4 +1,4 @@
-//! `opspace replay`: recompute every command of a log.
+//! `opspace replay`: recomputation of every command of a log.
 
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
@@ -46,7 +46,7 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     })
 }
 
-/// Whether the log is what comes out, or where first it isn't.
+/// Describes the result of a replay: equal bits, or the first difference.
 fn verdict(log: &Path, replayed: &ReplayReport) -> String {
     let (log, ReplayReport { compared, logged, differing, .. }) = (log.display(), replayed);
     match &replayed.first_difference {
@@ -65,7 +65,7 @@ fn verdict(log: &Path, replayed: &ReplayReport) -> String {
     }
 }
 
-/// What another task would have commanded.
+/// Describes the commands that another task would have given.
 fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayReport) -> String {
     let (name, compared) = (experiment.task().name(), replayed.compared);
     let mut text = format!(

@@ -59,7 +59,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     Ok(exit_code(&summary))
 }
 
-/// Says how a run ended before its time.
+/// Prints the reason of a run that ended early.
 fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
@@ -70,7 +70,7 @@ fn say_end(summary: &Summary, console: Console) {
     }
 }
 
-/// 1 outranks 130 outranks 3.
+/// Exit code of a run; 1 outranks 130, which outranks 3.
 pub fn exit_code(summary: &Summary) -> Exit {
     if summary.faulted.is_some() {
         Exit::Failed
@@ -83,7 +83,7 @@ pub fn exit_code(summary: &Summary) -> Exit {
     }
 }
 
-/// Shows how far a run is while it goes on.
+/// Shows the progress of a run.
 fn with_progress<T>(
     experiment: &Experiment,
     watch: &Arc<Progress>,
@@ -112,7 +112,7 @@ fn with_progress<T>(
     result
 }
 
-/// A progress bar's look; a template that isn't one leaves the plain look.
+/// Style of a progress bar; the default style if the template is invalid.
 pub fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }

@@ -1,4 +1,4 @@
-//! Strict priorities: what freedom the tasks above leave, and a task within it.
+//! Strict priorities: the nullspace that the tasks above leave, and a task within it.
 //!
 //! With N the nullspace of all tasks above (it acts on velocities, Nᵀ on torques), a task J has
 //!
@@ -24,23 +24,22 @@ pub(crate) struct Nullspace {
 }
 
 impl Nullspace {
-    /// For at most `levels` tasks on a robot of `n` joints.
+    /// A nullspace for at most `levels` tasks on a robot of `n` joints.
     pub(crate) fn new(n: usize, levels: usize) -> Self {
         Self { tasks: vec![(Matrix6xX::zeros(n), Matrix6xX::zeros(n)); levels], depth: 0 }
     }
 
-    /// All freedom, before the first task.
+    /// Resets N to the identity, before the first task.
     pub(crate) fn reset(&mut self) {
         self.depth = 0;
     }
 
-    /// Whether anything was taken away.
+    /// Returns true if N is that of one task or more, not the identity.
     pub(crate) fn is_narrowed(&self) -> bool {
         self.depth > 0
     }
 
-    /// Only what the first `depth` tasks leave, of those that were taken away since the last
-    /// [`reset`](Self::reset).
+    /// Restricts N to what the first `depth` tasks leave, of those pushed since the last [`reset`](Self::reset).
     pub(crate) fn truncate(&mut self, depth: usize) {
         debug_assert!(depth <= self.tasks.len());
         self.depth = depth;
@@ -72,8 +71,8 @@ impl Nullspace {
         }
     }
 
-    /// Nᵀ τ in place of the torques τ = M a, where `task` comes below all of these: without its J̄. N a in place of a, but
-    /// for what `task` takes.
+    /// Nᵀ τ in place of the torques τ = M a, where `task` comes below all of these: without its J̄. N a in place of a,
+    /// but for what `task` takes.
     pub(crate) fn project_above(&self, task: &ProjectedTask, acceleration: &mut [f64], torque: &mut [f64]) {
         self.project_torque(torque);
         self.project_velocity(acceleration);
@@ -118,8 +117,8 @@ impl ProjectedTask {
         Self { jacobian, space: OperationalSpace::new(n) }
     }
 
-    /// For the first `rows` rows of `jacobian`, all but J̄. The threshold is relative to a `reference` that doesn't depend on what
-    /// the tasks above have taken: that counts as lost, not as the new measure.
+    /// Computes all but J̄, for the first `rows` rows of `jacobian`. The threshold is relative to a `reference` that
+    /// doesn't depend on the tasks above: what they have taken counts as lost, not as the new measure.
     pub(crate) fn update(
         &mut self,
         factor: &MassMatrixFactor,
@@ -136,7 +135,7 @@ impl ProjectedTask {
         self.space.update_inertia(factor, &self.jacobian, rows, inversion, Some(reference));
     }
 
-    /// J̄, with the same factor: once after each [`update`](Self::update), if anything comes below this task.
+    /// Computes J̄ with the same factor: once after each [`update`](Self::update), if anything comes below this task.
     pub(crate) fn compute_jbar(&mut self, factor: &MassMatrixFactor) {
         self.space.finish(factor);
     }

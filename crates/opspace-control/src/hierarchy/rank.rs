@@ -1,4 +1,4 @@
-//! Which tasks an arm can carry out at all: the rank of their axes, sampled, and the arm's reach.
+//! Feasibility of tasks: the rank of their axes over sampled configurations, and the arm's reach.
 
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::task::Task;
@@ -49,14 +49,14 @@ fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMa
     best
 }
 
-/// How easily an arm moves a task in the direction that is hardest, in the middle of many postures: the smallest
-/// eigenvalue of Λ⁻¹ = J M⁻¹ Jᵀ. A direction that is much harder to move than that is near a singular one, whatever the
-/// arm's masses and the task's units.
+/// Median over many postures of the mobility of a task in its hardest direction: the smallest eigenvalue of
+/// Λ⁻¹ = J M⁻¹ Jᵀ. A direction that is much harder to move than that is near a singular one, whatever the arm's masses
+/// and the task's units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TypicalMobility {
-    /// With the arm's M, 1/kg.
+    /// Mobility with the arm's M, 1/kg.
     pub dynamic: f64,
-    /// With the identity in M's place: of J Jᵀ.
+    /// Mobility with the identity in M's place: of J Jᵀ.
     pub kinematic: f64,
 }
 
@@ -92,9 +92,8 @@ impl TypicalMobility {
     }
 }
 
-/// Whether the arm can't turn a frame without also moving it, wherever it stands: position and orientation
-/// together have fewer directions than each has by itself. So it is with fewer than six joints, unless the
-/// arm is planar.
+/// Returns true if the arm can't turn a frame without also moving it, in any configuration: the rank of position and
+/// orientation together is below the sum of their ranks. So it is with fewer than six joints, unless the arm is planar.
 #[must_use]
 pub fn orientation_is_coupled(model: &Model, controlled: ControlledFrame) -> bool {
     let mut jacobian = Matrix6xX::zeros(model.n());
@@ -151,8 +150,8 @@ pub fn characteristic_length(model: &Model, controlled: ControlledFrame) -> f64 
     }
 }
 
-/// How far a frame can be from the first joint that moves it, m: the distances from joint to joint added
-/// up, with the strokes of prismatic joints. 1 m if that is nothing.
+/// Largest distance of a frame from the first joint that moves it, m: the distances from joint to joint added up, with
+/// the strokes of prismatic joints. 1 m if that is nothing.
 #[must_use]
 pub fn reach(model: &Model, frame: FrameId) -> f64 {
     let mut sum = model.frame_info(frame).placement.translation.norm();

@@ -18,7 +18,7 @@ pub(crate) struct TaskHierarchy {
 }
 
 impl TaskHierarchy {
-    /// Without a task, for `n` joints.
+    /// A hierarchy without a task, for `n` joints.
     pub(crate) fn new(n: usize) -> Self {
         Self {
             levels: Vec::new(),

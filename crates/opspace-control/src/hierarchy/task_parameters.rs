@@ -20,7 +20,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum TaskParameters {
-    /// A frame that follows a reference on some axes and gives way on others.
+    /// A frame that follows a reference on some axes and is compliant on others.
     Cartesian(Box<CartesianParameters>),
     /// The centre of mass follows a reference.
     CenterOfMass(Box<CenterOfMassParameters>),
@@ -64,7 +64,7 @@ impl RegisteredTask {
     /// The task for a robot.
     ///
     /// # Errors
-    /// What in the parameters doesn't fit the robot.
+    /// Parameters that don't fit the robot.
     pub fn task(
         &self,
         name: &str,
@@ -87,7 +87,7 @@ impl fmt::Debug for RegisteredTask {
     }
 }
 
-/// Which of the arm's own forces the controller takes away before its tasks see the arm.
+/// Part of the arm's own forces that the controller compensates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Compensation {
@@ -105,8 +105,8 @@ pub struct TaskSetParameters<'a> {
     pub priority: &'a [String],
     /// The tasks by name.
     pub task: &'a BTreeMap<String, TaskParameters>,
-    /// Which of the arm's own forces are taken away.
+    /// Part of the arm's own forces that is compensated.
     pub compensation: Compensation,
-    /// How the robot's limits are kept.
+    /// Enforcement of the robot's limits.
     pub limits: LimitParameters,
 }

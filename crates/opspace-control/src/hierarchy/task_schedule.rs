@@ -1,5 +1,5 @@
-//! The task set that is carried out, and those that will be: gains, goals, axis modes and the tasks themselves can
-//! change while a robot runs.
+//! The task set in force, and those scheduled: gains, goals, axis modes and the tasks themselves can change while a
+//! robot runs.
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
@@ -12,7 +12,8 @@ use crate::tasks::task::Task;
 use opspace_backend::{Observable, Row, Signal};
 use opspace_model::Model;
 
-/// How early a cycle may be for what is scheduled and still be in time: clocks add up periods, and round.
+/// Largest time by which a cycle may precede what is scheduled and still carry it out, s: clocks add up periods, and
+/// round.
 const EARLY_S: f64 = 5e-10;
 
 /// All task sets of a controller, by number, and the one in force.
@@ -31,7 +32,7 @@ pub(crate) struct TaskSchedule {
     slots: Vec<Slot>,
     /// All as configured. Its layout is fixed from the start on.
     targets: Targets,
-    /// Whether sets can be chosen by number even if no task has inputs.
+    /// True if sets can be chosen by number even if no task has inputs.
     numbered: bool,
     started: bool,
 }
@@ -104,7 +105,7 @@ impl TaskSchedule {
         Ok(prepared)
     }
 
-    /// Whether tasks keep their kind and their signals in another task set.
+    /// Checks that tasks keep their kind and their signals in another task set.
     pub(crate) fn check(&self, other: &TaskSet) -> Result<(), ControlError> {
         for new in slots(self.recorded, [&other.0]) {
             let changed = |old: &&Slot| {

@@ -101,7 +101,7 @@ impl TaskSetBuilder<'_> {
     /// Adds a task by its parameters.
     ///
     /// # Errors
-    /// What in the parameters doesn't fit the robot, and as [`task`](Self::task).
+    /// Parameters that don't fit the robot, and as [`task`](Self::task).
     pub fn from_parameters(self, name: &str, parameters: &TaskParameters) -> Result<Self, ControlError> {
         let (model, context) = (self.model, self.context);
         match parameters {
@@ -143,7 +143,7 @@ impl TaskSetBuilder<'_> {
     }
 }
 
-/// Whether a name can be part of a key and of a signal's name.
+/// Returns true if a name can be part of a key and of a signal's name.
 fn is_plain(name: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     !name.is_empty() && name.chars().all(plain)

@@ -1,7 +1,8 @@
-//! What joints can do, as bounds on what may be commanded in one tick.
+//! Bounds on the command of one control cycle that follow from the limits of the joints.
 //!
-//! Position and velocity limits become one interval of joint acceleration a. A horizon h ahead the joint must neither be
-//! faster than its velocity limit v, nor so fast that it can't brake before its end x with its braking acceleration b:
+//! Position and velocity limits become one interval of joint acceleration a. A horizon h ahead the joint must neither
+//! be faster than its velocity limit v, nor so fast that it can't brake before its end x with its braking acceleration
+//! b:
 //!
 //! ```text
 //! q̇ + a h ≤ v          q̇ + a h ≤ √((b h)² + 2 b (x − q − q̇ h)) − b h
@@ -10,7 +11,7 @@
 //! and mirrored for the other end. The second bound is the speed from which a joint that is slowed down by b once a
 //! horizon just stops at x (viability; compare Del Prete, *Joint position and velocity bounds in discrete-time
 //! acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the end it is (x − q − q̇ h)/h: the joint
-//! arrives without overshoot. A joint beyond its end is led back at a bounded speed. Torque and torque rate bound the
+//! arrives without overshoot. A joint beyond its end returns at a bounded speed. Torque and torque rate bound the
 //! commanded torque. Where these contradict each other torques win, then what brakes.
 
 use crate::hierarchy::rank::configuration;
@@ -19,11 +20,11 @@ use crate::measurement::Measurement;
 use nalgebra::DVector;
 use opspace_model::{Data, Model, update};
 
-/// How far ahead bounds on the acceleration look, s: well above a period, so that noise in the velocity doesn't make
-/// them jump, and well below the time in which an arm brakes.
+/// Horizon of the bounds on the acceleration, s: well above a period, so that noise in the velocity doesn't make them
+/// jump, and well below the time in which an arm brakes.
 pub const HORIZON_S: f64 = 0.02;
 
-/// How fast what is beyond the end of its range is led back: in this time, s, but for a factor of e.
+/// Time constant with which a joint beyond the end of its range returns, s.
 const RETURN_S: f64 = 0.2;
 
 /// Postures tried for the acceleration that a torque limit leaves.
@@ -53,16 +54,16 @@ fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
     least
 }
 
-/// The bounds of one tick.
+/// Bounds of one control cycle.
 #[derive(Clone, Debug)]
 pub(crate) struct Bounds {
     limits: JointLimits,
-    /// With which acceleration each joint can brake, rad/s² (n).
+    /// Acceleration with which each joint can brake, rad/s² (n).
     braking: Vec<f64>,
     period_s: f64,
-    /// On joint accelerations, rad/s² (n).
+    /// Bounds on joint accelerations, rad/s² (n).
     pub acceleration: Interval,
-    /// On commanded torques, Nm (n).
+    /// Bounds on commanded torques, Nm (n).
     pub torque: Interval,
 }
 
@@ -85,7 +86,7 @@ impl Interval {
         value >= self.lower[i] && value <= self.upper[i]
     }
 
-    /// As wide as it must be for `value`.
+    /// Widens the interval of a joint to include `value`.
     pub(crate) fn include(&mut self, i: usize, value: f64) {
         self.lower[i] = self.lower[i].min(value);
         self.upper[i] = self.upper[i].max(value);
@@ -93,7 +94,7 @@ impl Interval {
 }
 
 impl Bounds {
-    /// For a robot that is commanded every `period_s`.
+    /// Bounds of a robot that is commanded every `period_s`.
     pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64) -> Self {
         let braking = braking(model, &limits);
         Self::with_braking(limits, braking, period_s)
@@ -108,8 +109,8 @@ impl Bounds {
         Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
     }
 
-    /// Whether joint accelerations and commanded torques (n) are strictly within the bounds of a state, without the
-    /// roots and the rules for bounds that contradict each other: `false` if that takes a closer look.
+    /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state by a test without
+    /// the roots and the rules for bounds that contradict each other: `false` if these have to be computed.
     pub(crate) fn is_strictly_feasible(
         &self,
         measurement: &Measurement,
@@ -140,7 +141,8 @@ impl Bounds {
         allowed
     }
 
-    /// Bounds in a state, after the torques `before` (n) were commanded and with those `added` to the next command (n).
+    /// Computes the bounds in a state, after the torques `before` (n) were commanded and with those `added` to the next
+    /// command (n).
     pub(crate) fn update(&mut self, measurement: &Measurement, added: &[f64], before: &DVector<f64>) {
         let l = &self.limits;
         let (q, dq) = (&measurement.q, &measurement.dq);
@@ -166,7 +168,7 @@ impl Bounds {
     }
 }
 
-/// A joint, its ends not among what is known of it.
+/// State of a joint, without the ends of its range.
 #[derive(Clone, Copy)]
 struct JointState {
     q: f64,
@@ -176,7 +178,7 @@ struct JointState {
 }
 
 impl JointState {
-    /// Seen the other way round.
+    /// Returns the state with the opposite direction of the joint.
     fn mirrored(self) -> Self {
         Self { q: -self.q, dq: -self.dq, ..self }
     }
@@ -269,8 +271,8 @@ mod tests {
         assert!(q <= 1.0 + 1e-6 && q > 0.99, "{q}");
     }
 
-    /// What is plainly allowed is within the bounds, and the other way round but where bounds contradict each other:
-    /// nowhere here, of joints that start within their ends and slow enough to stop.
+    /// Accelerations and torques that pass the fast test are within the bounds, and the other way round unless bounds
+    /// contradict each other: they don't here, for joints that start within their ends and slowly enough to stop.
     #[test]
     fn is_strictly_feasibleed_is_within_the_bounds() {
         let limits = JointLimits {

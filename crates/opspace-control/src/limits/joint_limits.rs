@@ -5,7 +5,7 @@ use opspace_model::Model;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// What the joints of a robot can do: one value a joint, infinite where there is no limit.
+/// Limits of a robot's joints: one value per joint, infinite where there is no limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointLimits {
     /// Lowest position, rad or m (n).
@@ -24,21 +24,21 @@ pub struct JointLimits {
     pub torque_rate: Vec<f64>,
 }
 
-/// How a robot's limits are kept by the controller.
+/// Enforcement of the robot's limits by the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LimitParameters {
-    /// Whether they are kept at all; they are if absent. Without, only the torques are cut off, and the run stops where
-    /// a joint reaches its end.
+    /// True if the limits are enforced; true if absent. If false, torques are only clipped, and the run stops where a
+    /// joint reaches its end.
     #[serde(default = "yes")]
     pub enforce: bool,
-    /// How far from the ends of their ranges joints are kept, rad (m); 0.01 if absent.
+    /// Margin between joints and the ends of their ranges, rad (m); 0.01 if absent.
     #[serde(default = "default_margin")]
     pub position_margin_rad: NonNegative,
-    /// Which share of the highest speed, from 0 to 1, is used; 0.9 if absent.
+    /// Share of the highest speed that is used, from 0 to 1; 0.9 if absent.
     #[serde(default = "default_velocity_share")]
     pub velocity_share: Positive,
-    /// Which share of the highest torque, from 0 to 1, is used; all of it if absent.
+    /// Share of the highest torque that is used, from 0 to 1; all of it if absent.
     #[serde(default = "whole")]
     pub torque_share: Positive,
 }
@@ -70,7 +70,7 @@ const fn whole() -> Positive {
     Positive::literal(1.0)
 }
 
-/// In which time the whole torque may be asked for where no rate is given, s.
+/// Time in which a command may rise to the whole torque where no rate is given, s.
 const TORQUE_RISE_S: f64 = 0.01;
 
 impl JointLimits {
@@ -88,7 +88,7 @@ impl JointLimits {
         }
     }
 
-    /// Those of the URDF: position, velocity and effort.
+    /// Limits of the URDF: position, velocity and effort.
     #[must_use]
     pub fn of(model: &Model) -> Self {
         let each =
@@ -102,7 +102,7 @@ impl JointLimits {
         }
     }
 
-    /// Within margins, and with the rates that follow where none was given.
+    /// Narrows the limits by margins and shares, and adds the rates that follow where none was given.
     pub(crate) fn narrowed(mut self, parameters: &LimitParameters) -> Self {
         let margin = parameters.position_margin_rad.get();
         for i in 0..self.lower.len() {

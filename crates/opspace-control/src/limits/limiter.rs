@@ -12,28 +12,28 @@ use nalgebra::DVector;
 use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Model};
 
-/// What keeps commands within the limits.
+/// Computation of commands within the limits.
 pub(crate) struct Limiter {
     bounds: Bounds,
-    /// Those on torques as they were before any of the bounds was widened.
+    /// Bounds on torques as they were before any of the bounds was widened.
     torque_bounds: Interval,
     cascade: Cascade,
-    /// The first `speed_count` of them in force.
+    /// Bounds on the speeds of tasks; the first `speed_count` of them are in force.
     speeds: Vec<SpeedBound>,
     speed_count: usize,
-    /// What of the joints' acceleration doesn't come from the tasks (n).
+    /// Joint acceleration that is not caused by the tasks, rad/s² or m/s² (n).
     bias_acceleration: DVector<f64>,
-    /// Which bounds each joint's command stands at, as the sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
+    /// Bounds that each joint's command is at (n), as the sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
     limited: DVector<f64>,
     solver: Solver,
 }
 
-/// In the `limited` signal: the command stands at a bound of the joint's acceleration.
+/// Value in the `limited` signal: the command is at a bound of the joint's acceleration.
 const LIMITED_ACCELERATION: f64 = 1.0;
-/// In the `limited` signal: the command stands at a bound of the joint's torque or its rate.
+/// Value in the `limited` signal: the command is at a bound of the joint's torque or its rate.
 const LIMITED_TORQUE: f64 = 2.0;
 
-/// How near to a bound a command stands at it, relative to its size and 1: far more than what solvers leave.
+/// Distance within which a command is at a bound, relative to its size and 1: far above the error of the solvers.
 const AT_BOUND: f64 = 1e-6;
 
 /// Bounds on the speed of tasks at most: two for each of the first eight tasks.
@@ -57,7 +57,7 @@ impl Limiter {
         }
     }
 
-    /// Takes in the state, but for the joints' bounds.
+    /// Updates all that depends on the state, but for the joints' bounds.
     pub(crate) fn update_state(
         &mut self,
         data: &Data,
@@ -84,8 +84,8 @@ impl Limiter {
         }
     }
 
-    /// Whether joint accelerations `alpha` (n), and the torques that cause them, can stay as they are after what was
-    /// `commanded` before.
+    /// Returns true if joint accelerations `alpha` (n), and the torques that cause them, can stay as they are after
+    /// what was `commanded` before.
     pub(crate) fn is_strictly_feasible(
         &self,
         input: &ControlInput<'_>,
@@ -107,15 +107,15 @@ impl Limiter {
             && self.speeds[..self.speed_count].iter().all(|speed| speed.allows(alpha.as_slice()))
     }
 
-    /// The joints' bounds in this state, after what was `commanded` before.
+    /// Computes the joints' bounds in this state, after what was `commanded` before.
     pub(crate) fn bound(&mut self, input: &ControlInput<'_>, commanded: &DVector<f64>) {
         self.bounds.update(input.measurement, input.feedforward_torque, commanded);
         self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
     }
 
-    /// Brings what each level asks for within the limits, by what the levels above leave free, and says who found it.
-    /// `scratch` (n) is overwritten.
+    /// Brings what each level asks for within the limits, by what the levels above leave free, and returns the solver
+    /// that did. `scratch` (n) is overwritten.
     ///
     /// # Errors
     /// At the first level for which no solver finds an answer. It and those below it count as limited.
@@ -182,7 +182,7 @@ impl Limiter {
         }
     }
 
-    /// Which bounds the command stands at.
+    /// Records the bounds that the command is at.
     pub(crate) fn record_status(
         &mut self,
         solver: Solver,
@@ -207,7 +207,7 @@ impl Limiter {
         }
     }
 
-    /// Whether a limit changed the last command.
+    /// Returns true if a limit changed the last command.
     pub(crate) fn is_limited(&self) -> bool {
         self.solver != Solver::Unlimited
     }
@@ -217,12 +217,12 @@ impl Limiter {
         self.cascade.without_shortcut();
     }
 
-    /// The torques found by [`solve`](Self::solve), into `torque` (n).
+    /// Writes the torques computed by [`solve`](Self::solve) into `torque` (n).
     pub(crate) fn torque_into(&mut self, data: &Data, torque: &mut [f64]) {
         self.cascade.torque_into(data, torque);
     }
 
-    /// Which joints stand at a bound, and who found the command.
+    /// Signals: the bounds that each joint is at, and the solver of the command.
     pub(crate) fn signals(joint_names: &[String]) -> [Signal; 2] {
         [Signal::new("limited", "1", joint_names), Signal::scalar("limits_solver", "1")]
     }

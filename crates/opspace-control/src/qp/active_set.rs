@@ -66,19 +66,19 @@ pub struct ActiveSet {
     max_variables: usize,
     max_constraints: usize,
     factor: Factor,
-    /// x on its way.
+    /// Present iterate x.
     point: Vec<f64>,
     active: Vec<Active>,
     is_active: Vec<bool>,
     /// |c| of each row.
     norms: Vec<f64>,
-    /// What d₂ of a dependent row may be, for |c| = 1.
+    /// Largest d₂ of a dependent row by rounding, for |c| = 1.
     rounding: f64,
     /// |x| without constraints.
     reach: f64,
     /// The largest |x| on the way to this one, by which its rounding is measured.
     size: f64,
-    /// Whether the active rows' conditions hold to rounding.
+    /// True if the active rows' conditions hold to rounding.
     refined: bool,
     iterations: usize,
     /// The rows active at the last solution, in the order in which they became so.
@@ -281,7 +281,7 @@ impl ActiveSet {
         self.is_active[dropped.row] = false;
     }
 
-    /// A row that depends on active ones which can't give way: met but for rounding, or impossible.
+    /// Decides on a row that depends on active ones which can't be dropped: met but for rounding, or impossible.
     fn contradiction(&mut self, program: &QuadraticProgram, row: usize) -> Result<(), QpError> {
         let size = self.size;
         self.refine(program)?;

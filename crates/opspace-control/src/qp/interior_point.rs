@@ -28,7 +28,8 @@ use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeCone
 /// Gap and residuals at which Clarabel stops, relative and absolute, in the scaled programme. Where bounds barely
 /// touch, x is off by the root of the gap; hence a hundredth of Clarabel's default, which it nearly always reaches.
 const WANTED: f64 = 1e-10;
-/// Where it can't, the default is good enough: what Clarabel then calls almost solved.
+/// Gap and residuals that are accepted where [`WANTED`] can't be reached, Clarabel's default: it then reports
+/// `AlmostSolved`.
 const ACCEPTED: f64 = 1e-8;
 
 /// Clarabel, built for programmes of up to some size. Each call of [`solve`](Self::solve) allocates once, the

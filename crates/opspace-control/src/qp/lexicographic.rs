@@ -7,14 +7,14 @@
 //! min |W J_p δ|²_Λ     a_min ≤ α ≤ a_max,   τ_min ≤ M α + τ_own ≤ τ_max,   d ẋ ≤ ẋ_max
 //! ```
 //!
-//! and stays what it is at the levels below, since J_p N vanishes there. W weighs what leads aside from where the task
-//! is going ten times as much as what only slows it down. Among equal residuals the one nearest in kinetic energy to
-//! what was asked for is found by proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M: without a limit in force δ is
-//! zero, exactly. The last level, of all joints, has that norm itself for its residual, and takes back what of the other
-//! levels' δ their rows don't feel.
+//! and stays what it is at the levels below, since J_p N vanishes there. W weighs errors across the direction in which
+//! the task is going ten times as much as errors along it, which only slow it down. Among equal residuals the one
+//! nearest in kinetic energy to what was asked for is computed by proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M:
+//! without a limit in force δ is zero, exactly. The last level, of all joints, has that norm itself for its residual,
+//! and takes back what of the other levels' δ their rows don't feel.
 //!
 //! Where the bounds on accelerations and speeds can't be met, they are first widened as little as possible (least
-//! squares, torques never): a joint that starts beyond its end is led back as hard as its torque allows.
+//! squares, torques never): a joint that starts beyond its end returns as hard as its torque allows.
 //!
 //! Sources: Kanoun, Lamiraux and Wieber, *Kinematic control of redundant manipulators: generalizing the task-priority
 //! framework to inequality task*, IEEE T-RO 27(4), 2011; Escande, Mansard and Wieber, *Hierarchical quadratic
@@ -29,11 +29,11 @@ use crate::qp::quadratic_program::{QpError, QuadraticProgram};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
 
-/// How much more aside weighs than ahead.
+/// Weight of errors across the direction of a task, relative to those along it.
 const ASIDE: f64 = 10.0;
 
-/// At which speed a task begins to have a direction, m/s: more than what noise makes of a hand at rest, whose torques would
-/// else follow every turn of it.
+/// Speed at which a task begins to have a direction, m/s: more than the noise in the velocity of a hand at rest, whose
+/// every turn the torques would else follow.
 const STILL: f64 = 2e-3;
 
 /// ε of the proximal steps, relative to the trace of the task's Hessian.
@@ -48,7 +48,7 @@ const STEPS: usize = 3;
 /// A change of δ below this share ends the steps.
 const SETTLED: f64 = 1e-9;
 
-/// By how much a bound may be overstepped without a word, relative to its own size and 1.
+/// Largest tolerated excess over a bound, relative to its own size and 1.
 const SLACK: f64 = 1e-9;
 
 /// A bound on the speed of a task: `row` α ≤ `upper`.
@@ -59,13 +59,13 @@ pub(crate) struct SpeedBound {
 }
 
 impl SpeedBound {
-    /// Whether α respects it.
+    /// Returns true if α respects the bound.
     pub(crate) fn allows(&self, alpha: &[f64]) -> bool {
         dot(self.row.as_slice(), alpha) <= self.upper
     }
 }
 
-/// Who found the command.
+/// Solver that computed the command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Solver {
     /// No limit was in the way.
@@ -78,18 +78,18 @@ pub(crate) enum Solver {
     Clipped,
 }
 
-/// The limits of a tick, on α and M α.
+/// Limits of one control cycle, on α and M α.
 pub(crate) struct Limits<'a> {
     pub bounds: &'a mut Bounds,
-    /// τ_own, what is commanded beside M α (n).
+    /// τ_own, the torques commanded beside M α, Nm or N (n).
     pub compensation_torque: &'a DVector<f64>,
-    /// What of the joints' acceleration isn't α (n).
+    /// Joint acceleration besides α, rad/s² or m/s² (n).
     pub bias_acceleration: &'a DVector<f64>,
     pub speeds: &'a mut [SpeedBound],
 }
 
 impl Limits<'_> {
-    /// Whether α and u = M α respect all of them.
+    /// Returns true if α and u = M α respect all limits.
     pub(crate) fn allow(&self, alpha: &[f64], torque: &[f64]) -> bool {
         let joints = (0..alpha.len()).all(|i| {
             self.bounds.acceleration.contains(i, alpha[i] + self.bias_acceleration[i])
@@ -106,13 +106,13 @@ pub(crate) struct Cascade {
     interior_point: Option<InteriorPoint>,
     /// α of the levels so far (n).
     alpha: DVector<f64>,
-    /// Square roots of M's diagonal: what joint accelerations and torques are scaled by.
+    /// Square roots of M's diagonal, by which joint accelerations and torques are scaled.
     scale: Vec<f64>,
     nullspace: DMatrix<f64>,
     torque_rows: DMatrix<f64>,
     mass: DMatrix<f64>,
     torque: DVector<f64>,
-    /// Of the last programme, scaled (n), and its slacks behind.
+    /// Solution δ of the last programme, scaled (n), with its slacks behind.
     delta: DVector<f64>,
     /// Σ N δ of the levels so far (n).
     displaced: DVector<f64>,
@@ -122,9 +122,10 @@ pub(crate) struct Cascade {
     shortcut: bool,
 }
 
-/// What a level minimises.
+/// Residual that a level minimises.
 pub(crate) enum Residual<'a> {
-    /// |W J_p δ|²_Λ, with where the task is going. Rows of J_p and Λ that the task doesn't have are zero.
+    /// |W J_p δ|²_Λ, with the predicted velocity of the task as its heading. Rows of J_p and Λ that the task doesn't
+    /// have are zero.
     Rows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, heading: Vector6<f64> },
     /// |δ|²_M.
     Joints,
@@ -160,12 +161,12 @@ impl Cascade {
         self.shortcut = false;
     }
 
-    /// Whether what is within the limits is left as it is.
+    /// Returns true if commands within the limits are left as they are, without solving.
     pub(crate) fn has_shortcut(&self) -> bool {
         self.shortcut
     }
 
-    /// Whether α and M α can stay as they are.
+    /// Returns true if α and M α can stay as they are.
     fn needs_no(&self, limits: &Limits<'_>, alpha: &[f64], torque: &[f64]) -> bool {
         self.shortcut && limits.allow(alpha, torque)
     }
@@ -196,7 +197,7 @@ impl Cascade {
         multiply(&data.mass_matrix, self.alpha.as_slice(), torque);
     }
 
-    /// Who found it.
+    /// Solver of the command.
     pub(crate) fn solver(&self) -> Solver {
         self.solver
     }
@@ -210,8 +211,8 @@ impl Cascade {
         self.alpha.iter_mut().zip(z).for_each(|(a, z)| *a += z);
     }
 
-    /// Brings what was [asked](Self::ask) for within the limits, by what `above` leaves free, and says whether that was
-    /// needed.
+    /// Brings what was [asked](Self::ask) for within the limits, by what `above` leaves free, and returns true if that
+    /// was needed.
     ///
     /// # Errors
     /// If no solver finds an answer.
@@ -285,7 +286,7 @@ impl Cascade {
         }
         self.constrain(limits, true);
         self.settle(Some(RELAXED))?;
-        // What was found is only to widen the bounds: the level starts again from where it was.
+        // The solution serves only to widen the bounds: the level starts again from where it was.
         self.asked.copy_from(&self.alpha);
         self.displace();
         self.admit(data, limits);
@@ -343,8 +344,8 @@ impl Cascade {
         }
     }
 
-    /// N and M N of the freedom above, as M⁻¹ Nᵀ M and Nᵀ M: the same, but where more than one level above is damped. What
-    /// a level asks for is M⁻¹ Nᵀ times its torques, and so can always be taken back.
+    /// N and M N of the freedom above, as M⁻¹ Nᵀ M and Nᵀ M: the same, but where more than one level above is damped.
+    /// What a level asks for is M⁻¹ Nᵀ times its torques, and so can always be taken back.
     fn span(&mut self, data: &Data, above: &Nullspace) {
         self.torque_rows.copy_from(&data.mass_matrix);
         if !above.is_narrowed() {

@@ -58,7 +58,8 @@ mod tests {
         }
     }
 
-    /// What follows a reading that isn't finite, first or later, against a filter that never saw it.
+    /// Compared: outputs after a reading that isn't finite, first or later, and those of a filter that never received
+    /// it.
     #[test]
     fn what_is_not_finite_is_passed_on_and_forgotten() {
         for broken in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {

@@ -29,7 +29,7 @@ pub enum OrientationGoal {
     Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
-/// Where a goal is in the world; where `before` is if there is none.
+/// Position of a goal in the world, m; that of `before` if there is none.
 pub(crate) fn position(
     goal: Option<&PositionGoal>,
     axes: &Matrix3<f64>,
@@ -43,7 +43,7 @@ pub(crate) fn position(
     }
 }
 
-/// As [`position`], of the orientation.
+/// Orientation of a goal in the world; that of `before` if there is none.
 pub(crate) fn rotation(
     goal: Option<&OrientationGoal>,
     axes: &Matrix3<f64>,

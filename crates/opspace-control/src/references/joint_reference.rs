@@ -18,7 +18,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Where a joint-tracking task should lead the joints.
+/// Reference of a joint-tracking task.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum JointReference {
@@ -40,11 +40,11 @@ pub enum JointReference {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointPointToPoint {
-    /// Where to.
+    /// Posture to reach.
     pub goal: JointGoal,
-    /// How long the motion takes, s.
+    /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// When it sets out, s after the start; 0 if absent.
+    /// Begin of the motion, s after the start; 0 if absent.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -53,24 +53,24 @@ pub struct JointPointToPoint {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointWaypoint {
-    /// When to be there, s after the start.
+    /// Time of arrival, s after the start.
     pub time_s: Positive,
-    /// Where; joints that aren't named stay where they were.
+    /// Posture to reach; joints that aren't named stay where they were.
     pub goal: JointGoal,
 }
 
-/// A motion to one posture as fast as the limits allow, from whatever motion it finds at the start. Each joint
-/// arrives in its own time.
+/// A motion to one posture as fast as the limits allow, from any state of motion at the start. Each joint arrives in
+/// its own time.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointOnlineGoal {
-    /// Where to.
+    /// Posture to reach.
     pub posture: JointGoal,
-    /// Speed at most, rad/s (m/s for a prismatic joint).
+    /// Highest speed, rad/s (m/s for a prismatic joint).
     pub velocity_rad_per_s: PerJoint<Positive>,
-    /// Acceleration at most, rad/s² (m/s²).
+    /// Highest acceleration, rad/s² (m/s²).
     pub acceleration_rad_per_s2: PerJoint<Positive>,
-    /// Jerk at most, rad/s³ (m/s³).
+    /// Highest jerk, rad/s³ (m/s³).
     pub jerk_rad_per_s3: PerJoint<Positive>,
 }
 
@@ -91,7 +91,7 @@ pub enum JointGoal {
 pub struct JointSinusoid {
     /// The sines of each joint, by its name.
     pub joints: BTreeMap<String, Vec<AngularWave>>,
-    /// For how long the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
     #[serde(default = "default_ramp_s")]
     pub ramp_s: Positive,
 }
@@ -102,19 +102,20 @@ pub(crate) struct JointTrajectory {
     /// The reference at the start.
     from: DVector<f64>,
     path: Path,
-    /// When each joint (n) began to join the reference from somewhere else, s, and what it is away from it since.
+    /// Time at which the joints began to join the reference from elsewhere, s after the start.
     joining: Option<f64>,
+    /// Offset of each joint's target from the reference since then (n).
     away: Vec<Quintic>,
 }
 
-/// Where the joints should be and how they should move, each n long.
+/// Target of the joints: n positions, velocities and accelerations.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct JointMotion<'a> {
-    /// rad (m for a prismatic joint).
+    /// Positions, rad (m for a prismatic joint).
     pub position: &'a [f64],
-    /// rad/s (m/s).
+    /// Velocities, rad/s (m/s).
     pub velocity: &'a [f64],
-    /// rad/s² (m/s²).
+    /// Accelerations, rad/s² (m/s²).
     pub acceleration: &'a [f64],
 }
 
@@ -142,7 +143,7 @@ struct Goal {
 }
 
 impl JointTrajectory {
-    /// `key` is where the reference stands in the file.
+    /// A trajectory of a reference; `key` is the place of the reference in the file.
     pub(crate) fn new(reference: &JointReference, model: &Model, key: &str) -> Result<Self, ControlError> {
         let path = match reference {
             // A streamed reference is followed by the task; without a target it holds.
@@ -226,7 +227,7 @@ impl JointTrajectory {
         self.joining = Some(time_s);
     }
 
-    /// What the joints should be away from the reference, `time_s` after the start: position, velocity and acceleration.
+    /// Offset of a joint's target from the reference, `time_s` after the start: position, velocity and acceleration.
     pub(crate) fn away(&self, joint: usize, time_s: f64) -> [f64; 3] {
         match self.joining {
             Some(begin_s) if time_s < begin_s + BLEND_S => self.away[joint].at(time_s - begin_s),
@@ -234,7 +235,7 @@ impl JointTrajectory {
         }
     }
 
-    /// Whether it goes to a goal from any state.
+    /// Returns true if it goes to a goal from any state of motion.
     pub(crate) fn is_online(&self) -> bool {
         matches!(self.path, Path::Online { .. })
     }
@@ -292,7 +293,7 @@ fn limits(goal: &JointOnlineGoal, model: &Model, key: &str) -> Result<Vec<Motion
         .collect())
 }
 
-/// Waypoints must exist and go forward in time. `key` is where their list stands in the file.
+/// Checks that waypoints exist and go forward in time. `key` is the place of their list in the file.
 pub(crate) fn check_times(times: impl Iterator<Item = f64>, key: &str) -> Result<(), ControlError> {
     let mut previous_s = 0.0;
     let mut count = 0;

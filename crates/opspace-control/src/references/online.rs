@@ -17,31 +17,30 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
 use std::borrow::Cow;
 
-/// A motion to one pose as fast as the limits allow, from whatever motion it finds at the start.
+/// A motion to one pose as fast as the limits allow, from any state of motion at the start.
 ///
-/// The way is split into its part along the line from the start to the goal and what the frame still does
-/// across it: each has the limits to itself. So from rest the frame goes straight, and the limits hold for
-/// its speed; in a turn likewise, of the rotation vector from the start orientation. Position and
-/// orientation arrive each in its own time. The one that has no goal stays as it is, or comes back to that
-/// within half a second. A motion beyond the limits is brought within them first: how far that leads, the
-/// limits say.
+/// The motion is split into its part along the line from the start to the goal and the motion of the frame across it:
+/// each has the limits to itself. So from rest the frame goes straight, and the limits hold for its speed; in a
+/// rotation likewise, for the rotation vector from the start orientation. Position and orientation arrive each in its
+/// own time. The one that has no goal stays as it is, or comes back to that within half a second. A motion beyond the
+/// limits is brought within them first, over a distance that follows from the limits.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "OnlineGoalFile")]
 pub struct OnlineGoal {
-    /// Where to, and how fast (m/s, m/s², m/s³).
+    /// Position to reach, and limits of the motion (m/s, m/s², m/s³).
     pub position: Option<(PositionGoal, MotionLimits)>,
-    /// Which way up, and how fast (rad/s, rad/s², rad/s³).
+    /// Orientation to reach, and limits of the rotation (rad/s, rad/s², rad/s³).
     pub orientation: Option<(OrientationGoal, MotionLimits)>,
 }
 
-/// How fast a motion may be.
+/// Limits of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
-    /// m/s or rad/s.
+    /// Highest speed, m/s or rad/s.
     pub velocity: Positive,
-    /// m/s² or rad/s².
+    /// Highest acceleration, m/s² or rad/s².
     pub acceleration: Positive,
-    /// m/s³ or rad/s³.
+    /// Highest jerk, m/s³ or rad/s³.
     pub jerk: Positive,
 }
 
@@ -49,21 +48,21 @@ pub struct MotionLimits {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct OnlineGoalFile {
-    /// Where to; without it the frame stays where it is.
+    /// Position to reach; without it the frame stays where it is.
     position: Option<PositionGoal>,
-    /// Which way up; without it the frame keeps its orientation.
+    /// Orientation to reach; without it the frame keeps its orientation.
     orientation: Option<OrientationGoal>,
-    /// Speed at most, m/s; with `position`.
+    /// Highest speed, m/s; with `position`.
     velocity_m_per_s: Option<Positive>,
-    /// Acceleration at most, m/s²; with `position`.
+    /// Highest acceleration, m/s²; with `position`.
     acceleration_m_per_s2: Option<Positive>,
-    /// Jerk at most, m/s³; with `position`.
+    /// Highest jerk, m/s³; with `position`.
     jerk_m_per_s3: Option<Positive>,
-    /// Angular speed at most, rad/s; with `orientation`.
+    /// Highest angular speed, rad/s; with `orientation`.
     angular_velocity_rad_per_s: Option<Positive>,
-    /// Angular acceleration at most, rad/s²; with `orientation`.
+    /// Highest angular acceleration, rad/s²; with `orientation`.
     angular_acceleration_rad_per_s2: Option<Positive>,
-    /// Angular jerk at most, rad/s³; with `orientation`.
+    /// Highest angular jerk, rad/s³; with `orientation`.
     angular_jerk_rad_per_s3: Option<Positive>,
 }
 
@@ -124,19 +123,19 @@ fn limited<T>(
 pub(crate) struct OnlineMotion {
     goal: f64,
     duration_s: f64,
-    /// In the order of their begins, of which the first is 0.
+    /// Pieces of the motion in the order of their begins, of which the first is 0.
     pieces: [Piece; PIECES],
     count: usize,
 }
 
-/// Two that brake, seven that move.
+/// Largest number of pieces: two that brake, seven that move.
 const PIECES: usize = 9;
 
 /// A polynomial: of the third degree where the jerk is constant.
 #[derive(Clone, Copy, Debug, Default)]
 struct Piece {
     begin_s: f64,
-    /// Of the time since then.
+    /// Polynomial of the time since `begin_s`.
     polynomial: Quintic,
 }
 
@@ -146,14 +145,14 @@ impl Piece {
     }
 }
 
-/// Whether two states are the same but for what the generator takes for rounding; NaN is never.
+/// Returns true if two states are equal within the rounding of the generator; false if one is NaN.
 fn meet(one: [f64; 3], other: [f64; 3]) -> bool {
     one.iter().zip(other).all(|(a, b)| (a - b).abs() <= 1e-8 * (1.0 + b.abs()))
 }
 
 impl OnlineMotion {
-    /// From `from` (position, velocity, acceleration) to rest at `goal`. Where no motion within the limits is
-    /// found (limits or states of very unlike magnitude), a smooth one that need not keep them.
+    /// A motion from `from` (position, velocity, acceleration) to rest at `goal`. If the generator computes none within
+    /// the limits (limits or states of very unlike magnitude), a smooth one that need not keep them.
     pub(crate) fn new(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Self {
         Self::limited(from, goal, limits)
             .unwrap_or_else(|| Self::quintic(from, goal, unhurried_s(from, goal, limits)))
@@ -272,17 +271,17 @@ fn unhurried_s([x, v, a]: [f64; 3], goal: f64, limits: &MotionLimits) -> f64 {
     let minimum_jerk =
         (1.875 * way / v_max).max((5.774 * way / a_max).sqrt()).max((60.0 * way / j_max).cbrt());
     let braking = (4.0 * v.abs() / a_max).max((8.0 * v.abs() / j_max).sqrt()).max(4.0 * a.abs() / j_max);
-    // Shorter than any tick, and not zero: the polynomial divides by it.
+    // Shorter than any control cycle, and not zero: the polynomial divides by it.
     (minimum_jerk + braking).clamp(1e-3, 1e9)
 }
 
-/// How long a quantity that has no goal takes to come back to where it was, if it moves at the start, s.
+/// Time in which a quantity without a goal comes back to where it was, if it moves at the start, s.
 const RETURN_S: f64 = 0.5;
 
 /// The motion of a displacement or a rotation vector, from zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OnlineVector {
-    /// Along the way, and two directions across it: one a column.
+    /// Directions along the way and two across it, one per column.
     directions: Matrix3<f64>,
     motions: [OnlineMotion; 3],
 }

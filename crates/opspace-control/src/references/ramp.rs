@@ -29,7 +29,7 @@ pub fn product(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 /// The polynomial of the fifth degree from any state to rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Quintic {
-    /// Of t⁰ to t⁵.
+    /// Coefficients of t⁰ to t⁵.
     pub coefficients: [f64; 6],
 }
 

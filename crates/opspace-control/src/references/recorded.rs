@@ -1,7 +1,7 @@
 //! Recorded paths: poses at instants, read from CSV and joined by splines.
 //!
-//! This crate touches no file: who reads a task file also reads the recorded file that it names, by
-//! [`parse`], into [`RecordedPath::samples`].
+//! This crate touches no file: the reader of a task file also reads the recorded file that it names, by [`parse`], into
+//! [`RecordedPath::samples`].
 
 use crate::orientation;
 use crate::orientation::rotation_vector_rates;
@@ -26,15 +26,15 @@ pub struct RecordedPath {
     /// A CSV file with the columns `time_s,x_m,y_m,z_m` and, if the frame turns, `qw,qx,qy,qz`; the path counts
     /// from this file.
     pub file: PathBuf,
-    /// Whether the path is laid with its first sample on the start pose, its displacements and turns along
-    /// and about the task's axes. If not, it is where it was recorded, in the world. True if absent.
+    /// True if the path is laid with its first sample on the start pose, its displacements and turns along and about
+    /// the task's axes; false if it stays where it was recorded, in the world. True if absent.
     #[serde(default = "yes")]
     pub relative: bool,
-    /// For how long the way from the start pose to a path that isn't relative is faded out by the
-    /// minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the way from the start pose to a path that isn't relative is faded out by the minimum-jerk
+    /// ramp, s; 1 if absent.
     #[serde(default = "default_approach_s")]
     pub approach_s: Positive,
-    /// What the file holds.
+    /// Samples in the file.
     #[serde(skip)]
     pub samples: Vec<PoseSample>,
 }
@@ -57,33 +57,33 @@ fn default_approach_s() -> Positive {
 /// A pose at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseSample {
-    /// When, s; only differences count.
+    /// Time, s; only differences count.
     pub time_s: f64,
-    /// Where, m.
+    /// Position, m.
     pub position: [f64; 3],
-    /// Which way up: a unit quaternion w, x, y, z; either sign.
+    /// Orientation: a unit quaternion w, x, y, z; either sign.
     pub quaternion: Option<[f64; 4]>,
 }
 
 impl RecordedPath {
-    /// Whether its samples make a path: two or more, forward in time.
+    /// Returns true if its samples make a path: two or more, forward in time.
     #[must_use]
     pub fn is_read(&self) -> bool {
         self.samples.len() > 1 && self.samples.windows(2).all(|pair| pair[0].time_s < pair[1].time_s)
     }
 }
 
-/// What is wrong in a recorded path's file.
+/// Error in a recorded path's file.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{reason}")]
 pub struct RecordedError {
     /// The line, from 1; `None` for the file as a whole.
     pub line: Option<u64>,
-    /// What is wrong there.
+    /// Reason of the error.
     pub reason: RecordedReason,
 }
 
-/// What can be wrong with a recorded path.
+/// Reason for which a recorded path is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum RecordedReason {
@@ -113,9 +113,9 @@ pub enum RecordedReason {
     /// A line with more or fewer values than there are columns.
     #[error("{values} values for {columns} columns")]
     Values {
-        /// How many the line has.
+        /// Number of values in the line.
         values: u64,
-        /// How many the first line has.
+        /// Number of columns in the first line.
         columns: u64,
     },
     /// A value that is not a finite number.
@@ -152,13 +152,13 @@ pub enum RecordedReason {
     /// Fewer than two samples.
     #[error("{count} samples: at least 2 are needed")]
     TooShort {
-        /// How many there are.
+        /// Number of samples.
         count: usize,
     },
     /// Not CSV.
     #[error("{message}")]
     Syntax {
-        /// What the reader says.
+        /// Message of the CSV reader.
         message: String,
     },
 }
@@ -203,7 +203,7 @@ pub fn parse(text: &str) -> Result<Vec<PoseSample>, RecordedError> {
     Ok(samples)
 }
 
-/// Where each of [`COLUMNS`] stands; the quaternion's nowhere, or all somewhere.
+/// Places of the [`COLUMNS`] in the file: all four of the quaternion, or none.
 fn places(headers: &csv::StringRecord) -> Result<[Option<usize>; COLUMNS.len()], RecordedReason> {
     let mut places = [None; COLUMNS.len()];
     for (place, name) in headers.iter().enumerate() {
@@ -414,7 +414,7 @@ pub(crate) struct RecordedMotion {
     join: Join,
 }
 
-/// How a path is joined to the pose at the start.
+/// Transition from the pose at the start to a path.
 #[derive(Clone, Copy, Debug)]
 enum Join {
     /// Laid on it: `turn` and `shift` take the path's positions there, `turn` and `own` its orientations.

@@ -1,4 +1,4 @@
-//! References of a Cartesian task: where the frame should be, how fast, and with which acceleration.
+//! References of a Cartesian task: pose, velocity and acceleration that its frame follows.
 //!
 //! Every reference begins, at time 0, where the target is at that instant: at the start of a run at the
 //! frame's pose, at rest; in its midst at what the reference before it asked for. An [`OnlineGoal`] takes over the
@@ -20,7 +20,7 @@ use opspace_model::Placement;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Where a Cartesian task should lead its frame.
+/// Reference of a Cartesian task.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum CartesianReference {
@@ -44,15 +44,15 @@ pub enum CartesianReference {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PointToPoint {
-    /// Where to; the start position if absent.
+    /// Position to reach; the start position if absent.
     #[serde(default)]
     pub position: Option<PositionGoal>,
-    /// Which way up; the start orientation if absent.
+    /// Orientation to reach; the start orientation if absent.
     #[serde(default)]
     pub orientation: Option<OrientationGoal>,
-    /// How long the motion takes, s.
+    /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// When it sets out, s after the start; 0 if absent.
+    /// Begin of the motion, s after the start; 0 if absent.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -61,12 +61,12 @@ pub struct PointToPoint {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Waypoint {
-    /// When to be there, s after the start.
+    /// Time of arrival, s after the start.
     pub time_s: Positive,
-    /// Where; that of the waypoint before if absent.
+    /// Position to reach; that of the waypoint before if absent.
     #[serde(default)]
     pub position: Option<PositionGoal>,
-    /// Which way up; that of the waypoint before if absent.
+    /// Orientation to reach; that of the waypoint before if absent.
     #[serde(default)]
     pub orientation: Option<OrientationGoal>,
 }
@@ -76,32 +76,32 @@ pub struct Waypoint {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sinusoid {
-    /// Along the first task axis.
+    /// Sines along the first task axis.
     #[serde(default)]
     pub x: Vec<LinearWave>,
-    /// Along the second task axis.
+    /// Sines along the second task axis.
     #[serde(default)]
     pub y: Vec<LinearWave>,
-    /// Along the third task axis.
+    /// Sines along the third task axis.
     #[serde(default)]
     pub z: Vec<LinearWave>,
-    /// About the first task axis.
+    /// Sines about the first task axis.
     #[serde(default)]
     pub rx: Vec<AngularWave>,
-    /// About the second task axis.
+    /// Sines about the second task axis.
     #[serde(default)]
     pub ry: Vec<AngularWave>,
-    /// About the third task axis.
+    /// Sines about the third task axis.
     #[serde(default)]
     pub rz: Vec<AngularWave>,
-    /// For how long the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
+    /// Duration over which the sines are faded in by the minimum-jerk ramp, s; 1 if absent.
     #[serde(default = "default_ramp_s")]
     pub ramp_s: Positive,
 }
 
 impl CartesianReference {
-    /// Whether it asks for a turn. A recorded path doesn't: where rotations are free, its orientations are only
-    /// what was recorded too.
+    /// Returns true if it asks for a rotation. A recorded path doesn't: its orientations are recorded along with the
+    /// positions, also where rotations are free.
     #[must_use]
     pub fn turns(&self) -> bool {
         match self {
@@ -245,8 +245,8 @@ impl Trajectory {
         }
     }
 
-    /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`BLEND_S`], and without a
-    /// jump in velocity or acceleration. It doesn't allocate.
+    /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`BLEND_S`], and
+    /// without a jump in velocity or acceleration. It doesn't allocate.
     pub fn join(&mut self, time_s: f64, from: &Target) {
         self.joining = Some(Joining::new(time_s, BLEND_S, from, &self.reference_at(time_s)));
     }
@@ -265,7 +265,7 @@ impl Trajectory {
         }
     }
 
-    /// Where the reference itself is, `time_s` after the start.
+    /// Reference itself, `time_s` after the start.
     #[must_use]
     pub fn reference_at(&self, time_s: f64) -> Target {
         match &self.path {

@@ -143,7 +143,7 @@ impl ScalarTrajectory {
         self.joining = Some((time_s, Quintic::new([away, -rate, -acceleration], 0.0, BLEND_S)));
     }
 
-    /// Whether it goes to a goal from any state.
+    /// Returns true if it goes to a goal from any state of motion.
     pub(crate) fn is_online(&self) -> bool {
         matches!(self.path, Path::Online { .. })
     }

@@ -1,14 +1,14 @@
-//! Streamed references: what becomes of targets between their arrivals, and when none arrives any more.
+//! Streamed references: the motion between arrivals of targets, and after the last one.
 //!
-//! A new target never makes the reference jump. `extrapolated` follows pose + twist Δt + acceleration Δt²/2, with Δt the
-//! target's age. What the reference is away from that in position and velocity when a target arrives fades along a quintic
-//! within `blend_s`; acceleration changes as the sender's does. `generated` goes to the target's pose, at rest there, under
-//! limits of speed, acceleration and jerk.
+//! A new target never makes the reference jump. `extrapolated` follows pose + twist Δt + acceleration Δt²/2, with Δt
+//! the target's age. What the reference is away from that in position and velocity when a target arrives fades along a
+//! quintic within `blend_s`; acceleration changes as the sender's does. `generated` goes to the target's pose, at rest
+//! there, under limits of speed, acceleration and jerk.
 //!
-//! A target that is older than `timeout_s` is stale: the reference comes to rest and holds. An extrapolated one brakes within
-//! [`STOP_S`], its velocity along a cubic in time and its acceleration without a step; a generated one as fast as its limits
-//! allow. The next fresh target, like the first one and the first after the robot was held, is joined within
-//! [`BLEND_S`](crate::references::target::BLEND_S), without a step in acceleration either.
+//! A target that is older than `timeout_s` is stale: the reference comes to rest and holds. An extrapolated one brakes
+//! within [`STOP_S`], its velocity along a cubic in time and its acceleration without a step; a generated one as fast
+//! as its limits allow. The next fresh target, like the first one and the first after the robot was held, is joined
+//! within [`BLEND_S`](crate::references::target::BLEND_S), without a step in acceleration either.
 
 use crate::targets::TaskTarget;
 use opspace_backend::quantity::Positive;
@@ -16,8 +16,8 @@ use opspace_backend::{Row, Signal};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Time in which an extrapolated reference comes to rest when its target is stale, s. From a constant speed v the way is
-/// 0.125 s · v, and the highest deceleration 6 /s · v.
+/// Time in which an extrapolated reference comes to rest when its target is stale, s. From a constant speed v the way
+/// is 0.125 s · v, and the highest deceleration 6 /s · v.
 pub const STOP_S: f64 = 0.25;
 
 /// Reaction to a target that is not renewed in time.
@@ -38,8 +38,8 @@ pub enum StreamedShape {
     /// Follows position, velocity and acceleration of the last target.
     #[default]
     Extrapolated,
-    /// Goes to the position of the last target under limits of speed, acceleration and jerk; its velocity and acceleration
-    /// are not used.
+    /// Goes to the position of the last target under limits of speed, acceleration and jerk; its velocity and
+    /// acceleration are not used.
     Generated,
 }
 
@@ -51,8 +51,8 @@ pub(crate) fn default_blend_s() -> Positive {
     Positive::literal(0.1)
 }
 
-/// Time in which differences to a new target fade, s; `None` for a generated motion. `given` tells for each limit of the file
-/// whether it is there.
+/// Time in which differences to a new target fade, s; `None` for a generated motion. `given` has for each limit of the
+/// file its name and true if it is there.
 ///
 /// # Errors
 /// A key that belongs to the other shape.
@@ -73,7 +73,7 @@ pub(crate) fn blending(
     }
 }
 
-/// What a cycle's target is to the reference.
+/// Arrival of a target in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Arrival {
     /// None yet, or the one before.

@@ -15,8 +15,8 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
 use std::borrow::Cow;
 
-/// A reference of joints that is streamed: see [`streamed`](crate::references::streamed). Before the first target the joints
-/// hold where they started.
+/// A reference of joints that is streamed: see [`streamed`](crate::references::streamed). Before the first target the
+/// joints hold where they started.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "StreamedJointsFile")]
 pub struct StreamedJointReference {
@@ -119,14 +119,14 @@ impl TryFrom<StreamedJointsFile> for StreamedJointReference {
 #[derive(Clone, Debug)]
 pub(crate) struct StreamedJoints {
     blend_s: f64,
-    /// Of each joint (n), if the motion is generated.
+    /// Limits of each joint (n), if the motion is generated.
     limits: Option<Vec<MotionLimits>>,
     freshness: Freshness,
     /// Joints in the order of the inputs.
     joints: Vec<usize>,
-    /// Of each joint (n).
+    /// Reference of each joint (n).
     plans: Vec<Plan>,
-    /// When the target that is followed must be joined, s.
+    /// Time at which the target that is followed must be joined, s on the robot's clock.
     joined_s: f64,
 }
 
@@ -190,8 +190,8 @@ impl StreamedJoints {
         &self.freshness
     }
 
-    /// Begins at position, velocity and acceleration of each joint, given by `from`; from there they come to rest unless a
-    /// fresh target is there.
+    /// Begins at position, velocity and acceleration of each joint, given by `from`; from there they come to rest
+    /// unless a fresh target is there.
     pub(crate) fn begin(&mut self, clock_s: f64, from: impl Fn(usize) -> [f64; 3]) {
         self.freshness.reset();
         for joint in 0..self.plans.len() {

@@ -39,7 +39,8 @@ pub enum PoseShape {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
     },
-    /// Goes to the last target's pose under limits. Without limits of a kind the frame doesn't move so.
+    /// Goes to the last target's pose under limits. Without `linear` the frame is not displaced, without `angular` it
+    /// is not rotated.
     Generated {
         /// Limits of the displacement (m/s, m/s², m/s³).
         linear: Option<MotionLimits>,
@@ -153,9 +154,9 @@ pub(crate) struct StreamedPose {
     /// Displacement and rotation vector of [`Plan::Move`].
     line: OnlineVector,
     turn: OnlineVector,
-    /// Whether it comes to rest, or is at rest.
+    /// True if it comes to rest, or is at rest.
     stopping: bool,
-    /// When the target that is followed must be joined, s.
+    /// Time at which the target that is followed must be joined, s on the robot's clock.
     joined_s: f64,
 }
 
@@ -310,7 +311,8 @@ fn extrapolated(raw: &Target, age_s: f64) -> Target {
     moved(&raw.placement, line, turn)
 }
 
-/// The target in a task's inputs: what has no position or orientation is `now`'s. `None` if it has neither pose nor twist.
+/// The target in a task's inputs: what has no position or orientation is `now`'s. `None` if it has neither pose nor
+/// twist.
 fn read(values: &[f64], now: &Placement) -> Option<Target> {
     let vector = |at: usize| given::<3>(values, at).map(Vector3::from);
     let position = vector(POSE);

@@ -2,16 +2,16 @@
 
 use opspace_model::{Motion, Placement};
 
-/// How long a target takes to join its reference from somewhere else, s: a way of 0.1 m then has a speed of 0.19 m/s and an
+/// Time in which a target joins its reference from elsewhere, s: a way of 0.1 m then has a speed of 0.19 m/s and an
 /// acceleration of 0.6 m/s² at most.
 pub const BLEND_S: f64 = 1.0;
 
-/// Where a frame should be and how it should move, in world axes.
+/// Target of a frame, in world axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
     /// Pose in the world.
     pub placement: Placement,
-    /// Of the frame's origin (m/s) and of the frame (rad/s).
+    /// Velocity of the frame's origin (m/s) and angular velocity of the frame (rad/s).
     pub velocity: Motion,
     /// The rate of change of `velocity` (m/s², rad/s²).
     pub acceleration: Motion,

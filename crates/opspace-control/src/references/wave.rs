@@ -69,7 +69,7 @@ pub(crate) fn sum(waves: &[Wave], t: f64) -> [f64; 3] {
     })
 }
 
-/// How long sinusoids are faded in where the file doesn't say, s.
+/// Default time over which sinusoids are faded in, s.
 #[must_use]
 pub(crate) fn default_ramp_s() -> Positive {
     Positive::literal(1.0)

@@ -1,5 +1,4 @@
-//! The six axes of a Cartesian task: what each does, in which directions they lie, and values that may
-//! differ between them.
+//! The six axes of a Cartesian task: their modes, their directions, and values that may differ between them.
 
 use crate::error::Reason;
 use crate::orientation;
@@ -29,17 +28,17 @@ enum Axis {
     Rz,
 }
 
-/// What a task does with an axis.
+/// Mode of an axis of a task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisMode {
     /// Follows the reference.
     Motion,
-    /// Gives way: belongs to the task, which holds it to a force (zero, if no force is set) and not to a
-    /// place; lower tasks can't use it.
+    /// Compliant: belongs to the task, which holds it to a force (zero, if no force is set) and not to a place; lower
+    /// tasks can't use it.
     Compliant,
-    /// Pushes until the surroundings push back with the force that is set: as `compliant`, with an integral of
-    /// the force error, so that friction and an inertia that is not the believed one leave no error.
+    /// Pushes until the environment pushes back with the force that is set: as `compliant`, with an integral of the
+    /// force error, so that friction and an inertia that is not the nominal one leave no error.
     Force,
     /// Not in the task: lower tasks may use it.
     #[default]
@@ -83,22 +82,22 @@ impl AxisMode {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Axes {
-    /// Along the first task axis.
+    /// Mode along the first task axis.
     #[serde(default)]
     pub x: AxisMode,
-    /// Along the second task axis.
+    /// Mode along the second task axis.
     #[serde(default)]
     pub y: AxisMode,
-    /// Along the third task axis.
+    /// Mode along the third task axis.
     #[serde(default)]
     pub z: AxisMode,
-    /// About the first task axis.
+    /// Mode about the first task axis.
     #[serde(default)]
     pub rx: AxisMode,
-    /// About the second task axis.
+    /// Mode about the second task axis.
     #[serde(default)]
     pub ry: AxisMode,
-    /// About the third task axis.
+    /// Mode about the third task axis.
     #[serde(default)]
     pub rz: AxisMode,
 }
@@ -122,25 +121,25 @@ impl Axes {
         Self { rx: mode, ry: mode, rz: mode, ..Self::position(mode) }
     }
 
-    /// In the order of [`AXIS_NAMES`].
+    /// Modes in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn modes(&self) -> [AxisMode; 6] {
         [self.x, self.y, self.z, self.rx, self.ry, self.rz]
     }
 
-    /// Which axes have that mode, in the order of [`AXIS_NAMES`].
+    /// Returns true for each axis of that mode, in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn with_mode(&self, mode: AxisMode) -> [bool; 6] {
         self.modes().map(|m| m == mode)
     }
 
-    /// Which axes are compliant or in force control.
+    /// Returns true for each axis that is compliant or in force control, in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn force_axes(&self) -> [bool; 6] {
         self.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
     }
 
-    /// Which axes belong to the task: those that are not free.
+    /// Returns true for each axis that belongs to the task, being not free, in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn active_axes(&self) -> [bool; 6] {
         self.modes().map(|m| m != AxisMode::Free)
@@ -202,7 +201,7 @@ impl AxesIn {
 }
 
 impl AxesFrame {
-    /// Before the robot was seen: the coordinates' own where the axes turn.
+    /// Axes before the first state of the robot: those of the coordinates where they turn.
     pub(crate) fn at_rest(&self) -> Matrix3<f64> {
         match self {
             Self::Fixed(rotation) => *rotation,
@@ -210,7 +209,7 @@ impl AxesFrame {
         }
     }
 
-    /// In the coordinates of `controlled`, one axis a column.
+    /// Axes in the coordinates of `controlled`, one a column.
     #[must_use]
     pub fn rotation(&self, model: &Model, data: &Data, controlled: ControlledFrame) -> Matrix3<f64> {
         match self {
@@ -230,9 +229,9 @@ impl AxesFrame {
 /// table `{ x = 1.0, rz = 2.0 }`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PerAxis<T> {
-    /// The same everywhere.
+    /// One value for all axes.
     All(T),
-    /// In the order of [`AXIS_NAMES`]; `None` where nothing was given.
+    /// One value for each axis, in the order of [`AXIS_NAMES`]; `None` where nothing was given.
     Each([Option<T>; 6]),
 }
 
@@ -249,7 +248,7 @@ impl<T: Copy> PerAxis<T> {
         }
     }
 
-    /// The same, each value passed through `of`.
+    /// Passes each value through `of`.
     pub(crate) fn map<U>(self, of: impl Fn(T) -> U) -> PerAxis<U> {
         match self {
             Self::All(value) => PerAxis::All(of(value)),

@@ -1,4 +1,4 @@
-//! The law of a Cartesian task: how hard an error and a velocity are answered, axis by axis.
+//! The feedback law of a Cartesian task: stiffness, damping and integral of each axis.
 
 use crate::error::{ControlError, Reason};
 use crate::tasks::axes::{AxisMode, required};
@@ -25,15 +25,17 @@ impl MotionGains {
     }
 }
 
-/// How a task follows.
+/// Feedback of a task's axes.
 #[derive(Clone, Debug)]
 pub(crate) struct AxisFeedback {
-    /// Of the error (1/s²) and of the velocity (1/s), in the order of the axes.
+    /// Stiffness on the error in the order of the axes, 1/s².
     pub stiffness: Vector6<f64>,
+    /// Damping on the velocity in the order of the axes, 1/s.
     pub damping: Vector6<f64>,
     pub impedance: Option<Impedance>,
-    /// What of the error is added in a period, and at most.
+    /// Share of the error that is added to the integral in a period.
     pub integral_step: Vector6<f64>,
+    /// Largest integral, m or rad.
     pub integral_limit: Vector6<f64>,
     pub integral: Vector6<f64>,
     /// Integral gain, 1/s.
@@ -103,7 +105,7 @@ impl AxisFeedback {
         Ok(feedback)
     }
 
-    /// Whether gains of an axis in motion are known.
+    /// Returns true if gains of an axis in motion are known.
     pub(crate) fn can_follow(&self, axis: usize) -> bool {
         self.motion[axis].is_some()
     }

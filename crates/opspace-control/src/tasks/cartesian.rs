@@ -1,4 +1,4 @@
-//! The Cartesian task: a frame that follows a reference on some axes and gives way on others.
+//! The Cartesian task: a frame that follows a reference on some axes and is compliant on others.
 //!
 //! On its task axes, with x the frame's pose and v its velocity (Khatib 1987, with unit-mass gains):
 //!
@@ -54,19 +54,19 @@ pub struct CartesianTask {
     axes_frame: AxesFrame,
     modes: [AxisMode; 6],
     feedback: AxisFeedback,
-    /// m/s and rad/s; infinite where there is none.
+    /// Speed limits, m/s and rad/s; infinite where there is none.
     speed_limits: [f64; 2],
     force: Option<ForceFeedback>,
     reference: CartesianReference,
     trajectory: Trajectory,
-    /// In place of the trajectory, if the reference is streamed.
+    /// Streamed reference in place of the trajectory.
     streamed: Option<Box<StreamedPose>>,
     /// Stamp of the streamed settings in force, s.
     settings_s: Option<f64>,
     configured_modes: [AxisMode; 6],
     /// Streamed target force of axes under force control of a task without a sensor (N, Nm).
     streamed_force: Vector6<f64>,
-    /// When the trajectory began, s.
+    /// Begin of the trajectory, s.
     start_s: f64,
     /// Pose at the start of the run.
     home: Placement,
@@ -79,8 +79,8 @@ pub struct CartesianTask {
     velocity: Vector6<f64>,
     /// Velocity of the controlled frame's origin, in its coordinates, m/s.
     linear_velocity: Vector3<f64>,
-    /// Task axes, m and rad. Displacements on all three axes; rotations only about those in motion, since the
-    /// others would mix into them.
+    /// Error in the task's axes, m and rad. Displacements on all three axes; rotations only about those in motion,
+    /// since the others would mix into them.
     error: Vector6<f64>,
 }
 
@@ -207,8 +207,7 @@ impl CartesianTask {
         target
     }
 
-    /// By how far the target is from `placement` (m, rad; task axes). Rotations count about the axes of
-    /// `counted` only.
+    /// Error of the target against `placement` (m, rad; task axes). Rotations count about the axes of `counted` only.
     fn error_at(&self, axes: &Matrix3<f64>, placement: &Placement, counted: [bool; 6]) -> Vector6<f64> {
         let linear = axes.tr_mul(&(self.target.placement.translation - placement.translation));
         let counted = [counted[3], counted[4], counted[5]];
@@ -220,7 +219,7 @@ impl CartesianTask {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// Takes from a* of the axes in motion what asks for more speed than is allowed.
+    /// Reduces a* of the axes in motion to the speed that is allowed.
     fn saturate_speed(&self, a: &mut Vector6<f64>, wanted_velocity: &Vector6<f64>) {
         let feedback = &self.feedback;
         for (kind, &limit) in self.speed_limits.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What files and code say of a Cartesian task.
+//! Parameters of a Cartesian task, for files and code.
 
 use crate::error::{ControlError, Reason};
 use crate::references::joint_reference::check_times;
@@ -14,27 +14,27 @@ use opspace_model::{Inversion, Model};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// A frame that follows a reference on some axes and gives way on others.
+/// A frame that follows a reference on some axes and is compliant on others.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CartesianParameters {
-    /// The frame that is led: a link of the URDF.
+    /// The controlled frame: a link of the URDF.
     pub frame: String,
     /// A frame in whose coordinates pose and reference are given, though it moves as well; the world if absent.
     #[serde(default)]
     pub relative_to: Option<String>,
-    /// What the task does with each axis; axes that are left out are free.
+    /// Modes of the axes; axes that are left out are free.
     pub axes: Axes,
-    /// In which directions the axes lie: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or
-    /// `{ rpy_rad = [...] }` against the world.
+    /// Directions of the axes: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or `{ rpy_rad = [...] }`
+    /// against the world.
     #[serde(default)]
     pub axes_in: AxesIn,
-    /// Where the frame should be.
+    /// Reference of the frame.
     pub reference: CartesianReference,
-    /// How stiffly axes in motion follow the reference, as a unit mass would.
+    /// Gains with which axes in motion follow the reference, as a unit mass would.
     #[serde(default)]
     pub gains: Option<AxisGains>,
-    /// How stiffly axes in motion follow the reference, as a spring and a damper: in place of `gains`.
+    /// Impedance with which axes in motion follow the reference, as a spring and a damper: in place of `gains`.
     #[serde(default)]
     pub impedance: Option<ImpedanceParameters>,
     /// Force feedback of the compliant and force axes; without it the compliant ones' force is zero, open loop.
@@ -43,7 +43,7 @@ pub struct CartesianParameters {
     /// Damping of the compliant and force axes, as acceleration over velocity, 1/s; 2 if absent.
     #[serde(default = "default_compliant_damping")]
     pub compliant_damping_per_s: PerAxis<NonNegative>,
-    /// Which inertia turns accelerations into forces; the arm's own if absent.
+    /// Inertia that turns accelerations into forces; the arm's own if absent.
     #[serde(default)]
     pub decoupling: Decoupling,
     /// Highest speed along the axes in motion, m/s; none if absent.
@@ -52,15 +52,15 @@ pub struct CartesianParameters {
     /// Highest speed about the axes in motion, rad/s; none if absent.
     #[serde(default)]
     pub speed_limit_rad_per_s: Option<Positive>,
-    /// What becomes of directions in which the arm can hardly move the frame; damped if absent.
+    /// Handling of directions in which the arm can hardly move the frame; damped if absent.
     #[serde(default)]
     pub singularities: SingularityHandling,
-    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
-    /// middle of many postures are damped; 0.3 if absent.
+    /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to the median over many postures of that of the hardest
+    /// direction, below which directions are damped; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
     pub singularity_threshold: Positive,
-    /// The length by which rotations are weighed against displacements when singular directions are
-    /// sought, m; the arm's reach if absent.
+    /// Length by which rotations are weighed against displacements in the search for singular directions, m; the arm's
+    /// reach if absent.
     #[serde(default)]
     pub characteristic_length_m: Option<Positive>,
 }
@@ -69,22 +69,22 @@ pub struct CartesianParameters {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CenterOfMassParameters {
-    /// What the task does with x, y and z; axes that are left out are free.
+    /// Modes of x, y and z; axes that are left out are free.
     pub axes: Axes,
-    /// In which directions the axes lie, as in a Cartesian task.
+    /// Directions of the axes, as in a Cartesian task.
     #[serde(default)]
     pub axes_in: AxesIn,
-    /// Where the centre of mass should be.
+    /// Reference of the centre of mass.
     pub reference: CartesianReference,
-    /// How stiffly it follows, as a unit mass would.
+    /// Gains with which the centre of mass follows the reference, as a unit mass would.
     pub gains: AxisGains,
-    /// Directions whose mobility (eigenvalue of Λ⁻¹) is below this share of what the hardest direction has in the
-    /// middle of many postures are damped; 0.3 if absent.
+    /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to the median over many postures of that of the hardest
+    /// direction, below which directions are damped; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
     pub singularity_threshold: Positive,
 }
 
-/// Which inertia turns a task's accelerations into forces.
+/// Inertia that turns a task's accelerations into forces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Decoupling {
@@ -99,7 +99,7 @@ pub enum Decoupling {
     },
 }
 
-/// What becomes of directions in which an arm can hardly move a frame. See [`Inversion`].
+/// Handling of directions in which an arm can hardly move a frame. See [`Inversion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 #[schemars(rename = "Singularities")]
@@ -160,19 +160,19 @@ impl CartesianParameters {
         }
     }
 
-    /// With another reference.
+    /// Sets the reference.
     #[must_use]
     pub fn with_reference(self, reference: CartesianReference) -> Self {
         Self { reference, ..self }
     }
 
-    /// Which axes follow the reference, in the order of [`AXIS_NAMES`](crate::AXIS_NAMES).
+    /// Returns true for each axis that follows the reference, in the order of [`AXIS_NAMES`](crate::AXIS_NAMES).
     #[must_use]
     pub fn motion_axes(&self) -> [bool; 6] {
         self.axes.with_mode(AxisMode::Motion)
     }
 
-    /// Which axes are held to a force: those that are compliant, and those in force control.
+    /// Returns true for each axis that is held to a force: those that are compliant, and those in force control.
     #[must_use]
     pub fn force_axes(&self) -> [bool; 6] {
         self.axes.force_axes()
@@ -192,14 +192,14 @@ impl CartesianParameters {
         })
     }
 
-    /// The force (N) and moment (Nm) that the surroundings should exert ON the robot, in the task's axes:
-    /// 0 on axes that are not held to a force or without force feedback.
+    /// The force (N) and moment (Nm) that the environment should exert ON the robot, in the task's axes: 0 on axes that
+    /// are not held to a force or without force feedback.
     #[must_use]
     pub fn target_force(&self) -> Vector6<f64> {
         self.force.as_ref().map_or_else(Vector6::zeros, |force| force.target(&self.axes))
     }
 
-    /// Whether the arm is to show another inertia than its own.
+    /// Returns true if the arm is to show another inertia than its own.
     pub(crate) fn shapes_inertia(&self) -> bool {
         self.impedance.is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
     }

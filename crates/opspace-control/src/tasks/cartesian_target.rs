@@ -129,7 +129,8 @@ impl CartesianTarget {
         Ok(self.forget(POSE + 3..ACCELERATION + 6))
     }
 
-    /// Sets linear (m/s) and angular velocity (rad/s), world axes. Without a pose the reference moves on from where it is.
+    /// Sets linear (m/s) and angular velocity (rad/s), world axes. Without a pose the reference moves on from where it
+    /// is.
     ///
     /// # Errors
     /// A value that is not finite.
@@ -147,8 +148,8 @@ impl CartesianTarget {
         Ok(self.put(ACCELERATION, &acceleration))
     }
 
-    /// Sets the force (N) and moment (Nm) that the environment should exert ON the robot on compliant and force axes, task
-    /// axes; NaN for the configured one.
+    /// Sets the force (N) and moment (Nm) that the environment should exert ON the robot on compliant and force axes,
+    /// task axes; NaN for the configured one.
     ///
     /// # Errors
     /// An infinite value.
@@ -180,7 +181,8 @@ impl CartesianTarget {
     /// Sets the mode of each axis (in the order of [`AXIS_NAMES`]); `None` for the configured one.
     ///
     /// # Errors
-    /// The mode `free`, an axis that is not in the task, a mode for which the axis is not configured. All modes stay then.
+    /// The mode `free`, an axis that is not in the task, a mode for which the axis is not configured. All modes stay
+    /// then.
     pub fn modes(&mut self, modes: [Option<AxisMode>; 6]) -> Result<&mut Self, TargetError> {
         let mut codes = [f64::NAN; 6];
         for (axis, mode) in modes.into_iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What a Cartesian task controls: a frame in the world, a frame relative to another one, or the centre of mass.
+//! Controlled frame of a Cartesian task: a frame in the world, a frame relative to another one, or the centre of mass.
 
 use nalgebra::{Matrix3, Matrix6xX, Vector3};
 use opspace_model::{
@@ -6,7 +6,7 @@ use opspace_model::{
     frame_bias_acceleration, frame_jacobian, frame_placement, frame_velocity, relative_jacobian,
 };
 
-/// What a Cartesian task controls, and the coordinates of its pose.
+/// Controlled frame of a Cartesian task, and the coordinates of its pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlledFrame {
     /// A frame in the world.
@@ -87,7 +87,7 @@ impl ControlledFrame {
         }
     }
 
-    /// Where it is in the world, m.
+    /// Position in the world, m.
     #[must_use]
     pub fn point(&self, model: &Model, data: &Data) -> Vector3<f64> {
         match self {
@@ -98,7 +98,7 @@ impl ControlledFrame {
         }
     }
 
-    /// Whether it can turn at all.
+    /// Returns true if it can turn at all.
     #[must_use]
     pub fn turns(&self) -> bool {
         *self != Self::CenterOfMass
@@ -124,7 +124,7 @@ impl Between {
         }
     }
 
-    /// Of the frame's origin, as one sees it who turns with the other frame; world axes.
+    /// Velocity of the frame's origin relative to the other frame, which may turn, m/s; world axes.
     fn seen(&self) -> Vector3<f64> {
         self.frame.linear - self.from.linear - self.from.angular.cross(&self.lever)
     }
@@ -136,7 +136,7 @@ impl Between {
         }
     }
 
-    /// With the centrifugal and Coriolis terms of a view that turns.
+    /// Bias acceleration relative to the other frame, with the centrifugal and Coriolis terms of its rotation.
     fn bias_acceleration(&self, model: &Model, data: &Data, frame: FrameId, from: FrameId) -> Motion {
         let [of_frame, of_from] = [frame, from].map(|f| frame_bias_acceleration(model, data, f));
         let omega = self.from.angular;
@@ -148,7 +148,8 @@ impl Between {
     }
 }
 
-/// The Jacobian of the centre of mass above three rows of zeros. Every body pulls on all that carry it.
+/// Computes the Jacobian of the centre of mass above three rows of zeros. Each body adds to the columns of its own
+/// joint and of all parents.
 fn com_rows(model: &Model, data: &Data, jacobian: &mut Matrix6xX<f64>) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
     jacobian.fill(0.0);

@@ -114,7 +114,7 @@ impl<C: Coordinate> CoordinateTask<C> {
         }
     }
 
-    /// With one reference for each element, in their order; elements beyond the list hold.
+    /// Sets one reference for each element, in their order; elements beyond the list hold.
     #[must_use]
     pub fn with_references(mut self, references: impl IntoIterator<Item = ScalarReference>) -> Self {
         self.references = references.into_iter().take(self.coordinate.rows()).collect();
@@ -123,19 +123,19 @@ impl<C: Coordinate> CoordinateTask<C> {
         self
     }
 
-    /// With a limit of the speed over all elements, rad/s (m/s).
+    /// Sets a limit of the speed over all elements, rad/s (m/s).
     #[must_use]
     pub fn with_speed_limit(self, speed_limit: Positive) -> Self {
         Self { speed_limit: speed_limit.get(), ..self }
     }
 
-    /// With another threshold below which directions are damped, relative to the typical mobility.
+    /// Sets the threshold below which directions are damped, relative to the typical mobility.
     #[must_use]
     pub fn with_singularity_threshold(self, threshold: Positive) -> Self {
         Self { singularity_threshold: threshold.get(), ..self }
     }
 
-    /// With the key of its table in a file, for errors.
+    /// Sets the key of the task's table in a file, for errors.
     #[must_use]
     pub(crate) fn with_rows_key(self, rows_key: String) -> Self {
         Self { rows_key, ..self }

@@ -1,4 +1,4 @@
-//! Force feedback of a Cartesian task: what a sensor's reading adds on axes that are held to a force.
+//! Force feedback of a Cartesian task: the force that a sensor's reading adds on axes that are held to a force.
 
 use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
@@ -18,20 +18,21 @@ use serde::Deserialize;
 pub struct ForceParameters {
     /// The robot's sensor, by name.
     pub sensor: String,
-    /// The force that the surroundings should exert ON the robot along these axes, N; 0 if absent.
+    /// The force that the environment should exert ON the robot along these axes, N; 0 if absent.
     #[serde(default = "no_target")]
     pub target_n: PerAxis<f64>,
-    /// The moment that the surroundings should exert ON the robot about these axes, Nm; 0 if absent.
+    /// The moment that the environment should exert ON the robot about these axes, Nm; 0 if absent.
     #[serde(default = "no_target")]
     pub target_nm: PerAxis<f64>,
-    /// How much of the force error is added to the task's force; 2 if absent.
+    /// Gain with which the force error is added to the task's force; 2 if absent.
     #[serde(default = "default_force_gain")]
     pub gain: PerAxis<NonNegative>,
-    /// How much of the force error a force axis adds to its force each second, 1/s; 5 if absent.
+    /// Integral gain of a force axis, 1/s: share of the force error that is added to its force each second; 5 if
+    /// absent.
     #[serde(default)]
     pub integral_per_s: Option<PerAxis<NonNegative>>,
-    /// How much a force axis adds at most, so that a missing wall doesn't wind it up, N or Nm; as much as the
-    /// target if absent.
+    /// Largest integral of a force axis, so that a missing wall doesn't wind it up, N or Nm; as much as the target if
+    /// absent.
     #[serde(default)]
     pub integral_limit: Option<PerAxis<NonNegative>>,
     /// −3 dB point of the low-pass on the sensed force, Hz; 100 if absent.
@@ -67,7 +68,7 @@ impl ForceParameters {
 /// Force gain where the file gives no other.
 const FORCE_GAIN: f64 = 2.0;
 
-/// Of force axes whose file gives no other, 1/s.
+/// Integral gain of force axes whose file gives no other, 1/s.
 const INTEGRAL_PER_S: f64 = 5.0;
 
 /// Settings of an axis that is compliant or in force control.
@@ -102,14 +103,15 @@ pub(crate) struct ForceFeedback {
     /// 0 on axes that are not held to a force.
     gain: Vector6<f64>,
     held: [bool; 6],
-    /// What of the error is added in a period, and at most: 0 but on force axes.
+    /// Share of the error that is added to the integral in a period: 0 but on force axes.
     integral_step: Vector6<f64>,
+    /// Largest integral, N or Nm: 0 but on force axes.
     integral_limit: Vector6<f64>,
     integral: Vector6<f64>,
     filter: LowPass<6>,
     /// Settings of each axis, for any mode.
     axes: [AxisForce; 6],
-    /// At the task frame's origin, task axes.
+    /// Sensed force at the task frame's origin, task axes (N, Nm).
     pub(crate) sensed: Vector6<f64>,
 }
 
@@ -203,8 +205,8 @@ impl ForceFeedback {
         self.integral.fill(0.0);
     }
 
-    /// Goes on from where the feedback of another stack stands: its filter, if it is of the same sensor, and its
-    /// integral on axes that stay in force control.
+    /// Continues from the feedback of another task set: its filter, if it is of the same sensor, and its integral on
+    /// axes that stay in force control.
     pub(crate) fn inherit_state(&mut self, before: &Self, measurement: &Measurement) {
         self.start(measurement);
         if self.sensor == before.sensor {
@@ -245,7 +247,7 @@ impl ForceFeedback {
         integrate(&mut self.integral, &error, &self.integral_step, &self.integral_limit);
     }
 
-    /// What is added to the task's force (N, Nm; task axes).
+    /// Force that is added to the task's force (N, Nm; task axes).
     pub(crate) fn added(&self) -> Vector6<f64> {
         Vector6::from_fn(|i, _| {
             if !self.held[i] {

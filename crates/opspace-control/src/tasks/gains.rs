@@ -7,7 +7,7 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// How an axis follows: as a unit mass on a spring and a damper, whatever the arm's inertia.
+/// Feedback of an axis in motion: a unit mass on a spring and a damper, whatever the arm's inertia.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AxisGains {
@@ -15,20 +15,20 @@ pub struct AxisGains {
     pub frequency_rad_per_s: PerAxis<Positive>,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: PerAxis<NonNegative>,
-    /// How much of the error is added to it each second, 1/s, until what friction and a wrong model leave is gone;
-    /// 0 if absent. Up to a quarter of ω or so.
+    /// Integral gain, 1/s: share of the error that is added to it each second, until what friction and a wrong model
+    /// leave is gone; 0 if absent. Up to a quarter of ω or so.
     #[serde(default = "no_integral")]
     pub integral_per_s: PerAxis<NonNegative>,
-    /// How much is added at most along an axis, m; 0.05 if absent.
+    /// Largest integral along an axis, m; 0.05 if absent.
     #[serde(default = "default_integral_limit")]
     pub integral_limit_m: PerAxis<NonNegative>,
-    /// How much is added at most about an axis, rad; 0.2 if absent.
+    /// Largest integral about an axis, rad; 0.2 if absent.
     #[serde(default = "default_integral_limit_rad")]
     pub integral_limit_rad: PerAxis<NonNegative>,
 }
 
 impl AxisGains {
-    /// The same natural frequency (rad/s) and damping ratio for all axes, without integral.
+    /// One natural frequency (rad/s) and one damping ratio for all axes, without integral.
     ///
     /// # Errors
     /// A frequency that is not above zero, a ratio below zero.
@@ -61,8 +61,8 @@ fn default_integral_limit_rad() -> PerAxis<NonNegative> {
     PerAxis::All(NonNegative::literal(0.2))
 }
 
-/// Adds the `step`-fold of an error to its integral, up to ±`limit`. An error that isn't finite counts for nothing, so that
-/// it is over with its tick.
+/// Adds the `step`-fold of an error to its integral, up to ±`limit`. An error that isn't finite adds nothing, so that
+/// it has no effect after its cycle.
 pub(crate) fn integrate(
     integral: &mut Vector6<f64>,
     error: &Vector6<f64>,

@@ -6,7 +6,7 @@
 //! Λ (ẍ − ẍ_d) + D (ẋ − ẋ_d) + K (x − x_d) = f
 //! ```
 //!
-//! A damping ratio ζ becomes a matrix D at every tick, by double diagonalisation: with Q of Λ = Q Qᵀ and
+//! A damping ratio ζ becomes a matrix D in every control cycle, by double diagonalisation: with Q of Λ = Q Qᵀ and
 //! K = Q diag(ω²) Qᵀ, D = 2ζ Q diag(ω) Qᵀ damps every mode of the coupled springs alike (Albu-Schäffer, Ott, Frese
 //! and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A shaped inertia m needs a force
 //! sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
@@ -47,7 +47,7 @@ pub struct ImpedanceParameters {
     pub inertia_kg_m2: Option<PerAxis<Positive>>,
 }
 
-/// Of every mode, where the file gives neither a ratio nor a damping.
+/// Damping ratio of every mode, where the file gives neither a ratio nor a damping.
 const DAMPING_RATIO: f64 = 0.7;
 
 /// The impedance of one task; zero on axes that aren't in motion.
@@ -61,9 +61,9 @@ pub(crate) struct Impedance {
 
 #[derive(Clone, Debug)]
 enum Damping {
-    /// Of every mode.
+    /// Damping ratio of every mode.
     Ratio(f64),
-    /// Of every axis.
+    /// Damping of each axis, Ns/m or Nms/rad.
     Axes(Vector6<f64>),
 }
 

@@ -17,13 +17,13 @@ pub struct JointTrackingParameters {
     /// the task must then be the last.
     #[serde(default)]
     pub joints: Option<Vec<String>>,
-    /// Where the joints should be.
+    /// Reference of the joints.
     pub reference: JointReference,
-    /// How stiffly they follow.
+    /// Gains with which the joints follow the reference.
     pub gains: JointGains,
 }
 
-/// How a joint follows: as a unit inertia on a spring and a damper, whatever the arm's inertia.
+/// Feedback of a joint: a unit inertia on a spring and a damper, whatever the arm's inertia.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointGains {
@@ -56,7 +56,7 @@ pub struct JointDampingParameters {
 }
 
 impl JointGains {
-    /// The same natural frequency (rad/s) and damping ratio for all joints.
+    /// One natural frequency (rad/s) and one damping ratio for all joints.
     ///
     /// # Errors
     /// A frequency that is not above zero, a ratio below zero.
@@ -92,7 +92,7 @@ impl JointPostureParameters {
 }
 
 impl JointDampingParameters {
-    /// The same damping for all joints, Nms/rad or Ns/m.
+    /// One damping for all joints, Nms/rad or Ns/m.
     ///
     /// # Errors
     /// A damping below zero.

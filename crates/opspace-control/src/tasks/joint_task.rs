@@ -15,7 +15,7 @@ pub trait JointTask: Any + Send {
     /// Computes joint accelerations (n) and the torques (n; Nm, N) that cause them, before projection.
     fn update(&mut self, input: &TaskInput<'_>, acceleration: &mut [f64], torque: &mut [f64]);
 
-    /// Computes the joint velocities (n) that lead back from `q` (n); `false` if the task asks for none. A
+    /// Computes the joint velocities (n) that return to the target from `q` (n); `false` if the task asks for none. A
     /// [reference](Self::reference) is approached with `gain_per_s`, a posture with `posture_gain_per_s`.
     fn kinematic_target(
         &self,
@@ -31,8 +31,8 @@ pub trait JointTask: Any + Send {
     /// Takes in the state and the reference, in cycles without torques.
     fn observe(&mut self, _input: &TaskInput<'_>) {}
 
-    /// Inputs that can be streamed to the task, their names without the task's. Fixed; the same in all task sets in which a
-    /// task of this name has inputs.
+    /// Inputs that can be streamed to the task, their names without the task's. Fixed; the same in all task sets in
+    /// which a task of this name has inputs.
     fn inputs(&self) -> Vec<Signal> {
         Vec::new()
     }

@@ -47,7 +47,7 @@ impl Posture {
         })
     }
 
-    /// Where the run began stays the posture of joints that aren't named.
+    /// Continues with the posture at the start of the run for joints that aren't named.
     fn continue_from(&mut self, before: &Self) {
         self.posture.copy_from(&before.start);
         self.start.copy_from(&before.start);

@@ -11,7 +11,7 @@ use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Inversion, Model};
 use std::any::Any;
 
-/// Below which share of their typical mobility some joints' directions are damped, once tasks above have taken the rest.
+/// Share of the joints' typical mobility below which directions are damped, once tasks above have taken the rest.
 pub const JOINTS_SINGULARITY_THRESHOLD: f64 = 1e-3;
 
 /// Some joints that follow a reference, as rows of a task that may stand above others.

@@ -76,14 +76,14 @@ pub trait Task: Any + Send {
     /// Begins at the robot's present state. May allocate.
     fn start(&mut self, _input: &ControlInput<'_>) {}
 
-    /// Takes in the state and the reference, but neither sensed forces nor integrals: for cycles without torques, in which
-    /// `input.limited` is true.
+    /// Takes in the state and the reference, but neither sensed forces nor integrals: for cycles without torques, in
+    /// which `input.limited` is true.
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.update(input);
     }
 
-    /// Inputs that can be streamed to the task, their names without the task's. Fixed; the same in all task sets in which a
-    /// task of this name has inputs.
+    /// Inputs that can be streamed to the task, their names without the task's. Fixed; the same in all task sets in
+    /// which a task of this name has inputs.
     fn inputs(&self) -> Vec<Signal> {
         Vec::new()
     }
@@ -162,7 +162,7 @@ pub trait Task: Any + Send {
         (0..self.rows()).map(|row| format!("row{row}")).collect()
     }
 
-    /// Whether a row follows a reference; a compliant or force row doesn't.
+    /// Returns true if a row follows a reference; a compliant or force row doesn't.
     fn follows_reference(&self, _row: usize) -> bool {
         true
     }

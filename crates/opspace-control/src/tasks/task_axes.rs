@@ -8,11 +8,11 @@ use opspace_model::Motion;
 /// and angular rows means the same in any unit of length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaskAxes {
-    /// What moves.
+    /// The controlled frame.
     pub controlled: ControlledFrame,
     /// The axes in the controlled frame's coordinates, one a column.
     pub rotation: Matrix3<f64>,
-    /// By how much each of the six axes is multiplied: 1, or the characteristic length (m) for rotations.
+    /// Factors of the six axes: 1, or the characteristic length (m) for rotations.
     pub scale: [f64; 6],
     rows: [usize; 6],
     count: usize,
@@ -38,19 +38,19 @@ impl TaskAxes {
         Self { controlled, rotation, scale, rows, count }
     }
 
-    /// The same axes in other directions.
+    /// Returns the same axes in other directions.
     #[must_use]
     pub fn with_rotation(&self, rotation: Matrix3<f64>) -> Self {
         Self { rotation, ..self.clone() }
     }
 
-    /// How many axes are in the task.
+    /// Number of axes in the task.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.count
     }
 
-    /// Which they are, in the order of the rows.
+    /// Axes in the task by their place in [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES), in the order of the rows.
     #[must_use]
     pub fn axes(&self) -> &[usize] {
         &self.rows[..self.count]
@@ -98,7 +98,7 @@ impl TaskAxes {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// What belongs to the task of a motion's quantity given axis by axis, row by row, scaled.
+    /// Computes the task's rows, scaled, of a quantity of motion given axis by axis.
     #[must_use]
     pub fn rows_of(&self, axes: &Vector6<f64>) -> Vector6<f64> {
         let mut rows = Vector6::zeros();
@@ -108,7 +108,8 @@ impl TaskAxes {
         rows
     }
 
-    /// The same for a force: a row that is multiplied by a length belongs to a force that is divided by it.
+    /// Computes the task's rows of a force given axis by axis: a row that is multiplied by a length belongs to a force
+    /// that is divided by it.
     #[must_use]
     pub fn rows_of_force(&self, axes: &Vector6<f64>) -> Vector6<f64> {
         let mut rows = Vector6::zeros();
@@ -118,7 +119,8 @@ impl TaskAxes {
         rows
     }
 
-    /// A force given row by row, axis by axis (N, Nm): the reverse of [`rows_of_force`](Self::rows_of_force).
+    /// Computes a force axis by axis (N, Nm) from one given row by row: the reverse of
+    /// [`rows_of_force`](Self::rows_of_force).
     #[must_use]
     pub fn force_of_rows(&self, rows: &Vector6<f64>) -> Vector6<f64> {
         let mut axes = Vector6::zeros();

@@ -27,19 +27,20 @@ pub struct Tracking {
     joint_names: Vec<String>,
     parameters: JointReference,
     trajectory: JointTrajectory,
-    /// In place of the trajectory, if the reference is streamed.
+    /// Streamed reference in place of the trajectory.
     streamed: Option<StreamedJoints>,
     /// Joints of the streamed inputs.
     joints: Vec<usize>,
-    /// When the trajectory began, s, and where the run began.
+    /// Begin of the trajectory, s.
     start_s: f64,
+    /// Posture at the start of the run (n).
     home: DVector<f64>,
     gains: JointFeedback,
     reference: DVector<f64>,
     reference_velocity: DVector<f64>,
     reference_acceleration: DVector<f64>,
     error: DVector<f64>,
-    /// Where the file's reference is, whether or not the joints have joined it.
+    /// Reference of the file, whether or not the joints have joined it.
     path: DVector<f64>,
     path_velocity: DVector<f64>,
 }
@@ -118,7 +119,7 @@ impl Tracking {
         }
     }
 
-    /// The same reference goes on; another one begins where that one was.
+    /// Continues a reference that is the same; begins another one where that one was.
     pub(crate) fn continue_from(&mut self, before: &mut Self, input: &ControlInput<'_>) {
         let q = input.measurement.q.as_slice();
         before.update_reference(q, input);
@@ -155,7 +156,7 @@ impl Tracking {
         }
     }
 
-    /// Takes in where the joints are and where they should be.
+    /// Updates reference and error of the joints at positions `q` (n).
     fn update_reference(&mut self, q: &[f64], input: &ControlInput<'_>) {
         let time_s = input.measurement.time_s - self.start_s;
         for (i, q) in q.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Arms, states and stacks for the tests.
+//! Arms, states and task sets for the tests.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
@@ -73,7 +73,7 @@ pub fn four_joints() -> Model {
     four_joints_in(1.0)
 }
 
-/// The same with a metre of `length` units.
+/// The four-joint arm with a metre of `length` units.
 pub fn four_joints_in(length: f64) -> Model {
     let (pitch, roll, yaw) = ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
     let link = |name, axis, origin, mass, com, inertia, limits: [f64; 2], rotor| Link {
@@ -119,7 +119,7 @@ pub fn seven_joints() -> Model {
     seven_joints_in(1.0)
 }
 
-/// The same with a metre of `length` units.
+/// The seven-joint arm with a metre of `length` units.
 pub fn seven_joints_in(length: f64) -> Model {
     let names = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
     let axes = [
@@ -149,7 +149,7 @@ pub fn seven_joints_in(length: f64) -> Model {
     arm(&links, &[("hand", 6, [0.05, 0.02, 0.1]), ("upper", 3, [0.03, 0.05, 0.04])], length)
 }
 
-/// A stack as a task file holds it.
+/// A task set as a task file holds it.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct File {
@@ -354,7 +354,7 @@ pub fn six(motion: &opspace_model::Motion) -> nalgebra::Vector6<f64> {
     nalgebra::Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
 }
 
-/// One period of joint accelerations `ddq` (n): semi-implicit Euler, and `data` at the state it leads to.
+/// One period of joint accelerations `ddq` (n): semi-implicit Euler, and `data` at the resulting state.
 pub fn step(
     model: &Model,
     data: &mut Data,

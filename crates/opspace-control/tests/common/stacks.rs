@@ -1,4 +1,4 @@
-//! Stacks of tasks of an arm with a hand, and one with a hand and an upper arm.
+//! Task sets of an arm with a hand, and one with a hand and an upper arm.
 
 /// A length by which rotations are weighed, m, that the files below share.
 pub const LENGTH_M: f64 = 0.4;
@@ -58,7 +58,7 @@ frequency_rad_per_s = 9.0
 damping_ratio = 0.8
 "#;
 
-/// The same file without limits.
+/// Returns the file without limits.
 pub fn without_limits(text: &str) -> String {
     format!("limits = {{ enforce = false }}\n{text}")
 }

@@ -1,4 +1,4 @@
-//! How well a run went, from its log alone.
+//! Metrics of a run, computed from its log alone.
 //!
 //! Statistics count from `settle_s` after the first cycle of control to the last, whatever the robot's clock says.
 //! Positions are the true ones where the log has them (a simulation), else the measured ones.
@@ -17,64 +17,64 @@ use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
 use serde::Serialize;
 
-/// What is said of a run; `None` where it has no meaning for it.
+/// Metrics of a run; `None` where a metric doesn't apply to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Metrics {
     /// Distance from the reference over the motion axes, rms, m.
     pub position_rms_m: Option<f64>,
-    /// The same, largest, m.
+    /// Largest distance from the reference over the motion axes, m.
     pub position_max_m: Option<f64>,
     /// Angle from the reference over the motion axes, rms, rad.
     pub orientation_rms_rad: Option<f64>,
-    /// The same, largest, rad.
+    /// Largest angle from the reference over the motion axes, rad.
     pub orientation_max_rad: Option<f64>,
     /// Joint error of a joint task, rms over time and joints, rad.
     pub joint_rms_rad: Option<f64>,
     /// Error of the true contact force on force axes, rms, N.
     pub force_rms_n: Option<f64>,
-    /// True force of the simulated hand over the axes it reports, rms, N.
+    /// True force of the simulated hand over the axes that it reports, rms, N.
     pub hand_force_rms_n: Option<f64>,
-    /// How far it moves its frame from the start over those axes, rms, m.
+    /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
     pub hand_motion_rms_m: Option<f64>,
-    /// Motor torque against desired torque at servo rate, relative.
+    /// Error of the motor torque at servo rate, relative to the desired torque.
     pub torque_error_servo: Option<f64>,
-    /// The same, of the means over each interface interval.
+    /// Error of the mean motor torque over each interface interval, relative to the desired torque.
     pub torque_error_interval: Option<f64>,
-    /// The same, in the first servo period after each interface tick.
+    /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
     pub torque_error_tick: Option<f64>,
-    /// What of the torque error is within the intervals, √(e_servo² − e_interval²) in Nm, over what a held set-point must
-    /// leave there at the speeds of the run; `None` where none is held.
+    /// Torque error within the interface intervals, √(e_servo² − e_interval²) in Nm, over the ripple that a held
+    /// setpoint must leave there at the speeds of the run; `None` where no setpoint is held.
     pub hold_ripple: Option<f64>,
     /// Highest speed of a position setpoint, rad/s.
     pub set_point_speed_max_rad_per_s: Option<f64>,
     /// Highest acceleration of a velocity setpoint, rad/s².
     pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
-    /// Share of ticks at which a desired torque was cut off.
+    /// Share of interface cycles in which a desired torque was saturated.
     pub torque_saturated_share: Option<f64>,
-    /// Largest torque that the controller commanded to a joint, before anything cut it off, Nm.
+    /// Largest torque that the controller commanded to a joint, before saturation, Nm.
     pub torque_commanded_max_nm: Option<f64>,
-    /// Largest change of a commanded torque from one tick to the next, Nm.
+    /// Largest change of a commanded torque from one interface cycle to the next, Nm.
     pub torque_step_max_nm: Option<f64>,
     /// Highest speed of a joint, rad/s.
     pub speed_max_rad_per_s: Option<f64>,
-    /// Share of ticks at which a limit changed the command.
+    /// Share of interface cycles in which a limit changed the command.
     pub limited_share: Option<f64>,
 }
 
-/// How long things took: not reproducible.
+/// Computing times of a run: not reproducible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
-    /// One controller tick with estimator, model, control and transformer, median, ns.
+    /// Median duration of a control cycle with estimator, model, control and transformer, ns.
     pub tick_ns_median: f64,
-    /// The same, 99th percentile, ns.
+    /// Duration of a control cycle with estimator, model, control and transformer, 99th percentile, ns.
     pub tick_ns_p99: f64,
-    /// The same, largest, ns.
+    /// Largest duration of a control cycle with estimator, model, control and transformer, ns.
     pub tick_ns_max: f64,
     /// Simulated time over wall time.
     pub realtime_factor: Option<f64>,
 }
 
-/// What a log says of how well its run went.
+/// Computes the metrics of a run from its log.
 #[must_use]
 pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
     let Some(run) = Run::new(experiment, recording) else { return Metrics::default() };
@@ -101,7 +101,7 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
     metrics
 }
 
-/// What a log says of how long its ticks took.
+/// Computes the statistics of the control cycles' durations from a log.
 #[must_use]
 pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
     let mut ticks: Vec<f64> = Vec::new();
@@ -129,7 +129,7 @@ struct Run<'a> {
     experiment: &'a Experiment,
     recording: &'a Recording,
     tick: &'a ChannelData,
-    /// Where the joints were and when: truth if the log has it.
+    /// Times and positions of the joints: the true ones if the log has them, else the measured ones.
     joints: (&'a [f64], Column<'a>),
     /// Time of the first cycle of control on the robot's clock, s.
     start_s: f64,
@@ -160,14 +160,14 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// The indices of the times that count.
+    /// Indices of the times that count: after settling, up to the last cycle of control.
     fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
         let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
         let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
     }
 
-    /// The tick at which row `k` of the joints was; none where the cycle was missed.
+    /// Interface cycle of row `k` of the joints; `None` where the cycle was missed.
     fn tick_of(&self, k: usize) -> Option<usize> {
         let (times, _) = self.joints;
         let ticks = &self.tick.time_s;
@@ -175,7 +175,7 @@ impl<'a> Run<'a> {
         ticks.get(tick).is_some_and(|&t| t <= times[k] + self.same_s).then_some(tick)
     }
 
-    /// The pose of a task's subject and the task's axes at each settled tick, with the tick's index.
+    /// Pose of a task's subject and the task's axes at each settled row of the joints, with the row's index.
     fn poses(
         &self,
         subject: ControlledFrame,
@@ -198,7 +198,7 @@ impl<'a> Run<'a> {
         self.following(name, task, subject, metrics);
     }
 
-    /// How far a task's subject is from its reference, over its axes in motion.
+    /// Computes the distance and the angle of a task's subject from its reference, over the task's motion axes.
     fn following(
         &self,
         name: &str,
@@ -236,7 +236,7 @@ impl<'a> Run<'a> {
         Some(settled.flat_map(|k| values.row(k)).fold(0.0, |max: f64, v| max.max(v.abs())))
     }
 
-    /// The largest torques and speeds.
+    /// Computes the largest torques and speeds, and the share of limited cycles.
     fn peaks(&self, metrics: &mut Metrics) {
         let largest = |values: &mut dyn Iterator<Item = f64>| {
             values.filter(|v| v.is_finite()).map(f64::abs).reduce(f64::max)
@@ -271,7 +271,7 @@ impl<'a> Run<'a> {
         mean(squares).map(f64::sqrt)
     }
 
-    /// The first simulated hand.
+    /// Computes the force and the motion of the first simulated hand.
     fn hand(&self, metrics: &mut Metrics) {
         let springs = self.experiment.task().file.surroundings.iter();
         let Some((name, spring)) = springs.into_iter().find_map(|(name, s)| match s {
@@ -299,7 +299,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Where a frame was when the controller started.
+    /// Pose of a frame at the start of control.
     fn start_pose(&self, frame: FrameId) -> Option<Placement> {
         let model = &self.experiment.robot().model;
         let (times, q) = self.joints;
@@ -351,9 +351,9 @@ impl<'a> Run<'a> {
         metrics
     }
 
-    /// √(Σ_j mean e_j²) of the torque that held set-points leave within interface intervals at the speeds of the run, Nm;
-    /// `None` where none is held for longer than a servo tick, and for velocity robots, whose torque within an interval
-    /// follows acceleration and not speed.
+    /// √(Σ_j mean e_j²) of the torque that held setpoints leave within interface intervals at the speeds of the run,
+    /// Nm; `None` where none is held for longer than a servo tick, and for velocity robots, whose torque within an
+    /// interval follows acceleration and not speed.
     fn held_ripple_nm(&self) -> Option<f64> {
         self.experiment.transformer_kind()?;
         if self.experiment.command_kind() != CommandKind::Position {

@@ -30,21 +30,21 @@ pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
     simulated.into_iter().chain(real).chain(OF_ALL).collect()
 }
 
-/// Summaries that differ only in their seed, and the medians of what they say.
+/// Summaries that differ only in their seed, and the medians of their numbers.
 #[derive(Clone, Debug)]
 pub struct Group<'a> {
-    /// All of them, in the order given.
+    /// All runs of the group, in the order given.
     pub runs: Vec<&'a Summary>,
 }
 
 impl<'a> Group<'a> {
-    /// What they have in common.
+    /// Returns the first run of the group: all but the seed and the numbers is common to the others.
     #[must_use]
     pub fn first(&self) -> &'a Summary {
         self.runs[0]
     }
 
-    /// The median over the runs that have that number.
+    /// Median over the runs that have the number.
     pub fn median(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<f64> {
         let mut values: Vec<f64> = self.runs.iter().filter_map(|run| number(run)).collect();
         values.sort_by(f64::total_cmp);
@@ -57,7 +57,7 @@ impl<'a> Group<'a> {
     }
 }
 
-/// Groups runs that differ only in their seed; tasks and, within them, profiles stand together.
+/// Groups runs that differ only in their seed; tasks and, within them, profiles are kept together.
 #[must_use]
 pub fn group(summaries: &[Summary]) -> Vec<Group<'_>> {
     let mut groups: Vec<Group<'_>> = Vec::new();
@@ -92,7 +92,7 @@ fn same(a: &Summary, b: &Summary) -> bool {
         && a.label == b.label
 }
 
-/// The table of results: one row a group, each task a line of its own above its rows, and a column a measure.
+/// The table of results: one row per group, the name of each task on a line above its rows, and one column per measure.
 #[must_use]
 pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
     let mut heads = vec![("robot, control", ""), ("profile", ""), ("runs", "")];
@@ -150,31 +150,31 @@ pub enum Measure {
     ForceRms,
     /// Force of the simulated hand, rms.
     HandForce,
-    /// How far the simulated hand moves its frame, rms.
+    /// Displacement of the simulated hand's frame, rms.
     HandMotion,
-    /// Motor torque against desired torque, at servo rate.
+    /// Error of the motor torque at servo rate, relative to the desired torque.
     TorqueErrorServo,
-    /// The same, of the means over each interface interval.
+    /// Error of the mean motor torque over each interface interval, relative to the desired torque.
     TorqueErrorInterval,
-    /// The same, in the first servo period after each tick.
+    /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
     TorqueErrorTick,
-    /// What of the torque error is within interface intervals, over what held set-points must leave there.
+    /// Torque error within interface intervals, over the ripple that held setpoints must leave there.
     HoldRipple,
     /// Largest torque that the controller commanded.
     TorqueMax,
-    /// Largest change of a commanded torque from tick to tick.
+    /// Largest change of a commanded torque from one interface cycle to the next.
     TorqueStepMax,
     /// Largest speed of a joint.
     SpeedMax,
-    /// Share of ticks at which a limit changed the command.
+    /// Share of interface cycles in which a limit changed the command.
     Limited,
-    /// One tick of the controller.
+    /// Median duration of a control cycle.
     TickTime,
     /// Simulated time over wall time.
     RealTime,
 }
 
-/// What is shown where nothing else is asked for.
+/// Columns of a table for which no others are chosen.
 pub const MEASURES: &[Measure] = &[
     Measure::PositionRms,
     Measure::JointRms,
@@ -191,7 +191,7 @@ pub const MEASURES: &[Measure] = &[
 struct Row(&'static str, &'static str, f64, fn(&Summary) -> Option<f64>);
 
 impl Measure {
-    /// Everything about a measure, once.
+    /// Column of a measure.
     fn row(self) -> Row {
         match self {
             Self::PositionRms => Row("position rms", "mm", 1e3, |s| s.metrics.position_rms_m),
@@ -217,13 +217,13 @@ impl Measure {
         }
     }
 
-    /// Title and unit of its column.
+    /// Title and unit of the measure's column.
     fn head(self) -> (&'static str, &'static str) {
         let Row(title, unit, ..) = self.row();
         (title, unit)
     }
 
-    /// Its median over runs, in the unit of its column.
+    /// Median of the measure over runs, in the unit of its column.
     fn cell(self, group: &Group<'_>) -> Cell {
         let Row(.., factor, value) = self.row();
         Cell::from(group.median(value).map(|value| factor * value))
@@ -240,7 +240,7 @@ fn stopped(group: &Group<'_>) -> Cell {
     }
 }
 
-/// A quantity that none of the rows has isn't shown.
+/// Drops the columns that are empty in all rows.
 fn drop_empty_columns(table: &mut Table) {
     for place in (0..table.columns.len()).rev() {
         if table.rows.iter().all(|row| row.get(place).is_none_or(|cell| *cell == Cell::Empty)) {
@@ -313,7 +313,7 @@ mod tests {
         assert!(!titles.contains(&"hand force".to_owned()));
     }
 
-    /// The rows against those written out by hand: the task above its rows, the median in its column.
+    /// The rows against rows written by hand: the task above its rows, the median in its column.
     #[test]
     fn a_task_stands_above_its_rows() {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];

@@ -1,9 +1,9 @@
-//! A table of results, as data: the terminal and the report each draw it their own way.
+//! A table of results, as data: the terminal and the report each draw it in their own way.
 
 /// Column heads and rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
-    /// Heads, left to right.
+    /// Heads of the columns, left to right.
     pub columns: Vec<Column>,
     /// Rows, top to bottom; a row shorter than the head ends in empty cells.
     pub rows: Vec<Vec<Cell>>,
@@ -12,13 +12,13 @@ pub struct Table {
 /// The head of a column.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Column {
-    /// What the column holds.
+    /// Quantity in the column.
     pub title: String,
-    /// Its unit as print writes it (`N·m`); empty where there is none.
+    /// Unit of the quantity as printed (`N·m`); empty where there is none.
     pub unit: String,
 }
 
-/// What a place in a table holds.
+/// Content of a table's cell.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
     /// A name or a remark.
@@ -31,7 +31,7 @@ pub enum Cell {
     Pass(String),
     /// A bar that was missed, or a fault.
     Fail(String),
-    /// A quantity that does not exist here.
+    /// A quantity that doesn't exist in this row.
     Empty,
 }
 
@@ -44,7 +44,7 @@ impl Table {
         Self { columns: columns.iter().map(column).collect(), rows: Vec::new() }
     }
 
-    /// Every cell as shown, a column's numbers with the same decimals.
+    /// Texts of all cells, a column's numbers with the same number of decimals.
     #[must_use]
     pub fn texts(&self) -> Vec<Vec<String>> {
         let width = self.rows.iter().map(Vec::len).max().unwrap_or(0);
@@ -88,7 +88,7 @@ impl Column {
 }
 
 impl Cell {
-    /// As shown on its own; four significant digits.
+    /// Text of the cell on its own; numbers have four significant digits.
     #[must_use]
     pub fn text(&self) -> String {
         match self {
@@ -99,7 +99,7 @@ impl Cell {
         }
     }
 
-    /// Whether it is aligned as a number.
+    /// True if the cell is aligned as a number.
     #[must_use]
     pub fn is_numeric(&self) -> bool {
         matches!(self, Self::Number(_) | Self::Count(_) | Self::Empty)
@@ -136,7 +136,7 @@ impl<T: Into<Cell>> From<Option<T>> for Cell {
     }
 }
 
-/// Four significant digits: `0.01234`, `12.34`, `1.234e-7`.
+/// Formats a number with four significant digits: `0.01234`, `12.34`, `1.234e-7`.
 #[must_use]
 pub fn format_number(number: f64) -> String {
     if !number.is_finite() {

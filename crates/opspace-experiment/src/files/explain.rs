@@ -1,4 +1,4 @@
-//! What the TOML reader and serde say, in words a user can act on.
+//! Errors of the TOML reader and of serde, translated into words that a user can act on.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ pub(crate) struct Words {
     pub(crate) part: Part,
 }
 
-/// Says in the user's words what serde and toml say in theirs.
+/// Translates a message of serde or toml into the user's words.
 pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[String]) -> Words {
     let value = |message: String, help: Option<String>| Words { message, help, part: Part::Value };
     let key = |message: String, help: Option<String>| Words { message, help, part: Part::Key };
@@ -68,7 +68,7 @@ pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[Strin
     value(raw.trim_end().to_owned(), None)
 }
 
-/// `unknown field `x`, expected one of `a`, `b``: the name, and what is allowed.
+/// Splits `unknown field `x`, expected one of `a`, `b``: the name, and the allowed ones.
 fn unknown<'a>(raw: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
     let rest = raw.strip_prefix(prefix)?;
     if let Some((name, _)) = rest.rsplit_once("`, there are no ") {
@@ -96,7 +96,7 @@ pub(crate) fn list<S: AsRef<str>>(names: &[S]) -> String {
     names.iter().map(|name| format!("`{}`", name.as_ref())).collect::<Vec<_>>().join(", ")
 }
 
-/// What Rust calls a type, in words.
+/// Describes a Rust type in words.
 fn plain(expected: &str) -> &str {
     match expected {
         "f64" | "f32" => "a number",
@@ -146,7 +146,7 @@ fn type_help(found: &DeValue<'_>, expected: &str, path: &[String]) -> Option<Str
     }
 }
 
-/// `400 N/m`: the number, and what follows it.
+/// Splits `400 N/m` into the number and the text after it.
 fn leading_number(text: &str) -> Option<(&str, &str)> {
     let text = text.trim();
     let ends = text.char_indices().map(|(index, _)| index).chain([text.len()]);

@@ -1,31 +1,31 @@
-//! `[interface]` of robot.toml: what a robot is declared to take and to measure.
+//! `[interface]` of robot.toml: the commands that a robot accepts, and the quantities that it measures.
 
 use opspace_backend::{CommandKind, GravityCompensation, Measured, MissedCycle, Setpoints};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// The `interface` of robot.toml.
+/// Table `[interface]` of robot.toml.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InterfaceParameters {
-    /// What the robot takes.
+    /// Command accepted by the robot: `position`, `velocity` or `torque`.
     pub command: CommandParameter,
-    /// What the drive does with a set-point between two interface ticks.
+    /// Behaviour of the drive between two setpoints: it holds the last one or interpolates.
     pub set_points: Setpoints,
-    /// What the drives do where a command fails to come: `hold-last`, which is what position and velocity robots do, or
-    /// `hold-torque`, which is what torque robots do.
+    /// Behaviour of the drives when a command is missed: `hold-last`, as position and velocity robots do, or
+    /// `hold-torque`, as torque robots do.
     #[serde(default)]
     pub on_missed_cycle: Option<MissedCycle>,
-    /// Who carries the robot's weight.
+    /// Compensation of the robot's weight: by the robot itself or by the controller.
     pub gravity_by: GravityCompensation,
-    /// What the robot measures.
+    /// Quantities measured by the robot.
     pub measures: Vec<Measured>,
-    /// Whether a velocity robot has brakes that hold it when no controller commands it.
+    /// True if a velocity robot has brakes that hold it when no controller commands it.
     #[serde(default)]
     pub brakes: bool,
 }
 
-/// What a robot takes.
+/// Command accepted by a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum CommandParameter {

@@ -1,15 +1,15 @@
-//! Where files are read from: the disk, or the examples inside the binary.
+//! Sources of files: the disk, or the examples embedded in the binary.
 
 use crate::files::source::{FileError, KeyPath, Source};
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
-/// A place to read files from.
+/// A source of files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Files {
     /// The disk, relative to the working directory.
     Disk,
-    /// The paper's robot, tasks and suite, carried in the binary under the paths they have in the project.
+    /// The paper's robot, tasks and suite, embedded in the binary under the paths they have in the project.
     Embedded,
 }
 
@@ -50,7 +50,7 @@ impl Files {
         }
     }
 
-    /// Reads a text file that another file names at `key`: one that isn't there is an error of that other.
+    /// Reads a text file that another file names at `key`; a missing one is an error of that other file.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -61,7 +61,7 @@ impl Files {
         })
     }
 
-    /// The file that a robot is named by: a folder stands for the `robot.toml` in it.
+    /// Returns the path of a robot's file: a folder stands for the `robot.toml` in it.
     #[must_use]
     pub fn robot_file(self, path: &Path) -> PathBuf {
         let folder = match self {
@@ -72,7 +72,7 @@ impl Files {
     }
 }
 
-/// What a file describes.
+/// Kind of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A robot: its `robot.toml`.
@@ -84,8 +84,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind whose own keys stand at the top of a text, which need not be right otherwise; `None` if there
-    /// are none, or of several kinds.
+    /// Returns the kind whose own keys are at the top of a text, which need not be valid otherwise; `None` if there are
+    /// none, or keys of several kinds.
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {
         const KEYS: [(Kind, &[&str]); 3] = [
@@ -111,7 +111,7 @@ impl Kind {
         }
     }
 
-    /// As a user would say it.
+    /// Name of the kind in messages.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -121,7 +121,7 @@ impl Kind {
         }
     }
 
-    /// That a text is of this kind, or can't be told.
+    /// Checks that a text is of this kind, or of no recognisable kind.
     ///
     /// # Errors
     /// If it clearly is of another.
@@ -136,7 +136,7 @@ impl Kind {
     }
 }
 
-/// The path that stands in a file as `relative`, which counts from that file's folder.
+/// Resolves a path that a file gives relative to its own folder.
 #[must_use]
 pub fn beside(file: &Path, relative: &Path) -> PathBuf {
     let mut path = file.parent().unwrap_or(Path::new("")).to_owned();

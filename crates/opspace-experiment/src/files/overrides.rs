@@ -1,8 +1,8 @@
 //! Settings from the command line: `--set task.hand.gains.damping_ratio=0.7`.
 //!
-//! A setting edits the text of a file, so that what it says is read and refused exactly as if the file said
-//! it. The tag of a kind may be left out: where a key is missing from a table that holds one table and
-//! nothing else, that one is stepped through (`[task.hand.cartesian]` in the example).
+//! A setting edits the text of a file, so that its values are read and refused exactly as if the file contained them.
+//! The tag of a kind may be left out: where a key is missing from a table that holds one table and nothing else, the
+//! search continues in that one (`[task.hand.cartesian]` in the example).
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::files::source::{FileError, Setting, Source, check_syntax};
 use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, dotted};
 
-/// Files are flat; what is deeper is a slip.
+/// Largest depth of a key: files are flat, and a deeper key is a mistake.
 const MAX_DEPTH: usize = 32;
 
 /// Applies `key=value` settings, in order; a later one wins.
@@ -21,7 +21,7 @@ const MAX_DEPTH: usize = 32;
 /// may be is for [`crate::files::source::parse`] to judge.
 ///
 /// # Errors
-/// A file that is not TOML; a setting without `=`, or whose key leads through something that holds no keys.
+/// A file that is not TOML; a setting without `=`, or whose key passes through a value that holds no keys.
 /// The error names the setting.
 pub fn apply(source: &Source, settings: &[String]) -> Result<Source, FileError> {
     edit(source, settings, None)
@@ -36,7 +36,7 @@ pub fn apply_below(source: &Source, root: &str, settings: &[String]) -> Result<S
     edit(source, settings, Some(root))
 }
 
-/// Parts the settings that begin with `root.` from the others, keeping their order.
+/// Separates the settings that begin with `root.` from the others, keeping their order.
 #[must_use]
 pub fn split(settings: &[String], root: &str) -> (Vec<String>, Vec<String>) {
     settings.iter().cloned().partition(|setting| {
@@ -80,10 +80,10 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
     Ok(source)
 }
 
-/// Message and help of a refusal.
+/// Message and help of an error.
 type Refusal = (String, Option<String>);
 
-/// The key of a setting and its bytes; `=` may stand within quotes.
+/// Returns the key of a setting and its bytes; `=` may be within quotes.
 fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {
     let equals = spelling.match_indices('=').map(|(index, _)| index);
     for end in equals.clone() {
@@ -125,7 +125,7 @@ fn value_of(text: &str) -> Result<Value, Refusal> {
     Err((format!("`{text}` is neither a TOML value nor a bare word"), Some(help.to_owned())))
 }
 
-/// What a key can lead into.
+/// Part of a document below which a key can continue.
 enum Node<'a> {
     Table(&'a mut dyn TableLike),
     Array(&'a mut Array),
@@ -150,7 +150,7 @@ fn within_value(value: &mut Value) -> Node<'_> {
     }
 }
 
-/// Puts `value` at `keys` under `node`; `path` gains the keys gone through, tags included.
+/// Writes `value` at `keys` under `node`; the keys passed through, tags included, are added to `path`.
 fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -> Result<(), Refusal> {
     let Some((key, rest)) = keys.split_first() else { return Ok(()) };
     let mut table = match node {
@@ -209,7 +209,7 @@ fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -
     }
 }
 
-/// The tags between this table and `key` that a setting left out.
+/// Tags between this table and `key` that a setting left out.
 fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) -> Vec<String> {
     // At the root no kind is chosen.
     if path.is_empty() || table.contains_key(key) {
@@ -231,7 +231,7 @@ fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) 
     tags
 }
 
-/// The one table that this one holds, if it holds nothing else.
+/// Returns the one table that this one holds, if it holds nothing else.
 fn sole_table(table: &dyn TableLike) -> Option<(&str, &dyn TableLike)> {
     let mut entries = table.iter().filter(|(_, item)| !item.is_none());
     match (entries.next(), entries.next()) {
@@ -240,7 +240,7 @@ fn sole_table(table: &dyn TableLike) -> Option<(&str, &dyn TableLike)> {
     }
 }
 
-/// Keeps the comment after the value.
+/// Replaces a value and keeps the comment after it.
 fn replace(old: &mut Value, new: &Value) {
     let decor = old.decor().clone();
     *old = new.clone();

@@ -1,4 +1,4 @@
-//! robot.toml: what is believed of a robot, and what its simulation is beyond that.
+//! robot.toml: the nominal parameters of a robot, and those of its simulation.
 
 use crate::files::interface::InterfaceParameters;
 use crate::files::origin::{Files, Kind, beside};
@@ -22,30 +22,30 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotFile {
-    /// The robot's URDF; the path counts from this file.
+    /// URDF of the robot; the path is relative to this file.
     pub urdf: PathBuf,
-    /// The profile that is used where none is asked for.
+    /// Name of the profile that is used by default.
     pub default_profile: String,
-    /// What the robot's interface offers.
+    /// Interface of the robot: commands, measurements and behaviour of the drives.
     pub interface: InterfaceParameters,
-    /// The drive of each moving joint of the URDF, by joint name.
+    /// Drive of each moving joint of the URDF, by joint name.
     pub joint: BTreeMap<String, JointParameters>,
-    /// The ways in which the robot can be driven, by name.
+    /// Profiles in which the robot can be driven, by name.
     pub profile: BTreeMap<String, ProfileParameters>,
-    /// The force sensors, by name.
+    /// Force sensors, by name.
     #[serde(default)]
     pub force_sensor: BTreeMap<String, ForceSensorFile>,
-    /// What is mounted on it, by name: a gripper, a screwdriver, a load.
+    /// Tools and loads mounted on the robot, by name: a gripper, a screwdriver, a load.
     #[serde(default)]
     pub tool: BTreeMap<String, ToolFile>,
-    /// What makes a run safe.
+    /// Safety parameters: torque ramp, rest before the start, limit margin, missed cycles and watchdog.
     #[serde(default)]
     pub safety: SafetyParameters,
-    /// How the real robot is reached: `name` is that of a driver in the program, the other keys are the driver's. Without
-    /// it the robot is simulated.
+    /// Connection to the real robot: `name` is that of a driver in the program, the other keys are the driver's.
+    /// Without it the robot is simulated.
     #[serde(default)]
     pub driver: Option<BTreeMap<String, Setting>>,
-    /// The simulated robot; without it the robot can't be simulated.
+    /// Parameters of the simulated robot; without them the robot can't be simulated.
     pub simulated: Option<SimulatedParameters>,
 }
 
@@ -53,24 +53,24 @@ pub struct RobotFile {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForceSensorFile {
-    /// The URDF link at whose origin, and in whose axes, it measures.
+    /// URDF link at whose origin, and in whose axes, the sensor measures.
     pub frame: String,
 }
 
 /// A robot, read and checked.
 #[derive(Clone, Debug)]
 pub struct Robot {
-    /// Its file's text, settings applied.
+    /// Text of the robot's file, settings applied.
     pub source: Source,
-    /// Its URDF's text.
+    /// Text of the URDF.
     pub urdf: Source,
-    /// Its file.
+    /// Parameters in the robot's file.
     pub file: RobotFile,
-    /// Its rigid bodies, rotors and tools included.
+    /// Rigid-body model, rotors and tools included.
     pub model: Model,
-    /// What its URDF deserves a second look for.
+    /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
-    /// Its force sensors, in the order of their names.
+    /// Force sensors, in the order of their names.
     pub sensors: Vec<(String, FrameId)>,
 }
 
@@ -78,7 +78,7 @@ impl Robot {
     /// Reads a robot: a folder with a `robot.toml`, or that file. `settings` change values in it.
     ///
     /// # Errors
-    /// What is wrong in the file or its URDF, with its place.
+    /// Mistakes in the file or its URDF, each with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         let path = files.robot_file(path);
         let source = files.read(&path)?;
@@ -127,15 +127,15 @@ impl Robot {
         Ok(robot)
     }
 
-    /// The robot's name: that of its folder, or its URDF's.
+    /// Name of the robot: that of its folder, or of its URDF.
     #[must_use]
     pub fn name(&self) -> String {
         let folder = Path::new(self.source.name()).parent().and_then(Path::file_name);
         folder.map_or_else(|| self.model.name().to_owned(), |n| n.to_string_lossy().into_owned())
     }
 
-    /// The capabilities that the file states of the robot as one that takes such commands. Beside what its interface
-    /// takes, any arm can be simulated as a torque or velocity robot.
+    /// Capabilities that the file states of the robot as one that takes such commands. Besides the kind that its
+    /// interface states, any arm can be simulated as a torque or velocity robot.
     #[must_use]
     pub fn capabilities(&self, command: CommandKind, period_s: f64) -> Capabilities {
         let interface = &self.file.interface;
@@ -151,10 +151,10 @@ impl Robot {
         })
     }
 
-    /// A profile by its name, or the default one, with its name.
+    /// Returns a profile by its name, or the default one, with its name.
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// An unknown name.
     pub fn profile(&self, name: Option<&str>) -> Result<(&str, &ProfileParameters), FileError> {
         let wanted = name.unwrap_or(&self.file.default_profile);
         let found = self.file.profile.get_key_value(wanted);
@@ -186,8 +186,8 @@ impl Robot {
         self.in_order(&profile.velocity_servo).into_iter().map(ServoParameters::Velocity).collect()
     }
 
-    /// The servos that drive a robot that takes such commands, in the model's joint order. Those of a torque robot, which
-    /// may hold it without commands, are its position servos if it has them.
+    /// Returns the servos that drive a robot that takes such commands, in the model's joint order. Those of a torque
+    /// robot, which may hold it without commands, are its position servos if it has them.
     ///
     /// # Errors
     /// If the profile has none of that kind.
@@ -217,7 +217,7 @@ impl Robot {
         Ok(servos)
     }
 
-    /// What a profile has of the joints' measured closed loops, in the model's joint order; empty if it has none.
+    /// Measured closed loops of a profile's joints, in the model's joint order; empty if it has none.
     #[must_use]
     pub fn identified(&self, profile: &ProfileParameters) -> Vec<IdentifiedJoint> {
         self.in_order(&profile.identified)
@@ -229,7 +229,7 @@ impl Robot {
         self.joints().iter().map(|j| j.torque_limit_nm.get()).collect()
     }
 
-    /// What the joints can do, in the model's joint order: position and velocity from the URDF, the rest from the robot
+    /// Limits of the joints, in the model's joint order: position and velocity from the URDF, the rest from the robot
     /// file.
     #[must_use]
     pub fn joint_limits(&self) -> JointLimits {
@@ -253,7 +253,7 @@ impl Robot {
 /// A URDF with its warnings.
 ///
 /// # Errors
-/// What is wrong with it, with the line.
+/// Mistakes in the URDF, with the line.
 pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<Loaded, FileError> {
     Model::from_urdf_with(urdf.text(), options).map_err(|error| {
         let line = error.line().and_then(|line| usize::try_from(line).ok());
@@ -261,7 +261,7 @@ pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<Loaded, FileErro
     })
 }
 
-/// A profile has a position servo for every joint, a velocity servo for every joint, or both.
+/// Checks that a profile has a position servo for every joint, a velocity servo for every joint, or both.
 fn check_servos(
     source: &Source,
     model: &Model,
@@ -293,13 +293,13 @@ fn check_servos(
     Ok(())
 }
 
-/// Most servo ticks per interface tick: more is a slip in a rate.
+/// Largest number of servo ticks per interface cycle: more is a mistake in a rate.
 const MAX_RATIO: u32 = 10_000;
 
-/// Longest rest before a start, s: more is a slip in a unit.
+/// Longest rest before a start, s: more is a mistake in a unit.
 const MAX_TARE_S: f64 = 60.0;
 
-/// What single values can't say of themselves.
+/// Checks values that depend on each other.
 fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), FileError> {
     if !file.interface.measures.contains(&Measured::Position) {
         let message = "a robot that doesn't measure its positions can't be controlled";
@@ -340,7 +340,8 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
     Ok(())
 }
 
-/// The values of a map by joint name in the model's order: one for each joint, none for others.
+/// Returns the values of a map by joint name in the model's order, and checks that there is one for each joint and no
+/// other.
 fn joints_of<'a, T>(
     source: &Source,
     model: &Model,

@@ -1,8 +1,8 @@
 //! The text of a file, and errors that point into it.
 //!
-//! [`parse`] reads TOML strictly: finite numbers only, unknown keys refused. What is wrong in a way that
-//! only a later step sees (a frame that the robot does not have) is reported by [`FileError::at_key`] at
-//! the line of its key. Settings from the command line ([`crate::files::overrides`]) err in the same words.
+//! [`parse`] reads TOML strictly: finite numbers only, unknown keys refused. A mistake that only a later step detects
+//! (a frame that the robot does not have) is reported by [`FileError::at_key`] at the line of its key. Errors of
+//! settings from the command line ([`crate::files::overrides`]) use the same words.
 
 use std::fmt;
 use std::io::Read;
@@ -18,32 +18,32 @@ use crate::files::explain::{list, syntax_words, words};
 use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, depth_of, dotted, keys_at, path_at, span_of};
 
-/// Files are written by hand; a larger one is a log or a mesh given by mistake.
+/// Largest size of a file: files are written by hand, and a larger one is a log or a mesh given by mistake.
 const MAX_BYTES: u64 = 4 << 20;
 
-/// A file's text and where it came from.
+/// A file's text and its origin.
 #[derive(Clone, Debug)]
 pub struct Source {
     name: String,
     text: Arc<str>,
-    /// As read, before settings: an error outside them is shown where the user finds it.
+    /// Text as read, before settings: an error outside them is shown at its line in the file.
     pub(crate) base: Arc<str>,
     settings: Vec<Setting>,
 }
 
-/// A `--set` that went into a [`Source`].
+/// A `--set` that was applied to a [`Source`].
 #[derive(Clone, Debug)]
 pub(crate) struct Setting {
-    /// As the user wrote it.
+    /// The setting as the user wrote it.
     pub(crate) spelling: String,
-    /// The bytes of `spelling` left of `=`.
+    /// Bytes of `spelling` left of `=`.
     pub(crate) key: Range<usize>,
-    /// The keys in the file that it set, tags included.
+    /// Keys in the file that it set, tags included.
     pub(crate) path: Vec<String>,
 }
 
 impl Source {
-    /// A text under a name: a path as the user wrote it, or what else the user knows it by.
+    /// A text under a name: a path as the user wrote it, or another name known to the user.
     pub fn new(name: impl Into<String>, text: impl Into<Arc<str>>) -> Self {
         let text = text.into();
         Self { name: name.into(), base: Arc::clone(&text), text, settings: Vec::new() }
@@ -88,13 +88,13 @@ impl Source {
         }
     }
 
-    /// What the user knows the text by: a path.
+    /// Name of the text for the user: a path.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The text, settings applied.
+    /// Text, settings applied.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
@@ -107,10 +107,10 @@ impl Source {
     }
 }
 
-/// What is wrong in a file or a setting: the place, what stands there, and the remedy.
+/// A mistake in a file or a setting: the place, the text there, and the remedy.
 ///
-/// Displays as one line, `tasks/reach.toml:7: unknown key ...`; as a [`Diagnostic`] it carries the line
-/// itself, underlined, and the help.
+/// Displays as one line, `tasks/reach.toml:7: unknown key ...`; as a [`Diagnostic`] it also shows the line itself,
+/// underlined, and the help.
 pub struct FileError(Box<Inner>);
 
 struct Inner {
@@ -150,9 +150,9 @@ impl FileError {
         Self(Box::new(Inner { path, source: named, span, line, message: message.into(), help }))
     }
 
-    /// An error found after parsing, at a key: `"task.hand.cartesian.frame"`, or its segments where a key
-    /// may hold dots: `["joint", "arm.1"]`. An array's element is its index, from 0. If the key is not there,
-    /// the error points at the nearest table around it; if a setting wrote it, at the setting.
+    /// An error detected after parsing, at a key: `"task.hand.cartesian.frame"`, or its segments where a key may hold
+    /// dots: `["joint", "arm.1"]`. An array's element is its index, from 0. If the key is not there, the error points
+    /// at the nearest table around it; if a setting wrote it, at the setting.
     pub fn at_key(
         source: &Source,
         key: impl KeyPath,
@@ -169,7 +169,7 @@ impl FileError {
         Self::in_base(source, &path, Part::Value, message, join(help, note))
     }
 
-    /// At `span` of `text`.
+    /// An error at `span` of `text`.
     fn at_span(
         name: &str,
         text: &Arc<str>,
@@ -190,7 +190,7 @@ impl FileError {
         Self(Box::new(inner))
     }
 
-    /// At a key of the file as it was read; settings may have shifted the lines of what was parsed.
+    /// An error at a key of the file as it was read; settings may have shifted the lines of the parsed text.
     fn in_base(source: &Source, path: &[String], part: Part, message: String, help: Option<String>) -> Self {
         let span = DeTable::parse(&source.base).ok().map(|document| span_of(document.get_ref(), path, part));
         match span.flatten() {
@@ -215,25 +215,25 @@ impl FileError {
         Self(Box::new(inner))
     }
 
-    /// The file, as the user named it; `--set` for a setting.
+    /// Name of the file, as the user gave it; `--set` for a setting.
     #[must_use]
     pub fn path(&self) -> &str {
         &self.0.path
     }
 
-    /// The line, from 1; `None` for a setting and for a file as a whole.
+    /// Number of the line, from 1; `None` for a setting and for a file as a whole.
     #[must_use]
     pub fn line(&self) -> Option<usize> {
         self.0.line
     }
 
-    /// What is wrong, without the place.
+    /// Description of the mistake, without the place.
     #[must_use]
     pub fn message(&self) -> &str {
         &self.0.message
     }
 
-    /// What to do about it.
+    /// Remedy.
     #[must_use]
     pub fn help(&self) -> Option<&str> {
         self.0.help.as_deref()
@@ -274,9 +274,9 @@ impl Diagnostic for FileError {
     }
 }
 
-/// Names a key within nested tables.
+/// Path of a key within nested tables.
 pub trait KeyPath {
-    /// The keys from the file's root inwards.
+    /// Keys from the file's root inwards.
     fn segments(&self) -> Vec<String>;
 }
 
@@ -336,7 +336,7 @@ pub fn parse<T: DeserializeOwned>(source: &Source) -> Result<T, FileError> {
 /// A document, its values with their places in the text.
 pub(crate) type Document<'a> = toml::Spanned<DeTable<'a>>;
 
-/// The document, if it is TOML and its numbers are finite.
+/// Parses the document and checks that its numbers are finite.
 pub(crate) fn checked(source: &Source) -> Result<Document<'_>, FileError> {
     let document = check_syntax(source)?;
     check_finite(document.get_ref(), &mut Vec::new()).map_err(|(path, number)| {
@@ -345,7 +345,7 @@ pub(crate) fn checked(source: &Source) -> Result<Document<'_>, FileError> {
     Ok(document)
 }
 
-/// The document, or where it is not TOML.
+/// Parses the document; the error is placed where it is not TOML.
 pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
     DeTable::parse(&source.text).map_err(|error| {
         let span = error.span().unwrap_or(0..0);
@@ -354,7 +354,7 @@ pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
     })
 }
 
-/// The key path and text of the first number that is not finite.
+/// Returns the key path and text of the first number that is not finite, as an error.
 fn check_finite(table: &DeTable<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
     for (key, value) in table {
         path.push(key.get_ref().to_string());
@@ -383,7 +383,7 @@ fn check_finite_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(),
     }
 }
 
-/// A deserialiser's error, placed and in the user's words.
+/// Translates a deserialiser's error into the user's words and places it.
 pub(crate) fn explain<T: DeserializeOwned>(
     source: &Source,
     document: &DeTable<'_>,
@@ -413,7 +413,7 @@ pub(crate) fn explain<T: DeserializeOwned>(
     FileError::in_base(source, &path, part, message, help)
 }
 
-/// The last setting that wrote what stands at `path`.
+/// Returns the last setting that wrote the value at `path`.
 fn setting_at<'a>(source: &'a Source, path: &[String]) -> Option<&'a Setting> {
     let wrote = source.settings.iter().rfind(|setting| path.starts_with(&setting.path));
     wrote.or_else(|| {
@@ -426,7 +426,7 @@ fn setting_at<'a>(source: &'a Source, path: &[String]) -> Option<&'a Setting> {
     })
 }
 
-/// Where a setting made a table that the file does not have: likely a slip in its name.
+/// Describes the place at which a setting made a table that the file does not have: likely a mistake in its name.
 fn made_here(source: &Source, setting: &Setting) -> Option<String> {
     let base = DeTable::parse(&source.base).ok()?;
     let depth = depth_of(base.get_ref(), &setting.path);
@@ -482,7 +482,7 @@ fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The TOML files of a folder, as a help.
+/// Lists the TOML files of a folder, as a help.
 fn files_in(folder: &Path) -> Option<String> {
     let mut names = names_in(folder);
     names.retain(|name| name.ends_with(".toml"));

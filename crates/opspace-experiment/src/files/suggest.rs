@@ -1,6 +1,6 @@
-//! Near names, lists of names, and the units that keys carry.
+//! Near names, lists of names, and the units at the end of keys.
 
-/// The candidate that a name was likely meant to be, if one is near.
+/// Returns the candidate that a name was likely meant to be, if one is near.
 ///
 /// Near is a Damerau-Levenshtein distance of at most a third of the name, or a Jaro-Winkler similarity of at
 /// least 0.9; case, `-` and `_` do not count.
@@ -24,7 +24,7 @@ where
     best.map(|(candidate, ..)| candidate)
 }
 
-/// What could have been meant, and what there is.
+/// Describes the nearest of the known names, and lists all of them.
 pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
     name: &str,
     known: impl IntoIterator<Item = &'a S>,
@@ -37,7 +37,7 @@ pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
     }
 }
 
-/// The names, separated by commas.
+/// Joins the names with commas.
 pub(crate) fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
@@ -46,7 +46,7 @@ pub(crate) fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
 pub(crate) struct Unit {
     pub(crate) suffix: &'static str,
     pub(crate) symbol: &'static str,
-    /// What it measures; two units of one quantity convert by the quotient of their `si`.
+    /// Quantity measured in the unit; two units of one quantity convert by the quotient of their `si`.
     pub(crate) quantity: &'static str,
     pub(crate) si: f64,
 }
@@ -55,7 +55,7 @@ const fn unit(suffix: &'static str, symbol: &'static str, quantity: &'static str
     Unit { suffix, symbol, quantity, si }
 }
 
-/// Units as key names end; an ending that ends another stands after it.
+/// Units as key names end; a suffix that is the end of a longer one comes after it.
 const UNITS: &[Unit] = {
     use std::f64::consts::{PI, TAU};
     &[
@@ -102,7 +102,7 @@ pub(crate) fn unit_of(key: &str) -> Option<&'static Unit> {
     UNITS.iter().find(|unit| key.strip_suffix(unit.suffix).is_some_and(|stem| stem.ends_with('_')))
 }
 
-/// The unit that a key's name ends in, as print writes it: `stiffness_n_per_m` is in `N/m`.
+/// Symbol of the unit at the end of a key's name: `stiffness_n_per_m` is in `N/m`.
 #[must_use]
 pub fn unit_symbol(key: &str) -> Option<&'static str> {
     unit_of(key).map(|unit| unit.symbol)
@@ -112,12 +112,12 @@ pub(crate) fn stem(key: &str) -> &str {
     unit_of(key).map_or(key, |unit| &key[..key.len() - unit.suffix.len() - 1])
 }
 
-/// The allowed key that measures the same in another unit, or names the unit that was left out.
+/// Returns the allowed key for the same quantity in another unit, or with the unit that was left out.
 pub(crate) fn same_but_unit<'a>(name: &str, allowed: &[&'a str]) -> Option<&'a str> {
     allowed.iter().copied().find(|candidate| *candidate != name && stem(candidate) == stem(name))
 }
 
-/// What to heed when a key is renamed to one in another unit.
+/// Hint on renaming a key to one in another unit; `None` where the unit is the same.
 pub(crate) fn units_differ(name: &str, meant: &str) -> Option<String> {
     let to = unit_of(meant)?;
     match unit_of(name) {

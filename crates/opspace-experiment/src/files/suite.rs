@@ -1,4 +1,4 @@
-//! Suites: which tasks run on which robots under which controllers.
+//! Suites: lists of tasks, with the robots and controllers on which they run.
 
 use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
@@ -14,15 +14,15 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteFile {
-    /// What the suite is about, in a line.
+    /// Subject of the suite, in one line.
     pub title: String,
-    /// The profiles of the robot that each run takes; its default one if absent.
+    /// Profiles of the robot for each run; its default one if absent.
     #[serde(default)]
     pub profiles: Vec<String>,
-    /// The columns of its table; those of every table if absent.
+    /// Columns of the suite's table; those of every table if absent.
     #[serde(default = "every_table")]
     pub columns: Vec<Measure>,
-    /// The runs.
+    /// Runs of the suite.
     pub run: Vec<SuiteRun>,
 }
 
@@ -34,32 +34,32 @@ fn every_table() -> Vec<Measure> {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteRun {
-    /// Task files; the paths count from the suite file.
+    /// Task files; the paths are relative to the suite file.
     pub tasks: Vec<PathBuf>,
-    /// Another robot than the tasks'; the path counts from the suite file.
+    /// Robot in place of the tasks' own; the path is relative to the suite file.
     #[serde(default)]
     pub robot: Option<PathBuf>,
-    /// Which kind of robot.
+    /// Kind of robot: `position`, `velocity` or `torque`.
     pub backend: BackendKind,
-    /// Which controller.
+    /// Controller: `osc`, `ik` or `ik-lead`.
     pub controller: ControllerKind,
-    /// Another transformer than the profile's.
+    /// Transformer in place of the profile's.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
-    /// Other profiles than the suite's.
+    /// Profiles in place of the suite's.
     #[serde(default)]
     pub profiles: Option<Vec<String>>,
-    /// One run for each seed; the tasks' own if absent.
+    /// Seeds, one run for each; the tasks' own if absent.
     #[serde(default)]
     pub seeds: Vec<u64>,
-    /// Settings as on the command line: `robot.` ones change the robot file, others the task. `{profile}` in them stands for
-    /// the profile's name.
+    /// Settings as on the command line: those that begin with `robot.` change the robot file, others the task.
+    /// `{profile}` in them stands for the profile's name.
     #[serde(default)]
     pub set: Vec<String>,
-    /// What the table calls these settings.
+    /// Name of these settings in the table.
     #[serde(default)]
     pub label: Option<String>,
-    /// The same runs again with further settings, once for each; as they are if absent.
+    /// Repetitions of the runs with further settings, once for each case; the runs as they are if absent.
     #[serde(default)]
     pub case: Vec<SuiteCase>,
 }
@@ -68,30 +68,30 @@ pub struct SuiteRun {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteCase {
-    /// What the table calls them.
+    /// Name of the settings in the table.
     pub label: String,
-    /// As those of the run.
+    /// Settings, written as those of the run.
     pub set: Vec<String>,
 }
 
-/// A suite, read: every experiment in it checked.
+/// A suite, read, with every experiment in it checked.
 #[derive(Clone, Debug)]
 pub struct Suite {
-    /// Its file's text.
+    /// Text of the suite's file.
     pub source: Source,
-    /// What it is about.
+    /// Subject of the suite.
     pub title: String,
-    /// The columns of its table.
+    /// Columns of the suite's table.
     pub columns: Vec<Measure>,
-    /// Its experiments, in the order of the file: tasks, then cases, profiles, seeds.
+    /// Experiments, in the order of the file: tasks, then cases, profiles, seeds.
     pub experiments: Vec<Experiment>,
 }
 
 impl Suite {
-    /// Reads a suite and everything it names.
+    /// Reads a suite and all files that it names.
     ///
     /// # Errors
-    /// What is wrong in any of the files, with its place.
+    /// Mistakes in any of the files, each with its place.
     pub fn load(files: Files, path: &Path) -> Result<Self, FileError> {
         Self::load_with(&Extensions::default(), files, path)
     }
@@ -166,7 +166,7 @@ impl SuiteRun {
     }
 }
 
-/// Each of the list, or once without any.
+/// Returns each item of the list, or one `None` if it is empty.
 fn or_default<T: Clone>(list: &[T]) -> Vec<Option<T>> {
     if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
 }

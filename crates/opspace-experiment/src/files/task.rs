@@ -1,4 +1,4 @@
-//! Task files: what the robot is to do, and what surrounds it while it does.
+//! Task files: the tasks of a robot, and its environment during the run.
 
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
@@ -20,38 +20,38 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskFile {
-    /// The robot it is for: its folder or its robot.toml; the path counts from this file.
+    /// Robot of the task: its folder or its robot.toml; the path is relative to this file.
     pub robot: PathBuf,
-    /// How long the controller runs, s.
+    /// Duration of control, s.
     pub duration_s: Positive,
-    /// From when on statistics count, s.
+    /// Time from which statistics count, s after the controller's start.
     #[serde(default)]
     pub settle_s: NonNegative,
-    /// Of everything random in a simulation.
+    /// Seed of all random numbers in a simulation.
     #[serde(default = "one")]
     pub seed: u64,
-    /// The tasks by name, the most important first; empty leaves only the compensation.
+    /// Tasks by name, in the order of priority; empty leaves only the compensation.
     pub priority: Vec<String>,
-    /// The tasks, by name.
+    /// Parameters of the tasks, by name.
     #[serde(default)]
     pub task: BTreeMap<String, TaskParameters>,
-    /// Which of the arm's own torques are compensated.
+    /// Compensation of the arm's own torques.
     #[serde(default)]
     pub compensation: Compensation,
-    /// How the robot's limits are kept.
+    /// Enforcement of the robot's limits.
     #[serde(default)]
     pub limits: LimitParameters,
-    /// How much friction is compensated.
+    /// Compensation of friction.
     #[serde(default)]
     pub friction_compensation: FrictionCompensationParameters,
-    /// Joint positions at the start by joint name, rad (m); 0 for joints left out. A simulated robot is put there, at rest;
-    /// a real one must be there, or be moved there (`run --move-to-start`).
+    /// Joint positions at the start by joint name, rad (m); 0 for joints left out. A simulated robot is put there, at
+    /// rest; a real one must be there, or be moved there (`run --move-to-start`).
     #[serde(default)]
     pub start_rad: BTreeMap<String, f64>,
-    /// What changes while the controller runs, in the order of time.
+    /// Changes of the tasks during the run, in the order of time.
     #[serde(default)]
     pub event: Vec<EventFile>,
-    /// What touches a simulated robot, by name.
+    /// Objects in the environment of a simulated robot, by name.
     #[serde(default)]
     pub surroundings: BTreeMap<String, EnvironmentObjectParameters>,
 }
@@ -60,21 +60,21 @@ pub struct TaskFile {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EventFile {
-    /// When, s after the controller's start.
+    /// Time of the change, s after the controller's start.
     pub time_s: Positive,
-    /// What changes from then on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
+    /// Settings from then on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
     /// `"priority=[\"hand\"]"`. Only `task` and `priority` can change.
     pub set: Vec<String>,
 }
 
-/// The tasks that are in force from a time on.
+/// A task set that is in force from a given time.
 #[derive(Clone, Debug)]
 pub struct StackFile {
-    /// s after the controller's start.
+    /// Time from which the set is in force, s after the controller's start.
     pub time_s: f64,
-    /// The tasks by name, the most important first.
+    /// Tasks by name, in the order of priority.
     pub priority: Vec<String>,
-    /// The tasks, by name.
+    /// Parameters of the tasks, by name.
     pub task: BTreeMap<String, TaskParameters>,
 }
 
@@ -85,13 +85,13 @@ const fn one() -> u64 {
 /// A task, read and parsed.
 #[derive(Clone, Debug)]
 pub struct Task {
-    /// Its file's text, settings applied.
+    /// Text of the task's file, settings applied.
     pub source: Source,
-    /// Its file.
+    /// Parameters in the task's file.
     pub file: TaskFile,
-    /// The recorded paths that its tasks follow, by the path as the file gives it.
+    /// Recorded paths that the tasks follow, by the path as the file gives it.
     pub recordings: BTreeMap<PathBuf, Source>,
-    /// The tasks after each of the file's events.
+    /// Task sets after each of the file's events.
     pub events: Vec<StackFile>,
 }
 
@@ -99,12 +99,12 @@ impl Task {
     /// Reads a task, and the recorded paths that it names. `settings` change values in it.
     ///
     /// # Errors
-    /// What is wrong in the files, with its place.
+    /// Mistakes in the files, each with its place.
     pub fn load(files: Files, path: &Path, settings: &[String]) -> Result<Self, FileError> {
         Self::load_with(&TaskKinds::new(), files, path, settings)
     }
 
-    /// As [`load`](Self::load), with kinds of tasks beside the built-in ones.
+    /// Reads a task like [`load`](Self::load), with kinds of tasks beside the built-in ones.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -120,7 +120,7 @@ impl Task {
         Self::from_sources_with(kinds, source, |named| files.read_named(&named.path, named.by, named.key))
     }
 
-    /// A task from its text; `read` finds the recorded paths that it names.
+    /// Reads a task from its text; `read` reads the recorded paths that it names.
     ///
     /// # Errors
     /// As [`load`](Self::load), and those of `read`.
@@ -131,7 +131,7 @@ impl Task {
         Self::from_sources_with(&TaskKinds::new(), source, read)
     }
 
-    /// As [`from_sources`](Self::from_sources), with kinds of tasks beside the built-in ones.
+    /// Reads a task like [`from_sources`](Self::from_sources), with kinds of tasks beside the built-in ones.
     ///
     /// # Errors
     /// As [`from_sources`](Self::from_sources).
@@ -162,14 +162,14 @@ impl Task {
         Ok(Self { source, file, recordings, events })
     }
 
-    /// The task's name: that of its file.
+    /// Name of the task: that of its file.
     #[must_use]
     pub fn name(&self) -> String {
         let stem = Path::new(self.source.name()).file_stem();
         stem.map_or_else(|| self.source.name().to_owned(), |s| s.to_string_lossy().into_owned())
     }
 
-    /// Where its robot is.
+    /// Path of the task's robot.
     #[must_use]
     pub fn robot_path(&self) -> PathBuf {
         beside(Path::new(self.source.name()), &self.file.robot)
@@ -178,15 +178,15 @@ impl Task {
 
 /// A recorded path that a task names.
 pub struct NamedRecording<'a> {
-    /// Its file as the task file gives it.
+    /// File of the recording, as the task file gives it.
     pub file: &'a Path,
-    /// Where that is.
+    /// Path of the file.
     pub path: PathBuf,
     by: &'a Source,
     key: [&'a str; 6],
 }
 
-/// A task file, with tasks of built-in and of registered kinds.
+/// Parses a task file, with tasks of built-in and of registered kinds.
 fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError> {
     let mut document = checked(source)?;
     let whole = document.clone();
@@ -197,7 +197,7 @@ fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError>
     Ok(file)
 }
 
-/// The tasks after each event: an event changes what the one before has left.
+/// Returns the task sets after each event: an event changes the set that the one before it has left.
 fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<Vec<StackFile>, FileError> {
     let mut stacks: Vec<StackFile> = Vec::new();
     let mut settings = Vec::new();
@@ -232,7 +232,7 @@ fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<V
     Ok(stacks)
 }
 
-/// The samples of a recorded path.
+/// Reads the samples of a recorded path.
 fn samples(recording: &Source) -> Result<Vec<recorded::PoseSample>, FileError> {
     recorded::parse(recording.text()).map_err(|error| {
         let help = match &error.reason {

@@ -16,7 +16,7 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 pub const BUILT_IN: [&str; 6] =
     ["cartesian", "center-of-mass", "swivel", "joint-tracking", "joint-posture", "joint-damping"];
 
-/// Registered kinds by name: `[task.NAME.KIND]` in a file becomes a task of the user's own.
+/// Registered kinds by name: `[task.NAME.KIND]` in a file becomes a task defined by the user.
 #[derive(Clone, Default)]
 pub struct TaskKinds(BTreeMap<String, Parser>);
 
@@ -29,13 +29,13 @@ pub enum TaskKindError {
     /// The name is that of a built-in kind, or of one that is registered.
     #[error("the task kind '{kind}' exists already")]
     Taken {
-        /// The name.
+        /// Name of the kind.
         kind: String,
     },
 }
 
 impl TaskKinds {
-    /// Only the built-in kinds.
+    /// Creates a list of the built-in kinds alone.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -45,7 +45,7 @@ impl TaskKinds {
     /// `P` decides on unknown keys (`#[serde(deny_unknown_fields)]`). Keys of errors count from the file's root.
     ///
     /// # Errors
-    /// A name that is taken.
+    /// A name that is already in use.
     pub fn register<P: DeserializeOwned + Send + Sync + 'static>(
         &mut self,
         kind: impl Into<String>,
@@ -74,7 +74,7 @@ impl TaskKinds {
         self.0.keys().map(String::as_str)
     }
 
-    /// Takes the tasks of registered kinds out of a task file's document.
+    /// Removes the tasks of registered kinds from a task file's document, and returns them.
     pub(crate) fn take(
         &self,
         source: &Source,

@@ -1,10 +1,10 @@
-//! The files with which a user's own robot begins: everything that must be known is listed, nothing guessed.
+//! Template files for a user's own robot: they list every value that must be known, and guess none.
 
 use opspace_model::{Joint, JointKind, Model};
 use std::fmt::Write as _;
 use toml_edit::{Key, Value};
 
-/// A robot.toml for the joints of a URDF. Values that only the robot's maker knows are commented out.
+/// Returns a robot.toml for the joints of a URDF. Values that only the robot's maker knows are commented out.
 #[must_use]
 pub fn robot_toml(urdf: &str, model: &Model) -> String {
     let mut text = format!(
@@ -63,7 +63,7 @@ on_missed_cycle = "hold-last"
     text
 }
 
-/// The plant of a simulation. No joint of its own: a stiffness there counts for all.
+/// Parameters of a simulated plant. It has no values per joint: a stiffness here applies to all.
 const SIMULATED: &str = r"
 # The robot's simulation: what its plant is beyond what is believed above. Without it the robot can't be simulated.
 [simulated]
@@ -145,12 +145,12 @@ fn servo(joint: &Joint) -> String {
     )
 }
 
-/// A name as a comment can hold it.
+/// Replaces the control characters of a name by spaces, so that it stays on the line of its comment.
 fn one_line(name: &str) -> String {
     name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// A first task for that robot: it holds its posture, softly.
+/// Returns a first task for that robot: it holds its posture, softly.
 #[must_use]
 pub fn task_toml(model: &Model) -> String {
     let mut text = String::from(

@@ -1,10 +1,10 @@
-//! Where in a TOML document a key stands, and which key stands at a place.
+//! Places of keys in a TOML document, and keys at a place.
 
 use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// A path as TOML writes it.
+/// Writes a path as TOML does.
 pub(crate) fn dotted(path: &[String]) -> String {
     let bare =
         |key: &str| !key.is_empty() && key.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
@@ -12,7 +12,7 @@ pub(crate) fn dotted(path: &[String]) -> String {
     path.iter().map(quoted).collect::<Vec<_>>().join(".")
 }
 
-/// Which half of `key = value` an error is about.
+/// Half of `key = value` that an error concerns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
     Key,
@@ -41,7 +41,7 @@ pub(crate) fn entry<'a, 'i>(
     table.iter().find(|(name, _)| name.get_ref() == key).map(|(name, value)| (name.span(), value))
 }
 
-/// The spans of the keys and values along `path`, as far as it exists.
+/// Spans of the keys and values along `path`, as far as it exists.
 pub(crate) fn along<'a, 'i>(
     document: &'a DeTable<'i>,
     path: &[String],
@@ -69,7 +69,7 @@ pub(crate) fn value_at<'a, 'i>(document: &'a DeTable<'i>, path: &[String]) -> Op
     if steps.len() < path.len() { None } else { steps.last().map(|(_, value)| value.get_ref()) }
 }
 
-/// The span of a key or its value, or of the nearest table around it; `None` at the root.
+/// Span of a key or its value, or of the nearest table around it; `None` at the root.
 pub(crate) fn span_of(document: &DeTable<'_>, path: &[String], part: Part) -> Option<Range<usize>> {
     let steps = along(document, path);
     let whole = steps.len() == path.len();
@@ -81,7 +81,7 @@ pub(crate) fn span_of(document: &DeTable<'_>, path: &[String], part: Part) -> Op
     }
 }
 
-/// The path to the smallest key or value around a span's start.
+/// Path to the smallest key or value around a span's start.
 pub(crate) fn path_at(document: &DeTable<'_>, span: &Range<usize>) -> Vec<String> {
     let mut best = (usize::MAX, Vec::new());
     if !span.is_empty() {
@@ -122,7 +122,7 @@ fn narrow(
     }
 }
 
-/// The keys of the table at `path`, the root's for an empty path.
+/// Keys of the table at `path`, the root's for an empty path.
 pub(crate) fn keys_at(document: &DeTable<'_>, path: &[String]) -> Vec<String> {
     let table = match value_at(document, path) {
         Some(DeValue::Table(table)) => table,

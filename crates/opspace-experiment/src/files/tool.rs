@@ -1,4 +1,4 @@
-//! What is mounted on a robot: a tool or a load, with its mass, and the frame at its tip.
+//! Tools and loads mounted on a robot: mass, and the frame at the tip.
 
 use crate::files::source::{FileError, Source};
 use crate::files::suggest::choices;
@@ -9,34 +9,34 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// A rigid body that is fixed to a link. Tasks can lead its frame, which has its name.
+/// A rigid body that is fixed to a link. Tasks can control its frame, which has its name.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ToolFile {
-    /// The URDF link that carries it.
+    /// URDF link on which the tool is mounted.
     pub on: String,
-    /// Where its frame (its tip) is, in the axes of that link, m; at the link's origin if absent.
+    /// Origin of the tool's frame (its tip) in the axes of that link, m; the link's origin if absent.
     #[serde(default, deserialize_with = "exactly")]
     pub xyz_m: [f64; 3],
-    /// How its frame is turned against that link: roll, pitch and yaw as in a URDF, rad; not at all if absent.
+    /// Orientation of the tool's frame relative to that link: roll, pitch and yaw as in a URDF, rad; none if absent.
     #[serde(default, deserialize_with = "exactly")]
     pub rpy_rad: [f64; 3],
-    /// Mass, kg; none if absent: a frame and nothing more.
+    /// Mass, kg; zero if absent, which leaves only a frame.
     #[serde(default)]
     pub mass_kg: NonNegative,
-    /// Centre of mass, from the link's origin in the link's axes, m; at the origin if absent.
+    /// Centre of mass, from the link's origin in the link's axes, m; the link's origin if absent.
     #[serde(default, deserialize_with = "exactly")]
     pub com_m: [f64; 3],
-    /// xx, xy, xz, yy, yz, zz about the centre of mass, in the link's axes, kg m²; a point mass if absent.
+    /// Inertia xx, xy, xz, yy, yz, zz about the centre of mass, in the link's axes, kg m²; a point mass if absent.
     #[serde(default, deserialize_with = "exactly")]
     pub inertia_kg_m2: [f64; 6],
 }
 
-/// Moments are compared relative to the largest: data sheets print few digits.
+/// Tolerance of comparisons of moments, relative to the largest: data sheets print few digits.
 const INERTIA_TOLERANCE: f64 = 1e-3;
 
 impl ToolFile {
-    /// In the axes of the link.
+    /// Inertia in the axes of the link.
     fn inertia(&self) -> Inertia {
         let [xx, xy, xz, yy, yz, zz] = self.inertia_kg_m2;
         Inertia {
@@ -47,7 +47,7 @@ impl ToolFile {
     }
 }
 
-/// Mounts every tool of a robot file: its mass on the body that carries it, its frame under its name.
+/// Mounts every tool of a robot file: adds its mass to the body of its link, and its frame under its name.
 pub(crate) fn mount(
     source: &Source,
     model: &mut Model,

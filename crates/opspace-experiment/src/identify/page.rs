@@ -10,7 +10,7 @@ use opspace_identify::TorqueScale;
 const CURVE: usize = 300;
 
 impl Identified {
-    /// The page.
+    /// Draws the page.
     #[must_use]
     pub fn page(&self) -> String {
         let title = format!("Servos of {}, profile {}", self.robot.name(), self.profile_name);
@@ -134,10 +134,10 @@ fn effective(joint: &IdentifiedJoint) -> Figure {
     }
 }
 
-/// Label, look, and values over frequency, Hz.
+/// Label, style, and values over frequency, Hz.
 type Curve = (String, Style, Vec<(f64, Option<Complex<f64>>)>);
 
-/// What is made of T at each amplitude.
+/// Curves of a quantity computed from the measured T, one per amplitude.
 fn measured(joint: &IdentifiedJoint, of: impl Fn(f64, Complex<f64>) -> Option<Complex<f64>>) -> Vec<Curve> {
     (joint.found.measured.iter())
         .map(|m| {
@@ -151,7 +151,7 @@ fn curve(label: &str, style: Style, hz: &[f64], of: impl Fn(f64) -> Option<Compl
     (label.to_owned(), style, hz.iter().map(|&hz| (hz, of(hz))).collect())
 }
 
-/// Evenly over the decades that were excited.
+/// Frequencies of a drawn curve, Hz: evenly spread over the excited decades.
 fn frequencies(joint: &IdentifiedJoint) -> Vec<f64> {
     let points = joint.found.measured.first().map_or(&[][..], |m| &m.position);
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
@@ -159,7 +159,7 @@ fn frequencies(joint: &IdentifiedJoint) -> Vec<f64> {
     (0..CURVE).map(|k| first.hz * ratio.powf(k as f64 / (CURVE - 1) as f64)).collect()
 }
 
-/// Magnitude and phase.
+/// Panels of magnitude and phase.
 fn bode(curves: Vec<Curve>, magnitude: &str) -> Vec<Panel> {
     let panel = |title: &str, y_label: &str, y_scale: Scale, of: fn(Complex<f64>) -> f64| Panel {
         title: title.to_owned(),

@@ -1,4 +1,4 @@
-//! What is identified, as robot.toml says it: the section of the servos, and a whole file.
+//! Identification results in the form of robot.toml: the section of the servos, and a whole file.
 
 use super::{Identified, IdentifiedJoint, Structure};
 use crate::files::source::FileError;
@@ -8,8 +8,8 @@ use std::path::Path;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
 
 impl Identified {
-    /// The keys of robot.toml that were identified, to be copied there; of joints that can't be driven by torques, what is
-    /// known of them and why, as comments.
+    /// The identified keys of robot.toml, to be copied there. Comments state what is known of the joints that can't be
+    /// driven by torques, and the reason.
     #[must_use]
     pub fn servo_toml(&self) -> String {
         let profile = &self.profile_name;
@@ -51,9 +51,9 @@ impl Identified {
         text
     }
 
-    /// The robot's whole file with what was identified in place of what was believed, beside a URDF of the name `urdf`. The
-    /// plant of the simulation stays what it was: what was believed of it until now stands in `[simulated]`. `None` if a
-    /// joint can't be driven by torques.
+    /// The robot's whole file with the identified values in place of the nominal ones, beside a URDF of the name
+    /// `urdf`. The plant of the simulation is unchanged: the former nominal values are written into `[simulated]`.
+    /// `None` if a joint can't be driven by torques.
     ///
     /// # Errors
     /// If the robot's file can't be edited, which it can if it was read.
@@ -116,7 +116,7 @@ impl Identified {
         self.robot.urdf.text()
     }
 
-    /// Writes what was believed into `[simulated]`, where nothing else is said to be true.
+    /// Writes the former nominal values into `[simulated]`, except where it states values already.
     fn keep_plant(&self, file: &mut Table) -> Option<()> {
         let mut servos = Vec::new();
         let mut frictions = Vec::new();
@@ -139,7 +139,7 @@ impl Identified {
     }
 }
 
-/// A table below another; inline ones become tables of their own.
+/// Returns a table below another; inline ones become tables of their own.
 fn table<'a>(parent: &'a mut Table, key: &str) -> Option<&'a mut Table> {
     let item = parent.get_mut(key)?;
     if item.is_inline_table() {
@@ -156,17 +156,17 @@ fn inline(item: Item) -> Option<InlineTable> {
     })
 }
 
-/// Replaces a value; a comment beside it was about another.
+/// Replaces a value and drops the comment beside it, which described the old value.
 fn put(table: &mut Table, key: &str, value: Value) {
     table.insert(key, Item::Value(value));
 }
 
-/// The line for editors points to a schema that isn't here.
+/// Removes the line that names a schema for editors: there is none beside the new file.
 fn without_schema(text: &str) -> String {
     text.lines().filter(|line| !line.starts_with("#:schema")).map(|line| line.to_owned() + "\n").collect()
 }
 
-/// Where a servo's scale comes from and how far it holds.
+/// Source of a servo's torque scale, and its fit quality.
 fn remark(joint: &IdentifiedJoint) -> String {
     let scale = match joint.found.scale {
         TorqueScale::MotorCurrent => "the motor's current",
@@ -206,7 +206,7 @@ fn servo(joint: &IdentifiedJoint) -> Value {
     kind.into()
 }
 
-/// What is known of a servo whose scale of torque isn't.
+/// Identified ratios of a servo whose torque scale is unknown; empty for other servos.
 fn ratios(joint: &IdentifiedJoint) -> String {
     let Some(servo) = joint.found.servo.as_ref().filter(|_| joint.found.scale == TorqueScale::Unknown) else {
         return String::new();
@@ -223,8 +223,8 @@ fn ratios(joint: &IdentifiedJoint) -> String {
     )
 }
 
-/// T as it was fitted, behind hold and delay, and the ideal joint G* of equation (5): for the transformers `identified`. A
-/// joint that nothing loads goes where it is told to: T(0) = 1.
+/// T as fitted, behind hold and delay, and the ideal joint G* of equation (5): for the transformers `identified`. T is
+/// scaled to T(0) = 1, since a joint without load moves to its setpoint.
 fn identified(joint: &IdentifiedJoint) -> Option<Table> {
     let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
     let trusted_hz = joint.found.trust.as_ref()?.bandwidth_hz;
@@ -258,7 +258,7 @@ fn friction(joint: &IdentifiedJoint) -> Option<Value> {
     Some(values.into())
 }
 
-/// Four digits: more were not measured.
+/// Rounds to four digits: the measurement yields no more.
 fn rounded(value: f64) -> Value {
     if value == 0.0 || !value.is_finite() {
         return 0.0.into();

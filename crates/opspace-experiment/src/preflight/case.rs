@@ -1,4 +1,4 @@
-//! An experiment at its start, and the tasks that are in force one after the other.
+//! An experiment at its start, and its successive task sets.
 
 use super::motion::{Motion, motions};
 use crate::run::experiment::Experiment;
@@ -34,22 +34,22 @@ pub(super) fn input<'a>(
 pub(super) struct Case<'a> {
     pub(super) experiment: &'a Experiment,
     pub(super) model: &'a Model,
-    /// rad or m (n).
+    /// Joint positions at the start, rad or m (n).
     pub(super) start: Vec<f64>,
-    /// At the start, at rest.
+    /// Kinematics and dynamics at the start, at rest.
     pub(super) data: Data,
-    /// Those that come into force while it runs, in the order of time.
+    /// Task sets that come into force during the run, in the order of time.
     pub(super) stacks: Vec<InForce<'a>>,
 }
 
-/// The tasks that are in force for a while.
+/// A task set, in force from one event to the next.
 pub(super) struct InForce<'a> {
     pub(super) from_s: f64,
     pub(super) priority: &'a [String],
     pub(super) task: &'a BTreeMap<String, TaskParameters>,
     /// The tasks themselves, not started.
     pub(super) tasks: TaskSet,
-    /// Of the tasks that lead a frame or the centre of mass, in the order of priority.
+    /// Tasks that control a frame or the centre of mass, in the order of priority.
     pub(super) motions: Vec<Motion<'a>>,
 }
 
@@ -73,8 +73,8 @@ impl<'a> Case<'a> {
         Some(Self { experiment, model, start, data, stacks })
     }
 
-    /// Where a value of a task stands: in the task itself, or in the last event that changed it before the stack
-    /// came into force.
+    /// Key of a task's value: in the task itself, or in the last event that changed the task before its set came into
+    /// force.
     pub(super) fn key(&self, stack: usize, name: &str, rest: &[&str]) -> Vec<String> {
         let changed =
             (1..=stack).rev().find(|&k| self.stacks[k].task.get(name) != self.stacks[k - 1].task.get(name));
@@ -84,14 +84,14 @@ impl<'a> Case<'a> {
         }
     }
 
-    /// Where the reference of a task stands.
+    /// Key of a task's reference.
     pub(super) fn reference_key(&self, stack: usize, name: &str) -> Vec<String> {
         let kind = self.stacks[stack].task.get(name).map_or("", kind);
         self.key(stack, name, &[kind, "reference"])
     }
 
-    /// From when on a task's reference of that stack is followed, s: its own event's time, or that of an earlier
-    /// one since which it hasn't changed.
+    /// Time at which the reference of a task in that set begins, s: that of the set's own event, or that of the
+    /// earliest event since which it hasn't changed.
     pub(super) fn begin_s(&self, stack: usize, same: impl Fn(&InForce<'_>) -> bool) -> f64 {
         let first = (0..=stack).rev().take_while(|&k| same(&self.stacks[k])).last();
         self.stacks[first.unwrap_or(stack)].from_s
@@ -104,7 +104,7 @@ impl<'a> Case<'a> {
         (limits.lower + margin, limits.upper - margin)
     }
 
-    /// How far joints are kept from their ends, rad or m.
+    /// Distance of the joints' allowed range from their position limits, rad or m.
     pub(super) fn margin(&self) -> f64 {
         let limits = &self.experiment.task().file.limits;
         if limits.enforce { limits.position_margin_rad.get() } else { 0.0 }

@@ -1,17 +1,17 @@
-//! Findings: what will go wrong, with its place and a remedy.
+//! Findings: predicted failures of a run, with their place and a remedy.
 
 use crate::files::source::FileError;
 use crate::files::toml_path::dotted;
 use crate::run::experiment::Experiment;
 
-/// Something that will go wrong.
+/// A predicted failure of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// Which value it is about, as a dotted path into its file: `task.hand.cartesian.gains`.
+    /// Key of the value at fault, as a dotted path into its file: `task.hand.cartesian.gains`.
     pub key: String,
-    /// What is wrong, with the numbers.
+    /// Description of the failure, with the numbers.
     pub message: String,
-    /// What to do about it.
+    /// Remedy.
     pub help: String,
     file: File,
 }
@@ -33,7 +33,7 @@ impl Finding {
         Self { file: File::Robot, ..self }
     }
 
-    /// With its place in the files of the experiment in which it was found.
+    /// Returns the finding with its place in the files of its experiment.
     #[must_use]
     pub fn placed(&self, experiment: &Experiment) -> FileError {
         let source = match self.file {
@@ -44,7 +44,7 @@ impl Finding {
     }
 }
 
-/// Three digits, no more zeros than they need: `8.35`, `40`, `-0.12`, `1.2e-9`.
+/// Formats a number with three digits and no trailing zeros: `8.35`, `40`, `-0.12`, `1.2e-9`.
 pub(super) fn short(number: f64) -> String {
     let text = format!("{number:.2e}");
     let Some((digits, Ok(exponent))) = text.split_once('e').map(|(d, e)| (d, e.parse::<i32>())) else {

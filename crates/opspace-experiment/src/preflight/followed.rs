@@ -6,7 +6,7 @@
 //! q̇ = J⁺ (ẋ_d + 20 (x_d − x)) + (I − J⁺ J) q̇_0        J⁺ = Jᵀ (J Jᵀ + μ² I)⁻¹
 //! ```
 //!
-//! with the rows of all tasks that follow a reference in J, and what the task of all joints asks for in q̇_0.
+//! with the rows of all tasks that follow a reference in J, and the velocities of the task of all joints in q̇_0.
 
 use super::case::{Case, input};
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
@@ -15,33 +15,33 @@ use opspace_control::{Controller, Measurement, Targets, Task, TaskSet};
 use opspace_model::{Data, Model, update};
 use std::collections::BTreeMap;
 
-/// Longest step, s: errors are worked off with a time constant of 0.05 s.
+/// Longest step, s: errors decay with a time constant of 0.05 s.
 const LONGEST_STEP_S: f64 = 0.01;
 
-/// In how many steps a run is followed, where that makes them no longer.
+/// Number of steps in which a run is followed, if they are not longer than the longest step.
 const STEPS: f64 = 2000.0;
 
-/// How many steps are followed: ten minutes of the longest, so that a run of days is not waited for.
+/// Largest number of steps: ten minutes of the longest, so that the check of a run of days ends soon.
 const MOST_STEPS: usize = 60_000;
 
-/// How many instants are kept.
+/// Largest number of instants that are kept.
 const KEPT: usize = 4000;
 
-/// μ² against the trace of J Jᵀ.
+/// μ² relative to the trace of J Jᵀ.
 const DAMPING: f64 = 1e-6;
 
-/// How far the joints may move in a step, rad or m: more is what becomes of a goal out of reach.
+/// Largest motion of a joint in a step, rad or m: a goal out of reach demands more.
 const LARGEST_STEP: f64 = 0.2;
 
-/// A run, followed.
+/// A run whose references the joints follow.
 pub(crate) struct Followed {
-    /// In the order of time; none where the task can't be followed.
+    /// Instants in the order of time; none where the task can't be followed.
     pub instants: Vec<Instant>,
-    /// Whether the last of them is the run's last.
+    /// True if the last instant is the end of the run.
     pub to_the_end: bool,
 }
 
-/// What an instant of a run asks for.
+/// Demands of the references at an instant of a run.
 pub(crate) struct Instant {
     pub time_s: f64,
     /// Number of the step, from 0.
@@ -50,17 +50,17 @@ pub(crate) struct Instant {
     pub stack: usize,
     /// Joint positions, rad or m (n).
     pub q: Vec<f64>,
-    /// Joint velocities that the references ask for, rad/s or m/s (n).
+    /// Joint velocities demanded by the references, rad/s or m/s (n).
     pub dq: Vec<f64>,
     /// Torques of gravity, Nm or N (n).
     pub gravity: Vec<f64>,
-    /// One for each task of at most six rows, in the order of priority.
+    /// Demands of the tasks of at most six rows, in the order of priority.
     pub tasks: Vec<TaskInstant>,
-    /// Targets of joints, by the task that asks for them.
+    /// Targets of joints, by the name of the task that sets them.
     pub joints: BTreeMap<String, Vec<JointTarget>>,
 }
 
-/// What a task asks for at an instant.
+/// Demand of a task at an instant.
 pub(crate) struct TaskInstant {
     /// Norm of the velocity of its rows.
     pub velocity: f64,
@@ -71,13 +71,13 @@ pub(crate) struct TaskInstant {
     pub error: Vector6<f64>,
 }
 
-/// Where a joint should be.
+/// Reference of a joint.
 #[derive(Clone, Copy)]
 pub(crate) struct JointTarget {
     pub joint: usize,
-    /// rad or m.
+    /// Position, rad or m.
     pub position: f64,
-    /// rad/s or m/s.
+    /// Velocity, rad/s or m/s.
     pub velocity: f64,
 }
 
@@ -91,7 +91,7 @@ pub(crate) fn error(task: &dyn Task, model: &Model, data: &Data) -> Vector6<f64>
 /// Steps of a run.
 struct Steps {
     length_s: f64,
-    /// Of the whole run, and how many of them are followed.
+    /// Number of steps of the whole run, and number of those that are followed.
     all: usize,
     count: usize,
 }
@@ -123,7 +123,7 @@ impl Followed {
         Self { instants, to_the_end: followed == steps.all }
     }
 
-    /// Follows the run once more, and shows the tasks as they are at some steps, in the order of time.
+    /// Follows the run once more, and passes the tasks at the given steps to `visit`, in the order of time.
     pub(crate) fn revisit(case: &Case<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
         let Some(&last) = steps.iter().max() else { return };
         let Some(mut follower) = Follower::new(case, Steps::new(case).length_s) else { return };
@@ -145,7 +145,7 @@ struct Follower<'a> {
     data: Data,
     step_s: f64,
     torque: Vec<f64>,
-    /// Zero (n).
+    /// Zeros (n).
     feedforward_torque: Vec<f64>,
     targets: Targets,
     rows: Matrix6xX<f64>,
@@ -172,7 +172,7 @@ impl<'a> Follower<'a> {
         })
     }
 
-    /// What is asked for at that step; the joints then follow.
+    /// Computes the demands at that step, then lets the joints follow; `None` where they can't be computed.
     fn step(&mut self, step: usize) -> Option<Instant> {
         let (case, model) = (self.case, self.case.model);
         let time_s = step as f64 * self.step_s;
@@ -248,14 +248,14 @@ impl<'a> Follower<'a> {
     }
 }
 
-/// The joint that a row of a Jacobian is the position of.
+/// Joint whose position is the row of a Jacobian; `None` for other rows.
 fn single_joint(row: impl Iterator<Item = f64>) -> Option<usize> {
     let mut used = row.enumerate().filter(|(_, x)| *x != 0.0);
     let (joint, x) = used.next()?;
     (x == 1.0 && used.next().is_none()).then_some(joint)
 }
 
-/// Rows of all tasks, and what the joints do beside them.
+/// Rows of all tasks, and the joint motion in their null space.
 struct Wanted {
     rows: Vec<f64>,
     velocity: Vec<f64>,
@@ -281,7 +281,7 @@ impl Wanted {
         self.error.push(error);
     }
 
-    /// q̇ that the references ask for, and what works their errors off.
+    /// Joint velocities demanded by the references, and those that correct the errors.
     fn solve(self) -> (DVector<f64>, DVector<f64>) {
         let (m, n) = (self.velocity.len(), self.rest_velocity.len());
         if m == 0 {
@@ -309,8 +309,8 @@ mod tests {
     use crate::{Choice, Experiment, Files};
     use std::path::Path;
 
-    /// Where the joints are, by forward kinematics, against where the reference is: all along a way out and back, which
-    /// joints led by velocities alone leave by 1.4 mm.
+    /// Compared: joint positions by forward kinematics, and the reference, all along a way out and back. Joints that
+    /// follow velocities without feedback miss it by 1.4 mm.
     #[test]
     fn the_joints_follow_the_reference() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/ur5e-reach.toml");

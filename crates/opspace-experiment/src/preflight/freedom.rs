@@ -1,4 +1,4 @@
-//! Freedom that a task has lost where it starts, and freedom that nothing damps.
+//! Freedom that a task lacks at its start, and freedom that nothing damps.
 
 use super::case::Case;
 use super::finding::{Finding, short};
@@ -6,11 +6,11 @@ use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
 use opspace_control::tasks::task::SINGULARITY_THRESHOLD;
 use opspace_model::{Data, Inversion, OperationalSpace, update};
 
-/// In what steps, and how far, a joint is bent in search of a better start, rad or m.
+/// Step and largest number of steps by which a joint is bent in the search for a better start, rad or m.
 const BEND: f64 = 0.05;
 const FARTHEST_BENDS: u32 = 30;
 
-/// Joints that no task moves or damps.
+/// Finds joints that no task moves or damps.
 pub(crate) fn undamped(case: &Case<'_>) -> Option<Finding> {
     let n = case.model.n();
     (0..case.stacks.len()).find_map(|number| {
@@ -35,7 +35,7 @@ pub(crate) fn undamped(case: &Case<'_>) -> Option<Finding> {
     })
 }
 
-/// Tasks that at the start can hardly move in some direction, with the tasks above them in force.
+/// Finds tasks that at the start can hardly move in some direction, with the tasks of higher priority in force.
 pub(crate) fn singular_start(case: &Case<'_>) -> Vec<Finding> {
     let spectra = spectra(case, &case.data);
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
@@ -59,19 +59,20 @@ pub(crate) fn singular_start(case: &Case<'_>) -> Vec<Finding> {
     .collect()
 }
 
-/// From that share on nothing is lost.
+/// Share from which on nothing is lost.
 const WHOLE: f64 = 1.0 - 1e-9;
 
-/// How well a task can move its weakest direction.
+/// Mobility of a task in its weakest direction.
 struct Spectrum {
-    /// Of the task.
+    /// Name of the task.
     name: String,
     share: f64,
     /// Weakest direction in the task's rows, rotations scaled to m: `z`, or `0.71 x - 0.71 rz`.
     direction: String,
 }
 
-/// Spectra of the tasks at a state, each within the freedom that the tasks above leave, as the controller counts it.
+/// Spectra of the tasks at a state, each within the freedom that the tasks of higher priority leave, computed as by the
+/// controller.
 fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
     let (model, n, tasks) = (case.model, case.model.n(), &case.stacks[0].tasks);
     let mut freedom: DMatrix<f64> = DMatrix::identity(n, n);
@@ -96,7 +97,7 @@ fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
     found
 }
 
-/// The threshold of damping, or that which a task without it would have.
+/// Threshold of damping, or the one that a task without damping would have.
 fn threshold(inversion: Inversion) -> f64 {
     match inversion {
         Inversion::Damped(threshold) | Inversion::LeastSquares(threshold) | Inversion::Clamped(threshold) => {
@@ -132,7 +133,7 @@ fn direction(direction: &[f64], names: &[String]) -> String {
     text
 }
 
-/// The smallest bend of one joint at which the task has lost nothing, and those above neither.
+/// Smallest bend of one joint at which the task and those of higher priority lose nothing.
 fn bend(case: &Case<'_>, level: usize) -> Option<String> {
     let mut data = case.data.clone();
     let rest = vec![0.0; case.model.n()];

@@ -9,13 +9,13 @@ use opspace_control::rank::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
 use opspace_model::{Data, FrameId, kinematics};
 
-/// Missed by less, a goal is reached: m, with rotations scaled to it.
+/// Largest error at which a goal counts as reached: m, with rotations scaled to it.
 const REACHED_M: f64 = 1e-3;
 
-/// A run's instants are looked at in so many parts, the worst of each.
+/// Number of parts into which a run's instants are divided; the worst instant of each part is examined.
 const PARTS: usize = 8;
 
-/// One for each task that asks for more than the arm can do.
+/// Findings, one for each task whose reference the arm can't reach.
 pub(crate) fn out_of_reach(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let mut names: Vec<&str> = Vec::new();
     for task in case.stacks.iter().flat_map(|stack| stack.tasks.tasks()) {
@@ -41,7 +41,7 @@ pub(crate) fn out_of_reach(case: &Case<'_>, followed: &Followed) -> Vec<Finding>
 struct Asked<'a> {
     instant: &'a Instant,
     name: &'a str,
-    /// Place among the tasks in force.
+    /// Index among the tasks in force.
     place: usize,
 }
 
@@ -55,7 +55,7 @@ impl<'a> Asked<'a> {
         &self.instant.tasks[self.place].error
     }
 
-    /// Where what asks for it stands in the files: the nearest waypoint, if there are any.
+    /// Key of the reference in the files, of its nearest waypoint if it has waypoints.
     fn key(&self, case: &Case<'_>) -> Vec<String> {
         let mut key = case.reference_key(self.instant.stack, self.name);
         let reference = match case.stacks[self.instant.stack].task.get(self.name) {
@@ -74,7 +74,7 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Farther from the first joint than all links together.
+/// Finds references farther from the first joint than the sum of all links.
 fn too_far(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
     let (mut worst, mut most) = (None, 1.0 + 1e-6);
     for asked in asked {
@@ -101,8 +101,8 @@ fn too_far(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
     Some(Finding::new(&asked.key(case), message, help))
 }
 
-/// The first joint that moves a frame, and how far from it the target is, m: along the axes in motion, since
-/// along the others the frame may be anywhere.
+/// First joint that moves a frame, and the distance of the target from it, m: along the axes in motion, since along the
+/// others the frame may be anywhere.
 fn distance<'a>(
     case: &'a Case<'_>,
     asked: &Asked<'_>,
@@ -122,7 +122,7 @@ fn distance<'a>(
     Some((case.joint(first.joint), parts.map(|part| part * part).sum::<f64>().sqrt()))
 }
 
-/// The instants of a task at which joints that follow freely miss it most or leave their ranges.
+/// Instants of a task at which freely following joints miss it most or leave their ranges.
 fn doubtful<'a>(case: &Case<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
     let length = asked.len().div_ceil(PARTS).max(1);
     let worst = asked.chunks(length).filter_map(|part| {
@@ -132,7 +132,7 @@ fn doubtful<'a>(case: &Case<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
     worst.collect()
 }
 
-/// For each task's doubtful instants the postures that come nearest.
+/// Nearest postures at each task's doubtful instants.
 fn nearest_postures<'a>(case: &Case<'_>, doubtful: &[Vec<Asked<'a>>]) -> Vec<Vec<(Asked<'a>, Nearest)>> {
     let steps: Vec<usize> = doubtful.iter().flatten().map(|asked| asked.instant.step).collect();
     let mut nearest: Vec<Vec<(Asked<'a>, Nearest)>> = doubtful.iter().map(|_| Vec::new()).collect();
@@ -148,7 +148,7 @@ fn nearest_postures<'a>(case: &Case<'_>, doubtful: &[Vec<Asked<'a>>]) -> Vec<Vec
     nearest
 }
 
-/// Near enough, but no posture within the joints' ranges was found that is there.
+/// Finds references within the arm's length for which the search yields no posture within the joints' ranges.
 fn unattainable(case: &Case<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Finding> {
     let (asked, nearest) = first_of_largest(nearest.into_iter().map(|tried| (tried.1.missed, tried)))?;
     if nearest.missed <= REACHED_M {
@@ -179,13 +179,14 @@ fn unattainable(case: &Case<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<F
     Some(Finding::new(&asked.key(case), message, help))
 }
 
-/// What has the largest number, or comes before it with hardly less.
+/// Returns the item with the largest number, or an earlier one whose number is at most 1 % smaller.
 fn first_of_largest<T>(all: impl Iterator<Item = (f64, T)>) -> Option<T> {
     let larger = |best: (f64, T), next: (f64, T)| if next.0 > 1.01 * best.0 { next } else { best };
     all.reduce(larger).map(|(_, largest)| largest)
 }
 
-/// By how much joints that follow freely miss it or leave their ranges; nothing to doubt if they do neither.
+/// Error of freely following joints, or their distance beyond their ranges if larger; zero if they reach it within
+/// their ranges.
 fn doubt(case: &Case<'_>, asked: &Asked<'_>) -> f64 {
     let missed = asked.error().norm();
     let missed = if missed > REACHED_M { missed } else { 0.0 };
@@ -196,11 +197,11 @@ fn doubt(case: &Case<'_>, asked: &Asked<'_>) -> f64 {
     beyond.fold(missed, f64::max)
 }
 
-/// The posture that comes nearest to where a task should be.
+/// Posture that comes nearest to a task's reference.
 struct Nearest {
     /// Norm of the rows' error: m, with rotations scaled to it.
     missed: f64,
-    /// Along all rows in m, and about all in rad.
+    /// Error along all rows, m, and about all rows, rad.
     missed_by: [f64; 2],
     /// Joints at an end of their range.
     at_ends: Vec<String>,
@@ -208,7 +209,7 @@ struct Nearest {
 }
 
 impl Nearest {
-    /// Searches from postures of which `q` (n) is the first; the task's target is that of its last update.
+    /// Searches from several postures, of which `q` (n) is the first; the task's target is that of its last update.
     fn new(case: &Case<'_>, task: &dyn Task, q: &[f64]) -> Self {
         let mut best = Self { missed: f64::INFINITY, missed_by: [0.0; 2], at_ends: Vec::new(), tries: 0 };
         for start in starts(case, q) {
@@ -228,7 +229,7 @@ impl Nearest {
     }
 }
 
-/// The norm of those rows of an error that are in that unit, unscaled.
+/// Norm of an error's rows that are in that unit, unscaled.
 fn in_unit(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
     let rows = (0..task.rows()).filter(|&row| task.row_unit(row).0 == unit);
     rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
@@ -242,7 +243,8 @@ fn at_ends(case: &Case<'_>, data: &Data) -> Vec<String> {
     (0..case.model.n()).filter(at_end).map(|joint| format!("joint '{}'", case.joint(joint))).collect()
 }
 
-/// Postures to search from: where the joints would be, the start, and some spread over the joints' ranges.
+/// Start postures of the search: where the joints would be, the start of the run, and some spread over the joints'
+/// ranges.
 fn starts(case: &Case<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
     const SPREAD: usize = 18;
     let mut starts = vec![followed.to_vec(), case.start.clone()];
@@ -259,8 +261,8 @@ fn starts(case: &Case<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
     starts
 }
 
-/// Inverse kinematics within the joints' ranges: damped least squares (Levenberg and Marquardt), joints that are at an
-/// end and would go beyond it left out.
+/// Inverse kinematics within the joints' ranges by damped least squares (Levenberg and Marquardt); joints that are at
+/// an end and would go beyond it are left out.
 fn solve(case: &Case<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
     const ITERATIONS: usize = 300;
     let (model, n) = (case.model, case.model.n());
@@ -322,7 +324,7 @@ mod tests {
     use opspace_model::frame_placement;
     use std::path::Path;
 
-    /// A task of the flange whose target has arrived at the end of a reference.
+    /// Returns a task of the flange whose target is the end of a reference.
     fn task_at(case: &Case<'_>, reference: CartesianReference) -> CartesianTask {
         let (model, n) = (case.model, case.model.n());
         let limits = JointLimits::of(model);
@@ -341,8 +343,9 @@ mod tests {
         task
     }
 
-    /// Poses of the Panda's flange by forward kinematics, from postures spread over the joints' ranges with two joints
-    /// at an end of theirs, against what is found for them: no pose that has a posture is said to have none.
+    /// Compared: poses of the Panda's flange by forward kinematics, from postures spread over the joints' ranges with
+    /// two joints at an end of theirs, and the postures that the search yields: every pose that has a posture must get
+    /// one.
     #[test]
     fn a_posture_is_found_for_every_pose_that_has_one() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-reach.toml");

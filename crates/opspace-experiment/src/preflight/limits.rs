@@ -8,7 +8,7 @@ use opspace_control::TaskParameters;
 use opspace_model::JointKind;
 use std::collections::BTreeSet;
 
-/// What the start alone shows.
+/// Findings that need the start alone.
 pub(crate) fn of_start(case: &Case<'_>) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     found.extend(shares(case));
@@ -20,7 +20,7 @@ pub(crate) fn of_start(case: &Case<'_>) -> Vec<Finding> {
     found
 }
 
-/// Shares of more than the whole, which count as the whole.
+/// Finds shares of more than the whole, which count as the whole.
 fn shares(case: &Case<'_>) -> Vec<Finding> {
     let limits = case.experiment.task().file.limits;
     let all = [("velocity_share", limits.velocity_share), ("torque_share", limits.torque_share)];
@@ -34,7 +34,7 @@ fn shares(case: &Case<'_>) -> Vec<Finding> {
         .collect()
 }
 
-/// A range of which the margins leave nothing.
+/// Finds a range that the margins use up.
 fn range(case: &Case<'_>, joint: usize) -> Option<Finding> {
     let limits = &case.model.joints()[joint].limits;
     let (width, margin) = (limits.upper - limits.lower, case.margin());
@@ -51,7 +51,7 @@ fn range(case: &Case<'_>, joint: usize) -> Option<Finding> {
     Some(Finding::new(&["limits", "position_margin_rad"], message, help))
 }
 
-/// A start from which the joint is led away at once.
+/// Finds a start within the margin, from which the joint is moved away at once.
 fn start_in_margin(case: &Case<'_>, joint: usize) -> Option<Finding> {
     let (q, (lower, upper)) = (case.start[joint], case.range(joint));
     if q >= lower && q <= upper {
@@ -71,7 +71,7 @@ fn start_in_margin(case: &Case<'_>, joint: usize) -> Option<Finding> {
     Some(Finding::new(&["start_rad", case.joint(joint)], message, help))
 }
 
-/// A joint that can't carry the arm's weight: at the start, or where the references lead at a time.
+/// Finds a joint whose torque can't hold the arm's weight: at the start, or on the references at a time.
 fn weight(case: &Case<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Finding> {
     if case.experiment.robot().file.interface.gravity_by == GravityCompensation::Robot {
         return None;
@@ -106,7 +106,7 @@ fn weight(case: &Case<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> O
     Some(Finding::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
 }
 
-/// An acceleration so low that the joint's speed needs more than its range to be braked from.
+/// Finds an acceleration limit so low that braking from the joint's highest speed takes more than its range.
 fn braking(case: &Case<'_>, joint: usize) -> Option<Finding> {
     let acceleration = case.experiment.robot().joint_limits().acceleration[joint];
     let limits = &case.model.joints()[joint].limits;
@@ -132,7 +132,7 @@ fn braking(case: &Case<'_>, joint: usize) -> Option<Finding> {
     )
 }
 
-/// Postures that are asked for outside the joints' ranges: by posture tasks, and by references of joints.
+/// Finds demanded postures outside the joints' ranges: of posture tasks, and of joint references.
 pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     let mut seen = BTreeSet::new();
@@ -163,7 +163,7 @@ pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> 
                 if let Some((asked, time_s)) =
                     farthest.filter(|(asked, _)| outside(case, joint, *asked) > 1e-9)
                 {
-                    // Where it starts is told of as the start.
+                    // The start posture is reported as the start.
                     if (asked - case.start[joint]).abs() > 1e-12 {
                         let kind = stack.task.get(name).map_or("", kind);
                         note(number, name, &[kind, "reference"], joint, asked, Some(time_s));
@@ -175,7 +175,7 @@ pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> 
     found
 }
 
-/// By how much a position is outside the range in which a joint is kept: below zero inside.
+/// Distance of a position from the range in which a joint is kept: negative inside.
 fn outside(case: &Case<'_>, joint: usize, asked: f64) -> f64 {
     let (lower, upper) = case.range(joint);
     (lower - asked).max(asked - upper)
@@ -208,7 +208,7 @@ fn beyond(
     Finding::new(&key, message, help)
 }
 
-/// What only shows where the references lead: weight that a joint can't carry, or whose change it can't follow.
+/// Findings along the references: weight that a joint can't hold, or whose change its torque can't follow.
 pub(crate) fn on_the_way(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let mut found = Vec::new();
     for joint in 0..case.model.n() {
@@ -224,7 +224,7 @@ pub(crate) fn on_the_way(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     found
 }
 
-/// Weight that shifts onto a joint faster than its torque may change.
+/// Finds weight that shifts onto a joint faster than its torque may change.
 fn torque_rate(case: &Case<'_>, followed: &Followed, joint: usize) -> Option<Finding> {
     let rate = case.experiment.robot().joint_limits().torque_rate[joint];
     if rate == f64::INFINITY

@@ -1,4 +1,4 @@
-//! The tasks that lead a frame or the centre of mass, as what is looked for needs them.
+//! Tasks that control a frame or the centre of mass, in the form that the other checks need.
 
 use nalgebra::Matrix3;
 use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame, TaskParameters};
@@ -6,7 +6,7 @@ use opspace_model::{Data, Model};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// A task that leads a frame, or the centre of mass.
+/// A task that controls a frame or the centre of mass.
 pub(crate) struct Motion<'a> {
     pub name: &'a str,
     pub parameters: Cow<'a, CartesianParameters>,
@@ -14,7 +14,7 @@ pub(crate) struct Motion<'a> {
     axes_frame: AxesFrame,
 }
 
-/// Those of a stack, in the order of priority.
+/// Tasks of a set that control a frame or the centre of mass, in the order of priority.
 pub(crate) fn motions<'a>(
     priority: &'a [String],
     task: &'a BTreeMap<String, TaskParameters>,
@@ -34,7 +34,7 @@ impl<'a> Motion<'a> {
         Some(Self { name, parameters, controlled, axes_frame })
     }
 
-    /// What it leads, as a person would say it.
+    /// Name of the controlled frame in messages.
     pub(crate) fn led(&self) -> String {
         match self.controlled {
             ControlledFrame::CenterOfMass => "the centre of mass".to_owned(),
@@ -42,7 +42,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// Its axes at a state, in the coordinates of the controlled frame: one a column.
+    /// Axes of the task at a state, in the coordinates of the controlled frame: one per column.
     pub(crate) fn axes(&self, model: &Model, data: &Data) -> Matrix3<f64> {
         self.axes_frame.rotation(model, data, self.controlled)
     }

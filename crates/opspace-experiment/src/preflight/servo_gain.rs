@@ -1,34 +1,34 @@
-//! How much higher than believed the gains of position or velocity loops may be: the stability margin of a transformer.
+//! Gain margin of position or velocity loops: the largest excess over the nominal gains at which a run stays bounded.
 //!
-//! A transformer takes the servo's own stiffness and damping away; of a position loop whose gain is (1 + ε) kp, and not
-//! kp, it takes away too little position and leaves ε kv q̇ in the direction of motion. With what damps the joints beside
-//! it, a run stays bounded as long as
+//! A transformer cancels the servo's own stiffness and damping. For a position loop whose gain is (1 + ε) kp instead of
+//! kp, it cancels too little position feedback, which leaves ε kv q̇ in the direction of motion. With everything else
+//! that damps the joints, a run stays bounded as long as
 //!
 //! ```text
-//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite        t̄ = (d + (R−1)/2) Ts, 0 where held set-points are emulated
+//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite        t̄ = (d + (R−1)/2) Ts, 0 where held setpoints are emulated
 //! ```
 //!
-//! with Kv, Kp the believed gains, B the viscous friction, B̂ the part of it that is compensated and D = −∂τ/∂q̇ of the
-//! task's law (n × n, the others diagonal); of one joint
+//! with Kv, Kp the nominal gains, B the viscous friction, B̂ the part of it that is compensated and D = −∂τ/∂q̇ of the
+//! task's law (n × n, the others diagonal); for one joint
 //!
 //! ```text
 //! 1 + ε < 1 + (1 + ε) kp t̄ + (b − b̂ + d)/kv
 //! ```
 //!
-//! A velocity robot has no position loop to be too stiff: a velocity loop of (1 + ε) kv makes (1 + ε) times every torque that
-//! is asked for. What is left of a compensation that then exceeds the friction drives the joint:
+//! A velocity robot has no position loop that could be too stiff: a velocity loop of (1 + ε) kv produces (1 + ε) times
+//! every desired torque. The part of a compensation that then exceeds the friction drives the joint:
 //!
 //! ```text
 //! B + (1 + ε) (D − B̂)  is positive definite
 //! ```
 //!
-//! The bound that is told is not the formula's but that of the run itself: the experiment's own backend and transformer on
-//! a simulated arm without gravity, Coulomb friction, limits and noise at the task's start, nudged, under −D q̇ and the
-//! compensation of B, with one ε for all joints, halved in between until it neither dies out nor grows. So a disturbance
-//! observer on the motors' current counts as what it is.
+//! The reported bound is not the formula's but that of a run: the experiment's own backend and transformer on a
+//! simulated arm without gravity, Coulomb friction, limits and noise at the task's start, nudged, under −D q̇ and the
+//! compensation of B, with one ε for all joints, narrowed down between decay and growth of the motion. The effect of
+//! a disturbance observer on the motors' current is therefore included.
 //!
-//! Not in it: Coulomb friction, which only ever brakes while no more of it is compensated than there is; but the slope that
-//! a compensation has at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
+//! Not included: Coulomb friction, which only ever brakes while the compensation does not exceed it; the slope of a
+//! compensation at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
 
 use super::case::input;
 use super::finding::{Finding, short};
@@ -43,25 +43,25 @@ use opspace_sim::SimulatedParameters;
 use opspace_transformer::FrictionCompensation;
 use std::fmt;
 
-/// Below it a gear that is a little stiffer, or a gain that was rounded, makes the run unstable.
+/// Smallest excess that is not reported: below it a slightly stiffer gear or a rounded gain makes the run unstable.
 const LEAST_EXCESS: f64 = 0.05;
 
-/// As far as is looked: three times the believed gains.
+/// Largest excess that is examined: three times the nominal gains.
 const MOST_EXCESS: f64 = 2.0;
 
-/// The bound is told as exactly as this.
+/// Resolution of the bound.
 const RESOLUTION: f64 = 1e-3;
 
-/// How long a nudge is followed, s: a negative damping of 1 % of kv has doubled it within a few tenths.
+/// Duration of the run after a nudge, s: a negative damping of 1 % of kv doubles the motion within a few tenths.
 const FOLLOWED_S: f64 = 4.0;
 
-/// How fast the arm moves after the nudge, rad/s: far from where products of speeds count.
+/// Speed of the arm after the nudge, rad/s: small, so that products of speeds are negligible.
 const NUDGE_RAD_PER_S: f64 = 1e-3;
 
-/// How long it is nudged, ticks.
+/// Duration of the nudge, interface cycles.
 const NUDGED_TICKS: u32 = 10;
 
-/// Speeds, relative to that after the nudge, at which it has grown or died out for certain.
+/// Speeds, relative to that after the nudge, at which the motion has certainly grown or died out.
 const GROWN: f64 = 30.0;
 const GONE: f64 = 1e-4;
 
@@ -75,7 +75,7 @@ pub enum ServoLoop {
 }
 
 impl ServoLoop {
-    /// The loops of a robot that takes such commands; `None` for torques.
+    /// Loops of a robot that takes such commands; `None` for torques.
     fn of(command: CommandKind) -> Option<Self> {
         match command {
             CommandKind::Position => Some(Self::Position),
@@ -84,7 +84,7 @@ impl ServoLoop {
         }
     }
 
-    /// Their name in messages.
+    /// Name of the loops in messages.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -94,21 +94,21 @@ impl ServoLoop {
     }
 }
 
-/// How much higher than believed the gains of position loops, or of velocity loops, may be.
+/// Largest excess of the position or velocity loops' gains over their nominal values at which a task is stable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GainMargin {
-    /// The loops that it is of.
+    /// Loops to which the margin applies.
     pub servo_loop: ServoLoop,
-    /// Largest share by which all of them may be higher at once; `None` beyond three times their value.
+    /// Largest share by which all of them may be higher at once; `None` beyond three times the nominal gains.
     pub excess: Option<f64>,
     /// The joint that becomes unstable first, if one does.
     pub joint: Option<String>,
-    /// Of which transformer it is.
+    /// Name of the transformer.
     pub transformer: String,
 }
 
-/// The margin of an experiment's servos in the tasks that it starts with: of the position loops of a position robot, of the
-/// velocity loops of a velocity robot; `None` where torques or positions pass as they are.
+/// Computes the margin of an experiment's servos in its initial tasks: of the position loops of a position robot, of
+/// the velocity loops of a velocity robot; `None` where torques or positions pass without a transformer.
 #[must_use]
 pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
     let servo_loop = ServoLoop::of(experiment.command_kind())?;
@@ -153,7 +153,7 @@ impl fmt::Display for GainMargin {
 }
 
 impl GainMargin {
-    /// The finding that it is too small.
+    /// Returns the finding that the margin is too small, if it is.
     #[must_use]
     pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
         let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
@@ -188,7 +188,7 @@ impl GainMargin {
     }
 }
 
-/// D = −∂τ/∂q̇ of the task's law where it starts, Nms/rad (n × n).
+/// Damping of the tasks' law at the start, D = −∂τ/∂q̇, Nms/rad (n × n).
 fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
     const SPEED: f64 = 1e-3;
     let model = &experiment.robot().model;
@@ -217,14 +217,14 @@ fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
     Some(damping)
 }
 
-/// What becomes of a nudge.
+/// Outcome of a nudge.
 enum Nudge {
     DiesOut,
-    /// Into this joint the wrong gain feeds most power.
+    /// The motion grows; the excess gain feeds most power into this joint.
     Grows(usize),
 }
 
-/// What becomes of a nudge at that ε; `None` where nothing can be run.
+/// Simulates a nudge at that ε; `None` where nothing can be run.
 fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option<Nudge> {
     let bare = bare(experiment, 1.0 + excess)?;
     let (robot, profile) = (bare.robot(), bare.profile().1);
@@ -275,7 +275,7 @@ fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option
     if after > before { grows(&dq) } else { Some(Nudge::DiesOut) }
 }
 
-/// The control loop of a nudged arm: without a rest, a ramp, or friction compensation beside that in the law.
+/// Control loop of a nudged arm: without rest, ramp, or friction compensation beside that in the law.
 fn nudged_loop(bare: &Experiment, law: DMatrix<f64>, push: DVector<f64>) -> Option<ControlLoop> {
     let config = bare.loop_config().ok()?;
     let n = config.model.n();
@@ -289,7 +289,7 @@ fn nudged_loop(bare: &Experiment, law: DMatrix<f64>, push: DVector<f64>) -> Opti
     ControlLoop::new(LoopConfig { controller, safety, friction, ..config }).ok()
 }
 
-/// A linear law τ = L q̇, and for a few cycles a push beside it.
+/// A linear law τ = L q̇ with an additional push in the first cycles.
 struct NudgedDamping {
     law: DMatrix<f64>,
     push: DVector<f64>,
@@ -321,8 +321,8 @@ impl Observable for NudgedDamping {
     fn sample(&self, _row: &mut Row<'_>) {}
 }
 
-/// The experiment on the arm that is believed, the gains of its position or velocity loops times `gain`, without anything that hides whether a
-/// nudge grows.
+/// The experiment on the nominal arm, the gains of its position or velocity loops times `gain`, without anything that
+/// hides the growth of a nudge.
 fn bare(experiment: &Experiment, gain: f64) -> Option<Experiment> {
     let (mut robot, mut task) = (experiment.robot().clone(), experiment.task().clone());
     let servo_hz = experiment.profile().1.servo_hz.get();

@@ -1,13 +1,13 @@
-//! References that are faster than what follows them.
+//! References that are faster than the joints or the task's own limit.
 
 use super::case::{Case, kind};
 use super::finding::{Finding, short};
 use super::followed::{Followed, Instant};
 
-/// How much faster than allowed a reference may be before it is found: a sum of roundings.
+/// Largest ratio of a speed to its limit that is not reported: the excess may be rounding.
 const TOLERANCE: f64 = 1.001;
 
-/// Joints that would have to be faster than they are allowed to be: the one most beyond its limit.
+/// Finds joints that would have to be faster than allowed, and reports the one most beyond its limit.
 pub(crate) fn of_joints(case: &Case<'_>, followed: &Followed) -> Option<Finding> {
     let limits = case.experiment.task().file.limits;
     let share = if limits.enforce { limits.velocity_share.get().min(1.0) } else { 1.0 };
@@ -38,7 +38,7 @@ pub(crate) fn of_joints(case: &Case<'_>, followed: &Followed) -> Option<Finding>
     Some(Finding::new(&key, message, help))
 }
 
-/// The reference that is under way, of the most important task.
+/// Key of the moving reference of highest priority.
 fn key_of_fastest(case: &Case<'_>, instant: &Instant) -> Option<Vec<String>> {
     let stack = &case.stacks[instant.stack];
     let moving = stack.tasks.tasks().zip(&instant.tasks).find(|(_, asked)| asked.velocity > 1e-6);
@@ -51,7 +51,7 @@ fn key_of_fastest(case: &Case<'_>, instant: &Instant) -> Option<Vec<String>> {
     Some(case.reference_key(instant.stack, name))
 }
 
-/// References beyond the speed limit of their own task.
+/// Finds references beyond the speed limit of their own task.
 pub(crate) fn of_tasks(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     for (number, stack) in case.stacks.iter().enumerate() {

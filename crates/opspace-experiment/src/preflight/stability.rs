@@ -1,7 +1,7 @@
 //! Gains that are too high for the rate, the delay and the servo of the robot: the phase margin of the loop.
 //!
-//! One joint of inertia I is led by a law C(s) that the task's gains are; what comes between is taken as it is
-//! sampled. With T the interface period, Ts that of the servo, d its delay in servo ticks, R = T/Ts,
+//! One joint of inertia I is controlled by a law C(s) that follows from the task's gains, with the sampling between
+//! them. With T the interface period, Ts that of the servo, d its delay in servo ticks, R = T/Ts,
 //!
 //! ```text
 //! C(s) = k (1 + i/s) + c V(s)          V(s) = a (1 − z⁻¹)/T / (1 − (1 − a) z⁻¹),  z = exp(s T)
@@ -14,18 +14,18 @@
 //! L(s) = C(s) exp(−s d Ts) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
 //! ```
 //!
-//! A position robot holds the set-point of equation (10), of a stiffness K = kv kp and a damping D = kv, and its servo
-//! closes a loop of its own, with S its torque for a set-point, Y that for a position (for equation (9) S = kv kp and
-//! Y = −kv (kp + W), W its own velocity filter), and B the set-point's delay and hold over R servo ticks
-//! (twice the hold where the drive interpolates):
+//! A position robot holds the setpoint of equation (10), of a stiffness K = kv kp and a damping D = kv, and its servo
+//! closes a loop of its own, with S its torque for a setpoint, Y that for a position (for equation (9) S = kv kp and
+//! Y = −kv (kp + W), W its own velocity filter), and B the setpoint's delay and hold over R servo ticks (twice the hold
+//! where the drive interpolates):
 //!
 //! ```text
 //! L(s) = I C (S/K) B Z(Ts) / (I s² − Z(Ts) [(S/K) (K + D V) B + Y])
 //! B(s) = exp(−s d Ts) (1 − exp(−s T))/(R (1 − exp(−s Ts)))
 //! ```
 //!
-//! A velocity robot holds the velocity setpoint of its transformer, which inverts S, the servo's torque for a setpoint (kv
-//! without an integral), and compensates kv q̇ by the estimated velocity; Y is −S W:
+//! A velocity robot holds the velocity setpoint of its transformer, which inverts S, the servo's torque for a setpoint
+//! (kv without an integral), and compensates kv q̇ by the estimated velocity; Y is −S W:
 //!
 //! ```text
 //! L(s) = I C B Z(Ts) / (I s² − Z(Ts) [S V B + Y])
@@ -33,8 +33,9 @@
 //!
 //! Either bracket is zero without hold and lag: then the servo is inverted. With them it acts as added damping and
 //! inertia (its first terms in s), that is, as a servo that lags. The phase margin is 180° + arg L where |L| = 1. The
-//! emulating transformers are taken for the paper's: their observer has a lag of its own. Not in it: the coupling of joints, friction and the motor's own lag. Two things aren't looked at: force feedback, where
-//! the stiffness of the surroundings decides, and impedances, where the arm's inertia along the axis does.
+//! emulating transformers are treated as the paper's: their observer has a lag of its own. Not included: the coupling
+//! of joints, friction and the motor's own lag. Two cases are not examined: force feedback, where the stiffness of the
+//! environment decides, and impedances, where the arm's inertia along the axis does.
 
 use super::case::{Case, kind};
 use super::finding::{Finding, short};
@@ -44,13 +45,14 @@ use opspace_control::{JointTask, RowGains, Task, TaskParameters};
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
 use std::f64::consts::{PI, TAU};
 
-/// Below it a loop rings, and a few per cent of wrong inertia or delay make it unstable.
+/// Smallest phase margin that is not reported: below it a loop rings, and a few per cent of wrong inertia or delay make
+/// it unstable.
 const LEAST_MARGIN_DEG: f64 = 30.0;
 
-/// What is proposed instead.
+/// Phase margin of the proposed gains.
 const GOOD_MARGIN_DEG: f64 = 45.0;
 
-/// The worst axis or joint of each task whose gains are too high, whichever stack it is in.
+/// Finds gains that are too high: for each task the worst axis or joint over all task sets.
 pub(crate) fn stiff_gains(case: &Case<'_>) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     for stack in 0..case.stacks.len() {
@@ -89,26 +91,26 @@ fn stiff_task(case: &Case<'_>, stack: usize, name: &str) -> Option<Finding> {
     Some(Finding::new(&case.key(stack, name, key), message, help))
 }
 
-/// Two digits, never more than `value`.
+/// Formats a number with two digits, rounded down.
 fn rounded_down(value: f64) -> String {
     let unit = 10f64.powi(value.log10().floor() as i32 - 1);
     short((value / unit).floor() * unit)
 }
 
-/// What an axis or a joint is led by.
+/// Law and drive of an axis or a joint.
 struct Follower<'a> {
     law: Law,
     plant: Plant,
-    /// What has these gains.
+    /// Description of the gains: quantity, value and axis.
     of: String,
     joint: &'a str,
     key: Vec<&'a str>,
-    /// Which number makes it stiff, and what it is.
+    /// Quantity that makes the loop stiff, and its value.
     quantity: &'static str,
     value: f64,
 }
 
-/// Tasks of which some gains aren't known, so that their stability is not checked.
+/// Lists tasks of which some gains are unknown: their stability is not checked.
 pub(crate) fn not_checked(case: &Case<'_>) -> Vec<Finding> {
     let mut found: Vec<Finding> = Vec::new();
     for (number, stack) in case.stacks.iter().enumerate() {
@@ -137,7 +139,7 @@ pub(crate) fn not_checked(case: &Case<'_>) -> Vec<Finding> {
     found
 }
 
-/// All that a task leads by gains.
+/// Laws of all rows and joints that a task controls.
 fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &'a str) -> Vec<Follower<'a>> {
     let in_force = &case.stacks[stack];
     if let Some(task) = in_force.tasks.tasks().find(|task| task.name() == name) {
@@ -149,7 +151,7 @@ fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &'a str) -> Vec<Followe
     }
 }
 
-/// Every row with every joint that moves it.
+/// Laws of every row with every joint that moves it.
 fn row_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn Task) -> Vec<Follower<'a>> {
     let Some(parameters) = case.stacks[stack].task.get(task.name()) else { return Vec::new() };
     let (kind, names) = (kind(parameters), task.row_names());
@@ -195,7 +197,7 @@ fn row_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn Task) -> Vec<F
     followers
 }
 
-/// Every joint of a task of all joints.
+/// Laws of every joint of a task of all joints.
 fn joint_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn JointTask) -> Vec<Follower<'a>> {
     let Some(parameters) = case.stacks[stack].task.get(task.name()) else { return Vec::new() };
     let kind = kind(parameters);
@@ -226,14 +228,14 @@ fn joint_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn JointTask) -
     followers
 }
 
-/// Acceleration for an error: k (1 + i/s) of the position, c of the velocity.
+/// Control law: acceleration for an error, k (1 + i/s) of the position and c of the velocity.
 #[derive(Clone, Copy, Debug)]
 struct Law {
-    /// 1/s².
+    /// Stiffness k, 1/s².
     stiffness: f64,
-    /// 1/s.
+    /// Damping c, 1/s.
     damping: f64,
-    /// 1/s.
+    /// Integral i, 1/s.
     integral: f64,
 }
 
@@ -248,19 +250,19 @@ impl Law {
         Self { stiffness: omega * omega, damping: 2.0 * zeta * omega, integral }
     }
 
-    /// With its frequency times `scale`.
+    /// Returns the law with its frequency times `scale`.
     fn scaled(self, scale: f64) -> Self {
         Self { stiffness: scale * scale * self.stiffness, damping: scale * self.damping, ..self }
     }
 
-    /// Where it crosses over without any delay, rad/s.
+    /// Crossover frequency of the law without any delay, rad/s.
     fn bandwidth(&self) -> f64 {
         let half = 0.5 * self.damping * self.damping;
         (half + (half * half + self.stiffness * self.stiffness).sqrt()).sqrt()
     }
 }
 
-/// A servo, and what its transformer takes it for.
+/// A servo, and the gains that its transformer assumes.
 #[derive(Clone, Copy, Debug)]
 struct Servo {
     takes: CommandKind,
@@ -276,22 +278,22 @@ impl Servo {
     }
 }
 
-/// A joint with its drive, as the law sees it.
+/// A joint with its drive, as the control law acts on it.
 #[derive(Clone, Copy, Debug)]
 struct Plant {
-    /// kg m².
+    /// Inertia, kg m².
     inertia: f64,
-    /// None for a torque robot.
+    /// Servo of the drive; none for a torque robot.
     servo: Option<Servo>,
-    /// T and Ts, s.
+    /// Periods T and Ts, s.
     period_s: f64,
     servo_period_s: f64,
     delay_s: f64,
-    /// Of the velocity estimate, Hz.
+    /// Cutoff frequency of the velocity estimate, Hz.
     filter_hz: f64,
 }
 
-/// How far a loop is from instability.
+/// Phase margin of a loop, and its crossover frequency.
 #[derive(Clone, Copy, Debug)]
 struct Margin {
     degrees: f64,
@@ -317,7 +319,7 @@ impl Plant {
         }
     }
 
-    /// Without any delay to speak of: a tick of a microsecond.
+    /// A plant with a cycle of a microsecond, practically without delay.
     fn ideal() -> Self {
         let tick_s = 1e-6;
         Self {
@@ -330,7 +332,7 @@ impl Plant {
         }
     }
 
-    /// From a position to the middle of the torque that answers it, and to the velocity that is estimated from it, s.
+    /// Delay from a position to the middle of the torque that responds to it, and to the velocity estimated from it, s.
     fn delay_s(&self) -> f64 {
         let pole = (-TAU * self.filter_hz * self.period_s).exp();
         self.delay_s + self.period_s + self.period_s * pole / (1.0 - pole)
@@ -366,7 +368,7 @@ impl Plant {
         self.inertia * c * led / (self.inertia * s * s - servo_loop)
     }
 
-    /// The smallest at any crossover; `None` where the law asks for nothing.
+    /// Smallest margin over all crossovers; `None` where the law demands nothing.
     fn margin(&self, law: &Law) -> Option<Margin> {
         const STEPS: i32 = 600;
         if law.stiffness <= 0.0 && law.damping <= 0.0 {
@@ -402,7 +404,7 @@ impl Plant {
         least
     }
 
-    /// By how much the frequency may be multiplied for a good margin, up to 1.
+    /// Factor, up to 1, by which the frequency may be multiplied for a good margin.
     fn highest_scale(&self, law: &Law) -> Option<f64> {
         let good = |scale: f64| {
             self.margin(&law.scaled(scale)).is_some_and(|margin| margin.degrees >= GOOD_MARGIN_DEG)
@@ -419,14 +421,14 @@ impl Plant {
     }
 }
 
-/// A finite difference over `period_s` and a low-pass, sampled.
+/// Transfer function of a finite difference over `period_s` with a low-pass, sampled.
 fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Complex<f64> {
     let pole = (-TAU * cutoff_hz * period_s).exp();
     let back = (-s * period_s).exp();
     (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
 }
 
-/// What is held over `period_s`.
+/// Transfer function of a hold over `period_s`.
 fn hold(s: Complex<f64>, period_s: f64) -> Complex<f64> {
     (1.0 - (-s * period_s).exp()) / (s * period_s)
 }
@@ -456,7 +458,8 @@ mod tests {
         }
     }
 
-    /// As in the profiles of the robots: a velocity loop of `hz` about the inertia, a position loop of a fifth.
+    /// Position servo like those of the robots' profiles: a velocity loop of `hz` about the inertia, a position loop of
+    /// a fifth.
     fn servo(hz: f64, filter_hz: f64) -> ServoParameters {
         ServoParameters::Cascaded(CascadedServo {
             kp_per_s: Positive::literal(TAU * hz / 5.0),
@@ -466,7 +469,7 @@ mod tests {
         })
     }
 
-    /// The same velocity loop alone.
+    /// Velocity servo with the velocity loop of `servo` alone.
     fn velocity_servo(hz: f64, filter_hz: f64) -> ServoParameters {
         ServoParameters::Velocity(VelocityServo {
             kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
@@ -482,7 +485,7 @@ mod tests {
         }
     }
 
-    /// How much of the error at the start is left after a while: the sampled loop itself, tick by tick, with the
+    /// Share of the initial error that remains after a while: the sampled loop itself, cycle by cycle, with the
     /// estimator, transformer and servo that robots run on, and a mass that is integrated exactly.
     fn simulated(plant: &Plant, law: &Law, duration_s: f64) -> f64 {
         let ratio = (plant.period_s / plant.servo_period_s).round() as usize;
@@ -556,8 +559,8 @@ mod tests {
         grid
     }
 
-    /// The sign of the margin of the closed form against what the sampled loop does. Between 0° and 10° the formula
-    /// needn't be right: it knows nothing of what lies beyond half the sampling rate.
+    /// Compared: the sign of the margin of the closed form, and the behaviour of the sampled loop. Between 0° and 10°
+    /// the formula needn't be right: it ignores all dynamics beyond half the sampling rate.
     #[test]
     fn the_margin_tells_which_loops_are_stable() {
         // Of torque, position and velocity robots.
@@ -579,7 +582,7 @@ mod tests {
         assert!(tried(stable) && tried(unstable), "all are tried: {stable:?} and {unstable:?}");
     }
 
-    /// The margin of a loop without delay against the textbook's: tan φ = 2ζ w/ω at the crossover w.
+    /// Compared: the margin of a loop without delay, and the textbook's tan φ = 2ζ w/ω at the crossover w.
     #[test]
     fn without_delay_the_margin_is_the_textbooks() {
         for zeta in [0.2, 0.7, 1.0] {
@@ -593,7 +596,7 @@ mod tests {
         }
     }
 
-    /// The margin at the proposed frequency against what was promised, and a little above it.
+    /// Compared: the margin at the proposed frequency and a little above it, and the promised one.
     #[test]
     fn the_proposed_frequency_has_the_margin() {
         let plant = plant(1000.0, 5, 0, 80.0, None);

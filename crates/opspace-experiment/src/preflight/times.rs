@@ -1,14 +1,14 @@
-//! What the run is too short for.
+//! Events and references that end after the run, and statistics that begin too early.
 
 use super::case::{Case, InForce};
 use super::finding::{Finding, short};
 use super::followed::Followed;
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
-/// What a duration that was meant to be equal may be off by, s.
+/// Largest difference of two durations that count as equal, s.
 const ROUNDING_S: f64 = 1e-6;
 
-/// Slower than this a reference stands: m/s, rad/s.
+/// Highest speed of a reference that counts as standing still: m/s, rad/s.
 const STANDING: f64 = 1e-4;
 
 pub(crate) fn too_short(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
@@ -18,7 +18,7 @@ pub(crate) fn too_short(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     found
 }
 
-/// Events after the end.
+/// Finds events after the end of the run.
 fn late_events(case: &Case<'_>) -> Vec<Finding> {
     let duration_s = case.experiment.duration_s();
     let events = case.experiment.task().events.iter().enumerate();
@@ -35,7 +35,7 @@ fn late_events(case: &Case<'_>) -> Vec<Finding> {
     .collect()
 }
 
-/// Statistics that count while the torque still comes in.
+/// Finds statistics that begin while the torque ramps in.
 fn settling(case: &Case<'_>) -> Option<Finding> {
     let settle_s = case.experiment.task().file.settle_s.get();
     let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();
@@ -50,7 +50,7 @@ fn settling(case: &Case<'_>) -> Option<Finding> {
     Some(Finding::new(&["settle_s"], message, format!("settle_s = {}", short(ramp_s))))
 }
 
-/// References that are still under way at the end.
+/// Finds references that still move at the end of the run.
 fn unfinished(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     let duration_s = case.experiment.duration_s();
     let last = case.stacks.len() - 1;
@@ -86,9 +86,9 @@ fn unfinished(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
     unfinished.collect()
 }
 
-/// How long a motion is under way.
+/// Duration of a motion.
 enum Length {
-    /// s.
+    /// Duration, s.
     Known(f64),
     AsFastAsItCan,
 }
@@ -111,7 +111,7 @@ fn reference(task: &TaskParameters) -> Option<Reference<'_>> {
     }
 }
 
-/// Of a reference that ends.
+/// Duration of a task's reference; `None` where it doesn't end.
 fn length_s(task: &TaskParameters) -> Option<Length> {
     let known = |length_s: f64| Some(Length::Known(length_s));
     match reference(task)? {
@@ -138,7 +138,7 @@ fn length_s(task: &TaskParameters) -> Option<Length> {
     }
 }
 
-/// How fast a task's reference moves when the run ends, if it does.
+/// Speed of a task's reference at the end of the run, with its unit; `None` if it stands still.
 fn speed_at_end(stack: &InForce<'_>, followed: &Followed, name: &str) -> Option<(f64, &'static str)> {
     let end = followed.instants.last().filter(|_| followed.to_the_end)?;
     let place = stack.tasks.tasks().position(|task| task.name() == name);

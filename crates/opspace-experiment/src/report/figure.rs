@@ -13,103 +13,103 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// Panels under one caption.
+/// A figure: panels under one caption.
 #[derive(Clone, Debug, Default)]
 pub struct Figure {
-    /// What is shown, in a few words.
+    /// Title: the quantity shown, in a few words.
     pub title: String,
-    /// What to see in it.
+    /// Caption: what the figure demonstrates.
     pub caption: String,
-    /// In reading order.
+    /// Panels, in reading order.
     pub panels: Vec<Panel>,
-    /// Panels side by side, at most four; `None` stacks up to three, and sets more in two columns.
+    /// Number of panels side by side, at most four; `None` puts up to three below each other, and more in two columns.
     pub columns: Option<usize>,
 }
 
 /// One pair of axes.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
-    /// The joint or the axis.
+    /// Name of the joint or the axis.
     pub title: String,
     /// Quantity and unit of the abscissa: `time (s)`.
     pub x_label: String,
     /// Quantity and unit of the ordinate: `torque (N·m)`.
     pub y_label: String,
-    /// Drawn in this order, desired ones over the others; a label has one colour throughout a figure.
+    /// Lines in the order of drawing, desired ones above the others; a label has one colour throughout a figure.
     pub series: Vec<Series>,
-    /// Instants worth a vertical line, with a word: (x, `fault`).
+    /// Vertical lines at instants, each with a word: (x, `fault`).
     pub marks: Vec<(f64, String)>,
-    /// How abscissae are spread: evenly, or over decades.
+    /// Scale of the abscissa: linear or logarithmic.
     pub x_scale: Scale,
-    /// How ordinates are.
+    /// Scale of the ordinate: linear or logarithmic.
     pub y_scale: Scale,
 }
 
 /// A line: `y` over `x`, of equal lengths; a value that is not finite interrupts it.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// As the legend calls it.
+    /// Name in the legend.
     pub label: String,
-    /// Abscissae.
+    /// Values on the abscissa.
     pub x: Vec<f64>,
-    /// Ordinates.
+    /// Values on the ordinate.
     pub y: Vec<f64>,
-    /// How the line looks.
+    /// Style of the line.
     pub style: Style,
 }
 
-/// How a line looks.
+/// Style of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Style {
-    /// What was measured.
+    /// A measured quantity.
     #[default]
     Solid,
-    /// What was desired: thin and dark, so that it stands out on the broad, bright line of what was measured.
+    /// A desired quantity: thin and dark, so that it stands out on the broad, bright line of the measured one.
     Desired,
-    /// What stands behind: raw signals, bounds.
+    /// A quantity in the background: raw signals, bounds.
     Thin,
-    /// Samples that no line joins: points of a measured frequency response.
+    /// Samples without a connecting line: points of a measured frequency response.
     Dots,
 }
 
-/// Dots on one scale: a row for each thing compared, a colour for each way of doing it.
+/// A chart of dots on one scale: a row for each thing compared, a colour for each way of doing it.
 #[derive(Clone, Debug, Default)]
 pub struct Comparison {
-    /// What is shown, in a few words.
+    /// Title: the quantity compared, in a few words.
     pub title: String,
-    /// What to see in it.
+    /// Caption: what the comparison demonstrates.
     pub caption: String,
     /// Quantity and unit of the scale.
     pub x_label: String,
-    /// The legend: one name for each value of a row.
+    /// Names in the legend: one for each value of a row.
     pub series: Vec<String>,
-    /// Top to bottom.
+    /// Rows, top to bottom.
     pub rows: Vec<ComparisonRow>,
-    /// How values are spread over the width.
+    /// Scale of the values over the width.
     pub scale: Scale,
 }
 
 /// One line of a [`Comparison`].
 #[derive(Clone, Debug, Default)]
 pub struct ComparisonRow {
-    /// The task or the metric.
+    /// Name of the task or the metric.
     pub label: String,
-    /// One for each series; `None` where there is none.
+    /// Values, one per series; `None` where there is none.
     pub values: Vec<Option<f64>>,
 }
 
-/// How values are spread over an axis.
+/// Scale of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly, from zero.
+    /// Linear; that of a comparison includes zero.
     #[default]
     Linear,
-    /// By their decimal logarithm; only positive values can be shown.
+    /// Logarithmic (base 10); only positive values can be shown.
     Log,
 }
 
 impl Scale {
-    /// Values as they stand on the axis: their logarithms where it is spread over decades, not a number for none.
+    /// Positions of values on the axis: their logarithms on a logarithmic scale, where values that have none are NaN.
     fn of(self, values: &[f64]) -> Vec<f64> {
         match self {
             Self::Linear => values.to_vec(),
@@ -124,18 +124,18 @@ impl Series {
         Self { label: label.into(), x, y, style: Style::Solid }
     }
 
-    /// The same line in another style.
+    /// Returns the line in another style.
     #[must_use]
     pub fn style(self, style: Style) -> Self {
         Self { style, ..self }
     }
 }
 
-/// Text, axes and what is desired; the page turns it light where dark.
+/// Colour of text, axes and desired quantities; the page turns it light in its dark scheme.
 pub(crate) const INK: RGBColor = RGBColor(0x1c, 0x20, 0x24);
 
-/// Okabe and Ito's palette (2008), legible to all forms of colour vision, the colours first on which a thin dark
-/// line stands out; and what the page puts in their place where it is dark.
+/// Palette of Okabe and Ito (2008), legible to all forms of colour vision, beginning with the colours on which a thin
+/// dark line stands out; with each colour its replacement in the page's dark scheme.
 pub(crate) const PALETTE: [(RGBColor, &str); 6] = [
     (RGBColor(0x56, 0xb4, 0xe9), "#2b87c4"),
     (RGBColor(0xe6, 0x9f, 0x00), "#c27a12"),
@@ -163,7 +163,7 @@ type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, Ra
 type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
 
 impl Figure {
-    /// The figure as one `<svg>` element, as wide as its surroundings.
+    /// Draws the figure as one `<svg>` element, as wide as the element around it.
     #[must_use]
     pub fn svg(&self) -> String {
         let count = self.panels.len().max(1);
@@ -196,7 +196,7 @@ impl Figure {
         series.any(|series| series.label == label && series.style == Style::Dots)
     }
 
-    /// Labels in the order in which they appear, and how each is drawn throughout the figure.
+    /// Labels in the order of their first appearance, and the style of each throughout the figure.
     fn legend(&self) -> Vec<(&str, ShapeStyle)> {
         let mut legend: Vec<(&str, ShapeStyle)> = Vec::new();
         let (mut desired, mut others) = (0, 0);
@@ -272,7 +272,7 @@ impl Panel {
         Ok(())
     }
 
-    /// What cannot be shown, in words.
+    /// Remark on the series that can't be shown; `None` if all can.
     fn remark(&self) -> Option<String> {
         let known: Vec<_> = self.series.iter().map(Series::range).collect();
         if known.iter().all(Result::is_err) {
@@ -289,7 +289,7 @@ impl Panel {
         (!remarks.is_empty()).then(|| remarks.join("; "))
     }
 
-    /// A vertical line, and a word beside it.
+    /// Draws a vertical line with a word beside it.
     fn mark(&self, chart: &mut Chart<'_>, x: f64, y: &Axis<'_>, label: &str) -> Drawn {
         let visible = chart.x_range();
         if !visible.contains(&x) {
@@ -308,7 +308,7 @@ impl Panel {
 }
 
 impl Series {
-    /// From the lowest to the highest value that can be drawn; or why there is none.
+    /// Range from the lowest to the highest value that can be drawn; the reason if there is none.
     fn range(&self) -> Result<Range<f64>, &'static str> {
         let samples = self.x.iter().zip(&self.y).filter(|(x, _)| x.is_finite());
         range(samples.map(|(_, y)| *y)).ok_or(if self.x.is_empty() || self.y.is_empty() {
@@ -340,7 +340,7 @@ impl Series {
 }
 
 impl Comparison {
-    /// The comparison as one `<svg>` element, as wide as its surroundings.
+    /// Draws the comparison as one `<svg>` element, as wide as the element around it.
     #[must_use]
     pub fn svg(&self) -> String {
         let scaled = |value: f64| if self.scale == Scale::Log { value.log10() } else { value };
@@ -378,7 +378,7 @@ impl Comparison {
     }
 }
 
-/// Told apart without colour too: discs, rings, triangles.
+/// Draws a dot of a series; the series differ in shape as well as in colour: discs, rings, triangles.
 fn dot(area: &Area<'_>, at: (i32, i32), place: usize) -> Drawn {
     let color = PALETTE[place % PALETTE.len()].0;
     match place % 3 {
@@ -388,9 +388,9 @@ fn dot(area: &Area<'_>, at: (i32, i32), place: usize) -> Drawn {
     }
 }
 
-/// A line reduced to what a screen can show: for each of `columns` equal parts of `range`, the first, lowest,
-/// highest and last sample of each passage through it. Each inner vector is a stretch without a gap; a gap
-/// between samples of one column is too narrow to be seen, and left out.
+/// Reduces a line to the samples that a screen can show: for each of `columns` equal parts of `range`, the first,
+/// lowest, highest and last sample of each passage through it. Each inner vector is a stretch without a gap; a gap
+/// between samples of one column is too narrow to be seen, and is dropped.
 #[must_use]
 pub fn decimate(x: &[f64], y: &[f64], range: (f64, f64), columns: usize) -> Vec<Vec<(f64, f64)>> {
     let per_column = columns as f64 / (range.1 - range.0);
@@ -420,7 +420,7 @@ pub fn decimate(x: &[f64], y: &[f64], range: (f64, f64), columns: usize) -> Vec<
     stretches
 }
 
-/// Moves the first, lowest, highest and last of a run over, in their order.
+/// Moves the first, lowest, highest and last sample of a run to `kept`, in their order.
 fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
     let by_height = |a: &(usize, f64), b: &(usize, f64)| a.1.total_cmp(&b.1);
     let heights = || run.iter().map(|&(_, y)| y).enumerate();
@@ -438,7 +438,7 @@ fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
     run.clear();
 }
 
-/// From the lowest to the highest of the finite values.
+/// Range from the lowest to the highest of the finite values.
 fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     values.filter(|value| value.is_finite()).fold(None, |range: Option<Range<f64>>, value| {
         let range = range.unwrap_or(value..value);
@@ -446,23 +446,23 @@ fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     })
 }
 
-/// Too narrow for f64 to tell its ends apart on an axis.
+/// True if the range is too narrow for f64 to separate its ends on an axis.
 fn is_point(range: &Range<f64>) -> bool {
     range.end / 2.0 - range.start / 2.0 <= 1e-12 * range.start.abs().max(range.end.abs())
 }
 
-/// What is shown along an edge, in units of a power of ten: no range is too wide or too fine to be drawn.
+/// An axis in units of a power of ten, which keeps ranges of any width drawable.
 struct Axis<'a> {
     range: Range<f64>,
     exponent: i32,
     label: String,
-    /// At most so many.
+    /// Largest number of ticks.
     ticks: usize,
     text: Box<dyn Fn(&f64) -> String + 'a>,
 }
 
 impl<'a> Axis<'a> {
-    /// Wider than `range` by `share` at each end.
+    /// A linear axis, wider than `range` by `share` at each end.
     fn linear(range: Range<f64>, share: f64, label: &str, ticks: i32) -> Self {
         let largest = range.start.abs().max(range.end.abs());
         let exponent = match largest {
@@ -493,7 +493,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Of decimal logarithms: whole powers of ten around them.
+    /// A logarithmic axis for a range of decimal logarithms, widened to whole powers of ten.
     fn decades(range: Range<f64>, label: &str) -> Self {
         let low = range.start.floor();
         let high = range.end.ceil().max(low + 1.0);
@@ -506,7 +506,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// One tick a row, top to bottom.
+    /// An axis with one tick per row, top to bottom.
     fn rows(rows: &'a [ComparisonRow]) -> Self {
         Self {
             range: rows.len() as f64 - 0.5..-0.5,
@@ -517,13 +517,13 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// Width of its longest tick text, as far as it can be known.
+    /// Estimated width of the longest tick text.
     fn widest(&self) -> i32 {
         let ticks = RangedCoordf64::from(self.range.clone()).key_points(BoldPoints(self.ticks));
         ticks.iter().map(|tick| text_width(&(self.text)(tick))).max().unwrap_or(0)
     }
 
-    /// Where a value stands in `range`.
+    /// Position of a value on the axis, in units of `range`.
     fn place(&self, value: f64) -> f64 {
         value / 10f64.powi(self.exponent)
     }
@@ -540,7 +540,7 @@ fn power_of_ten(exponent: i32) -> String {
     }
 }
 
-/// Axes and their texts; the values are drawn into it.
+/// Draws axes and their texts; the values are drawn into the result.
 fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>) -> Drawn<Chart<'a>> {
     area.draw_text(&printable(title), &text(13, FontStyle::Bold), (left, px(8)))?;
     let mut chart = ChartBuilder::on(area)
@@ -572,19 +572,19 @@ fn text<'a>(size: i32, style: FontStyle) -> TextStyle<'a> {
     (FontFamily::SansSerif, px(size) * 124 / 100, style, &INK).into_text_style(&(0, 0))
 }
 
-/// An estimate on the safe side: no font is at hand.
+/// Estimated width of a text, on the safe side: no font is available.
 fn text_width(text: &str) -> i32 {
     text.chars().count() as i32 * px(13) * 56 / 100
 }
 
-/// In the middle of an area that has nothing else to show.
+/// Draws a text in the middle of an area that shows nothing else.
 fn say(area: &Area<'_>, what: &str) -> Drawn {
     let (width, height) = area.dim_in_pixel();
     let style = text(13, FontStyle::Italic).pos(Pos::new(HPos::Center, VPos::Center));
     area.draw_text(&printable(what), &style, (width as i32 / 2, height as i32 / 2))
 }
 
-/// Columns of the legend, and their width.
+/// Number of columns of the legend, and their width.
 fn legend_columns(labels: &[&str]) -> (usize, i32) {
     let widest = labels.iter().map(|label| text_width(label)).max().unwrap_or(0);
     let width = SAMPLE + widest + px(32);
@@ -607,7 +607,7 @@ fn draw_legend(strip: &Area<'_>, labels: &[&str], sample: impl Fn(&Area<'_>, usi
     Ok(())
 }
 
-/// An `<svg>` element that a reader can scale, and a screen reader can name.
+/// Wraps a drawing into an `<svg>` element that a reader can scale and a screen reader can name.
 fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> String {
     let mut svg = String::new();
     let drawn = {
@@ -625,7 +625,7 @@ fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) 
     )
 }
 
-/// Characters that XML forbids are replaced.
+/// Replaces the characters that XML forbids.
 fn printable(text: &str) -> String {
     let forbidden =
         |c: char| c.is_control() && !matches!(c, '\t' | '\n') || matches!(c, '\u{fffe}' | '\u{ffff}');

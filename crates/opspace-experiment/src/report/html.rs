@@ -25,22 +25,22 @@ impl Page {
         Self { title: title.into(), body: String::new(), tables: 0, figures: 0 }
     }
 
-    /// What the page says, in a sentence or two: the first thing read.
+    /// Sets the summary at the top of the page: a sentence or two.
     pub fn lead(self, text: &str) -> Self {
         self.block(&format!("<p class=\"lead\">{}</p>", escape(text)))
     }
 
-    /// A heading; what follows belongs to it.
+    /// Adds a heading; the blocks that follow belong to it.
     pub fn section(self, heading: &str) -> Self {
         self.block(&format!("<h2>{}</h2>", escape(heading)))
     }
 
-    /// A paragraph of text.
+    /// Adds a paragraph of text.
     pub fn paragraph(self, text: &str) -> Self {
         self.block(&format!("<p>{}</p>", escape(text)))
     }
 
-    /// A run that failed, or lost data: said where it cannot be missed.
+    /// Adds a warning, set off from the text: a run that failed, or lost data.
     pub fn warning(self, text: &str) -> Self {
         self.block(&format!(
             "<p class=\"warning\" role=\"note\"><strong>Warning.</strong> {}</p>",
@@ -48,7 +48,7 @@ impl Page {
         ))
     }
 
-    /// Terms and what they are: seeds, versions, files.
+    /// Adds a list of terms and their values: seeds, versions, files.
     pub fn facts<T: AsRef<str>, D: AsRef<str>>(self, facts: impl IntoIterator<Item = (T, D)>) -> Self {
         let fact = |(term, text): (T, D)| {
             format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escape(term.as_ref()), escape(text.as_ref()))
@@ -57,7 +57,7 @@ impl Page {
         self.block(&format!("<dl>\n{list}</dl>"))
     }
 
-    /// A table, numbered; notes stand below it.
+    /// Adds a table, numbered, with the notes below it.
     pub fn table(mut self, caption: &str, table: &Table, notes: &[&str]) -> Self {
         self.tables += 1;
         let number = self.tables;
@@ -95,17 +95,17 @@ impl Page {
         self.block(&html)
     }
 
-    /// A figure, numbered.
+    /// Adds a figure, numbered.
     pub fn figure(self, figure: &Figure) -> Self {
         self.drawing(&figure.svg(), &figure.title, &figure.caption)
     }
 
-    /// A comparison, numbered among the figures.
+    /// Adds a comparison, numbered among the figures.
     pub fn comparison(self, comparison: &Comparison) -> Self {
         self.drawing(&comparison.svg(), &comparison.title, &comparison.caption)
     }
 
-    /// The whole page.
+    /// Returns the whole page.
     #[must_use]
     pub fn render(&self) -> String {
         let title = escape(&self.title);
@@ -138,7 +138,7 @@ impl Page {
     }
 }
 
-/// The first cell of a row is its head.
+/// Formats a cell; the first one of a row is its head.
 fn cell(cell: Option<&Cell>, text: Option<&String>, place: usize) -> String {
     let text = text.map_or_else(String::new, |text| escape(text));
     let class = match cell {
@@ -153,7 +153,7 @@ fn cell(cell: Option<&Cell>, text: Option<&String>, place: usize) -> String {
     }
 }
 
-/// Where the page is dark, the figures' colours give way to others: known by what `plotters` writes.
+/// Style rules that replace the figures' colours in the dark scheme; they match the attributes that `plotters` writes.
 fn dark_figures() -> String {
     let rule = |(RGBColor(r, g, b), dark): (RGBColor, &str)| {
         format!(

@@ -1,4 +1,4 @@
-//! Reports: the figures of a run, laid out as the paper's, and pages of them.
+//! Reports: the figures of a run, laid out like the paper's, and pages of them.
 
 use crate::evaluate::results::{Group, Measure, group, notes, table};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
@@ -13,15 +13,15 @@ use opspace_model::{Data, frame_placement, kinematics};
 /// A run that a page shows in full.
 #[derive(Clone, Debug)]
 pub struct Shown {
-    /// What it is, in a line.
+    /// Title of the run, in one line.
     pub title: String,
-    /// Its summary.
+    /// Summary of the run.
     pub summary: Summary,
-    /// Its figures.
+    /// Figures of the run.
     pub figures: Vec<Figure>,
-    /// What a reader should know of the log: damage, lost rows.
+    /// Warnings about the log: damage, lost rows.
     pub warnings: Vec<String>,
-    /// Where it came from: files, seed, versions.
+    /// Origin of the run: files, seed, versions.
     pub facts: Vec<(String, String)>,
 }
 
@@ -51,7 +51,7 @@ impl Shown {
     }
 }
 
-/// A page about runs: one table, then each shown run with its figures.
+/// Builds a page about runs: one table, then each shown run with its figures.
 #[must_use]
 pub fn page(title: &str, lead: &str, summaries: &[Summary], measures: &[Measure], shown: &[Shown]) -> String {
     let mut page = Page::new(title).lead(lead).section("Results").table(
@@ -85,7 +85,7 @@ fn title(summary: &Summary) -> String {
     )
 }
 
-/// The figures of a run: torques by joint, then what its tasks and sensors saw.
+/// Draws the figures of a run: torques by joint, then the signals of its tasks and sensors.
 #[must_use]
 pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
     let recording = &from_control_start(recording);
@@ -206,8 +206,8 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
     )
 }
 
-/// How far ahead of the joints their set-points must be.
-/// The same recording with times that count from the first cycle of control, whatever the robot's clock says.
+/// Returns the recording with times that count from the first cycle of control, whatever the start of the robot's
+/// clock.
 fn from_control_start(recording: &Recording) -> Recording {
     let mut shifted = recording.clone();
     let phase = recording.channel("tick").and_then(|tick| Some((tick, tick.signal("phase")?)));
@@ -220,6 +220,7 @@ fn from_control_start(recording: &Recording) -> Recording {
     shifted
 }
 
+/// Setpoints and the measured joints: velocities of a velocity robot, positions of a position robot.
 fn set_points(tick: &ChannelData) -> Option<Figure> {
     if let Some(velocities) = tick.signal("dq_desired") {
         return joint_figure(
@@ -266,8 +267,8 @@ fn joint_figure(
     Some(Figure { title: title.to_owned(), caption: caption.to_owned(), panels, columns: None })
 }
 
-/// One element of a signal over time, from the controller's start on: before, references and tared forces mean
-/// nothing yet. `None` if it never is a number.
+/// Extracts one element of a signal over time, from the start of control on: before, references and tared forces have
+/// no meaning. `None` if it never is a number.
 fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, style: Style) -> Option<Series> {
     let begun = |t: &f64| *t >= 0.0;
     let y: Vec<f64> = time_s
@@ -279,7 +280,7 @@ fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, styl
     any.then(|| Series::new(label, time_s.to_vec(), y).style(style))
 }
 
-/// Each quantity on one scale: a row for each task and profile, a colour for each way of controlling.
+/// Draws each quantity on one scale: a row for each task and profile, a colour for each way of controlling.
 fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
     type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
     let quantities: [Quantity; 4] = [

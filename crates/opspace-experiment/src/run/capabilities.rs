@@ -1,11 +1,11 @@
-//! Comparison of what a robot declares of itself with what robot.toml states.
+//! Comparison of a robot's declared capabilities with robot.toml.
 
 use crate::files::source::FileError;
 use crate::run::experiment::Experiment;
 use opspace_backend::{Capabilities, ForceSensor};
 use std::fmt::Debug;
 
-/// Largest relative difference of two periods that are the same.
+/// Largest relative difference of two periods that count as equal.
 const SAME_PERIOD: f64 = 1e-9;
 
 impl Experiment {
@@ -59,7 +59,7 @@ impl Experiment {
     }
 }
 
-/// The names of what is measured beside positions.
+/// Names of the quantities measured besides positions.
 fn measured(capabilities: &Capabilities) -> Vec<&'static str> {
     let quantities = [
         ("velocity", capabilities.measures_velocity),

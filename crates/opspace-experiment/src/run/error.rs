@@ -11,16 +11,16 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum RunError {
-    /// The files.
+    /// A mistake in the files.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The log.
+    /// An error of the log.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// A log that opspace didn't write, or not all of whose beginning is there.
+    /// A log that opspace didn't write, or whose beginning is incomplete.
     #[error("this log lacks {what}, without which its run can't be put together again")]
     Incomplete {
-        /// What is missing or can't be understood.
+        /// Description of the part that is missing or unreadable.
         what: String,
     },
     /// A log of another version.
@@ -28,13 +28,13 @@ pub enum RunError {
     Version {
         /// The version that wrote it.
         written: String,
-        /// This version.
+        /// Version of this program.
         own: &'static str,
     },
     /// A real robot that can't be read before the run.
     #[error("the robot can't be read: {fault}")]
     Unreadable {
-        /// The fault that it reports.
+        /// Fault reported by the robot.
         fault: DeviceFault,
     },
     /// A real robot that is not where the task starts.
@@ -42,9 +42,9 @@ pub enum RunError {
         "joint '{joint}' is at {q_rad:.3} rad (m), and the task starts at {start_rad:.3}; --move-to-start moves the robot there slowly, or change start_rad"
     )]
     AwayFromStart {
-        /// Its joint that is farthest up the chain.
+        /// Name of the first joint from the base that is away from the start.
         joint: String,
-        /// Its position, rad or m.
+        /// Position of the joint, rad or m.
         q_rad: f64,
         /// `start_rad` of the task, rad or m.
         start_rad: f64,
@@ -52,7 +52,7 @@ pub enum RunError {
     /// A file that can't be written.
     #[error("{}: can't be written: {source}", path.display())]
     Write {
-        /// The file, or its folder.
+        /// Path of the file or its folder.
         path: PathBuf,
         /// The cause.
         source: io::Error,

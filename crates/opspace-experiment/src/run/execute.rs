@@ -1,4 +1,4 @@
-//! Running an experiment, with its log.
+//! Execution of an experiment, with its log.
 
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
@@ -9,22 +9,22 @@ use std::io::Write;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
-/// Progress of a run, and a way to stop it, for other threads.
+/// Progress of a run and a request to stop it, for other threads.
 #[derive(Debug, Default)]
 pub struct Progress {
-    /// Set to stop the run safely.
+    /// Stop request: set to stop the run safely.
     pub interrupt: AtomicBool,
-    /// Interface cycles so far.
+    /// Number of interface cycles so far.
     pub ticks: AtomicU64,
 }
 
 /// A finished run.
 pub struct RunResult<W> {
-    /// How it ended.
+    /// Outcome of the run.
     pub outcome: RunOutcome,
-    /// The same in words, as it stands in the log.
+    /// Outcome of the run in words, as in the log.
     pub record: OutcomeRecord,
-    /// Rows written and rows lost.
+    /// Numbers of rows written and rows lost.
     pub written: WriteStats,
     /// The log.
     pub sink: W,
@@ -32,7 +32,7 @@ pub struct RunResult<W> {
     pub realtime_factor: f64,
 }
 
-/// The log of a run that goes on.
+/// The log of a run in progress.
 pub struct OpenLog<'a, W> {
     recorder: Recorder,
     writer: Writer<W>,
@@ -69,7 +69,7 @@ impl<W> OpenLog<'_, W> {
 }
 
 impl Experiment {
-    /// Runs the experiment in simulation, with its log into `sink`.
+    /// Runs the experiment in simulation and writes its log to `sink`.
     ///
     /// # Errors
     /// A robot that can't be simulated; a log that can't be written.
@@ -103,8 +103,8 @@ impl Experiment {
     }
 
     /// Runs the experiment by `body`, which gets the run: it calls [`Run::cycle`] once per interface cycle until
-    /// [`Run::is_over`], as a robot that calls back does, or drives several runs together. `truth` are the rows of a
-    /// simulation.
+    /// [`Run::is_over`], as a robot that calls back does, or drives several runs together. `truth` holds the layouts of
+    /// a simulation's rows.
     ///
     /// # Errors
     /// As [`run_on`](Self::run_on).
@@ -123,8 +123,8 @@ impl Experiment {
         log.close(self, outcome)
     }
 
-    /// The control loop of the experiment and its log, for a run of one's own: a [`Run`] of the loop has the log for its
-    /// sink, and its outcome closes the log.
+    /// Returns the control loop of the experiment and its log, for a run driven by the caller: a [`Run`] of the loop
+    /// has the log for its sink, and its outcome closes the log.
     ///
     /// # Errors
     /// As [`run_on`](Self::run_on).
@@ -157,7 +157,7 @@ impl Experiment {
         Ok((control, log))
     }
 
-    /// The outcome of a run in words.
+    /// Describes the outcome of a run in words.
     #[must_use]
     pub fn outcome_record(&self, outcome: &RunOutcome) -> OutcomeRecord {
         match outcome {
@@ -177,7 +177,7 @@ impl Experiment {
         }
     }
 
-    /// Number of cycles of a run that isn't stopped, those at rest before control included.
+    /// Number of cycles of a run that isn't stopped, including those at rest before control.
     #[must_use]
     pub fn ticks(&self) -> u64 {
         let total_s = self.duration_s() + self.robot().file.safety.tare_s.get();

@@ -1,4 +1,4 @@
-//! A task on a robot: everything put together from the two files.
+//! A task on a robot, assembled from the two files.
 
 use crate::extensions::Extensions;
 use crate::files::interface::CommandParameter;
@@ -22,7 +22,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Which kind of robot.
+/// Kind of robot: the command that it takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendKind {
@@ -35,10 +35,10 @@ pub enum BackendKind {
 }
 
 impl BackendKind {
-    /// All there are.
+    /// All kinds of robots.
     pub const ALL: [Self; 3] = [Self::Position, Self::Velocity, Self::Torque];
 
-    /// The kind of command that such a robot takes.
+    /// Kind of command that such a robot takes.
     #[must_use]
     pub fn command(self) -> CommandKind {
         match self {
@@ -48,17 +48,17 @@ impl BackendKind {
         }
     }
 
-    /// Its name in files, tables and on the command line.
+    /// Name of the kind in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.command().name()
     }
 
-    /// The kind of robot that a task's robot (or another one) is by its robot.toml. `settings` as in
+    /// Returns the kind of robot that robot.toml states of a task's robot (or another one). `settings` as in
     /// [`Experiment::load`].
     ///
     /// # Errors
-    /// What is wrong in either file, with its place.
+    /// Mistakes in either file, each with its place.
     pub fn stated(
         extensions: &Extensions,
         files: Files,
@@ -79,7 +79,7 @@ impl BackendKind {
     }
 }
 
-/// Which controller.
+/// Controller of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {
@@ -87,12 +87,12 @@ pub enum ControllerKind {
     Osc,
     /// Inverse kinematics: positions.
     Ik,
-    /// Inverse kinematics with velocity lead and gravity sag made up for.
+    /// Inverse kinematics with velocity lead and compensation of the gravity sag.
     IkLead,
 }
 
 impl ControllerKind {
-    /// Its name in files, tables and on the command line.
+    /// Name of the controller in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -103,22 +103,22 @@ impl ControllerKind {
     }
 }
 
-/// What is chosen beside the two files.
+/// Options of an experiment besides the two files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
-    /// Which kind of robot.
+    /// Kind of robot.
     pub backend: BackendKind,
-    /// Which controller.
+    /// Controller.
     pub controller: ControllerKind,
-    /// Another transformer than the profile's.
+    /// Transformer in place of the profile's.
     pub transformer: Option<TransformerKind>,
-    /// Another profile than the robot's default.
+    /// Profile in place of the robot's default one.
     pub profile: Option<String>,
-    /// Another seed than the task's.
+    /// Seed in place of the task's.
     pub seed: Option<u64>,
-    /// Another duration than the task's, s.
+    /// Duration in place of the task's, s.
     pub duration_s: Option<f64>,
-    /// What a suite calls the settings of this run.
+    /// Name of the run's settings in the table of a suite.
     pub label: Option<String>,
 }
 
@@ -148,11 +148,11 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    /// Reads the task and its robot (or another one) and puts them together. Of `settings`, those that begin
-    /// with `robot.` go to the robot file, the others to the task file.
+    /// Reads the task and its robot (or another one) and combines them. Of `settings`, those that begin with `robot.`
+    /// apply to the robot file, the others to the task file.
     ///
     /// # Errors
-    /// What is wrong in either file, or between them, with its place.
+    /// Mistakes in either file, or contradictions between them, with their place.
     pub fn load(
         files: Files,
         task: &Path,
@@ -163,7 +163,7 @@ impl Experiment {
         Self::load_with(&Extensions::default(), files, task, robot, choice, settings)
     }
 
-    /// The same with tasks of a user's own.
+    /// Reads a task and its robot like [`load`](Self::load), with tasks and drivers defined by the user.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -185,10 +185,10 @@ impl Experiment {
         Self::new(robot, task, choice, settings.to_vec())
     }
 
-    /// Puts a task on a robot. `settings` are only told of, not applied.
+    /// Combines a task and a robot. `settings` are only recorded, not applied.
     ///
     /// # Errors
-    /// What is wrong between the two, with its place.
+    /// Contradictions between the two, with their place.
     pub fn new(robot: Robot, task: Task, choice: Choice, settings: Vec<String>) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(choice.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
@@ -214,7 +214,7 @@ impl Experiment {
         &self.task
     }
 
-    /// What was chosen beside the files.
+    /// Options that were chosen besides the files.
     #[must_use]
     pub fn choice(&self) -> &Choice {
         &self.choice
@@ -238,16 +238,16 @@ impl Experiment {
         self.choice.seed.unwrap_or(self.task.file.seed)
     }
 
-    /// How long the controller runs, s.
+    /// Duration of control, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.choice.duration_s.unwrap_or(self.task.file.duration_s.get())
     }
 
-    /// The controller, about to start.
+    /// Builds the controller, before its start.
     ///
     /// # Errors
-    /// What in the task doesn't fit the robot.
+    /// Parts of the task that don't fit the robot.
     pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
         let facts = self.control_context(self.profile.period_s());
         let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
@@ -275,8 +275,8 @@ impl Experiment {
         }
     }
 
-    /// The torque controller of the task, as if the robot had no limits, updated every `period_s`: for what its
-    /// references ask for. `None` where the task doesn't fit the robot.
+    /// The torque controller of the task without the robot's limits, updated every `period_s`, for the demands of its
+    /// references. `None` where the task doesn't fit the robot.
     pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
         let (model, facts) = (&self.robot.model, self.control_context(period_s));
         let limits = LimitParameters { enforce: false, ..self.task.file.limits };
@@ -299,7 +299,7 @@ impl Experiment {
         }
     }
 
-    /// The tasks of a file or an event, built for the robot. `None` where they don't fit it.
+    /// Builds the tasks of a file or an event for the robot; `None` where they don't fit it.
     pub(crate) fn task_set(
         &self,
         priority: &[String],
@@ -318,7 +318,7 @@ impl Experiment {
         TaskSetParameters { priority, task, compensation: file.compensation, limits: file.limits }
     }
 
-    /// The simulated robot of the chosen kind, at rest at its start.
+    /// Builds the simulated robot of the chosen kind, at rest at its start.
     ///
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
@@ -326,7 +326,8 @@ impl Experiment {
         SimulatedArm::new(self.arm_config()?).map_err(|e| self.simulation_error(&e))
     }
 
-    /// The configuration of [`simulated_arm`](Self::simulated_arm), to be changed, or put beside that of another arm.
+    /// Returns the configuration of [`simulated_arm`](Self::simulated_arm), to be changed or combined with that of
+    /// another arm.
     ///
     /// # Errors
     /// A robot file without `[simulated]`.
@@ -352,14 +353,14 @@ impl Experiment {
         })
     }
 
-    /// The capabilities that robot.toml states of the chosen robot. Beside those of its interface, any arm can be
-    /// simulated as a torque or velocity robot.
+    /// Capabilities that robot.toml states of the chosen robot. Besides the kind that its interface states, any arm can
+    /// be simulated as a torque or velocity robot.
     #[must_use]
     pub fn capabilities(&self) -> Capabilities {
         self.robot.capabilities(self.command_kind(), self.profile.period_s())
     }
 
-    /// The control loop of the experiment, before its first cycle.
+    /// Builds the control loop of the experiment, before its first cycle.
     ///
     /// # Errors
     /// A servo that the transformer can't invert.
@@ -368,7 +369,7 @@ impl Experiment {
             .map_err(|e: LoopError| FileError::of_file(self.robot.source.name(), e.to_string(), None))
     }
 
-    /// The parts of the control loop.
+    /// Returns the configuration of the control loop.
     ///
     /// # Errors
     /// A servo that the transformer can't invert.
@@ -388,7 +389,7 @@ impl Experiment {
         })
     }
 
-    /// The kind of command that the chosen robot takes.
+    /// Kind of command that the chosen robot takes.
     #[must_use]
     pub fn command_kind(&self) -> CommandKind {
         self.choice.backend.command()
@@ -455,7 +456,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Where a simulated robot starts, in joint order.
+    /// Start positions of a simulated robot, in joint order.
     pub(crate) fn start(&self) -> Result<Vec<f64>, FileError> {
         let model = &self.robot.model;
         let mut start = vec![0.0; model.n()];
@@ -489,7 +490,7 @@ impl Experiment {
         FileError::at_key(&self.task.source, error.key(), message, help)
     }
 
-    /// What doesn't fit once an event has changed it.
+    /// Error of a task set that doesn't fit the robot after an event.
     fn event_error(&self, number: usize, error: &ControlError) -> FileError {
         let (message, help) = explained(error);
         let message = format!("after this event, `{}`: {message}", error.key());
@@ -523,7 +524,7 @@ impl Experiment {
     }
 }
 
-/// Its name in robot.toml.
+/// Name of the behaviour in robot.toml.
 fn missed_cycle_name(behaviour: MissedCycle) -> &'static str {
     match behaviour {
         MissedCycle::HoldLast => "hold-last",
@@ -531,7 +532,7 @@ fn missed_cycle_name(behaviour: MissedCycle) -> &'static str {
     }
 }
 
-/// What is wrong with a task, and what could be meant.
+/// Describes a mistake in a task, and the likely intention.
 fn explained(error: &ControlError) -> (String, Option<String>) {
     let help = match error.reason() {
         Reason::Frame(unknown) => Some(choices(&unknown.name, &unknown.known)),

@@ -11,16 +11,16 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::Path;
 
-/// The log of a run.
+/// File name of a run's log.
 pub const LOG: &str = "run.mcap";
-/// The page of a run or a suite.
+/// File name of the page of a run or a suite.
 pub const REPORT: &str = "report.html";
-/// The summary of a run.
+/// File name of a run's summary.
 pub const SUMMARY: &str = "summary.json";
 
 impl Experiment {
-    /// Runs the experiment by `run`, which gets the file of the log, and writes summary and report beside it. A log is never
-    /// overwritten.
+    /// Runs the experiment by `run`, which gets the file of the log, and writes summary and report beside it. An
+    /// existing log is never overwritten.
     ///
     /// ```no_run
     /// use opspace_experiment::{Experiment, Progress, RunError};

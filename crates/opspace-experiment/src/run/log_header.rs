@@ -1,4 +1,4 @@
-//! The files and settings in a log, from which its experiment is put together again.
+//! Files and settings in a log, from which its experiment is rebuilt.
 
 use crate::extensions::Extensions;
 use crate::files::robot::Robot;
@@ -14,27 +14,27 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Name of the metadata record in which a log keeps how it was made.
+/// Name of the metadata record with the origin of a log.
 pub const RUN: &str = "opspace.run";
-/// Entry that says whether the robot was real.
+/// Entry of the record for the world of the run, real or simulated.
 const WORLD: &str = "world";
 const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
 
-/// Whether a log is that of a real robot.
+/// True if the log is that of a real robot.
 pub(super) fn is_real(recording: &Recording) -> bool {
     recording.metadata(RUN).and_then(|entries| entries.get(WORLD)).is_some_and(|world| world == REAL)
 }
 
-/// The attachment in which a log keeps a recorded path, by the path as the task file gives it.
+/// Name of the attachment with a recorded path, by the path as the task file gives it.
 fn recording_file(file: &Path) -> String {
     format!("recorded/{}", file.display())
 }
 
 impl Experiment {
-    /// What a log of this experiment says before its first row.
+    /// Builds the header of a log of this experiment: files, settings and versions.
     pub(crate) fn header(&self, world: World) -> Header {
         let choice = self.choice();
         let mut entries = BTreeMap::from([
@@ -76,15 +76,15 @@ impl Experiment {
         }
     }
 
-    /// Puts together again the experiment whose log this is.
+    /// Rebuilds the experiment of a log.
     ///
     /// # Errors
-    /// A log without the files it was made from, or files that today's program refuses.
+    /// A log without the files that it was made from, or files that this version of the program refuses.
     pub fn of_log(recording: &Recording) -> Result<Self, RunError> {
         Self::of_log_with(&Extensions::default(), recording)
     }
 
-    /// The same with tasks of a user's own.
+    /// Rebuilds the experiment of a log like [`of_log`](Self::of_log), with tasks defined by the user.
     ///
     /// # Errors
     /// As [`of_log`](Self::of_log).
@@ -137,7 +137,7 @@ impl Experiment {
     }
 }
 
-/// A file out of a log, under the name it had.
+/// Extracts a file from a log, under its original name.
 fn attached(recording: &Recording, file: &str, name: &str) -> Result<Source, RunError> {
     let missing = || RunError::Incomplete { what: format!("the attached {file}") };
     let attachment = recording.attachment(file).ok_or_else(missing)?;
@@ -149,7 +149,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// Refuses a log of another minor version: its rows or its files mean something else.
+/// Refuses a log of another minor version, whose rows or files have another meaning.
 fn check_version(recording: &Recording) -> Result<(), RunError> {
     let own = env!("CARGO_PKG_VERSION");
     let minor = |version: &str| version.rsplit_once('.').map(|(minor, _)| minor.to_owned());

@@ -1,4 +1,4 @@
-//! Running an experiment on the robot that `[driver]` of robot.toml names.
+//! Execution of an experiment on the robot that `[driver]` of robot.toml names.
 
 use crate::extensions::Extensions;
 use crate::files::source::FileError;
@@ -13,7 +13,7 @@ use std::io::Write;
 const NAME: &str = "name";
 
 impl Experiment {
-    /// Whether robot.toml names a driver: the robot is a real one.
+    /// True if robot.toml names a driver: the robot is a real one.
     #[must_use]
     pub fn has_driver(&self) -> bool {
         self.robot.file.driver.is_some()

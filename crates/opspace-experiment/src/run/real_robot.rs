@@ -1,5 +1,5 @@
-//! What a real robot needs beside a simulated one: it is where the task starts, and nothing that exists for comparison
-//! alone commands it.
+//! Requirements of a real robot beyond those of a simulated one: it stands where the task starts, and no option that
+//! exists for comparison alone commands it.
 
 use crate::extensions::Extensions;
 use crate::files::source::{FileError, Source};
@@ -22,15 +22,15 @@ const START_TOLERANCE: f64 = 0.02;
 /// Highest speed of a joint on the way to the start, rad/s and m/s.
 const SPEED_RAD_PER_S: f64 = 0.2;
 const SPEED_M_PER_S: f64 = 0.05;
-/// The same as a share of the joint's velocity limit.
+/// Highest speed of a joint on the way to the start, as a share of the joint's velocity limit.
 const SPEED_SHARE: f64 = 0.1;
-/// Peak of a minimum-jerk motion's velocity over its mean.
+/// Ratio of a minimum-jerk motion's peak velocity to its mean.
 const MINIMUM_JERK_PEAK: f64 = 1.875;
 /// Least duration of the motion, and time to settle after it, s.
 const SHORTEST_S: f64 = 1.0;
 const SETTLE_S: f64 = 1.0;
-/// Natural frequency of the joints' error where the robot takes torques or velocities, rad/s: stiff, since friction leaves
-/// an error, and never above this share of the interface rate.
+/// Natural frequency of the joints' error where the robot takes torques or velocities, rad/s: high, since friction
+/// leaves an error, and never above this share of the interface rate.
 const FREQUENCY_RAD_PER_S: f64 = 30.0;
 const FREQUENCY_SHARE: f64 = 0.06;
 
@@ -83,9 +83,9 @@ impl Experiment {
         }
     }
 
-    /// An experiment on the same robot that moves it from `q` (rad or m, n) to where this one starts: all joints along
-    /// one line in joint space, at most 0.2 rad/s (0.05 m/s) and a tenth of the URDF's velocity limit. It knows no
-    /// obstacles. `None` if the robot is there already.
+    /// Returns an experiment on the same robot that moves it from `q` (rad or m, n) to the start of this one: all
+    /// joints along one line in joint space, at most 0.2 rad/s (0.05 m/s) and a tenth of the URDF's velocity limit. It
+    /// knows no obstacles. `None` if the robot is there already.
     ///
     /// # Errors
     /// A position outside a joint's limits.
@@ -115,7 +115,7 @@ impl Experiment {
         Self::new(self.robot.clone(), task, choice, Vec::new()).map(Some)
     }
 
-    /// The task file of a motion from `q` to `goal`.
+    /// Text of the task file of a motion from `q` to `goal`.
     fn motion_text(&self, q: &[f64], goal: &[f64], motion_s: f64) -> String {
         let list = |values: &[f64]| {
             let named = self.robot.model.joints().iter().zip(values);
@@ -164,19 +164,19 @@ impl Experiment {
     }
 }
 
-/// NaN is away, too.
+/// True if a joint is at its start; false for NaN.
 fn is_at(q: f64, start: f64) -> bool {
     (q - start).abs() < START_TOLERANCE
 }
 
-/// Joint positions of a robot now, rad or m (n).
+/// Reads the present joint positions of a robot, rad or m (n).
 fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     let mut sample = Sample::new(backend.capabilities());
     backend.read(&mut sample).map_err(|fault| RunError::Unreadable { fault })?;
     Ok(sample.q)
 }
 
-/// Speed of a joint that nobody is surprised by, rad/s or m/s.
+/// Low speed of a joint on the way to the start, rad/s or m/s.
 fn slow_speed(joint: &Joint) -> f64 {
     let slow = match joint.kind {
         JointKind::Prismatic => SPEED_M_PER_S,

@@ -20,14 +20,14 @@ pub struct ReplayReport {
     pub first_difference: Option<Difference>,
     /// Signals that only the log or only the replay has, or that differ in length.
     pub unmatched: Vec<String>,
-    /// Root mean square difference of each command from the log: signal, then element by element.
+    /// Root mean square difference of each command from the log, by signal and element.
     pub rms: Vec<(String, Vec<(String, f64)>)>,
 }
 
 /// The signals that are commands.
 const COMMANDS: [&str; 4] = ["command", "torque_desired", "q_desired", "dq_desired"];
 
-/// Recomputes every row of a log from its inputs, and compares.
+/// Recomputes every row of a log from its inputs and compares it with the log.
 ///
 /// # Errors
 /// A log without one of the inputs.
@@ -46,7 +46,7 @@ pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<ReplayRe
     })
 }
 
-/// Feeds the inputs of a log to the experiment's control loop, its rows into `sink`.
+/// Feeds the inputs of a log to the experiment's control loop and writes its rows to `sink`.
 ///
 /// # Errors
 /// As [`replay`].

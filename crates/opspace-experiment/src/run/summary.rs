@@ -10,56 +10,56 @@ use serde::Serialize;
 /// The summary of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// The task's name.
+    /// Name of the task.
     pub task: String,
-    /// The robot's name.
+    /// Name of the robot.
     pub robot: String,
-    /// `position` or `torque`.
+    /// Kind of robot: `position`, `velocity` or `torque`.
     pub backend: String,
-    /// `osc`, `ik` or `ik-lead`.
+    /// Controller: `osc`, `ik` or `ik-lead`.
     pub controller: String,
     /// The transformer; `None` where there is none.
     pub transformer: Option<String>,
-    /// Why it is that one.
+    /// Reason for the choice of the transformer.
     pub transformer_reason: Option<String>,
-    /// The robot's profile.
+    /// Profile of the robot.
     pub profile: String,
-    /// Servo ticks per interface tick.
+    /// Number of servo ticks per interface cycle.
     pub ratio: u32,
-    /// Of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Whether the robot was simulated.
+    /// True if the robot was simulated.
     pub simulated: bool,
-    /// How long the controller was to run, s.
+    /// Intended duration of control, s.
     pub duration_s: f64,
-    /// The settings that changed the files.
+    /// Settings that changed the files.
     pub overrides: Vec<String>,
-    /// What a suite calls these settings.
+    /// Name of these settings in a suite.
     pub label: Option<String>,
     /// The cause of a stop.
     pub faulted: Option<String>,
-    /// When it stopped, s.
+    /// Time of the stop, s.
     pub fault_time_s: Option<f64>,
-    /// Whether it was asked to stop.
+    /// True if a stop was requested.
     pub interrupted: bool,
-    /// Time at which it was asked to stop, s.
+    /// Time of the stop request, s.
     pub interrupted_time_s: Option<f64>,
-    /// Rows lost on the way to the log.
+    /// Number of rows that were lost on the way to the log.
     pub rows_lost: u64,
-    /// Interface cycles in which no sample came.
+    /// Number of interface cycles without a sample.
     pub missed_cycles: u64,
-    /// Control cycles in which a streamed target was stale.
+    /// Number of control cycles in which a streamed target was stale.
     pub stale_target_cycles: u64,
-    /// How often control was resumed after a dropout.
+    /// Number of times that control was resumed after a dropout.
     pub resumed: u64,
-    /// How well it went.
+    /// Metrics of the run.
     pub metrics: Metrics,
-    /// How long things took: not reproducible.
+    /// Computing times of the run: not reproducible.
     pub timing: Timing,
 }
 
 impl Experiment {
-    /// The summary of a run of this experiment, from its log.
+    /// Computes the summary of a run of this experiment from its log.
     #[must_use]
     pub fn summary(
         &self,

@@ -1,4 +1,4 @@
-//! Which transformer an experiment uses, why, whether the robot can have it, and how it is made.
+//! Transformer of an experiment: its choice with the reason, its requirements on the robot, and its construction.
 
 use crate::files::source::FileError;
 use crate::run::experiment::{BackendKind, ControllerKind, Experiment};
@@ -13,14 +13,14 @@ use opspace_transformer::{
 };
 
 impl Experiment {
-    /// The transformer in use, of positions or of velocities as the robot takes them; `None` where torques or positions
-    /// pass as they are.
+    /// Transformer in use, to positions or to velocities as the robot takes them; `None` where torques or positions
+    /// pass unchanged.
     #[must_use]
     pub fn transformer_kind(&self) -> Option<TransformerKind> {
         self.uses_transformer().then(|| self.chosen_transformer().0)
     }
 
-    /// Why it is that one.
+    /// Reason for the choice of the transformer.
     #[must_use]
     pub fn transformer_reason(&self) -> Option<String> {
         self.uses_transformer().then(|| self.chosen_transformer().1)
@@ -45,7 +45,7 @@ impl Experiment {
         self.robot.file.interface.measures.contains(&Measured::MotorCurrent)
     }
 
-    /// The chosen transformer.
+    /// Builds the chosen transformer.
     ///
     /// # Errors
     /// A servo that it can't invert.
@@ -93,12 +93,12 @@ impl Experiment {
         self.choice.backend == BackendKind::Velocity
     }
 
-    /// The table of a profile that has the servos in use.
+    /// Name of the profile's table with the servos in use.
     fn servo_table(&self) -> &'static str {
         if self.takes_velocities() { "velocity_servo" } else { "servo" }
     }
 
-    /// What is wrong with a joint's entry in a table of the profile.
+    /// Error at a joint's entry in a table of the profile.
     fn joint_error(&self, table: &str, joint: usize, error: &dyn std::error::Error) -> FileError {
         let name = self.robot.model.joints()[joint].name.as_str();
         let help = "transformer = \"paper\" takes any servo for what it amounts to".to_owned();
@@ -130,7 +130,7 @@ impl Experiment {
         })
     }
 
-    /// What each drive moves where the task starts, the other joints free: 1/(M⁻¹)ᵢᵢ.
+    /// Inertia that each drive moves at the task's start, the other joints free: 1/(M⁻¹)ᵢᵢ.
     fn inertias(&self) -> Result<Vec<f64>, FileError> {
         let (model, q) = (&self.robot.model, self.start()?);
         let mut data = Data::new(model);
@@ -157,7 +157,7 @@ impl Experiment {
         Ok(self.servos()?.iter().map(|servo| servo.gains(period_s)).collect())
     }
 
-    /// Joint with an integral in its velocity loop.
+    /// Name of a joint with an integral in its velocity loop.
     fn joint_with_velocity_integral(&self) -> Option<&str> {
         let joints = self.robot.model.joints().iter().map(|joint| joint.name.as_str());
         let mut joints = joints.filter(|joint| {
@@ -166,7 +166,7 @@ impl Experiment {
         joints.next()
     }
 
-    /// What a transformer needs of a velocity robot beside what it needs of any.
+    /// Checks the transformer's requirements on a velocity robot, beyond those on any robot.
     fn check_velocity_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
         let (name, method) = (kind.name(), kind.method);
         let wrong = |key: &[&str], message: String, help: &str| {
@@ -203,7 +203,7 @@ impl Experiment {
         }
     }
 
-    /// What the transformer needs of the robot.
+    /// Checks the transformer's requirements on the robot.
     pub(crate) fn check_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
         let (name, method, robot) = (kind.name(), kind.method, &self.robot);
         let interface = |key: &str| vec!["interface".to_owned(), key.to_owned()];

@@ -6,7 +6,7 @@ use opspace_log::{Attachment, Channel, ChannelData, Header, Pace, WriteStats, re
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// A tick of a two-joint arm and a faster, narrower channel.
+/// Channels of a control cycle of a two-joint arm, and a faster, narrower one.
 pub fn channels() -> Vec<Channel> {
     let joints = ["shoulder", "elbow"];
     let tick = Layout {
@@ -34,7 +34,7 @@ pub fn row(k: usize, width: usize) -> Vec<f64> {
     (0..width).map(value).collect()
 }
 
-/// Time of tick `k`, s.
+/// Time of control cycle `k`, s.
 pub fn time(k: usize) -> f64 {
     (k as f64 - 2.0) * 1e-3
 }
@@ -48,7 +48,7 @@ pub fn header() -> Header {
     }
 }
 
-/// A log of `ticks` ticks, two servo rows a tick.
+/// Log of `ticks` control cycles, two servo rows per cycle.
 pub fn log(header: Header, ticks: usize) -> (WriteStats, Vec<u8>) {
     let sink = Cursor::new(Vec::new());
     let (mut recorder, writer) = record(sink, header, channels(), Pace::Simulated).expect("begins");
@@ -68,7 +68,7 @@ pub fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|v| v.to_bits()).collect()
 }
 
-/// Whether `part` is how `whole` begins, bit for bit.
+/// True if `part` is the beginning of `whole`, bit for bit.
 pub fn is_prefix(part: &ChannelData, whole: &ChannelData) -> bool {
     part.layout == whole.layout
         && bits(&whole.time_s).starts_with(&bits(&part.time_s))

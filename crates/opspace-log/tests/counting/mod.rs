@@ -5,13 +5,13 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// What was asked of the allocator.
+/// Requests to the allocator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Count {
-    /// Reallocations as well.
+    /// Number of allocations, reallocations included.
     pub allocations: usize,
     pub frees: usize,
-    /// The largest piece, bytes.
+    /// Size of the largest piece, bytes.
     pub largest: usize,
 }
 
@@ -67,12 +67,12 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// How often this thread has allocated so far.
+/// Number of allocations of this thread so far.
 pub fn allocations_so_far() -> usize {
     COUNT.get().allocations
 }
 
-/// What `work` gives, and what it asked of the allocator on this thread.
+/// Returns the result of `work`, and its requests to the allocator on this thread.
 pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Count) {
     let before = COUNT.get();
     COUNT.set(Count { largest: 0, ..before });
@@ -86,7 +86,7 @@ pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Count) {
     (result, count)
 }
 
-/// How often `work` allocates on this thread.
+/// Number of allocations of `work` on this thread.
 pub fn allocations(work: impl FnOnce()) -> usize {
     counted(work).1.allocations
 }

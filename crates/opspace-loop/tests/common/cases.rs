@@ -22,11 +22,11 @@ pub struct Case {
     pub unreadable: Range<u64>,
     /// Cycle in which a command is refused.
     pub refused: Option<u64>,
-    /// Whether that refusal is the cause of the stop.
+    /// True if that refusal is the cause of the stop.
     pub stops_by_refusal: bool,
     /// Cycle in which it must be stopped.
     pub stops_in: u64,
-    /// Whether the state at the stop is known, so that a last setpoint can be computed.
+    /// True if the state at the stop is known, so that a last setpoint can be computed.
     pub known: bool,
 }
 

@@ -98,7 +98,7 @@ pub fn config(capabilities: Capabilities, controller: impl Controller + 'static)
     }
 }
 
-/// A controller that carries the arm's weight and adds `extra` (Nm) at both joints.
+/// A controller that balances the arm's weight and adds `extra` (Nm) at both joints.
 pub fn weight_and(extra: f64) -> impl Controller {
     Commanded::torques(move |data, _, tau| {
         tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + extra);
@@ -114,7 +114,7 @@ pub fn positions_at(offset: impl Fn(f64) -> f64 + Send) -> impl Controller {
     Commanded { kind: CommandKind::Position, command }
 }
 
-/// Torques that carry the arm's weight, by hand: links of 0.5 m, centres halfway, the y axis pointing so that gravity
+/// Torques that balance the arm's weight, by hand: links of 0.5 m, centres halfway, the y axis pointing so that gravity
 /// drives q up.
 pub fn gravity_at(q: &[f64]) -> DVector<f64> {
     let (first, second) = (q[0].cos(), (q[0] + q[1]).cos());

@@ -1,8 +1,8 @@
-//! What can be wrong with a URDF.
+//! Errors and warnings of reading a URDF.
 
 use thiserror::Error;
 
-/// Why a URDF is refused, and where.
+/// Reason why a URDF is refused, and the line.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{}{kind}", prefix(*line))]
 pub struct UrdfError {
@@ -19,13 +19,13 @@ impl UrdfError {
         Self { line: None, kind }
     }
 
-    /// The line of the element at fault, from 1; `None` where it is the file as a whole.
+    /// Line of the element at fault, from 1; `None` where it is the file as a whole.
     #[must_use]
     pub fn line(&self) -> Option<u32> {
         self.line
     }
 
-    /// What is wrong.
+    /// Kind of the error.
     #[must_use]
     pub fn kind(&self) -> &UrdfErrorKind {
         &self.kind
@@ -36,7 +36,7 @@ fn prefix(line: Option<u32>) -> String {
     line.map(|l| format!("line {l}: ")).unwrap_or_default()
 }
 
-/// Names, as many as can be taken in.
+/// Names in one line, up to a hundred; the number of others.
 fn listed(names: &[String]) -> String {
     const MOST: usize = 100;
     let shown = names[..names.len().min(MOST)].join(", ");
@@ -46,260 +46,260 @@ fn listed(names: &[String]) -> String {
     }
 }
 
-/// Why a URDF is refused. `element` is the element as a person would say it: `joint 'elbow'`.
+/// Reason why a URDF is refused. `element` names the element as in `joint 'elbow'`.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum UrdfErrorKind {
-    /// Larger than any robot's.
+    /// File larger than any robot's.
     #[error("the file has {bytes} bytes; at most {limit} are read")]
     TooLarge {
-        /// Its size.
+        /// Size of the file, bytes.
         bytes: usize,
-        /// The largest size read.
+        /// Largest size read, bytes.
         limit: usize,
     },
-    /// Nested deeper than any robot's: a reader might run out of stack.
+    /// Elements nested deeper than any robot's: a reader might overflow its call stack.
     #[error("elements are nested more than {limit} deep; a URDF needs five levels")]
     TooDeep {
-        /// The deepest nesting read.
+        /// Deepest nesting read.
         limit: usize,
     },
-    /// More attributes than any element has: a reader might take hours.
+    /// Element with more attributes than any has: a reader might take hours.
     #[error("a tag has more than {limit} attributes; a URDF's have six at most")]
     TooManyAttributes {
-        /// The most read.
+        /// Largest number of attributes read.
         limit: usize,
     },
-    /// Document types and entities can make a small file large or name other files.
+    /// Document type or entity, which can make a small file large or name other files.
     #[error("<!DOCTYPE> and entities are not read: delete the declaration")]
     Doctype,
-    /// Nothing in it.
+    /// Empty file.
     #[error("the file is empty; a URDF is one <robot> element")]
     Empty,
-    /// No XML at all.
+    /// File that is not XML.
     #[error("this is not XML; a URDF is one <robot> element")]
     NotXml,
-    /// It stops in the middle.
+    /// File that stops in the middle.
     #[error("the file ends before its elements are closed: is it truncated?")]
     Truncated,
     /// Malformed XML.
     #[error("not well-formed XML: {reason}")]
     Malformed {
-        /// The XML reader's words.
+        /// Message of the XML reader.
         reason: String,
     },
-    /// A robot in another format.
+    /// Robot in another format: SDF.
     #[error("this is SDF, not URDF: convert it, or load the URDF it was made from")]
     Sdf,
     /// XML of some other kind.
     #[error("the root element is <{name}>; a URDF's is <robot>")]
     WrongRoot {
-        /// The root element's name.
+        /// Name of the root element.
         name: String,
     },
-    /// A URDF's source, not yet expanded.
+    /// Source of a URDF, not yet expanded by xacro.
     #[error("{found} is xacro, not URDF: expand it first, with `xacro FILE.xacro > FILE.urdf`")]
     Xacro {
-        /// The element or expression found.
+        /// Element or expression of xacro in the file.
         found: String,
     },
-    /// No name to speak of it by.
+    /// Link or joint without a name.
     #[error("a <{element}> has no name: give it name=\"...\"")]
     Nameless {
-        /// `link` or `joint`.
+        /// Tag of the element: `link` or `joint`.
         element: &'static str,
     },
-    /// Two of one name.
+    /// Two elements of one name.
     #[error("{element} is there already, on line {first_line}: names must be unique")]
     DuplicateName {
-        /// The second.
+        /// Second of the two.
         element: String,
-        /// Where the first is.
+        /// Line of the first.
         first_line: u32,
     },
-    /// Something that may be said once is said twice.
+    /// Child element that is allowed once and given twice.
     #[error("{element} has more than one <{child}>: leave one")]
     DuplicateElement {
-        /// Whose.
+        /// Element that the child belongs to.
         element: String,
-        /// What.
+        /// Tag of the child.
         child: &'static str,
     },
-    /// Something required isn't there.
+    /// Required child or attribute that is missing.
     #[error("{element} has no {missing}; {remedy}")]
     Missing {
-        /// Whose.
+        /// Element that lacks it.
         element: String,
-        /// What.
+        /// Missing tag or attribute.
         missing: String,
-        /// What to write.
+        /// Text to write.
         remedy: &'static str,
     },
-    /// Not a number, too few or too many of them, or not finite.
+    /// Value that is not a number, has too few or too many, or is not finite.
     #[error("{element}: {place} is \"{value}\"; give {wanted}")]
     BadNumber {
-        /// Whose.
+        /// Element that the value belongs to.
         element: String,
-        /// Which, as `<tag attribute>`.
+        /// Attribute, as `<tag attribute>`.
         place: String,
-        /// The text there.
+        /// Text of the attribute.
         value: String,
-        /// What should be there.
+        /// Value expected there.
         wanted: &'static str,
     },
-    /// A direction without length.
+    /// Direction without length.
     #[error("{element}: axis is zero; give a direction, e.g. xyz=\"0 0 1\"")]
     ZeroAxis {
-        /// Whose.
+        /// Element that the axis belongs to.
         element: String,
     },
-    /// A joint of a type that the dynamics don't cover.
+    /// Joint of a type that the dynamics don't cover.
     #[error(
         "{element}: type \"{found}\" is not supported; the types are revolute, continuous, prismatic and fixed"
     )]
     JointType {
-        /// Whose.
+        /// Element at fault.
         element: String,
-        /// The type given.
+        /// Type given.
         found: String,
     },
-    /// A mimic joint of a joint that isn't there, or that doesn't move.
+    /// Mimic joint of a joint that doesn't exist, or that doesn't move.
     #[error("joint '{joint}' mimics '{leader}', which is no moving joint; those are: {}", listed(known))]
     UnknownLeader {
-        /// The mimic joint.
+        /// Name of the mimic joint.
         joint: String,
-        /// What it names.
+        /// Name of the joint that it follows.
         leader: String,
-        /// What it could name.
+        /// Names of the joints that it could follow.
         known: Vec<String>,
     },
-    /// Mimic joints in a circle.
+    /// Mimic joints that follow each other in a circle.
     #[error("joint '{joint}' mimics itself, by way of other joints or at once")]
     MimicsItself {
-        /// One of them.
+        /// Name of one of them.
         joint: String,
     },
-    /// A joint that couldn't be told from a coordinate of the floating base.
+    /// Joint with the name of a coordinate of the floating base.
     #[error("joint '{joint}' has the name of a coordinate of the floating base; rename it")]
     ReservedName {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
     },
-    /// A floating robot without mass.
+    /// Floating robot without mass.
     #[error("nothing on the floating base '{link}' has mass; give its links <inertial>")]
     WeightlessBase {
-        /// The root link.
+        /// Name of the root link.
         link: String,
     },
-    /// An attribute that would change the robot and that isn't read.
+    /// Attribute that would change the robot and that isn't read.
     #[error("{element}: {attribute} is not read; {remedy}")]
     Unsupported {
-        /// Whose.
+        /// Element that the attribute belongs to.
         element: String,
-        /// Which.
+        /// Name of the attribute.
         attribute: &'static str,
-        /// What to write instead.
+        /// Text to write instead.
         remedy: &'static str,
     },
-    /// A lower limit above the upper.
+    /// Lower limit above the upper.
     #[error("{element}: lower limit {lower} is above upper limit {upper}; swap them?")]
     LimitsSwapped {
-        /// Whose.
+        /// Element that the limits belong to.
         element: String,
-        /// rad or m.
+        /// Lower limit, rad or m.
         lower: f64,
-        /// rad or m.
+        /// Upper limit, rad or m.
         upper: f64,
     },
-    /// A negative limit of speed or effort.
+    /// Negative limit of speed or effort.
     #[error("{element}: {limit} limit {value} is negative; give its magnitude, or leave it out for none")]
     NegativeLimit {
-        /// Whose.
+        /// Element that the limit belongs to.
         element: String,
-        /// `velocity` or `effort`.
+        /// Name of the limit: `velocity` or `effort`.
         limit: &'static str,
-        /// As given.
+        /// Value as given.
         value: f64,
     },
-    /// A mass below zero.
+    /// Mass below zero.
     #[error("{element}: mass is {mass} kg; it can't be negative")]
     NegativeMass {
-        /// Whose.
+        /// Element that the mass belongs to.
         element: String,
-        /// kg.
+        /// Mass, kg.
         mass: f64,
     },
-    /// A rotational inertia that some rotation would give negative energy.
+    /// Rotational inertia that is not positive semi-definite: some rotation would have negative energy.
     #[error(
         "{element}: inertia is not positive semi-definite, its smallest principal moment is {smallest} kg m²; \
          check the signs of <inertia>"
     )]
     NegativeInertia {
-        /// Whose.
+        /// Element that the inertia belongs to.
         element: String,
-        /// kg m².
+        /// Smallest principal moment, kg m².
         smallest: f64,
     },
-    /// A joint that moves nothing.
+    /// Joint that moves nothing with mass.
     #[error(
         "joint '{joint}' moves link '{link}', which has no mass, nor has anything fixed to it: \
          give it an <inertial>, or make the joint fixed"
     )]
     Massless {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// Its child link.
+        /// Name of its child link.
         link: String,
     },
     /// Numbers too large to be multiplied.
     #[error("{element}: its place or inertia overflows; check the magnitudes, SI units")]
     Overflow {
-        /// A joint with its body, or a link.
+        /// Joint with its body, or link.
         element: String,
     },
-    /// A robot without links.
+    /// Robot without links.
     #[error("the robot has no <link>")]
     NoLinks,
-    /// A joint to or from nowhere.
+    /// Joint whose parent or child link doesn't exist.
     #[error("joint '{joint}': {role} link '{link}' doesn't exist; the links are: {}", listed(known))]
     UnknownLink {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// `parent` or `child`.
+        /// Tag of the link: `parent` or `child`.
         role: &'static str,
-        /// The name given.
+        /// Name given.
         link: String,
-        /// The names there are.
+        /// Names of the links.
         known: Vec<String>,
     },
-    /// A loop, which a URDF can't express.
+    /// Link with two parents: a loop, which a URDF can't express.
     #[error("link '{link}' is the child of two joints, '{first}' and '{second}': remove one")]
     TwoParents {
-        /// The link.
+        /// Name of the link.
         link: String,
-        /// The joint that comes first in the file.
+        /// Joint that comes first in the file.
         first: String,
-        /// The other.
+        /// Other joint.
         second: String,
     },
-    /// More than one robot.
+    /// More than one root link.
     #[error(
         "the links {} are no joint's child: a robot has one root; join the others to it, if only by fixed joints",
         listed(links)
     )]
     SeveralRoots {
-        /// All roots.
+        /// Names of all root links.
         links: Vec<String>,
     },
     /// Links that are each other's descendants.
     #[error("the joints form a cycle: {}; one link must be the root", links.join(" → "))]
     Cycle {
-        /// Its links in order, the first again at the end.
+        /// Links of the cycle in order, the first again at the end.
         links: Vec<String>,
     },
 }
 
-/// What a URDF says that can be, but seldom should, and where.
+/// Warning about a value of a URDF that is possible but unusual, and its line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UrdfWarning {
     line: u32,
@@ -311,13 +311,13 @@ impl UrdfWarning {
         Self { line, kind }
     }
 
-    /// The line of the element, from 1.
+    /// Line of the element, from 1.
     #[must_use]
     pub fn line(&self) -> u32 {
         self.line
     }
 
-    /// What looks wrong.
+    /// Kind of the warning.
     #[must_use]
     pub fn kind(&self) -> &UrdfWarningKind {
         &self.kind
@@ -330,44 +330,44 @@ impl std::fmt::Display for UrdfWarning {
     }
 }
 
-/// What a URDF says that can be, but seldom should.
+/// Kind of value that is possible but unusual.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum UrdfWarningKind {
-    /// No distribution of mass has such moments.
+    /// Principal moments that no distribution of mass has.
     #[error(
         "link '{link}': principal moments {:.3e}, {:.3e}, {:.3e} kg m² violate the triangle inequality; \
          no body has them",
         moments[0], moments[1], moments[2]
     )]
     ImpossibleInertia {
-        /// The link.
+        /// Name of the link.
         link: String,
-        /// Ascending, kg m².
+        /// Principal moments, ascending, kg m².
         moments: [f64; 3],
     },
-    /// A joint that can't move.
+    /// Joint that can't move: its position limits are equal.
     #[error("joint '{joint}': lower and upper limit are both {value}: it can't move; is it a fixed joint?")]
     EqualLimits {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// rad or m.
+        /// Value of both limits, rad or m.
         value: f64,
     },
-    /// A joint that may not move.
+    /// Joint whose limit of speed or effort is zero.
     #[error("joint '{joint}': {limit} limit is 0: it may not be used; leave the attribute out for no limit")]
     ZeroLimit {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// `velocity` or `effort`.
+        /// Name of the limit: `velocity` or `effort`.
         limit: &'static str,
     },
-    /// A coupling that the model leaves out.
+    /// Mimic joint, whose coupling the model leaves out.
     #[error("joint '{joint}' mimics '{of}': the coupling is ignored, it is a joint of its own here")]
     Mimic {
-        /// The joint.
+        /// Name of the joint.
         joint: String,
-        /// The joint it should follow.
+        /// Name of the joint that it should follow.
         of: String,
     },
 }

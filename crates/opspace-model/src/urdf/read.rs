@@ -1,4 +1,4 @@
-//! URDF text to the parts that the dynamics need, each checked on its own, with its line.
+//! Extraction from URDF text of the elements that the dynamics need, each checked on its own, with its line.
 
 use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 use crate::model::{JointKind, Limits};
@@ -7,25 +7,25 @@ use nalgebra::{Matrix3, Unit, Vector3};
 use roxmltree::Document;
 use std::collections::HashMap;
 
-/// The largest robots have files of some hundred kilobytes.
+/// Largest size of a file, bytes: those of the largest robots have some hundred kilobytes.
 const MAX_BYTES: usize = 16 << 20;
-/// Extensions (`<gazebo>`, `<transmission>`) nest deeper than URDF's own five levels, not this deep.
+/// Deepest nesting: extensions (`<gazebo>`, `<transmission>`) nest deeper than URDF's own five levels, not this deep.
 const MAX_DEPTH: usize = 64;
-/// A URDF's own tags have six at most; readers compare each with each.
+/// Most attributes of a tag: URDF's own have six at most; readers compare each with each.
 const MAX_ATTRIBUTES: usize = 64;
-/// Principal moments are compared relative to the largest; files print five digits and more.
+/// Tolerance of principal moments relative to the largest; files print five digits and more.
 const INERTIA_TOLERANCE: f64 = 1e-6;
-/// What a joint's limits look like.
+/// Remedy in errors about a joint's limits.
 const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
 
-/// What a URDF says about a robot's dynamics.
+/// Contents of a URDF that concern the robot's dynamics.
 pub(super) struct Description {
     pub name: String,
     pub links: Vec<LinkElement>,
     pub joints: Vec<JointElement>,
 }
 
-/// A description, and what looks wrong in it.
+/// Description, and the warnings about it.
 pub(super) struct Reading {
     pub description: Description,
     pub warnings: Vec<UrdfWarning>,
@@ -34,7 +34,7 @@ pub(super) struct Reading {
 pub(super) struct LinkElement {
     pub name: String,
     pub line: u32,
-    /// In the link's frame.
+    /// Inertia in the link's frame.
     pub inertia: Option<Inertia>,
 }
 
@@ -52,7 +52,7 @@ pub(super) enum Motion {
     Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits, mimic: Option<Mimic> },
 }
 
-/// A joint that goes with another.
+/// Coupling of a joint to its leader.
 pub(super) struct Mimic {
     pub line: u32,
     pub leader: String,
@@ -82,7 +82,7 @@ pub(super) fn read(text: &str) -> Result<Reading, UrdfError> {
     Ok(Reading { description: Description { name, links, joints }, warnings })
 }
 
-/// Refuses, in one pass without recursion, what an XML reader should not be given.
+/// Refuses, in one pass without recursion, texts that are unsafe to pass to an XML reader.
 fn guard(text: &str) -> Result<(), UrdfError> {
     if text.len() > MAX_BYTES {
         let kind = UrdfErrorKind::TooLarge { bytes: text.len(), limit: MAX_BYTES };
@@ -124,9 +124,9 @@ fn guard(text: &str) -> Result<(), UrdfError> {
     Ok(())
 }
 
-/// What a tag looks like from outside.
+/// Extent and kind of a tag, without its contents.
 struct Tag {
-    /// Where its `>` is.
+    /// Index of its `>`.
     end: Option<usize>,
     attributes: usize,
     /// 1 if it opens an element, −1 if it closes one, 0 if both.
@@ -134,7 +134,7 @@ struct Tag {
 }
 
 impl Tag {
-    /// Of the tag at the beginning of `text`. Between quotes, nothing counts.
+    /// Scans the tag at the beginning of `text`. Text between quotes is skipped.
     fn of(text: &str) -> Self {
         let mut quote = None;
         let mut attributes = 0;
@@ -184,10 +184,10 @@ fn malformed(error: &roxmltree::Error) -> UrdfError {
     }
 }
 
-/// A node of the document; both of roxmltree's lifetimes as one.
+/// Node of the document; both of roxmltree's lifetimes as one.
 type Node<'a> = roxmltree::Node<'a, 'a>;
 
-/// Where each line but the first begins.
+/// Start of each line but the first, as byte index.
 struct Lines(Vec<usize>);
 
 impl Lines {
@@ -195,7 +195,7 @@ impl Lines {
         Self(text.match_indices('\n').map(|(i, _)| i + 1).collect())
     }
 
-    /// The line on which a node begins, from 1.
+    /// Line on which a node begins, from 1.
     fn line(&self, node: Node<'_>) -> u32 {
         let before = self.0.partition_point(|&start| start <= node.range().start);
         u32::try_from(before + 1).unwrap_or(u32::MAX)
@@ -228,7 +228,7 @@ fn expect_urdf(robot: Node<'_>, lines: &Lines) -> Result<(), UrdfError> {
     Ok(())
 }
 
-/// All children `tag` of the robot, which must have names of their own.
+/// Returns all children `tag` of the robot, which must have unique names.
 fn named_children<'a>(
     robot: Node<'a>,
     tag: &'static str,
@@ -252,11 +252,11 @@ fn named_children<'a>(
     Ok(all)
 }
 
-/// A `<link>` or `<joint>`. The nodes that its functions take are within it.
+/// Element `<link>` or `<joint>`. The nodes that its functions take are within it.
 struct Element<'a> {
     node: Node<'a>,
     name: &'a str,
-    /// How errors speak of it: `joint 'elbow'`.
+    /// Description of the element in errors: `joint 'elbow'`.
     words: String,
     lines: &'a Lines,
 }
@@ -326,7 +326,7 @@ impl<'a> Element<'a> {
         })
     }
 
-    /// Its `<mimic>`, if it has one: the ratio is 1 and the offset 0 where they aren't given.
+    /// Returns its `<mimic>`, if it has one: the ratio is 1 and the offset 0 where they aren't given.
     fn mimic(&self, warnings: &mut Vec<UrdfWarning>) -> Result<Option<Mimic>, UrdfError> {
         const MIMIC: &str = "write <mimic joint=\"...\" multiplier=\"...\" offset=\"...\"/>";
         let Some(node) = self.child(self.node, "mimic")? else {
@@ -343,13 +343,13 @@ impl<'a> Element<'a> {
         Ok(Some(Mimic { line: self.lines.line(node), leader, ratio, offset }))
     }
 
-    /// The link that a joint's `<parent>` or `<child>` names.
+    /// Name of the link in a joint's `<parent>` or `<child>`.
     fn linked(&self, tag: &'static str, remedy: &'static str) -> Result<String, UrdfError> {
         let node = self.required(self.node, tag, remedy)?;
         Ok(self.attribute(node, "link", remedy)?.to_owned())
     }
 
-    /// The joint's direction; along x where the file doesn't say, as the format has it.
+    /// Direction of the joint's axis; x where the file gives none, which is the default of the format.
     fn axis(&self) -> Result<Unit<Vector3<f64>>, UrdfError> {
         let Some(node) = self.child(self.node, "axis")? else {
             return Ok(Vector3::x_axis());
@@ -387,7 +387,7 @@ impl<'a> Element<'a> {
         Ok(Limits { lower, upper, velocity, effort })
     }
 
-    /// A limit of speed or effort; infinite where the file gives none.
+    /// Limit of speed or effort; infinite where the file gives none.
     fn magnitude(
         &self,
         node: Node<'a>,
@@ -409,7 +409,7 @@ impl<'a> Element<'a> {
         Ok(value)
     }
 
-    /// The `<origin>` of a joint or an inertia; none is the identity.
+    /// Placement of the `<origin>` of a joint or an inertia; the identity if there is none.
     fn origin(&self, parent: Node<'a>) -> Result<Placement, UrdfError> {
         let Some(node) = self.child(parent, "origin")? else {
             return Ok(Placement::identity());
@@ -425,7 +425,7 @@ impl<'a> Element<'a> {
         Ok(Placement::from_rpy(self.vector(node, "rpy")?, self.vector(node, "xyz")?))
     }
 
-    /// The one child `tag` of `parent`, if there is one.
+    /// Returns the one child `tag` of `parent`, if there is one.
     fn child(&self, parent: Node<'a>, tag: &'static str) -> Result<Option<Node<'a>>, UrdfError> {
         let mut all = parent.children().filter(|n| n.has_tag_name(tag));
         let first = all.next();
@@ -457,7 +457,7 @@ impl<'a> Element<'a> {
         finite(value).ok_or_else(|| self.bad_number(node, attribute, value, "one finite number"))
     }
 
-    /// Three numbers; zeros where the attribute isn't there.
+    /// Three numbers of an attribute; zeros where it isn't there.
     fn vector(&self, node: Node<'a>, attribute: &str) -> Result<[f64; 3], UrdfError> {
         let Some(value) = node.attribute(attribute) else {
             return Ok([0.0; 3]);

@@ -1,18 +1,18 @@
-//! The order of a robot's links, and the proof that they are one tree.
+//! Order of a robot's links, and the check that they form one tree.
 
 use super::error::{UrdfError, UrdfErrorKind};
 use super::read::Description;
 use std::collections::HashMap;
 
-/// A link, and how it is reached.
+/// Link, and the joint and link before it in the tree.
 pub(super) struct Step {
     /// Index of the link.
     pub link: usize,
-    /// Indices of the joint that leads to it and of the link it leads from; `None` at the root.
+    /// Indices of the joint that moves it and of its parent link; `None` at the root.
     pub from: Option<(usize, usize)>,
 }
 
-/// Every link, parents before children: depth first, the children of a link by the names of their joints.
+/// Returns every link, parents before children: depth first, the children of a link by the names of their joints.
 pub(super) fn depth_first(description: &Description) -> Result<Vec<Step>, UrdfError> {
     let (links, joints) = (&description.links, &description.joints);
     let index: HashMap<&str, usize> = links.iter().enumerate().map(|(i, l)| (l.name.as_str(), i)).collect();
@@ -71,7 +71,7 @@ pub(super) fn depth_first(description: &Description) -> Result<Vec<Step>, UrdfEr
     }
 }
 
-/// The cycle above a link that no root leads to.
+/// Returns the error of the cycle above a link that no root reaches.
 fn cycle(
     description: &Description,
     above: &[Option<usize>],

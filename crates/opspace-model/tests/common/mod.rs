@@ -13,15 +13,15 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::RngSeed;
 
-/// Relative to the size of what is compared: some thousand roundings.
+/// Tolerance relative to the size of the values compared: some thousand roundings.
 pub const ROUNDING: f64 = 1e-12;
-/// Where M is inverted; its condition seldom exceeds 1e5 here.
+/// Tolerance of results with M inverted; its condition seldom exceeds 1e5 here.
 pub const INVERSE: f64 = 1e-11;
-/// Central differences with [`STEP`]: half the digits cubed for the formula, the rest for cancellation.
+/// Tolerance of central differences with [`STEP`]: half the digits cubed for the formula, the rest for cancellation.
 pub const DIFFERENCE: f64 = 1e-7;
 pub const STEP: f64 = 1e-5;
 
-/// The same cases every time, and none written to disk.
+/// Configuration with the same cases every time, and none written to disk.
 pub fn config(cases: u32) -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,
@@ -50,12 +50,12 @@ impl Case {
         evaluated(&self.model, &self.q, &self.dq)
     }
 
-    /// The same robot elsewhere, moving as before: `self.q` ⊕ `along` · `by`.
+    /// Returns this case at another configuration, with the same velocities: `self.q` ⊕ `along` · `by`.
     pub fn moved(&self, along: &[f64], by: f64) -> Self {
         Self { q: moved(&self.model, &self.q, along, by), ..self.clone() }
     }
 
-    /// How much longer q is than q̇.
+    /// Excess of the length of q over that of q̇.
     pub fn ahead(&self) -> usize {
         self.model.nq() - self.model.n()
     }
@@ -79,7 +79,7 @@ pub struct Folded {
 }
 
 impl Folded {
-    /// Where joint `joint` of the whole tree is, the joints left being at `left`; `offsets` is 0 for velocities.
+    /// Position of joint `joint` of the whole tree, the joints left being at `left`; `offsets` is 0 for velocities.
     fn position(&self, joint: usize, left: &[f64], offsets: f64) -> f64 {
         match self.followers.iter().find(|(follower, _)| *follower == joint) {
             Some((_, rule)) => rule.ratio * self.position(rule.leader, left, offsets) + offsets * rule.offset,
@@ -166,7 +166,7 @@ fn grow(mut model: Model, parts: &[Part], hand: Placement, second: (Index, Place
     model.with_rotor_inertia(&rotors)
 }
 
-/// Of one tree with as many parts as `range` says, `root` floating or none.
+/// Strategy of one tree with as many parts as `range` says, `root` floating or none.
 fn tree(
     root: impl Strategy<Value = Option<Inertia>>,
     range: std::ops::Range<usize>,
@@ -240,7 +240,7 @@ pub fn folded() -> impl Strategy<Value = Folded> {
     prop_oneof![folding(tree(Just(None), 2..9)), folding(tree(inertia().prop_map(Some), 2..7))]
 }
 
-/// Of numbers that are all of their own: no floating base.
+/// Strategy of trees whose coordinates are all independent joints: no floating base.
 pub fn jointed() -> impl Strategy<Value = Case> {
     prop_oneof![fixed(), folding(tree(Just(None), 2..9)).prop_map(|f| f.case)]
 }
@@ -282,7 +282,7 @@ pub fn stacked(m: &Motion) -> Vec<f64> {
     m.linear.iter().chain(m.angular.iter()).copied().collect()
 }
 
-/// What `fill` makes of a Jacobian of `n` columns in which nothing is left from before.
+/// Result of `fill` on a Jacobian of `n` columns that is NaN before.
 pub fn jacobian(n: usize, fill: impl FnOnce(&mut Matrix6xX<f64>)) -> Matrix6xX<f64> {
     let mut out = Matrix6xX::repeat(n, f64::NAN);
     fill(&mut out);

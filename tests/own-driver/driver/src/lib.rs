@@ -4,7 +4,7 @@ use opspace_backend::{
     Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, Sample, Settings,
 };
 
-/// Opens the arm: `[driver]` has its `name`, the `time_constant_s`, and optionally `fails_after_s`.
+/// A driver that opens the arm: `[driver]` has its `name`, the `time_constant_s`, and optionally `fails_after_s`.
 pub struct LaggingArmDriver;
 
 impl Driver for LaggingArmDriver {

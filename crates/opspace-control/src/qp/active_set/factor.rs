@@ -87,7 +87,7 @@ impl Factor {
         &self.step[..self.n]
     }
 
-    /// What the multipliers lose in a step, q.
+    /// Decrease of the multipliers in a step, q.
     pub(super) fn fall(&self) -> &[f64] {
         &self.fall[..self.q]
     }

@@ -1,14 +1,15 @@
-//! The ripple that a held set-point leaves on a servo's torque: no transformer can take it away.
+//! The ripple that a held setpoint leaves on a servo's torque: no transformer can remove it.
 //!
-//! A servo of the position stiffness k = kv kp that moves at the speed v under a set-point held for R of its ticks asks,
-//! besides the mean of the interval, for
+//! A servo of the position stiffness k = kv kp that moves at the speed v under a setpoint held for R servo ticks
+//! produces, besides the mean of the interval, the torque
 //!
 //! ```text
 //! e_j = −k v Ts (j − (R−1)/2)        j = 0 .. R−1        rms  k |v| Ts √((R²−1)/12)
 //! ```
 //!
-//! The motor's current loop, a first-order lag of f_c, makes of it x_{j+1} = e_j + ρ (x_j − e_j) with ρ = exp(−2π f_c Ts),
-//! and its mean over a servo period is m_j = e_j + μ (x_j − e_j) with μ = (1 − ρ)/(2π f_c Ts). Of period R these are
+//! The motor's current loop, a first-order lag of f_c, turns it into x_{j+1} = e_j + ρ (x_j − e_j) with ρ = exp(−2π f_c
+//! Ts), and its mean over a servo period is m_j = e_j + μ (x_j − e_j) with μ = (1 − ρ)/(2π f_c Ts). Periodic in R,
+//! these are
 //!
 //! ```text
 //! m_j = −k v Ts [j − (R−1)/2 − 1/(2π f_c Ts) + R μ ρʲ/(1 − ρᴿ)]
@@ -17,7 +18,7 @@
 use std::f64::consts::TAU;
 
 /// Rms of the ripple over servo periods for each Nm/rad of stiffness and rad/s of speed, s: the bracket's rms times Ts.
-/// Without `current_loop_hz` the motor follows at once.
+/// Without `current_loop_hz` the motor follows without lag.
 pub(super) fn of_held_set_point(ratio: u32, servo_period_s: f64, current_loop_hz: Option<f64>) -> f64 {
     let (ticks, middle) = (f64::from(ratio), 0.5 * f64::from(ratio - 1));
     let lag = |tick: f64| {
@@ -38,7 +39,8 @@ mod tests {
 
     const SERVO_PERIOD_S: f64 = 2e-4;
 
-    /// The closed form against the simulation's own motor, in ten steps a servo period, once its start is forgotten.
+    /// Compared: the closed form, and the simulation's own motor in ten steps a servo period once its start has
+    /// decayed.
     #[test]
     fn the_current_loop_smooths_the_ripple() {
         const ROUNDING: f64 = 1e-12;
@@ -55,7 +57,7 @@ mod tests {
         }
     }
 
-    /// Against the rms of R equidistant numbers, without a current loop; and nothing is held at R = 1.
+    /// Compared: the closed form without a current loop, and the rms of R equidistant numbers; zero at R = 1.
     #[test]
     fn without_a_current_loop_it_is_the_sawtooth() {
         const ROUNDING: f64 = 1e-15;
