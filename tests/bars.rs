@@ -229,7 +229,7 @@ impl Rows {
     }
 
     /// Ratio of a metric of two kinds of control with the same seed, the first over the second: the median over the
-    /// seeds of the first.
+    /// seeds that both have.
     fn median_ratio(&self, controls: [[&str; 3]; 2], row: (&str, &str), metric: &str) -> f64 {
         let (task, profile) = row;
         let by_seed = controls.map(|[backend, controller, transformer]| {
@@ -244,12 +244,9 @@ impl Rows {
             same.filter_map(value).collect::<BTreeMap<u64, f64>>()
         });
         let [of, over] = &by_seed;
-        let what = format!("{controls:?} {row:?} {metric}");
-        assert!(of.len() >= 3, "three seeds of {what}: {of:?}");
-        let pair = |(seed, value): (&u64, &f64)| {
-            value / over.get(seed).unwrap_or_else(|| panic!("no seed {seed} of the other of {what}"))
-        };
-        let mut ratios: Vec<f64> = of.iter().map(pair).collect();
+        let mut ratios: Vec<f64> =
+            of.iter().filter_map(|(seed, value)| over.get(seed).map(|other| value / other)).collect();
+        assert!(ratios.len() >= 3, "three seeds of both of {controls:?} {row:?} {metric}: {by_seed:?}");
         ratios.sort_by(f64::total_cmp);
         0.5 * (ratios[(ratios.len() - 1) / 2] + ratios[ratios.len() / 2])
     }
