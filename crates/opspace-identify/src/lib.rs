@@ -34,7 +34,7 @@
 //!     .measuring(&[Measured::MotorCurrent])
 //!     .simulated();
 //! let model = Model::from_urdf(urdf)?.model;
-//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model, capabilities, vec![servo]))?;
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model, capabilities, vec![servo])?)?;
 //!
 //! let known = KnownParameters {
 //!     joint: 0,

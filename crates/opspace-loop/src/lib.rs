@@ -23,7 +23,7 @@
 //! </robot>"#;
 //! let model = Model::from_urdf(urdf)?.model;
 //! let capabilities = Capabilities::new(["hinge"], CommandKind::Torque, 1e-3).simulated();
-//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model.clone(), capabilities.clone(), vec![]))?;
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model.clone(), capabilities.clone(), vec![])?)?;
 //!
 //! // One task: hold the posture of the start.
 //! let context = ControlContext::new(&model, capabilities.period_s);

@@ -24,7 +24,8 @@ fn capabilities(rate_hz: u32) -> Capabilities {
 
 /// An arm whose bus loses a tenth of its cycles.
 fn arm_config(arm: usize) -> ArmConfig {
-    let mut config = ArmConfig::ideal(common::model(), capabilities(RATES_HZ[arm]), Vec::new());
+    let mut config =
+        ArmConfig::ideal(common::model(), capabilities(RATES_HZ[arm]), Vec::new()).expect("a period");
     config.simulated.physics_hz = Positive::literal(10_000.0);
     config.simulated.bus = parsed("lost_cycles_share = 0.1");
     ArmConfig { seed: 7 + arm as u64, start: vec![0.2, -0.5], ..config }

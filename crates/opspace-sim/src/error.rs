@@ -81,6 +81,12 @@ pub enum SimulationError {
         /// Names of the declared joints.
         declared: Vec<String>,
     },
+    /// Interface period that is no time.
+    #[error("an interface period of {period_s} s: a finite number above 0 is needed")]
+    Period {
+        /// Interface period `period_s`, s.
+        period_s: f64,
+    },
     /// Simulation without arms.
     #[error("a simulation needs an arm")]
     NoArm,
@@ -196,7 +202,7 @@ impl SimulationError {
                 }
             }
             Self::Servos { .. } => Key::Profile(vec!["servo".into()]),
-            Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
+            Self::Period { .. } | Self::ServoRates { .. } => Key::Profile(vec!["servo_hz".into()]),
             Self::Joints { .. } => Key::Robot(vec!["joint".into()]),
             Self::NoArm | Self::Coupling { .. } => Key::Task(Vec::new()),
             Self::PhysicsRate { .. } => Key::Robot(vec!["simulated".into(), "physics_hz".into()]),

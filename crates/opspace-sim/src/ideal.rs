@@ -1,6 +1,7 @@
 //! Ideal arm, whose drives produce exactly what is commanded: the smallest simulation, without a robot file.
 
 use crate::config::ArmConfig;
+use crate::error::SimulationError;
 use crate::parameters::{
     BrakeParameters, BristleParameters, EndStopParameters, ScaleParameters, SimulatedParameters,
 };
@@ -36,18 +37,25 @@ impl ArmConfig {
     /// `servos` has one servo per joint (n); it is empty for a torque robot with brakes, which needs none. Servos run
     /// at five times the interface rate, physics at ten times.
     ///
-    /// # Panics
-    /// If the period of `capabilities` is not a finite number above zero.
-    #[must_use]
-    pub fn ideal(model: Model, capabilities: Capabilities, servos: Vec<ServoParameters>) -> Self {
-        let servo_hz = f64::from(SERVO_TICKS.get()) / capabilities.period_s;
-        assert!(servo_hz.is_finite() && servo_hz > 0.0, "a period of {} s", capabilities.period_s);
+    /// # Errors
+    /// [`SimulationError::Period`] if the period of `capabilities` is not a finite number above zero.
+    pub fn ideal(
+        model: Model,
+        capabilities: Capabilities,
+        servos: Vec<ServoParameters>,
+    ) -> Result<Self, SimulationError> {
+        let period_s = capabilities.period_s;
+        let rate = |ticks: f64| {
+            Positive::try_from(ticks / period_s).map_err(|_| SimulationError::Period { period_s })
+        };
+        let servo_ticks = f64::from(SERVO_TICKS.get());
+        let (servo_hz, physics_hz) = (rate(servo_ticks)?, rate(servo_ticks * PHYSICS_STEPS)?);
         let needs_none = capabilities.command == CommandKind::Torque && capabilities.has_brakes;
-        Self {
+        Ok(Self {
             joints: model.joints().iter().map(|joint| drive(joint.limits.effort)).collect(),
             servos: if needs_none { vec![unused_servo(); model.n()] } else { servos },
             profile: profile(servo_hz),
-            simulated: plant(servo_hz * PHYSICS_STEPS),
+            simulated: plant(physics_hz),
             start: neutral(&model),
             model,
             capabilities,
@@ -56,7 +64,7 @@ impl ArmConfig {
             external_forces: false,
             rest_s: 0.0,
             seed: 0,
-        }
+        })
     }
 }
 
@@ -90,9 +98,9 @@ fn unused_servo() -> ServoParameters {
     })
 }
 
-fn profile(servo_hz: f64) -> ProfileParameters {
+fn profile(servo_hz: Positive) -> ProfileParameters {
     ProfileParameters {
-        servo_hz: Positive::literal(servo_hz),
+        servo_hz,
         ratio: SERVO_TICKS,
         delay_servo_ticks: Some(0),
         transformer: None,
@@ -104,9 +112,9 @@ fn profile(servo_hz: f64) -> ProfileParameters {
     }
 }
 
-fn plant(physics_hz: f64) -> SimulatedParameters {
+fn plant(physics_hz: Positive) -> SimulatedParameters {
     SimulatedParameters {
-        physics_hz: Positive::literal(physics_hz),
+        physics_hz,
         current_loop_hz: None,
         torque_noise_nm: NonNegative::default(),
         encoder_quantisation: false,

@@ -38,7 +38,7 @@
 //! let capabilities = Capabilities::new(["hinge"], CommandKind::Position, 1e-3)
 //!     .measuring(&[Measured::MotorCurrent])
 //!     .simulated();
-//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model, capabilities, vec![servo]))?;
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model, capabilities, vec![servo])?)?;
 //! let mut sample = Sample::new(arm.capabilities());
 //! for _ in 0..2000 {
 //!     arm.read(&mut sample)?;

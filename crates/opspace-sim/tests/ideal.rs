@@ -11,8 +11,20 @@ const URDF: &str = r#"<robot name="pendulum"><link name="base"/>
     <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link></robot>"#;
 
 fn config(command: CommandKind) -> ArmConfig {
+    with_period(command, 1e-3).expect("a period")
+}
+
+fn with_period(command: CommandKind, period_s: f64) -> Result<ArmConfig, SimulationError> {
     let model = Model::from_urdf(URDF).expect("the URDF").model;
-    ArmConfig::ideal(model, Capabilities::new(["hinge"], command, 1e-3).simulated(), Vec::new())
+    ArmConfig::ideal(model, Capabilities::new(["hinge"], command, period_s).simulated(), Vec::new())
+}
+
+#[test]
+fn period_that_is_no_time_is_refused() {
+    for period_s in [0.0, -1e-3, f64::NAN, f64::INFINITY, 1e-320] {
+        let refused = with_period(CommandKind::Torque, period_s).err().map(|error| error.to_string());
+        assert!(refused.is_some_and(|words| words.contains("interface period")), "{period_s}");
+    }
 }
 
 /// Compared: the speed of the rod that falls from level, and √(2 m g l sin q/I) of conserved energy.

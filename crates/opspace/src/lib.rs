@@ -46,7 +46,7 @@
 //!     .measuring(&[Measured::MotorCurrent])
 //!     .simulated();
 //! let gains = vec![servo.gains(2e-4)];
-//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model.clone(), capabilities.clone(), vec![servo]))?;
+//! let mut arm = SimulatedArm::new(ArmConfig::ideal(model.clone(), capabilities.clone(), vec![servo])?)?;
 //!
 //! // Tasks to torques: a posture held by a soft spring.
 //! let context = ControlContext::new(&model, capabilities.period_s);

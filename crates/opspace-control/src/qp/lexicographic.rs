@@ -344,8 +344,8 @@ impl Cascade {
         }
     }
 
-    /// N and M N of the freedom above, as M⁻¹ Nᵀ M and Nᵀ M: the same, but where more than one level above is damped.
-    /// What a level asks for is M⁻¹ Nᵀ times its torques, and so can always be taken back.
+    /// Computes N and M N of the nullspace of the levels above, as M⁻¹ Nᵀ M and Nᵀ M: equal unless more than one of those
+    /// levels is damped. The acceleration that a level asks for is M⁻¹ Nᵀ times its torques, and so can always be undone.
     fn span(&mut self, data: &Data, above: &Nullspace) {
         self.torque_rows.copy_from(&data.mass_matrix);
         if !above.is_narrowed() {

@@ -515,7 +515,7 @@ impl Experiment {
             }
             Key::Task(mut key) => {
                 // The kind's own table stands between the name and the key.
-                if let Some(surrounding) = self.task.file.surroundings.get(&key[1]) {
+                if let Some(surrounding) = key.get(1).and_then(|name| self.task.file.surroundings.get(name)) {
                     key.insert(2, surrounding.kind().to_owned());
                 }
                 FileError::at_key(&self.task.source, key, message, help)

@@ -9,7 +9,7 @@ use crate::run::error::RunError;
 use crate::run::execute::Progress;
 use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
 use crate::run::summary::Summary;
-use opspace_backend::{Backend, Sample};
+use opspace_backend::{Backend, DeviceFault, Sample};
 use opspace_control::{SingularityHandling, TaskParameters};
 use opspace_model::{Joint, JointKind};
 use opspace_transformer::Method;
@@ -172,7 +172,11 @@ fn is_at(q: f64, start: f64) -> bool {
 /// Reads the present joint positions of a robot, rad or m (n).
 fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     let mut sample = Sample::new(backend.capabilities());
-    backend.read(&mut sample).map_err(|fault| RunError::Unreadable { fault })?;
+    let read = backend.read(&mut sample).and_then(|()| match sample.q.iter().all(|q| q.is_finite()) {
+        true => Ok(()),
+        false => Err(DeviceFault::new(0, "a joint position is not a finite number")),
+    });
+    read.map_err(|fault| RunError::Unreadable { fault })?;
     Ok(sample.q)
 }
 
