@@ -49,7 +49,7 @@ fn main() {
         let model = Model::from_urdf(&text).expect("it is a good one").model;
         let theirs =
             if peer.exists() && !testing { measure_peer(&peer, &urdf, tip) } else { BTreeMap::new() };
-        let mut bench = Bench::new(&model, model.frame(tip).expect("has that frame"));
+        let mut bench = Bench::new(&model, model.frame_id(tip).expect("has that frame"));
         // The first tenth of a second after another program is a third slower: a first round warms up.
         bench.measure(calls);
         let ours = bench.measure(calls);

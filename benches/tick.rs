@@ -3,7 +3,7 @@
 use divan::{Bencher, black_box};
 use nalgebra::Matrix6xX;
 use opspace::control::{ControlInput, Measurement, Targets};
-use opspace::experiment::{Choice, Experiment, Files};
+use opspace::experiment::{Experiment, Files, RunOptions};
 use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
 };
@@ -38,7 +38,7 @@ fn forward_kinematics(bencher: Bencher, name: &str) {
 fn jacobian(bencher: Bencher, name: &str) {
     let (model, data, ..) = robot(name);
     let tip = model.frames().last().map(|f| f.name.clone()).expect("has a frame");
-    let tip = model.frame(&tip).expect("just listed");
+    let tip = model.frame_id(&tip).expect("just listed");
     let mut out = Matrix6xX::zeros(model.n());
     bencher.bench_local(|| frame_jacobian(&model, black_box(&data), tip, &mut out));
 }
@@ -83,7 +83,7 @@ fn whole_model_update(bencher: Bencher, name: &str) {
 fn operational_space(bencher: Bencher, name: &str) {
     let (model, data, ..) = robot(name);
     let tip = model.frames().last().map(|f| f.name.clone()).expect("has a frame");
-    let tip = model.frame(&tip).expect("just listed");
+    let tip = model.frame_id(&tip).expect("just listed");
     let mut jacobian = Matrix6xX::zeros(model.n());
     frame_jacobian(&model, &data, tip, &mut jacobian);
     let mut space = OperationalSpace::new(model.n());
@@ -94,7 +94,7 @@ fn operational_space(bencher: Bencher, name: &str) {
 #[divan::bench(args = ["cartesian-tracking", "compliant-x", "gravity-compensation", "joint-tracking"])]
 fn controller_and_transformer(bencher: Bencher, task: &str) {
     let path = format!("tasks/{task}.toml");
-    let experiment = Experiment::load(Files::Embedded, Path::new(&path), None, Choice::default(), &[])
+    let experiment = Experiment::load(Files::Embedded, Path::new(&path), None, RunOptions::default(), &[])
         .expect("is embedded");
     let model = &experiment.robot().model;
     let mut data = Data::new(model);

@@ -8,7 +8,7 @@
 mod common;
 
 use opspace::backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Measured, Sample};
-use opspace::experiment::{BackendKind, Choice, Experiment, Files, Progress};
+use opspace::experiment::{BackendKind, Experiment, Files, Progress, RunOptions};
 use opspace::model::{Data, Model, aba, kinematics};
 
 struct Arm {
@@ -55,9 +55,9 @@ impl Backend for Arm {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let choice = Choice { backend: BackendKind::Torque, ..Choice::default() };
+    let options = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
     let task = "tasks/planar-2-link-reach.toml".as_ref();
-    let experiment = Experiment::load(Files::Disk, task, None, choice, &[])?;
+    let experiment = Experiment::load(Files::Disk, task, None, options, &[])?;
     let capabilities = Capabilities::new(["shoulder", "elbow"], CommandKind::Torque, 1e-3);
     let (model, capabilities) =
         (experiment.robot().model.clone(), capabilities.measuring(&[Measured::MotorCurrent]));

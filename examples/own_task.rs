@@ -71,7 +71,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut tasks = TaskKinds::new();
     tasks.register("distance", |p: &DistanceParameters, name, model, _context| {
         let key = format!("task.{name}.distance.frame");
-        let frame = model.frame(&p.frame).map_err(|unknown| ControlError::new(key, unknown))?;
+        let frame = model.frame_id(&p.frame).map_err(|unknown| ControlError::new(key, unknown))?;
         let coordinate = Distance { frame, point: p.point_m.into() };
         Ok(Box::new(CoordinateTask::new(name, coordinate, p.gains).with_references([p.reference.clone()])))
     })?;

@@ -7,16 +7,16 @@
 #[path = "common/mod.rs"]
 mod common;
 
-use opspace::experiment::{Choice, Experiment, Files, Progress};
+use opspace::experiment::{Experiment, Files, Progress, RunOptions};
 use opspace::log::{OutcomeRecord, Recording};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = match std::env::args().nth(1) {
         Some(path) => path,
         None => {
-            let choice = Choice { duration_s: Some(3.0), ..Choice::default() };
+            let options = RunOptions { duration_s: Some(3.0), ..RunOptions::default() };
             let experiment =
-                Experiment::load(Files::Disk, "tasks/compliant-x.toml".as_ref(), None, choice, &[])?;
+                Experiment::load(Files::Disk, "tasks/compliant-x.toml".as_ref(), None, options, &[])?;
             common::record("read_a_log", &experiment, |log| experiment.run(log, &Progress::default()))?;
             "runs/read_a_log/run.mcap".to_owned()
         }

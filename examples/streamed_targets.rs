@@ -71,7 +71,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let model = &experiment.robot().model;
     let mut data = Data::new(model);
     kinematics(model, &mut data, &[-0.45, -0.35, 0.25, -1.35], &[0.0; 4]);
-    let centre = frame_placement(model, &data, model.frame("hand")?).translation;
+    let centre = frame_placement(model, &data, model.frame_id("hand")?).translation;
 
     let arm = experiment.simulated_arm()?;
     let (capabilities, truth) = (arm.capabilities().clone(), arm.ground_truth().map(GroundTruth::layouts));

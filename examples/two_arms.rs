@@ -11,7 +11,7 @@ mod common;
 use opspace::backend::quantity::NonNegative;
 use opspace::backend::{Backend, GroundTruth, TICK};
 use opspace::control_loop::{ChannelParameters, Driven, Link, Run, Timeline, drive_together};
-use opspace::experiment::{Choice, Experiment, Files, Progress, RunError};
+use opspace::experiment::{Experiment, Files, Progress, RunError, RunOptions};
 use opspace::log::Recording;
 use opspace::model::Placement;
 use opspace::sim::{ArmConfig, CouplingConfig, Simulation, SimulationConfig};
@@ -21,8 +21,8 @@ const APART_M: f64 = 0.6;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let load = |task: &str| {
-        let choice = Choice { duration_s: Some(4.0), ..Choice::default() };
-        Experiment::load(Files::Disk, task.as_ref(), None, choice, &[])
+        let options = RunOptions { duration_s: Some(4.0), ..RunOptions::default() };
+        Experiment::load(Files::Disk, task.as_ref(), None, options, &[])
     };
     let leader = load("tasks/joint-tracking.toml")?;
     let follower = load("examples/tasks/follower.toml")?;

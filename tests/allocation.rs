@@ -17,7 +17,7 @@ use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink,
 use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
-    BackendKind, Choice, ControllerKind, Experiment, FileError, Files, Source, Suite, Task, TaskKinds,
+    BackendKind, ControllerKind, Experiment, FileError, Files, RunOptions, Source, Suite, Task, TaskKinds,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
@@ -101,8 +101,8 @@ fn check(counts: &Counts, name: &str) {
 fn short(experiment: &Experiment, duration_s: f64) -> Experiment {
     let mut task = experiment.task().clone();
     task.file.settle_s = NonNegative::default();
-    let choice = Choice { duration_s: Some(duration_s), ..experiment.choice().clone() };
-    common::experiment(experiment.robot().clone(), task, choice)
+    let options = RunOptions { duration_s: Some(duration_s), ..experiment.options().clone() };
+    common::experiment(experiment.robot().clone(), task, options)
 }
 
 #[test]
@@ -120,8 +120,8 @@ fn no_cycle_allocates_in(suite: &str) -> usize {
     let suite = Suite::load(Files::Disk, &path).unwrap_or_else(|e| panic!("{e}"));
     let mut seen = BTreeSet::new();
     for experiment in &suite.experiments {
-        let choice = Choice { seed: None, ..experiment.choice().clone() };
-        let name = format!("{} {choice:?} {:?}", experiment.task().name(), experiment.settings());
+        let options = RunOptions { seed: None, ..experiment.options().clone() };
+        let name = format!("{} {options:?} {:?}", experiment.task().name(), experiment.settings());
         if !seen.insert(name.clone()) {
             continue;
         }
@@ -230,8 +230,8 @@ fn no_cycle_with_a_users_task_streamed_targets_and_device_faults_allocates() {
         for (reads, writes) in [(usize::MAX, usize::MAX), (900, usize::MAX), (usize::MAX, 900)] {
             let source = Source::new("streamed.toml", TASK);
             let task = Task::from_sources_with(&kinds, source, named).unwrap_or_else(|e| panic!("{e}"));
-            let choice = Choice { backend, ..Choice::default() };
-            let experiment = common::experiment(common::robot(&[]), task, choice);
+            let options = RunOptions { backend, ..RunOptions::default() };
+            let experiment = common::experiment(common::robot(&[]), task, options);
             let arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
             let mut robot = Failing { arm, reads, writes };
             let mut sending = None;
@@ -297,8 +297,8 @@ impl Backend for Failing {
 /// Stops and interruptions: the cycles of the stop and after it don't allocate either.
 #[test]
 fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
-    for choice in [osc("a-med"), torque("a-med")] {
-        let experiment = short(&load("compliant-x", choice, &[]), 1.0);
+    for options in [osc("a-med"), torque("a-med")] {
+        let experiment = short(&load("compliant-x", options, &[]), 1.0);
         let nan = Box::new(torques(|data, measurement, tau| {
             let broken = if measurement.time_s > 0.3 { f64::NAN } else { 0.0 };
             tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + broken);
@@ -330,13 +330,13 @@ fn no_tick_of_a_run_with_missed_cycles_allocates() {
     let dropouts =
         "robot.simulated.bus.dropouts=[{ at_s = 0.2, duration_s = 0.1 }, { at_s = 1.0, duration_s = 1.5 }]";
     let settings = [dropouts, "robot.simulated.bus.lost_cycles_share=0.05"];
-    for (task, choice) in [
+    for (task, options) in [
         ("compliant-x", osc("a-med")),
         ("compliant-x", torque("a-med")),
         ("joint-tracking", osc("b-soft")),
         ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
     ] {
-        let experiment = short(&load(task, choice, &settings), 3.0);
+        let experiment = short(&load(task, options, &settings), 3.0);
         let controller = own_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, None);
         assert!(matches!(ending, RunOutcome::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
@@ -361,17 +361,18 @@ fn no_tick_of_any_transformer_allocates() {
         ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"].map(|name| format!("{name}={joint}"));
     let identified = format!("robot.profile.a-med.identified={{{}}}", joints.join(","));
     for transformer in TransformerKind::ALL {
-        let choice = Choice { transformer: Some(transformer), ..Choice::default() };
+        let options = RunOptions { transformer: Some(transformer), ..RunOptions::default() };
         let path = Path::new("tasks/compliant-x.toml");
         let mut settings = vec![identified.clone()];
         match transformer.method {
-            Method::Interpolating => settings.push("robot.interface.set_points=\"interpolated\"".to_owned()),
+            Method::Interpolating => settings.push("robot.interface.setpoints=\"interpolated\"".to_owned()),
             Method::Emulation if transformer.current => {
-                settings.push("robot.profile.a-med.refine={time_s=1.0,within=0.3}".to_owned());
+                settings
+                    .push("robot.profile.a-med.adapt_gains={time_s=1.0,max_relative_change=0.3}".to_owned());
             }
             _ => {}
         }
-        let experiment = Experiment::load(Files::Embedded, path, None, choice, &settings);
+        let experiment = Experiment::load(Files::Embedded, path, None, options, &settings);
         if matches!(transformer.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop) {
             let refused = experiment.err().map(|e| e.to_string()).unwrap_or_default();
             assert!(refused.contains("one joint alone"), "{transformer:?}: {refused}");

@@ -368,7 +368,7 @@ fn emulating_the_servo_gives_the_torques() {
 /// Compliant-x on the stiff drives is left out: it moves so slowly that the encoder counts in the servo's own velocity
 /// have an effect as large.
 #[test]
-fn what_is_left_is_the_ripple_of_a_held_set_point() {
+fn what_is_left_is_the_ripple_of_a_held_setpoint() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
     let rows = Rows(bench);
     for transformer in ["emulation", "emulation+current"] {

@@ -309,8 +309,8 @@ fn a_killed_run_leaves_a_log_that_is_good_so_far() {
 #[test]
 fn a_fault_ends_with_1_and_its_cause() {
     let folder = scratch();
-    let rms = "surroundings.operator.spring.motion.random.rms_m=2.0";
-    let stiffness = "surroundings.operator.spring.stiffness_n_per_m=3000";
+    let rms = "environment.operator.spring.motion.random.rms_m=2.0";
+    let stiffness = "environment.operator.spring.stiffness_n_per_m=3000";
     let arguments = ["run", &task("compliant-x"), "--set", rms, "--set", stiffness, "--json", "-"];
     let ran = opspace(folder.path(), &arguments).exits(1);
     let summary = ran.json();
@@ -375,8 +375,8 @@ fn a_suite_with_a_fault_ends_with_1_and_all_its_rows() {
     let folder = scratch();
     let faulty = format!(
         "{SUITE}\n[[run]]\ntasks = [\"TASKS/compliant-x.toml\"]\nbackend = \"position\"\ncontroller = \"osc\"\n\
-         set = [\"surroundings.operator.spring.motion.random.rms_m=2.0\",\n\
-         \"surroundings.operator.spring.stiffness_n_per_m=3000\"]\n"
+         set = [\"environment.operator.spring.motion.random.rms_m=2.0\",\n\
+         \"environment.operator.spring.stiffness_n_per_m=3000\"]\n"
     );
     fs::write(folder.path().join("short.toml"), faulty.replace("TASKS", &project("tasks"))).unwrap();
     let ran = opspace(folder.path(), &["bench", "short.toml"]).exits(1);

@@ -6,7 +6,7 @@ mod common;
 
 use common::{Run, ik, load, osc, run, torque};
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::{Choice, ControllerKind, Experiment};
+use opspace_experiment::{ControllerKind, Experiment, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::{Fault, Phase, RunOutcome};
 use opspace_transformer::TransformerKind;
@@ -15,10 +15,10 @@ use opspace_transformer::TransformerKind;
 const DEAD: (f64, f64) = (3.0, 3.3);
 const DROPOUT: &str = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
 
-fn tracking(choice: Choice, transformer: &str, settings: &[&str]) -> Experiment {
+fn tracking(options: RunOptions, transformer: &str, settings: &[&str]) -> Experiment {
     let transformer = TransformerKind::named(transformer);
-    let choice = Choice { duration_s: Some(6.0), transformer, ..choice };
-    load("cartesian-tracking", choice, settings)
+    let options = RunOptions { duration_s: Some(6.0), transformer, ..options };
+    load("cartesian-tracking", options, settings)
 }
 
 /// Largest magnitude of a signal of a channel between two times.
@@ -45,8 +45,8 @@ fn ticks(run: &Run, phase: Phase) -> (usize, f64) {
 fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> f64 {
     let mut task = experiment.task().clone();
     task.file.settle_s = serde_json::from_value(from_s.into()).expect("a time");
-    let choice = experiment.choice().clone();
-    let late = common::experiment(experiment.robot().clone(), task, choice);
+    let options = experiment.options().clone();
+    let late = common::experiment(experiment.robot().clone(), task, options);
     metrics(&late, recording).position_rms_m.expect("a Cartesian task")
 }
 
@@ -67,7 +67,7 @@ fn a_dropout_is_held_and_left_without_a_jump() {
         let [began, ended] = [DEAD.0, DEAD.1].map(|time_s| joints(&run, time_s));
         let k = run.channel("truth").time_s.partition_point(|&t| t < DEAD.0 - 1e-9);
         let (dq, tau) = (run.signal("truth", "dq").row(k), run.signal("servo", "motor_torque"));
-        let tau = tau.row(k * experiment.profile().1.ratio.get() as usize);
+        let tau = tau.row(k * experiment.profile().1.servo_ticks_per_cycle.get() as usize);
         let servo_s = experiment.profile().1.servo_period_s();
         for (j, servo) in experiment.robot().servos(experiment.profile().1).iter().enumerate() {
             let servo = servo.gains(servo_s);
@@ -109,26 +109,26 @@ fn a_dropout_is_held_and_left_without_a_jump() {
 /// Resumption of inverse kinematics from the setpoints that held the arm, and of joint references likewise.
 #[test]
 fn other_controllers_go_on_without_a_jump_too() {
-    for (task, choice) in [
+    for (task, options) in [
         ("cartesian-tracking", ik("a-med", ControllerKind::Ik)),
         ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
         ("joint-tracking", ik("a-med", ControllerKind::IkLead)),
         ("joint-tracking", osc("a-med")),
     ] {
-        let choice = Choice { duration_s: Some(5.0), ..choice };
-        let good = run(&load(task, choice.clone(), &[]));
-        let run = run(&load(task, choice.clone(), &[DROPOUT]));
-        assert_eq!(run.ending, RunOutcome::Completed, "{task} {choice:?}");
+        let options = RunOptions { duration_s: Some(5.0), ..options };
+        let good = run(&load(task, options.clone(), &[]));
+        let run = run(&load(task, options.clone(), &[DROPOUT]));
+        assert_eq!(run.ending, RunOutcome::Completed, "{task} {options:?}");
         let resumed_s = ticks(&run, Phase::Resuming).1;
         // Setpoints move no faster than they do all the while, and the arm hardly more.
         for (channel, signal) in [("tick", "setpoint_speed"), ("truth", "dq")] {
             let [after, usual] =
                 [(&run, resumed_s), (&good, 0.5)].map(|(run, t)| largest(run, channel, signal, t, 5.0));
-            assert!(after < 1.3 * usual, "{task} {choice:?}: {signal} of {after} for {usual} rad/s");
+            assert!(after < 1.3 * usual, "{task} {options:?}: {signal} of {after} for {usual} rad/s");
         }
         let end = [&run, &good].map(|run| joints(run, 4.9));
         let apart = end[0].iter().zip(&end[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        assert!(apart < 0.02, "{task} {choice:?}: {apart} rad from the undisturbed run at its end");
+        assert!(apart < 0.02, "{task} {options:?}: {apart} rad from the undisturbed run at its end");
     }
 }
 
@@ -137,7 +137,7 @@ fn other_controllers_go_on_without_a_jump_too() {
 fn a_torque_robot_is_braked_before_it_goes_on() {
     let experiment = load(
         "cartesian-tracking",
-        Choice { duration_s: Some(6.0), ..torque("a-med") },
+        RunOptions { duration_s: Some(6.0), ..torque("a-med") },
         &["robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.05 }]"],
     );
     let run = run(&experiment);
@@ -184,7 +184,7 @@ fn a_bus_that_is_dead_for_too_long_stops_the_run() {
 #[test]
 fn a_servo_that_runs_away_is_caught_by_its_power() {
     for profile in ["a-med", "b-soft"] {
-        let run = run(&tracking(osc(profile), "paper", &["robot.simulated.scale.kp=1.3"]));
+        let run = run(&tracking(osc(profile), "paper", &["robot.simulated.true_over_nominal.kp=1.3"]));
         let RunOutcome::Faulted { fault, time_s } = &run.ending else { panic!("{:?}", run.ending) };
         assert!(matches!(fault, Fault::ExcessPower { .. }), "{profile}: {fault:?}");
         let speed = largest(&run, "truth", "dq", 0.0, 10.0);

@@ -5,7 +5,7 @@ mod common;
 
 use common::{Run, experiment, ideal, load, osc, robot, run, task};
 use nalgebra::{Matrix2, Vector2};
-use opspace_experiment::{Choice, Experiment};
+use opspace_experiment::{Experiment, RunOptions};
 use opspace_loop::RunOutcome;
 use opspace_transformer::{CascadedServo, ProfileParameters, ServoParameters};
 use std::f64::consts::TAU;
@@ -26,8 +26,8 @@ fn exact(profile: &str, duration_s: f64, settings: &[String]) -> Experiment {
     let filter_hz = cascade(&own.servo["elbow"]).velocity_filter_hz;
     assert!(own.servo.values().all(|s| cascade(s).velocity_filter_hz == filter_hz));
     own.estimator.velocity_filter_hz = filter_hz;
-    let choice = Choice { duration_s: Some(duration_s), ..osc(profile) };
-    experiment(robot, task("cartesian-tracking", &["settle_s=0"]), choice)
+    let options = RunOptions { duration_s: Some(duration_s), ..osc(profile) };
+    experiment(robot, task("cartesian-tracking", &["settle_s=0"]), options)
 }
 
 /// The largest |τ_servo − τ_s| over all servo ticks and joints after the first command. On ideal drives the
@@ -45,9 +45,10 @@ fn largest_error(run: &Run) -> f64 {
 /// Compared: torques that the simulated servos produced from positions, and torques asked for before any
 /// transformer. Nothing joins them but equation (10) and the simulated servo's own code.
 #[test]
-fn set_points_at_servo_rate_give_the_desired_torques_to_rounding() {
+fn setpoints_at_servo_rate_give_the_desired_torques_to_rounding() {
     for (profile, duration_s) in [("a-med", 2.5), ("b-soft", 8.0)] {
-        let run = run(&exact(profile, duration_s, &[format!("robot.profile.{profile}.ratio=1")]));
+        let run =
+            run(&exact(profile, duration_s, &[format!("robot.profile.{profile}.servo_ticks_per_cycle=1")]));
         assert_eq!(run.ending, RunOutcome::Completed);
         let compared = run.signal("servo", "torque_desired").rows().filter(|d| d[0].is_finite()).count();
         let servo_hz = if profile == "a-med" { 5000.0 } else { 1000.0 };
@@ -60,13 +61,14 @@ fn set_points_at_servo_rate_give_the_desired_torques_to_rounding() {
 /// Compared: the same two torques, each time with one of the conditions violated; the test above would fail.
 #[test]
 fn each_condition_of_exactness_counts() {
-    let ratio = "robot.profile.b-soft.ratio=1".to_owned();
-    let held = run(&exact("b-soft", 2.0, &["robot.profile.b-soft.ratio=2".to_owned()]));
+    let ratio = "robot.profile.b-soft.servo_ticks_per_cycle=1".to_owned();
+    let held = run(&exact("b-soft", 2.0, &["robot.profile.b-soft.servo_ticks_per_cycle=2".to_owned()]));
     let delayed =
         run(&exact("b-soft", 2.0, &[ratio.clone(), "robot.profile.b-soft.delay_servo_ticks=1".to_owned()]));
-    let stiffer = run(&exact("b-soft", 2.0, &[ratio.clone(), "robot.simulated.scale.kp=1.01".to_owned()]));
+    let stiffer =
+        run(&exact("b-soft", 2.0, &[ratio.clone(), "robot.simulated.true_over_nominal.kp=1.01".to_owned()]));
     let other_filter =
-        run(&load("cartesian-tracking", Choice { duration_s: Some(2.0), ..osc("b-soft") }, &[&ratio]));
+        run(&load("cartesian-tracking", RunOptions { duration_s: Some(2.0), ..osc("b-soft") }, &[&ratio]));
     for (name, run) in [("ratio", held), ("delay", delayed), ("kp", stiffer), ("filter", other_filter)] {
         let error = largest_error(&run);
         assert!(error > 0.1, "{name}: only {error} Nm");
@@ -87,7 +89,7 @@ fn each_condition_of_exactness_counts() {
 fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
     let servo = cascade(&profile.servo[joint]);
     let (kp, kv) = (servo.kp_per_s.get(), servo.kv_nms_per_rad.get());
-    let (ratio, delay) = (profile.ratio.get(), profile.delay());
+    let (ratio, delay) = (profile.servo_ticks_per_cycle.get(), profile.delay());
     let servo_period_s = 1.0 / profile.servo_hz.get();
     let lag = |period_s: f64, filter_hz: f64| {
         let alpha = 1.0 - (-TAU * filter_hz * period_s).exp();
@@ -104,7 +106,7 @@ fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
 /// Least squares of the torque error, mean over the time that a command acts, on −v and −a of one joint at the
 /// interface cycle in which it was given: (b, m) and the share of the error that they explain.
 fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f64) {
-    let (ratio, period_s) = (profile.ratio.get() as usize, profile.period_s());
+    let (ratio, period_s) = (profile.servo_ticks_per_cycle.get() as usize, profile.period_s());
     let delay = profile.delay() as usize;
     let desired = run.signal("servo", "torque_desired");
     let actual = run.signal("servo", "motor_torque");
@@ -137,14 +139,14 @@ fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f
 /// Compared: a regression over simulated motion, and the formulas above, which know nothing of the simulator
 /// but its timing. Without encoder counts and current loop, which the formulas leave out.
 #[test]
-fn the_held_set_point_is_the_damping_and_inertia_that_timing_predicts() {
+fn the_held_setpoint_is_the_damping_and_inertia_that_timing_predicts() {
     // Terms of higher order in a period, and friction's jumps at reversals.
     const DAMPING: f64 = 0.03;
     const INERTIA: f64 = 0.05;
     for (name, delay) in [("a-med", 0), ("a-med", 3), ("b-soft", 0)] {
         let robot = ideal(robot(&[&format!("robot.profile.{name}.delay_servo_ticks={delay}")]));
-        let choice = Choice { duration_s: Some(6.0), ..osc(name) };
-        let experiment = experiment(robot, task("joint-tracking", &[]), choice);
+        let options = RunOptions { duration_s: Some(6.0), ..osc(name) };
+        let experiment = experiment(robot, task("joint-tracking", &[]), options);
         let run = run(&experiment);
         assert_eq!(run.ending, RunOutcome::Completed);
         let profile = experiment.profile().1;

@@ -6,11 +6,11 @@
 mod common;
 
 use common::{ik, load, measure, osc, run, torque};
-use opspace_experiment::{Choice, ControllerKind, Experiment, Metrics};
+use opspace_experiment::{ControllerKind, Experiment, Metrics, RunOptions};
 use opspace_log::Recording;
 
-fn seeded(choice: Choice, seed: u64) -> Choice {
-    Choice { seed: Some(seed), ..choice }
+fn seeded(options: RunOptions, seed: u64) -> RunOptions {
+    RunOptions { seed: Some(seed), ..options }
 }
 
 fn of(value: Option<f64>) -> f64 {
@@ -21,7 +21,7 @@ fn of(value: Option<f64>) -> f64 {
 #[test]
 fn torque_control_and_kinematics_with_lead_track_to_millimetres() {
     const BOUND_M: f64 = 1.5e-3;
-    let tracking = |choice| of(measure(&load("cartesian-tracking", choice, &[])).position_rms_m);
+    let tracking = |options| of(measure(&load("cartesian-tracking", options, &[])).position_rms_m);
     for profile in ["a-med", "b-soft"] {
         let error = tracking(torque(profile));
         assert!(error < BOUND_M, "torque robot, {profile}: {error} m");
@@ -65,8 +65,8 @@ fn the_paper_transformer_errs_under_a_hand_as_published() {
 
 /// Compared: setpoints once in five servo ticks and at every one, on the same arm.
 #[test]
-fn set_points_at_servo_rate_all_but_remove_the_error() {
-    let settings = ["robot.profile.b-soft.ratio=1"];
+fn setpoints_at_servo_rate_all_but_remove_the_error() {
+    let settings = ["robot.profile.b-soft.servo_ticks_per_cycle=1"];
     let metrics = measure(&load("cartesian-tracking", osc("b-soft"), &settings));
     let error = of(metrics.torque_error_interval);
     assert!(error < 0.07, "{error}");
@@ -76,7 +76,7 @@ fn set_points_at_servo_rate_all_but_remove_the_error() {
 /// Compared: the same hand, spring and path for three controllers on one arm, and for two kinds of robot.
 #[test]
 fn the_hand_moves_a_compliant_arm_and_not_a_stiff_one() {
-    let compliant = |choice| measure(&load("compliant-x", seeded(choice, 2), &[]));
+    let compliant = |options| measure(&load("compliant-x", seeded(options, 2), &[]));
     let position = compliant(osc("a-med"));
     let direct = compliant(torque("a-med"));
     for controller in [ControllerKind::Ik, ControllerKind::IkLead] {
@@ -113,18 +113,18 @@ fn difference(a: &Recording, b: &Recording) -> Option<String> {
     (a.channels.len() != b.channels.len()).then(|| "number of channels".to_owned())
 }
 
-fn short(task: &str, choice: Choice, seed: u64) -> Experiment {
-    let choice = Choice { duration_s: Some(2.0), ..seeded(choice, seed) };
-    load(task, choice, &[])
+fn short(task: &str, options: RunOptions, seed: u64) -> Experiment {
+    let options = RunOptions { duration_s: Some(2.0), ..seeded(options, seed) };
+    load(task, options, &[])
 }
 
 /// Compared: every bit of two runs, put together anew from the same files.
 #[test]
 fn the_same_seed_gives_the_same_bits() {
-    for choice in [osc("a-med"), torque("b-soft"), ik("b-soft", ControllerKind::IkLead)] {
-        let twice = [0, 1].map(|_| run(&short("compliant-x", choice.clone(), 7)).recording);
+    for options in [osc("a-med"), torque("b-soft"), ik("b-soft", ControllerKind::IkLead)] {
+        let twice = [0, 1].map(|_| run(&short("compliant-x", options.clone(), 7)).recording);
         assert!(twice[0].channels.iter().all(|c| c.len() >= 400), "two seconds are there");
-        assert_eq!(difference(&twice[0], &twice[1]), None, "{choice:?}");
+        assert_eq!(difference(&twice[0], &twice[1]), None, "{options:?}");
     }
 }
 

@@ -72,8 +72,8 @@ refused! {
     a_negative_duration: "task.toml", "duration_s = 8.0" => "duration_s = -8.0", Some("duration_s"), ["above 0"];
     an_unknown_frame: "task.toml", "frame = \"hand\"" => "frame = \"hnad\"", Some("frame = \"hnad\""),
         ["no frame 'hnad'", "did you mean 'hand'?", "forearm"];
-    an_unknown_frame_of_the_surroundings: "task.toml",
-        "[surroundings.operator.spring]\nframe = \"hand\"" => "[surroundings.operator.spring]\nframe = \"fist\"",
+    an_unknown_frame_of_the_environment: "task.toml",
+        "[environment.operator.spring]\nframe = \"hand\"" => "[environment.operator.spring]\nframe = \"fist\"",
         Some("\"fist\""), ["no frame 'fist'", "forearm"];
     too_few_gains: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1.0, 0.15]", Some("gain = ["), ["3", "2"];
     too_many_gains: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1, 1, 1, 1]", Some("gain = ["), ["3", "4"];
@@ -157,9 +157,9 @@ fn a_setting_errs_as_a_file_does() {
     set("task.hand.gains.damping_ratio=nan", &["--set", "finite"]);
     set("task.hand.gains.damping_ratio=abc", &["--set", "abc"]);
     set("task.hand.frame=fist", &["--set", "no frame 'fist'"]);
-    set("robot.profile.a-med.ratio=0", &["--set robot.profile", "above 0"]);
+    set("robot.profile.a-med.servo_ticks_per_cycle=0", &["--set robot.profile", "above 0"]);
     set("robot.profile.a-med.delay_servo_ticks=9", &["--set", "9 servo ticks"]);
-    set("robot.simulated.scale.kq=1", &["--set", "kq", "kp"]);
+    set("robot.simulated.true_over_nominal.kq=1", &["--set", "kq", "kp"]);
     set("robot.simulated.physics_hz=12000", &["--set", "multiple"]);
     set("damping_ratio", &["a setting needs a `=`"]);
     set("=1", &["--set"]);
@@ -175,14 +175,14 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
         settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
         opspace(folder.path(), &arguments).exits(2).says(words);
     };
-    refused("interpolating", &[], &["robot.toml", "set_points", "these hold them", "use 'emulation'"]);
-    let blind = r#"robot.interface.measures=["position"]"#;
+    refused("interpolating", &[], &["robot.toml", "setpoints", "these hold them", "use 'emulation'"]);
+    let blind = r#"robot.interface.measured=["position"]"#;
     refused("paper+current", &[blind], &["motors' current", "use 'paper'"]);
     refused("identified", &[], &["[profile.a-med]", "opspace identify"]);
     refused(
         "paper",
-        &["robot.profile.a-med.refine={time_s=1.0,within=0.3}"],
-        &["refine", "emulation+current"],
+        &["robot.profile.a-med.adapt_gains={time_s=1.0,max_relative_change=0.3}"],
+        &["adapt_gains", "emulation+current"],
     );
     let servo = |rational: &str| format!("robot.profile.a-med.servo.elbow={{transfer-function={rational}}}");
     let unstable = servo("{numerator=[-1500.0,1600.0],denominator=[1.0,-0.5]}");
@@ -364,8 +364,8 @@ fn a_spoilt_file_never_makes_a_panic() {
 fn value_of(key: &str) -> &'static str {
     match key {
         "command" => "\"position\"",
-        "gravity_by" => "\"controller\"",
-        "measures" => "[\"position\"]",
+        "gravity_compensated_by" => "\"controller\"",
+        "measured" => "[\"position\"]",
         "torque_limit_nm" => "500.0",
         "inertia_kg_m2" => "1e-4",
         "gear_ratio" => "50.0",
@@ -385,8 +385,8 @@ fn value_of(key: &str) -> &'static str {
         "torque_noise_nm" => "0.0",
         "stiffness_nm_per_rad" => "2000.0",
         "damping_nms_per_rad" => "20.0",
-        "damping_fades_over_rad_per_s" => "0.1",
-        "slips_at_torque_limits" => "1.5",
+        "damping_fade_velocity_rad_per_s" => "0.1",
+        "holding_torque_ratio" => "1.5",
         other => panic!("opspace new asks for `{other}`, for which this test has no value"),
     }
 }

@@ -1,15 +1,15 @@
 //! A joint of the simulated arm identified through its interface, against the parameters that the simulation runs with.
 
 use opspace_experiment::Progress;
-use opspace_experiment::identify::{Identified, Identifying, Request};
+use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
 use opspace_experiment::{Files, Robot, Source};
 use opspace_identify::{ExcitationPlan, TorqueScale};
 use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm";
 
-fn identified_of(robot: Robot, request: Request) -> Identified {
-    let identifying = Identifying::new(robot, request).unwrap_or_else(|e| panic!("{e}"));
+fn identified_of(robot: Robot, request: Request) -> IdentificationResults {
+    let identifying = IdentificationJob::new(robot, request).unwrap_or_else(|e| panic!("{e}"));
     let mut arm = identifying.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
     identifying.run(&mut arm, &Progress::default(), |_| {}).unwrap_or_else(|e| panic!("{e}"))
 }
@@ -37,7 +37,13 @@ struct Bar {
 /// Compared: the identified parameters and those of the plant in the file, whatever the nominal ones: kp and kv
 /// relative, the delay in servo ticks.
 #[track_caller]
-fn assert_identified(profile: &str, settings: &[&str], delay: u32, truth: [f64; 2], bar: &Bar) -> Identified {
+fn assert_identified(
+    profile: &str,
+    settings: &[&str],
+    delay: u32,
+    truth: [f64; 2],
+    bar: &Bar,
+) -> IdentificationResults {
     let found = identified_of(robot(settings), short(profile));
     let joint = &found.joints[0];
     assert_eq!(joint.no_torque_mode, None);
@@ -60,7 +66,7 @@ fn a_fast_servo_is_found() {
     assert!((friction.coulomb / 1.1 - 1.0).abs() < 0.1, "{friction:?}");
     assert!((friction.viscous / 1.2 - 1.0).abs() < 0.1, "{friction:?}");
     // The inertia of the model of which the plant is made.
-    let trust = joint.trust.as_ref().expect("trust");
+    let trust = joint.fit_quality.as_ref().expect("trust");
     assert!((trust.inertia_over_urdf.expect("a rotor") - 1.0).abs() < 0.1, "{trust:?}");
     assert!(trust.bandwidth_hz > 50.0, "{trust:?}");
 }
@@ -69,18 +75,18 @@ fn a_fast_servo_is_found() {
 fn a_slow_servo_with_a_delay_is_found_though_the_file_believes_another() {
     let bar = Bar { kp: 0.05, kv: 0.08 };
     let settings = [
-        "robot.simulated.scale.kp=1.3",
-        "robot.simulated.scale.kv=0.8",
+        "robot.simulated.true_over_nominal.kp=1.3",
+        "robot.simulated.true_over_nominal.kv=0.8",
         "robot.profile.b-soft.delay_servo_ticks=3",
     ];
     assert_identified("b-soft", &settings, 3, [1.3 * 25.133, 0.8 * 15.15], &bar);
 }
 
 #[test]
-fn a_drive_that_interpolates_set_points_is_found() {
+fn a_drive_that_interpolates_setpoints_is_found() {
     let bar = Bar { kp: 0.03, kv: 0.03 };
     let settings = [
-        "robot.interface.set_points=\"interpolated\"",
+        "robot.interface.setpoints=\"interpolated\"",
         "robot.profile.a-med.delay_servo_ticks=2",
         "robot.profile.a-med.servo.elbow={pid={stiffness_nm_per_rad=1500.0,damping_nms_per_rad=30.0,derivative_filter_hz=500.0}}",
     ];
@@ -93,7 +99,7 @@ fn a_drive_that_interpolates_set_points_is_found() {
 fn without_current_the_scale_comes_from_the_inertia() {
     const KP: f64 = 0.10;
     const KV: f64 = 0.15;
-    let settings = ["robot.interface.measures=[\"position\"]"];
+    let settings = ["robot.interface.measured=[\"position\"]"];
     let found = identified_of(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     let servo = joint.found.servo.as_ref().expect("a servo");
@@ -105,7 +111,7 @@ fn without_current_the_scale_comes_from_the_inertia() {
 
 #[test]
 fn without_current_and_rotor_only_ratios_are_written() {
-    let settings = ["robot.interface.measures=[\"position\"]", "robot.joint.elbow.rotor.inertia_kg_m2=0.0"];
+    let settings = ["robot.interface.measured=[\"position\"]", "robot.joint.elbow.rotor.inertia_kg_m2=0.0"];
     let found = identified_of(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     assert_eq!(joint.found.scale, TorqueScale::Unknown);
@@ -119,7 +125,7 @@ fn without_current_and_rotor_only_ratios_are_written() {
 #[test]
 fn a_joint_that_does_not_move_is_refused_with_the_reason() {
     // It sticks with more than its motor gives.
-    let settings = ["robot.simulated.scale.friction=40.0"];
+    let settings = ["robot.simulated.true_over_nominal.friction=40.0"];
     let found = identified_of(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     let reason = joint.no_torque_mode.as_ref().expect("it is refused");
@@ -167,6 +173,7 @@ fn the_written_robot_has_the_same_plant_and_the_identified_belief() {
 #[test]
 fn a_servo_of_another_structure_is_refused_at_its_line() {
     let settings = ["robot.profile.a-med.servo.elbow.cascaded.velocity_integral_time_s=0.1"];
-    let error = Identifying::new(robot(&settings), Request::default()).map(|_| ()).expect_err("an integral");
+    let error =
+        IdentificationJob::new(robot(&settings), Request::default()).map(|_| ()).expect_err("an integral");
     assert!(error.message().contains("integral") && error.message().contains("elbow"), "{error}");
 }

@@ -49,7 +49,10 @@ fn inverse_kinematics_with_lead_comes_out_again() {
 #[test]
 fn a_run_with_other_settings_comes_out_again() {
     let set = "task.hand.gains.damping_ratio=0.7";
-    comes_out_again("compliant-x", &["--seed", "7", "--set", set, "--set", "robot.simulated.scale.kp=1.02"]);
+    comes_out_again(
+        "compliant-x",
+        &["--seed", "7", "--set", set, "--set", "robot.simulated.true_over_nominal.kp=1.02"],
+    );
 }
 
 #[test]
@@ -64,8 +67,8 @@ fn a_run_with_missed_cycles_comes_out_again() {
 
 /// Settings of a push that the arm can't withstand.
 const PUSH: [&str; 2] = [
-    "surroundings.operator.spring.motion.random.rms_m=2.0",
-    "surroundings.operator.spring.stiffness_n_per_m=3000",
+    "environment.operator.spring.motion.random.rms_m=2.0",
+    "environment.operator.spring.stiffness_n_per_m=3000",
 ];
 
 #[test]

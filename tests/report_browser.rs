@@ -109,7 +109,7 @@ fn the_report_of_a_run_is_drawn() {
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let probe = probed(browser, &log.with_file_name("report.html"));
     let captions = captions(&probe);
-    for figure in ["torque", "Position of 'hand'", "force", "Set-points"] {
+    for figure in ["torque", "Position of 'hand'", "force", "Setpoints"] {
         assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
     }
     let torques = texts(&probe, "torque");

@@ -9,7 +9,7 @@ mod common;
 use cli_common::{opspace, project, read};
 use common::measure;
 use nalgebra::{DVector, Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use opspace_experiment::{BackendKind, Choice, Experiment, Files, Robot, Source, Task};
+use opspace_experiment::{BackendKind, Experiment, Files, Robot, RunOptions, Source, Task};
 use opspace_model::{Data, Model, Placement, frame_placement, update};
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
@@ -71,8 +71,8 @@ fn every_robot_does_its_task_on_both_backends() {
         for (backend, bound) in
             [(BackendKind::Position, POSITION_ROBOT_M), (BackendKind::Torque, TORQUE_ROBOT_M)]
         {
-            let choice = Choice { backend, duration_s: Some(2.0), ..Choice::default() };
-            let experiment = Experiment::load(Files::Disk, &first_task(&name), None, choice, &[])
+            let options = RunOptions { backend, duration_s: Some(2.0), ..RunOptions::default() };
+            let experiment = Experiment::load(Files::Disk, &first_task(&name), None, options, &[])
                 .unwrap_or_else(|e| panic!("{e}"));
             let error = measure(&experiment).position_rms_m.expect("the task moves a frame");
             assert!(error < bound, "{name}, {backend:?}: {error} m");
@@ -96,7 +96,7 @@ fn at(model: &Model, q: &[f64]) -> Data {
 }
 
 fn pose(model: &Model, data: &Data, frame: &str) -> Placement {
-    frame_placement(model, data, model.frame(frame).unwrap_or_else(|e| panic!("{e}")))
+    frame_placement(model, data, model.frame_id(frame).unwrap_or_else(|e| panic!("{e}")))
 }
 
 /// Numbers for joint angles: none zero, none alike.

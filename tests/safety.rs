@@ -9,7 +9,7 @@ use common::{Run, experiment, ik, load, osc, positions, robot, run, run_with, ta
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::NonNegative;
-use opspace_experiment::{Choice, ControllerKind, Experiment, Robot, Source};
+use opspace_experiment::{ControllerKind, Experiment, Robot, RunOptions, Source};
 use opspace_loop::{ControlLoop, Fault, LoopConfig, LoopError, RunOutcome};
 use opspace_model::{Data, Model, kinematics, potential_energy};
 use opspace_sim::EnvironmentObjectParameters;
@@ -18,14 +18,14 @@ const START: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
 const STOPPED: f64 = 2.0;
 
 /// An experiment of one second without friction compensation, on the arm with its own parameters.
-fn still(choice: Choice) -> Experiment {
-    let choice = Choice { duration_s: Some(1.0), ..choice };
-    load("gravity-compensation", choice, &["settle_s=0", "friction_compensation.gain=0"])
+fn still(options: RunOptions) -> Experiment {
+    let options = RunOptions { duration_s: Some(1.0), ..options };
+    load("gravity-compensation", options, &["settle_s=0", "friction_compensation.gain=0"])
 }
 
 fn lasting(duration_s: f64, from: &Experiment) -> Experiment {
-    let choice = Choice { duration_s: Some(duration_s), ..from.choice().clone() };
-    experiment(from.robot().clone(), from.task().clone(), choice)
+    let options = RunOptions { duration_s: Some(duration_s), ..from.options().clone() };
+    experiment(from.robot().clone(), from.task().clone(), options)
 }
 
 /// The gradient of potential energy: joint torques against gravity, without any dynamics algorithm.
@@ -54,8 +54,8 @@ fn first(run: &Run) -> usize {
 /// over the start, and a person's slowest.
 #[test]
 fn a_start_is_from_holding_still_without_a_jump() {
-    for choice in [osc("a-med"), osc("b-soft"), torque("a-med")] {
-        let experiment = load("cartesian-tracking", Choice { duration_s: Some(2.0), ..choice }, &[]);
+    for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
+        let experiment = load("cartesian-tracking", RunOptions { duration_s: Some(2.0), ..options }, &[]);
         let run = run(&experiment);
         let k = first(&run);
         // Where it stands: brakes give a little.
@@ -65,12 +65,12 @@ fn a_start_is_from_holding_still_without_a_jump() {
             // An encoder count is 4 µrad: the weight changes by less than 1e-4 Nm over it.
             assert!((torque[j] - weight[j]).abs() < 1e-4, "joint {j}: {} for {}", torque[j], weight[j]);
         }
-        if let Some(set_point) = run.channel("tick").signal("q_desired") {
+        if let Some(setpoint) = run.channel("tick").signal("q_desired") {
             let q = run.signal("tick", "q").row(k);
             for (j, servo) in experiment.robot().servos(experiment.profile().1).iter().enumerate() {
                 let gains = servo.gains(experiment.profile().1.servo_period_s());
                 let lead = weight[j] / gains.stiffness;
-                let jump = set_point.row(k)[j] - q[j] - lead;
+                let jump = setpoint.row(k)[j] - q[j] - lead;
                 assert!(jump.abs() < 1e-6, "joint {j} jumps by {jump} rad");
             }
         }
@@ -87,8 +87,8 @@ fn a_start_is_from_holding_still_without_a_jump() {
 /// line from the weight to it over 0.2 s.
 #[test]
 fn torque_comes_in_over_the_ramp() {
-    for choice in [osc("a-med"), torque("a-med")] {
-        let experiment = lasting(0.25, &still(choice));
+    for options in [osc("a-med"), torque("a-med")] {
+        let experiment = lasting(0.25, &still(options));
         let controller = Box::new(torques(|data, _, tau| {
             tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + 5.0);
         }));
@@ -148,11 +148,11 @@ fn at_rest(experiment: &Experiment, run: &Run, name: &str) {
 
 #[test]
 fn a_joint_limit_stops_the_arm() {
-    for choice in [osc("a-med"), osc("b-soft"), torque("a-med")] {
+    for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
         let mut robot = robot(&[]);
         robot.file.safety.limit_margin_rad = NonNegative::default();
-        let still = lasting(3.0, &still(choice));
-        let experiment = experiment(robot, still.task().clone(), still.choice().clone());
+        let still = lasting(3.0, &still(options));
+        let experiment = experiment(robot, still.task().clone(), still.options().clone());
         // Opens the elbow, damped to 1.5 rad/s, until it meets its limit of 0.
         let controller = Box::new(torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
@@ -174,9 +174,9 @@ fn slow_robot(limit: f64) -> Robot {
 
 #[test]
 fn too_much_speed_stops_the_arm() {
-    for choice in [osc("a-med"), osc("b-soft"), torque("a-med"), torque("b-soft")] {
-        let still = still(choice);
-        let experiment = experiment(slow_robot(1.0), still.task().clone(), still.choice().clone());
+    for options in [osc("a-med"), osc("b-soft"), torque("a-med"), torque("b-soft")] {
+        let still = still(options);
+        let experiment = experiment(slow_robot(1.0), still.task().clone(), still.options().clone());
         let controller = Box::new(torques(|data, _, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[0] -= 15.0;
@@ -189,7 +189,7 @@ fn too_much_speed_stops_the_arm() {
 }
 
 #[test]
-fn a_set_point_that_jumps_is_refused() {
+fn a_setpoint_that_jumps_is_refused() {
     let experiment = still(osc("a-med"));
     let controller = Box::new(positions(|_, measurement, q| {
         q.copy_from_slice(&START);
@@ -206,16 +206,16 @@ fn a_set_point_that_jumps_is_refused() {
 fn an_arm_that_something_blocks_is_stopped() {
     let still = still(osc("a-med"));
     let mut task = task("gravity-compensation", &["settle_s=0"]);
-    task.file.surroundings.clear();
+    task.file.environment.clear();
     // The hand stands at z = -0.157 m; the shoulder swings it up against a ceiling.
     let wall: EnvironmentObjectParameters = serde_json::from_str(
         r#"{ "wall": { "frame": "hand", "point_m": [0.0, 0.0, -0.12], "normal": [0.0, 0.0, -1.0],
              "stiffness_n_per_m": 50000.0, "damping_ns_per_m": 100.0 } }"#,
     )
     .expect("a wall");
-    task.file.surroundings.insert("wall".to_owned(), wall);
+    task.file.environment.insert("wall".to_owned(), wall);
     let still = lasting(3.0, &still);
-    let experiment = experiment(still.robot().clone(), task, still.choice().clone());
+    let experiment = experiment(still.robot().clone(), task, still.options().clone());
     let controller = Box::new(positions(|_, measurement, q| {
         q.copy_from_slice(&START);
         q[0] -= 0.3 * (measurement.time_s - 0.2).max(0.0);
@@ -230,8 +230,8 @@ fn an_arm_that_something_blocks_is_stopped() {
 
 #[test]
 fn a_command_that_is_no_number_stops_a_moving_arm() {
-    for choice in [osc("a-med"), osc("b-soft"), torque("a-med")] {
-        let experiment = still(choice);
+    for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
+        let experiment = still(options);
         let controller = Box::new(torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[0] -= 12.0;
@@ -261,7 +261,7 @@ fn a_torque_robot_refuses_positions_by_name() {
     let text = Experiment::new(
         experiment.robot().clone(),
         experiment.task().clone(),
-        Choice { controller: ControllerKind::Ik, ..experiment.choice().clone() },
+        RunOptions { controller: ControllerKind::Ik, ..experiment.options().clone() },
         Vec::new(),
     )
     .expect_err("refused before it starts")
@@ -271,14 +271,14 @@ fn a_torque_robot_refuses_positions_by_name() {
 
 #[test]
 fn an_interrupt_stops_a_moving_arm() {
-    for (choice, extra) in [
+    for (options, extra) in [
         (osc("a-med"), 0),
         (osc("a-med"), 1),
         (osc("b-soft"), 0),
         (torque("a-med"), 1),
         (ik("b-soft", ControllerKind::Ik), 0),
     ] {
-        let experiment = load("cartesian-tracking", Choice { duration_s: Some(4.0), ..choice }, &[]);
+        let experiment = load("cartesian-tracking", RunOptions { duration_s: Some(4.0), ..options }, &[]);
         let rest_s = experiment.robot().file.safety.tare_s.get();
         let period_s = experiment.profile().1.period_s();
         // In the middle of a stroke, after an even or an odd number of commands.

@@ -5,7 +5,7 @@
 use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, Row, Signal, Sink};
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files, Metrics, Robot, Task};
+use opspace_experiment::{BackendKind, ControllerKind, Experiment, Files, Metrics, Robot, RunOptions, Task};
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
 use opspace_loop::{ControlLoop, LoopConfig, Run as LoopRun, RunOutcome};
@@ -17,19 +17,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub const ROBOT: &str = "robots/asimo-arm";
 
 /// Position robot, operational-space control, in a profile.
-pub fn osc(profile: &str) -> Choice {
+pub fn osc(profile: &str) -> RunOptions {
     let transformer = TransformerKind::named("paper");
-    Choice { profile: Some(profile.to_owned()), transformer, ..Choice::default() }
+    RunOptions { profile: Some(profile.to_owned()), transformer, ..RunOptions::default() }
 }
 
 /// Torque robot at the rates of a profile.
-pub fn torque(profile: &str) -> Choice {
-    Choice { backend: BackendKind::Torque, ..osc(profile) }
+pub fn torque(profile: &str) -> RunOptions {
+    RunOptions { backend: BackendKind::Torque, ..osc(profile) }
 }
 
 /// Position robot, inverse kinematics, with or without velocity lead.
-pub fn ik(profile: &str, controller: ControllerKind) -> Choice {
-    Choice { controller, ..osc(profile) }
+pub fn ik(profile: &str, controller: ControllerKind) -> RunOptions {
+    RunOptions { controller, ..osc(profile) }
 }
 
 pub fn robot(settings: &[&str]) -> Robot {
@@ -41,14 +41,14 @@ pub fn task(name: &str, settings: &[&str]) -> Task {
     Task::load(Files::Embedded, Path::new(&path), &owned(settings)).unwrap_or_else(|e| panic!("{e}"))
 }
 
-pub fn experiment(robot: Robot, task: Task, choice: Choice) -> Experiment {
-    Experiment::new(robot, task, choice, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
+pub fn experiment(robot: Robot, task: Task, options: RunOptions) -> Experiment {
+    Experiment::new(robot, task, options, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// A task of the paper on its robot, with settings as on the command line.
-pub fn load(name: &str, choice: Choice, settings: &[&str]) -> Experiment {
+pub fn load(name: &str, options: RunOptions, settings: &[&str]) -> Experiment {
     let path = format!("tasks/{name}.toml");
-    Experiment::load(Files::Embedded, Path::new(&path), None, choice, &owned(settings))
+    Experiment::load(Files::Embedded, Path::new(&path), None, options, &owned(settings))
         .unwrap_or_else(|e| panic!("{e}"))
 }
 

@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use opspace_experiment::{BackendKind, Choice, ControllerKind};
+use opspace_experiment::{BackendKind, ControllerKind, RunOptions};
 use opspace_transformer::TransformerKind;
 use std::path::PathBuf;
 
@@ -45,7 +45,7 @@ Examples:
   opspace run tasks/compliant-x.toml --backend torque
   opspace run tasks/cartesian-tracking.toml --controller ik-lead --profile b-soft
   opspace run tasks/compliant-x.toml --set task.hand.gains.damping_ratio=0.7
-  opspace run tasks/compliant-x.toml --set robot.simulated.scale.kp=1.02
+  opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
 
 Writes run.mcap (every signal; opens in Foxglove and PlotJuggler), report.html and summary.json into \
 runs/TASK-BACKEND. A run that is there already is moved aside.")]
@@ -194,8 +194,8 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
-    pub fn choice(&self, default: BackendKind) -> Choice {
-        Choice {
+    pub fn options(&self, default: BackendKind) -> RunOptions {
+        RunOptions {
             backend: self.backend.map_or(default, BackendKind::from),
             controller: self.controller.into(),
             transformer: self.transformer,
@@ -394,6 +394,6 @@ impl From<ControllerArg> for ControllerKind {
 
 /// Parser of the transformers' names.
 fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
-    let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.about()));
+    let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
     PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
 }

@@ -151,9 +151,9 @@ impl OperationalSpaceController {
 
     /// Solves every level even where no limit is in force: for tests and benches, which compare the two.
     #[doc(hidden)]
-    pub fn without_shortcut(&mut self) {
+    pub fn always_solve(&mut self) {
         if let Some(limiter) = &mut self.limiter {
-            limiter.without_shortcut();
+            limiter.always_solve();
         }
     }
 

@@ -159,7 +159,7 @@ impl Task {
         };
         let mode = |axis: usize| if self.modes[axis] == Mode::Motion { "motion" } else { "compliant" };
         let axes: Vec<String> = self.in_task().map(|a| format!("{} = \"{}\"", AXES[a], mode(a))).collect();
-        let axes_in = match self.lie {
+        let axes_frame = match self.lie {
             Lie::World => "\"world\"".to_owned(),
             Lie::Base => "\"base\"".to_owned(),
             Lie::TaskFrame => "\"task-frame\"".to_owned(),
@@ -170,7 +170,7 @@ impl Task {
         let axis = AXES[axis];
         write!(
             text,
-            "axes = {{ {} }}\naxes_in = {axes_in}\n{gains}singularity_threshold = 1e-6\n\
+            "axes = {{ {} }}\naxes_in = {axes_frame}\n{gains}singularity_threshold = 1e-6\n\
              reference.sinusoid = {{ ramp_s = 0.1, {axis} = [{{ amplitude_m = {amplitude:e}, frequency_hz = {frequency:e} }}] }}\n",
             axes.join(", ")
         )
@@ -180,7 +180,7 @@ impl Task {
 
     /// The task's axes in the coordinates of what moves.
     fn axes(&self, model: &Model, data: &Data) -> Matrix3<f64> {
-        let of = |frame: &str| frame_placement(model, data, model.frame(frame).expect("frame")).rotation;
+        let of = |frame: &str| frame_placement(model, data, model.frame_id(frame).expect("frame")).rotation;
         let seen = |rotation: Matrix3<f64>| match self.what {
             What::Relative(_, from) => of(from).transpose() * rotation,
             _ => rotation,
@@ -196,7 +196,7 @@ impl Task {
 
     /// Pose, velocity, J and J̇ q̇ of what moves, in its coordinates.
     fn motion(&self, model: &Model, data: &Data) -> (Placement, Vector6<f64>, DMatrix<f64>, Vector6<f64>) {
-        let id = |frame: &str| model.frame(frame).expect("frame");
+        let id = |frame: &str| model.frame_id(frame).expect("frame");
         match &self.what {
             What::Frame(frame) => (
                 frame_placement(model, data, id(frame)),

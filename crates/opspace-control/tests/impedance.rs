@@ -127,7 +127,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
         .unwrap_or_else(|e| panic!("{e}"));
     let start = numbers.vector(n, 1.5);
     let (data, mut measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let home = frame_placement(&model, &data, hand);
     let mut force = DVector::zeros(axes.len());
     force.iter_mut().for_each(|f| *f = 10.0 * numbers.next());
@@ -137,7 +137,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
     let mut wrench = Vector6::zeros();
     axes.iter().zip(force.iter()).for_each(|(&axis, &f)| wrench[axis] = f);
     let (linear, moment) = (wrench.fixed_rows::<3>(0).into_owned(), wrench.fixed_rows::<3>(3).into_owned());
-    let wrist = model.frame("wrist").expect("wrist");
+    let wrist = model.frame_id("wrist").expect("wrist");
     let lever =
         frame_placement(&model, &now, hand).translation - frame_placement(&model, &now, wrist).translation;
     let sensed = Force { linear, angular: moment + lever.cross(&linear) };
@@ -177,7 +177,7 @@ impl Held {
     fn acceleration(&mut self) -> Option<DVector<f64>> {
         let mut tau = vec![0.0; self.model.n()];
         self.controller.update(&common::input(&self.model, &self.data, &self.measurement), &mut tau);
-        let hand = self.model.frame("hand").expect("hand");
+        let hand = self.model.frame_id("hand").expect("hand");
         let mut wrench = Vector6::zeros();
         self.axes.iter().zip(self.force.iter()).for_each(|(&axis, &f)| wrench[axis] = f);
         let force = Force {
@@ -345,7 +345,7 @@ fn bounded_decoupling_is_that_of_an_arm_without_light_joints() {
         let j = jacobian(&model, &data, "hand").rows(0, 3).into_owned();
         let inverse = heavier.try_inverse().expect("regular");
         let inertia = (&j * inverse * j.transpose()).try_inverse().expect("regular");
-        let hand = model.frame("hand").expect("hand");
+        let hand = model.frame_id("hand").expect("hand");
         let (then, _) = at_state(&model, &start, &vec![0.0; n], 0.0);
         let off = frame_placement(&model, &then, hand).translation
             - frame_placement(&model, &data, hand).translation;
@@ -385,7 +385,7 @@ fn the_integral_grows_by_the_error_up_to_its_limit() {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let home = frame_placement(&model, &data, hand).translation;
     let (data, measurement) = at_state(&model, &[-0.42, -0.37, 0.2, -1.3], &[0.0; 4], 0.1);
     let error = home - frame_placement(&model, &data, hand).translation;
@@ -457,7 +457,7 @@ fn the_speed_asked_for_is_bounded_and_keeps_its_direction() {
         ));
         let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
             .expect("a good stack");
-        let hand = model.frame("hand").expect("hand");
+        let hand = model.frame_id("hand").expect("hand");
         let start = numbers.vector(n, 1.5);
         let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
         controller.start(&common::input(&model, &data, &measurement));
@@ -505,7 +505,7 @@ fn a_hand_sent_far_off_goes_straight_and_no_faster_than_its_limit() {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let home = frame_placement(&model, &data, hand).translation;
     let line = Vector3::new(0.12, 0.08, 0.15).normalize();
     let (mut fastest, mut aside) = (0.0_f64, 0.0_f64);

@@ -55,7 +55,7 @@ fn the_streamed_positions_follow_the_figure_and_lead_by_the_servos_lag() {
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     plain.start(&common::input(&model, &data, &measurement));
     led.start(&common::input(&model, &data, &measurement));
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let start = frame_placement(&model, &data, hand).translation;
     let (mut streamed, mut ahead) = ([0.0; 4], [0.0; 4]);
     let mut worst = 0.0_f64;
@@ -113,7 +113,7 @@ fn a_pose_is_reached() {
         measurement.time_s = 1e-3 * f64::from(tick);
         controller.update(&common::input(&model, &data, &measurement), &mut command);
     }
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let [from, to] =
         [frame_placement(&model, &data, hand), frame_placement(&model, &placed(&model, &command), hand)];
     assert!((to.translation - from.translation - Vector3::new(0.05, -0.04, -0.06)).norm() < 1e-6);
@@ -141,7 +141,7 @@ fn the_posture_is_approached_without_the_hand() {
     for _ in 0..20_000 {
         controller.update(&common::input(&model, &data, &measurement), &mut q);
     }
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let at = placed(&model, &q);
     let [from, to] = [&data, &at].map(|data| frame_placement(&model, data, hand).translation);
     assert!((to - from).norm() < 1e-9, "the hand stays");
@@ -172,7 +172,7 @@ fn a_lower_task_follows_too() {
             .expect("a good stack");
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let elbow = model.frame("elbow").expect("elbow");
+    let elbow = model.frame_id("elbow").expect("elbow");
     let start = frame_placement(&model, &data, elbow).translation.y;
     let mut q = [0.0; 4];
     for tick in 0..3000 {

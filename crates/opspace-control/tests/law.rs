@@ -60,7 +60,7 @@ fn textbook(
     acceleration: &DVector<f64>,
     added: &DVector<f64>,
 ) -> DVector<f64> {
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let m = &data.mass_matrix;
     let m_inverse = m.clone().try_inverse().expect("M is regular");
     let j = jacobian(model, data, "hand").rows(0, 3).into_owned();
@@ -82,7 +82,7 @@ fn tracking_torque_is_the_textbook_formula() {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let start = frame_placement(&model, &data, hand).translation;
     let mut numbers = Numbers::new(1);
     for time_s in [0.0, 0.3, 0.7, 1.0, 2.4] {
@@ -129,7 +129,7 @@ fn compliant_torque_is_the_textbook_formula() {
         .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let start = frame_placement(&model, &data, hand).translation;
     let mut numbers = Numbers::new(2);
     let mut filtered = 0.0;
@@ -216,7 +216,7 @@ fn a_pose_task_accelerates_the_frame_as_asked() {
         [task.hand.cartesian]
         frame = "hand"
         axes = { x = "motion", y = "motion", z = "motion", rx = "motion", ry = "motion", rz = "motion" }
-        axes_in = { rpy_rad = [0.3, -0.2, 0.9] }
+        axes_frame = { rpy_rad = [0.3, -0.2, 0.9] }
         reference = "hold"
         gains = { frequency_rad_per_s = [10.0, 11.0, 12.0, 13.0, 14.0, 15.0], damping_ratio = { x = 0.5, y = 0.6, z = 0.7, rx = 0.8, ry = 0.9, rz = 1.0 } }
         [task.rest.joint-damping]
@@ -225,7 +225,7 @@ fn a_pose_task_accelerates_the_frame_as_asked() {
     );
     let mut controller =
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let mut numbers = Numbers::new(3);
     let axes = *Rotation3::from_euler_angles(0.3, -0.2, 0.9).matrix();
     let mut regular = 0;
@@ -341,7 +341,7 @@ fn a_lower_task_moves_as_asked_where_it_is_free_to() {
     let start = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
     let (data, measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let frame = model.frame("upper").expect("upper");
+    let frame = model.frame_id("upper").expect("upper");
     let goal = frame_placement(&model, &data, frame).translation;
     let q = start.map(|q| q + 0.1 * (7.0 * q).sin());
     let (data, measurement) = at_state(&model, &q, &[0.4, -0.3, 0.2, 0.5, -0.6, 0.1, 0.3], 0.1);
@@ -427,7 +427,7 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let surface = frame_placement(&model, &data, hand).translation.x;
     let mut tau = [0.0; 4];
     // A tenth of a period for the wall, which is stiff; the law at its own rate.
@@ -542,7 +542,7 @@ fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
 #[test]
 fn a_wrench_is_carried_from_the_sensor_to_the_task_frame() {
     let model = four_joints();
-    let text = COMPLIANT.replace("reference =", "axes_in = { rpy_rad = [0.3, -0.2, 0.9] }\nreference =");
+    let text = COMPLIANT.replace("reference =", "axes_frame = { rpy_rad = [0.3, -0.2, 0.9] }\nreference =");
     let file = File::read(&text);
     let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "wrist"))
         .expect("a good stack");
@@ -555,7 +555,7 @@ fn a_wrench_is_carried_from_the_sensor_to_the_task_frame() {
         // Settled on this wrench, so that the filter passes it on.
         controller.start(&common::input(&model, &data, &measurement));
         controller.update(&common::input(&model, &data, &measurement), &mut [0.0; 4]);
-        let velocity = |name: &str| frame_velocity(&model, &data, model.frame(name).expect("frame"));
+        let velocity = |name: &str| frame_velocity(&model, &data, model.frame_id(name).expect("frame"));
         let hand = velocity("hand");
         let axes = *Rotation3::from_euler_angles(0.3, -0.2, 0.9).matrix();
         let sensed = DVector::from_vec(signal(&controller, "hand.sensed_force"));

@@ -49,7 +49,7 @@ impl Run {
     }
 
     fn hand(&self) -> (Vector3<f64>, Vector3<f64>) {
-        let hand = self.model.frame("hand").expect("hand");
+        let hand = self.model.frame_id("hand").expect("hand");
         let velocity = frame_velocity(&self.model, &self.data, hand).linear;
         (frame_placement(&self.model, &self.data, hand).translation, velocity)
     }
@@ -169,7 +169,7 @@ fn way_to(offset: &[f64; 7]) -> Vector3<f64> {
     let model = seven_joints();
     let hand = |q: &[f64]| {
         let data = at_state(&model, q, &[0.0; 7], 0.0).0;
-        frame_placement(&model, &data, model.frame("hand").expect("hand")).translation
+        frame_placement(&model, &data, model.frame_id("hand").expect("hand")).translation
     };
     let q: Vec<f64> = REACHED.iter().zip(offset).map(|(q, d)| q + d).collect();
     hand(&q) - hand(&REACHED)

@@ -118,7 +118,7 @@ fn limits_out_of_reach_change_nothing() {
                     torque_rate: vec![1e9; n],
                 };
                 let mut controller = scene.controller(&text, &limits);
-                controller.without_shortcut();
+                controller.always_solve();
                 let (tau, unlimited) = (scene.torque(&mut controller), scene.unlimited(&text));
                 let off = (&tau - &unlimited).amax();
                 assert!(off < SOLVERS * unlimited.amax(), "{text}: off by {off} Nm of {unlimited}");
@@ -153,7 +153,7 @@ impl Rows {
             nullspace -= &mass_inverse * projected.transpose() * &inertia * &projected;
             // Along where the task would be going after the horizon; aside of it, at right angles in the metric Λ, weighs
             // ten times as much.
-            let frame = scene.model.frame(frame).expect("frame");
+            let frame = scene.model.frame_id(frame).expect("frame");
             let velocity = pick(axes, &six(frame_velocity(&scene.model, &scene.data, frame)));
             let heading = velocity + &rows.asked * HORIZON_S;
             let momentum = &inertia * &heading;
@@ -170,7 +170,7 @@ impl Rows {
         let whole = jacobian(model, data, frame);
         let jacobian =
             DMatrix::from_fn(axes.len(), model.n(), |r, c| row_scale(axes[r]) * whole[(axes[r], c)]);
-        let id = model.frame(frame).expect("frame");
+        let id = model.frame_id(frame).expect("frame");
         let metric = DMatrix::zeros(axes.len(), axes.len());
         let bias = pick(axes, &six(frame_bias_acceleration(model, data, id)));
         let asked = pick(axes, &frame_acceleration(model, data, frame, unlimited.as_slice()));
@@ -471,7 +471,7 @@ fn a_level_without_freedom_changes_nothing() {
             let rest = text.find("[task.rest").expect("a posture");
             let alone = text[..rest].replace(", \"rest\"", "");
             let mut with = scene.controller(text, &limits);
-            with.without_shortcut();
+            with.always_solve();
             let tau = scene.torque(&mut with);
             assert_eq!(sampled(&with, "limits_solver"), [1.0], "the active set");
             let regular = sampled(&with, "hand.weakest_share") == [1.0]

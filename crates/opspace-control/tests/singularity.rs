@@ -137,7 +137,7 @@ fn the_unit_of_length_does_not_matter() {
 fn the_reach_is_the_arms_length() {
     let model = four_joints();
     for (frame, expected) in [("hand", 0.235 + 0.275), ("elbow", 0.235), ("shoulder_roll", 1.0)] {
-        let reach = opspace_control::rank::reach(&model, model.frame(frame).expect("frame"));
+        let reach = opspace_control::rank::reach(&model, model.frame_id(frame).expect("frame"));
         assert!((reach - expected).abs() < 1e-15, "{frame}: {reach} m");
     }
 }
@@ -174,7 +174,7 @@ fn a_task_without_any_freedom_left_asks_for_no_torque() {
 #[test]
 fn the_leak_is_what_damping_takes_and_nothing_else() {
     let (model, threshold, tolerance) = (seven_joints_in(1.0), 0.2, 1e-10);
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let mut numbers = Numbers::new(11);
     let (mut damped, mut whole) = (0, 0);
     for _ in 0..60 {

@@ -102,7 +102,7 @@ impl Bench {
 
     /// Pose of the hand.
     fn placement(&self) -> Placement {
-        frame_placement(&self.model, &self.data, self.model.frame("hand").expect("a frame"))
+        frame_placement(&self.model, &self.data, self.model.frame_id("hand").expect("a frame"))
     }
 
     /// One cycle. The arm stays where it is.
@@ -527,7 +527,7 @@ fn position_controller_follows_streamed_poses() {
     let (data, mut measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
     let mut targets = ik.targets();
     ik.start(&common::input(&model, &data, &measurement));
-    let mut goal = frame_placement(&model, &data, model.frame("hand").expect("a frame"));
+    let mut goal = frame_placement(&model, &data, model.frame_id("hand").expect("a frame"));
     goal.translation.x += 0.05;
     let mut target = CartesianTarget::of(&targets, "hand").expect("a streamed task");
     let mut q = [0.0; 7];
@@ -540,7 +540,7 @@ fn position_controller_follows_streamed_poses() {
         ik.update(&input, &mut q);
     }
     let (data, _) = at_state(&model, &q, &[0.0; 7], 0.0);
-    let reached = frame_placement(&model, &data, model.frame("hand").expect("a frame"));
+    let reached = frame_placement(&model, &data, model.frame_id("hand").expect("a frame"));
     assert!((reached.translation - goal.translation).norm() < 1e-6, "{reached:?}");
 }
 

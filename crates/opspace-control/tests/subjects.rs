@@ -52,7 +52,7 @@ impl Motion {
 }
 
 fn subjects(model: &Model) -> [ControlledFrame; 6] {
-    let id = |name: &str| model.frame(name).expect("frame");
+    let id = |name: &str| model.frame_id(name).expect("frame");
     [
         ControlledFrame::Frame(id("hand")),
         ControlledFrame::Relative { frame: id("hand"), from: id("mid") },
@@ -120,7 +120,7 @@ fn a_frame_seen_from_another_is_what_the_model_says() {
     for case in 0..60 {
         let motion = Motion::random(&mut numbers);
         let (model, data) = (&motion.model, motion.at(0.0));
-        let [hand, mid, base] = ["hand", "mid", "base"].map(|name| model.frame(name).expect("frame"));
+        let [hand, mid, base] = ["hand", "mid", "base"].map(|name| model.frame_id(name).expect("frame"));
         let place = |frame| frame_placement(model, &data, frame);
 
         let subject = ControlledFrame::Relative { frame: hand, from: mid };
@@ -190,7 +190,7 @@ fn axes_that_turn_are_followed_as_they_lie() {
         let n = 6 + numbers.below(4);
         let model = any_arm(n, &mut numbers);
         let relative = numbers.below(2) == 1;
-        let (axes_in, of) = [
+        let (axes_frame, of) = [
             ("\"task-frame\"", "hand"),
             ("{ frame = \"j4\" }", "j4"),
             ("{ frame = \"j2\" }", "j2"),
@@ -203,7 +203,7 @@ fn axes_that_turn_are_followed_as_they_lie() {
         let in_motion = in_motion.join(", ");
         let text = format!(
             "priority = [\"hand\", \"rest\"]\nlimits.enforce = false\n\
-             [task.hand.cartesian]\nframe = \"hand\"\n{from}axes = {{ {in_motion} }}\naxes_in = {axes_in}\nreference = \"hold\"\n\
+             [task.hand.cartesian]\nframe = \"hand\"\n{from}axes = {{ {in_motion} }}\naxes_in = {axes_frame}\nreference = \"hold\"\n\
              gains = {{ frequency_rad_per_s = [6.0, 7.0, 8.0, 9.0, 9.0, 9.0], damping_ratio = 0.7 }}\nsingularity_threshold = 1e-3\n\
              [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n"
         );
@@ -261,13 +261,13 @@ fn axes_that_turn_are_followed_as_they_lie() {
 }
 
 fn subject(model: &Model, relative: bool) -> ControlledFrame {
-    let [hand, j1] = ["hand", "j1"].map(|name| model.frame(name).expect("frame"));
+    let [hand, j1] = ["hand", "j1"].map(|name| model.frame_id(name).expect("frame"));
     if relative { ControlledFrame::Relative { frame: hand, from: j1 } } else { ControlledFrame::Frame(hand) }
 }
 
 /// The axes of a frame in the coordinates of a subject.
 fn axes_of(model: &Model, data: &Data, subject: ControlledFrame, frame: &str) -> Matrix3<f64> {
-    let rotation = frame_placement(model, data, model.frame(frame).expect("frame")).rotation;
+    let rotation = frame_placement(model, data, model.frame_id(frame).expect("frame")).rotation;
     match subject {
         ControlledFrame::Relative { from, .. } => {
             frame_placement(model, data, from).rotation.transpose() * rotation

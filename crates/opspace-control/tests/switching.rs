@@ -199,7 +199,7 @@ priority = ["hand", "elbow", "rest"]
 [task.hand.cartesian]
 frame = "hand"
 axes = { x = "motion", z = "motion", ry = "motion" }
-axes_in = "task-frame"
+axes_frame = "task-frame"
 reference.sinusoid = { x = [{ amplitude_m = 0.05, frequency_hz = 1.3 }], ry = [{ amplitude_rad = 0.2, frequency_hz = 0.7 }] }
 gains = { frequency_rad_per_s = 12.0, damping_ratio = 1.0 }
 [task.elbow.joint-tracking]
@@ -333,7 +333,7 @@ fn an_axis_that_follows_again_begins_where_the_hand_is() {
              reference = \"hold\"\n{STEADY}\n[task.rest]\n{POSTURE}\n"
         )
     };
-    let hand = model.frame("hand").expect("hand");
+    let hand = model.frame_id("hand").expect("hand");
     let axes = *Rotation3::from_euler_angles(0.3, -0.5, 0.8).matrix();
     let push = axes * Vector3::new(6.0, 3.0, 2.0);
     let mut numbers = Numbers::new(44);

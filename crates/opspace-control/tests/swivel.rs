@@ -50,7 +50,7 @@ fn moved(q: &[f64], dq: &[f64], time_s: f64) -> Vec<f64> {
 /// Sine of the angle between shoulder-wrist and the direction, or shoulder-elbow if that is smaller.
 fn distance(model: &Model, data: &Data) -> f64 {
     let [shoulder, elbow, wrist] =
-        FRAMES.map(|name| frame_placement(model, data, model.frame(name).expect("a frame")).translation);
+        FRAMES.map(|name| frame_placement(model, data, model.frame_id(name).expect("a frame")).translation);
     let line = wrist - shoulder;
     let sine = |x: Vector3<f64>| line.cross(&x).norm() / (line.norm() * x.norm());
     sine(elbow - shoulder).min(sine(DIRECTION))
@@ -112,7 +112,7 @@ fn the_angle_rotates_the_direction_to_the_elbow() {
         let (q, dq) = state(&model, &mut numbers);
         let data = data_at(&model, &q, &dq);
         let [shoulder, elbow, wrist] = FRAMES
-            .map(|name| frame_placement(&model, &data, model.frame(name).expect("a frame")).translation);
+            .map(|name| frame_placement(&model, &data, model.frame_id(name).expect("a frame")).translation);
         let axis = nalgebra::Unit::new_normalize(wrist - shoulder);
         let perpendicular = |x: Vector3<f64>| (x - *axis * axis.dot(&x)).normalize();
         let value = angle.value(&model, &data)[0];
@@ -231,7 +231,7 @@ fn the_elbow_goes_to_its_angle_while_the_hand_stays() {
     let (mut data, mut measurement) = at_state(&model, &q, &[0.0; 7], 0.0);
     let angle = SwivelAngle::new(&model, FRAMES, Vector3::z()).expect("the frames exist");
     let begin = angle.value(&model, &data)[0];
-    let frame = model.frame("link7").expect("a frame");
+    let frame = model.frame_id("link7").expect("a frame");
     let pose = frame_placement(&model, &data, frame);
     controller.start(&common::input(&model, &data, &measurement));
     let mut torque = [0.0; 7];

@@ -133,7 +133,7 @@ fn a_users_task_is_carried_out_below_a_built_in_one() {
         .build();
     let mut controller = controller(&model, tasks, &context);
     let (mut data, mut measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
-    let frame = model.frame("hand").expect("a frame");
+    let frame = model.frame_id("hand").expect("a frame");
     let begin = opspace_model::frame_placement(&model, &data, frame).translation;
     controller.start(&common::input(&model, &data, &measurement));
     let mut torque = [0.0; 7];

@@ -4,6 +4,7 @@ pub(crate) mod explain;
 pub mod interface;
 pub mod origin;
 pub mod overrides;
+pub(crate) mod renamed;
 pub mod robot;
 pub mod source;
 pub mod suggest;

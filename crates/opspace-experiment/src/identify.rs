@@ -3,7 +3,7 @@
 //! The identification itself is [`opspace_identify`]; here it is given a robot from its file, and its
 //! results become a section of that file, a whole file, numbers, and a page.
 
-mod page;
+mod html;
 mod toml_output;
 
 use crate::evaluate::table::{Cell, Table};
@@ -41,7 +41,7 @@ pub struct Request {
 
 /// A robot whose servos are to be identified, with everything checked.
 #[derive(Clone, Debug)]
-pub struct Identifying {
+pub struct IdentificationJob {
     robot: Robot,
     profile_name: String,
     profile: ProfileParameters,
@@ -52,13 +52,13 @@ pub struct Identifying {
 
 /// An identified joint.
 #[derive(Clone, Debug, Serialize)]
-pub struct IdentifiedJoint {
+pub struct JointIdentification {
     /// Name of the joint.
     #[serde(skip)]
     pub name: String,
     /// Parameters of the joint that are known beforehand.
     #[serde(skip)]
-    pub told: KnownParameters,
+    pub known: KnownParameters,
     /// Structure of the servo as robot.toml states it.
     #[serde(skip)]
     pub structure: Structure,
@@ -86,12 +86,12 @@ pub enum Structure {
 
 /// Results of the identification of a robot.
 #[derive(Clone, Debug)]
-pub struct Identified {
+pub struct IdentificationResults {
     robot: Robot,
     profile_name: String,
     profile: ProfileParameters,
     /// Identified joints, in the order of identification.
-    pub joints: Vec<IdentifiedJoint>,
+    pub joints: Vec<JointIdentification>,
     /// Duration of the robot's motion, s on the robot's own clock.
     pub robot_s: f64,
     seed: u64,
@@ -110,10 +110,10 @@ struct Json<'a> {
     robot_s: f64,
     /// Delay of the servos, servo ticks; null where the joints don't agree.
     delay_servo_ticks: Option<u32>,
-    joints: BTreeMap<&'a str, &'a IdentifiedJoint>,
+    joints: BTreeMap<&'a str, &'a JointIdentification>,
 }
 
-impl Identifying {
+impl IdentificationJob {
     /// Checks a request against the robot.
     ///
     /// # Errors
@@ -208,7 +208,7 @@ impl Identifying {
         robot: &mut dyn Backend,
         watch: &Progress,
         mut begun: impl FnMut(&str),
-    ) -> Result<Identified, AbortReason> {
+    ) -> Result<IdentificationResults, AbortReason> {
         let ended = |ticks: u64| {
             watch.ticks.store(ticks, Ordering::Relaxed);
             watch.interrupt.load(Ordering::Relaxed)
@@ -219,20 +219,20 @@ impl Identifying {
         for &joint in &self.joints {
             let name = &self.robot.model.joints()[joint].name;
             begun(name);
-            let told = self.told(joint);
+            let told = self.known_parameters(joint);
             let found = identify(&mut session, &told, &self.plan)?;
-            joints.push(IdentifiedJoint {
+            joints.push(JointIdentification {
                 name: name.clone(),
                 structure: self.structure(joint).unwrap_or(Structure::Cascaded),
                 position_rad: session.posture(joint),
                 urdf_inertia_kg_m2: told.inertia,
                 effective_servo: effective_servo(&found),
                 no_torque_mode: found.no_torque_mode(),
-                told,
+                known: told,
                 found,
             });
         }
-        Ok(Identified {
+        Ok(IdentificationResults {
             robot: self.robot.clone(),
             profile_name: self.profile_name.clone(),
             profile: self.profile.clone(),
@@ -243,15 +243,15 @@ impl Identifying {
     }
 
     /// Returns what is known of a joint beforehand: neither its servo's gains, nor its friction, nor the delay.
-    fn told(&self, joint: usize) -> KnownParameters {
+    fn known_parameters(&self, joint: usize) -> KnownParameters {
         let limits = &self.robot.model.joints()[joint].limits;
         let drive = &self.robot.joints()[joint];
         let rotor_known = drive.rotor.inertia_kg_m2.get() > 0.0;
         KnownParameters {
             joint,
             servo_period_s: self.profile.servo_period_s(),
-            ratio: self.profile.ratio.get(),
-            set_points: self.robot.file.interface.set_points,
+            servo_ticks_per_cycle: self.profile.servo_ticks_per_cycle.get(),
+            setpoints: self.robot.file.interface.setpoints,
             lower: limits.lower,
             upper: limits.upper,
             speed_limit: limits.velocity,
@@ -304,7 +304,7 @@ fn effective_servo(found: &Identification) -> Vec<[f64; 3]> {
     points.iter().filter_map(point).collect()
 }
 
-impl Identified {
+impl IdentificationResults {
     /// True if every joint can be driven by torques.
     #[must_use]
     pub fn is_complete(&self) -> bool {
@@ -342,7 +342,7 @@ impl Identified {
         ]);
         for joint in &self.joints {
             let servo = joint.found.servo.as_ref();
-            let trust = joint.found.trust.as_ref();
+            let trust = joint.found.fit_quality.as_ref();
             let friction = servo.and_then(|s| s.friction);
             let percent = |share: f64| Cell::Number(100.0 * share);
             let scale = match joint.found.scale {
@@ -383,7 +383,7 @@ impl Identified {
             robot: self.robot.name(),
             profile: &self.profile_name,
             servo_hz: self.profile.servo_hz.get(),
-            ratio: self.profile.ratio.get(),
+            ratio: self.profile.servo_ticks_per_cycle.get(),
             seed: self.seed,
             robot_s: self.robot_s,
             delay_servo_ticks: self.delay().and_then(|(delay, all)| all.then_some(delay)),

@@ -2,14 +2,14 @@
 //!
 //! ```
 //! use opspace_experiment::run::replay::replay;
-//! use opspace_experiment::{Choice, Experiment, Files, Progress};
+//! use opspace_experiment::{RunOptions, Experiment, Files, Progress};
 //! use opspace_log::Recording;
 //! use std::io::Cursor;
 //!
 //! // A task file names its robot; `Files::Disk` reads files of your own.
 //! let task = "tasks/cartesian-tracking.toml".as_ref();
-//! let choice = Choice { duration_s: Some(2.0), ..Choice::default() };
-//! let experiment = Experiment::load(Files::Embedded, task, None, choice, &[])?;
+//! let options = RunOptions { duration_s: Some(2.0), ..RunOptions::default() };
+//! let experiment = Experiment::load(Files::Embedded, task, None, options, &[])?;
 //!
 //! // Run in simulation, with the log to memory; a `File` does as well.
 //! let result = experiment.run(Cursor::new(Vec::new()), &Progress::default())?;
@@ -42,8 +42,8 @@ pub use files::source::{FileError, Source};
 pub use files::suite::Suite;
 pub use files::task::Task;
 pub use files::task_kinds::{TaskKindError, TaskKinds};
-pub use preflight::{Finding, findings};
+pub use preflight::{Diagnostic, diagnostics};
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
-pub use run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+pub use run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 pub use run::summary::Summary;

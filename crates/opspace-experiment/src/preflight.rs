@@ -16,34 +16,34 @@
 //! The robot is the nominal one, at the task's start posture; its tasks are followed without error.
 
 mod case;
-mod finding;
-mod followed;
+mod diagnostic;
 mod freedom;
 mod goals;
 mod limits;
 mod motion;
+mod rollout;
 mod servo_gain;
 mod speeds;
 mod stability;
 mod times;
 
 use crate::run::experiment::{ControllerKind, Experiment};
-use case::Case;
-pub use finding::Finding;
-use followed::Followed;
+use case::PreflightCase;
+pub use diagnostic::Diagnostic;
+use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 
 /// Computes all findings that need no run; empty for most tasks. The finding of a gain margin comes from
 /// [`GainMargin::finding`].
 #[must_use]
-pub fn findings(experiment: &Experiment) -> Vec<Finding> {
-    let Some(case) = Case::new(experiment) else {
+pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
+    let Some(case) = PreflightCase::new(experiment) else {
         return Vec::new();
     };
-    let followed = Followed::new(&case);
+    let followed = Rollout::new(&case);
     let mut found = limits::of_start(&case);
     found.extend(freedom::singular_start(&case));
-    if experiment.choice().controller == ControllerKind::Osc {
+    if experiment.options().controller == ControllerKind::Osc {
         found.extend(freedom::undamped(&case));
         found.extend(stability::stiff_gains(&case));
     }
@@ -62,8 +62,8 @@ pub fn findings(experiment: &Experiment) -> Vec<Finding> {
 
 /// Lists the tasks that don't report what [`findings`] needs: their findings are incomplete.
 #[must_use]
-pub fn not_checked(experiment: &Experiment) -> Vec<Finding> {
-    let torques = experiment.choice().controller == ControllerKind::Osc;
-    let case = Case::new(experiment).filter(|_| torques);
+pub fn not_checked(experiment: &Experiment) -> Vec<Diagnostic> {
+    let torques = experiment.options().controller == ControllerKind::Osc;
+    let case = PreflightCase::new(experiment).filter(|_| torques);
     case.map_or_else(Vec::new, |case| stability::not_checked(&case))
 }

@@ -4,7 +4,7 @@
 use opspace_control::rank::reach;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::{BackendKind, Choice, Experiment, Files, Finding, findings};
+use opspace_experiment::{BackendKind, Diagnostic, Experiment, Files, RunOptions, diagnostics};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -65,7 +65,7 @@ fn root() -> PathBuf {
 }
 
 /// Builds an experiment from a task's text with changes, each an old part and a new one.
-fn experiment(task: &str, changes: &[(&str, &str)], choice: Choice, settings: &[&str]) -> Experiment {
+fn experiment(task: &str, changes: &[(&str, &str)], options: RunOptions, settings: &[&str]) -> Experiment {
     let folder = TempDir::new().unwrap();
     let mut text = task.replace("ROBOTS", root().join("robots").to_str().unwrap());
     for (old, new) in changes {
@@ -74,13 +74,13 @@ fn experiment(task: &str, changes: &[(&str, &str)], choice: Choice, settings: &[
     }
     fs::write(folder.path().join("task.toml"), text).unwrap();
     let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
-    Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, choice, &settings).unwrap()
+    Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, options, &settings).unwrap()
 }
 
 /// Returns the only finding that a change provokes, and the line of its place.
-fn only(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Finding, Option<usize>) {
-    let experiment = experiment(task, changes, Choice::default(), settings);
-    let mut found = findings(&experiment);
+fn only(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Diagnostic, Option<usize>) {
+    let experiment = experiment(task, changes, RunOptions::default(), settings);
+    let mut found = diagnostics(&experiment);
     assert_eq!(found.len(), 1, "{found:#?}");
     let finding = found.remove(0);
     let placed = finding.placed(&experiment);
@@ -88,7 +88,7 @@ fn only(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Finding, Op
     (finding, placed.line())
 }
 
-fn assert_says(finding: &Finding, key: &str, words: &[&str]) {
+fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
     assert_eq!(finding.key, key, "{finding:?}");
     let said = format!("{} {}", finding.message, finding.help);
     for word in words {
@@ -108,11 +108,11 @@ const MADE_TO_GO_WRONG: [(&str, &str); 4] = [
 #[test]
 fn nothing_is_found_in_good_files() {
     for task in [HAND, JOINTS, TIP] {
-        assert_eq!(findings(&experiment(task, &[], Choice::default(), &[])), []);
+        assert_eq!(diagnostics(&experiment(task, &[], RunOptions::default(), &[])), []);
     }
-    let velocity = Choice { backend: BackendKind::Velocity, ..Choice::default() };
+    let velocity = RunOptions { backend: BackendKind::Velocity, ..RunOptions::default() };
     for task in [HAND, JOINTS] {
-        assert_eq!(findings(&experiment(task, &[], velocity.clone(), &[])), []);
+        assert_eq!(diagnostics(&experiment(task, &[], velocity.clone(), &[])), []);
     }
     let mut seen = 0;
     for entry in fs::read_dir(root().join("tasks")).unwrap() {
@@ -122,8 +122,8 @@ fn nothing_is_found_in_good_files() {
         }
         seen += 1;
         for backend in [BackendKind::Position, BackendKind::Torque] {
-            let choice = Choice { backend, ..Choice::default() };
-            let found = findings(&Experiment::load(Files::Disk, &path, None, choice, &[]).unwrap());
+            let options = RunOptions { backend, ..RunOptions::default() };
+            let found = diagnostics(&Experiment::load(Files::Disk, &path, None, options, &[]).unwrap());
             let stem = path.file_stem().unwrap().to_str().unwrap();
             match MADE_TO_GO_WRONG.iter().find(|(name, _)| *name == stem) {
                 None => assert_eq!(found, [], "{}", path.display()),
@@ -138,11 +138,11 @@ fn nothing_is_found_in_good_files() {
 
 /// Position of the asimo arm's shoulder, and the direction from there to its hand at the start of [`HAND`].
 fn shoulder_and_direction() -> ([f64; 3], [f64; 3]) {
-    let experiment = experiment(HAND, &[], Choice::default(), &[]);
+    let experiment = experiment(HAND, &[], RunOptions::default(), &[]);
     let model = &experiment.robot().model;
     let mut data = Data::new(model);
     kinematics(model, &mut data, &[-0.45, -0.35, 0.25, -1.35], &[0.0; 4]);
-    let hand = frame_placement(model, &data, model.frame("hand").unwrap()).translation;
+    let hand = frame_placement(model, &data, model.frame_id("hand").unwrap()).translation;
     let shoulder = data.placement[0].translation;
     (shoulder.into(), (hand - shoulder).normalize().into())
 }
@@ -176,9 +176,9 @@ fn a_goal_beyond_the_arms_reach() {
     let (found, _) = only(&text, &[], &[]);
     assert_says(&found, "event.0.set", &["at 1.5 s its reference is 0.7 m from joint 'shoulder_pitch'"]);
 
-    let experiment = experiment(HAND, &[], Choice::default(), &[]);
+    let experiment = experiment(HAND, &[], RunOptions::default(), &[]);
     let model = &experiment.robot().model;
-    let links = reach(model, model.frame("hand").unwrap());
+    let links = reach(model, model.frame_id("hand").unwrap());
     assert!((links - 0.51).abs() < 1e-12);
 }
 
@@ -196,8 +196,8 @@ fn a_goal_that_the_elbow_cant_bend_to() {
         &["can't be reached within the joints' ranges", &missed],
     );
     // A centimetre outside that, and it is reached.
-    let inside = experiment(HAND, &[(OFFSET, &goal(nearest + 0.01))], Choice::default(), &[]);
-    assert_eq!(findings(&inside), []);
+    let inside = experiment(HAND, &[(OFFSET, &goal(nearest + 0.01))], RunOptions::default(), &[]);
+    assert_eq!(diagnostics(&inside), []);
 }
 
 /// Compared: goals of joints and postures, and the URDF's elbow, which ends at 0, with the margin of 0.01.
@@ -213,8 +213,8 @@ fn postures_beyond_the_joints_ends() {
     // Within the URDF's range, and in the margin only if there is one.
     let changes = [("elbow = -0.35 } }", "elbow = -0.005 } }")];
     only(JOINTS, &changes, &[]);
-    let without = experiment(JOINTS, &changes, Choice::default(), &["limits.enforce=false"]);
-    assert_eq!(findings(&without), []);
+    let without = experiment(JOINTS, &changes, RunOptions::default(), &["limits.enforce=false"]);
+    assert_eq!(diagnostics(&without), []);
 }
 
 /// Compared: the reported speed, and the peak of a minimum-jerk motion, 1.875 times the mean: 1 rad in 0.2 s, with 0.9
@@ -227,7 +227,7 @@ fn a_reference_faster_than_the_joints() {
         ["at 0.1 s", "joint 'elbow' for 9.38 rad/s", "7.2 rad/s, 0.9 of its limit of 8", "1.3 times as long"];
     assert_says(&found, "task.joints.joint-tracking.reference", &words);
     let slower = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.27")];
-    assert_eq!(findings(&experiment(JOINTS, &slower, Choice::default(), &[])), []);
+    assert_eq!(diagnostics(&experiment(JOINTS, &slower, RunOptions::default(), &[])), []);
 }
 
 /// Compared: the joints' speed for a motion of the tip, and the closed form of two links of 1 m: with both at right
@@ -259,7 +259,7 @@ fn a_reference_faster_than_its_tasks_limit() {
     assert_says(&found, "task.hand.cartesian.speed_limit_m_per_s", &words);
     let changes = limited("0.14");
     let changes = changes.each_ref().map(|(old, new)| (*old, new.as_str()));
-    assert_eq!(findings(&experiment(HAND, &changes, Choice::default(), &[])), []);
+    assert_eq!(diagnostics(&experiment(HAND, &changes, RunOptions::default(), &[])), []);
 }
 
 /// Root-mean-square error of the hand in a simulated run, m; infinite where the run was stopped.
@@ -285,19 +285,23 @@ fn gains_that_are_too_stiff() {
         (BackendKind::Position, "b-soft", 300.0),
         (BackendKind::Velocity, "b-soft", 300.0),
     ] {
-        let choice =
-            Choice { backend, profile: Some(profile.to_owned()), duration_s: Some(1.2), ..Choice::default() };
+        let options = RunOptions {
+            backend,
+            profile: Some(profile.to_owned()),
+            duration_s: Some(1.2),
+            ..RunOptions::default()
+        };
         let case = format!("{backend:?} {profile}");
         let with = |frequency: f64| {
             experiment(
                 HAND,
                 &[("rad_per_s = 14.0", &format!("rad_per_s = {frequency:?}"))],
-                choice.clone(),
+                options.clone(),
                 &[],
             )
         };
         let stiff = with(unstable);
-        let found = findings(&stiff);
+        let found = diagnostics(&stiff);
         assert_eq!(found.len(), 1, "{case}: {found:#?}");
         let words = ["would be unstable on this robot: the phase margin is -", "Hz, on joint '", "has 45°"];
         assert_says(&found[0], "task.hand.cartesian.gains.frequency_rad_per_s", &words);
@@ -305,7 +309,7 @@ fn gains_that_are_too_stiff() {
         assert_eq!(has_servo, backend != BackendKind::Torque, "{case}: {}", found[0].message);
         let proposed = found[0].help.split(' ').nth(2).unwrap().parse::<f64>().unwrap();
         let soft = with(proposed);
-        assert_eq!(findings(&soft), [], "{case}");
+        assert_eq!(diagnostics(&soft), [], "{case}");
         let [shakes, follows] = [&stiff, &soft].map(tracking);
         assert!(
             shakes > 2e-3 && follows < 5e-4,
@@ -341,18 +345,18 @@ fn gains_that_are_too_stiff() {
 /// Compared: limits with each other and with the start.
 #[test]
 fn limits_that_contradict_each_other() {
-    let (found, _) = only(HAND, &[], &["limits.velocity_share=1.5"]);
-    assert_says(&found, "limits.velocity_share", &["velocity_share is 1.5", "counts as 1"]);
-    let (found, _) = only(HAND, &[], &["limits.torque_share=2.0"]);
-    assert_says(&found, "limits.torque_share", &["torque_share is 2"]);
+    let (found, _) = only(HAND, &[], &["limits.velocity_fraction=1.5"]);
+    assert_says(&found, "limits.velocity_fraction", &["velocity_fraction is 1.5", "counts as 1"]);
+    let (found, _) = only(HAND, &[], &["limits.torque_fraction=2.0"]);
+    assert_says(&found, "limits.torque_fraction", &["torque_fraction is 2"]);
 
     // The elbow's range of 2.27 rad, from its middle; the shoulders' are wider.
     let middle = [("elbow = -1.35", "elbow = -1.134")];
     let text = HAND
         .replace("shoulder_roll = -0.35", "shoulder_roll = -0.8727")
         .replace(OFFSET, "position = { offset_m = [0.0, 0.0, 0.0] }");
-    let wide = experiment(&text, &middle, Choice::default(), &["limits.position_margin_rad=1.2"]);
-    let found = findings(&wide);
+    let wide = experiment(&text, &middle, RunOptions::default(), &["limits.position_margin_rad=1.2"]);
+    let found = diagnostics(&wide);
     assert!(
         found.iter().any(|f| f.message.contains("both ends of joint 'elbow', whose range is 2.27")),
         "{found:#?}"
@@ -378,19 +382,19 @@ fn limits_that_contradict_each_other() {
 fn weight_that_a_joint_cant_carry() {
     let needed = 9.81 * (1.5 * f64::cos(0.6) + 0.5 * f64::cos(1.8));
     assert!((needed - 11.03).abs() < 5e-3);
-    let share = |of_needed: f64| format!("limits.torque_share={}", of_needed * needed / 60.0);
+    let share = |of_needed: f64| format!("limits.torque_fraction={}", of_needed * needed / 60.0);
     let (found, _) = only(TIP, &[], &[&share(0.9)]);
     let words = [
         "joint 'shoulder' needs 11 Nm to hold the start, and may use 9.93 Nm",
-        "torque_share at least 0.184",
+        "torque_fraction at least 0.184",
     ];
-    assert_says(&found, "limits.torque_share", &words);
+    assert_says(&found, "limits.torque_fraction", &words);
     let (found, line) = only(TIP, &[], &["robot.joint.shoulder.torque_limit_nm=8.0"]);
     assert_says(&found, "joint.shoulder.torque_limit_nm", &["needs", "may use 8 Nm"]);
     assert_eq!(line, None, "told at the setting");
     // As much as it needs.
     let enough = share(1.01);
-    assert_eq!(findings(&experiment(TIP, &[], Choice::default(), &[&enough])), []);
+    assert_eq!(diagnostics(&experiment(TIP, &[], RunOptions::default(), &[&enough])), []);
 
     // Out and up at the end of the way it weighs more than at the start.
     let stretched = TIP.replace(
@@ -398,7 +402,11 @@ fn weight_that_a_joint_cant_carry() {
         "reference.point-to-point = { position = { offset_m = [0.6, 0.0, 0.0] }, duration_s = 1.5 }",
     );
     let (found, _) = only(&stretched, &[], &[&enough]);
-    assert_says(&found, "limits.torque_share", &["joint 'shoulder' needs", "to hold what is asked for at"]);
+    assert_says(
+        &found,
+        "limits.torque_fraction",
+        &["joint 'shoulder' needs", "to hold what is asked for at"],
+    );
     let (found, _) = only(&stretched, &[], &["robot.joint.shoulder.torque_rate_limit_nm_per_s=2.0"]);
     let words = ["weight on joint 'shoulder' changes by", "its torque may change by 2 Nm/s"];
     assert_says(&found, "joint.shoulder.torque_rate_limit_nm_per_s", &words);
@@ -424,10 +432,10 @@ fn a_singular_start() {
         let better = experiment(
             TIP,
             &changes.each_ref().map(|(old, new)| (*old, new.as_str())),
-            Choice::default(),
+            RunOptions::default(),
             &[],
         );
-        assert_eq!(findings(&better), []);
+        assert_eq!(diagnostics(&better), []);
     }
 }
 
@@ -441,10 +449,10 @@ fn freedom_that_nothing_damps() {
     let zero = experiment(
         HAND,
         &[(rest, "[task.rest.joint-damping]\ndamping_nms_per_rad = 0.0\n")],
-        Choice::default(),
+        RunOptions::default(),
         &[],
     );
-    assert_eq!(findings(&zero), []);
+    assert_eq!(diagnostics(&zero), []);
 }
 
 #[test]
@@ -454,7 +462,7 @@ fn a_run_that_is_too_short() {
     };
     let (found, _) = only(&event("2.0"), &[], &[]);
     assert_says(&found, "event.0.time_s", &["the event at 2 s never comes: the run lasts 2 s"]);
-    assert_eq!(findings(&experiment(&event("1.9"), &[], Choice::default(), &[])), []);
+    assert_eq!(diagnostics(&experiment(&event("1.9"), &[], RunOptions::default(), &[])), []);
 
     let longer = [("0.05] }, duration_s = 1.0", "0.05] }, duration_s = 2.5")];
     let (found, line) = only(HAND, &longer, &[]);
@@ -471,7 +479,7 @@ fn a_run_that_is_too_short() {
     let (found, _) = only(HAND, &[(before, goal)], &[]);
     assert_says(&found, "duration_s", &["hasn't arrived when the run ends at 2 s, it moves at 0.02 m/s"]);
     let faster = goal.replace("velocity_m_per_s = 0.02", "velocity_m_per_s = 0.2");
-    assert_eq!(findings(&experiment(HAND, &[(before, &faster)], Choice::default(), &[])), []);
+    assert_eq!(diagnostics(&experiment(HAND, &[(before, &faster)], RunOptions::default(), &[])), []);
 
     let (found, _) = only(HAND, &[("settle_s = 0.5", "settle_s = 0.1")], &[]);
     assert_says(&found, "settle_s", &["count from 0.1 s on", "over the first 0.2 s", "settle_s = 0.2"]);

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use opspace_backend::{Layout, Signal};
 use opspace_experiment::evaluate::metrics::{metrics, timing};
-use opspace_experiment::{BackendKind, Choice, ControllerKind, Experiment, Files};
+use opspace_experiment::{BackendKind, ControllerKind, Experiment, Files, RunOptions};
 use opspace_log::{Channel, Header, Pace, Recording, record};
 use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
@@ -18,14 +18,14 @@ const XYZ: [&str; 3] = ["x", "y", "z"];
 
 fn experiment(task: &str) -> Experiment {
     let path = format!("tasks/{task}.toml");
-    Experiment::load(Files::Embedded, Path::new(&path), None, Choice::default(), &[]).unwrap()
+    Experiment::load(Files::Embedded, Path::new(&path), None, RunOptions::default(), &[]).unwrap()
 }
 
 fn hand(experiment: &Experiment, q: &[f64]) -> Vector3<f64> {
     let model = &experiment.robot().model;
     let mut data = Data::new(model);
     kinematics(model, &mut data, q, &[0.0; 4]);
-    frame_placement(model, &data, model.frame("hand").unwrap()).translation
+    frame_placement(model, &data, model.frame_id("hand").unwrap()).translation
 }
 
 /// Builds a log of 8 s at 1 kHz with 5 servo ticks per row; the content of each row is given by its index.
@@ -155,11 +155,11 @@ fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
 /// Compared: the hold ripple beside a constant error, and a sawtooth 1.2 times as high as constant speeds produce
 /// without a current loop.
 #[test]
-fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_set_point_leaves() {
-    let hold_ripple = |choice: Choice, settings: &[&str]| {
+fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_setpoint_leaves() {
+    let hold_ripple = |options: RunOptions, settings: &[&str]| {
         let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
         let path = Path::new("tasks/cartesian-tracking.toml");
-        let experiment = Experiment::load(Files::Embedded, path, None, choice, &settings).unwrap();
+        let experiment = Experiment::load(Files::Embedded, path, None, options, &settings).unwrap();
         let speed = [0.5, -0.2, 0.1, 1.0];
         let stiffness = [94.6, 89.9, 30.4, 30.3].map(|kv| 50.265 * kv);
         let servo = |s: usize| {
@@ -171,15 +171,15 @@ fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_set_point_leav
         metrics(&experiment, &recording).hold_ripple
     };
     // The current loop smooths the sawtooth to this at 1 kHz (a recursion in another language).
-    let ripple = hold_ripple(Choice::default(), &[]).unwrap();
+    let ripple = hold_ripple(RunOptions::default(), &[]).unwrap();
     assert!((ripple * 0.534_703_767_082 / 1.2 - 1.0).abs() < 1e-11, "{ripple}");
     // A servo that is stiffer than its nominal value leaves more ripple: the same ripple is a smaller multiple of it.
-    let stiffer = hold_ripple(Choice::default(), &["robot.simulated.scale.kp=1.5"]);
+    let stiffer = hold_ripple(RunOptions::default(), &["robot.simulated.true_over_nominal.kp=1.5"]);
     assert!(near(stiffer, ripple / 1.5), "{stiffer:?}");
-    let torque = Choice { backend: BackendKind::Torque, ..Choice::default() };
-    let ik = Choice { controller: ControllerKind::Ik, ..Choice::default() };
+    let torque = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
+    let ik = RunOptions { controller: ControllerKind::Ik, ..RunOptions::default() };
     assert_eq!((hold_ripple(torque, &[]), hold_ripple(ik, &[])), (None, None));
-    assert_eq!(hold_ripple(Choice::default(), &["robot.profile.a-med.ratio=1"]), None);
+    assert_eq!(hold_ripple(RunOptions::default(), &["robot.profile.a-med.servo_ticks_per_cycle=1"]), None);
 }
 
 /// A run without desired torque has no torque error, rather than a meaningless number.

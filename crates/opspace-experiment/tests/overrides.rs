@@ -144,7 +144,11 @@ fn tags_may_be_left_out() {
 #[test]
 fn whole_tables_and_new_keys_are_set() {
     equals_by_hand("duration_s=8", "seed = 1", "seed = 1\nduration_s = 8");
-    equals_by_hand("simulated.scale.kp=1.2", "[[via]]", "[simulated.scale]\nkp = 1.2\n[[via]]");
+    equals_by_hand(
+        "simulated.true_over_nominal.kp=1.2",
+        "[[via]]",
+        "[simulated.true_over_nominal]\nkp = 1.2\n[[via]]",
+    );
     equals_by_hand(
         "task.hand.gains={frequency_rad_per_s=1, damping_ratio=2}",
         "{ frequency_rad_per_s = 14.142, damping_ratio = 1.0 }",
@@ -245,14 +249,14 @@ fn a_later_error_names_the_setting_that_caused_it() {
 
 #[test]
 fn settings_of_another_file_are_parted_and_keep_their_spelling() {
-    let settings = ["robot.profile.a-med.ratio=1", "robot=../x", "seed=2"].map(str::to_owned);
+    let settings = ["robot.profile.a-med.servo_ticks_per_cycle=1", "robot=../x", "seed=2"].map(str::to_owned);
     let (robot, task) = split(&settings, "robot");
     assert_eq!((robot.as_slice(), task.as_slice()), (&settings[..1], &settings[1..]));
     let file = Source::new("robot.toml", "urdf = \"x\"\n[profile.a-med]\nratio = 5\n");
     let applied = apply_below(&file, "robot", &robot).expect("applied");
     assert_eq!(applied.text(), "urdf = \"x\"\n[profile.a-med]\nratio = 1\n");
     let error = FileError::at_key(&applied, "profile.a-med.ratio", "m", None);
-    assert_eq!(error.to_string(), "--set robot.profile.a-med.ratio=1: m");
+    assert_eq!(error.to_string(), "--set robot.profile.a-med.servo_ticks_per_cycle=1: m");
     let stray = apply_below(&file, "robot", &task).expect_err("refused");
     assert_eq!(stray.message(), "this setting must begin with `robot.`");
 }

@@ -3,7 +3,9 @@
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{Choice, Experiment, FileError, Files, Progress, Robot, Source, Task, TaskKinds};
+use opspace_experiment::{
+    Experiment, FileError, Files, Progress, Robot, RunOptions, Source, Task, TaskKinds,
+};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::{Fault, RunOutcome};
 use opspace_model::{Data, Model};
@@ -70,7 +72,7 @@ fn experiment() -> Experiment {
         Err(FileError::of_file("none", "no recording is named", None))
     });
     let robot = Robot::load(Files::Embedded, Path::new("robots/asimo-arm"), &[]).expect("a good robot");
-    Experiment::new(robot, task.expect("a good task"), Choice::default(), Vec::new()).expect("they fit")
+    Experiment::new(robot, task.expect("a good task"), RunOptions::default(), Vec::new()).expect("they fit")
 }
 
 /// Compared: the logged positions and the position of the panic, the outcome in the log and that of the run, and the

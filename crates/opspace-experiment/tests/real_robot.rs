@@ -6,7 +6,9 @@ use opspace_backend::{
     Backend, Capabilities, Command, DeviceFault, Driver, DriverError, GroundTruth, Sample, Settings,
     TruthLayouts, TruthRow, World,
 };
-use opspace_experiment::{BackendKind, Choice, Experiment, Extensions, Files, Metrics, Progress, RunError};
+use opspace_experiment::{
+    BackendKind, Experiment, Extensions, Files, Metrics, Progress, RunError, RunOptions,
+};
 use opspace_log::Recording;
 use opspace_sim::SimulatedArm;
 use std::cell::RefCell;
@@ -92,9 +94,9 @@ const ROBOT: &str = "robots/asimo-arm/robot.toml";
 const BACKENDS: [BackendKind; 3] = [BackendKind::Position, BackendKind::Velocity, BackendKind::Torque];
 
 fn experiment(task: &str, backend: BackendKind, settings: &[&str]) -> Experiment {
-    let choice = Choice { backend, duration_s: Some(2.0), ..Choice::default() };
+    let options = RunOptions { backend, duration_s: Some(2.0), ..RunOptions::default() };
     let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
-    Experiment::load(Files::Embedded, Path::new(task), None, choice, &settings).unwrap()
+    Experiment::load(Files::Embedded, Path::new(task), None, options, &settings).unwrap()
 }
 
 /// Metrics of a simulated run on a clock that starts at `clock_start_s`, and the missed cycles.

@@ -3,7 +3,7 @@
 
 use opspace_experiment::Progress;
 use opspace_experiment::run::replay::replay;
-use opspace_experiment::{Choice, Experiment, Files};
+use opspace_experiment::{Experiment, Files, RunOptions};
 use opspace_log::Recording;
 use std::fs;
 use std::path::Path;
@@ -47,7 +47,7 @@ fn folder(path: &str) -> TempDir {
 }
 
 fn load(folder: &TempDir) -> Result<Experiment, opspace_experiment::FileError> {
-    Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, Choice::default(), &[])
+    Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, RunOptions::default(), &[])
 }
 
 fn run(experiment: &Experiment) -> Recording {

@@ -4,7 +4,7 @@
 
 use opspace_experiment::Progress;
 use opspace_experiment::preflight::{ServoLoop, gain_margin};
-use opspace_experiment::{BackendKind, Choice, Experiment, Files};
+use opspace_experiment::{BackendKind, Experiment, Files, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use std::io::Cursor;
@@ -22,11 +22,12 @@ fn experiment(task: &str, profile: &str, transformer: &str, settings: &[String])
 /// A task on the ASIMO-like arm as a robot of the kind `backend`, with settings.
 fn on(backend: BackendKind, task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
     let profile_name = Some(profile.to_owned());
-    let choice = Choice { backend, profile: profile_name, duration_s: Some(3.0), ..Choice::default() };
+    let options =
+        RunOptions { backend, profile: profile_name, duration_s: Some(3.0), ..RunOptions::default() };
     let transformer = format!("robot.profile.{profile}.{transformer}");
     let settings: Vec<String> = std::iter::once(transformer).chain(settings.iter().cloned()).collect();
     let path = format!("tasks/{task}.toml");
-    Experiment::load(Files::Embedded, Path::new(&path), None, choice, &settings).unwrap()
+    Experiment::load(Files::Embedded, Path::new(&path), None, options, &settings).unwrap()
 }
 
 fn excess(experiment: &Experiment) -> Option<f64> {
@@ -114,7 +115,7 @@ fn the_motors_current_lifts_the_margin() {
 /// Outcome of a run of the simulated robot whose position loops have that share of excess gain, and its highest speed,
 /// rad/s.
 fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) {
-    let scale = format!("robot.simulated.scale.kp={:?}", 1.0 + excess);
+    let scale = format!("robot.simulated.true_over_nominal.kp={:?}", 1.0 + excess);
     let experiment = experiment(task, "a-med", transformer, &[scale]);
     let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
     let recording = Recording::from_bytes(finished.sink.get_ref()).unwrap();
@@ -164,7 +165,7 @@ fn a_small_margin_is_a_finding() {
     }
     let large = experiment("gravity-compensation", "a-med", EMULATION_CURRENT, &[]);
     assert_eq!(gain_margin(&large).unwrap().finding(&large), None);
-    let torque = Choice { backend: BackendKind::Torque, ..Choice::default() };
+    let torque = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
     let path = Path::new("tasks/gravity-compensation.toml");
     let torque = Experiment::load(Files::Embedded, path, None, torque, &[]).unwrap();
     assert_eq!(gain_margin(&torque), None);

@@ -3,7 +3,7 @@
 
 use opspace_backend::{Backend, GroundTruth, Sample};
 use opspace_control::CartesianTarget;
-use opspace_experiment::{Choice, Experiment, Files, Progress};
+use opspace_experiment::{Experiment, Files, Progress, RunOptions};
 use opspace_log::Recording;
 use std::io::Cursor;
 use std::path::Path;
@@ -16,8 +16,8 @@ fn cycles_with_a_stale_target_are_counted_in_the_summary() {
     const RENEWED: [u64; 2] = [300, 700];
     const TIMEOUT_CYCLES: u64 = 100;
     let task = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/tasks/streamed.toml");
-    let choice = Choice { duration_s: Some(1.0), ..Choice::default() };
-    let experiment = Experiment::load(Files::Disk, &task, None, choice, &[]).unwrap();
+    let options = RunOptions { duration_s: Some(1.0), ..RunOptions::default() };
+    let experiment = Experiment::load(Files::Disk, &task, None, options, &[]).unwrap();
     let mut arm = experiment.simulated_arm().unwrap();
     let (capabilities, truth) = (arm.capabilities().clone(), arm.ground_truth().map(GroundTruth::layouts));
     let mut cycles = 0;

@@ -4,7 +4,7 @@ use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, TaskParameters};
 use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{
-    Choice, Experiment, FileError, Files, Robot, Source, Task, TaskKindError, TaskKinds, findings,
+    Experiment, FileError, Files, Robot, RunOptions, Source, Task, TaskKindError, TaskKinds, diagnostics,
 };
 use opspace_model::{Data, Model};
 use serde::Deserialize;
@@ -79,7 +79,7 @@ fn a_registered_kind_is_built_from_its_table() {
     let task = load(TASK).expect("a good file");
     assert!(matches!(&task.file.task["sum"], TaskParameters::Registered(p) if p.kind() == "joint-sum"));
     let experiment =
-        Experiment::new(panda(), task, Choice::default(), Vec::new()).expect("it fits the robot");
+        Experiment::new(panda(), task, RunOptions::default(), Vec::new()).expect("it fits the robot");
     let controller = experiment.controller().expect("it was checked");
     assert!(controller.signals().iter().any(|signal| signal.name == "sum.value"));
 }
@@ -143,7 +143,7 @@ gains = {{ frequency_rad_per_s = 10.0, damping_ratio = 1.0 }}
 fn a_swivel_task_is_read_from_a_file() {
     let text = swivel("0.5");
     let experiment = |text: &str| {
-        load(text).and_then(|task| Experiment::new(panda(), task, Choice::default(), Vec::new()))
+        load(text).and_then(|task| Experiment::new(panda(), task, RunOptions::default(), Vec::new()))
     };
     let controller = experiment(&text).and_then(|experiment| experiment.controller()).expect("it fits");
     assert!(controller.signals().iter().any(|signal| signal.name == "sum.reference"));
@@ -158,11 +158,11 @@ fn preflight_follows_every_task() {
     let experiment = |duration_s: &str| {
         let text = swivel(duration_s);
         let task = load(&text).expect("a good file");
-        Experiment::new(panda(), task, Choice::default(), Vec::new()).expect("it fits the robot")
+        Experiment::new(panda(), task, RunOptions::default(), Vec::new()).expect("it fits the robot")
     };
     let key = "task.sum.swivel.reference";
     let found = |duration_s: &str| {
-        let found = findings(&experiment(duration_s));
+        let found = diagnostics(&experiment(duration_s));
         found.into_iter().filter(|found| found.key == key).map(|found| found.message).collect::<Vec<_>>()
     };
     assert!(!found("0.05").is_empty(), "a reference faster than the joints");
@@ -174,6 +174,6 @@ fn preflight_follows_every_task() {
 #[test]
 fn unknown_gains_are_reported() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-impedance.toml");
-    let experiment = Experiment::load(Files::Disk, &path, None, Choice::default(), &[]).expect("a task");
+    let experiment = Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");
     assert!(!not_checked(&experiment).is_empty());
 }

@@ -3,8 +3,10 @@
 
 use opspace_backend::CommandKind;
 use opspace_experiment::evaluate::results::MEASURES;
-use opspace_experiment::report::page::{Shown, page};
-use opspace_experiment::{BackendKind, Choice, Experiment, FileError, Files, Progress, Robot, Source, Task};
+use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::{
+    BackendKind, Experiment, FileError, Files, Progress, Robot, RunOptions, Source, Task,
+};
 use opspace_log::Recording;
 use opspace_transformer::{Method, ServoParameters, TransformerKind};
 use std::io::Cursor;
@@ -23,7 +25,7 @@ fn robot(settings: &[&str]) -> Result<Robot, FileError> {
 fn on_robot(robot: Robot, backend: BackendKind, transformer: Option<&str>) -> Result<Experiment, FileError> {
     let task = Task::load(Files::Embedded, Path::new("tasks/cartesian-tracking.toml"), &[])?;
     let transformer = transformer.map(|name| TransformerKind::named(name).unwrap());
-    Experiment::new(robot, task, Choice { backend, transformer, ..Choice::default() }, Vec::new())
+    Experiment::new(robot, task, RunOptions { backend, transformer, ..RunOptions::default() }, Vec::new())
 }
 
 fn experiment(transformer: Option<&str>, settings: &[&str]) -> Result<Experiment, FileError> {
@@ -47,12 +49,12 @@ fn section(text: &str, heading: &str) -> String {
 #[test]
 fn transformers_of_a_velocity_robot_command_velocities() {
     for (name, setting) in [
-        ("paper", "interface.set_points=held"),
-        ("paper+current", "interface.set_points=held"),
-        ("emulation", "interface.set_points=held"),
-        ("emulation+current", "interface.set_points=interpolated"),
-        ("interpolating", "interface.set_points=interpolated"),
-        ("interpolating+current", "interface.set_points=interpolated"),
+        ("paper", "interface.setpoints=held"),
+        ("paper+current", "interface.setpoints=held"),
+        ("emulation", "interface.setpoints=held"),
+        ("emulation+current", "interface.setpoints=interpolated"),
+        ("interpolating", "interface.setpoints=interpolated"),
+        ("interpolating+current", "interface.setpoints=interpolated"),
     ] {
         let experiment = experiment(Some(name), &[setting]).unwrap();
         assert_eq!(experiment.transformer_kind(), TransformerKind::named(name));
@@ -70,8 +72,8 @@ fn transformers_of_a_velocity_robot_command_velocities() {
 fn default_is_chosen_as_for_positions() {
     for (settings, method, current) in [
         (vec![], Method::Emulation, true),
-        (vec!["interface.measures=[\"position\"]"], Method::Emulation, false),
-        (vec!["interface.set_points=interpolated"], Method::Interpolating, true),
+        (vec!["interface.measured=[\"position\"]"], Method::Emulation, false),
+        (vec!["interface.setpoints=interpolated"], Method::Interpolating, true),
     ] {
         let [velocity, position] = [BackendKind::Velocity, BackendKind::Position]
             .map(|backend| on_robot(robot(&settings).unwrap(), backend, None).unwrap().transformer_kind());
@@ -92,9 +94,9 @@ fn transformers_that_need_a_position_loop_are_refused() {
     let error = experiment(Some("paper+current"), &[integral]).unwrap_err();
     assert!(error.message().contains("the integral in the velocity servo of 'elbow'"), "{error}");
     assert!(experiment(Some("emulation"), &[integral]).is_ok());
-    let refined = "profile.a-med.refine={time_s=1.0,within=0.3}";
+    let refined = "profile.a-med.adapt_gains={time_s=1.0,max_relative_change=0.3}";
     let error = experiment(None, &[refined]).unwrap_err();
-    assert!(error.message().contains("velocity servos can't be refined"), "{error}");
+    assert!(error.message().contains("velocity servos can't be adapted"), "{error}");
 }
 
 /// Velocity servos of the file, and the inner loops of its cascades.
@@ -155,10 +157,11 @@ fn missing_servos_are_named() {
 /// acceleration, and the largest of the recorded signal.
 #[test]
 fn setpoints_of_a_velocity_robot_are_shown_as_velocities() {
-    let choice = Choice { backend: BackendKind::Velocity, duration_s: Some(0.6), ..Choice::default() };
+    let options =
+        RunOptions { backend: BackendKind::Velocity, duration_s: Some(0.6), ..RunOptions::default() };
     let settings = ["settle_s=0.0".to_owned()];
     let path = Path::new("tasks/gravity-compensation.toml");
-    let experiment = Experiment::load(Files::Embedded, path, None, choice, &settings).unwrap();
+    let experiment = Experiment::load(Files::Embedded, path, None, options, &settings).unwrap();
     let finished = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
     let recording = Recording::from_bytes(finished.sink.get_ref()).unwrap();
     let summary = experiment.summary(&recording, &finished.record, None);
@@ -168,9 +171,9 @@ fn setpoints_of_a_velocity_robot_are_shown_as_velocities() {
         rates.rows().flatten().filter(|rate| rate.is_finite()).fold(0.0, |max: f64, v| max.max(v.abs()));
     assert!(largest > 0.0);
     assert_eq!(summary.metrics.setpoint_acceleration_max_rad_per_s2, Some(largest));
-    assert_eq!(summary.metrics.set_point_speed_max_rad_per_s, None);
+    assert_eq!(summary.metrics.setpoint_speed_max_rad_per_s, None);
 
-    let shown = Shown::new(&experiment, &recording, summary.clone());
+    let shown = RunSection::new(&experiment, &recording, summary.clone());
     let page = page("Title", "Lead.", &[summary], MEASURES, &[shown]);
     assert!(page.contains("gravity-compensation: velocity robot, osc through"));
     assert!(page.contains("velocity (rad/s)"), "the figure of the setpoints");

@@ -67,7 +67,7 @@ pub struct Gains {
 pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<Gains> {
     let measured = levels.iter().all(|l| l.torque.is_some());
     let mut fitted: Vec<(f64, Gains)> = Vec::new();
-    for delay in 0..=rates.ratio {
+    for delay in 0..=rates.servo_ticks_per_cycle {
         let rates = Rates { delay, ..rates };
         let one = if measured { with_torque(levels, rates) } else { without_torque(levels, rates, lag) };
         fitted.extend(one);
@@ -189,7 +189,7 @@ fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
 /// Initial gains, as if the setpoints were continuous: `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
 fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     let low = |hz: f64| hz * rates.period_s() < 0.15;
-    let late = (f64::from(rates.delay) + 0.5 * f64::from(rates.ratio)) * rates.servo_period_s;
+    let late = (f64::from(rates.delay) + 0.5 * f64::from(rates.servo_ticks_per_cycle)) * rates.servo_period_s;
     let mut rows = Vec::new();
     let mut moves = Vec::new();
     for (position, torque) in pairs(levels).filter(|(p, _)| low(p.hz)) {

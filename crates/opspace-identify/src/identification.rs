@@ -20,9 +20,9 @@ pub struct KnownParameters {
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
     /// Behaviour of the drive between two setpoints: hold or interpolate.
-    pub set_points: Setpoints,
+    pub setpoints: Setpoints,
     /// Lower position limit, rad (m).
     pub lower: f64,
     /// Upper position limit, rad (m).
@@ -40,8 +40,8 @@ pub struct KnownParameters {
 
 impl KnownParameters {
     pub(crate) fn rates(&self, delay: u32) -> Rates {
-        let Self { servo_period_s, ratio, set_points, .. } = *self;
-        Rates { servo_period_s, ratio, delay, set_points }
+        let Self { servo_period_s, servo_ticks_per_cycle: ratio, setpoints, .. } = *self;
+        Rates { servo_period_s, servo_ticks_per_cycle: ratio, delay, setpoints }
     }
 }
 
@@ -110,7 +110,7 @@ pub enum IdentificationFailure {
     },
     /// Joint that does not follow its setpoints.
     #[error(
-        "it does not follow its set-points: at {hz:.1} Hz it moves by {gain:.2} of what is asked; is it locked, braked or in contact?"
+        "it does not follow its setpoints: at {hz:.1} Hz it moves by {gain:.2} of what is asked; is it locked, braked or in contact?"
     )]
     DoesNotFollow {
         /// Frequency, Hz.
@@ -119,7 +119,7 @@ pub enum IdentificationFailure {
         gain: f64,
     },
     /// Response without a dominant linear part.
-    #[error("{:.0} % of its motion is not linear in its set-points", 100.0 * distortion)]
+    #[error("{:.0} % of its motion is not linear in its setpoints", 100.0 * distortion)]
     NotLinear {
         /// Rms outside the excited lines over rms at them.
         distortion: f64,
@@ -210,7 +210,8 @@ pub struct Identification {
     /// Relative error of the rational model, rms.
     pub rational_residual: Option<f64>,
     /// Fit quality of the servo.
-    pub trust: Option<FitQuality>,
+    #[serde(rename = "trust")]
+    pub fit_quality: Option<FitQuality>,
     /// Reason why it can't be inverted.
     pub refused: Option<String>,
 }

@@ -27,18 +27,18 @@ pub struct Rates {
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
     /// Servo ticks until a setpoint acts, at most `ratio`.
     pub delay: u32,
     /// Behaviour of the drive between two setpoints: hold or interpolate.
-    pub set_points: Setpoints,
+    pub setpoints: Setpoints,
 }
 
 impl Rates {
     /// Time between two interface cycles, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
-        f64::from(self.ratio) * self.servo_period_s
+        f64::from(self.servo_ticks_per_cycle) * self.servo_period_s
     }
 }
 
@@ -66,11 +66,11 @@ type ComplexMatrix = SMatrix<Complex<f64>, MEMORY, MEMORY>;
 #[derive(Clone, Copy, Debug)]
 pub struct Responses {
     /// A: position at the interface cycle per unit of setpoint.
-    pub position_of_set_point: Complex<f64>,
+    pub position_of_setpoint: Complex<f64>,
     /// B: position at the interface cycle per unit of force.
     pub position_of_force: Complex<f64>,
     /// C: mean torque per unit of setpoint.
-    pub torque_of_set_point: Complex<f64>,
+    pub torque_of_setpoint: Complex<f64>,
     /// D: mean torque per unit of force.
     pub torque_of_force: Complex<f64>,
 }
@@ -79,20 +79,20 @@ impl Responses {
     /// Force over setpoint that explains a measured position response.
     #[must_use]
     pub fn force(&self, position: Complex<f64>) -> Complex<f64> {
-        (position - self.position_of_set_point) / self.position_of_force
+        (position - self.position_of_setpoint) / self.position_of_force
     }
 
     /// Mean torque over setpoint that belongs to a measured position response.
     #[must_use]
     pub fn torque(&self, position: Complex<f64>) -> Complex<f64> {
-        self.torque_of_set_point + self.torque_of_force * self.force(position)
+        self.torque_of_setpoint + self.torque_of_force * self.force(position)
     }
 
     /// Position response where the only force is viscous friction `b` (Nms/rad) at angular frequency `omega`.
     #[must_use]
     pub fn position_with_friction(&self, b: f64, omega: f64) -> Complex<f64> {
         let one = Complex::new(1.0, 0.0);
-        self.position_of_set_point / (one + self.position_of_force * Complex::new(0.0, b * omega))
+        self.position_of_setpoint / (one + self.position_of_force * Complex::new(0.0, b * omega))
     }
 }
 
@@ -104,8 +104,8 @@ pub struct Interval {
     memory: SMatrix<f64, MEMORY, MEMORY>,
     memory_torque: Memory,
     /// Maps from the setpoint.
-    set_point: Memory,
-    set_point_torque: f64,
+    setpoint: Memory,
+    setpoint_torque: f64,
     /// Maps from a force during each servo period.
     force: Vec<(Memory, f64)>,
 }
@@ -124,9 +124,11 @@ impl Interval {
             memory.set_column(i, &end);
             memory_torque[i] = torque;
         }
-        let (set_point, set_point_torque) = tick.roll(Memory::zeros(), &rates, 1.0, None);
-        let force = (0..rates.ratio).map(|j| tick.roll(Memory::zeros(), &rates, 0.0, Some(j))).collect();
-        Self { rates, memory, memory_torque, set_point, set_point_torque, force }
+        let (setpoint, setpoint_torque) = tick.roll(Memory::zeros(), &rates, 1.0, None);
+        let force = (0..rates.servo_ticks_per_cycle)
+            .map(|j| tick.roll(Memory::zeros(), &rates, 0.0, Some(j)))
+            .collect();
+        Self { rates, memory, memory_torque, setpoint: setpoint, setpoint_torque, force }
     }
 
     /// Returns the responses at a frequency, Hz.
@@ -148,15 +150,15 @@ impl Interval {
             push_torque += phase * *torque;
         }
         let factor = pencil.lu();
-        let of_set_point = factor.solve(&self.set_point.map(|v| Complex::new(v, 0.0)))?;
+        let of_setpoint = factor.solve(&self.setpoint.map(|v| Complex::new(v, 0.0)))?;
         let of_force = factor.solve(&push)?;
         let torque = |x: &SVector<Complex<f64>, MEMORY>| -> Complex<f64> {
             x.iter().zip(self.memory_torque.iter()).map(|(x, c)| x * *c).sum()
         };
         Some(Responses {
-            position_of_set_point: of_set_point[0],
+            position_of_setpoint: of_setpoint[0],
             position_of_force: of_force[0],
-            torque_of_set_point: torque(&of_set_point) + self.set_point_torque,
+            torque_of_setpoint: torque(&of_setpoint) + self.setpoint_torque,
             torque_of_force: torque(&of_force) + push_torque,
         })
     }
@@ -195,15 +197,20 @@ impl Tick {
 
     /// Computes an interval from `memory` on under a setpoint, with a force of 1 during the servo period `pushed`: the
     /// state at its end and the mean torque.
-    fn roll(&self, memory: Memory, rates: &Rates, set_point: f64, pushed: Option<u32>) -> (Memory, f64) {
+    fn roll(&self, memory: Memory, rates: &Rates, setpoint: f64, pushed: Option<u32>) -> (Memory, f64) {
         let [mut q, mut dq, mut w, mut last, mut motor, before, earlier] = memory.data.0[0];
         let t = self.period_s;
         let mut sum = 0.0;
-        for j in 0..rates.ratio {
+        for j in 0..rates.servo_ticks_per_cycle {
             let wanted = if j >= rates.delay {
-                rates.set_points.at(before, set_point, j - rates.delay, rates.ratio)
+                rates.setpoints.at(before, setpoint, j - rates.delay, rates.servo_ticks_per_cycle)
             } else {
-                rates.set_points.at(earlier, before, rates.ratio - rates.delay + j, rates.ratio)
+                rates.setpoints.at(
+                    earlier,
+                    before,
+                    rates.servo_ticks_per_cycle - rates.delay + j,
+                    rates.servo_ticks_per_cycle,
+                )
             };
             w += self.filter * ((q - last) / t - w);
             last = q;
@@ -215,7 +222,10 @@ impl Tick {
             dq += (t * (asked + force) + gap * self.lag_s) / self.inertia;
             motor = asked + gap * self.lag;
         }
-        (Memory::from([q, dq, w, last, motor, set_point, before]), sum / f64::from(rates.ratio))
+        (
+            Memory::from([q, dq, w, last, motor, setpoint, before]),
+            sum / f64::from(rates.servo_ticks_per_cycle),
+        )
     }
 }
 
@@ -223,7 +233,8 @@ impl Tick {
 mod tests {
     use super::*;
 
-    const RATES: Rates = Rates { servo_period_s: 1e-3, ratio: 5, delay: 2, set_points: Setpoints::Held };
+    const RATES: Rates =
+        Rates { servo_period_s: 1e-3, servo_ticks_per_cycle: 5, delay: 2, setpoints: Setpoints::Held };
 
     fn drive() -> Drive {
         Drive { kp: 25.0, kv: 47.0, velocity_filter_hz: 200.0, current_loop_hz: 1000.0, inertia: 0.38 }
@@ -241,9 +252,9 @@ mod tests {
             let (mut y, mut tau) = (Complex::<f64>::default(), Complex::<f64>::default());
             for k in 0..2000 {
                 let back = Complex::from_polar(1.0, -TAU * hz * f64::from(k) * RATES.period_s());
-                let set_point = back.conj().re;
+                let setpoint = back.conj().re;
                 let position = memory[0];
-                let (end, torque) = tick.roll(memory, &RATES, set_point, None);
+                let (end, torque) = tick.roll(memory, &RATES, setpoint, None);
                 memory = end;
                 if k >= 1800 {
                     y += back * position * 2.0 / 200.0;
@@ -251,22 +262,22 @@ mod tests {
                 }
             }
             let expected = interval.responses(hz).expect("no pole there");
-            assert!((y - expected.position_of_set_point).norm() < TOLERANCE, "{hz} Hz: {y}");
-            let error = (tau - expected.torque_of_set_point).norm();
-            assert!(error < TOLERANCE * expected.torque_of_set_point.norm().max(1.0), "{hz} Hz: {error}");
+            assert!((y - expected.position_of_setpoint).norm() < TOLERANCE, "{hz} Hz: {y}");
+            let error = (tau - expected.torque_of_setpoint).norm();
+            assert!(error < TOLERANCE * expected.torque_of_setpoint.norm().max(1.0), "{hz} Hz: {error}");
         }
     }
 
     /// Compares the torque from setpoint and position with that of the same drive with other forces on its joint.
     #[test]
-    fn the_torque_follows_from_set_point_and_position_whatever_else_acts_on_the_joint() {
+    fn the_torque_follows_from_setpoint_and_position_whatever_else_acts_on_the_joint() {
         const TOLERANCE: f64 = 1e-9;
         let interval = Interval::new(&drive(), RATES);
         for hz in [0.5, 7.0, 60.0] {
             let r = interval.responses(hz).expect("no pole there");
             for force in [Complex::new(0.0, 0.0), Complex::new(30.0, -12.0)] {
-                let y = r.position_of_set_point + r.position_of_force * force;
-                let tau = r.torque_of_set_point + r.torque_of_force * force;
+                let y = r.position_of_setpoint + r.position_of_force * force;
+                let tau = r.torque_of_setpoint + r.torque_of_force * force;
                 assert!((r.torque(y) - tau).norm() < TOLERANCE * tau.norm());
                 assert!((r.force(y) - force).norm() < TOLERANCE * (1.0 + force.norm()));
             }
@@ -278,6 +289,6 @@ mod tests {
         const TOLERANCE: f64 = 1e-4;
         let at = |current_loop_hz| Interval::new(&Drive { current_loop_hz, ..drive() }, RATES).responses(9.0);
         let (fast, none) = (at(1e7).expect("no pole there"), at(f64::INFINITY).expect("no pole there"));
-        assert!((fast.position_of_set_point - none.position_of_set_point).norm() < TOLERANCE);
+        assert!((fast.position_of_setpoint - none.position_of_setpoint).norm() < TOLERANCE);
     }
 }

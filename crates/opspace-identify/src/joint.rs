@@ -39,10 +39,10 @@ pub fn identify(
         equivalent_friction: 0.0,
         rational: None,
         rational_residual: None,
-        trust: None,
+        fit_quality: None,
         refused: None,
     };
-    match (Joint { session, told, plan }).identify(&mut found) {
+    match (Joint { session, known: told, plan }).identify(&mut found) {
         Ok(()) => Ok(found),
         Err(IdentificationFailure::Stopped(stop)) if stop.is_final() => Err(stop),
         Err(refusal) => {
@@ -71,7 +71,7 @@ const FURTHEST: f64 = 0.35;
 
 /// First, careful amplitude, in encoder counts (rms), and the smallest one that the encoder shows.
 const FIRST_COUNTS: f64 = 10.0;
-const LEAST_COUNTS: f64 = 20.0;
+const MIN_COUNTS: f64 = 20.0;
 
 /// Time over which speed is computed as a difference, s.
 const SPEED_OVER_S: f64 = 2e-3;
@@ -104,7 +104,7 @@ const TURNS_AT_LAST_S: f64 = 1.0;
 
 struct Joint<'a, 'b> {
     pub session: &'a mut ExcitationSession<'b>,
-    pub told: &'a KnownParameters,
+    pub known: &'a KnownParameters,
     pub plan: &'a ExcitationPlan,
 }
 
@@ -126,7 +126,7 @@ impl Joint<'_, '_> {
                 torque: m.torque.clone(),
             })
             .collect();
-        let rates = self.told.rates(0);
+        let rates = self.known.rates(0);
         let rough = gains::fit(&levels, rates, 0.0).ok_or(IdentificationFailure::Undetermined)?;
         let sweeps = self.sweeps(&rough)?;
         let lag = self.lag(&sweeps);
@@ -135,7 +135,7 @@ impl Joint<'_, '_> {
             false => gains::fit(&levels, rates, lag.at_rest).ok_or(IdentificationFailure::Undetermined)?,
         };
         self.rational(found, gains.delay);
-        let scale = match (found.scale, self.told.inertia) {
+        let scale = match (found.scale, self.known.inertia) {
             // The joints beside neither quite hold nor move freely.
             (TorqueScale::Urdf, Some([free, held])) => 0.5 * (free + held),
             _ => 1.0,
@@ -156,14 +156,14 @@ impl Joint<'_, '_> {
             friction: friction::fit(&passes),
             passes,
         });
-        let trust = self.trust(found, &gains);
+        let trust = self.fit_quality(found, &gains);
         let explained = check_explained(&trust);
-        found.trust = Some(trust);
+        found.fit_quality = Some(trust);
         explained
     }
 
     fn bounds(&self) -> Bounds {
-        let told = self.told;
+        let told = self.known;
         Bounds {
             travel: TRAVEL_AT_MOST * self.room(),
             speed: SPEED_AT_MOST * told.speed_limit,
@@ -173,8 +173,8 @@ impl Joint<'_, '_> {
 
     /// Distance to the nearest limit, rad (m).
     fn room(&self) -> f64 {
-        let at = self.session.posture(self.told.joint);
-        (at - self.told.lower).min(self.told.upper - at).max(0.0)
+        let at = self.session.posture(self.known.joint);
+        (at - self.known.lower).min(self.known.upper - at).max(0.0)
     }
 
     /// Largest distance that the joint is moved for its identification, rad (m).
@@ -184,16 +184,16 @@ impl Joint<'_, '_> {
 
     /// Torque that remains beside that which holds the joint, Nm (N).
     fn spare_torque(&self) -> f64 {
-        let holds = self.session.torque(self.told.joint).unwrap_or(0.0).abs();
-        TORQUE_USED * (self.told.torque_limit - holds).max(0.0)
+        let holds = self.session.torque(self.known.joint).unwrap_or(0.0).abs();
+        TORQUE_USED * (self.known.torque_limit - holds).max(0.0)
     }
 
     /// Returns the largest safe amplitude (rms): from a careful one on, each is tried briefly and raised as limits
     /// allow.
     fn amplitude(&mut self, excitation: &Multisine) -> Result<f64, IdentificationFailure> {
         let most = self.travel() / excitation.crest();
-        let least = LEAST_COUNTS * self.told.resolution;
-        let mut rms = (FIRST_COUNTS * self.told.resolution).max(1e-6).min(most);
+        let least = MIN_COUNTS * self.known.resolution;
+        let mut rms = (FIRST_COUNTS * self.known.resolution).max(1e-6).min(most);
         let mut ceiling = most;
         for _ in 0..TRIALS {
             let factor = match self.trial(excitation, rms) {
@@ -222,7 +222,7 @@ impl Joint<'_, '_> {
         let lines = odd_lines(1, (BAND * samples as f64) as usize, self.plan.lines_per_decade);
         let excitations: Vec<Multisine> = (0..self.plan.realisations as u64)
             .map(|k| {
-                let seed = self.plan.seed.wrapping_mul(1000) + 100 * self.told.joint as u64 + k;
+                let seed = self.plan.seed.wrapping_mul(1000) + 100 * self.known.joint as u64 + k;
                 Multisine::new(&lines, samples, seed)
             })
             .collect();
@@ -246,21 +246,21 @@ impl Joint<'_, '_> {
     /// Returns the factor by which an amplitude could be larger.
     fn trial(&mut self, excitation: &Multisine, rms: f64) -> Result<f64, AbortReason> {
         let period_s = self.session.period_s();
-        let holds = self.session.torque(self.told.joint).unwrap_or(0.0);
+        let holds = self.session.torque(self.known.joint).unwrap_or(0.0);
         let ticks = (TRIAL_S / period_s) as usize;
         let (record, body) = self.excite(excitation, rms, ticks)?;
         let position = &record.position[body.clone()];
         let over = ((SPEED_OVER_S / period_s).round() as usize).max(1);
         let span = over as f64 * period_s;
         let speed: Vec<f64> = position.windows(over + 1).map(|w| (w[over] - w[0]) / span).collect();
-        let torque: Vec<f64> = match self.told.inertia {
+        let torque: Vec<f64> = match self.known.inertia {
             _ if !record.torque.is_empty() => record.torque[body].iter().map(|t| t - holds).collect(),
             // What the motion needs, at least.
             Some([_, held]) => speed.windows(over + 1).map(|w| held * (w[over] - w[0]) / span).collect(),
             None => Vec::new(),
         };
         let share = |limit: f64, values: &[f64]| limit / Record::peak(values).max(1e-12);
-        Ok(share(SPEED_USED * self.told.speed_limit, &speed).min(share(self.spare_torque(), &torque)))
+        Ok(share(SPEED_USED * self.known.speed_limit, &speed).min(share(self.spare_torque(), &torque)))
     }
 
     /// Runs an excitation for some interface cycles, faded in before and out after; returns the cycles between.
@@ -275,7 +275,7 @@ impl Joint<'_, '_> {
         let bounds = self.bounds();
         let window = move |k: usize| minimum_jerk(k.min(total - 1 - k) as f64, fade as f64)[0];
         let offsets = (0..total).map(|k| rms * window(k) * excitation.at(k));
-        let record = self.session.run_trajectory(self.told.joint, offsets, &bounds)?;
+        let record = self.session.run_trajectory(self.known.joint, offsets, &bounds)?;
         self.session.rest(0.1)?;
         Ok((record, fade..fade + ticks))
     }
@@ -333,7 +333,7 @@ impl Joint<'_, '_> {
             .filter(|p| p.coherence > COHERENT)
             .map(|p| Target { hz: p.hz, value: p.value, weight: weight(p) })
             .collect();
-        let delay_s = f64::from(delay) * self.told.servo_period_s;
+        let delay_s = f64::from(delay) * self.known.servo_period_s;
         for degrees in [(0, 2), (1, 3), (2, 4), (3, 5)] {
             if targets.len() < 2 * (degrees.0 + degrees.1) {
                 break;
@@ -352,13 +352,13 @@ impl Joint<'_, '_> {
     /// its friction takes.
     fn sweeps(&mut self, gains: &Gains) -> Result<Vec<Sweep>, IdentificationFailure> {
         let period_s = self.session.period_s();
-        let told = self.told;
+        let told = self.known;
         let drive = gains.drive;
         let settle_s = f64::max(0.15, 5.0 / drive.kp);
         let window_s = 0.25;
         let mut speed = (0.15 * told.speed_limit).min(2.0 * self.travel() / (settle_s + window_s));
         let mut sweeps: Vec<Sweep> = Vec::new();
-        while sweeps.len() < self.plan.speeds && speed * window_s > LEAST_COUNTS * told.resolution {
+        while sweeps.len() < self.plan.speeds && speed * window_s > MIN_COUNTS * told.resolution {
             let friction = sweeps.last().and_then(|s| s.friction(gains, self.lag(&sweeps), period_s));
             let behind = friction.map_or(0.0, |p| p.torque.max(0.0)) / (drive.kv * drive.kp);
             let turned_s = TURNS_WITHIN * behind / speed;
@@ -419,7 +419,7 @@ impl Joint<'_, '_> {
         let fade = (FADE_S / period_s).ceil() as usize;
         offsets.extend((0..fade).map(|k| at * (1.0 - minimum_jerk((k + 1) as f64, fade as f64)[0])));
         let bounds = self.bounds();
-        let record = self.session.run_trajectory(self.told.joint, offsets.into_iter(), &bounds)?;
+        let record = self.session.run_trajectory(self.known.joint, offsets.into_iter(), &bounds)?;
         self.session.rest(0.1)?;
         Ok(record)
     }
@@ -428,12 +428,12 @@ impl Joint<'_, '_> {
     fn position_residual(&self, found: &Identification) -> f64 {
         let points = found.measured.first().map_or(&[][..], |m| &m.position);
         let coherent = points.iter().filter(|p| p.coherence > COHERENT);
-        relative(coherent.filter_map(|p| Some((found.model(self.told, p.hz)?, p.value))))
+        relative(coherent.filter_map(|p| Some((found.model(self.known, p.hz)?, p.value))))
     }
 
-    fn trust(&self, found: &Identification, gains: &Gains) -> FitQuality {
+    fn fit_quality(&self, found: &Identification, gains: &Gains) -> FitQuality {
         let points = found.measured.first().map_or(&[][..], |m| &m.position);
-        let explained = (0..points.len()).take_while(|&line| found.explains(self.told, line)).last();
+        let explained = (0..points.len()).take_while(|&line| found.explains(self.known, line)).last();
         let identified = match found.scale {
             TorqueScale::MotorCurrent => Some(gains.drive.inertia),
             _ => None,
@@ -445,7 +445,7 @@ impl Joint<'_, '_> {
             deviation: gains.deviation,
             delay_margin: gains.delay_margin,
             inertia_over_urdf: identified
-                .zip(self.told.inertia)
+                .zip(self.known.inertia)
                 .map(|(i, [free, held])| i / (0.5 * (free + held))),
         }
     }

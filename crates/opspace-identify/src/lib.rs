@@ -40,7 +40,7 @@
 //!     joint: 0,
 //!     servo_period_s: 2e-4,
 //!     ratio: 5,
-//!     set_points: Setpoints::Held,
+//!     setpoints: Setpoints::Held,
 //!     lower: -1.0,
 //!     upper: 1.0,
 //!     speed_limit: 5.0,

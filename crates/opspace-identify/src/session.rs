@@ -75,7 +75,7 @@ pub struct ExcitationSession<'a> {
     posture: Vec<f64>,
     /// Offset of the setpoints from it, so that the servos hold the weight there.
     bias: Vec<f64>,
-    set_points: Vec<f64>,
+    setpoints: Vec<f64>,
     ticks: u64,
     ended: &'a dyn Fn(u64) -> bool,
 }
@@ -99,14 +99,14 @@ impl<'a> ExcitationSession<'a> {
             sample,
             posture: zero.clone(),
             bias: zero.clone(),
-            set_points: zero,
+            setpoints: zero,
             ticks: 0,
             ended,
         };
         session.robot.read(&mut session.sample)?;
         session.posture.copy_from_slice(session.sample.q.as_slice());
-        session.set_points.copy_from_slice(session.sample.q.as_slice());
-        session.robot.write(Command::Position(&session.set_points))?;
+        session.setpoints.copy_from_slice(session.sample.q.as_slice());
+        session.robot.write(Command::Position(&session.setpoints))?;
         for _ in 0..2 {
             session.rest(0.4)?;
             for i in 0..joints {
@@ -221,10 +221,10 @@ impl<'a> ExcitationSession<'a> {
             return Err(AbortReason::NotFinite(joint));
         }
         for i in 0..self.posture.len() {
-            self.set_points[i] = self.posture[i] + self.bias[i];
+            self.setpoints[i] = self.posture[i] + self.bias[i];
         }
-        self.set_points[joint] += offset;
-        self.robot.write(Command::Position(&self.set_points))?;
+        self.setpoints[joint] += offset;
+        self.robot.write(Command::Position(&self.setpoints))?;
         Ok(self.torque(joint))
     }
 }

@@ -27,7 +27,7 @@ pub enum LogError {
     #[error("this MCAP file holds no channel recorded by opspace{}", because(damage.as_ref()))]
     NoChannel {
         /// Damage of the file, if there is any.
-        damage: Option<Damage>,
+        damage: Option<Corruption>,
     },
     /// Log that lacks a signal or channel that a replay needs.
     #[error("this log has no '{name}', which a replay needs")]
@@ -55,14 +55,14 @@ pub enum LogError {
 
 /// Damage at which a log stops being readable. Everything read before is intact.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Damage {
+pub struct Corruption {
     /// Description of the damage.
     pub what: String,
     /// Time of the last intact row, s; `None` if there is none.
     pub after_s: Option<f64>,
 }
 
-impl fmt::Display for Damage {
+impl fmt::Display for Corruption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.after_s {
             Some(t) => write!(f, "{}; good up to t = {t} s", self.what),
@@ -71,7 +71,7 @@ impl fmt::Display for Damage {
     }
 }
 
-fn because(damage: Option<&Damage>) -> String {
+fn because(damage: Option<&Corruption>) -> String {
     damage.map_or_else(String::new, |d| format!(" ({})", d.what))
 }
 

@@ -55,7 +55,7 @@ mod schema;
 mod viewer;
 
 pub use compare::{Comparer, Difference};
-pub use error::{Damage, LogError};
+pub use error::{Corruption, LogError};
 pub use header::{Attachment, Channel, GAPS, Header, LOG, TIME_ZERO_NS};
 pub use inputs::{LoggedInput, LoggedInputs};
 pub use outcome::OutcomeRecord;

@@ -219,7 +219,7 @@ impl<W> Writer<W> {
     /// # Errors
     /// If the sink fails, now or during the run.
     pub fn finish(mut self) -> Result<(WriteStats, W), LogError> {
-        self.joined()
+        self.join_writer()
     }
 
     /// Finishes the log as [`finish`](Self::finish) does, with the outcome of the run as a record at its end.
@@ -231,10 +231,10 @@ impl<W> Writer<W> {
         if let Ok(mut slot) = self.outcome.lock() {
             *slot = Some(outcome);
         }
-        self.joined()
+        self.join_writer()
     }
 
-    fn joined(&mut self) -> Result<(WriteStats, W), LogError> {
+    fn join_writer(&mut self) -> Result<(WriteStats, W), LogError> {
         match self.join() {
             Some(Ok(result)) => result,
             Some(Err(panic)) => std::panic::resume_unwind(panic),

@@ -4,7 +4,7 @@
 //! any of it is used. If the file as a whole is not what was written (cut short, or a checksum
 //! fails), rows are also counted, so that a chunk that can't be recognised any more leaves no undetected gap.
 
-use crate::error::{Damage, LogError};
+use crate::error::{Corruption, LogError};
 use crate::header::{Attachment, GAPS};
 use crate::records::{Raw, Record, Records, checksum};
 use crate::schema;
@@ -27,7 +27,7 @@ pub struct Recording {
     /// Library that wrote the log.
     pub library: String,
     /// Damage, due to which there may be less than was recorded; `None` for a whole file.
-    pub damage: Option<Damage>,
+    pub damage: Option<Corruption>,
 }
 
 /// Rows of a channel.
@@ -72,10 +72,10 @@ impl Recording {
         }
         let whole = verify(bytes);
         let mut reader = Reader { count_rows: whole.is_err(), ..Reader::default() };
-        let what = reader.read(bytes).err().or(reader.aside.take()).or(whole.err());
+        let what = reader.read(bytes).err().or(reader.continued_after.take()).or(whole.err());
         let mut recording = reader.recording;
         let last = recording.channels.iter().filter_map(|c| c.time_s.last()).copied();
-        recording.damage = what.map(|what| Damage { what, after_s: last.reduce(f64::max) });
+        recording.damage = what.map(|what| Corruption { what, after_s: last.reduce(f64::max) });
         if recording.channels.is_empty() {
             return Err(LogError::NoChannel { damage: recording.damage });
         }
@@ -228,7 +228,7 @@ struct Reader {
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
     /// Damage after which reading continues: a table or an attachment that can't be read.
-    aside: Option<String>,
+    continued_after: Option<String>,
 }
 
 impl Reader {
@@ -241,7 +241,7 @@ impl Reader {
                 // The rows are good without them.
                 op::HEADER | op::METADATA | op::ATTACHMENT => match raw.parse() {
                     Ok(record) => self.take(record)?,
-                    Err(what) => self.aside = self.aside.take().or(Some(what)),
+                    Err(what) => self.continued_after = self.continued_after.take().or(Some(what)),
                 },
                 op::CHUNK => {
                     self.chunk(&raw).map_err(|what| format!("{what} (the chunk at byte {})", raw.at))?;

@@ -93,7 +93,7 @@ impl Bodies {
         }
         // A link may itself be called "world".
         let mut world = "world".to_owned();
-        while model.frame(&world).is_ok() {
+        while model.frame_id(&world).is_ok() {
             world.push('_');
         }
         let transform = |name: &String| FrameTransform {
@@ -102,7 +102,7 @@ impl Bodies {
             ..FrameTransform::default()
         };
         let transforms = model.frames().iter().map(|f| transform(&f.name)).collect();
-        let frames = model.frames().iter().filter_map(|f| model.frame(&f.name).ok()).collect();
+        let frames = model.frames().iter().filter_map(|f| model.frame_id(&f.name).ok()).collect();
         let data = Data::new(&model);
         Ok(Self { transforms: FrameTransforms { transforms }, data, frames, at_rest: vec![0.0; n], model })
     }

@@ -149,7 +149,7 @@ fn viewers_find_the_joints_and_the_links() {
     for transform in &transforms {
         // "world" is a link here.
         assert_eq!(transform.parent_frame_id, "world_");
-        let placement = frame_placement(&model, &data, model.frame(&transform.child_frame_id).unwrap());
+        let placement = frame_placement(&model, &data, model.frame_id(&transform.child_frame_id).unwrap());
         let (p, r) = (transform.translation.unwrap(), transform.rotation.unwrap());
         let from_message = nalgebra::Quaternion::new(r.w, r.x, r.y, r.z);
         let rotation = nalgebra::UnitQuaternion::new_unchecked(from_message).to_rotation_matrix();

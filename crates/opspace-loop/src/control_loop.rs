@@ -17,7 +17,7 @@
 //!
 //! # Missed cycles
 //!
-//! Missed cycles are detected from the robot's clock. Up to `bridged_cycles` of them are tolerated: time and references
+//! Missed cycles are detected from the robot's clock. Up to `max_missed_cycles` of them are tolerated: time and references
 //! go on. After more the robot is held until it stands still; then estimates begin anew, references are joined from
 //! where the robot is, and torques ramp in as at the start.
 
@@ -131,7 +131,7 @@ impl ControlLoop {
         );
         let layout = layout(&capabilities, &estimator, &*controller, guard.as_ref());
         Ok(Self {
-            standstill: Standstill::new(n, period_s, safety.longest_dropout_s.get()),
+            standstill: Standstill::new(n, period_s, safety.max_dropout_s.get()),
             ramp_s: safety.torque_ramp_s.get(),
             rest_cycles: (safety.tare_s.get() / period_s).round() as u64,
             passed_cycles: 0,

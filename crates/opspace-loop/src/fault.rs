@@ -42,7 +42,7 @@ pub enum Fault {
     Dropout {
         /// Time without a sample, s.
         silent_s: f64,
-        /// `longest_dropout_s`.
+        /// `max_dropout_s`.
         limit_s: f64,
     },
     /// After a dropout, a joint that should be held goes on moving.

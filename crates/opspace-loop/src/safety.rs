@@ -20,11 +20,11 @@ pub struct SafetyParameters {
     pub limit_margin_rad: NonNegative,
     /// Number of consecutive interface cycles that may be missed while control goes on. After more the robot is held,
     /// and control resumes when it stands still.
-    #[serde(default = "default_bridged_cycles")]
-    pub bridged_cycles: u32,
+    #[serde(default = "default_max_missed_cycles")]
+    pub max_missed_cycles: u32,
     /// Longest time for which the robot may be silent, or take to stand still afterwards, s. A longer time is a fault.
-    #[serde(default = "default_dropout")]
-    pub longest_dropout_s: NonNegative,
+    #[serde(default = "default_max_dropout_s")]
+    pub max_dropout_s: NonNegative,
     /// Watchdogs of a position robot that measures its motors' torque.
     #[serde(default)]
     pub watchdog: WatchdogParameters,
@@ -36,8 +36,8 @@ impl Default for SafetyParameters {
             torque_ramp_s: default_ramp(),
             tare_s: default_ramp(),
             limit_margin_rad: NonNegative::default(),
-            bridged_cycles: default_bridged_cycles(),
-            longest_dropout_s: default_dropout(),
+            max_missed_cycles: default_max_missed_cycles(),
+            max_dropout_s: default_max_dropout_s(),
             watchdog: WatchdogParameters::default(),
         }
     }
@@ -47,10 +47,10 @@ const fn default_ramp() -> NonNegative {
     NonNegative::literal(0.2)
 }
 
-const fn default_bridged_cycles() -> u32 {
+const fn default_max_missed_cycles() -> u32 {
     3
 }
 
-const fn default_dropout() -> NonNegative {
+const fn default_max_dropout_s() -> NonNegative {
     NonNegative::literal(1.0)
 }

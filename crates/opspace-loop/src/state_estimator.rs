@@ -43,7 +43,8 @@ impl StateEstimator {
         let mut measurement = Measurement::new(n, sensors.len(), capabilities.measures_motor_torque);
         // Unknown until it is read: a stop before that must send the robot nowhere.
         measurement.q.fill(f64::NAN);
-        let sensor_frames: Result<Vec<FrameId>, _> = sensors.iter().map(|s| model.frame(&s.frame)).collect();
+        let sensor_frames: Result<Vec<FrameId>, _> =
+            sensors.iter().map(|s| model.frame_id(&s.frame)).collect();
         Ok(Self {
             sensor_frames: sensor_frames?,
             velocity: VelocityEstimator::new(n, estimator, capabilities.period_s),
@@ -148,7 +149,7 @@ impl StateEstimator {
             let tared = force(&sample.wrenches[s]) - self.tare[s];
             measurement.wrenches[s] = Force { linear: axes * tared.linear, angular: axes * tared.angular };
         }
-        self.supervisor.check_silence(self.gap)?;
+        self.supervisor.check_dropout(self.gap)?;
         self.supervisor.check_state(measurement)
     }
 

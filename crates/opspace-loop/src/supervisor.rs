@@ -12,8 +12,8 @@ use opspace_model::Model;
 pub struct Supervisor {
     joints: Vec<Bounds>,
     period_s: f64,
-    bridged_cycles: u64,
-    longest_dropout_s: f64,
+    max_missed_cycles: u64,
+    max_dropout_s: f64,
     last_time_s: f64,
 }
 
@@ -70,8 +70,8 @@ impl Supervisor {
         Self {
             joints,
             period_s,
-            bridged_cycles: u64::from(safety.bridged_cycles),
-            longest_dropout_s: safety.longest_dropout_s.get(),
+            max_missed_cycles: u64::from(safety.max_missed_cycles),
+            max_dropout_s: safety.max_dropout_s.get(),
             last_time_s: f64::NEG_INFINITY,
         }
     }
@@ -90,16 +90,16 @@ impl Supervisor {
             return Ok(SampleGap::Tolerated { missed: 0 });
         }
         let missed = (((sample.time_s - before_s) / self.period_s).round() as u64).saturating_sub(1);
-        let bridged = missed <= self.bridged_cycles;
+        let bridged = missed <= self.max_missed_cycles;
         Ok(if bridged { SampleGap::Tolerated { missed } } else { SampleGap::Lost { missed } })
     }
 
-    /// Checks that the robot was not silent for longer than `longest_dropout_s`.
+    /// Checks that the robot was not silent for longer than `max_dropout_s`.
     ///
     /// # Errors
     /// If it was.
-    pub fn check_silence(&self, gap: SampleGap) -> Result<(), Fault> {
-        let (silent_s, limit_s) = (gap.missed() as f64 * self.period_s, self.longest_dropout_s);
+    pub fn check_dropout(&self, gap: SampleGap) -> Result<(), Fault> {
+        let (silent_s, limit_s) = (gap.missed() as f64 * self.period_s, self.max_dropout_s);
         if silent_s > limit_s { Err(Fault::Dropout { silent_s, limit_s }) } else { Ok(()) }
     }
 

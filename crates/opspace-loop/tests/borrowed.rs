@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{PERIOD_S, START, Scripted, Told, at_rest, capabilities, config, drive_robot, weight_and};
+use common::{PERIOD_S, Received, START, Scripted, at_rest, capabilities, config, drive_robot, weight_and};
 use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
 use opspace_loop::{ControlLoop, Run, RunOutcome, drive};
 use std::cell::Cell;
@@ -60,8 +60,8 @@ fn backend_may_borrow_and_belong_to_one_thread() {
     let scripted = Scripted::new(position.clone(), at_rest);
     let request = AtomicBool::new(false);
     let record = drive_robot(config(position, weight_and(3.0)), 0.1, &request, scripted);
-    let setpoints = record.commands().iter().flat_map(|told| match told {
-        Told::Positions(q) => q.iter().copied(),
+    let setpoints = record.commands().iter().flat_map(|received| match received {
+        Received::Positions(q) => q.iter().copied(),
         other => panic!("{other:?}"),
     });
     assert_eq!(handle, setpoints.collect::<Vec<f64>>());

@@ -5,7 +5,9 @@
 
 mod common;
 
-use common::{Commanded, KINDS, PERIOD_S, REST, Record, Told, at_rest, model, run, servo_torque, weight_and};
+use common::{
+    Commanded, KINDS, PERIOD_S, REST, Received, Record, at_rest, model, run, servo_torque, weight_and,
+};
 use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, Phase, RunOutcome};
 use std::sync::{Arc, Mutex};
@@ -89,7 +91,7 @@ fn robot_is_held_after_a_dropout_and_torques_ramp_in_again() {
         assert_eq!(record.outcome, RunOutcome::Completed);
         let commands = record.commands();
         let held = &commands[BEFORE..BEFORE + STILL];
-        assert!(held.iter().all(|told| *told == Told::Hold), "{kind:?}");
+        assert!(held.iter().all(|received| *received == Received::Hold), "{kind:?}");
         let kept = match kind {
             CommandKind::Velocity => &[0.0; 2][..],
             _ => setpoints(&record, kind, AFTER - 1),
@@ -98,9 +100,9 @@ fn robot_is_held_after_a_dropout_and_torques_ramp_in_again() {
             assert_eq!(setpoints(&record, kind, row), kept, "{kind:?}, row {row}");
         }
         let start = servo_torque(&commands[0]);
-        for (k, told) in commands[BEFORE + STILL..].iter().enumerate().take(2 * RAMP) {
+        for (k, received) in commands[BEFORE + STILL..].iter().enumerate().take(2 * RAMP) {
             let share = (k as f64 / RAMP as f64).min(1.0);
-            let error = servo_torque(told) - start.add_scalar(share * EXTRA);
+            let error = servo_torque(received) - start.add_scalar(share * EXTRA);
             assert!(error.amax() < TORQUE, "{kind:?}, cycle {k}: off by {error}");
         }
         let phases = &record.phases()[AFTER as usize..];

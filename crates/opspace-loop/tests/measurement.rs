@@ -35,7 +35,7 @@ fn force_sensors_are_tared_and_rotated_into_world_axes() {
     let model = model();
     let mut data = Data::new(&model);
     assert!(update(&model, &mut data, &START, &[0.0; 2]));
-    let axes = frame_placement(&model, &data, model.frame("fore").expect("a link")).rotation;
+    let axes = frame_placement(&model, &data, model.frame_id("fore").expect("a link")).rotation;
     let wrench = record.values(REST as usize, "wrist.wrench");
     let (force, moment) =
         (Vector3::from_column_slice(&wrench[..3]), Vector3::from_column_slice(&wrench[3..]));

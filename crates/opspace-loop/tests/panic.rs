@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{Commanded, KINDS, PERIOD_S, REST, Scripted, Told, at_rest, capabilities, config, weight_and};
+use common::{
+    Commanded, KINDS, PERIOD_S, REST, Received, Scripted, at_rest, capabilities, config, weight_and,
+};
 use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink};
 use opspace_control::Controller;
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
@@ -114,11 +116,15 @@ fn panic_of_any_part_stops_the_robot() {
             let last_s = (WRONG - REST) as f64 * PERIOD_S;
             let expected_s = if part == Part::Read { last_s - PERIOD_S } else { last_s };
             assert!((time_s - expected_s).abs() < ROUNDING, "{kind:?}, {part:?}: {time_s} s");
-            let Scripted { told, told_in, .. } = robot.0;
-            assert_eq!(told.last(), Some(&Told::Stop), "{kind:?}, {part:?}");
-            assert_eq!(told_in.last(), Some(&WRONG), "{kind:?}, {part:?}");
+            let Scripted { received, received_in, .. } = robot.0;
+            assert_eq!(received.last(), Some(&Received::Stop), "{kind:?}, {part:?}");
+            assert_eq!(received_in.last(), Some(&WRONG), "{kind:?}, {part:?}");
             let commands = (WRONG - REST) as usize + usize::from(part == Part::Write);
-            assert_eq!(told.iter().filter(|told| **told != Told::Stop).count(), commands, "{part:?}");
+            assert_eq!(
+                received.iter().filter(|received| **received != Received::Stop).count(),
+                commands,
+                "{part:?}"
+            );
             assert_eq!(counter.rows, WRONG + u64::from(part == Part::Write), "{kind:?}, {part:?}");
         }
     }
@@ -141,5 +147,5 @@ fn panic_after_a_stop_leaves_the_outcome() {
     let RunOutcome::Faulted { fault, .. } = run.finish() else { panic!("it faults") };
     assert_eq!(fault, Fault::MeasurementNotFinite { joint: 0 });
     assert_eq!(counter.rows, WRONG + 10);
-    assert_eq!(robot.told.last(), Some(&Told::Stop));
+    assert_eq!(robot.received.last(), Some(&Received::Stop));
 }

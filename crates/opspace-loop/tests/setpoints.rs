@@ -3,8 +3,8 @@
 mod common;
 
 use common::{
-    Commanded, KP, KV, LIMITS, PERIOD_S, START, Scripted, Told, at_rest, capabilities, config, drive_robot,
-    holding_setpoint, positions_at, run,
+    Commanded, KP, KV, LIMITS, PERIOD_S, Received, START, Scripted, at_rest, capabilities, config,
+    drive_robot, holding_setpoint, positions_at, run,
 };
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
@@ -40,11 +40,11 @@ fn joint_far_from_its_setpoint_faults() {
         assert!(error > limit && (limit - reach(1) - SPEED * PERIOD_S).abs() < ROUNDING, "{error} {limit}");
         record.check_fault_rows(Phase::Control);
         let commands = record.commands();
-        for told in commands {
-            let Told::Positions(q) = told else { panic!("{told:?}") };
+        for received in commands {
+            let Received::Positions(q) = received else { panic!("{received:?}") };
             assert!((q[1] - START[1]).abs() <= limit, "never sent: {q}");
         }
-        let Some(Told::Positions(last)) = commands.last() else { panic!("{:?}", record.told) };
+        let Some(Received::Positions(last)) = commands.last() else { panic!("{:?}", record.received) };
         assert!((last - holding_setpoint(&START)).amax() < SETPOINT, "held at its position: {last}");
     }
 }
@@ -64,7 +64,7 @@ fn setpoints_are_clamped_around_the_measured_position() {
     let robot = Scripted::new(position, at_rest);
     let record = drive_robot(config, 0.01, &AtomicBool::new(false), robot);
     let expected = DVector::from_vec(vec![START[0] + reach(0), START[1] - reach(1)]);
-    let Told::Positions(q) = &record.commands()[0] else { panic!("{:?}", record.told) };
+    let Received::Positions(q) = &record.commands()[0] else { panic!("{:?}", record.received) };
     assert!((q - &expected).amax() < ROUNDING, "{q}");
     let last = record.rows.len() - 1;
     assert!((record.values(last, "q_desired")[0] - expected[0]).abs() < ROUNDING);

@@ -3,7 +3,7 @@
 mod common;
 
 use common::cases::{Case, DURATION_S, cases};
-use common::{KINDS, REST, Record, Rows, Told, capabilities, config, drive_robot, weight_and};
+use common::{KINDS, REST, Received, Record, Rows, capabilities, config, drive_robot, weight_and};
 use opspace_backend::{CommandKind, DeviceFault, Sample, TICK};
 use opspace_loop::{ControlLoop, LoopConfig, Run};
 use std::sync::atomic::AtomicBool;
@@ -26,7 +26,7 @@ fn fed_by_hand(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Re
     let mut rows = Rows::default();
     let mut run = Run::new(control, DURATION_S, &mut rows).with_stop_request(&stop_request);
     let mut sample = Sample::new(&capabilities(kind));
-    let (mut told, mut told_in): (Vec<Told>, Vec<u64>) = (Vec::new(), Vec::new());
+    let (mut received, mut received_in): (Vec<Received>, Vec<u64>) = (Vec::new(), Vec::new());
     for cycle in 0.. {
         if run.is_over() {
             break;
@@ -38,22 +38,22 @@ fn fed_by_hand(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Re
             run.cycle(&sample)
         };
         if let Some(command) = command {
-            told.push(command.into());
-            told_in.push(cycle);
+            received.push(command.into());
+            received_in.push(cycle);
             if case.refused == Some(cycle) {
                 run.refuse(device_fault.clone());
             }
         }
     }
     let outcome = run.finish();
-    Record { outcome, told, told_in, times_s: rows.times_s, rows: rows.rows, layout }
+    Record { outcome, received, received_in, times_s: rows.times_s, rows: rows.rows, layout }
 }
 
 /// The calls without those of `stop`.
 fn without_stops(record: Record) -> Record {
-    let calls = record.told.into_iter().zip(record.told_in);
-    let (told, told_in) = calls.filter(|(told, _)| *told != Told::Stop).unzip();
-    Record { told, told_in, ..record }
+    let calls = record.received.into_iter().zip(record.received_in);
+    let (received, received_in) = calls.filter(|(received, _)| *received != Received::Stop).unzip();
+    Record { received, received_in, ..record }
 }
 
 /// Compared: rows, time stamps, commands and outcome of a run that is driven, and of one that is fed with the same
@@ -89,10 +89,11 @@ fn robot_gets_at_most_one_command_per_cycle() {
         for case in cases() {
             let record = driven(&case, kind);
             let name = format!("{kind:?}, {}", case.name);
-            let cycles = record.told_in.last().expect("it is stopped") + 1;
+            let cycles = record.received_in.last().expect("it is stopped") + 1;
             for cycle in 0..cycles {
-                let calls = record.told_in.iter().zip(&record.told);
-                let writes = calls.filter(|(at, told)| **at == cycle && **told != Told::Stop).count();
+                let calls = record.received_in.iter().zip(&record.received);
+                let writes =
+                    calls.filter(|(at, received)| **at == cycle && **received != Received::Stop).count();
                 assert_eq!(writes, expected_writes(&case, kind, cycle), "{name}, cycle {cycle}");
             }
             let _ = record.commands();
@@ -106,8 +107,9 @@ fn robot_is_stopped_in_the_stopping_cycle_and_at_the_end() {
     for kind in KINDS {
         for case in cases() {
             let record = driven(&case, kind);
-            let calls = record.told_in.iter().zip(&record.told);
-            let stops: Vec<u64> = calls.filter(|(_, told)| **told == Told::Stop).map(|(at, _)| *at).collect();
+            let calls = record.received_in.iter().zip(&record.received);
+            let stops: Vec<u64> =
+                calls.filter(|(_, received)| **received == Received::Stop).map(|(at, _)| *at).collect();
             let [first, last] = stops[..] else { panic!("{kind:?}, {}: {stops:?}", case.name) };
             assert_eq!(first, case.stops_in, "{kind:?}, {}", case.name);
             assert!(last >= first);

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{
-    AFTERMATH, KINDS, KV, REST, START, Scripted, Told, at_rest, capabilities, config, drive_robot,
+    AFTERMATH, KINDS, KV, REST, Received, START, Scripted, at_rest, capabilities, config, drive_robot,
     gravity_at, holding_setpoint, weight_and,
 };
 use nalgebra::DVector;
@@ -17,13 +17,15 @@ const SETPOINT: f64 = 1e-6;
 const ROUNDING: f64 = 1e-9;
 
 /// Checks the one command of a robot that is stopped at rest at [`START`]: it balances the weight.
-fn check_holding(kind: CommandKind, commands: &[Told]) {
+fn check_holding(kind: CommandKind, commands: &[Received]) {
     let expected = match kind {
         CommandKind::Torque => return assert_eq!(commands, []),
         CommandKind::Position => holding_setpoint(&START),
         CommandKind::Velocity => gravity_at(&START).component_div(&DVector::from_row_slice(&KV)),
     };
-    let [Told::Positions(setpoint) | Told::Velocities(setpoint)] = commands else { panic!("{commands:?}") };
+    let [Received::Positions(setpoint) | Received::Velocities(setpoint)] = commands else {
+        panic!("{commands:?}")
+    };
     assert!((setpoint - expected).amax() < SETPOINT, "{setpoint}");
 }
 
@@ -42,7 +44,7 @@ fn stop_request_before_control_is_a_safe_stop() {
         let requested = record.scalar(STOP_REQUESTED);
         assert_eq!((requested[0], requested[1..].iter().sum::<f64>()), (1.0, 0.0), "in one row");
         check_holding(kind, record.commands());
-        assert_eq!(record.told_in[0], 0, "in the cycle of the request");
+        assert_eq!(record.received_in[0], 0, "in the cycle of the request");
     }
 }
 
@@ -63,8 +65,9 @@ fn stop_request_acts_in_its_cycle() {
         let row = record.scalar(STOP_REQUESTED).iter().position(|requested| *requested == 1.0);
         assert_eq!(row, Some(AT as usize));
         check_holding(kind, &record.commands()[(AT - REST) as usize..]);
-        let stop = record.told.iter().position(|told| *told == Told::Stop).expect("it is stopped");
-        assert_eq!(record.told_in[stop], AT);
+        let stop =
+            record.received.iter().position(|received| *received == Received::Stop).expect("it is stopped");
+        assert_eq!(record.received_in[stop], AT);
     }
 }
 
@@ -91,5 +94,5 @@ fn position_robot_that_compensates_its_gravity_stops_at_its_position() {
     let robot = Scripted::new(capabilities.clone(), at_rest);
     let config = config(capabilities, weight_and(0.0));
     let record = drive_robot(config, 0.2, &AtomicBool::new(true), robot);
-    assert_eq!(record.commands(), [Told::Positions(DVector::from_column_slice(&START))]);
+    assert_eq!(record.commands(), [Received::Positions(DVector::from_column_slice(&START))]);
 }

@@ -6,7 +6,8 @@
 mod common;
 
 use common::{
-    Commanded, KINDS, KV, PERIOD_S, REST, Record, START, Told, at_rest, gravity_at, model, run, weight_and,
+    Commanded, KINDS, KV, PERIOD_S, REST, Received, Record, START, at_rest, gravity_at, model, run,
+    weight_and,
 };
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, Sample};
@@ -35,12 +36,14 @@ fn check_stop(kind: CommandKind, record: &Record) {
     let faulted = record.check_fault_rows(Phase::Control);
     let before = faulted - REST as usize;
     let commands = record.commands();
-    assert!(!commands.contains(&Told::Hold));
+    assert!(!commands.contains(&Received::Hold));
     let weight = gravity_at(&START);
     let (last, expected) = match (kind, commands.last().expect("it was commanded")) {
         (CommandKind::Torque, _) => return assert_eq!(commands.len(), before, "no torques at the stop"),
-        (CommandKind::Position, Told::Positions(q)) => (q, common::holding_setpoint(&START)),
-        (CommandKind::Velocity, Told::Velocities(dq)) => (dq, DVector::from_fn(2, |i, _| weight[i] / KV[i])),
+        (CommandKind::Position, Received::Positions(q)) => (q, common::holding_setpoint(&START)),
+        (CommandKind::Velocity, Received::Velocities(dq)) => {
+            (dq, DVector::from_fn(2, |i, _| weight[i] / KV[i]))
+        }
         (_, last) => panic!("{last:?}"),
     };
     assert!((last - expected).amax() < SETPOINT, "held at its position: {last}");
@@ -94,7 +97,7 @@ fn robot_that_was_never_read_gets_no_setpoint() {
         });
         assert_eq!(*record.fault(), Fault::MeasurementNotFinite { joint: 0 });
         assert_eq!(record.commands(), []);
-        assert_eq!(record.told_in[0], 0, "stopped at once");
+        assert_eq!(record.received_in[0], 0, "stopped at once");
     }
 }
 
@@ -114,9 +117,11 @@ fn not_finite_command_never_reaches_the_robot() {
             "joint 'elbow': the controller's command is not a finite number"
         );
         check_stop(kind, &record);
-        let finite = record.told.iter().all(|told| match told {
-            Told::Positions(v) | Told::Velocities(v) | Told::Torques(v) => v.iter().all(|v| v.is_finite()),
-            Told::Hold | Told::Stop => true,
+        let finite = record.received.iter().all(|received| match received {
+            Received::Positions(v) | Received::Velocities(v) | Received::Torques(v) => {
+                v.iter().all(|v| v.is_finite())
+            }
+            Received::Hold | Received::Stop => true,
         });
         assert!(finite);
     }

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{KINDS, LIMITS, PERIOD_S, START, Told, at_rest, gravity_at, run, servo_torque, weight_and};
+use common::{KINDS, LIMITS, PERIOD_S, Received, START, at_rest, gravity_at, run, servo_torque, weight_and};
 use opspace_backend::CommandKind;
 use opspace_loop::RunOutcome;
 
@@ -17,9 +17,9 @@ fn torques_ramp_in_from_holding_the_weight() {
     for kind in KINDS {
         let record = run(kind, weight_and(EXTRA), 0.2, at_rest);
         assert_eq!(record.outcome, RunOutcome::Completed);
-        for (k, told) in record.commands().iter().take(150).enumerate() {
+        for (k, received) in record.commands().iter().take(150).enumerate() {
             let share = (k as f64 * PERIOD_S / 0.1).min(1.0);
-            let error = servo_torque(told) - weight.add_scalar(share * EXTRA);
+            let error = servo_torque(received) - weight.add_scalar(share * EXTRA);
             assert!(error.amax() < TORQUE, "{kind:?}, cycle {k}: {error}");
         }
     }
@@ -29,7 +29,7 @@ fn torques_ramp_in_from_holding_the_weight() {
 #[test]
 fn torques_are_clamped_before_they_reach_the_robot() {
     let record = run(CommandKind::Torque, weight_and(500.0), 0.2, at_rest);
-    let Some(Told::Torques(last)) = record.commands().last() else { panic!("{:?}", record.told) };
+    let Some(Received::Torques(last)) = record.commands().last() else { panic!("{:?}", record.received) };
     assert_eq!(last.as_slice(), LIMITS);
     assert_eq!(record.values(record.rows.len() - 1, "torque_saturated"), [1.0, 1.0]);
 }

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{
-    Commanded, KV, LIMITS, PERIOD_S, REST, Record, START, Scripted, Told, VelocityServo, at_rest,
+    Commanded, KV, LIMITS, PERIOD_S, REST, Received, Record, START, Scripted, VelocityServo, at_rest,
     capabilities, config, drive_robot, gravity_at, weight_and,
 };
 use nalgebra::DVector;
@@ -36,8 +36,8 @@ fn driven(controller: impl Controller + 'static, dq: [f64; 2], damping: [f64; 2]
     drive_robot(config, 0.2, &AtomicBool::new(false), Scripted::new(robot(), script))
 }
 
-fn velocities(told: &Told) -> &DVector<f64> {
-    let Told::Velocities(dq) = told else { panic!("{told:?}") };
+fn velocities(received: &Received) -> &DVector<f64> {
+    let Received::Velocities(dq) = received else { panic!("{received:?}") };
     dq
 }
 
@@ -51,8 +51,8 @@ fn setpoints_are_clamped_around_the_measured_velocity() {
     assert_eq!(record.outcome, RunOutcome::Completed);
     let expected = [dq[0] + LIMITS[0] / KV[0], dq[1] - LIMITS[1] / KV[1]];
     // The torque ramp takes the first 100.
-    for told in &record.commands()[100..199] {
-        let error = velocities(told) - DVector::from_row_slice(&expected);
+    for received in &record.commands()[100..199] {
+        let error = velocities(received) - DVector::from_row_slice(&expected);
         assert!(error.amax() < ROUNDING, "{error}");
     }
     let last = record.rows.len() - 1;
@@ -68,8 +68,8 @@ fn setpoints_within_reach_give_the_desired_torques() {
     let record = driven(weight_and(EXTRA), dq, KV, 0);
     let torque = gravity_at(&START).add_scalar(EXTRA);
     let expected = DVector::from_fn(2, |i, _| torque[i] / KV[i] + dq[i]);
-    for told in &record.commands()[100..199] {
-        assert!((velocities(told) - &expected).amax() < SETPOINT, "{told:?}");
+    for received in &record.commands()[100..199] {
+        assert!((velocities(received) - &expected).amax() < SETPOINT, "{received:?}");
     }
     assert_eq!(record.values(record.rows.len() - 1, "setpoint_clamped"), [0.0, 0.0]);
 }
@@ -123,7 +123,7 @@ fn robot_is_held_after_a_dropout() {
     const STILL: usize = 50;
     let record = driven(weight_and(3.0), [0.0, 0.0], KV, 20);
     let commands = record.commands();
-    assert!(commands[BEFORE..BEFORE + STILL].iter().all(|told| *told == Told::Hold));
+    assert!(commands[BEFORE..BEFORE + STILL].iter().all(|received| *received == Received::Hold));
     for row in 60..60 + STILL {
         assert_eq!(record.phases()[row], Phase::Held.code());
         assert_eq!(record.values(row, "dq_desired"), [0.0, 0.0]);

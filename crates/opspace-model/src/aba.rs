@@ -35,7 +35,7 @@ use nalgebra::{DVector, Matrix3, Vector3};
 /// If `tau` is shorter than the number of joints.
 pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     let tau = &tau[..model.n()];
-    if model.is_folded() {
+    if model.has_mimic_constraints() {
         solve_mass_matrix(model, data, tau);
         return;
     }
@@ -60,7 +60,7 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
             let force = data.force[i] + articulated.apply(&c) + column * given_way;
             data.force[p] += force;
             let (before, from) = data.articulated.split_at_mut(i);
-            before[p].add_without(&from[0], &column, inverse_inertia);
+            before[p].add_projected(&from[0], &column, inverse_inertia);
         }
     }
     // Gravity as an upward acceleration of the base.
@@ -133,7 +133,7 @@ impl<T: Real> ArticulatedInertia<T> {
 
     /// Adds I − U Uᵀ/D of another: its inertia as seen through its free joint.
     #[inline(always)]
-    fn add_without(&mut self, other: &Self, u: &Force<T>, inverse_inertia: T) {
+    fn add_projected(&mut self, other: &Self, u: &Force<T>, inverse_inertia: T) {
         let scaled = *u * inverse_inertia;
         for c in 0..3 {
             for r in 0..3 {

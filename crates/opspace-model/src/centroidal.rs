@@ -33,7 +33,7 @@ pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let com = com_from_origin(model, data);
     data.centroidal_map.as_mut_slice().fill(T::zero());
     for (i, body) in model.bodies.iter().enumerate() {
-        let momentum = data.composite[i].apply(&data.screw[i]).about(&com);
+        let momentum = data.composite[i].apply(&data.screw[i]).shifted_to(&com);
         add(&mut data.centroidal_map, body.joint, &momentum.linear, &momentum.angular);
     }
 }
@@ -46,7 +46,7 @@ pub fn centroidal_momentum<T: Real>(model: &Model<T>, data: &Data<T>) -> Force<T
     for (i, v) in data.velocity.iter().enumerate() {
         sum += momentum(model, data, i, v);
     }
-    sum.about(&com_from_origin(model, data))
+    sum.shifted_to(&com_from_origin(model, data))
 }
 
 fn com_from_origin<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {

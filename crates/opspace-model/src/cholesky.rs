@@ -57,7 +57,7 @@ fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterat
 
 /// Parent of joint `k`.
 #[inline]
-fn carrier(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
+fn parent(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
     let (first, carrier) = rows[k];
     if first == k { carrier } else { Some(k - 1) }
 }
@@ -70,7 +70,8 @@ impl<T: Real> MassMatrixFactor<T> {
         let mut rows: Vec<(usize, Option<usize>)> = Vec::with_capacity(n);
         for joint in 0..n {
             // Folded joints may couple any two: as if each were the parent of the next.
-            let above = if model.is_folded() { joint.checked_sub(1) } else { model.bodies[joint].parent };
+            let above =
+                if model.has_mimic_constraints() { joint.checked_sub(1) } else { model.bodies[joint].parent };
             rows.push(match above {
                 Some(c) if c + 1 == joint => rows[c],
                 other => (joint, other),
@@ -79,7 +80,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let upper = DMatrix::identity(n, n);
         let mut ends: Vec<usize> = (1..=n).collect();
         for joint in (0..n).rev() {
-            if let Some(c) = carrier(&rows, joint) {
+            if let Some(c) = parent(&rows, joint) {
                 ends[c] = ends[c].max(ends[joint]);
             }
         }
@@ -99,7 +100,7 @@ impl<T: Real> MassMatrixFactor<T> {
         assert_eq!(mass_matrix.shape(), (n, n), "n rows and n columns");
         self.upper.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
         for k in (0..n).rev() {
-            let carrier = self.carrier(k);
+            let carrier = self.parent(k);
             // The columns left of k, and k itself.
             let (left, right) = self.upper.as_mut_slice().split_at_mut(k * n);
             let (pivot, column) = (right[k], &mut right[..k]);
@@ -137,13 +138,13 @@ impl<T: Real> MassMatrixFactor<T> {
         let n = self.reciprocal.len();
         for k in (0..n).rev() {
             let y = x[k];
-            for row in carriers(&self.rows, self.carrier(k)) {
+            for row in carriers(&self.rows, self.parent(k)) {
                 x[row.clone()].iter_mut().zip(&self.column(k)[row]).for_each(|(x, &u)| *x -= u * y);
             }
         }
         for k in 0..n {
             let mut sum = x[k] * self.reciprocal[k];
-            for row in carriers(&self.rows, self.carrier(k)) {
+            for row in carriers(&self.rows, self.parent(k)) {
                 x[row.clone()].iter().zip(&self.column(k)[row]).for_each(|(&x, &u)| sum -= u * x);
             }
             x[k] = sum;
@@ -161,7 +162,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let rows = x.as_mut_slice();
         for k in (0..n).rev() {
             let (before, y) = rows.split_at_mut(k * n);
-            for row in carriers(&self.rows, self.carrier(k)) {
+            for row in carriers(&self.rows, self.parent(k)) {
                 for i in row {
                     let u = self.upper[(i, k)];
                     before[i * n..][..n].iter_mut().zip(&y[..n]).for_each(|(x, &y)| *x -= y * u);
@@ -171,7 +172,7 @@ impl<T: Real> MassMatrixFactor<T> {
         for k in 0..n {
             let (before, y) = rows.split_at_mut(k * n);
             y[..n].iter_mut().for_each(|y| *y *= self.reciprocal[k]);
-            for row in carriers(&self.rows, self.carrier(k)) {
+            for row in carriers(&self.rows, self.parent(k)) {
                 for i in row {
                     let u = self.upper[(i, k)];
                     y[..n].iter_mut().zip(&before[i * n..][..n]).for_each(|(y, &x)| *y -= x * u);
@@ -197,7 +198,7 @@ impl<T: Real> MassMatrixFactor<T> {
             if y == [T::zero(); 6] {
                 continue;
             }
-            for row in carriers(&self.rows, self.carrier(k)) {
+            for row in carriers(&self.rows, self.parent(k)) {
                 let factors = &self.column(k)[row.clone()];
                 columns[row].iter_mut().zip(factors).for_each(|(x, &u)| subtract(x, &y, u));
             }
@@ -218,7 +219,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
         for k in 0..n {
             let mut sum = columns[k];
-            for row in carriers(&self.rows, self.carrier(k)) {
+            for row in carriers(&self.rows, self.parent(k)) {
                 let factors = &self.column(k)[row.clone()];
                 columns[row].iter().zip(factors).for_each(|(x, &u)| subtract(&mut sum, x, u));
             }
@@ -260,8 +261,8 @@ impl<T: Real> MassMatrixFactor<T> {
 
     /// Parent of joint `k`.
     #[inline]
-    fn carrier(&self, k: usize) -> Option<usize> {
-        carrier(&self.rows, k)
+    fn parent(&self, k: usize) -> Option<usize> {
+        parent(&self.rows, k)
     }
 
     /// Column k of U above the diagonal.

@@ -60,7 +60,7 @@ pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vecto
 /// [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn com_velocity<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
-    mean_over_mass(model, data, |body, com| data.velocity[body].at(com).linear)
+    mean_over_mass(model, data, |body, com| data.velocity[body].shifted_to(com).linear)
 }
 
 /// Acceleration J̇ q̇ of the centre of mass with q̈ = 0 (m/s², world axes); zero if the bodies have no mass.
@@ -68,8 +68,8 @@ pub fn com_velocity<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
 #[must_use]
 pub fn com_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
     mean_over_mass(model, data, |body, com| {
-        let velocity = data.velocity[body].at(com);
-        data.bias_acceleration[body].at(com).linear + velocity.angular.cross(&velocity.linear)
+        let velocity = data.velocity[body].shifted_to(com);
+        data.bias_acceleration[body].shifted_to(com).linear + velocity.angular.cross(&velocity.linear)
     })
 }
 

@@ -48,7 +48,7 @@ pub fn frame_jacobian<T: Real>(
     jacobian: &mut Matrix6xX<T>,
 ) {
     let point = frame_point(model, data, frame);
-    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
+    sum_columns(model, frame, jacobian, |i| data.screw[i].shifted_to(&point));
 }
 
 /// Computes the Jacobian of a point fixed in a frame, given in that frame (m), with the frame's rotation: world axes.
@@ -63,7 +63,7 @@ pub fn point_jacobian<T: Real>(
     jacobian: &mut Matrix6xX<T>,
 ) {
     let point = frame_placement(model, data, frame).act_point(point) - data.origin;
-    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point));
+    sum_columns(model, frame, jacobian, |i| data.screw[i].shifted_to(&point));
 }
 
 /// Computes [`frame_jacobian`] in the frame's own axes.
@@ -78,7 +78,9 @@ pub fn local_jacobian<T: Real>(
 ) {
     let place = frame_placement(model, data, frame);
     let point = place.translation - data.origin;
-    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&point).turned_back(&place.rotation));
+    sum_columns(model, frame, jacobian, |i| {
+        data.screw[i].shifted_to(&point).rotated_inverse(&place.rotation)
+    });
 }
 
 /// Computes the spatial Jacobian: world axes, of the body's point that is at the world's origin.
@@ -91,7 +93,7 @@ pub fn world_jacobian<T: Real>(
     frame: FrameId,
     jacobian: &mut Matrix6xX<T>,
 ) {
-    sum_columns(model, frame, jacobian, |i| data.screw[i].at(&-data.origin));
+    sum_columns(model, frame, jacobian, |i| data.screw[i].shifted_to(&-data.origin));
 }
 
 /// Computes the Jacobian of the motion of `frame` relative to `from`: the velocity of its origin as seen by a body
@@ -108,10 +110,10 @@ pub fn relative_jacobian<T: Real>(
 ) {
     let axes = frame_placement(model, data, from).rotation;
     let point = frame_point(model, data, frame);
-    let column = |i: usize| data.screw[i].at(&point).turned_back(&axes);
+    let column = |i: usize| data.screw[i].shifted_to(&point).rotated_inverse(&axes);
     sum_columns(model, frame, jacobian, column);
     // Common ancestors move neither against the other: their columns cancel to the bit.
-    for i in model.support(from) {
+    for i in model.ancestors(from) {
         let column = -column(i);
         add(jacobian, model.bodies[i].joint, &column.linear, &column.angular);
     }
@@ -147,12 +149,12 @@ pub fn local_jacobian_rate<T: Real>(
     let velocity = frame_velocity(model, data, frame);
     sum_columns(model, frame, rate, |i| {
         // The axes turn too: d/dt (Rᵀ x) = Rᵀ (ẋ − ω × x).
-        let column = data.screw[i].at(&point);
+        let column = data.screw[i].shifted_to(&point);
         let turning = Motion {
             linear: velocity.angular.cross(&column.linear),
             angular: velocity.angular.cross(&column.angular),
         };
-        (rate_at(data, i, &point, &velocity.linear) - turning).turned_back(&place.rotation)
+        (rate_at(data, i, &point, &velocity.linear) - turning).rotated_inverse(&place.rotation)
     });
 }
 
@@ -166,7 +168,7 @@ pub fn world_jacobian_rate<T: Real>(
     frame: FrameId,
     rate: &mut Matrix6xX<T>,
 ) {
-    sum_columns(model, frame, rate, |i| screw_rate(data, i).at(&-data.origin));
+    sum_columns(model, frame, rate, |i| screw_rate(data, i).shifted_to(&-data.origin));
 }
 
 /// Computes J (3 × n) with J q̇ the velocity of the centre of mass of all moving bodies, world axes. Zero if they
@@ -190,8 +192,8 @@ pub fn com_jacobian<T: Real>(model: &Model<T>, data: &mut Data<T>, jacobian: &mu
 /// Adds Jᵀ f of a wrench at a frame (world axes, at its origin) to [`Data::torque`].
 pub(crate) fn add_external<T: Real>(model: &Model<T>, data: &mut Data<T>, frame: FrameId, wrench: &Force<T>) {
     let point = frame_point(model, data, frame);
-    for i in model.support(frame) {
-        data.torque[model.bodies[i].joint] += data.screw[i].at(&point).dot(wrench);
+    for i in model.ancestors(frame) {
+        data.torque[model.bodies[i].joint] += data.screw[i].shifted_to(&point).dot(wrench);
     }
 }
 
@@ -204,7 +206,7 @@ pub(crate) fn screw_rate<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
 /// Rate of a screw at a point that moves.
 #[inline]
 fn rate_at<T: Real>(data: &Data<T>, i: usize, point: &Vector3<T>, velocity: &Vector3<T>) -> Motion<T> {
-    let mut rate = screw_rate(data, i).at(point);
+    let mut rate = screw_rate(data, i).shifted_to(point);
     rate.linear += data.screw[i].angular.cross(velocity);
     rate
 }
@@ -219,7 +221,7 @@ fn sum_columns<T: Real>(
 ) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
     jacobian.as_mut_slice().fill(T::zero());
-    for i in model.support(frame) {
+    for i in model.ancestors(frame) {
         let column = column(i);
         add(jacobian, model.bodies[i].joint, &column.linear, &column.angular);
     }

@@ -174,7 +174,7 @@ pub fn frame_placement<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId
 pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
     match model.frames[frame.0].body {
         None => Motion::zero(),
-        Some(b) => data.velocity[b].at(&frame_point(model, data, frame)),
+        Some(b) => data.velocity[b].shifted_to(&frame_point(model, data, frame)),
     }
 }
 
@@ -194,8 +194,8 @@ pub fn frame_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>, frame:
         return Motion::zero();
     };
     let point = frame_point(model, data, frame);
-    let velocity = data.velocity[b].at(&point);
-    let mut a = data.bias_acceleration[b].at(&point);
+    let velocity = data.velocity[b].shifted_to(&point);
+    let mut a = data.bias_acceleration[b].shifted_to(&point);
     // From the spatial acceleration to that of the point (RBDA eq. 2.48).
     a.linear += velocity.angular.cross(&velocity.linear);
     a

@@ -69,8 +69,8 @@ pub mod regressor;
 pub mod rnea;
 pub mod samples;
 pub mod spatial;
-pub mod suspicion;
 pub mod urdf;
+pub mod warnings;
 
 pub use aba::{aba, aba_external};
 pub use centroidal::{centroidal_map, centroidal_momentum};
@@ -91,12 +91,12 @@ pub use kinematics::{
 pub use model::{Body, Frame, FrameId, Joint, JointKind, Limits, Model, UnknownFrame, UnknownJoint};
 pub use operational_space::{Inversion, OperationalSpace};
 pub use real::Real;
-pub use reduce::{Follows, ReduceError};
+pub use reduce::{MimicConstraint, ReduceError};
 pub use regressor::{inertial_parameters, torque_regressor};
 pub use rnea::{bias, gravity, rnea, rnea_external};
 pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_moments};
-pub use suspicion::{Suspicion, suspicions};
-pub use urdf::{Loaded, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
+pub use urdf::{ParsedUrdf, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
+pub use warnings::{ModelWarning, model_warnings};
 
 /// Computes the state quantities of a control cycle: kinematics, M and its factor, bias and gravity.
 ///

@@ -250,31 +250,31 @@ impl Model {
         let &Frame { body, placement, .. } = &self.frames[on.0];
         self.frames[frame.0].placement = placement * offset;
         let before = std::mem::replace(&mut self.frames[frame.0].body, body);
-        self.sum_up(before);
-        self.sum_up(body);
+        self.update_body_inertia(before);
+        self.update_body_inertia(body);
     }
 
     /// Sets the payload of a frame, in its axes: a tool, a load; no negative mass. It replaces the payload set before;
     /// zero removes it. A payload on the base is ignored.
     pub fn set_payload(&mut self, frame: FrameId, payload: Inertia) {
         self.payloads[frame.0] = payload;
-        self.sum_up(self.frames[frame.0].body);
+        self.update_body_inertia(self.frames[frame.0].body);
     }
 
     /// Replaces the inertia of a body and all that is fixed to it, payloads apart, in the body's frame. That is turned
-    /// against the URDF's: an inertia in the axes of a link is `frame_info(link).placement.act_inertia(&inertia)` here.
+    /// against the URDF's: an inertia in the axes of a link is `frame(link).placement.act_inertia(&inertia)` here.
     ///
     /// # Panics
     /// If there is no such body, or it is one of the first five of a floating base, which are coordinates only.
     pub fn set_inertia(&mut self, body: usize, inertia: Inertia) {
         assert!(!self.floating || body >= 5, "body 5 is the floating base");
         self.own[body] = inertia;
-        self.sum_up(Some(body));
+        self.update_body_inertia(Some(body));
     }
 
     /// Computes a body's inertia from its own and its frames' payloads. Summed anew each time, so that a removed
     /// payload leaves no rounding error.
-    pub(crate) fn sum_up(&mut self, body: Option<usize>) {
+    pub(crate) fn update_body_inertia(&mut self, body: Option<usize>) {
         let Some(body) = body else { return };
         self.bodies[body].inertia = self.own[body];
         for (frame, payload) in self.frames.iter().zip(&self.payloads) {
@@ -386,7 +386,7 @@ impl<T: Real> Model<T> {
 
     /// True if some body follows the joint of another.
     #[must_use]
-    pub fn is_folded(&self) -> bool {
+    pub fn has_mimic_constraints(&self) -> bool {
         self.bodies.len() > self.joints.len()
     }
 
@@ -436,7 +436,7 @@ impl<T: Real> Model<T> {
     ///
     /// # Errors
     /// [`UnknownFrame`], which lists the names of the model.
-    pub fn frame(&self, name: &str) -> Result<FrameId, UnknownFrame> {
+    pub fn frame_id(&self, name: &str) -> Result<FrameId, UnknownFrame> {
         self.frames.iter().position(|f| f.name == name).map(FrameId).ok_or_else(|| UnknownFrame {
             name: name.to_owned(),
             known: self.frames.iter().map(|f| f.name.clone()).collect(),
@@ -456,7 +456,7 @@ impl<T: Real> Model<T> {
 
     /// Returns the name, body and placement of a frame.
     #[must_use]
-    pub fn frame_info(&self, frame: FrameId) -> &Frame<T> {
+    pub fn frame(&self, frame: FrameId) -> &Frame<T> {
         &self.frames[frame.0]
     }
 
@@ -466,7 +466,7 @@ impl<T: Real> Model<T> {
     }
 
     /// Returns the body of a frame and all its ancestors, from the frame towards the base.
-    pub fn support(&self, frame: FrameId) -> impl Iterator<Item = usize> + '_ {
+    pub fn ancestors(&self, frame: FrameId) -> impl Iterator<Item = usize> + '_ {
         self.ancestry(self.frames[frame.0].body)
     }
 
@@ -478,7 +478,7 @@ impl<T: Real> Model<T> {
 
 /// Rotation that turns the z axis onto `axis`, exact for the coordinate axes.
 #[must_use]
-pub fn z_onto(axis: &Unit<Vector3<f64>>) -> Matrix3<f64> {
+pub fn rotation_z_to(axis: &Unit<Vector3<f64>>) -> Matrix3<f64> {
     let z = axis.into_inner();
     if z == Vector3::z() {
         return Matrix3::identity();

@@ -84,14 +84,14 @@ pub struct OperationalSpace {
     pub jbar_transpose: Matrix6xX<f64>,
     /// Share of the weakest eigen-direction of Λ⁻¹ (smallest eigenvalue) that the task still has: 1 if
     /// nothing is damped, 0 if a direction is lost.
-    pub weakest_share: f64,
+    pub min_singular_gain: f64,
 }
 
 impl OperationalSpace {
     /// Allocates for a task on a robot of `n` joints.
     #[must_use]
     pub fn new(n: usize) -> Self {
-        Self { task_inertia: Matrix6::zeros(), jbar_transpose: Matrix6xX::zeros(n), weakest_share: 1.0 }
+        Self { task_inertia: Matrix6::zeros(), jbar_transpose: Matrix6xX::zeros(n), min_singular_gain: 1.0 }
     }
 
     /// Computes Λ and J̄ for the first `rows` rows of `jacobian`, with the mass matrix's factor at its state.
@@ -126,7 +126,7 @@ impl OperationalSpace {
         reference: Option<f64>,
     ) {
         self.update_inertia(factor, jacobian, rows, inversion, reference);
-        self.finish(factor);
+        self.compute_jbar(factor);
     }
 
     /// Computes the first half of [`update_with`](Self::update_with), for where J̄ may not be needed: Λ and the weakest
@@ -149,14 +149,15 @@ impl OperationalSpace {
             half.row_mut(r).fill(0.0);
         }
         let inverse_inertia = factor.mobility(half);
-        (self.task_inertia, self.weakest_share) = damped_inverse(inverse_inertia, rows, inversion, reference);
+        (self.task_inertia, self.min_singular_gain) =
+            damped_inverse(inverse_inertia, rows, inversion, reference);
     }
 
     /// Computes the second half, J̄ᵀ, once after each [`update_inertia`](Self::update_inertia).
     ///
     /// # Panics
     /// If the sizes differ.
-    pub fn finish(&mut self, factor: &MassMatrixFactor) {
+    pub fn compute_jbar(&mut self, factor: &MassMatrixFactor) {
         let half = &mut self.jbar_transpose;
         factor.finish_solve(half);
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();

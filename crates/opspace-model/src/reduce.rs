@@ -2,12 +2,12 @@
 //!
 //! ```
 //! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
-//! use opspace_model::{Follows, Model};
+//! use opspace_model::{MimicConstraint, Model};
 //!
 //! let model = Model::from_urdf(urdf)?.model;
 //! let stiff = model.locked(&[(2, 1.2), (5, 0.0)]).expect("joints that it has");
 //! assert_eq!(stiff.n(), 4);
-//! let follows = Follows { leader: 1, ratio: -1.0, offset: 0.5 };
+//! let follows = MimicConstraint { leader: 1, ratio: -1.0, offset: 0.5 };
 //! assert_eq!(model.folded(&[(2, follows)]).expect("joints that it has").n(), 5);
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
@@ -18,7 +18,7 @@ use thiserror::Error;
 
 /// Coupling of a joint to another: it moves to `ratio` q + `offset` (rad, m), with q of the leader.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Follows {
+pub struct MimicConstraint {
     /// Index of the leader, the joint that q belongs to.
     pub leader: usize,
     /// Ratio of the joint's motion to its leader's.
@@ -74,7 +74,7 @@ impl Model {
     ///
     /// # Errors
     /// [`ReduceError`], which names the joint at fault.
-    pub fn locked(&self, positions: &[(usize, f64)]) -> Result<Self, ReduceError> {
+    pub fn with_locked_joints(&self, positions: &[(usize, f64)]) -> Result<Self, ReduceError> {
         let mut locked_at = vec![None; self.n()];
         for &(joint, position) in positions {
             self.reducible(joint, &[position])?;
@@ -113,7 +113,7 @@ impl Model {
             left.frames.push(Frame { name: frame.name.clone(), body, placement: carrier * frame.placement });
             left.payloads.push(*payload);
         }
-        (0..left.bodies.len()).for_each(|body| left.sum_up(Some(body)));
+        (0..left.bodies.len()).for_each(|body| left.update_body_inertia(Some(body)));
         Ok(left)
     }
 
@@ -124,8 +124,11 @@ impl Model {
     ///
     /// # Errors
     /// [`ReduceError`], which names the joint at fault.
-    pub fn folded(&self, followers: &[(usize, Follows)]) -> Result<Self, ReduceError> {
-        let mut follows: Vec<Option<Follows>> = vec![None; self.n()];
+    pub fn with_mimic_constraints(
+        &self,
+        followers: &[(usize, MimicConstraint)],
+    ) -> Result<Self, ReduceError> {
+        let mut follows: Vec<Option<MimicConstraint>> = vec![None; self.n()];
         for &(joint, rule) in followers {
             self.reducible(joint, &[rule.ratio, rule.offset])?;
             self.reducible(rule.leader, &[])?;
@@ -145,7 +148,7 @@ impl Model {
         // Every joint as a function of one that is left.
         let mut rules = Vec::with_capacity(self.n());
         for joint in 0..self.n() {
-            let mut rule = Follows { leader: joint, ratio: 1.0, offset: 0.0 };
+            let mut rule = MimicConstraint { leader: joint, ratio: 1.0, offset: 0.0 };
             let mut steps = 0;
             while let Some(next) = follows[rule.leader] {
                 rule.offset += rule.ratio * next.offset;

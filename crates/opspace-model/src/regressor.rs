@@ -54,7 +54,7 @@ pub fn torque_regressor<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     for i in 0..bodies {
         let placement = &data.placement[i];
         let point = placement.translation - data.origin;
-        let local = |m: &Motion<T>| m.at(&point).turned_back(&placement.rotation);
+        let local = |m: &Motion<T>| m.shifted_to(&point).rotated_inverse(&placement.rotation);
         let v = local(&data.velocity[i]);
         let a = local(&(data.acceleration[i] + data.bias_acceleration[i]));
         let columns = body_regressor(&v, &a);

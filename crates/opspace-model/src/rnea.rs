@@ -135,7 +135,8 @@ fn newton_euler<T: Real>(
 ) -> Force<T> {
     let Placement { rotation, .. } = placement;
     let com = body.com(placement, origin);
-    let linear = (a.at(&com).linear + v.angular.cross(&v.at(&com).linear)) * body.inertia.mass;
+    let linear =
+        (a.shifted_to(&com).linear + v.angular.cross(&v.shifted_to(&com).linear)) * body.inertia.mass;
     let (w, alpha) = (apply_transposed(rotation, &v.angular), apply_transposed(rotation, &a.angular));
     let inertia = &body.inertia.rotational;
     let moment = apply(inertia, &alpha) + w.cross(&apply(inertia, &w));

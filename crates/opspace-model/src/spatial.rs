@@ -145,21 +145,21 @@ impl<T: Real> Motion<T> {
     /// Motion of the body's point at `point` from the frame's origin.
     #[inline]
     #[must_use]
-    pub fn at(&self, point: &Vector3<T>) -> Self {
+    pub fn shifted_to(&self, point: &Vector3<T>) -> Self {
         Self { linear: self.linear + self.angular.cross(point), angular: self.angular }
     }
 
     /// Motion in new axes: `rotation` has the axes used so far in the new ones.
     #[inline]
     #[must_use]
-    pub fn turned(&self, rotation: &Matrix3<T>) -> Self {
+    pub fn rotated(&self, rotation: &Matrix3<T>) -> Self {
         Self { linear: apply(rotation, &self.linear), angular: apply(rotation, &self.angular) }
     }
 
     /// Motion in the axes that are the columns of `rotation`.
     #[inline]
     #[must_use]
-    pub fn turned_back(&self, rotation: &Matrix3<T>) -> Self {
+    pub fn rotated_inverse(&self, rotation: &Matrix3<T>) -> Self {
         Self {
             linear: apply_transposed(rotation, &self.linear),
             angular: apply_transposed(rotation, &self.angular),
@@ -204,7 +204,7 @@ impl<T: Real> Force<T> {
     /// Returns this force with its moment taken about `point`, given relative to the point used so far.
     #[inline]
     #[must_use]
-    pub fn about(&self, point: &Vector3<T>) -> Self {
+    pub fn shifted_to(&self, point: &Vector3<T>) -> Self {
         Self { linear: self.linear, angular: self.angular - point.cross(&self.linear) }
     }
 }
@@ -348,8 +348,8 @@ impl<T: Real> SpatialInertia<T> {
     #[must_use]
     pub fn new(inertia: &Inertia<T>, rotation: &Matrix3<T>, com: &Vector3<T>) -> Self {
         let first_moment = com * inertia.mass;
-        let turned = congruent(rotation, &inertia.rotational);
-        Self { mass: inertia.mass, first_moment, second_moment: turned + steiner(com, &first_moment) }
+        let turned = rotate_inertia(rotation, &inertia.rotational);
+        Self { mass: inertia.mass, first_moment, second_moment: turned + parallel_axis(com, &first_moment) }
     }
 
     /// Momentum of the body moving at `v`, or its inertial force under the acceleration `v`.
@@ -374,7 +374,7 @@ impl<T: Real> AddAssign<&Self> for SpatialInertia<T> {
 
 /// R A Rᵀ of a symmetric A.
 #[inline]
-fn congruent<T: Real>(rotation: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> {
+fn rotate_inertia<T: Real>(rotation: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> {
     let half = product(rotation, a);
     let entry = |r: usize, c: usize| {
         half[(r, 0)] * rotation[(c, 0)] + half[(r, 1)] * rotation[(c, 1)] + half[(r, 2)] * rotation[(c, 2)]
@@ -407,7 +407,7 @@ fn product<T: Real>(a: &Matrix3<T>, b: &Matrix3<T>) -> Matrix3<T> {
 
 /// (c·h) 1 − c hᵀ with h = m c: the term of the parallel-axis theorem.
 #[inline]
-fn steiner<T: Real>(c: &Vector3<T>, h: &Vector3<T>) -> Matrix3<T> {
+fn parallel_axis<T: Real>(c: &Vector3<T>, h: &Vector3<T>) -> Matrix3<T> {
     let (xx, yy, zz) = (c.x * h.x, c.y * h.y, c.z * h.z);
     let (xy, xz, yz) = (-c.x * h.y, -c.x * h.z, -c.y * h.z);
     Matrix3::new(yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)

@@ -33,14 +33,14 @@ mod tree;
 
 pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 
-use crate::model::{BASE_JOINTS, Joint, JointKind, Model, z_onto};
-use crate::reduce::{Follows, ReduceError};
+use crate::model::{BASE_JOINTS, Joint, JointKind, Model, rotation_z_to};
+use crate::reduce::{MimicConstraint, ReduceError};
 use crate::spatial::{Inertia, Placement};
 use read::{Description, JointElement, Motion};
 
 /// Model read from a URDF, and the warnings about its file.
 #[derive(Clone, Debug)]
-pub struct Loaded {
+pub struct ParsedUrdf {
     /// Model of the robot.
     pub model: Model,
     /// Mass of the links that can't move, which are not part of the model, kg.
@@ -68,7 +68,7 @@ impl Model {
     ///
     /// # Errors
     /// [`UrdfError`], with the line of the element at fault: see [`UrdfErrorKind`].
-    pub fn from_urdf(text: &str) -> Result<Loaded, UrdfError> {
+    pub fn from_urdf(text: &str) -> Result<ParsedUrdf, UrdfError> {
         Self::from_urdf_with(text, UrdfOptions::default())
     }
 
@@ -76,7 +76,7 @@ impl Model {
     ///
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
-    pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<Loaded, UrdfError> {
+    pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
         let read::Reading { description, mut warnings } = read::read(text)?;
         let order = tree::depth_first(&description)?;
         let (mut model, standing_kg) = assemble(&description, &order, options.floating_base)?;
@@ -85,7 +85,7 @@ impl Model {
             warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { .. }));
         }
         warnings.sort_by_key(UrdfWarning::line);
-        Ok(Loaded { model, standing_kg, warnings })
+        Ok(ParsedUrdf { model, standing_kg, warnings })
     }
 }
 
@@ -122,7 +122,7 @@ fn assemble(
                     return Err(UrdfError::at(element.line, kind));
                 }
                 Motion::Moving { kind, axis, limits, .. } => {
-                    let turned = Placement { rotation: z_onto(axis), ..Placement::identity() };
+                    let turned = Placement { rotation: rotation_z_to(axis), ..Placement::identity() };
                     let joint = Joint { name: element.name.clone(), kind: *kind, limits: *limits };
                     movers.push(element);
                     inertias.push(Inertia::zero());
@@ -203,9 +203,9 @@ fn fold(model: &Model, description: &Description) -> Result<Model, UrdfError> {
             })?;
         let Ok(joint) = model.joint(&element.name) else { continue };
         line = mimic.line;
-        followers.push((joint, Follows { leader, ratio: mimic.ratio, offset: mimic.offset }));
+        followers.push((joint, MimicConstraint { leader, ratio: mimic.ratio, offset: mimic.offset }));
     }
-    model.folded(&followers).map_err(|error| match error {
+    model.with_mimic_constraints(&followers).map_err(|error| match error {
         ReduceError::FollowsItself { joint } => {
             let line = description.joints.iter().find(|j| j.name == joint).map_or(line, |j| j.line);
             UrdfError::at(line, UrdfErrorKind::MimicsItself { joint })

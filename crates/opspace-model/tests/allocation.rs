@@ -49,7 +49,7 @@ fn robots() -> Vec<(&'static str, Model, [FrameId; 2])> {
     ];
     let loaded = robots.map(|(robot, options, frames)| {
         let model = load(robot, options);
-        let frames = frames.map(|frame| model.frame(frame).unwrap());
+        let frames = frames.map(|frame| model.frame_id(frame).unwrap());
         (robot, model, frames)
     });
     loaded.into()
@@ -156,14 +156,14 @@ fn no_task_allocates() {
         let count = allocations(|| {
             // Undamped, damped in all directions but the most mobile, and with a direction lost altogether.
             space.update(&data.mass_matrix_factor, &jacobian, 6, 0.0);
-            shares[0] = space.weakest_share;
+            shares[0] = space.min_singular_gain;
             space.update(&data.mass_matrix_factor, &jacobian, 3, 0.999);
-            shares[1] = space.weakest_share;
+            shares[1] = space.min_singular_gain;
             space.project_torque(&jacobian, &mut tau);
             space.nullspace(&jacobian, &mut nullspace);
             jacobian.row_mut(1).fill(0.0);
             space.update(&data.mass_matrix_factor, &jacobian, 6, 1e-3);
-            shares[2] = space.weakest_share;
+            shares[2] = space.min_singular_gain;
         });
         assert_eq!(count, 0, "{robot}");
         assert_eq!(shares[0], 1.0, "{robot}: the plain branch was taken");
@@ -180,7 +180,7 @@ fn no_change_of_a_model_allocates() {
         let (mut to, mut back) = (from.clone(), v.clone());
         let load = Inertia { mass: 0.5, ..Inertia::zero() };
         let offset = Placement::from_rpy([0.1, 0.2, 0.3], [0.0, 0.0, 0.1]);
-        let (last, rest) = (model.n() - 1, model.frame_info(tip).placement);
+        let (last, rest) = (model.n() - 1, model.frame(tip).placement);
         let count = allocations(|| {
             integrate(&model, &from, &v, &mut to);
             difference(&model, &from, &to, &mut back);
@@ -191,10 +191,10 @@ fn no_change_of_a_model_allocates() {
             model.set_inertia(model.bodies().len() - 1, load);
             model.set_limits(last, Limits::NONE);
             black_box(model.total_mass());
-            black_box(model.support(second).count());
+            black_box(model.ancestors(second).count());
         });
         assert_eq!(count, 0, "{robot}");
-        assert_ne!(model.frame_info(tip).placement, rest, "{robot}: the frame was moved");
+        assert_ne!(model.frame(tip).placement, rest, "{robot}: the frame was moved");
         assert_eq!(model.joints()[last].limits, Limits::NONE, "{robot}");
     }
 }

@@ -368,7 +368,7 @@ fn all_of_a_floating_base_is_one_body() {
     let mut model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
     for body in [None, Some(0), Some(4), Some(5)] {
         let frame = model.add_frame("anywhere", body, Placement::identity());
-        assert_eq!(model.frame_info(frame).body, Some(5));
+        assert_eq!(model.frame(frame).body, Some(5));
     }
 }
 

@@ -211,7 +211,7 @@ proptest! {
         let (n, first, ahead) = (case.model.n(), case.first_joint(), case.ahead());
         prop_assume!(n > first);
         let which = first + which.index(n - first);
-        let locked = case.model.locked(&[(which, at)]).unwrap();
+        let locked = case.model.with_locked_joints(&[(which, at)]).unwrap();
         let (mut q, mut dq) = (case.q.clone(), case.dq.clone());
         (q[ahead + which], dq[which]) = (at, 0.0);
         let whole = evaluated(&case.model, &q, &dq);
@@ -265,7 +265,7 @@ proptest! {
         close(&(nullspace * nullspace), nullspace, INVERSE)?;
         close(&(inertia * inverse_inertia), &identity, INVERSE)?;
         close(&(minv_jt.transpose() * nullspace.transpose()), &DMatrix::zeros(rows, n), INVERSE)?;
-        prop_assert_eq!(space.weakest_share, 1.0);
+        prop_assert_eq!(space.min_singular_gain, 1.0);
     }
 
     /// A frame on the base stands still, whatever the joints do.

@@ -38,7 +38,7 @@ fn every_sample_agrees(robot: &str) {
     let model = model
         .with_gravity(Vector3::from_vec(numbers(&meta["gravity"])))
         .with_rotor_inertia(&ordered(&meta["rotor_inertia"]));
-    let tip = model.frame(meta["tip_frame"].as_str().unwrap()).unwrap();
+    let tip = model.frame_id(meta["tip_frame"].as_str().unwrap()).unwrap();
     let mut data = Data::new(&model);
     let mut jacobian = Matrix6xX::zeros(n);
 

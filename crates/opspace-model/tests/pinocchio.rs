@@ -38,7 +38,7 @@ const QUANTITIES: [(&str, f64); 19] = [
 
 fn every_sample_agrees(robot: &str) {
     let Oracle { meta, samples, model } = oracle(&format!("pinocchio/{robot}.json"));
-    let tip = model.frame(meta["tip_frame"].as_str().unwrap()).unwrap();
+    let tip = model.frame_id(meta["tip_frame"].as_str().unwrap()).unwrap();
     assert_eq!(meta["n_samples"], samples.len());
     for (i, reference) in samples.iter().enumerate() {
         let mut input = reference.clone();

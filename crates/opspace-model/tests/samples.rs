@@ -7,7 +7,7 @@ use opspace_model::{FrameId, Model, UrdfOptions};
 fn robot(name: &str, tip: &str) -> (Model, FrameId) {
     let path = format!("{}/../../tests/oracles/pinocchio/urdf/{name}.urdf", env!("CARGO_MANIFEST_DIR"));
     let model = Model::from_urdf(&std::fs::read_to_string(path).unwrap()).unwrap().model;
-    let tip = model.frame(tip).unwrap();
+    let tip = model.frame_id(tip).unwrap();
     (model, tip)
 }
 
@@ -168,7 +168,7 @@ fn refuses_a_body_that_nothing_resists() {
         <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>
         <joint name="spin" type="continuous"><parent link="base"/><child link="dot"/></joint></robot>"#;
     let model = Model::from_urdf(urdf).unwrap().model;
-    let tip = model.frame("dot").unwrap();
+    let tip = model.frame_id("dot").unwrap();
     assert_eq!(evaluate(&model, tip, &at(&[0.0], &[3])), Err(SampleError::SingularMassMatrix));
 }
 
@@ -191,7 +191,7 @@ fn a_quaternion_has_length_one() {
     let path = format!("{}/../../tests/oracles/pinocchio/urdf/ur5.urdf", env!("CARGO_MANIFEST_DIR"));
     let options = UrdfOptions { floating_base: true, ..UrdfOptions::default() };
     let model = Model::from_urdf_with(&std::fs::read_to_string(path).unwrap(), options).unwrap().model;
-    let tip = model.frame("tool0").unwrap();
+    let tip = model.frame_id("tool0").unwrap();
     let sample = |w: f64| {
         let q = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, w, 0.3, -1.2, 1.4, -0.7, 0.9, 0.2].to_vec();
         Sample { q, ..at(&[0.1; 12], &ALL) }

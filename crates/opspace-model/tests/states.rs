@@ -90,10 +90,10 @@ struct Bench {
 
 impl Bench {
     fn new(meta: &Value, model: Model) -> Self {
-        let frame = |key: &str| model.frame(meta[key].as_str().expect(key)).expect(key);
+        let frame = |key: &str| model.frame_id(meta[key].as_str().expect(key)).expect(key);
         let mut parameters = DVector::zeros(10 * model.bodies().len());
         for entry in meta["random_inertias"].as_array().expect("a list") {
-            let link = model.frame_info(model.frame(entry["link"].as_str().unwrap()).unwrap());
+            let link = model.frame(model.frame_id(entry["link"].as_str().unwrap()).unwrap());
             let body = link.body.expect("moves");
             let theirs = inertial_parameters(&link.placement.act_inertia(&inertia(entry)));
             parameters.as_mut_slice()[10 * body..][..10].copy_from_slice(&theirs);
@@ -110,7 +110,7 @@ impl Bench {
             point: triple(&meta["point"]),
             parameters,
             loaded,
-            reduced: model.locked(&locked).unwrap(),
+            reduced: model.with_locked_joints(&locked).unwrap(),
             left,
             model,
         }

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use opspace_model::{
-    Inertia, Joint, JointKind, Limits, Model, Placement, Suspicion, UrdfOptions, suspicions,
+    Inertia, Joint, JointKind, Limits, Model, ModelWarning, Placement, UrdfOptions, model_warnings,
 };
 use std::f64::consts::PI;
 use std::fs;
@@ -42,7 +42,7 @@ fn ellipsoid(density: f64, [a, b, c]: [f64; 3]) -> Inertia {
 }
 
 fn texts(model: &Model) -> Vec<String> {
-    suspicions(model).iter().map(ToString::to_string).collect()
+    model_warnings(model).iter().map(ToString::to_string).collect()
 }
 
 /// The robots of the project and of Pinocchio's set whose data are measured or from CAD, fixed and floating.
@@ -66,11 +66,11 @@ fn nothing_is_said_of_a_good_robot() {
 #[test]
 fn the_known_slips_in_published_robots_are_found() {
     let parts = |model: &Model| -> Vec<String> {
-        let part = |s: Suspicion| match s {
-            Suspicion::LargeInertia { part, .. } => part,
+        let part = |s: ModelWarning| match s {
+            ModelWarning::LargeInertia { part, .. } => part,
             other => panic!("{other}"),
         };
-        suspicions(model).into_iter().map(part).collect()
+        model_warnings(model).into_iter().map(part).collect()
     };
     let fixed = "with what is fixed to it";
     let wrists = ["link 'wrist_1_link'", "link 'wrist_2_link'", &format!("link 'wrist_3_link' {fixed}")];
@@ -85,32 +85,36 @@ fn the_known_slips_in_published_robots_are_found() {
 }
 
 /// Name of a slip, its effect on a body, and the check of its report.
-type Slip = (&'static str, fn(Inertia) -> Inertia, fn(&Suspicion) -> bool);
+type Slip = (&'static str, fn(Inertia) -> Inertia, fn(&ModelWarning) -> bool);
 
 /// Checks that each of the usual slips in each body of two sound robots is reported, for that body.
 #[test]
 fn a_slip_in_any_body_is_found() {
     let slips: [Slip; 5] = [
-        ("centre in mm", |i| Inertia { com: i.com * 1e3, ..i }, |s| matches!(s, Suspicion::FarCentre { .. })),
+        (
+            "centre in mm",
+            |i| Inertia { com: i.com * 1e3, ..i },
+            |s| matches!(s, ModelWarning::FarCentre { .. }),
+        ),
         (
             "moments a thousandth",
             |i| Inertia { rotational: i.rotational * 1e-3, ..i },
-            |s| matches!(s, Suspicion::SmallInertia { .. }),
+            |s| matches!(s, ModelWarning::SmallInertia { .. }),
         ),
         (
             "moments in kg mm²",
             |i| Inertia { rotational: i.rotational * 1e6, ..i },
-            |s| matches!(s, Suspicion::LargeInertia { .. }),
+            |s| matches!(s, ModelWarning::LargeInertia { .. }),
         ),
         (
             "mass in g",
             |i| Inertia { mass: i.mass * 1e3, ..i },
-            |s| matches!(s, Suspicion::SmallInertia { .. }),
+            |s| matches!(s, ModelWarning::SmallInertia { .. }),
         ),
         (
             "mass in tonnes",
             |i| Inertia { mass: i.mass * 1e-3, ..i },
-            |s| matches!(s, Suspicion::LargeInertia { .. } | Suspicion::UnequalMasses { .. }),
+            |s| matches!(s, ModelWarning::LargeInertia { .. } | ModelWarning::UnequalMasses { .. }),
         ),
     ];
     for path in ["robots/panda/panda.urdf", "robots/ur5e/ur5e.urdf"] {
@@ -120,7 +124,7 @@ fn a_slip_in_any_body_is_found() {
             for (what, slip, is_it) in slips {
                 let mut model = good.clone();
                 model.set_inertia(number, slip(good.bodies()[number].inertia));
-                let said = suspicions(&model);
+                let said = model_warnings(&model);
                 let found = said.iter().any(|s| is_it(s) && s.to_string().contains(&format!("'{link}'")));
                 assert!(found, "{path}, {link}, {what}: {said:?}");
             }
@@ -132,8 +136,8 @@ fn a_slip_in_any_body_is_found() {
 #[test]
 fn a_body_is_as_light_as_foam_or_heavier() {
     for axes in [[0.1, 0.1, 0.1], [0.3, 0.05, 0.04], [0.2, 0.02, 0.3]] {
-        let found = suspicions(&body(ellipsoid(29.9, axes)));
-        let [Suspicion::LargeInertia { density, .. }] = found[..] else { panic!("{found:?}") };
+        let found = model_warnings(&body(ellipsoid(29.9, axes)));
+        let [ModelWarning::LargeInertia { density, .. }] = found[..] else { panic!("{found:?}") };
         assert!((density / 29.9 - 1.0).abs() < TOLERANCE, "{density}");
         assert_eq!(texts(&body(ellipsoid(30.1, axes))), [""; 0]);
     }
@@ -151,8 +155,8 @@ fn a_body_is_as_light_as_foam_or_heavier() {
 fn a_body_is_no_denser_than_osmium() {
     for radius in [1e-3, 0.01, 0.1] {
         assert_eq!(texts(&body(ellipsoid(22_500.0, [radius; 3]))), [""; 0]);
-        let found = suspicions(&body(ellipsoid(22_700.0, [radius; 3])));
-        assert!(matches!(found[..], [Suspicion::SmallInertia { .. }]), "{found:?}");
+        let found = model_warnings(&body(ellipsoid(22_700.0, [radius; 3])));
+        assert!(matches!(found[..], [ModelWarning::SmallInertia { .. }]), "{found:?}");
         // A thin rod of the same metal has more about its other axes, however thin.
         assert_eq!(texts(&body(ellipsoid(22_500.0, [radius / 1e3, radius / 1e3, radius]))), [""; 0]);
     }
@@ -171,8 +175,8 @@ fn a_centre_of_mass_is_near_its_frame_or_what_is_there() {
     let radius = 0.05 * 0.4_f64.sqrt();
     let at = |radii: f64| body(Inertia { com: Vector3::new(0.0, radii * radius, 0.0), ..ball });
     assert_eq!(texts(&at(5.9)), [""; 0]);
-    let found = suspicions(&at(6.1));
-    let [Suspicion::FarCentre { distance_m, radius_m, .. }] = found[..] else { panic!("{found:?}") };
+    let found = model_warnings(&at(6.1));
+    let [ModelWarning::FarCentre { distance_m, radius_m, .. }] = found[..] else { panic!("{found:?}") };
     assert!((distance_m - 6.1 * radius).abs() < TOLERANCE && (radius_m - radius).abs() < TOLERANCE);
     assert!(
         found[0]
@@ -225,11 +229,11 @@ fn a_joint_without_a_limit_is_named() {
         let joint = Joint { name: name.into(), kind: JointKind::Revolute, limits };
         model.add_body(None, Placement::identity(), joint, ball);
     }
-    let none = |joints: &[&str], limit| Suspicion::NoLimit {
+    let none = |joints: &[&str], limit| ModelWarning::NoLimit {
         joints: joints.iter().map(|&j| j.to_owned()).collect(),
         limit,
     };
-    assert_eq!(suspicions(&model), [none(&["c"], "velocity"), none(&["b", "c"], "effort")]);
+    assert_eq!(model_warnings(&model), [none(&["c"], "velocity"), none(&["b", "c"], "effort")]);
     assert!(texts(&model)[0].starts_with("joint 'c': no velocity limit"), "{:?}", texts(&model));
     assert!(texts(&model)[1].starts_with("joints 'b', 'c': no effort limit"), "{:?}", texts(&model));
 }

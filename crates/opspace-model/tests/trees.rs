@@ -10,7 +10,7 @@ use common::{
 };
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::{
-    Data, Follows, FrameId, Inertia, Joint, JointKind, Limits, MassMatrixFactor, Model, Motion,
+    Data, FrameId, Inertia, Joint, JointKind, Limits, MassMatrixFactor, MimicConstraint, Model, Motion,
     OperationalSpace, Placement, ReduceError, UrdfErrorKind, UrdfOptions, UrdfWarningKind, aba,
     aba_derivatives, aba_external, center_of_mass, centroidal_map, centroidal_momentum, com_jacobian,
     frame_bias_acceleration, frame_jacobian, frame_jacobian_rate, frame_placement, frame_velocity,
@@ -249,7 +249,7 @@ proptest! {
         for (i, body) in case.model.bodies().iter().enumerate() {
             let Placement { rotation, .. } = data.placement[i];
             let com = data.placement[i].act_point(&body.inertia.com);
-            let v = data.velocity[i].at(&(com - data.origin));
+            let v = data.velocity[i].shifted_to(&(com - data.origin));
             let p = v.linear * body.inertia.mass;
             linear += p;
             angular += rotation * body.inertia.rotational * rotation.transpose() * v.angular
@@ -351,7 +351,7 @@ proptest! {
     fn a_payload_is_part_of_its_body(case in case(), load in inertia()) {
         let mut loaded = case.clone();
         loaded.model.set_payload(case.tip, load);
-        let tip = case.model.frame_info(case.tip);
+        let tip = case.model.frame(case.tip);
         let (body, carried) = (tip.body.unwrap(), tip.placement.act_inertia(&load));
         let mut heavier = case.clone();
         heavier.model.set_inertia(body, case.model.bodies()[body].inertia + carried);
@@ -378,7 +378,7 @@ proptest! {
         let expected = frame_placement(&case.model, &a, case.second) * offset;
         same_place(&frame_placement(&made.model, &b, there), &expected, ROUNDING)?;
         // And back home.
-        let home = case.model.frame_info(case.tip);
+        let home = case.model.frame(case.tip);
         let body = moved.model.add_frame("body", home.body, Placement::identity());
         moved.model.set_payload(case.tip, Inertia::zero());
         moved.model.move_frame(case.tip, body, home.placement);
@@ -392,8 +392,8 @@ proptest! {
         prop_assume!(n >= first + 2);
         let mut model = case.model.clone();
         model.set_payload(case.tip, load);
-        let both = model.locked(&[(n - 1, at[1]), (first, at[0])]).unwrap();
-        let one_by_one = model.locked(&[(n - 1, at[1])]).unwrap().locked(&[(first, at[0])]).unwrap();
+        let both = model.with_locked_joints(&[(n - 1, at[1]), (first, at[0])]).unwrap();
+        let one_by_one = model.with_locked_joints(&[(n - 1, at[1])]).unwrap().with_locked_joints(&[(first, at[0])]).unwrap();
         let keep = |values: &[f64], ahead: usize| {
             let mut kept = values.to_vec();
             kept.remove(n - 1 + ahead);
@@ -407,7 +407,7 @@ proptest! {
         // The payload comes off a model that was locked with it.
         let mut unloaded = both.clone();
         unloaded.set_payload(case.tip, Inertia::zero());
-        let without = case.model.locked(&[(first, at[0]), (n - 1, at[1])]).unwrap();
+        let without = case.model.with_locked_joints(&[(first, at[0]), (n - 1, at[1])]).unwrap();
         prop_assert_eq!(unloaded.bodies(), without.bodies());
         prop_assert_eq!(unloaded.rotor_inertia(), without.rotor_inertia());
     }
@@ -416,40 +416,40 @@ proptest! {
     #[test]
     fn impossible_reductions_name_the_joint(case in case()) {
         let (first, n, model) = (case.first_joint(), case.model.n(), &case.model);
-        let rule = |leader, ratio, offset| Follows { leader, ratio, offset };
+        let rule = |leader, ratio, offset| MimicConstraint { leader, ratio, offset };
         let refused = |error: ReduceError, words: &str| {
             prop_assert!(error.to_string().contains(words), "'{}' doesn't say '{}'", error, words);
             Ok(error)
         };
         let count = format!("there are {n}, numbered from 0");
-        refused(model.locked(&[(n, 0.0)]).unwrap_err(), &count)?;
+        refused(model.with_locked_joints(&[(n, 0.0)]).unwrap_err(), &count)?;
         if model.is_floating() {
-            let base = refused(model.locked(&[(4, 0.0)]).unwrap_err(), "base.angular.y")?;
+            let base = refused(model.with_locked_joints(&[(4, 0.0)]).unwrap_err(), "base.angular.y")?;
             prop_assert_eq!(base, ReduceError::Base { joint: "base.angular.y".into() });
         }
         prop_assume!(n > first);
         let name = || model.joints()[first].name.clone();
-        let twice = refused(model.locked(&[(first, 0.0), (first, 1.0)]).unwrap_err(), &name())?;
+        let twice = refused(model.with_locked_joints(&[(first, 0.0), (first, 1.0)]).unwrap_err(), &name())?;
         prop_assert_eq!(twice, ReduceError::Repeated { joint: name() });
-        let nowhere = refused(model.locked(&[(first, f64::NAN)]).unwrap_err(), &name())?;
+        let nowhere = refused(model.with_locked_joints(&[(first, f64::NAN)]).unwrap_err(), &name())?;
         prop_assert!(matches!(nowhere, ReduceError::NotFinite { value, .. } if value.is_nan()), "{}", nowhere);
-        let nowhere = refused(model.folded(&[(first, rule(n, 1.0, 0.0))]).unwrap_err(), &count)?;
+        let nowhere = refused(model.with_mimic_constraints(&[(first, rule(n, 1.0, 0.0))]).unwrap_err(), &count)?;
         prop_assert_eq!(nowhere, ReduceError::NoSuchJoint { joint: n, count: n });
-        let own = refused(model.folded(&[(first, rule(first, 1.0, 0.0))]).unwrap_err(), &name())?;
+        let own = refused(model.with_mimic_constraints(&[(first, rule(first, 1.0, 0.0))]).unwrap_err(), &name())?;
         prop_assert_eq!(own, ReduceError::FollowsItself { joint: name() });
         for (ratio, offset) in [(f64::INFINITY, 0.0), (1.0, f64::NEG_INFINITY)] {
-            let error = refused(model.folded(&[(first, rule(n - 1, ratio, offset))]).unwrap_err(), &name())?;
+            let error = refused(model.with_mimic_constraints(&[(first, rule(n - 1, ratio, offset))]).unwrap_err(), &name())?;
             prop_assert!(matches!(error, ReduceError::NotFinite { value, .. } if value.is_infinite()), "{}", error);
         }
         if model.is_floating() {
-            let base = refused(model.folded(&[(first, rule(0, 1.0, 0.0))]).unwrap_err(), "base.linear.x")?;
+            let base = refused(model.with_mimic_constraints(&[(first, rule(0, 1.0, 0.0))]).unwrap_err(), "base.linear.x")?;
             prop_assert_eq!(base, ReduceError::Base { joint: "base.linear.x".into() });
         }
         prop_assume!(n > first + 1);
         let twice = [(first, rule(first + 1, 1.0, 0.0)), (first, rule(first + 1, 2.0, 0.0))];
-        prop_assert_eq!(model.folded(&twice).unwrap_err(), ReduceError::Repeated { joint: name() });
+        prop_assert_eq!(model.with_mimic_constraints(&twice).unwrap_err(), ReduceError::Repeated { joint: name() });
         let circle = [(first, rule(first + 1, 1.0, 0.0)), (first + 1, rule(first, 2.0, 0.0))];
-        let circle = model.folded(&circle).unwrap_err();
+        let circle = model.with_mimic_constraints(&circle).unwrap_err();
         prop_assert!(matches!(circle, ReduceError::FollowsItself { .. }), "{}", circle);
     }
 }
@@ -477,7 +477,7 @@ proptest! {
     fn folded_joints_move_as_free_ones_do_together(folded in folded()) {
         let (case, whole, map) = (&folded.case, unfolded(&folded), folded.map());
         let (model, free) = (&case.model, &whole.model);
-        prop_assert!(model.is_folded() && !free.is_folded());
+        prop_assert!(model.has_mimic_constraints() && !free.has_mimic_constraints());
         let (mut a, mut b) = (case.evaluated(), whole.evaluated());
         for frame in [case.tip, case.second] {
             let place = frame_placement(model, &a, frame);
@@ -571,13 +571,13 @@ proptest! {
     fn joints_fold_one_after_the_other(folded in folded()) {
         let (&last, others) = folded.followers.split_last().unwrap();
         // The last follows no one who is gone: leaders come before their followers.
-        let first = folded.whole.folded(&[last]).unwrap();
+        let first = folded.whole.with_mimic_constraints(&[last]).unwrap();
         let number = |joint: usize| joint - usize::from(joint > last.0);
-        let others: Vec<(usize, Follows)> = others
+        let others: Vec<(usize, MimicConstraint)> = others
             .iter()
-            .map(|&(joint, rule)| (number(joint), Follows { leader: number(rule.leader), ..rule }))
+            .map(|&(joint, rule)| (number(joint), MimicConstraint { leader: number(rule.leader), ..rule }))
             .collect();
-        let then = Case { model: first.folded(&others).unwrap(), ..folded.case.clone() };
+        let then = Case { model: first.with_mimic_constraints(&others).unwrap(), ..folded.case.clone() };
         let (a, b) = (folded.case.evaluated(), then.evaluated());
         close(&a.mass_matrix, &b.mass_matrix, ROUNDING)?;
         close(&a.bias, &b.bias, ROUNDING)?;
@@ -593,11 +593,11 @@ proptest! {
         let n = case.model.n();
         prop_assume!(n > 1);
         let (joint, leader) = (which.0.index(n), which.1.index(n - 1));
-        let rule = Follows { leader: if leader < joint { leader } else { leader + 1 }, ratio: 0.0, offset };
+        let rule = MimicConstraint { leader: if leader < joint { leader } else { leader + 1 }, ratio: 0.0, offset };
         let without = |values: &[f64]| [&values[..joint], &values[joint + 1..]].concat();
         let (q, dq) = (without(&case.q), without(&case.dq));
         let (folded, locked) =
-            (case.model.folded(&[(joint, rule)]).unwrap(), case.model.locked(&[(joint, offset)]).unwrap());
+            (case.model.with_mimic_constraints(&[(joint, rule)]).unwrap(), case.model.with_locked_joints(&[(joint, offset)]).unwrap());
         let (a, b) = (evaluated(&folded, &q, &dq), evaluated(&locked, &q, &dq));
         close(&a.mass_matrix, &b.mass_matrix, ROUNDING)?;
         close(&a.bias, &b.bias, ROUNDING)?;
@@ -655,8 +655,8 @@ fn mimic_joints_of_a_urdf_fold() -> Result<(), TestCaseError> {
         let (dq, whole_dq) = (vec![0.0; folded.n()], vec![0.0; free.n()]);
         let (a, b) = (evaluated(&folded, &q, &dq), evaluated(&free, &whole_q, &whole_dq));
         for link in ["wrist", "left", "right", "thumb"] {
-            let place = frame_placement(&folded, &a, folded.frame(link).unwrap());
-            same_place(&place, &frame_placement(&free, &b, free.frame(link).unwrap()), ROUNDING)?;
+            let place = frame_placement(&folded, &a, folded.frame_id(link).unwrap());
+            same_place(&place, &frame_placement(&free, &b, free.frame_id(link).unwrap()), ROUNDING)?;
         }
         let mut map = DMatrix::zeros(free.n(), folded.n());
         map.view_mut((0, 0), (first + 1, first + 1)).fill_with_identity();
@@ -705,7 +705,7 @@ fn a_task_of_no_numbers_is_lost() {
         j[(1, 3)] = bad;
         let mut space = OperationalSpace::new(7);
         space.update(&data.mass_matrix_factor, &j, 3, 1e-3);
-        assert_eq!((space.weakest_share, space.task_inertia.amax()), (0.0, 0.0), "{bad}");
+        assert_eq!((space.min_singular_gain, space.task_inertia.amax()), (0.0, 0.0), "{bad}");
     }
 }
 
@@ -714,14 +714,15 @@ fn a_task_of_no_numbers_is_lost() {
 #[test]
 fn a_circle_is_named_and_a_ratio_is_a_number() {
     let model = chain(4);
-    let follows = |leader: usize, ratio: f64| Follows { leader, ratio, offset: 0.0 };
-    let circle =
-        model.folded(&[(0, follows(1, 1.0)), (1, follows(2, 1.0)), (2, follows(1, 1.0))]).unwrap_err();
+    let follows = |leader: usize, ratio: f64| MimicConstraint { leader, ratio, offset: 0.0 };
+    let circle = model
+        .with_mimic_constraints(&[(0, follows(1, 1.0)), (1, follows(2, 1.0)), (2, follows(1, 1.0))])
+        .unwrap_err();
     let ReduceError::FollowsItself { joint } = &circle else { panic!("{circle}") };
     assert!(joint == "j1" || joint == "j2", "{joint}");
-    let huge = model.folded(&[(1, follows(2, 1e200)), (2, follows(3, 1e200))]).unwrap_err();
+    let huge = model.with_mimic_constraints(&[(1, follows(2, 1e200)), (2, follows(3, 1e200))]).unwrap_err();
     assert_eq!(huge, ReduceError::NotFinite { joint: "j1".to_owned(), value: f64::INFINITY });
-    let folded = model.folded(&[(1, follows(3, 1.0))]).unwrap();
+    let folded = model.with_mimic_constraints(&[(1, follows(3, 1.0))]).unwrap();
     let following: Vec<bool> = folded.bodies().iter().map(|b| b.follows).collect();
     assert_eq!(following, [false, true, false, false]);
 }

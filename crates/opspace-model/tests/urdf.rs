@@ -475,7 +475,7 @@ fn a_link_has_the_axes_of_the_file_whatever_its_joint_axis() {
     let model = Model::from_urdf(ARM).unwrap().model;
     let mut data = Data::new(&model);
     kinematics(&model, &mut data, &[0.0, 0.25], &[0.0, 0.0]);
-    let tool = frame_placement(&model, &data, model.frame("tool").unwrap());
+    let tool = frame_placement(&model, &data, model.frame_id("tool").unwrap());
     assert!((tool.translation - Vector3::new(0.0, 0.25, 0.5)).norm() < 1e-15);
     assert!((tool.rotation - Matrix3::identity()).norm() < 1e-15);
 }
@@ -505,7 +505,7 @@ fn what_is_fixed_to_the_base_has_no_inertia() {
         <joint name="bolt" type="fixed"><parent link="base"/><child link="table"/></joint>"#;
     let model = Model::from_urdf(&arm_and(more)).unwrap().model;
     assert_eq!(model.total_mass(), 3.0);
-    assert_eq!(model.frame_info(model.frame("table").unwrap()).body, None);
+    assert_eq!(model.frame(model.frame_id("table").unwrap()).body, None);
 }
 
 /// Our reader against urdf-rs, of which we use nothing else: every number of every file, where the joints of
@@ -521,7 +521,7 @@ fn agrees_with_urdf_rs() {
         let mut data = Data::new(&model);
         let zero = vec![0.0; model.n()];
         kinematics(&model, &mut data, &zero, &zero);
-        let place = |name: &str| frame_placement(&model, &data, model.frame(name).unwrap());
+        let place = |name: &str| frame_placement(&model, &data, model.frame_id(name).unwrap());
         for joint in &theirs.joints {
             let origin = opspace_model::Placement::from_rpy(*joint.origin.rpy, *joint.origin.xyz);
             let expected = place(&joint.parent.link) * origin;
@@ -541,7 +541,7 @@ fn agrees_with_urdf_rs() {
                 assert_eq!((ours.limits.lower, ours.limits.upper), (joint.limit.lower, joint.limit.upper));
             }
         }
-        let moving = |name: &str| model.frame_info(model.frame(name).unwrap()).body.is_some();
+        let moving = |name: &str| model.frame(model.frame_id(name).unwrap()).body.is_some();
         let mass: f64 = theirs.links.iter().filter(|l| moving(&l.name)).map(|l| l.inertial.mass.value).sum();
         assert!((model.total_mass() - mass).abs() < 1e-12 * mass, "{robot}");
     }

@@ -103,12 +103,12 @@ impl ArmConfig {
                 return Err(SimulationError::UnknownSensorQuality { sensor: sensor.name.clone() });
             }
             self.model
-                .frame(&sensor.frame)
+                .frame_id(&sensor.frame)
                 .map_err(|source| SimulationError::SensorFrame { sensor: sensor.name.clone(), source })?;
         }
         for (name, object) in &self.environment {
             self.model
-                .frame(object.frame())
+                .frame_id(object.frame())
                 .map_err(|source| SimulationError::Frame { object: name.clone(), source })?;
             match object {
                 EnvironmentObjectParameters::Spring(spring) => {
@@ -134,7 +134,7 @@ impl ArmConfig {
 
     /// The clock of this arm in a simulation.
     pub(crate) fn timing(&self, clock: &Clock) -> Result<Timing, SimulationError> {
-        let ratio = self.profile.ratio.get();
+        let ratio = self.profile.servo_ticks_per_cycle.get();
         let nominal = self.profile.delay();
         let delay = self.simulated.delay_servo_ticks.unwrap_or(nominal);
         if delay > ratio {
@@ -145,7 +145,7 @@ impl ArmConfig {
         let ticks_per_servo = clock.ticks_per_servo(servo_hz);
         Ok(Timing {
             servo_period_s: self.profile.servo_period_s(),
-            ratio,
+            servo_ticks_per_cycle: ratio,
             delay,
             rest_ticks: (self.rest_s / self.profile.period_s()).round() * f64::from(ratio),
             servo_tick: 0,
@@ -190,9 +190,12 @@ impl ArmConfig {
         let dt = 1.0 / physics_hz;
         let bandwidth_hz = simulated.current_loop_hz.map(|hz| hz.get());
         let joint = |(i, parameters): (usize, &JointParameters)| {
-            let friction =
-                LuGre::new(self.true_friction(i), &simulated.bristle, simulated.scale.friction.get());
-            let slip_torque = parameters.torque_limit_nm.get() * simulated.brake.slips_at_torque_limits.get();
+            let friction = LuGre::new(
+                self.true_friction(i),
+                &simulated.bristle,
+                simulated.true_over_nominal.friction.get(),
+            );
+            let slip_torque = parameters.torque_limit_nm.get() * simulated.brake.holding_torque_ratio.get();
             let resolution = simulated.encoder_quantisation.then(|| parameters.rotor.resolution_rad());
             Drivetrain::new(
                 Motor::new(bandwidth_hz, dt, motor_torque[i]),
@@ -213,7 +216,7 @@ impl ArmConfig {
 
     pub(crate) fn true_servos(&self, period_s: f64) -> Result<Vec<ServoLaw>, SimulationError> {
         self.check_true_position_servos()?;
-        let scale = &self.simulated.scale;
+        let scale = &self.simulated.true_over_nominal;
         (self.servos.iter().enumerate())
             .map(|(joint, nominal)| {
                 self.check_servo(joint, nominal)?;
@@ -270,7 +273,7 @@ impl ArmConfig {
 
     /// The rigid bodies in the plant.
     pub(crate) fn true_model(&self) -> Model {
-        let model = self.model.clone().with_scaled_inertia(self.simulated.scale.inertia.get());
+        let model = self.model.clone().with_scaled_inertia(self.simulated.true_over_nominal.inertia.get());
         let model = match self.placement == Placement::identity() {
             true => model,
             false => {
@@ -291,7 +294,7 @@ impl ArmConfig {
         kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
         (self.environment.iter().zip(0..))
             .filter_map(|((_, parameters), index)| {
-                let frame = model.frame(parameters.frame()).ok()?;
+                let frame = model.frame_id(parameters.frame()).ok()?;
                 let home = frame_placement(model, &data, frame).translation;
                 let random = generator(self.seed, RngStream::EnvironmentObject(index));
                 Some((frame, EnvironmentObject::new(parameters, home, random)))
@@ -305,7 +308,7 @@ impl ArmConfig {
             .filter_map(|(sensor, index)| {
                 let quality = self.simulated.force_sensor.get(&sensor.name)?;
                 let random = generator(self.seed, RngStream::ForceSensor(index));
-                let frame = self.model.frame(&sensor.frame).ok()?;
+                let frame = self.model.frame_id(&sensor.frame).ok()?;
                 Some((frame, SimulatedForceSensor::new(quality, period_s, random)))
             })
             .collect()

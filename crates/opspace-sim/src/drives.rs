@@ -5,7 +5,7 @@
 use crate::drivetrain::Drivetrain;
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, Setpoints};
-use opspace_transformer::{ServoLaw, ServoMemory};
+use opspace_transformer::{ServoLaw, ServoState};
 
 /// Everything of one arm that runs at servo rate or faster.
 pub(crate) struct Drives {
@@ -45,7 +45,7 @@ enum Mode {
 #[derive(Clone, Debug)]
 struct Servo {
     law: ServoLaw,
-    memory: ServoMemory,
+    memory: ServoState,
 }
 
 /// The command in force.
@@ -128,7 +128,7 @@ pub(crate) struct DrivesConfig {
     pub has_brakes: bool,
     pub setpoints: Setpoints,
     /// Servo ticks per interface cycle.
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
     pub drivetrains: Vec<Drivetrain>,
     pub laws: Vec<ServoLaw>,
     pub torque_limits: Option<DVector<f64>>,
@@ -164,12 +164,12 @@ impl Drives {
             drivetrains: config.drivetrains,
             servos,
             torque_limits: config.torque_limits,
-            ratio: config.ratio,
+            ratio: config.servo_ticks_per_cycle,
             active: Active {
                 command: None,
                 values,
                 before: DVector::zeros(n),
-                age: config.ratio,
+                age: config.servo_ticks_per_cycle,
                 setpoints: config.setpoints,
             },
             pending: [pending.clone(), pending],

@@ -1,5 +1,5 @@
 //! Objects of the environment that touch the robot: an operator with a spring, pushes, a wall.
-//! `[surroundings.NAME.KIND]` in a task file.
+//! `[environment.NAME.KIND]` in a task file.
 
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};

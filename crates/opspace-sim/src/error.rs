@@ -135,7 +135,7 @@ pub enum SimulationError {
         source: UnknownFrame,
     },
     /// Object of the environment on a frame that the robot does not have.
-    #[error("surroundings.{object}: {source}")]
+    #[error("environment.{object}: {source}")]
     Frame {
         /// Name of the object.
         object: String,
@@ -143,19 +143,19 @@ pub enum SimulationError {
         source: UnknownFrame,
     },
     /// Band from a higher to a lower frequency.
-    #[error("surroundings.{object}: to_hz is below from_hz")]
+    #[error("environment.{object}: to_hz is below from_hz")]
     Band {
         /// Name of the object.
         object: String,
     },
     /// Operator that reports no axis.
-    #[error("surroundings.{object}: report names no axis; leave it out for all of x, y and z")]
+    #[error("environment.{object}: report names no axis; leave it out for all of x, y and z")]
     NothingReported {
         /// Name of the object.
         object: String,
     },
     /// Wall without a direction.
-    #[error("surroundings.{object}: the normal has no length")]
+    #[error("environment.{object}: the normal has no length")]
     Normal {
         /// Name of the object.
         object: String,
@@ -184,7 +184,7 @@ impl SimulationError {
     /// File and key at fault: a path from the root of the task or robot file.
     #[must_use]
     pub fn key(&self) -> Key {
-        let task = |name: &str, key: &str| Key::Task(vec!["surroundings".into(), name.into(), key.into()]);
+        let task = |name: &str, key: &str| Key::Task(vec!["environment".into(), name.into(), key.into()]);
         let bus = |key: &str| Key::Robot(vec!["simulated".into(), "bus".into(), key.into()]);
         match self {
             Self::Delay { truth: true, .. } => {

@@ -110,7 +110,7 @@ pub fn decode(row: &[f64], model: &Model) -> Option<ExternalForce> {
         _ => return None,
     };
     let frame = model.frames().get(frame as usize)?;
-    Some(ExternalForce { frame: model.frame(&frame.name).ok()?, pull })
+    Some(ExternalForce { frame: model.frame_id(&frame.name).ok()?, pull })
 }
 
 /// Rows of the channel `external` of one arm.
@@ -124,7 +124,7 @@ pub(crate) struct ExternalRows {
 impl ExternalRows {
     /// No rows, with room for `capacity`.
     pub fn new(model: &Model, capacity: usize) -> Self {
-        let frames = model.frames().iter().filter_map(|frame| model.frame(&frame.name).ok()).collect();
+        let frames = model.frames().iter().filter_map(|frame| model.frame_id(&frame.name).ok()).collect();
         Self { frames, values: Vec::with_capacity(capacity * WIDTH) }
     }
 

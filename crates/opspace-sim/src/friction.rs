@@ -35,7 +35,7 @@ impl LuGre {
             viscous: scale * friction.viscous_nms_per_rad.get(),
             bristle_stiffness: bristle.stiffness_nm_per_rad.get(),
             bristle_damping: bristle.damping_nms_per_rad.get(),
-            damping_fades_over: bristle.damping_fades_over_rad_per_s.get(),
+            damping_fades_over: bristle.damping_fade_velocity_rad_per_s.get(),
             deflection: 0.0,
         }
     }

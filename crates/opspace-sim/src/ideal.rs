@@ -101,10 +101,10 @@ fn unused_servo() -> ServoParameters {
 fn profile(servo_hz: Positive) -> ProfileParameters {
     ProfileParameters {
         servo_hz,
-        ratio: SERVO_TICKS,
+        servo_ticks_per_cycle: SERVO_TICKS,
         delay_servo_ticks: Some(0),
         transformer: None,
-        refine: None,
+        adapt_gains: None,
         estimator: EstimatorParameters::default(),
         servo: BTreeMap::new(),
         velocity_servo: BTreeMap::new(),
@@ -122,16 +122,16 @@ fn plant(physics_hz: Positive) -> SimulatedParameters {
         bristle: BristleParameters {
             stiffness_nm_per_rad: UNUSED,
             damping_nms_per_rad: NonNegative::default(),
-            damping_fades_over_rad_per_s: UNUSED,
+            damping_fade_velocity_rad_per_s: UNUSED,
         },
         end_stop: EndStopParameters { stiffness_nm_per_rad: STIFFNESS, damping_nms_per_rad: DAMPING },
         brake: BrakeParameters {
-            slips_at_torque_limits: UNUSED,
+            holding_torque_ratio: UNUSED,
             stiffness_nm_per_rad: STIFFNESS,
             damping_nms_per_rad: DAMPING,
         },
         force_sensor: BTreeMap::new(),
-        scale: ScaleParameters::default(),
+        true_over_nominal: ScaleParameters::default(),
         bus: Default::default(),
         servo: BTreeMap::new(),
         velocity_servo: BTreeMap::new(),

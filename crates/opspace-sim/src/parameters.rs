@@ -36,7 +36,7 @@ pub struct SimulatedParameters {
     pub force_sensor: BTreeMap<String, ForceSensorParameters>,
     /// Ratios of true to nominal values.
     #[serde(default)]
-    pub scale: ScaleParameters,
+    pub true_over_nominal: ScaleParameters,
     /// Losses and delays of the field bus; none if absent.
     #[serde(default)]
     pub bus: BusParameters,
@@ -68,7 +68,7 @@ pub struct BristleParameters {
     /// Damping σ₁ at rest, Nms/rad.
     pub damping_nms_per_rad: NonNegative,
     /// Speed over which σ₁ fades, rad/s.
-    pub damping_fades_over_rad_per_s: Positive,
+    pub damping_fade_velocity_rad_per_s: Positive,
 }
 
 /// Spring and damper beyond each position limit of the URDF.
@@ -86,7 +86,7 @@ pub struct EndStopParameters {
 #[serde(deny_unknown_fields)]
 pub struct BrakeParameters {
     /// Torque at which it slips, as a multiple of the joint's torque limit.
-    pub slips_at_torque_limits: Positive,
+    pub holding_torque_ratio: Positive,
     /// Stiffness, Nm/rad.
     pub stiffness_nm_per_rad: Positive,
     /// Damping, Nms/rad.

@@ -130,10 +130,10 @@ impl RigidArm {
     fn contact_wrench(&self, frame: FrameId) -> Force {
         let model = &self.model;
         let sensor = frame_placement(model, &self.data, frame);
-        let body = model.frame_info(frame).body;
+        let body = model.frame(frame).body;
         let mut wrench = Force::zero();
         let mut add = |frame: FrameId, force: &Vector3<f64>, moment: Option<&Vector3<f64>>| {
-            if model.frame_info(frame).body == body {
+            if model.frame(frame).body == body {
                 let at = frame_placement(model, &self.data, frame).translation;
                 wrench.linear += force;
                 wrench.angular += (at - sensor.translation).cross(force);

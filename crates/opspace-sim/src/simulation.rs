@@ -151,7 +151,7 @@ fn coupling(config: &CouplingConfig, models: &[Model]) -> Result<PlantCoupling, 
     let error = |reason: String| SimulationError::Coupling { coupling: config.name.clone(), reason };
     let find = |(arm, frame): &(usize, String)| {
         let model = models.get(*arm).ok_or_else(|| error(format!("there is no arm {arm}")))?;
-        let frame = model.frame(frame).map_err(|source| error(source.to_string()))?;
+        let frame = model.frame_id(frame).map_err(|source| error(source.to_string()))?;
         Ok(PlantFrame { arm: *arm, frame })
     };
     if config.first.0 == config.second.0 {

@@ -10,7 +10,7 @@ const MAX_STEPS: f64 = 10_000.0;
 pub(crate) struct Timing {
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
     /// Servo ticks from the cycle at which a command is written until it acts.
     pub delay: u32,
     /// Servo ticks until the controller starts.
@@ -33,12 +33,12 @@ impl Timing {
 
     /// Time of an interface cycle on the robot's clock, s.
     pub fn cycle_time_s(&self, cycle: u64) -> f64 {
-        self.time_s(cycle * u64::from(self.ratio))
+        self.time_s(cycle * u64::from(self.servo_ticks_per_cycle))
     }
 
     /// Tick of the simulation at which the next interface cycle begins.
     pub fn next_cycle(&self) -> u64 {
-        self.cycles * u64::from(self.ratio) * self.ticks_per_servo
+        self.cycles * u64::from(self.servo_ticks_per_cycle) * self.ticks_per_servo
     }
 
     /// True if a servo tick begins at this tick of the simulation.

@@ -129,14 +129,14 @@ impl TruthRows {
 
     /// Visits the rows in the order of time: each period's rows of the drives, then the truth at its end.
     pub fn visit(&self, timing: &Timing, visit: &mut dyn FnMut(TruthRow<'_>)) {
-        let (n, ratio) = (self.joints.len(), u64::from(timing.ratio));
+        let (n, ratio) = (self.joints.len(), u64::from(timing.servo_ticks_per_cycle));
         let rows = self.servo_commands.iter().zip(self.servo.chunks_exact(n));
         let mut rows = (timing.servo_tick - rows.len() as u64..).zip(rows);
         let truths = self.truth.chunks_exact(self.truth_width);
         let first = timing.servo_tick - (truths.len() as u64).saturating_sub(1) * ratio;
         let mut external = self.external.iter().flat_map(ExternalRows::iter);
-        for (tick, truth) in (first..).step_by(timing.ratio as usize).zip(truths) {
-            for (servo_tick, (&command, row)) in rows.by_ref().take(timing.ratio as usize) {
+        for (tick, truth) in (first..).step_by(timing.servo_ticks_per_cycle as usize).zip(truths) {
+            for (servo_tick, (&command, row)) in rows.by_ref().take(timing.servo_ticks_per_cycle as usize) {
                 visit(TruthRow::Servo { time_s: timing.time_s(servo_tick), command, row });
             }
             visit(TruthRow::State { time_s: timing.time_s(tick), row: truth });

@@ -161,10 +161,10 @@ fn brakes_stop_a_moving_arm_and_keep_it() {
 /// Compares a robot that compensates its own weight under no torque with one that doesn't.
 #[test]
 fn a_robot_that_carries_its_weight_needs_no_torque() {
-    let fallen = |gravity_by| {
+    let fallen = |gravity_compensated_by| {
         let mut setup = setup(CommandKind::Torque, "a-med");
-        setup.capabilities.gravity_compensated_by = gravity_by;
-        setup.simulated.scale.friction = Default::default();
+        setup.capabilities.gravity_compensated_by = gravity_compensated_by;
+        setup.simulated.true_over_nominal.friction = Default::default();
         let mut arm = arm(setup);
         read(&mut arm);
         for _ in 0..300 {
@@ -212,7 +212,7 @@ fn a_force_sensor_reads_the_contact_in_its_own_axes() {
     let setup = touched(
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.0, duration_s = 0.4, force_n = [4.0, -3.0, 2.0] }]",
     );
-    let (model, hand) = (setup.model.clone(), setup.model.frame("hand").expect("the hand"));
+    let (model, hand) = (setup.model.clone(), setup.model.frame_id("hand").expect("the hand"));
     let mut arm = arm(setup);
     let mut sample = read(&mut arm);
     for _ in 0..200 {

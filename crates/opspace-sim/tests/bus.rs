@@ -100,7 +100,7 @@ fn nothing_passes_in_a_dropout() {
 
 /// Compares the servo tick at which each setpoint acts with its delay, with up to `jitter` more.
 #[test]
-fn set_points_come_late_but_in_order() {
+fn setpoints_come_late_but_in_order() {
     for (delay, jitter) in [(0, 2), (3, 4), (5, 4)] {
         let mut setup = on_a_bus(&format!("jitter_servo_ticks = {jitter}"));
         setup.profile = parsed_profile(&setup, delay);

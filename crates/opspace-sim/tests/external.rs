@@ -13,7 +13,7 @@ use opspace_sim::{ArmConfig, ExternalForce, Pull, SimulatedArm, external};
 fn pulled(command: CommandKind) -> ArmConfig {
     let mut config = setup(command, "a-med");
     config.external_forces = true;
-    config.simulated.scale.friction = NonNegative::literal(0.0);
+    config.simulated.true_over_nominal.friction = NonNegative::literal(0.0);
     let quality = config.simulated.force_sensor.get_mut("wrist").expect("the wrist");
     *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
     config
@@ -35,7 +35,7 @@ fn hand(config: &ArmConfig, q: &DVector<f64>) -> (Matrix6xX<f64>, Vector3<f64>) 
     let model = &config.model;
     let mut data = Data::new(model);
     kinematics(model, &mut data, q.as_slice(), &[0.0; 4]);
-    let frame = model.frame("hand").expect("the hand");
+    let frame = model.frame_id("hand").expect("the hand");
     let mut jacobian = Matrix6xX::zeros(model.n());
     frame_jacobian(model, &data, frame, &mut jacobian);
     (jacobian, frame_placement(model, &data, frame).translation)
@@ -53,7 +53,7 @@ fn push_deflects_a_position_robot_by_force_over_stiffness() {
     let (jacobian, _) = hand(&config, &DVector::from_column_slice(&START));
     let torque = jacobian.rows(0, 3).tr_mul(&force);
     let expected = DVector::from_fn(4, |i, _| torque[i] / gains[i]);
-    let frame = config.model.frame("hand").expect("the hand");
+    let frame = config.model.frame_id("hand").expect("the hand");
     let mut arm = arm(config);
     let handle = arm.external_force().expect("it may be pulled");
     handle.apply(frame, Pull::Wrench(Force { linear: force, angular: Vector3::zeros() }));
@@ -81,7 +81,7 @@ fn push_accelerates_a_torque_robot_by_its_inertia() {
     crba(&config.model, &mut data);
     let torque = jacobian.rows(0, 3).tr_mul(&wrench.linear) + jacobian.rows(3, 3).tr_mul(&wrench.angular);
     let acceleration = data.mass_matrix.clone().lu().solve(&torque).expect("regular");
-    let frame = config.model.frame("hand").expect("the hand");
+    let frame = config.model.frame_id("hand").expect("the hand");
     let mut arm = arm(config);
     let handle = arm.external_force().expect("it may be pulled");
     // A cycle without a force, so that the brakes are off when it begins.
@@ -105,7 +105,7 @@ fn external_forces_are_read_once_per_cycle_and_recorded() {
     const STIFFNESS: f64 = 150.0;
     let config = pulled(CommandKind::Position);
     let model = config.model.clone();
-    let frame = model.frame("hand").expect("the hand");
+    let frame = model.frame_id("hand").expect("the hand");
     let (_, home) = hand(&config, &DVector::from_column_slice(&START));
     let mut arm = arm(config.clone());
     let layout = arm.layouts().external.expect("there may be external forces");

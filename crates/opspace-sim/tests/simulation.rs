@@ -180,7 +180,7 @@ fn cycles_that_were_not_read_in_time_are_lost() {
 fn hand(model: &Model, q: &DVector<f64>) -> Vector3<f64> {
     let mut data = Data::new(model);
     kinematics(model, &mut data, q.as_slice(), &vec![0.0; model.n()]);
-    frame_placement(model, &data, model.frame("hand").expect("the hand")).translation
+    frame_placement(model, &data, model.frame_id("hand").expect("the hand")).translation
 }
 
 /// Compared: forces of one wall on two arms that stand beside each other, one of them turned round, and the wall's
@@ -203,7 +203,7 @@ fn arms_stand_where_they_are_placed() {
             "[wall]\nframe = 'hand'\npoint_m = [0.0, 0.0, {height}]\nnormal = [0.0, 0.0, 1.0]\nstiffness_n_per_m = {STIFFNESS:.1}\ndamping_ns_per_m = 0.0"
         );
         config.environment = vec![("floor".to_owned(), object(&floor))];
-        config.simulated.scale.friction = NonNegative::literal(0.0);
+        config.simulated.true_over_nominal.friction = NonNegative::literal(0.0);
     }
     let mut arms = simulated(configs.to_vec());
     let mut forces = [Vector3::zeros(); 2];

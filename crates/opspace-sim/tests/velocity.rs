@@ -20,7 +20,7 @@ fn velocity_robot(has_brakes: bool, ki_nm_per_rad: f64) -> ArmConfig {
     ));
     config.servos = vec![servo; 4];
     config.capabilities.has_brakes = has_brakes;
-    config.simulated.scale.friction = NonNegative::literal(0.0);
+    config.simulated.true_over_nominal.friction = NonNegative::literal(0.0);
     config
 }
 

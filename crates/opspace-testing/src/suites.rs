@@ -155,16 +155,16 @@ mod tests {
     }
 
     fn assert_same(arguments: &[String], experiment: &Experiment, robot: Option<&str>) {
-        let choice = experiment.choice();
-        let seed = choice.seed.map(|seed| seed.to_string());
+        let options = experiment.options();
+        let seed = options.seed.map(|seed| seed.to_string());
         let task = checkout().join(&arguments[0]).canonicalize().unwrap();
         assert_eq!(task, Path::new(experiment.task().source.name()).canonicalize().unwrap());
         assert_eq!(values(arguments, "--robot").first().copied(), robot);
-        assert_eq!(values(arguments, "--backend"), [choice.backend.name()]);
-        assert_eq!(values(arguments, "--controller"), [choice.controller.name()]);
+        assert_eq!(values(arguments, "--backend"), [options.backend.name()]);
+        assert_eq!(values(arguments, "--controller"), [options.controller.name()]);
         let one = |flag| values(arguments, flag).first().copied();
-        assert_eq!(one("--transformer"), choice.transformer.map(|kind| kind.name()));
-        assert_eq!(one("--profile"), choice.profile.as_deref());
+        assert_eq!(one("--transformer"), options.transformer.map(|kind| kind.name()));
+        assert_eq!(one("--profile"), options.profile.as_deref());
         assert_eq!(one("--seed"), seed.as_deref());
         assert_eq!(values(arguments, "--set"), experiment.settings());
     }

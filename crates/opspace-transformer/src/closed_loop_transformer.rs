@@ -54,7 +54,7 @@ pub struct Rational {
 /// Measured closed loop of a joint, and the model of the joint assumed with it.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct IdentifiedJoint {
+pub struct ClosedLoopModel {
     /// T(s), from setpoint to position.
     pub closed_loop: Rational,
     /// H(s), from torque (Nm, N) to position (rad, m).
@@ -80,7 +80,7 @@ pub enum IdentificationError {
     Band,
     /// Closed loop that falls off faster than the open loop: q_desired would follow the rate of the torque.
     #[error(
-        "closed_loop falls off faster than open_loop (by {excess} powers of s): set-points would follow the rate of \
+        "closed_loop falls off faster than open_loop (by {excess} powers of s): setpoints would follow the rate of \
          the torque"
     )]
     Improper {
@@ -89,7 +89,7 @@ pub enum IdentificationError {
     },
     /// Unstable inverse: setpoints would grow by themselves.
     #[error(
-        "set-points would grow without bound: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
+        "setpoints would grow without bound: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
     )]
     Unstable {
         /// Real part of the zero or pole, rad/s.
@@ -144,7 +144,7 @@ impl Rational {
     }
 }
 
-impl IdentifiedJoint {
+impl ClosedLoopModel {
     /// Inverse servo 1/E.
     fn inverse_servo(&self) -> Rational {
         let (t, h) = (&self.closed_loop, &self.open_loop);
@@ -261,11 +261,11 @@ impl LiteralTransformer {
     /// # Errors
     /// If a joint can't be inverted: the index of the first.
     pub fn new(
-        joints: &[IdentifiedJoint],
+        joints: &[ClosedLoopModel],
         measured: bool,
         period_s: f64,
     ) -> Result<Self, (usize, IdentificationError)> {
-        let filter = |joint: &IdentifiedJoint| {
+        let filter = |joint: &ClosedLoopModel| {
             joint.check()?;
             let (t, h) = (&joint.closed_loop, &joint.open_loop);
             let rational = if measured {

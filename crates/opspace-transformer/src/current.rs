@@ -19,7 +19,7 @@ const LIMIT: f64 = 3.0;
 /// Observer of the excess torque δ of n joints, Nm (N).
 #[derive(Clone, Debug)]
 pub struct CurrentObserver {
-    surplus: DVector<f64>,
+    torque_disturbance: DVector<f64>,
     limits: Vec<f64>,
 }
 
@@ -28,27 +28,27 @@ impl CurrentObserver {
     #[must_use]
     pub fn new(torque_limits: &[f64]) -> Self {
         let limits = torque_limits.iter().map(|limit| LIMIT * limit).collect();
-        Self { surplus: DVector::zeros(torque_limits.len()), limits }
+        Self { torque_disturbance: DVector::zeros(torque_limits.len()), limits }
     }
 
     /// Excess torque δ (n; Nm, N).
     #[must_use]
-    pub fn surplus(&self) -> &DVector<f64> {
-        &self.surplus
+    pub fn torque_disturbance(&self) -> &DVector<f64> {
+        &self.torque_disturbance
     }
 
     /// Updates δ with the mean torques measured over an interval, and those `expected`.
     pub fn update(&mut self, measured: &[f64], expected: &DVector<f64>) {
         for i in 0..self.limits.len() {
             let more = measured[i] - expected[i];
-            let surplus = self.surplus[i] + GAIN * (more - self.surplus[i]);
-            self.surplus[i] = surplus.clamp(-self.limits[i], self.limits[i]);
+            let surplus = self.torque_disturbance[i] + GAIN * (more - self.torque_disturbance[i]);
+            self.torque_disturbance[i] = surplus.clamp(-self.limits[i], self.limits[i]);
         }
     }
 
     /// Resets δ to zero.
     pub fn reset(&mut self) {
-        self.surplus.fill(0.0);
+        self.torque_disturbance.fill(0.0);
     }
 }
 
@@ -58,7 +58,7 @@ impl CurrentObserver {
 /// ```text
 /// τ̄_k = ((R − d) (τ − δ)_k₋₁ + d (τ − δ)_k₋₂)/R
 /// ```
-pub struct CurrentCorrected {
+pub struct CurrentFeedback {
     inner: Box<dyn Transformer>,
     observer: CurrentObserver,
     /// Share of an interval under the last command.
@@ -71,7 +71,7 @@ pub struct CurrentCorrected {
     known: u32,
 }
 
-impl CurrentCorrected {
+impl CurrentFeedback {
     /// Returns the corrected transformer for drives with these torque limits (n; Nm, N), that run `ratio` times an
     /// interface cycle and take a setpoint `delay` of their ticks late.
     #[must_use]
@@ -89,7 +89,7 @@ impl CurrentCorrected {
     }
 }
 
-impl Transformer for CurrentCorrected {
+impl Transformer for CurrentFeedback {
     fn takes(&self) -> CommandKind {
         self.inner.takes()
     }
@@ -109,7 +109,7 @@ impl Transformer for CurrentCorrected {
         self.asked.swap(0, 1);
         let asked = &mut self.asked[0];
         asked.copy_from_slice(tau);
-        *asked -= self.observer.surplus();
+        *asked -= self.observer.torque_disturbance();
         self.inner.transform(data, asked.as_slice(), q_desired);
         self.given.copy_from_slice(q_desired);
     }

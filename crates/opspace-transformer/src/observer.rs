@@ -9,12 +9,12 @@
 //! gain is computed for the joint with its drive, not for a free mass: between two setpoints a stiff drive returns the
 //! joint to its reference, and a gain computed for a free mass would correct that motion a second time.
 
-use crate::servo_law::{MAX_ORDER, ServoLaw, ServoMemory};
+use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use nalgebra::{DMatrix, DVector};
 
 /// Random walk of the unknown acceleration, rad/s² per √s: a smaller value follows less the motion of a held setpoint
 /// within a period, a larger one follows a wrong model faster.
-const WANDERS: f64 = 30.0;
+const DISTURBANCE_RANDOM_WALK: f64 = 30.0;
 
 /// Error of an encoder beside its resolution, rms, rad.
 const NOISE_RAD: f64 = 2e-6;
@@ -23,7 +23,7 @@ const NOISE_RAD: f64 = 2e-6;
 const QUANTISATION: f64 = 0.35;
 
 /// Largest number of steps of the Riccati recursion: it forgets its start within some hundred.
-const MOST_STEPS: u32 = 20_000;
+const MAX_STEPS: u32 = 20_000;
 
 /// Observer gain L of a joint: correction of position, velocity (1/s), servo memory and disturbance (1/s²) per
 /// innovation (rad).
@@ -34,7 +34,7 @@ pub struct ObserverGain {
     /// Gain of the velocity, 1/s.
     pub velocity: f64,
     /// Gain of the servo's memory.
-    pub memory: ServoMemory,
+    pub memory: ServoState,
     /// Gain of the disturbance, 1/s².
     pub disturbance: f64,
 }
@@ -51,7 +51,7 @@ pub struct ObservedJoint<'a> {
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
     /// Servo ticks between two readings.
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
 }
 
 impl ObserverGain {
@@ -60,13 +60,13 @@ impl ObserverGain {
     pub fn steady(joint: &ObservedJoint<'_>) -> Self {
         let step = joint.step();
         let n = step.nrows();
-        let period_s = joint.servo_period_s * f64::from(joint.ratio);
+        let period_s = joint.servo_period_s * f64::from(joint.servo_ticks_per_cycle);
         let mut wander = DMatrix::zeros(n, n);
-        wander[(n - 1, n - 1)] = WANDERS * WANDERS * period_s;
+        wander[(n - 1, n - 1)] = DISTURBANCE_RANDOM_WALK * DISTURBANCE_RANDOM_WALK * period_s;
         let noise = (QUANTISATION * joint.resolution_rad + NOISE_RAD).powi(2);
         let mut covariance = DMatrix::identity(n, n);
         let mut gain = DVector::zeros(n);
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let predicted = &step * &covariance * step.transpose() + &wander;
             let before = gain;
             gain = predicted.column(0) / (predicted[(0, 0)] + noise);
@@ -96,9 +96,9 @@ impl ObservedJoint<'_> {
         for (column, mut after) in step.column_iter_mut().enumerate() {
             let of = |i: usize| if i == column { 1.0 } else { 0.0 };
             let (mut q, mut dq, disturbance) = (of(0), of(1), of(n - 1));
-            let mut memory: ServoMemory =
+            let mut memory: ServoState =
                 std::array::from_fn(|i| if i < order.min(MAX_ORDER) { of(2 + i) } else { 0.0 });
-            for _ in 0..self.ratio {
+            for _ in 0..self.servo_ticks_per_cycle {
                 let torque = self.servo.step(&mut memory, 0.0, q);
                 let ddq = torque / self.inertia + disturbance;
                 q += self.servo_period_s * (dq + 0.5 * self.servo_period_s * ddq);
@@ -139,7 +139,7 @@ mod tests {
             inertia: INERTIA,
             resolution_rad: std::f64::consts::TAU / (counts * 100.0),
             servo_period_s: 1.0 / servo_hz,
-            ratio,
+            servo_ticks_per_cycle: ratio,
         };
         let gain = ObserverGain::steady(&joint);
         assert!(gain.position > 0.0);

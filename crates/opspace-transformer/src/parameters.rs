@@ -1,9 +1,9 @@
 //! Nominal parameters of a robot's drives: the parts of robot.toml that describe joints and profiles.
 
-use crate::closed_loop_transformer::IdentifiedJoint;
+use crate::closed_loop_transformer::ClosedLoopModel;
 use crate::estimator::EstimatorParameters;
 use crate::friction::FrictionParameters;
-use crate::refine::RefinementParameters;
+use crate::gain_adaptation::GainAdaptationParameters;
 use crate::servo::{ServoParameters, VelocityServo};
 use crate::transformer::TransformerKind;
 use opspace_backend::quantity::{Count, NonNegative, Positive};
@@ -64,7 +64,7 @@ pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.
     pub servo_hz: Positive,
     /// Servo ticks per interface cycle: setpoints are taken and positions given at `servo_hz / ratio`.
-    pub ratio: Count,
+    pub servo_ticks_per_cycle: Count,
     /// Servo ticks from the interface cycle at which a command is written until it acts; at most `ratio`. Absent if
     /// unknown.
     #[serde(default)]
@@ -75,7 +75,7 @@ pub struct ProfileParameters {
     pub transformer: Option<TransformerKind>,
     /// Refinement of the gains from measured motor current while running; none if absent.
     #[serde(default)]
-    pub refine: Option<RefinementParameters>,
+    pub adapt_gains: Option<GainAdaptationParameters>,
     /// Estimator of joint velocity at the interface.
     pub estimator: EstimatorParameters,
     /// Position servo of each joint, by joint name; may be left out where there are velocity servos.
@@ -87,7 +87,7 @@ pub struct ProfileParameters {
     pub velocity_servo: BTreeMap<String, VelocityServo>,
     /// Measured closed loop of each joint, by joint name, for the transformers `identified`.
     #[serde(default)]
-    pub identified: BTreeMap<String, IdentifiedJoint>,
+    pub identified: BTreeMap<String, ClosedLoopModel>,
 }
 
 impl ProfileParameters {
@@ -106,6 +106,6 @@ impl ProfileParameters {
     /// Time between two interface cycles, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
-        f64::from(self.ratio.get()) / self.servo_hz.get()
+        f64::from(self.servo_ticks_per_cycle.get()) / self.servo_hz.get()
     }
 }

@@ -1,6 +1,6 @@
 //! Stability check of a servo's inverse: setpoints for desired torques must be bounded.
 
-use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoMemory};
+use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoState};
 use nalgebra::DMatrix;
 use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
@@ -10,20 +10,20 @@ const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
 /// Torques within an interval that are to match the desired one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Matching {
+pub enum TorqueObjective {
     /// Mean torque of the interval.
-    Mean,
+    IntervalMean,
     /// Torque of each servo tick, in the least-squares sense.
-    EachTick,
+    PerTick,
 }
 
 /// Timing of a drive and of its setpoints.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ticks {
     pub period_s: f64,
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
     pub delay: u32,
-    pub set_points: Setpoints,
+    pub setpoints: Setpoints,
 }
 
 /// Reason why a servo can't be emulated, or not be inverted.
@@ -42,14 +42,14 @@ pub enum EmulationError {
         others: CommandKind,
     },
     /// Torque that comes later than the next setpoint.
-    #[error("a set-point makes no torque within the {ratio} servo ticks in which it acts")]
+    #[error("a setpoint makes no torque within the {ratio} servo ticks in which it acts")]
     NoTorque {
         /// Servo ticks per interface cycle.
         ratio: u32,
     },
     /// Unstable inverse: setpoints for the torques would grow without bound.
     #[error(
-        "its inverse is unstable: set-points for a torque would grow {growth:.3} times from one to the next (zeros \
+        "its inverse is unstable: setpoints for a torque would grow {growth:.3} times from one to the next (zeros \
          outside the unit circle)"
     )]
     Unstable {
@@ -60,25 +60,31 @@ pub enum EmulationError {
 
 /// Checks that setpoints for a torque are bounded, on a joint that is held: the growth of the servo's memory, and of
 /// the previous setpoint of an interpolating drive, when each setpoint is the one that gives no torque.
-pub(crate) fn check_inverse(law: &ServoLaw, ticks: Ticks, matching: Matching) -> Result<(), EmulationError> {
-    let run = |memory: ServoMemory, before: f64, new: f64| {
+pub(crate) fn check_inverse(
+    law: &ServoLaw,
+    ticks: Ticks,
+    matching: TorqueObjective,
+) -> Result<(), EmulationError> {
+    let run = |memory: ServoState, before: f64, new: f64| {
         let mut memory = memory;
-        let torques: Vec<f64> = (0..ticks.ratio)
-            .map(|tick| law.step(&mut memory, ticks.set_points.at(before, new, tick, ticks.ratio), 0.0))
+        let torques: Vec<f64> = (0..ticks.servo_ticks_per_cycle)
+            .map(|tick| {
+                law.step(&mut memory, ticks.setpoints.at(before, new, tick, ticks.servo_ticks_per_cycle), 0.0)
+            })
             .collect();
         (memory, torques)
     };
     let (_, unit) = run([0.0; MAX_ORDER], 0.0, 1.0);
     let weigh = |torques: &[f64]| -> f64 {
         match matching {
-            Matching::Mean => torques.iter().sum(),
-            Matching::EachTick => torques.iter().zip(&unit).map(|(torque, unit)| torque * unit).sum(),
+            TorqueObjective::IntervalMean => torques.iter().sum(),
+            TorqueObjective::PerTick => torques.iter().zip(&unit).map(|(torque, unit)| torque * unit).sum(),
         }
     };
     let response = weigh(&unit);
     let largest = unit.iter().fold(0.0, |largest: f64, torque| largest.max(torque.abs()));
     if response.abs() <= f64::EPSILON * largest || largest == 0.0 {
-        return Err(EmulationError::NoTorque { ratio: ticks.ratio });
+        return Err(EmulationError::NoTorque { ratio: ticks.servo_ticks_per_cycle });
     }
     // The memory, and the setpoint before.
     let order = law.order();

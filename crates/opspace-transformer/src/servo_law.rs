@@ -23,7 +23,7 @@ pub const MAX_ORDER: usize = 6;
 const LARGEST: f64 = 1e12;
 
 /// Memory of a servo from one servo tick to the next.
-pub type ServoMemory = [f64; MAX_ORDER];
+pub type ServoState = [f64; MAX_ORDER];
 
 /// Reason why a servo can't be run.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -53,20 +53,20 @@ pub struct ServoLaw {
     next: [Form; MAX_ORDER],
     torque: Form,
     /// Memory and setpoint at rest, at a position of 1 without torque, and at 0 with a torque of 1.
-    rest: [(ServoMemory, f64); 2],
+    rest: [(ServoState, f64); 2],
 }
 
 /// Weighted sum of a servo's memory and inputs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Form {
-    memory: ServoMemory,
-    set_point: f64,
+    memory: ServoState,
+    setpoint: f64,
     position: f64,
 }
 
 impl Form {
-    const SET_POINT: Self = Self { memory: [0.0; MAX_ORDER], set_point: 1.0, position: 0.0 };
-    const POSITION: Self = Self { memory: [0.0; MAX_ORDER], set_point: 0.0, position: 1.0 };
+    const SET_POINT: Self = Self { memory: [0.0; MAX_ORDER], setpoint: 1.0, position: 0.0 };
+    const POSITION: Self = Self { memory: [0.0; MAX_ORDER], setpoint: 0.0, position: 1.0 };
 
     fn memory(i: usize) -> Self {
         let mut form = Self::default();
@@ -74,8 +74,8 @@ impl Form {
         form
     }
 
-    fn value(&self, memory: &[f64], set_point: f64, position: f64) -> f64 {
-        let given = self.set_point * set_point + self.position * position;
+    fn value(&self, memory: &[f64], setpoint: f64, position: f64) -> f64 {
+        let given = self.setpoint * setpoint + self.position * position;
         self.memory.iter().zip(memory).fold(given, |sum, (weight, value)| sum + weight * value)
     }
 }
@@ -86,7 +86,7 @@ impl Add for Form {
     fn add(self, other: Self) -> Self {
         Self {
             memory: std::array::from_fn(|i| self.memory[i] + other.memory[i]),
-            set_point: self.set_point + other.set_point,
+            setpoint: self.setpoint + other.setpoint,
             position: self.position + other.position,
         }
     }
@@ -106,7 +106,7 @@ impl Mul<f64> for Form {
     fn mul(self, scale: f64) -> Self {
         Self {
             memory: self.memory.map(|weight| scale * weight),
-            set_point: scale * self.set_point,
+            setpoint: scale * self.setpoint,
             position: scale * self.position,
         }
     }
@@ -135,7 +135,7 @@ impl ServoLaw {
     }
 
     /// Solves for constant memory and the torque asked for: linear equations in memory and setpoint.
-    fn solve_rest(&self, position: f64, torque: f64) -> Result<(ServoMemory, f64), ServoError> {
+    fn solve_rest(&self, position: f64, torque: f64) -> Result<(ServoState, f64), ServoError> {
         let n = self.order;
         let mut a = DMatrix::zeros(n + 1, n + 1);
         let mut b = DVector::zeros(n + 1);
@@ -143,7 +143,7 @@ impl ServoLaw {
             for j in 0..n {
                 a[(i, j)] = -form.memory[j];
             }
-            a[(i, n)] = -form.set_point;
+            a[(i, n)] = -form.setpoint;
             b[i] = form.position * position;
         }
         for i in 0..n {
@@ -247,13 +247,13 @@ impl ServoLaw {
 
     /// Returns the torque (Nm, N) for a setpoint (rad, m; of a velocity servo rad/s, m/s) and the position that is read
     /// at this servo tick (rad, m).
-    pub fn step(&self, memory: &mut ServoMemory, set_point: f64, position: f64) -> f64 {
+    pub fn step(&self, memory: &mut ServoState, setpoint: f64, position: f64) -> f64 {
         let now = *memory;
         let now = &now[..self.order];
         for (value, form) in memory.iter_mut().zip(&self.next[..self.order]) {
-            *value = form.value(now, set_point, position);
+            *value = form.value(now, setpoint, position);
         }
-        self.torque.value(now, set_point, position)
+        self.torque.value(now, setpoint, position)
     }
 
     /// Memory and setpoint of the servo at rest at `position` (rad, m) with this torque (Nm, N).
@@ -262,7 +262,7 @@ impl ServoLaw {
     /// load. Without an integral the only setpoint at which it rests is τ/kv (rad/s, m/s): at the setpoint 0 the load
     /// moves the joint at −τ/kv.
     #[must_use]
-    pub fn rest(&self, position: f64, torque: f64) -> (ServoMemory, f64) {
+    pub fn rest(&self, position: f64, torque: f64) -> (ServoState, f64) {
         let [(displaced, there), (pushing, further)] = &self.rest;
         let memory = std::array::from_fn(|i| position * displaced[i] + torque * pushing[i]);
         (memory, position * there + torque * further)
@@ -284,7 +284,7 @@ impl ServoLaw {
             let remembered = memory.iter().zip(self.torque.memory).map(|(x, weight)| x * weight);
             remembered.sum::<Complex<f64>>() + given(&self.torque)
         };
-        [of(|form| form.set_point), of(|form| form.position)]
+        [of(|form| form.setpoint), of(|form| form.position)]
     }
 }
 

@@ -25,11 +25,11 @@
 
 use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
+use crate::gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 use crate::observer::{ObservedJoint, ObserverGain};
-use crate::refine::{Refinement, RefinementParameters};
 use crate::servo::{ServoGains, ServoParameters};
-use crate::servo_inversion::{EmulationError, Matching, Ticks, check_inverse};
-use crate::servo_law::{MAX_ORDER, ServoLaw, ServoMemory};
+use crate::servo_inversion::{EmulationError, Ticks, TorqueObjective, check_inverse};
+use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use crate::transformer::Transformer;
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::{CommandKind, GravityCompensation, Sample, Setpoints};
@@ -51,22 +51,22 @@ pub struct EmulationSetup {
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
-    pub ratio: u32,
+    pub servo_ticks_per_cycle: u32,
     /// Servo ticks until a setpoint acts.
     pub delay: u32,
     /// Behaviour of the drives between two setpoints: hold or interpolate.
-    pub set_points: Setpoints,
+    pub setpoints: Setpoints,
     /// Torques that are matched: the mean ones, or those of each servo tick.
-    pub matching: Matching,
+    pub matching: TorqueObjective,
     /// Side that compensates gravity: the robot or the controller.
-    pub gravity_by: GravityCompensation,
+    pub gravity_compensated_by: GravityCompensation,
     /// True if brakes hold a velocity robot until its first setpoint acts, its motors off. A position robot is held by
     /// its servos.
     pub has_brakes: bool,
     /// True if measured motor torques are used.
     pub current: bool,
-    /// Refinement of gains from measured motor torques; those of velocity servos are not refined.
-    pub refine: Option<RefinementParameters>,
+    /// Adaptation of gains from measured motor torques; those of velocity servos are not adapted.
+    pub adapt_gains: Option<GainAdaptationParameters>,
 }
 
 /// Transformer that emulates the servo: see the [module](self).
@@ -77,8 +77,8 @@ pub struct EmulatingTransformer {
     drives: Vec<Drive>,
     friction: FrictionCompensation,
     ticks: Ticks,
-    matching: Matching,
-    gravity_by: GravityCompensation,
+    matching: TorqueObjective,
+    gravity_compensated_by: GravityCompensation,
     has_brakes: bool,
     current: Option<CurrentObserver>,
     /// Estimated state of the arm and its drives at the present interface cycle.
@@ -88,7 +88,7 @@ pub struct EmulatingTransformer {
     rollout: State,
     /// Unknown joint accelerations, rad/s² (n).
     disturbance: DVector<f64>,
-    in_force: InForce,
+    in_force: ActiveSetpoints,
     /// True if anything was sent yet: before, the robot holds itself.
     begun: bool,
     /// M⁻¹, and the accelerations without any motor torque (n).
@@ -117,25 +117,25 @@ struct Drive {
     law: ServoLaw,
     torque_limit: f64,
     gain: ObserverGain,
-    refined: Option<Refined>,
+    adapted: Option<AdaptedDrive>,
 }
 
-/// Drive whose gains are refined while it runs: nominal and present gains.
+/// Drive whose gains are adapted while it runs: nominal and present gains.
 #[derive(Clone, Copy, Debug)]
-struct Refined {
-    refinement: Refinement,
-    believed: ServoGains,
+struct AdaptedDrive {
+    adaptation: GainAdaptation,
+    nominal: ServoGains,
     now: ServoGains,
 }
 
-impl Refined {
+impl AdaptedDrive {
     /// Updates with the measured mean torque, where `emulated` was expected of a mean position error; returns the
     /// torque that is expected now.
     fn update(&mut self, law: &mut ServoLaw, measured: f64, emulated: f64, error: f64) -> f64 {
-        let (before, believed) = (self.now, self.believed);
+        let (before, believed) = (self.now, self.nominal);
         let velocity = (before.stiffness * error - emulated) / before.damping;
         let [stiffness, damping] =
-            self.refinement.update(measured, believed.stiffness * error, believed.damping * velocity);
+            self.adaptation.update(measured, believed.stiffness * error, believed.damping * velocity);
         self.now =
             ServoGains { stiffness: stiffness * believed.stiffness, damping: damping * believed.damping };
         law.retune(before, self.now);
@@ -145,24 +145,31 @@ impl Refined {
 
 /// Setpoints of the drives at the start of an interface cycle, rad, m or rad/s, m/s (n).
 #[derive(Clone, Debug)]
-struct InForce {
+struct ActiveSetpoints {
     before: DVector<f64>,
     last: DVector<f64>,
     /// Servo ticks since the last came in force.
     age: u32,
 }
 
-impl InForce {
+impl ActiveSetpoints {
     /// Setpoint of the drive at a servo tick counted from the interface cycle.
     fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
-        ticks.set_points.at(self.before[joint], self.last[joint], self.age.saturating_add(tick), ticks.ratio)
+        ticks.setpoints.at(
+            self.before[joint],
+            self.last[joint],
+            self.age.saturating_add(tick),
+            ticks.servo_ticks_per_cycle,
+        )
     }
 
     /// Setpoint from which a drive continues when a new one comes in force `delay` servo ticks after the interface
     /// cycle.
     fn left(&self, ticks: Ticks, joint: usize) -> f64 {
         match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
-            Some(age) => ticks.set_points.at(self.before[joint], self.last[joint], age, ticks.ratio),
+            Some(age) => {
+                ticks.setpoints.at(self.before[joint], self.last[joint], age, ticks.servo_ticks_per_cycle)
+            }
             None => self.before[joint],
         }
     }
@@ -173,7 +180,7 @@ impl InForce {
 struct State {
     q: DVector<f64>,
     dq: DVector<f64>,
-    memory: Vec<ServoMemory>,
+    memory: Vec<ServoState>,
     torque: DVector<f64>,
 }
 
@@ -196,9 +203,9 @@ impl State {
     }
 
     /// Computes the drives' torques at this servo tick for their setpoints, without limits.
-    fn drive(&mut self, drives: &[Drive], set_point: impl Fn(usize) -> f64) {
+    fn drive(&mut self, drives: &[Drive], setpoint: impl Fn(usize) -> f64) {
         for (i, drive) in drives.iter().enumerate() {
-            self.torque[i] = drive.law.step(&mut self.memory[i], set_point(i), self.q[i]);
+            self.torque[i] = drive.law.step(&mut self.memory[i], setpoint(i), self.q[i]);
         }
     }
 
@@ -228,11 +235,11 @@ impl EmulatingTransformer {
         let n = setup.servos.len();
         let ticks = Ticks {
             period_s: setup.servo_period_s,
-            ratio: setup.ratio,
+            servo_ticks_per_cycle: setup.servo_ticks_per_cycle,
             delay: setup.delay,
-            set_points: setup.set_points,
+            setpoints: setup.setpoints,
         };
-        let interface_s = f64::from(setup.ratio) * setup.servo_period_s;
+        let interface_s = f64::from(setup.servo_ticks_per_cycle) * setup.servo_period_s;
         let takes = setup.servos.first().map_or(CommandKind::Position, ServoParameters::takes);
         let drive = |i: usize| -> Result<Drive, EmulationError> {
             let kind = setup.servos[i].takes();
@@ -246,35 +253,39 @@ impl EmulatingTransformer {
                 inertia: setup.inertias[i],
                 resolution_rad: setup.resolution_rad[i],
                 servo_period_s: setup.servo_period_s,
-                ratio: setup.ratio,
+                servo_ticks_per_cycle: setup.servo_ticks_per_cycle,
             });
             let servo = &setup.servos[i];
-            let refine = setup.refine.filter(|_| setup.current && servo.has_two_gains());
-            let refined = refine.map(|parameters| {
+            let adapt = setup.adapt_gains.filter(|_| setup.current && servo.has_two_gains());
+            let adapted = adapt.map(|parameters| {
                 let gains = servo.gains(setup.servo_period_s);
-                let refinement = Refinement::new(&parameters, setup.torque_limits[i], interface_s);
-                Refined { refinement, believed: gains, now: gains }
+                let adaptation = GainAdaptation::new(&parameters, setup.torque_limits[i], interface_s);
+                AdaptedDrive { adaptation: adaptation, nominal: gains, now: gains }
             });
-            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, refined })
+            Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, adapted })
         };
         let drives: Result<Vec<Drive>, _> = (0..n).map(|i| drive(i).map_err(|e| (i, e))).collect();
         let zero = DVector::zeros(n);
         let matrix = DMatrix::zeros(n, n);
-        let each_tick = setup.ratio as usize;
+        let each_tick = setup.servo_ticks_per_cycle as usize;
         Ok(Self {
             takes,
             drives: drives?,
             friction: setup.friction.clone(),
             ticks,
             matching: setup.matching,
-            gravity_by: setup.gravity_by,
+            gravity_compensated_by: setup.gravity_compensated_by,
             has_brakes: setup.has_brakes && takes == CommandKind::Velocity,
             current: setup.current.then(|| CurrentObserver::new(&setup.torque_limits)),
             state: State::new(n),
             predicted: State::new(n),
             rollout: State::new(n),
             disturbance: zero.clone(),
-            in_force: InForce { before: zero.clone(), last: zero.clone(), age: setup.ratio },
+            in_force: ActiveSetpoints {
+                before: zero.clone(),
+                last: zero.clone(),
+                age: setup.servo_ticks_per_cycle,
+            },
             begun: false,
             mass_inverse: matrix.clone(),
             free: zero.clone(),
@@ -291,8 +302,8 @@ impl EmulatingTransformer {
         })
     }
 
-    fn surplus(&self) -> &DVector<f64> {
-        self.current.as_ref().map_or(&self.none, CurrentObserver::surplus)
+    fn torque_disturbance(&self) -> &DVector<f64> {
+        self.current.as_ref().map_or(&self.none, CurrentObserver::torque_disturbance)
     }
 
     /// Corrects the predicted state with the measured positions.
@@ -310,9 +321,9 @@ impl EmulatingTransformer {
         let (Some(current), Some(measured)) = (&mut self.current, &sample.motor_torque) else { return };
         // Gains first: what they explain is no surplus.
         for (i, drive) in self.drives.iter_mut().enumerate() {
-            if let Some(refined) = &mut drive.refined {
+            if let Some(adapted) = &mut drive.adapted {
                 let (torque, error) = (&mut self.mean_torque[i], self.mean_error[i]);
-                *torque = refined.update(&mut drive.law, measured[i], *torque, error);
+                *torque = adapted.update(&mut drive.law, measured[i], *torque, error);
             }
         }
         current.update(measured, &self.mean_torque);
@@ -327,9 +338,10 @@ impl EmulatingTransformer {
         self.mass_inverse.fill_with_identity();
         data.mass_matrix_factor.solve_matrix(&mut self.mass_inverse);
         for i in 0..self.free.len() {
-            let carried = if self.gravity_by == GravityCompensation::Robot { data.gravity[i] } else { 0.0 };
+            let carried =
+                if self.gravity_compensated_by == GravityCompensation::Robot { data.gravity[i] } else { 0.0 };
             let friction = self.friction.torque(i, self.state.dq[i]);
-            self.free[i] = self.surplus()[i] + carried - data.bias[i] - friction;
+            self.free[i] = self.torque_disturbance()[i] + carried - data.bias[i] - friction;
             if !self.begun {
                 // The robot holds itself: its drives are as they are at rest under its weight, or without it where
                 // brakes hold it.
@@ -344,10 +356,10 @@ impl EmulatingTransformer {
     /// Sets the drive of a joint to rest at the present position, with this torque.
     fn hold(&mut self, joint: usize, torque: f64) {
         let law = &self.drives[joint].law;
-        let (memory, set_point) = law.rest(self.state.q[joint], torque);
+        let (memory, setpoint) = law.rest(self.state.q[joint], torque);
         self.state.memory[joint] = memory;
-        self.in_force.before[joint] = set_point;
-        self.in_force.last[joint] = set_point;
+        self.in_force.before[joint] = setpoint;
+        self.in_force.last[joint] = setpoint;
     }
 
     /// True if brakes hold the robot until the setpoints of the present interface cycle act.
@@ -366,8 +378,8 @@ impl EmulatingTransformer {
         let ticks = self.ticks;
         for joint in 0..self.drives.len() {
             self.rollout.clear();
-            for (tick, response) in (0..ticks.ratio).zip(&mut self.responses) {
-                let unit = ticks.set_points.at(0.0, 1.0, tick, ticks.ratio);
+            for (tick, response) in (0..ticks.servo_ticks_per_cycle).zip(&mut self.responses) {
+                let unit = ticks.setpoints.at(0.0, 1.0, tick, ticks.servo_ticks_per_cycle);
                 self.rollout.drive(&self.drives, |i| if i == joint { unit } else { 0.0 });
                 response.column_mut(joint).copy_from(&self.rollout.torque);
                 self.rollout.travel(&self.mass_inverse, &self.rest, ticks.period_s);
@@ -381,11 +393,11 @@ impl EmulatingTransformer {
         self.solution.fill(0.0);
         for (response, missing) in self.responses.iter().zip(&self.missing) {
             match self.matching {
-                Matching::Mean => {
+                TorqueObjective::IntervalMean => {
                     self.normal += response;
                     self.solution += missing;
                 }
-                Matching::EachTick => {
+                TorqueObjective::PerTick => {
                     self.normal.gemm_tr(1.0, response, response, 1.0);
                     self.solution.gemv_tr(1.0, response, missing, 1.0);
                 }
@@ -397,7 +409,7 @@ impl EmulatingTransformer {
     /// keep those that they have.
     fn predict(&mut self, q_desired: Option<&[f64]>) {
         let ticks = self.ticks;
-        let share = 1.0 / f64::from(ticks.ratio);
+        let share = 1.0 / f64::from(ticks.servo_ticks_per_cycle);
         let braked_ticks = if self.is_braked() { ticks.delay } else { 0 };
         self.rollout.copy_from(&self.state);
         if self.intervals == 0.0 {
@@ -406,21 +418,24 @@ impl EmulatingTransformer {
         }
         self.mean_torque *= self.intervals;
         self.mean_error *= self.intervals;
-        for tick in braked_ticks..ticks.ratio {
+        for tick in braked_ticks..ticks.servo_ticks_per_cycle {
             let in_force = &self.in_force;
-            let set_point = |i: usize| match q_desired {
-                Some(new) if tick >= ticks.delay => {
-                    ticks.set_points.at(in_force.left(ticks, i), new[i], tick - ticks.delay, ticks.ratio)
-                }
+            let setpoint = |i: usize| match q_desired {
+                Some(new) if tick >= ticks.delay => ticks.setpoints.at(
+                    in_force.left(ticks, i),
+                    new[i],
+                    tick - ticks.delay,
+                    ticks.servo_ticks_per_cycle,
+                ),
                 _ => in_force.at(ticks, i, tick),
             };
             for (i, error) in self.mean_error.iter_mut().enumerate() {
-                *error += share * (set_point(i) - self.rollout.q[i]);
+                *error += share * (setpoint(i) - self.rollout.q[i]);
             }
-            self.rollout.drive(&self.drives, set_point);
+            self.rollout.drive(&self.drives, setpoint);
             // What the motor gives is limited, not what the emulation says of it.
             for (i, drive) in self.drives.iter().enumerate() {
-                let more = self.current.as_ref().map_or(0.0, |current| current.surplus()[i]);
+                let more = self.current.as_ref().map_or(0.0, |current| current.torque_disturbance()[i]);
                 let torque = &mut self.rollout.torque[i];
                 *torque = torque.clamp(-drive.torque_limit - more, drive.torque_limit - more);
                 self.mean_torque[i] += share * *torque;
@@ -437,9 +452,9 @@ impl EmulatingTransformer {
                     self.in_force.before[i] = self.in_force.left(ticks, i);
                 }
                 self.in_force.last.copy_from_slice(new);
-                self.in_force.age = ticks.ratio - ticks.delay;
+                self.in_force.age = ticks.servo_ticks_per_cycle - ticks.delay;
             }
-            None => self.in_force.age = self.in_force.age.saturating_add(ticks.ratio),
+            None => self.in_force.age = self.in_force.age.saturating_add(ticks.servo_ticks_per_cycle),
         }
     }
 }
@@ -478,13 +493,13 @@ impl Transformer for EmulatingTransformer {
         // Y₀, about the measured positions, or the velocities: small numbers keep their digits.
         let about = if self.takes == CommandKind::Velocity { &data.dq } else { &data.q };
         q_desired.copy_from_slice(about.as_slice());
-        for tick in 0..ticks.ratio {
+        for tick in 0..ticks.servo_ticks_per_cycle {
             let in_force = &self.in_force;
             self.rollout.drive(&self.drives, |i| {
-                ticks.set_points.at(in_force.left(ticks, i), about[i], tick, ticks.ratio)
+                ticks.setpoints.at(in_force.left(ticks, i), about[i], tick, ticks.servo_ticks_per_cycle)
             });
             for (i, tau) in tau.iter().enumerate() {
-                self.missing[tick as usize][i] = tau - self.surplus()[i] - self.rollout.torque[i];
+                self.missing[tick as usize][i] = tau - self.torque_disturbance()[i] - self.rollout.torque[i];
             }
             self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
@@ -521,7 +536,7 @@ impl Transformer for EmulatingTransformer {
         if let Some(current) = &mut self.current {
             current.reset();
         }
-        self.in_force.age = self.ticks.ratio;
+        self.in_force.age = self.ticks.servo_ticks_per_cycle;
     }
 }
 

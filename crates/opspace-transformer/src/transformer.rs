@@ -104,13 +104,13 @@ impl TransformerKind {
 
     /// Description in one line.
     #[must_use]
-    pub fn about(self) -> &'static str {
+    pub fn description(self) -> &'static str {
         if self.current {
             return "the same, corrected by measured motor current";
         }
         match self.method {
             Method::Paper => "equation (10) of the paper",
-            Method::Emulation => "the servo emulated up to the next set-point, its mean torque matched",
+            Method::Emulation => "the servo emulated up to the next setpoint, its mean torque matched",
             Method::Interpolating => {
                 "the servo emulated where drives interpolate, every tick's torque matched"
             }
@@ -131,18 +131,18 @@ impl TransformerKind {
     /// Returns the best transformer for a robot with these declared properties, and the reason. Without a known delay
     /// emulation is not possible, and the paper's transformer is the most tolerant.
     #[must_use]
-    pub fn best(set_points: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
+    pub fn best(setpoints: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
         let Some(delay) = delay_servo_ticks else {
-            let why = "the delay of set-points isn't known, and this one bears any".to_owned();
+            let why = "the delay of setpoints isn't known, and this one bears any".to_owned();
             return (Self::new(Method::Paper, false), why);
         };
-        let (method, set_points) = match set_points {
+        let (method, setpoints) = match setpoints {
             Setpoints::Held => (Method::Emulation, "held"),
             Setpoints::Interpolated => (Method::Interpolating, "interpolated"),
         };
         let measured = if current { "measured" } else { "not measured" };
         let why = format!(
-            "set-points are {set_points}, their delay is known ({delay} servo ticks), motor current is {measured}"
+            "setpoints are {setpoints}, their delay is known ({delay} servo ticks), motor current is {measured}"
         );
         (Self::new(method, current), why)
     }

@@ -7,7 +7,7 @@ use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Measured, 
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
 use opspace_transformer::{
     EmulatingTransformer, EmulationError, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, FrictionParameters, Matching, ServoParameters, Transformer,
+    FrictionCompensationParameters, FrictionParameters, ServoParameters, TorqueObjective, Transformer,
 };
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -101,7 +101,7 @@ impl Servo {
 #[derive(Clone, Copy, Debug)]
 struct Case {
     servo: Servo,
-    set_points: Setpoints,
+    setpoints: Setpoints,
     delay: u32,
     current: bool,
     /// True over nominal gain: of the position loop, or of a velocity servo's own.
@@ -113,7 +113,7 @@ struct Case {
 
 const CASE: Case = Case {
     servo: Servo::Cascade,
-    set_points: Setpoints::Held,
+    setpoints: Setpoints::Held,
     delay: 0,
     current: false,
     gain_scale: 1.0,
@@ -136,14 +136,18 @@ fn setup(case: Case) -> EmulationSetup {
         inertias: vec![0.3, 0.12],
         torque_limits: vec![10.0; 2],
         servo_period_s: SERVO_S,
-        ratio: RATIO,
+        servo_ticks_per_cycle: RATIO,
         delay: case.delay,
-        set_points: case.set_points,
-        matching: if case.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick },
-        gravity_by: GravityCompensation::Controller,
+        setpoints: case.setpoints,
+        matching: if case.setpoints == Setpoints::Held {
+            TorqueObjective::IntervalMean
+        } else {
+            TorqueObjective::PerTick
+        },
+        gravity_compensated_by: GravityCompensation::Controller,
         has_brakes: case.has_brakes,
         current: case.current,
-        refine: case.refined.then(|| toml::from_str("time_s = 1.0\nwithin = 0.4").unwrap()),
+        adapt_gains: case.refined.then(|| toml::from_str("time_s = 1.0\nwithin = 0.4").unwrap()),
     }
 }
 
@@ -168,7 +172,7 @@ impl Drives {
         Self { case, q, dq: none, seen: q, velocity: none, integral, error: none, last: none }
     }
 
-    fn torque(&mut self, i: usize, set_point: f64) -> f64 {
+    fn torque(&mut self, i: usize, setpoint: f64) -> f64 {
         let share = 1.0 - (-TAU * FILTER_HZ * SERVO_S).exp();
         self.velocity[i] += share * ((self.q[i] - self.seen[i]) / SERVO_S - self.velocity[i]);
         self.seen[i] = self.q[i];
@@ -177,7 +181,7 @@ impl Drives {
             CommandKind::Velocity => (0.0, scale * KV[i]),
             _ => (scale * KP[i], KV[i]),
         };
-        let error = set_point - self.q[i];
+        let error = setpoint - self.q[i];
         let torque = match self.case.servo {
             Servo::Cascade => kv * (kp * error - self.velocity[i]),
             Servo::CascadeIntegral => {
@@ -195,9 +199,9 @@ impl Drives {
                 self.integral[i] = self.error[i];
                 torque
             }
-            Servo::Velocity => kv * (set_point - self.velocity[i]),
+            Servo::Velocity => kv * (setpoint - self.velocity[i]),
             Servo::VelocityIntegral => {
-                let wrong = set_point - self.velocity[i];
+                let wrong = setpoint - self.velocity[i];
                 self.integral[i] += kv / INTEGRAL_TIME_S * SERVO_S * wrong;
                 kv * wrong + self.integral[i]
             }
@@ -207,8 +211,8 @@ impl Drives {
         torque
     }
 
-    fn tick(&mut self, set_point: &[f64; 2]) -> [f64; 2] {
-        let torque = [0, 1].map(|i| self.torque(i, set_point[i]));
+    fn tick(&mut self, setpoint: &[f64; 2]) -> [f64; 2] {
+        let torque = [0, 1].map(|i| self.torque(i, setpoint[i]));
         // M = [0.5 0.2; 0.2 0.2].
         let det = 0.5 * 0.2 - 0.2 * 0.2;
         let load = if self.case.loaded { LOAD } else { [0.0; 2] };
@@ -240,11 +244,15 @@ fn sample(takes: CommandKind, current: bool) -> Sample {
 
 /// Runs a case; nothing is sent in cycles that are `missed`.
 fn run(case: Case, missed: Range<i32>) -> Run {
-    let matching = if case.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick };
+    let matching = if case.setpoints == Setpoints::Held {
+        TorqueObjective::IntervalMean
+    } else {
+        TorqueObjective::PerTick
+    };
     run_matching(case, matching, missed)
 }
 
-fn run_matching(case: Case, matching: Matching, missed: Range<i32>) -> Run {
+fn run_matching(case: Case, matching: TorqueObjective, missed: Range<i32>) -> Run {
     let model = model(case.loaded);
     let mut data = Data::new(&model);
     let mut transformer = EmulatingTransformer::new(&EmulationSetup { matching, ..setup(case) }).unwrap();
@@ -285,7 +293,7 @@ fn run_matching(case: Case, matching: Matching, missed: Range<i32>) -> Run {
                 continue;
             }
             ramp = (ramp + 1).min(RATIO);
-            let share = match case.set_points {
+            let share = match case.setpoints {
                 Setpoints::Held => 1.0,
                 Setpoints::Interpolated => f64::from(ramp) / f64::from(RATIO),
             };
@@ -354,11 +362,11 @@ fn velocity_robot_starts_from_its_brakes_or_its_integral() {
     for (servo, has_brakes) in
         [(Servo::Velocity, true), (Servo::VelocityIntegral, true), (Servo::VelocityIntegral, false)]
     {
-        for set_points in [Setpoints::Held, Setpoints::Interpolated] {
+        for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
             for delay in 0..=RATIO {
                 for current in [false, true] {
-                    let case = Case { servo, has_brakes, set_points, delay, current, loaded: true, ..CASE };
-                    let run = run_matching(case, Matching::Mean, 0..0);
+                    let case = Case { servo, has_brakes, setpoints, delay, current, loaded: true, ..CASE };
+                    let run = run_matching(case, TorqueObjective::IntervalMean, 0..0);
                     let error = run.error_from_the_start();
                     assert!(error < EXACT, "{case:?}: {error}");
                     assert!(run.off < EXACT, "{case:?}: {} m/s", run.off);
@@ -371,13 +379,13 @@ fn velocity_robot_starts_from_its_brakes_or_its_integral() {
 /// The torques of drives that interpolate, at every servo tick, against what was asked for: what is left is that a
 /// straight line of setpoints can't give one torque all the way. Held setpoints beside them.
 #[test]
-fn interpolated_set_points_give_the_torque_all_the_way() {
+fn interpolated_setpoints_give_the_torque_all_the_way() {
     for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid].into_iter().chain(VELOCITY_SERVOS) {
         for delay in 0..=RATIO {
             for current in [false, true] {
-                let case = Case { servo, delay, current, set_points: Setpoints::Interpolated, ..CASE };
+                let case = Case { servo, delay, current, setpoints: Setpoints::Interpolated, ..CASE };
                 let (straight, held) =
-                    (run(case, 0..0), run(Case { set_points: Setpoints::Held, ..case }, 0..0));
+                    (run(case, 0..0), run(Case { setpoints: Setpoints::Held, ..case }, 0..0));
                 let (error, of_held) = (straight.error_at_ticks(), held.error_at_ticks());
                 assert!(error < 0.02 && error < 0.1 * of_held, "{case:?}: {error}, {of_held} held");
                 assert!(straight.off < EXACT, "{case:?}: {} m/s", straight.off);
@@ -389,11 +397,11 @@ fn interpolated_set_points_give_the_torque_all_the_way() {
 /// Compares the estimated velocities while setpoints fail to come, and the drives hold the last one, with the true
 /// ones.
 #[test]
-fn the_estimate_goes_on_while_set_points_are_missed() {
+fn the_estimate_goes_on_while_setpoints_are_missed() {
     for servo in [Servo::Cascade].into_iter().chain(VELOCITY_SERVOS) {
-        for set_points in [Setpoints::Held, Setpoints::Interpolated] {
+        for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
             for delay in [0, 2, RATIO] {
-                let run = run(Case { servo, delay, set_points, ..CASE }, 200..230);
+                let run = run(Case { servo, delay, setpoints, ..CASE }, 200..230);
                 assert!(run.off < EXACT, "{servo:?}, delay {delay}: {} m/s", run.off);
             }
         }

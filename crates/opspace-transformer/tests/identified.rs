@@ -3,7 +3,7 @@
 
 use opspace_backend::{Capabilities, CommandKind, Sample};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
-use opspace_transformer::{IdentificationError, IdentifiedJoint, LiteralTransformer, Transformer};
+use opspace_transformer::{ClosedLoopModel, IdentificationError, LiteralTransformer, Transformer};
 use std::f64::consts::TAU;
 
 const INERTIA: f64 = 0.4;
@@ -15,7 +15,7 @@ const KV: f64 = 60.0;
 const EXACT: f64 = 1e-6;
 
 /// T of a mass with viscous friction under the cascade of equation (9), and H: the mass itself.
-fn joint(zeros: &str) -> IdentifiedJoint {
+fn joint(zeros: &str) -> ClosedLoopModel {
     let text = format!(
         "closed_loop = {{ numerator = {zeros}, denominator = [{}, {}, {INERTIA}] }}\n\
          open_loop = {{ numerator = [1.0], denominator = [0.0, {VISCOUS}, {INERTIA}] }}\n\
@@ -26,7 +26,7 @@ fn joint(zeros: &str) -> IdentifiedJoint {
     toml::from_str(&text).unwrap()
 }
 
-fn measured() -> IdentifiedJoint {
+fn measured() -> ClosedLoopModel {
     joint(&format!("[{}]", KV * KP))
 }
 
@@ -93,7 +93,7 @@ fn a_push_is_not_in_it() {
 /// Setpoints of the second form at two measured positions.
 #[test]
 fn the_second_form_is_blind() {
-    let set_point = |q: f64| {
+    let setpoint = |q: f64| {
         let mut transformer = LiteralTransformer::new(&[measured()], false, 1e-3).unwrap();
         let mut model = Model::new("mass");
         let wheel = Joint { name: "joint".into(), kind: JointKind::Continuous, limits: Limits::NONE };
@@ -104,12 +104,12 @@ fn the_second_form_is_blind() {
         transformer.transform(&data, &[1.0], &mut q_desired);
         q_desired[0]
     };
-    assert_eq!(set_point(0.0), set_point(0.7));
+    assert_eq!(setpoint(0.0), setpoint(0.7));
 }
 
 #[test]
 fn what_cannot_be_inverted_is_refused_with_the_reason() {
-    let refused = |joint: &IdentifiedJoint| {
+    let refused = |joint: &ClosedLoopModel| {
         LiteralTransformer::new(std::slice::from_ref(joint), true, 1e-3).unwrap_err().1
     };
     // A zero in the right half-plane.

@@ -127,9 +127,9 @@ fn a_transfer_function_is_its_difference_equation() {
 fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
     for servo in ALL {
         let law = law(servo);
-        let (mut memory, set_point) = law.rest(0.7, 3.5);
+        let (mut memory, setpoint) = law.rest(0.7, 3.5);
         for tick in 0..20 {
-            let torque = law.step(&mut memory, set_point, 0.7);
+            let torque = law.step(&mut memory, setpoint, 0.7);
             assert!((torque - 3.5).abs() < 1e-6, "{servo}, tick {tick}: {torque}");
         }
     }
@@ -171,8 +171,8 @@ fn the_response_is_that_of_a_sine() {
             let mut sum = nalgebra::Complex::new(0.0, 0.0);
             for k in 0..40 * ticks {
                 let input = z.powu(k as u32).re;
-                let (set_point, position) = if channel == 0 { (input, 0.0) } else { (0.0, input) };
-                let torque = law.step(&mut memory, set_point, position);
+                let (setpoint, position) = if channel == 0 { (input, 0.0) } else { (0.0, input) };
+                let torque = law.step(&mut memory, setpoint, position);
                 // The last period, when all else has died away.
                 if k >= 39 * ticks {
                     sum += z.powu(k as u32).conj() * torque * 2.0 / ticks as f64;

@@ -3,7 +3,7 @@
 use opspace_backend::{Capabilities, CommandKind, Measured, Sample};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use opspace_transformer::{
-    CurrentCorrected, EstimatorParameters, FrictionCompensation, FrictionCompensationParameters,
+    CurrentFeedback, EstimatorParameters, FrictionCompensation, FrictionCompensationParameters,
     FrictionParameters, PaperTransformer, ServoGains, Transformer, VelocityEstimator, VelocityTransformer,
 };
 use std::f64::consts::TAU;
@@ -118,7 +118,7 @@ fn the_velocity_transformer_inverts_the_velocity_loop() {
 fn current_corrects_a_velocity_gain() {
     const CYCLES: usize = 100;
     let inner = Box::new(VelocityTransformer::new(servos()));
-    let mut transformer = CurrentCorrected::new(inner, &[100.0, 100.0], 5, 0);
+    let mut transformer = CurrentFeedback::new(inner, &[100.0, 100.0], 5, 0);
     assert_eq!(transformer.takes(), CommandKind::Velocity);
     let capabilities = Capabilities::new(["first", "second"], CommandKind::Velocity, PERIOD_S)
         .measuring(&[Measured::MotorCurrent]);

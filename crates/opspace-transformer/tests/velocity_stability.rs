@@ -6,7 +6,7 @@ use opspace_backend::{Capabilities, CommandKind, GravityCompensation, Measured, 
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, update};
 use opspace_transformer::{
     EmulatingTransformer, EmulationSetup, FrictionCompensation, FrictionCompensationParameters,
-    FrictionParameters, Matching, Transformer,
+    FrictionParameters, TorqueObjective, Transformer,
 };
 use std::f64::consts::TAU;
 
@@ -29,7 +29,7 @@ struct Case {
     bandwidth: f64,
     ratio: u32,
     delay: u32,
-    set_points: Setpoints,
+    setpoints: Setpoints,
     current: bool,
     mass_scale: f64,
     kv_scale: f64,
@@ -57,14 +57,18 @@ impl Case {
             inertias: vec![MASS],
             torque_limits: vec![1e6],
             servo_period_s: 1.0 / SERVO_HZ,
-            ratio: self.ratio,
+            servo_ticks_per_cycle: self.ratio,
             delay: self.delay,
-            set_points: self.set_points,
-            matching: if self.set_points == Setpoints::Held { Matching::Mean } else { Matching::EachTick },
-            gravity_by: GravityCompensation::Controller,
+            setpoints: self.setpoints,
+            matching: if self.setpoints == Setpoints::Held {
+                TorqueObjective::IntervalMean
+            } else {
+                TorqueObjective::PerTick
+            },
+            gravity_compensated_by: GravityCompensation::Controller,
             has_brakes: false,
             current: self.current,
-            refine: None,
+            adapt_gains: None,
         }
     }
 
@@ -104,7 +108,7 @@ impl Case {
             for tick in 0..=self.ratio {
                 if tick == self.delay {
                     if age > 0 {
-                        from = self.set_points.at(from, to, age - 1, self.ratio);
+                        from = self.setpoints.at(from, to, age - 1, self.ratio);
                     }
                     (to, age) = (new[0], 0);
                 }
@@ -113,7 +117,7 @@ impl Case {
                 }
                 w = keep * w + (1.0 - keep) * (q - seen) * SERVO_HZ;
                 seen = q;
-                let torque = kv * (self.set_points.at(from, to, age, self.ratio) - w);
+                let torque = kv * (self.setpoints.at(from, to, age, self.ratio) - w);
                 age += 1;
                 mean += torque / f64::from(self.ratio);
                 let ddq = torque / mass;
@@ -138,12 +142,12 @@ const ROBUST: f64 = 0.14;
 fn cases() -> impl Iterator<Item = Case> {
     let of = |bandwidth: f64, ratio: u32| {
         [0, ratio / 2, ratio].into_iter().flat_map(move |delay| {
-            [Setpoints::Held, Setpoints::Interpolated].into_iter().flat_map(move |set_points| {
+            [Setpoints::Held, Setpoints::Interpolated].into_iter().flat_map(move |setpoints| {
                 [false, true].map(|current| Case {
                     bandwidth,
                     ratio,
                     delay,
-                    set_points,
+                    setpoints,
                     current,
                     mass_scale: 1.0,
                     kv_scale: 1.0,

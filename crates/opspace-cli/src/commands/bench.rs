@@ -8,7 +8,7 @@ use crate::output::{REPORT, ROWS, prepare, pretty, write};
 use indicatif::ProgressBar;
 use opspace_experiment::Progress;
 use opspace_experiment::files::origin::PAPER_SUITE;
-use opspace_experiment::report::page::{Shown, page};
+use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, Suite, Summary};
 use opspace_log::Recording;
 use serde_json::json;
@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Results of a run.
 struct Done {
     summary: Summary,
-    shown: Option<(Shown, Vec<u8>)>,
+    shown: Option<(RunSection, Vec<u8>)>,
 }
 
 pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Outcome {
@@ -45,7 +45,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         let Some((one, log)) = one else { continue };
         let name = format!("{}-{}", one.summary.task, one.summary.backend);
         // Two tasks of a suite may have one name.
-        let same = shown.iter().filter(|s: &&Shown| s.summary.task == one.summary.task).count();
+        let same = shown.iter().filter(|s: &&RunSection| s.summary.task == one.summary.task).count();
         let path =
             folder.join(if same == 0 { format!("{name}.mcap") } else { format!("{name}-{}.mcap", same + 1) });
         std::fs::write(&path, log).map_err(|e| Failure::io("can't be written", &path, &e))?;
@@ -129,6 +129,6 @@ fn run_one(experiment: &Experiment, shown: bool, watch: &Progress) -> Result<Don
     let log = finished.sink.into_inner();
     let recording = Recording::from_bytes(&log)?;
     let summary = experiment.summary(&recording, &finished.record, Some(finished.realtime_factor));
-    let shown = shown.then(|| (Shown::new(experiment, &recording, summary.clone()), log));
+    let shown = shown.then(|| (RunSection::new(experiment, &recording, summary.clone()), log));
     Ok(Done { summary, shown })
 }

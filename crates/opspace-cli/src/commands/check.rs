@@ -9,9 +9,9 @@ use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{GainMargin, ServoLoop, gain_margin, not_checked};
 use opspace_experiment::{
-    Choice, Experiment, Extensions, FileError, Files, Finding, Robot, Source, Suite, findings,
+    Diagnostic, Experiment, Extensions, FileError, Files, Robot, RunOptions, Source, Suite, diagnostics,
 };
-use opspace_model::{Model, UrdfOptions, UrdfWarning, suspicions};
+use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
 use serde_json::{Value, json};
 use std::collections::HashSet;
 use std::path::Path;
@@ -55,12 +55,12 @@ impl Checked {
 
 /// A finding and its place.
 struct Found {
-    finding: Finding,
+    finding: Diagnostic,
     place: FileError,
 }
 
 impl Found {
-    fn new(finding: Finding, experiment: &Experiment) -> Self {
+    fn new(finding: Diagnostic, experiment: &Experiment) -> Self {
         let place = finding.placed(experiment);
         Self { finding, place }
     }
@@ -69,19 +69,19 @@ impl Found {
 /// Finds the findings of these experiments, each once: runs that differ only in unrelated settings have the same ones.
 fn find<'a>(
     experiments: impl IntoIterator<Item = &'a Experiment>,
-    findings: fn(&Experiment) -> Vec<Finding>,
+    diagnostics: fn(&Experiment) -> Vec<Diagnostic>,
 ) -> Vec<Found> {
     let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
     for experiment in experiments {
         // All but the seed and the transformer, which no finding depends on.
-        let Choice { backend, controller, duration_s, .. } = experiment.choice();
+        let RunOptions { backend, controller, duration_s, .. } = experiment.options();
         let sources = [&experiment.task().source, &experiment.robot().source].map(|s| s.text().to_owned());
         let profile = experiment.profile().0.to_owned();
         let names = [experiment.task().source.name().to_owned(), experiment.robot().source.name().to_owned()];
         if !looked_at.insert((names, sources, *backend, *controller, profile, duration_s.map(f64::to_bits))) {
             continue;
         }
-        for finding in findings(experiment) {
+        for finding in diagnostics(experiment) {
             let new = Found::new(finding, experiment);
             let same = |old: &Found| old.finding == new.finding && old.place.path() == new.place.path();
             if !found.iter().any(same) {
@@ -99,7 +99,7 @@ fn note(console: Console, found: &Found) {
 /// Prints warnings about a URDF and about the model built from it.
 fn warn(console: Console, urdf: &str, warnings: &[UrdfWarning], model: &Model) {
     warnings.iter().for_each(|w| console.note(&format!("{urdf}: {w}")));
-    suspicions(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
+    model_warnings(model).iter().for_each(|s| console.note(&format!("{urdf}: {s}")));
 }
 
 fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<Checked, FileError> {
@@ -121,15 +121,16 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let suite = Suite::load_with(extensions, Files::Disk, path)?;
             let what = format!("a suite of {} runs", suite.experiments.len());
             let (found, skipped) =
-                (find(&suite.experiments, findings), find(&suite.experiments, not_checked));
+                (find(&suite.experiments, diagnostics), find(&suite.experiments, not_checked));
             Ok(Checked { found, skipped, ..Checked::clean(what) })
         }
         Some(Kind::Task) => {
-            let choice = Choice { backend: own_backend(path, None, &[], extensions), ..Choice::default() };
-            let experiment = Experiment::load_with(extensions, Files::Disk, path, None, choice, &[])?;
+            let options =
+                RunOptions { backend: own_backend(path, None, &[], extensions), ..RunOptions::default() };
+            let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, &[])?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
             let margin = gain_margin(&experiment);
-            let mut found = find([&experiment], findings);
+            let mut found = find([&experiment], diagnostics);
             let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             found.extend(small.map(|finding| Found::new(finding, &experiment)));

@@ -6,7 +6,7 @@ use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
 use crate::output::{IDENTIFICATION, REPORT, ROBOT_FILE, SERVO_FILE, prepare, pretty, write};
 use indicatif::ProgressBar;
-use opspace_experiment::identify::{Identified, Identifying, Request};
+use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
 use opspace_experiment::{Files, Robot};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
@@ -24,7 +24,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         start_rad: args.start_rad.clone(),
         plan: ExcitationPlan { seed: args.seed, ..ExcitationPlan::default() },
     };
-    let identifying = Identifying::new(robot, request)?;
+    let identifying = IdentificationJob::new(robot, request)?;
     let mut arm = identifying.simulated_arm()?;
     let default = PathBuf::from(format!("runs/identify-{}", identifying.robot().name()));
     let folder = prepare(&args.output, &default, console)?;
@@ -52,7 +52,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
 }
 
 /// Writes all results, and returns their paths.
-fn write_results(folder: &Path, identified: &Identified) -> Result<Vec<String>, Failure> {
+fn write_results(folder: &Path, identified: &IdentificationResults) -> Result<Vec<String>, Failure> {
     let mut files = vec![
         (SERVO_FILE.to_owned(), identified.servo_toml()),
         (IDENTIFICATION.to_owned(), pretty(&identified.json())),
@@ -74,7 +74,7 @@ fn write_results(folder: &Path, identified: &Identified) -> Result<Vec<String>, 
 
 /// Shows which joint is being identified. The bar counts joints, since the duration depends on the joint.
 fn with_progress<T>(
-    identifying: &Identifying,
+    identifying: &IdentificationJob,
     console: Console,
     work: impl FnOnce(&mut dyn FnMut(&str)) -> T,
 ) -> T {

@@ -8,7 +8,7 @@ use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, Robot, Source};
 use opspace_model::samples::{Sample, evaluate};
 use opspace_model::{
-    Body, Frame, JointKind, Loaded, Model, UrdfOptions, UrdfWarning, principal_moments, suspicions,
+    Body, Frame, JointKind, Model, ParsedUrdf, UrdfOptions, UrdfWarning, model_warnings, principal_moments,
 };
 use serde_json::{Value, json};
 use std::fs::{self, File};
@@ -26,7 +26,7 @@ pub fn model(args: &ModelArgs, console: Console) -> Outcome {
 }
 
 /// A model and the warnings about it.
-struct Shown {
+struct ModelView {
     /// Name of the URDF.
     file: String,
     model: Model,
@@ -36,20 +36,20 @@ struct Shown {
     warnings: Vec<String>,
 }
 
-impl Shown {
+impl ModelView {
     fn new(urdf: &Source, model: Model, standing_kg: f64, warnings: &[UrdfWarning]) -> Self {
         let warnings = warnings.iter().map(ToString::to_string);
-        let warnings = warnings.chain(suspicions(&model).iter().map(ToString::to_string)).collect();
+        let warnings = warnings.chain(model_warnings(&model).iter().map(ToString::to_string)).collect();
         Self { file: urdf.name().to_owned(), model, standing_kg, warnings }
     }
 }
 
-fn load(args: &ModelArgs) -> Result<Shown, Failure> {
+fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
     let options = UrdfOptions { floating_base: args.floating, fold_mimics: args.fold_mimics };
     if args.robot.extension().is_some_and(|e| e == "urdf") {
         let urdf = Source::read(&args.robot)?;
-        let Loaded { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
-        return Ok(Shown::new(&urdf, model, standing_kg, &warnings));
+        let ParsedUrdf { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
+        return Ok(ModelView::new(&urdf, model, standing_kg, &warnings));
     }
     let robot = Robot::load(Files::Disk, &args.robot, &[])?;
     if options != UrdfOptions::default() {
@@ -60,10 +60,10 @@ fn load(args: &ModelArgs) -> Result<Shown, Failure> {
         return Err(Failure::Other(text, Exit::Bad));
     }
     let standing_kg = load_urdf(&robot.urdf, options)?.standing_kg;
-    Ok(Shown::new(&robot.urdf, robot.model, standing_kg, &robot.warnings))
+    Ok(ModelView::new(&robot.urdf, robot.model, standing_kg, &robot.warnings))
 }
 
-fn describe(shown: &Shown) -> String {
+fn describe(shown: &ModelView) -> String {
     let model = &shown.model;
     let (joints, base) = match model.is_floating() {
         true => (model.n() - 6, "floating"),
@@ -230,7 +230,7 @@ fn offset(model: &Model, frame: &Frame) -> [f64; 3] {
     [at.x, at.y, at.z].map(|x| rounded(x, 1.0))
 }
 
-fn as_json(shown: &Shown) -> Value {
+fn as_json(shown: &ModelView) -> Value {
     let model = &shown.model;
     // JSON has no infinity: null is no limit.
     let joints: Vec<Value> = (model.joints().iter().enumerate())
@@ -295,7 +295,7 @@ fn as_json(shown: &Shown) -> Value {
 fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>) -> Outcome {
     let bad = |text: String| Failure::Other(text, Exit::Bad);
     let out = out.filter(|path| *path != Path::new("-"));
-    let frame = model.frame(tip).map_err(|unknown| bad(format!("--tip {tip}: {unknown}")))?;
+    let frame = model.frame_id(tip).map_err(|unknown| bad(format!("--tip {tip}: {unknown}")))?;
     let name = samples.display();
     let reader: Box<dyn BufRead> = if samples == Path::new("-") {
         Box::new(io::stdin().lock())

@@ -20,8 +20,8 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
         None => None,
         Some(path) => {
             let task = Task::load_with(&extensions.tasks, Files::Disk, path, &[])?;
-            let (robot, choice) = (logged.robot().clone(), logged.choice().clone());
-            Some(Experiment::new(robot, task, choice, Vec::new())?)
+            let (robot, options) = (logged.robot().clone(), logged.options().clone());
+            Some(Experiment::new(robot, task, options, Vec::new())?)
         }
     };
     let experiment = other.as_ref().unwrap_or(&logged);

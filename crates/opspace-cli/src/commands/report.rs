@@ -4,7 +4,7 @@ use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{REPORT, pretty, read_log, write};
 use opspace_experiment::evaluate::results::MEASURES;
-use opspace_experiment::report::page::{Shown, page};
+use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::{Experiment, Extensions, RunError};
 use opspace_log::OutcomeRecord;
 
@@ -24,7 +24,7 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
             exit = Exit::DataLost;
         }
         let summary = experiment.summary(&recording, &OutcomeRecord::of(&recording), None);
-        shown.push(Shown::new(&experiment, &recording, summary));
+        shown.push(RunSection::new(&experiment, &recording, summary));
         first.get_or_insert(path);
     }
     let summaries: Vec<_> = shown.iter().map(|s| s.summary.clone()).collect();

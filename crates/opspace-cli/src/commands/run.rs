@@ -16,13 +16,13 @@ use std::time::Duration;
 
 pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome {
     let robot = args.robot.as_deref();
-    let choice = args.choice(own_backend(&args.task, robot, &args.set, extensions));
-    let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, choice, &args.set)?;
+    let options = args.options(own_backend(&args.task, robot, &args.set, extensions));
+    let experiment = Experiment::load_with(extensions, Files::Disk, &args.task, robot, options, &args.set)?;
     for warning in &experiment.robot().warnings {
         console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
     }
     let default =
-        PathBuf::from(format!("runs/{}-{}", experiment.task().name(), experiment.choice().backend.name()));
+        PathBuf::from(format!("runs/{}-{}", experiment.task().name(), experiment.options().backend.name()));
     if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
     }

@@ -35,7 +35,7 @@ impl Nullspace {
     }
 
     /// Returns true if N is that of one task or more, not the identity.
-    pub(crate) fn is_narrowed(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.depth > 0
     }
 
@@ -137,7 +137,7 @@ impl ProjectedTask {
 
     /// Computes J̄ with the same factor: once after each [`update`](Self::update), if anything comes below this task.
     pub(crate) fn compute_jbar(&mut self, factor: &MassMatrixFactor) {
-        self.space.finish(factor);
+        self.space.compute_jbar(factor);
     }
 }
 
@@ -191,7 +191,7 @@ mod tests {
         let mass_inverse = data.mass_matrix.clone().try_inverse().expect("M is regular");
         let rows_of = |name: &str, rows: std::ops::Range<usize>| {
             let mut j = Matrix6xX::zeros(n);
-            frame_jacobian(&model, &data, model.frame(name).expect("frame"), &mut j);
+            frame_jacobian(&model, &data, model.frame_id(name).expect("frame"), &mut j);
             let mut selected = Matrix6xX::zeros(n);
             selected.rows_mut(0, rows.len()).copy_from(&j.rows(rows.start, rows.len()));
             (selected, rows.len())
@@ -208,7 +208,7 @@ mod tests {
                 Inversion::Damped(1e-6),
                 1.0,
             );
-            assert!(projected.space.weakest_share == 1.0, "level {level} is regular");
+            assert!(projected.space.min_singular_gain == 1.0, "level {level} is regular");
             projected.compute_jbar(&data.mass_matrix_factor);
             nullspace.push(&projected);
             let [matrix, by_torque] = matrices(&nullspace, n);

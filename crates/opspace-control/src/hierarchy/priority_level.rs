@@ -161,7 +161,7 @@ impl PriorityLevel {
 
     pub(crate) fn sample_force(&self, row: &mut Row<'_>) {
         self.task.sample_force(&self.force, row);
-        row.put_one(self.projected.space.weakest_share);
+        row.put_one(self.projected.space.min_singular_gain);
     }
 }
 

@@ -154,8 +154,8 @@ pub fn characteristic_length(model: &Model, controlled: ControlledFrame) -> f64 
 /// the strokes of prismatic joints. 1 m if that is nothing.
 #[must_use]
 pub fn reach(model: &Model, frame: FrameId) -> f64 {
-    let mut sum = model.frame_info(frame).placement.translation.norm();
-    for i in model.support(frame) {
+    let mut sum = model.frame(frame).placement.translation.norm();
+    for i in model.ancestors(frame) {
         let body = &model.bodies()[i];
         if body.parent.is_some() {
             sum += body.origin.translation.norm();

@@ -36,11 +36,11 @@ pub struct LimitParameters {
     #[serde(default = "default_margin")]
     pub position_margin_rad: NonNegative,
     /// Share of the highest speed that is used, from 0 to 1; 0.9 if absent.
-    #[serde(default = "default_velocity_share")]
-    pub velocity_share: Positive,
+    #[serde(default = "default_velocity_fraction")]
+    pub velocity_fraction: Positive,
     /// Share of the highest torque that is used, from 0 to 1; all of it if absent.
     #[serde(default = "whole")]
-    pub torque_share: Positive,
+    pub torque_fraction: Positive,
 }
 
 impl Default for LimitParameters {
@@ -48,8 +48,8 @@ impl Default for LimitParameters {
         Self {
             enforce: yes(),
             position_margin_rad: default_margin(),
-            velocity_share: default_velocity_share(),
-            torque_share: whole(),
+            velocity_fraction: default_velocity_fraction(),
+            torque_fraction: whole(),
         }
     }
 }
@@ -62,7 +62,7 @@ const fn default_margin() -> NonNegative {
     NonNegative::literal(0.01)
 }
 
-const fn default_velocity_share() -> Positive {
+const fn default_velocity_fraction() -> Positive {
     Positive::literal(0.9)
 }
 
@@ -111,8 +111,8 @@ impl JointLimits {
             let keep = |end: f64| if middle.is_finite() { end } else { f64::NAN };
             self.lower[i] = (self.lower[i] + margin).min(keep(middle));
             self.upper[i] = (self.upper[i] - margin).max(keep(middle));
-            self.velocity[i] *= parameters.velocity_share.get().min(1.0);
-            self.torque[i] *= parameters.torque_share.get().min(1.0);
+            self.velocity[i] *= parameters.velocity_fraction.get().min(1.0);
+            self.torque[i] *= parameters.torque_fraction.get().min(1.0);
             if self.torque_rate[i] == f64::INFINITY {
                 self.torque_rate[i] = self.torque[i] / TORQUE_RISE_S;
             }

@@ -6,7 +6,7 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::{Bounds, HORIZON_S, Interval};
 use crate::limits::joint_limits::LimitParameters;
-use crate::qp::lexicographic::{Cascade, Limits, Residual, Solver, SpeedBound};
+use crate::qp::lexicographic::{HierarchicalQp, Limits, Residual, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
 use opspace_backend::{Row, Signal};
@@ -17,7 +17,7 @@ pub(crate) struct Limiter {
     bounds: Bounds,
     /// Bounds on torques as they were before any of the bounds was widened.
     torque_bounds: Interval,
-    cascade: Cascade,
+    cascade: HierarchicalQp,
     /// Bounds on the speeds of tasks; the first `speed_count` of them are in force.
     speeds: Vec<SpeedBound>,
     speed_count: usize,
@@ -48,7 +48,7 @@ impl Limiter {
         Self {
             torque_bounds: bounds.torque.clone(),
             bounds,
-            cascade: Cascade::new(n, MAX_SPEED_BOUNDS),
+            cascade: HierarchicalQp::new(n, MAX_SPEED_BOUNDS),
             speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; MAX_SPEED_BOUNDS],
             speed_count: 0,
             bias_acceleration: zero.clone(),
@@ -140,12 +140,12 @@ impl Limiter {
             scratch.fill(0.0);
             level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
-            cascade.ask(data, scratch.as_slice(), &mut limits);
+            cascade.add_demand(data, scratch.as_slice(), &mut limits);
             let heading = level.predicted_velocity(data, cascade.alpha(), HORIZON_S);
             let projected = &level.projected;
             let inertia = &projected.space.task_inertia;
             let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
-            level.limited = cascade.keep_within(data, &hierarchy.nullspace, &residual, &mut limits)?;
+            level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
             hierarchy.nullspace.truncate(place + 1);
         }
         scratch.fill(0.0);
@@ -153,12 +153,15 @@ impl Limiter {
             scratch.copy_from(joint_torque);
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
         }
-        cascade.ask(data, scratch.as_slice(), &mut limits);
-        cascade.keep_within(data, &hierarchy.nullspace, &Residual::Joints, &mut limits)?;
+        cascade.add_demand(data, scratch.as_slice(), &mut limits);
+        cascade.solve_level(data, &hierarchy.nullspace, &Residual::Joints, &mut limits)?;
         Ok(cascade.solver())
     }
 
-    fn limits<'a>(&'a mut self, compensation_torque: &'a DVector<f64>) -> (Limits<'a>, &'a mut Cascade) {
+    fn limits<'a>(
+        &'a mut self,
+        compensation_torque: &'a DVector<f64>,
+    ) -> (Limits<'a>, &'a mut HierarchicalQp) {
         let limits = Limits {
             bounds: &mut self.bounds,
             compensation_torque,
@@ -213,8 +216,8 @@ impl Limiter {
     }
 
     /// Solves the programmes even where no limit is in force: for tests and benches, which compare the two.
-    pub(crate) fn without_shortcut(&mut self) {
-        self.cascade.without_shortcut();
+    pub(crate) fn always_solve(&mut self) {
+        self.cascade.always_solve();
     }
 
     /// Writes the torques computed by [`solve`](Self::solve) into `torque` (n).

@@ -100,7 +100,7 @@ impl Limits<'_> {
 }
 
 /// Buffers of the cascade for one robot.
-pub(crate) struct Cascade {
+pub(crate) struct HierarchicalQp {
     program: QuadraticProgram,
     active_set: ActiveSet,
     interior_point: Option<InteriorPoint>,
@@ -131,7 +131,7 @@ pub(crate) enum Residual<'a> {
     Joints,
 }
 
-impl Cascade {
+impl HierarchicalQp {
     /// For `n` joints and at most `speeds` bounds on speeds.
     pub(crate) fn new(n: usize, speeds: usize) -> Self {
         let (variables, constraints) = (2 * n + speeds, 2 * n + speeds);
@@ -157,7 +157,7 @@ impl Cascade {
     }
 
     /// Solves every level from now on, needed or not.
-    pub(crate) fn without_shortcut(&mut self) {
+    pub(crate) fn always_solve(&mut self) {
         self.shortcut = false;
     }
 
@@ -203,7 +203,7 @@ impl Cascade {
     }
 
     /// Takes in what a level asks for beside what the levels above do: `z` (n).
-    pub(crate) fn ask(&mut self, data: &Data, z: &[f64], limits: &mut Limits<'_>) {
+    pub(crate) fn add_demand(&mut self, data: &Data, z: &[f64], limits: &mut Limits<'_>) {
         // What stands is within the limits but for rounding.
         if self.solver != Solver::Unlimited {
             self.admit(data, limits);
@@ -216,7 +216,7 @@ impl Cascade {
     ///
     /// # Errors
     /// If no solver finds an answer.
-    pub(crate) fn keep_within(
+    pub(crate) fn solve_level(
         &mut self,
         data: &Data,
         above: &Nullspace,
@@ -237,12 +237,12 @@ impl Cascade {
         self.span(data, above);
         let proximal = self.pose(residual);
         self.constrain(limits, false);
-        match self.settle(proximal) {
+        match self.iterate_proximal(proximal) {
             Err(QpError::Infeasible { .. }) => {
                 self.relax(data, limits)?;
                 let proximal = self.pose(residual);
                 self.constrain(limits, false);
-                self.settle(proximal)?;
+                self.iterate_proximal(proximal)?;
             }
             result => result?,
         }
@@ -285,7 +285,7 @@ impl Cascade {
             }
         }
         self.constrain(limits, true);
-        self.settle(Some(RELAXED))?;
+        self.iterate_proximal(Some(RELAXED))?;
         // The solution serves only to widen the bounds: the level starts again from where it was.
         self.asked.copy_from(&self.alpha);
         self.displace();
@@ -296,7 +296,7 @@ impl Cascade {
     }
 
     /// Solves the programme by proximal steps of weight ε, or as it stands; δ into `delta`.
-    fn settle(&mut self, proximal: Option<f64>) -> Result<(), QpError> {
+    fn iterate_proximal(&mut self, proximal: Option<f64>) -> Result<(), QpError> {
         let (n, variables) = (self.scale.len(), self.program.variables());
         self.program.gradient.fill(0.0);
         self.delta.fill(0.0);
@@ -348,7 +348,7 @@ impl Cascade {
     /// levels is damped. The acceleration that a level asks for is M⁻¹ Nᵀ times its torques, and so can always be undone.
     fn span(&mut self, data: &Data, above: &Nullspace) {
         self.torque_rows.copy_from(&data.mass_matrix);
-        if !above.is_narrowed() {
+        if !above.is_empty() {
             self.nullspace.fill_with_identity();
             return;
         }

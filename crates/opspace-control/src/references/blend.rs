@@ -43,7 +43,7 @@ impl Joining {
     }
 
     /// The target for a reference at `time_s`.
-    pub(crate) fn joined(&self, reference: &Target, time_s: f64) -> Target {
+    pub(crate) fn blended(&self, reference: &Target, time_s: f64) -> Target {
         if time_s < self.end_s { self.target(reference, time_s) } else { *reference }
     }
 

@@ -466,7 +466,7 @@ impl RecordedMotion {
     }
 }
 
-/// `target`, its world turned by `turn` and moved by `shift`, its own axes turned by `own`.
+/// `target`, its world rotated by `turn` and moved by `shift`, its own axes rotated by `own`.
 fn laid(target: &Target, turn: &Matrix3<f64>, shift: &Vector3<f64>, own: &Matrix3<f64>) -> Target {
     let Target { placement, velocity, acceleration } = target;
     let turned = |motion: &Motion| Motion { linear: turn * motion.linear, angular: turn * motion.angular };

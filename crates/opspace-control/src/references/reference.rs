@@ -254,13 +254,13 @@ impl Trajectory {
     /// The target at `time_s` after the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Target {
-        self.joined(&self.reference_at(time_s), time_s)
+        self.blended(&self.reference_at(time_s), time_s)
     }
 
     /// The target for a reference at `time_s` after the start.
-    pub(crate) fn joined(&self, reference: &Target, time_s: f64) -> Target {
+    pub(crate) fn blended(&self, reference: &Target, time_s: f64) -> Target {
         match &self.joining {
-            Some(joining) => joining.joined(reference, time_s),
+            Some(joining) => joining.blended(reference, time_s),
             None => *reference,
         }
     }

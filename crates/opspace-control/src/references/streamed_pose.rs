@@ -203,7 +203,7 @@ impl StreamedPose {
                 moved(from, self.line.at(time_s), self.turn.at(time_s))
             }
             Plan::Follow { stamp_s, raw, joining } => {
-                joining.joined(&extrapolated(raw, clock_s - stamp_s), clock_s)
+                joining.blended(&extrapolated(raw, clock_s - stamp_s), clock_s)
             }
         }
     }

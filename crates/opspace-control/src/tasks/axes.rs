@@ -148,7 +148,7 @@ impl Axes {
 
 /// The directions of a task's axes.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
-pub enum AxesIn {
+pub enum AxesFrameParameter {
     /// The world's own.
     #[default]
     #[serde(rename = "world")]
@@ -176,7 +176,7 @@ pub enum AxesFrame {
     Body(FrameId),
 }
 
-impl AxesIn {
+impl AxesFrameParameter {
     /// The axes on a robot, for a task that moves `controlled`.
     ///
     /// # Errors
@@ -185,7 +185,7 @@ impl AxesIn {
         Ok(match self {
             Self::World => AxesFrame::Fixed(Matrix3::identity()),
             Self::RpyRad(rpy) => AxesFrame::Fixed(orientation::from_rpy(*rpy)),
-            Self::Frame(name) => AxesFrame::Body(model.frame(name)?),
+            Self::Frame(name) => AxesFrame::Body(model.frame_id(name)?),
             Self::TaskFrame => match controlled {
                 ControlledFrame::Frame(frame) | ControlledFrame::Relative { frame, .. } => {
                     AxesFrame::Body(frame)
@@ -193,7 +193,7 @@ impl AxesIn {
                 ControlledFrame::CenterOfMass => AxesFrame::Fixed(Matrix3::identity()),
             },
             Self::Base => match model.frames().iter().find(|frame| frame.body.is_none()) {
-                Some(base) => AxesFrame::Body(model.frame(&base.name)?),
+                Some(base) => AxesFrame::Body(model.frame_id(&base.name)?),
                 None => AxesFrame::Fixed(Matrix3::identity()),
             },
         })

@@ -134,7 +134,7 @@ impl CartesianTask {
     ) -> Result<Self, ControlError> {
         let at = |place: &str, reason: Reason| ControlError::new(format!("{key}.{place}"), reason);
         let axes_frame =
-            parameters.axes_in.resolve(model, controlled).map_err(|e| at("axes_in", e.into()))?;
+            parameters.axes_frame.resolve(model, controlled).map_err(|e| at("axes_frame", e.into()))?;
         let active = parameters.axes.active_axes();
         if !active.contains(&true) {
             return Err(at("axes", Reason::NoAxis));
@@ -376,7 +376,7 @@ impl CartesianTask {
             self.target = self.path;
         } else {
             self.path = self.trajectory.reference_at(time_s);
-            self.target = self.trajectory.joined(&self.path, time_s);
+            self.target = self.trajectory.blended(&self.path, time_s);
         }
         self.placement = controlled.placement(model, data);
         let velocity = controlled.velocity(model, data);

@@ -3,7 +3,7 @@
 use crate::error::{ControlError, Reason};
 use crate::references::joint_reference::check_times;
 use crate::references::reference::CartesianReference;
-use crate::tasks::axes::{Axes, AxesIn, AxisMode, PerAxis};
+use crate::tasks::axes::{Axes, AxesFrameParameter, AxisMode, PerAxis};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceParameters;
 use crate::tasks::gains::AxisGains;
@@ -28,7 +28,7 @@ pub struct CartesianParameters {
     /// Directions of the axes: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or `{ rpy_rad = [...] }`
     /// against the world.
     #[serde(default)]
-    pub axes_in: AxesIn,
+    pub axes_frame: AxesFrameParameter,
     /// Reference of the frame.
     pub reference: CartesianReference,
     /// Gains with which axes in motion follow the reference, as a unit mass would.
@@ -73,7 +73,7 @@ pub struct CenterOfMassParameters {
     pub axes: Axes,
     /// Directions of the axes, as in a Cartesian task.
     #[serde(default)]
-    pub axes_in: AxesIn,
+    pub axes_frame: AxesFrameParameter,
     /// Reference of the centre of mass.
     pub reference: CartesianReference,
     /// Gains with which the centre of mass follows the reference, as a unit mass would.
@@ -145,7 +145,7 @@ impl CartesianParameters {
             frame: frame.into(),
             relative_to: None,
             axes,
-            axes_in: AxesIn::World,
+            axes_frame: AxesFrameParameter::World,
             reference: CartesianReference::Hold,
             gains: Some(gains),
             impedance: None,
@@ -184,7 +184,7 @@ impl CartesianParameters {
     /// A frame that the robot doesn't have, with the key by which it is named.
     pub fn controlled_frame(&self, model: &Model) -> Result<ControlledFrame, ControlError> {
         let frame =
-            |key: &str, name: &str| model.frame(name).map_err(|unknown| ControlError::new(key, unknown));
+            |key: &str, name: &str| model.frame_id(name).map_err(|unknown| ControlError::new(key, unknown));
         let led = frame("frame", &self.frame)?;
         Ok(match &self.relative_to {
             None => ControlledFrame::Frame(led),
@@ -211,7 +211,7 @@ impl CenterOfMassParameters {
     pub fn new(axes: Axes, gains: AxisGains) -> Self {
         Self {
             axes,
-            axes_in: AxesIn::World,
+            axes_frame: AxesFrameParameter::World,
             reference: CartesianReference::Hold,
             gains,
             singularity_threshold: default_singularity_threshold(),
@@ -222,7 +222,7 @@ impl CenterOfMassParameters {
     #[must_use]
     pub fn as_cartesian(&self) -> CartesianParameters {
         CartesianParameters {
-            axes_in: self.axes_in.clone(),
+            axes_frame: self.axes_frame.clone(),
             reference: self.reference.clone(),
             singularity_threshold: self.singularity_threshold,
             ..CartesianParameters::new(String::new(), self.axes, self.gains)

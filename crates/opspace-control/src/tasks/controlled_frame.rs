@@ -165,7 +165,7 @@ fn com_rows(model: &Model, data: &Data, jacobian: &mut Matrix6xX<f64>) {
         while let Some(i) = ancestor {
             let mut column = jacobian.column_mut(model.bodies()[i].joint);
             let mut linear = column.fixed_rows_mut::<3>(0);
-            linear += data.screw[i].at(&com).linear * share;
+            linear += data.screw[i].shifted_to(&com).linear * share;
             ancestor = model.bodies()[i].parent;
         }
     }

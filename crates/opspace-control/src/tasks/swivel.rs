@@ -174,7 +174,7 @@ impl SwivelAngle {
     /// # Errors
     /// A frame that the robot doesn't have, a direction of length 0.
     pub fn new(model: &Model, frames: [&str; 3], direction: Vector3<f64>) -> Result<Self, ControlError> {
-        let frame = |key: &str, name: &str| model.frame(name).map_err(|e| ControlError::new(key, e));
+        let frame = |key: &str, name: &str| model.frame_id(name).map_err(|e| ControlError::new(key, e));
         let length = direction.norm();
         if !(length > 0.0 && length.is_finite()) {
             let message = "a direction needs a length above 0".to_owned();
@@ -225,9 +225,9 @@ impl Coordinate for SwivelAngle {
         let frames = [(self.elbow, by_a), (self.wrist, by_w), (self.shoulder, -(by_a + by_w))];
         for (frame, weight) in frames {
             let point = frame_placement(model, data, frame).translation - data.origin;
-            for body in model.support(frame) {
+            for body in model.ancestors(frame) {
                 let column = model.bodies()[body].joint;
-                rows[(0, column)] += weight.dot(&data.screw[body].at(&point).linear);
+                rows[(0, column)] += weight.dot(&data.screw[body].shifted_to(&point).linear);
             }
         }
     }

@@ -10,7 +10,7 @@ use opspace_control::{
     Compensation, ControlContext, ControlError, ControlInput, JointLimits, LimitParameters, Measurement,
     Targets, TaskParameters, TaskSetParameters,
 };
-use opspace_model::model::z_onto;
+use opspace_model::model::rotation_z_to;
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ pub struct Link {
 /// A serial arm from its links; all lengths multiplied by `length`. Frames: one a link, named
 /// after it, and those in `frames` (name, link, place).
 pub fn arm(links: &[Link], frames: &[(&str, usize, [f64; 3])], length: f64) -> Model {
-    let body = |i: usize| z_onto(&Unit::new_normalize(Vector3::from(links[i].axis)));
+    let body = |i: usize| rotation_z_to(&Unit::new_normalize(Vector3::from(links[i].axis)));
     let mut model = Model::new("arm").with_gravity(Vector3::new(0.0, 0.0, -9.81 * length));
     for (i, link) in links.iter().enumerate() {
         let before = if i == 0 { Matrix3::identity() } else { body(i - 1) };
@@ -178,7 +178,7 @@ impl File {
 
 /// A robot with one sensor at its frame `sensor`, at 1 kHz, without limits.
 pub fn facts(model: &Model, sensor: &str) -> ControlContext {
-    let frame = model.frame(sensor).expect("the sensor's frame exists");
+    let frame = model.frame_id(sensor).expect("the sensor's frame exists");
     ControlContext {
         period_s: 1e-3,
         sensors: vec![("wrist".to_owned(), frame)],
@@ -235,7 +235,7 @@ impl Numbers {
 /// J of a frame, freshly allocated.
 pub fn jacobian(model: &Model, data: &Data, frame: &str) -> DMatrix<f64> {
     let mut j = Matrix6xX::zeros(model.n());
-    opspace_model::frame_jacobian(model, data, model.frame(frame).expect("frame"), &mut j);
+    opspace_model::frame_jacobian(model, data, model.frame_id(frame).expect("frame"), &mut j);
     DMatrix::from_fn(6, model.n(), |r, c| j[(r, c)])
 }
 
@@ -248,7 +248,7 @@ pub fn accelerations(model: &Model, data: &Data, tau: &[f64]) -> DVector<f64> {
 
 /// Linear and angular acceleration of a frame under torques, world axes.
 pub fn frame_acceleration(model: &Model, data: &Data, frame: &str, tau: &[f64]) -> DVector<f64> {
-    let bias = opspace_model::frame_bias_acceleration(model, data, model.frame(frame).expect("frame"));
+    let bias = opspace_model::frame_bias_acceleration(model, data, model.frame_id(frame).expect("frame"));
     let caused = jacobian(model, data, frame) * accelerations(model, data, tau);
     let bias: Vec<f64> = bias.linear.iter().chain(bias.angular.iter()).copied().collect();
     caused + DVector::from_vec(bias)

@@ -46,7 +46,7 @@ pub struct Metrics {
     /// setpoint must leave there at the speeds of the run; `None` where no setpoint is held.
     pub hold_ripple: Option<f64>,
     /// Highest speed of a position setpoint, rad/s.
-    pub set_point_speed_max_rad_per_s: Option<f64>,
+    pub setpoint_speed_max_rad_per_s: Option<f64>,
     /// Highest acceleration of a velocity setpoint, rad/s².
     pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
     /// Share of interface cycles in which a desired torque was saturated.
@@ -92,7 +92,7 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
         }
     }
     run.hand(&mut metrics);
-    metrics.set_point_speed_max_rad_per_s = run.largest("setpoint_speed");
+    metrics.setpoint_speed_max_rad_per_s = run.largest("setpoint_speed");
     metrics.setpoint_acceleration_max_rad_per_s2 = run.largest("setpoint_acceleration");
     metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
         mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
@@ -206,7 +206,7 @@ impl<'a> Run<'a> {
         subject: ControlledFrame,
         metrics: &mut Metrics,
     ) {
-        let Ok(directions) = task.axes_in.resolve(&self.experiment.robot().model, subject) else { return };
+        let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, subject) else { return };
         let motion = task.motion_axes();
         if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
             && motion[..3].contains(&true)
@@ -242,7 +242,7 @@ impl<'a> Run<'a> {
             values.filter(|v| v.is_finite()).map(f64::abs).reduce(f64::max)
         };
         let ticks = self.settled(&self.tick.time_s);
-        let torques = self.experiment.choice().controller == ControllerKind::Osc;
+        let torques = self.experiment.options().controller == ControllerKind::Osc;
         if let Some(command) = self.tick.signal("command").filter(|_| torques) {
             metrics.torque_commanded_max_nm =
                 largest(&mut ticks.clone().flat_map(|k| command.row(k).iter().copied()));
@@ -273,7 +273,7 @@ impl<'a> Run<'a> {
 
     /// Computes the force and the motion of the first simulated hand.
     fn hand(&self, metrics: &mut Metrics) {
-        let springs = self.experiment.task().file.surroundings.iter();
+        let springs = self.experiment.task().file.environment.iter();
         let Some((name, spring)) = springs.into_iter().find_map(|(name, s)| match s {
             EnvironmentObjectParameters::Spring(spring) => Some((name, spring)),
             _ => None,
@@ -290,7 +290,7 @@ impl<'a> Run<'a> {
             });
             metrics.hand_force_rms_n = rms_and_max(forces).0;
         }
-        let Ok(frame) = self.experiment.robot().model.frame(&spring.frame) else { return };
+        let Ok(frame) = self.experiment.robot().model.frame_id(&spring.frame) else { return };
         if let Some(home) = self.start_pose(frame) {
             let world = AxesFrame::Fixed(Matrix3::identity());
             let poses = self.poses(ControlledFrame::Frame(frame), world);
@@ -317,7 +317,7 @@ impl<'a> Run<'a> {
         else {
             return metrics;
         };
-        let ratio = self.experiment.profile().1.ratio.get() as usize;
+        let ratio = self.experiment.profile().1.servo_ticks_per_cycle.get() as usize;
         let (mut at_servo, mut at_tick, mut over_interval) =
             (Relative::default(), Relative::default(), Relative::default());
         let n = motor.elements().len();
@@ -361,15 +361,16 @@ impl<'a> Run<'a> {
         }
         let (profile, robot) = (self.experiment.profile().1, self.experiment.robot());
         let simulated = robot.file.simulated.as_ref()?;
-        if robot.file.interface.set_points != Setpoints::Held || profile.ratio.get() == 1 {
+        if robot.file.interface.setpoints != Setpoints::Held || profile.servo_ticks_per_cycle.get() == 1 {
             return None;
         }
         let servo_period_s = profile.servo_period_s();
         let current_loop_hz = simulated.current_loop_hz.map(Positive::get);
-        let ripple_s = ripple::of_held_set_point(profile.ratio.get(), servo_period_s, current_loop_hz);
+        let ripple_s =
+            ripple::of_held_setpoint(profile.servo_ticks_per_cycle.get(), servo_period_s, current_loop_hz);
         let positions = self.recording.channel("truth").unwrap_or(self.tick);
         let dq = positions.signal("dq")?;
-        let scale = simulated.scale.kp.get() * simulated.scale.kv.get();
+        let scale = simulated.true_over_nominal.kp.get() * simulated.true_over_nominal.kv.get();
         let true_servos =
             robot.model.joints().iter().filter_map(|joint| {
                 simulated.servo.get(&joint.name).or_else(|| profile.servo.get(&joint.name))

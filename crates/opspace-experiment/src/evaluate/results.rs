@@ -18,7 +18,7 @@ const OF_ALL: [&str; 2] = [
      Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
      could move.",
     "Torque error: motor torque against desired torque, relative, at servo rate, on the mean over each interface \
-     interval, and in the first servo period after the tick. The last alone hides what the held set-point does \
+     interval, and in the first servo period after the tick. The last alone hides what the held setpoint does \
      between ticks.",
 ];
 

@@ -82,7 +82,7 @@ impl Table {
 impl Column {
     /// `title (unit)`.
     #[must_use]
-    pub fn heading(&self) -> String {
+    pub fn column_title(&self) -> String {
         if self.unit.is_empty() { self.title.clone() } else { format!("{} ({})", self.title, self.unit) }
     }
 }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
+use crate::files::renamed::present_name;
 use crate::files::suggest::{nearest, same_but_unit, unit_of, units_differ};
 use crate::files::toml_path::{Part, dotted, keys_at, value_at};
 
@@ -18,6 +19,9 @@ pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[Strin
     let value = |message: String, help: Option<String>| Words { message, help, part: Part::Value };
     let key = |message: String, help: Option<String>| Words { message, help, part: Part::Key };
     if let Some((name, allowed)) = unknown(raw, "unknown field `") {
+        if let Some(new) = present_name(name, &allowed) {
+            return key(format!("unknown key `{name}`: its name is now `{new}`"), None);
+        }
         return key(format!("unknown key `{name}`"), Some(did_you_mean(name, &allowed)));
     }
     if let Some((name, allowed)) = unknown(raw, "unknown variant `") {

@@ -11,15 +11,15 @@ pub struct InterfaceParameters {
     /// Command accepted by the robot: `position`, `velocity` or `torque`.
     pub command: CommandParameter,
     /// Behaviour of the drive between two setpoints: it holds the last one or interpolates.
-    pub set_points: Setpoints,
+    pub setpoints: Setpoints,
     /// Behaviour of the drives when a command is missed: `hold-last`, as position and velocity robots do, or
     /// `hold-torque`, as torque robots do.
     #[serde(default)]
     pub on_missed_cycle: Option<MissedCycle>,
     /// Compensation of the robot's weight: by the robot itself or by the controller.
-    pub gravity_by: GravityCompensation,
+    pub gravity_compensated_by: GravityCompensation,
     /// Quantities measured by the robot.
-    pub measures: Vec<Measured>,
+    pub measured: Vec<Measured>,
     /// True if a velocity robot has brakes that hold it when no controller commands it.
     #[serde(default)]
     pub brakes: bool,

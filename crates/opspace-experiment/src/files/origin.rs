@@ -90,7 +90,7 @@ impl Kind {
     pub fn of(text: &str) -> Option<Self> {
         const KEYS: [(Kind, &[&str]); 3] = [
             (Kind::Robot, &["urdf", "default_profile", "interface", "joint", "simulated"]),
-            (Kind::Task, &["robot", "duration_s", "priority", "task", "surroundings"]),
+            (Kind::Task, &["robot", "duration_s", "priority", "task", "environment"]),
             (Kind::Suite, &["title", "profiles", "run"]),
         ];
         let mut tops = BTreeSet::new();

@@ -81,7 +81,7 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
 }
 
 /// Message and help of an error.
-type Refusal = (String, Option<String>);
+type OverrideError = (String, Option<String>);
 
 /// Returns the key of a setting and its bytes; `=` may be within quotes.
 fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {
@@ -100,7 +100,7 @@ fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {
     Err(FileError::of_setting(&setting, Part::Key, message, help))
 }
 
-fn value_of(text: &str) -> Result<Value, Refusal> {
+fn value_of(text: &str) -> Result<Value, OverrideError> {
     let text = text.trim();
     if text.is_empty() {
         return Err((
@@ -133,7 +133,7 @@ enum Node<'a> {
     Leaf(&'static str),
 }
 
-fn within(item: &mut Item) -> Node<'_> {
+fn node_of(item: &mut Item) -> Node<'_> {
     match item {
         Item::Table(table) => Node::Table(table),
         Item::ArrayOfTables(tables) => Node::Tables(tables),
@@ -151,7 +151,7 @@ fn within_value(value: &mut Value) -> Node<'_> {
 }
 
 /// Writes `value` at `keys` under `node`; the keys passed through, tags included, are added to `path`.
-fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -> Result<(), Refusal> {
+fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -> Result<(), OverrideError> {
     let Some((key, rest)) = keys.split_first() else { return Ok(()) };
     let mut table = match node {
         Node::Table(table) => table,
@@ -204,7 +204,7 @@ fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -
         table.insert(key, Item::Value(InlineTable::new().into()));
     }
     match table.get_mut(key) {
-        Some(item) => put(within(item), rest, value, path),
+        Some(item) => put(node_of(item), rest, value, path),
         None => Ok(()),
     }
 }
@@ -247,7 +247,7 @@ fn replace(old: &mut Value, new: &Value) {
     *old.decor_mut() = decor;
 }
 
-fn element(key: &str, length: usize, path: &[String]) -> Result<usize, Refusal> {
+fn element(key: &str, length: usize, path: &[String]) -> Result<usize, OverrideError> {
     match key.parse::<usize>() {
         Ok(index) if index < length => Ok(index),
         _ => Err((format!("`{}` has elements 0 to {}, no `{key}`", dotted(path), length.max(1) - 1), None)),

@@ -10,9 +10,9 @@ use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, Measured, Setting};
 use opspace_control::JointLimits;
 use opspace_loop::SafetyParameters;
-use opspace_model::{FrameId, Loaded, Model, UrdfOptions, UrdfWarning};
+use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
-use opspace_transformer::{IdentifiedJoint, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
+use opspace_transformer::{ClosedLoopModel, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -110,7 +110,7 @@ impl Robot {
             if !profile.identified.is_empty() {
                 joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
             }
-            let (delay, ratio) = (profile.delay(), profile.ratio.get());
+            let (delay, ratio) = (profile.delay(), profile.servo_ticks_per_cycle.get());
             if delay > ratio {
                 let key = ["profile", name, "delay_servo_ticks"];
                 let message =
@@ -141,9 +141,9 @@ impl Robot {
         let interface = &self.file.interface;
         let joints = self.model.joints().iter().map(|joint| joint.name.clone());
         let stated = Capabilities::new(joints, command, period_s)
-            .measuring(&interface.measures)
-            .with_setpoints(interface.set_points)
-            .with_gravity_compensated_by(interface.gravity_by);
+            .measuring(&interface.measured)
+            .with_setpoints(interface.setpoints)
+            .with_gravity_compensated_by(interface.gravity_compensated_by);
         let brakes = if command == CommandKind::Velocity { interface.brakes } else { stated.has_brakes };
         let sensors = self.file.force_sensor.iter();
         sensors.fold(stated.with_brakes(brakes), |stated, (name, sensor)| {
@@ -219,7 +219,7 @@ impl Robot {
 
     /// Measured closed loops of a profile's joints, in the model's joint order; empty if it has none.
     #[must_use]
-    pub fn identified(&self, profile: &ProfileParameters) -> Vec<IdentifiedJoint> {
+    pub fn identified(&self, profile: &ProfileParameters) -> Vec<ClosedLoopModel> {
         self.in_order(&profile.identified)
     }
 
@@ -254,7 +254,7 @@ impl Robot {
 ///
 /// # Errors
 /// Mistakes in the URDF, with the line.
-pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<Loaded, FileError> {
+pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<ParsedUrdf, FileError> {
     Model::from_urdf_with(urdf.text(), options).map_err(|error| {
         let line = error.line().and_then(|line| usize::try_from(line).ok());
         FileError::at_line(urdf, line, error.kind().to_string(), None)
@@ -301,11 +301,11 @@ const MAX_TARE_S: f64 = 60.0;
 
 /// Checks values that depend on each other.
 fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), FileError> {
-    if !file.interface.measures.contains(&Measured::Position) {
+    if !file.interface.measured.contains(&Measured::Position) {
         let message = "a robot that doesn't measure its positions can't be controlled";
         let help =
-            Some("measures = [\"position\"], with \"motor-current\" if it measures that too".to_owned());
-        return Err(FileError::at_key(source, "interface.measures", message, help));
+            Some("measured = [\"position\"], with \"motor-current\" if it measures that too".to_owned());
+        return Err(FileError::at_key(source, "interface.measured", message, help));
     }
     if file.safety.tare_s.get() > MAX_TARE_S {
         let message = format!("a rest of more than {MAX_TARE_S} s before the start");
@@ -317,9 +317,9 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
         ));
     }
     for (name, profile) in &file.profile {
-        if profile.ratio.get() > MAX_RATIO {
+        if profile.servo_ticks_per_cycle.get() > MAX_RATIO {
             let message = format!("more than {MAX_RATIO} servo ticks per interface tick");
-            return Err(FileError::at_key(source, ["profile", name, "ratio"], message, None));
+            return Err(FileError::at_key(source, ["profile", name, "servo_ticks_per_cycle"], message, None));
         }
     }
     for joint in model.joints() {
@@ -374,7 +374,7 @@ fn force_sensors(
 ) -> Result<Vec<(String, FrameId)>, FileError> {
     let mut found = Vec::new();
     for (name, sensor) in sensors {
-        let frame = model.frame(&sensor.frame).map_err(|unknown| {
+        let frame = model.frame_id(&sensor.frame).map_err(|unknown| {
             let key = ["force_sensor", name.as_str(), "frame"];
             let help = choices(&unknown.name, &unknown.known);
             FileError::at_key(source, key, format!("the URDF has no link '{}'", unknown.name), Some(help))

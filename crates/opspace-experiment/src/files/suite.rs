@@ -4,7 +4,7 @@ use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
-use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 use opspace_transformer::TransformerKind;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -54,24 +54,25 @@ pub struct SuiteRun {
     pub seeds: Vec<u64>,
     /// Settings as on the command line: those that begin with `robot.` change the robot file, others the task.
     /// `{profile}` in them stands for the profile's name.
-    #[serde(default)]
-    pub set: Vec<String>,
+    #[serde(default, rename = "override")]
+    pub overrides: Vec<String>,
     /// Name of these settings in the table.
     #[serde(default)]
     pub label: Option<String>,
-    /// Repetitions of the runs with further settings, once for each case; the runs as they are if absent.
+    /// Repetitions of the runs with further settings, once for each variant; the runs as they are if absent.
     #[serde(default)]
-    pub case: Vec<SuiteCase>,
+    pub variant: Vec<SuiteVariant>,
 }
 
 /// Further settings for the runs of a suite.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct SuiteCase {
+pub struct SuiteVariant {
     /// Name of the settings in the table.
     pub label: String,
     /// Settings, written as those of the run.
-    pub set: Vec<String>,
+    #[serde(rename = "override")]
+    pub overrides: Vec<String>,
 }
 
 /// A suite, read, with every experiment in it checked.
@@ -83,7 +84,7 @@ pub struct Suite {
     pub title: String,
     /// Columns of the suite's table.
     pub columns: Vec<Measure>,
-    /// Experiments, in the order of the file: tasks, then cases, profiles, seeds.
+    /// Experiments, in the order of the file: tasks, then variants, profiles, seeds.
     pub experiments: Vec<Experiment>,
 }
 
@@ -110,17 +111,17 @@ impl Suite {
             for (place, task) in run.tasks.iter().enumerate() {
                 let key = ["run", &number.to_string(), "tasks", &place.to_string()];
                 files.read_named(&beside(path, task), &source, key)?;
-                for case in or_default(&run.case) {
+                for variant in or_default(&run.variant) {
                     for profile in or_default(profiles) {
                         for seed in or_default(&run.seeds) {
-                            let choice = run.choice(case.as_ref(), profile.clone(), seed);
+                            let options = run.options(variant.as_ref(), profile.clone(), seed);
                             experiments.push(run.experiment(
                                 extensions,
                                 files,
                                 path,
                                 task,
-                                case.as_ref(),
-                                choice,
+                                variant.as_ref(),
+                                options,
                             )?);
                         }
                     }
@@ -136,15 +137,20 @@ impl Suite {
 }
 
 impl SuiteRun {
-    fn choice(&self, case: Option<&SuiteCase>, profile: Option<String>, seed: Option<u64>) -> Choice {
-        Choice {
+    fn options(
+        &self,
+        variant: Option<&SuiteVariant>,
+        profile: Option<String>,
+        seed: Option<u64>,
+    ) -> RunOptions {
+        RunOptions {
             backend: self.backend,
             controller: self.controller,
             transformer: self.transformer,
             profile,
             seed,
             duration_s: None,
-            label: case.map(|case| case.label.clone()).or_else(|| self.label.clone()),
+            label: variant.map(|variant| variant.label.clone()).or_else(|| self.label.clone()),
         }
     }
 
@@ -154,15 +160,15 @@ impl SuiteRun {
         files: Files,
         suite: &Path,
         task: &Path,
-        case: Option<&SuiteCase>,
-        choice: Choice,
+        variant: Option<&SuiteVariant>,
+        options: RunOptions,
     ) -> Result<Experiment, FileError> {
         let robot = self.robot.as_ref().map(|robot| beside(suite, robot));
-        let further = case.map_or(&[][..], |case| &case.set);
-        let profile = choice.profile.as_deref().unwrap_or("{profile}");
+        let further = variant.map_or(&[][..], |variant| &variant.overrides);
+        let profile = options.profile.as_deref().unwrap_or("{profile}");
         let set: Vec<String> =
-            self.set.iter().chain(further).map(|set| set.replace("{profile}", profile)).collect();
-        Experiment::load_with(extensions, files, &beside(suite, task), robot.as_deref(), choice, &set)
+            self.overrides.iter().chain(further).map(|set| set.replace("{profile}", profile)).collect();
+        Experiment::load_with(extensions, files, &beside(suite, task), robot.as_deref(), options, &set)
     }
 }
 

@@ -53,7 +53,7 @@ pub struct TaskFile {
     pub event: Vec<EventFile>,
     /// Objects in the environment of a simulated robot, by name.
     #[serde(default)]
-    pub surroundings: BTreeMap<String, EnvironmentObjectParameters>,
+    pub environment: BTreeMap<String, EnvironmentObjectParameters>,
 }
 
 /// A change of the tasks while the controller runs.

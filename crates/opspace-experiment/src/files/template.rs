@@ -18,11 +18,11 @@ default_profile = "default"
 # What the robot's interface offers.
 [interface]
 # command =                   # "position", "velocity" or "torque": what it takes
-set_points = "held"           # until the next one comes
+setpoints = "held"           # until the next one comes
 on_missed_cycle = "hold-last"
-# gravity_by =                # "controller", or "robot" if it carries its own weight
+# gravity_compensated_by =                # "controller", or "robot" if it carries its own weight
 ## brakes = true              # if brakes hold a velocity robot when no controller commands it
-# measures =                  # ["position"], or ["position", "motor-current"]
+# measured =                  # ["position"], or ["position", "motor-current"]
 
 ## A force sensor, if there is one: the URDF link at whose origin and in whose axes it measures.
 ## [force_sensor.wrist]
@@ -47,8 +47,8 @@ on_missed_cycle = "hold-last"
 # The rates at which the drives are run.
 [profile.default]
 # servo_hz =                  # at which the drives close their loops, Hz
-# ratio =                     # servo ticks per set-point: a whole number
-# delay_servo_ticks =         # from the tick at which a set-point is written until it acts: a whole number
+# ratio =                     # servo ticks per setpoint: a whole number
+# delay_servo_ticks =         # from the tick at which a setpoint is written until it acts: a whole number
 [profile.default.estimator]
 # velocity_filter_hz =        # low-pass on the velocities that are computed from measured positions, Hz
 
@@ -73,12 +73,12 @@ const SIMULATED: &str = r"
 [simulated.bristle]           # how friction builds up before a joint slides (LuGre)
 # stiffness_nm_per_rad =
 # damping_nms_per_rad =
-# damping_fades_over_rad_per_s =
+# damping_fade_velocity_rad_per_s =
 [simulated.end_stop]          # beyond the URDF's joint limits
 # stiffness_nm_per_rad =
 # damping_nms_per_rad =
 [simulated.brake]             # of a torque robot, when it stops
-# slips_at_torque_limits =    # as a multiple of each joint's torque limit
+# holding_torque_ratio =    # as a multiple of each joint's torque limit
 # stiffness_nm_per_rad =
 # damping_nms_per_rad =
 ";

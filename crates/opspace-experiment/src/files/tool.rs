@@ -57,14 +57,14 @@ pub(crate) fn mount(
         let refuse = |key: &str, message: String, help: Option<String>| {
             Err(FileError::at_key(source, ["tool", name, key], message, help))
         };
-        let carrier = match model.frame(&tool.on) {
+        let carrier = match model.frame_id(&tool.on) {
             Ok(frame) => frame,
             Err(unknown) => {
                 let help = Some(choices(&unknown.name, &unknown.known));
                 return refuse("on", format!("the URDF has no link '{}'", unknown.name), help);
             }
         };
-        if model.frame(name).is_ok() {
+        if model.frame_id(name).is_ok() {
             let message = format!("the robot has a link or tool '{name}' already");
             return Err(FileError::at_key(
                 source,

@@ -1,13 +1,13 @@
 //! Identification results in the form of robot.toml: the section of the servos, and a whole file.
 
-use super::{Identified, IdentifiedJoint, Structure};
+use super::{IdentificationResults, JointIdentification, Structure};
 use crate::files::source::FileError;
 use opspace_identify::TorqueScale;
 use std::fmt::Write as _;
 use std::path::Path;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
 
-impl Identified {
+impl IdentificationResults {
     /// The identified keys of robot.toml, to be copied there. Comments state what is known of the joints that can't be
     /// driven by torques, and the reason.
     #[must_use]
@@ -167,13 +167,13 @@ fn without_schema(text: &str) -> String {
 }
 
 /// Source of a servo's torque scale, and its fit quality.
-fn remark(joint: &IdentifiedJoint) -> String {
+fn remark(joint: &JointIdentification) -> String {
     let scale = match joint.found.scale {
         TorqueScale::MotorCurrent => "the motor's current",
         TorqueScale::Urdf => "URDF and rotor inertia, with viscous friction within kv",
         TorqueScale::Unknown => "nothing",
     };
-    let trust = joint.found.trust.as_ref().map_or_else(String::new, |t| {
+    let trust = joint.found.fit_quality.as_ref().map_or_else(String::new, |t| {
         format!(
             "; trusted up to {:.0} Hz, T off by {:.1} %{}",
             t.bandwidth_hz,
@@ -184,7 +184,7 @@ fn remark(joint: &IdentifiedJoint) -> String {
     format!("torque from {scale}{trust}")
 }
 
-fn servo(joint: &IdentifiedJoint) -> Value {
+fn servo(joint: &JointIdentification) -> Value {
     let (mut kind, mut values) = (InlineTable::new(), InlineTable::new());
     if let Some(servo) = &joint.found.servo {
         let filter = rounded(servo.velocity_filter_hz);
@@ -207,7 +207,7 @@ fn servo(joint: &IdentifiedJoint) -> Value {
 }
 
 /// Identified ratios of a servo whose torque scale is unknown; empty for other servos.
-fn ratios(joint: &IdentifiedJoint) -> String {
+fn ratios(joint: &JointIdentification) -> String {
     let Some(servo) = joint.found.servo.as_ref().filter(|_| joint.found.scale == TorqueScale::Unknown) else {
         return String::new();
     };
@@ -225,9 +225,9 @@ fn ratios(joint: &IdentifiedJoint) -> String {
 
 /// T as fitted, behind hold and delay, and the ideal joint G* of equation (5): for the transformers `identified`. T is
 /// scaled to T(0) = 1, since a joint without load moves to its setpoint.
-fn identified(joint: &IdentifiedJoint) -> Option<Table> {
+fn identified(joint: &JointIdentification) -> Option<Table> {
     let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
-    let trusted_hz = joint.found.trust.as_ref()?.bandwidth_hz;
+    let trusted_hz = joint.found.fit_quality.as_ref()?.bandwidth_hz;
     let from_hz = joint.found.measured.first()?.position.first()?.hz;
     // Linear friction alone, as equation (5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
     let viscous = servo.friction.map_or(0.0, |friction| friction.viscous);
@@ -248,7 +248,7 @@ fn identified(joint: &IdentifiedJoint) -> Option<Table> {
     Some(table)
 }
 
-fn friction(joint: &IdentifiedJoint) -> Option<Value> {
+fn friction(joint: &JointIdentification) -> Option<Value> {
     let friction = joint.found.servo.as_ref()?.friction?;
     let mut values = InlineTable::new();
     values.insert("coulomb_nm", rounded(friction.coulomb));

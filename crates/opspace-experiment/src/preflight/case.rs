@@ -31,7 +31,7 @@ pub(super) fn input<'a>(
 }
 
 /// An experiment at its start.
-pub(super) struct Case<'a> {
+pub(super) struct PreflightCase<'a> {
     pub(super) experiment: &'a Experiment,
     pub(super) model: &'a Model,
     /// Joint positions at the start, rad or m (n).
@@ -39,11 +39,11 @@ pub(super) struct Case<'a> {
     /// Kinematics and dynamics at the start, at rest.
     pub(super) data: Data,
     /// Task sets that come into force during the run, in the order of time.
-    pub(super) stacks: Vec<InForce<'a>>,
+    pub(super) task_sets: Vec<ActiveTasks<'a>>,
 }
 
 /// A task set, in force from one event to the next.
-pub(super) struct InForce<'a> {
+pub(super) struct ActiveTasks<'a> {
     pub(super) from_s: f64,
     pub(super) priority: &'a [String],
     pub(super) task: &'a BTreeMap<String, TaskParameters>,
@@ -53,7 +53,7 @@ pub(super) struct InForce<'a> {
     pub(super) motions: Vec<Motion<'a>>,
 }
 
-impl<'a> Case<'a> {
+impl<'a> PreflightCase<'a> {
     pub(super) fn new(experiment: &'a Experiment) -> Option<Self> {
         let (model, task) = (&experiment.robot().model, experiment.task());
         let start = experiment.start().ok()?;
@@ -67,17 +67,18 @@ impl<'a> Case<'a> {
             .chain(later.filter(|(from_s, ..)| *from_s < experiment.duration_s()))
             .map(|(from_s, priority, task)| {
                 let tasks = experiment.task_set(priority, task)?;
-                Some(InForce { from_s, priority, task, tasks, motions: motions(priority, task, model) })
+                Some(ActiveTasks { from_s, priority, task, tasks, motions: motions(priority, task, model) })
             })
             .collect::<Option<_>>()?;
-        Some(Self { experiment, model, start, data, stacks })
+        Some(Self { experiment, model, start, data, task_sets: stacks })
     }
 
     /// Key of a task's value: in the task itself, or in the last event that changed the task before its set came into
     /// force.
     pub(super) fn key(&self, stack: usize, name: &str, rest: &[&str]) -> Vec<String> {
-        let changed =
-            (1..=stack).rev().find(|&k| self.stacks[k].task.get(name) != self.stacks[k - 1].task.get(name));
+        let changed = (1..=stack)
+            .rev()
+            .find(|&k| self.task_sets[k].task.get(name) != self.task_sets[k - 1].task.get(name));
         match changed {
             Some(stack) => vec!["event".to_owned(), (stack - 1).to_string(), "set".to_owned()],
             None => ["task", name].iter().chain(rest).map(|&part| part.to_owned()).collect(),
@@ -86,15 +87,15 @@ impl<'a> Case<'a> {
 
     /// Key of a task's reference.
     pub(super) fn reference_key(&self, stack: usize, name: &str) -> Vec<String> {
-        let kind = self.stacks[stack].task.get(name).map_or("", kind);
+        let kind = self.task_sets[stack].task.get(name).map_or("", kind);
         self.key(stack, name, &[kind, "reference"])
     }
 
     /// Time at which the reference of a task in that set begins, s: that of the set's own event, or that of the
     /// earliest event since which it hasn't changed.
-    pub(super) fn begin_s(&self, stack: usize, same: impl Fn(&InForce<'_>) -> bool) -> f64 {
-        let first = (0..=stack).rev().take_while(|&k| same(&self.stacks[k])).last();
-        self.stacks[first.unwrap_or(stack)].from_s
+    pub(super) fn begin_s(&self, stack: usize, same: impl Fn(&ActiveTasks<'_>) -> bool) -> f64 {
+        let first = (0..=stack).rev().take_while(|&k| same(&self.task_sets[k])).last();
+        self.task_sets[first.unwrap_or(stack)].from_s
     }
 
     /// The range in which a joint is kept, rad or m.

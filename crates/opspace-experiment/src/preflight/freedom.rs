@@ -1,7 +1,7 @@
 //! Freedom that a task lacks at its start, and freedom that nothing damps.
 
-use super::case::Case;
-use super::finding::{Finding, short};
+use super::case::PreflightCase;
+use super::diagnostic::{Diagnostic, short};
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
 use opspace_control::tasks::task::SINGULARITY_THRESHOLD;
 use opspace_model::{Data, Inversion, OperationalSpace, update};
@@ -11,10 +11,10 @@ const BEND: f64 = 0.05;
 const FARTHEST_BENDS: u32 = 30;
 
 /// Finds joints that no task moves or damps.
-pub(crate) fn undamped(case: &Case<'_>) -> Option<Finding> {
+pub(crate) fn undamped(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     let n = case.model.n();
-    (0..case.stacks.len()).find_map(|number| {
-        let stack = &case.stacks[number];
+    (0..case.task_sets.len()).find_map(|number| {
+        let stack = &case.task_sets[number];
         if stack.tasks.joint_task().is_some() {
             return None;
         }
@@ -31,12 +31,12 @@ pub(crate) fn undamped(case: &Case<'_>) -> Option<Finding> {
             0 => vec!["priority".to_owned()],
             event => vec!["event".to_owned(), (event - 1).to_string(), "set".to_owned()],
         };
-        Some(Finding::new(&key, message, help.to_owned()))
+        Some(Diagnostic::new(&key, message, help.to_owned()))
     })
 }
 
 /// Finds tasks that at the start can hardly move in some direction, with the tasks of higher priority in force.
-pub(crate) fn singular_start(case: &Case<'_>) -> Vec<Finding> {
+pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let spectra = spectra(case, &case.data);
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
     weak.map(|(level, spectrum)| {
@@ -54,7 +54,7 @@ pub(crate) fn singular_start(case: &Case<'_>) -> Vec<Finding> {
         let help = bend(case, level).unwrap_or_else(|| {
             "start elsewhere, free that axis, or give it to a task that comes first".to_owned()
         });
-        Finding::new(&["start_rad"], message, help)
+        Diagnostic::new(&["start_rad"], message, help)
     })
     .collect()
 }
@@ -73,8 +73,8 @@ struct Spectrum {
 
 /// Spectra of the tasks at a state, each within the freedom that the tasks of higher priority leave, computed as by the
 /// controller.
-fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
-    let (model, n, tasks) = (case.model, case.model.n(), &case.stacks[0].tasks);
+fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
+    let (model, n, tasks) = (case.model, case.model.n(), &case.task_sets[0].tasks);
     let mut freedom: DMatrix<f64> = DMatrix::identity(n, n);
     let mut space = OperationalSpace::new(n);
     let mut left = freedom.clone();
@@ -90,7 +90,7 @@ fn spectra(case: &Case<'_>, data: &Data) -> Vec<Spectrum> {
         let spectrum = SymmetricEigen::new(mobility.view((0, 0), (rows, rows)).into_owned());
         let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
         let direction = direction(weakest.as_slice(), &task.row_names());
-        found.push(Spectrum { name: task.name().to_owned(), share: space.weakest_share, direction });
+        found.push(Spectrum { name: task.name().to_owned(), share: space.min_singular_gain, direction });
         space.nullspace(&projected, &mut left);
         freedom *= &left;
     }
@@ -134,7 +134,7 @@ fn direction(direction: &[f64], names: &[String]) -> String {
 }
 
 /// Smallest bend of one joint at which the task and those of higher priority lose nothing.
-fn bend(case: &Case<'_>, level: usize) -> Option<String> {
+fn bend(case: &PreflightCase<'_>, level: usize) -> Option<String> {
     let mut data = case.data.clone();
     let rest = vec![0.0; case.model.n()];
     for bends in 1..=FARTHEST_BENDS {

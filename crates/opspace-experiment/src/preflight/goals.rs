@@ -1,9 +1,9 @@
 //! References that the arm can't reach.
 
-use super::case::Case;
-use super::finding::{Finding, short};
-use super::followed::{Followed, Instant, error};
+use super::case::PreflightCase;
+use super::diagnostic::{Diagnostic, short};
 use super::motion::Motion;
+use super::rollout::{Instant, Rollout, error};
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_control::rank::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
@@ -16,9 +16,9 @@ const REACHED_M: f64 = 1e-3;
 const PARTS: usize = 8;
 
 /// Findings, one for each task whose reference the arm can't reach.
-pub(crate) fn out_of_reach(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut names: Vec<&str> = Vec::new();
-    for task in case.stacks.iter().flat_map(|stack| stack.tasks.tasks()) {
+    for task in case.task_sets.iter().flat_map(|stack| stack.tasks.tasks()) {
         if !names.contains(&task.name()) {
             names.push(task.name());
         }
@@ -30,7 +30,7 @@ pub(crate) fn out_of_reach(case: &Case<'_>, followed: &Followed) -> Vec<Finding>
         let doubtful = if finding.is_none() { doubtful(case, &asked) } else { Vec::new() };
         (finding, doubtful)
     });
-    let (found, doubtful): (Vec<Option<Finding>>, Vec<Vec<Asked<'_>>>) = all.unzip();
+    let (found, doubtful): (Vec<Option<Diagnostic>>, Vec<Vec<Asked<'_>>>) = all.unzip();
     let nearest = nearest_postures(case, &doubtful);
     let unattainable = nearest.into_iter().map(|nearest| unattainable(case, nearest));
     found.into_iter().zip(unattainable).filter_map(|(found, unattainable)| found.or(unattainable)).collect()
@@ -46,8 +46,8 @@ struct Asked<'a> {
 }
 
 impl<'a> Asked<'a> {
-    fn new(case: &Case<'_>, instant: &'a Instant, name: &'a str) -> Option<Self> {
-        let place = case.stacks[instant.stack].tasks.tasks().position(|task| task.name() == name)?;
+    fn new(case: &PreflightCase<'_>, instant: &'a Instant, name: &'a str) -> Option<Self> {
+        let place = case.task_sets[instant.task_set].tasks.tasks().position(|task| task.name() == name)?;
         Some(Self { instant, name, place })
     }
 
@@ -56,9 +56,9 @@ impl<'a> Asked<'a> {
     }
 
     /// Key of the reference in the files, of its nearest waypoint if it has waypoints.
-    fn key(&self, case: &Case<'_>) -> Vec<String> {
-        let mut key = case.reference_key(self.instant.stack, self.name);
-        let reference = match case.stacks[self.instant.stack].task.get(self.name) {
+    fn key(&self, case: &PreflightCase<'_>) -> Vec<String> {
+        let mut key = case.reference_key(self.instant.task_set, self.name);
+        let reference = match case.task_sets[self.instant.task_set].task.get(self.name) {
             Some(TaskParameters::Cartesian(p)) => Some(&p.reference),
             Some(TaskParameters::CenterOfMass(p)) => Some(&p.reference),
             _ => None,
@@ -75,10 +75,10 @@ impl<'a> Asked<'a> {
 }
 
 /// Finds references farther from the first joint than the sum of all links.
-fn too_far(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
+fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> {
     let (mut worst, mut most) = (None, 1.0 + 1e-6);
     for asked in asked {
-        let motions = &case.stacks[asked.instant.stack].motions;
+        let motions = &case.task_sets[asked.instant.task_set].motions;
         let Some(motion) = motions.iter().find(|motion| motion.name == asked.name) else { continue };
         let ControlledFrame::Frame(frame) = motion.controlled else { continue };
         let Some((joint, distance_m)) = distance(case, asked, motion, frame) else { continue };
@@ -94,28 +94,28 @@ fn too_far(case: &Case<'_>, asked: &[Asked<'_>]) -> Option<Finding> {
         motion.name,
         short(asked.instant.time_s),
         short(distance_m),
-        motion.led(),
+        motion.controlled_name(),
         short(reach_m)
     );
     let help = format!("bring it {} m nearer, or choose a smaller motion", short(distance_m - reach_m));
-    Some(Finding::new(&asked.key(case), message, help))
+    Some(Diagnostic::new(&asked.key(case), message, help))
 }
 
 /// First joint that moves a frame, and the distance of the target from it, m: along the axes in motion, since along the
 /// others the frame may be anywhere.
 fn distance<'a>(
-    case: &'a Case<'_>,
+    case: &'a PreflightCase<'_>,
     asked: &Asked<'_>,
     motion: &Motion<'_>,
     frame: FrameId,
 ) -> Option<(&'a str, f64)> {
-    let first = &case.model.bodies()[case.model.support(frame).last()?];
+    let first = &case.model.bodies()[case.model.ancestors(frame).last()?];
     let from = case.model.base().act_point(&first.origin.translation);
     let mut data = case.data.clone();
     kinematics(case.model, &mut data, &asked.instant.q, &vec![0.0; case.model.n()]);
     let axes = motion.axes(case.model, &data);
     let away = axes.tr_mul(&(motion.controlled.placement(case.model, &data).translation - from));
-    let task = case.stacks[asked.instant.stack].tasks.tasks().nth(asked.place)?;
+    let task = case.task_sets[asked.instant.task_set].tasks.tasks().nth(asked.place)?;
     let along = |name: &str| AXIS_NAMES[..3].iter().position(|axis| *axis == name);
     let rows = task.row_names().into_iter().enumerate().filter(|(row, _)| task.follows_reference(*row));
     let parts = rows.filter_map(|(row, name)| along(&name).map(|axis| away[axis] + asked.error()[row]));
@@ -123,7 +123,7 @@ fn distance<'a>(
 }
 
 /// Instants of a task at which freely following joints miss it most or leave their ranges.
-fn doubtful<'a>(case: &Case<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
+fn doubtful<'a>(case: &PreflightCase<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
     let length = asked.len().div_ceil(PARTS).max(1);
     let worst = asked.chunks(length).filter_map(|part| {
         let doubts = part.iter().map(|asked| (doubt(case, asked), *asked));
@@ -133,10 +133,13 @@ fn doubtful<'a>(case: &Case<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
 }
 
 /// Nearest postures at each task's doubtful instants.
-fn nearest_postures<'a>(case: &Case<'_>, doubtful: &[Vec<Asked<'a>>]) -> Vec<Vec<(Asked<'a>, Nearest)>> {
+fn nearest_postures<'a>(
+    case: &PreflightCase<'_>,
+    doubtful: &[Vec<Asked<'a>>],
+) -> Vec<Vec<(Asked<'a>, Nearest)>> {
     let steps: Vec<usize> = doubtful.iter().flatten().map(|asked| asked.instant.step).collect();
     let mut nearest: Vec<Vec<(Asked<'a>, Nearest)>> = doubtful.iter().map(|_| Vec::new()).collect();
-    Followed::revisit(case, &steps, |step, tasks| {
+    Rollout::revisit(case, &steps, |step, tasks| {
         for (of_task, nearest) in doubtful.iter().zip(&mut nearest) {
             for asked in of_task.iter().filter(|asked| asked.instant.step == step) {
                 if let Some(task) = tasks.tasks().nth(asked.place) {
@@ -149,7 +152,7 @@ fn nearest_postures<'a>(case: &Case<'_>, doubtful: &[Vec<Asked<'a>>]) -> Vec<Vec
 }
 
 /// Finds references within the arm's length for which the search yields no posture within the joints' ranges.
-fn unattainable(case: &Case<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Finding> {
+fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Diagnostic> {
     let (asked, nearest) = first_of_largest(nearest.into_iter().map(|tried| (tried.1.missed, tried)))?;
     if nearest.missed <= REACHED_M {
         return None;
@@ -176,7 +179,7 @@ fn unattainable(case: &Case<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<F
     } else {
         "choose a nearer goal, or free an axis that need not be kept".to_owned()
     };
-    Some(Finding::new(&asked.key(case), message, help))
+    Some(Diagnostic::new(&asked.key(case), message, help))
 }
 
 /// Returns the item with the largest number, or an earlier one whose number is at most 1 % smaller.
@@ -187,7 +190,7 @@ fn first_of_largest<T>(all: impl Iterator<Item = (f64, T)>) -> Option<T> {
 
 /// Error of freely following joints, or their distance beyond their ranges if larger; zero if they reach it within
 /// their ranges.
-fn doubt(case: &Case<'_>, asked: &Asked<'_>) -> f64 {
+fn doubt(case: &PreflightCase<'_>, asked: &Asked<'_>) -> f64 {
     let missed = asked.error().norm();
     let missed = if missed > REACHED_M { missed } else { 0.0 };
     let beyond = asked.instant.q.iter().enumerate().map(|(joint, q)| {
@@ -210,7 +213,7 @@ struct Nearest {
 
 impl Nearest {
     /// Searches from several postures, of which `q` (n) is the first; the task's target is that of its last update.
-    fn new(case: &Case<'_>, task: &dyn Task, q: &[f64]) -> Self {
+    fn new(case: &PreflightCase<'_>, task: &dyn Task, q: &[f64]) -> Self {
         let mut best = Self { missed: f64::INFINITY, missed_by: [0.0; 2], at_ends: Vec::new(), tries: 0 };
         for start in starts(case, q) {
             best.tries += 1;
@@ -235,7 +238,7 @@ fn in_unit(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
     rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
 }
 
-fn at_ends(case: &Case<'_>, data: &Data) -> Vec<String> {
+fn at_ends(case: &PreflightCase<'_>, data: &Data) -> Vec<String> {
     let at_end = |&joint: &usize| {
         let ((lower, upper), q) = (case.range(joint), data.q[joint]);
         q <= lower + 1e-9 || q >= upper - 1e-9
@@ -245,7 +248,7 @@ fn at_ends(case: &Case<'_>, data: &Data) -> Vec<String> {
 
 /// Start postures of the search: where the joints would be, the start of the run, and some spread over the joints'
 /// ranges.
-fn starts(case: &Case<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
+fn starts(case: &PreflightCase<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
     const SPREAD: usize = 18;
     let mut starts = vec![followed.to_vec(), case.start.clone()];
     starts.extend((0..SPREAD).map(|k| {
@@ -263,7 +266,7 @@ fn starts(case: &Case<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
 
 /// Inverse kinematics within the joints' ranges by damped least squares (Levenberg and Marquardt); joints that are at
 /// an end and would go beyond it are left out.
-fn solve(case: &Case<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
+fn solve(case: &PreflightCase<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
     const ITERATIONS: usize = 300;
     let (model, n) = (case.model, case.model.n());
     let clamped = |joint: usize, q: f64| {
@@ -312,7 +315,7 @@ fn solve(case: &Case<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Choice, Experiment, Files};
+    use crate::{Experiment, Files, RunOptions};
     use nalgebra::Rotation3;
     use opspace_backend::quantity::Positive;
     use opspace_control::references::reference::Waypoint;
@@ -325,7 +328,7 @@ mod tests {
     use std::path::Path;
 
     /// Returns a task of the flange whose target is the end of a reference.
-    fn task_at(case: &Case<'_>, reference: CartesianReference) -> CartesianTask {
+    fn task_at(case: &PreflightCase<'_>, reference: CartesianReference) -> CartesianTask {
         let (model, n) = (case.model, case.model.n());
         let limits = JointLimits::of(model);
         let context = ControlContext { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
@@ -349,10 +352,11 @@ mod tests {
     #[test]
     fn a_posture_is_found_for_every_pose_that_has_one() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-reach.toml");
-        let experiment = Experiment::load(Files::Disk, &path, None, Choice::default(), &[]).expect("a task");
-        let case = Case::new(&experiment).expect("a start");
+        let experiment =
+            Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");
+        let case = PreflightCase::new(&experiment).expect("a start");
         let model = case.model;
-        let flange = model.frame("flange").expect("a link");
+        let flange = model.frame_id("flange").expect("a link");
         let mut data = case.data.clone();
         let mut missed = Vec::new();
         for k in 0..60 {

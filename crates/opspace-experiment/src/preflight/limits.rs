@@ -1,16 +1,16 @@
 //! Limits that contradict each other, the start posture, or the arm's weight.
 
-use super::case::{Case, kind};
-use super::finding::{Finding, short};
-use super::followed::Followed;
+use super::case::{PreflightCase, kind};
+use super::diagnostic::{Diagnostic, short};
+use super::rollout::Rollout;
 use opspace_backend::GravityCompensation;
 use opspace_control::TaskParameters;
 use opspace_model::JointKind;
 use std::collections::BTreeSet;
 
 /// Findings that need the start alone.
-pub(crate) fn of_start(case: &Case<'_>) -> Vec<Finding> {
-    let mut found: Vec<Finding> = Vec::new();
+pub(crate) fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+    let mut found: Vec<Diagnostic> = Vec::new();
     found.extend(shares(case));
     for joint in 0..case.model.n() {
         found.extend(range(case, joint).or_else(|| start_in_margin(case, joint)));
@@ -21,21 +21,21 @@ pub(crate) fn of_start(case: &Case<'_>) -> Vec<Finding> {
 }
 
 /// Finds shares of more than the whole, which count as the whole.
-fn shares(case: &Case<'_>) -> Vec<Finding> {
+fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let limits = case.experiment.task().file.limits;
-    let all = [("velocity_share", limits.velocity_share), ("torque_share", limits.torque_share)];
+    let all = [("velocity_fraction", limits.velocity_fraction), ("torque_fraction", limits.torque_fraction)];
     all.into_iter()
         .filter(|(_, share)| share.get() > 1.0)
         .map(|(key, share)| {
             let message = format!("{key} is {}, more than the whole: it counts as 1", short(share.get()));
             let help = format!("give a share from 0 to 1: {key} = 0.9");
-            Finding::new(&["limits", key], message, help)
+            Diagnostic::new(&["limits", key], message, help)
         })
         .collect()
 }
 
 /// Finds a range that the margins use up.
-fn range(case: &Case<'_>, joint: usize) -> Option<Finding> {
+fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let limits = &case.model.joints()[joint].limits;
     let (width, margin) = (limits.upper - limits.lower, case.margin());
     if width > 2.0 * margin {
@@ -48,11 +48,11 @@ fn range(case: &Case<'_>, joint: usize) -> Option<Finding> {
         short(width),
     );
     let help = format!("give a margin well below {}", short(0.5 * width));
-    Some(Finding::new(&["limits", "position_margin_rad"], message, help))
+    Some(Diagnostic::new(&["limits", "position_margin_rad"], message, help))
 }
 
 /// Finds a start within the margin, from which the joint is moved away at once.
-fn start_in_margin(case: &Case<'_>, joint: usize) -> Option<Finding> {
+fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let (q, (lower, upper)) = (case.start[joint], case.range(joint));
     if q >= lower && q <= upper {
         return None;
@@ -68,17 +68,17 @@ fn start_in_margin(case: &Case<'_>, joint: usize) -> Option<Finding> {
         short(case.margin()),
     );
     let help = format!("start it at {} or further inside, or give a smaller margin", short(inside));
-    Some(Finding::new(&["start_rad", case.joint(joint)], message, help))
+    Some(Diagnostic::new(&["start_rad", case.joint(joint)], message, help))
 }
 
 /// Finds a joint whose torque can't hold the arm's weight: at the start, or on the references at a time.
-fn weight(case: &Case<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Finding> {
-    if case.experiment.robot().file.interface.gravity_by == GravityCompensation::Robot {
+fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Diagnostic> {
+    if case.experiment.robot().file.interface.gravity_compensated_by == GravityCompensation::Robot {
         return None;
     }
     let limits = case.experiment.task().file.limits;
     let limit = case.experiment.robot().torque_limits()[joint];
-    let share = if limits.enforce { limits.torque_share.get().min(1.0) } else { 1.0 };
+    let share = if limits.enforce { limits.torque_fraction.get().min(1.0) } else { 1.0 };
     if gravity.abs() <= share * limit {
         return None;
     }
@@ -98,16 +98,16 @@ fn weight(case: &Case<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> O
     );
     let name = case.joint(joint);
     if gravity.abs() <= limit {
-        let help = format!("give torque_share at least {}", short(gravity.abs() / limit));
-        return Some(Finding::new(&["limits", "torque_share"], message, help));
+        let help = format!("give torque_fraction at least {}", short(gravity.abs() / limit));
+        return Some(Diagnostic::new(&["limits", "torque_fraction"], message, help));
     }
     let help =
         "choose a posture in which the arm weighs less on it, or check the limit and the masses".to_owned();
-    Some(Finding::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
+    Some(Diagnostic::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
 }
 
 /// Finds an acceleration limit so low that braking from the joint's highest speed takes more than its range.
-fn braking(case: &Case<'_>, joint: usize) -> Option<Finding> {
+fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let acceleration = case.experiment.robot().joint_limits().acceleration[joint];
     let limits = &case.model.joints()[joint].limits;
     let (width, way) =
@@ -127,14 +127,14 @@ fn braking(case: &Case<'_>, joint: usize) -> Option<Finding> {
     let least = short(limits.velocity * limits.velocity / (2.0 * width));
     let help = format!("give it in rad/s² (m/s²); {least} and more let the joint use its speed");
     Some(
-        Finding::new(&["joint", case.joint(joint), "acceleration_limit_rad_per_s2"], message, help)
+        Diagnostic::new(&["joint", case.joint(joint), "acceleration_limit_rad_per_s2"], message, help)
             .of_robot(),
     )
 }
 
 /// Finds demanded postures outside the joints' ranges: of posture tasks, and of joint references.
-pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
-    let mut found: Vec<Finding> = Vec::new();
+pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+    let mut found: Vec<Diagnostic> = Vec::new();
     let mut seen = BTreeSet::new();
     let mut note =
         |stack: usize, name: &str, rest: &[&str], joint: usize, asked: f64, time_s: Option<f64>| {
@@ -142,7 +142,7 @@ pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> 
                 found.push(beyond(case, case.key(stack, name, rest), name, joint, asked, time_s));
             }
         };
-    for (number, stack) in case.stacks.iter().enumerate() {
+    for (number, stack) in case.task_sets.iter().enumerate() {
         for name in stack.priority {
             if let Some(TaskParameters::JointPosture(posture)) = stack.task.get(name) {
                 for (joint, &asked) in &posture.posture_rad {
@@ -153,7 +153,7 @@ pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> 
                 }
             }
             for joint in 0..case.model.n() {
-                let in_force = followed.instants.iter().filter(|instant| instant.stack == number);
+                let in_force = followed.instants.iter().filter(|instant| instant.task_set == number);
                 let asked = in_force.filter_map(|i| {
                     let target = i.joints.get(name)?.iter().find(|target| target.joint == joint)?;
                     Some((target.position, i.time_s))
@@ -176,19 +176,19 @@ pub(crate) fn of_postures(case: &Case<'_>, followed: &Followed) -> Vec<Finding> 
 }
 
 /// Distance of a position from the range in which a joint is kept: negative inside.
-fn outside(case: &Case<'_>, joint: usize, asked: f64) -> f64 {
+fn outside(case: &PreflightCase<'_>, joint: usize, asked: f64) -> f64 {
     let (lower, upper) = case.range(joint);
     (lower - asked).max(asked - upper)
 }
 
 fn beyond(
-    case: &Case<'_>,
+    case: &PreflightCase<'_>,
     key: Vec<String>,
     name: &str,
     joint: usize,
     asked: f64,
     time_s: Option<f64>,
-) -> Finding {
+) -> Diagnostic {
     let (lower, upper) = case.range(joint);
     let when = time_s.map_or(String::new(), |t| format!("at {} s ", short(t)));
     let kept =
@@ -205,11 +205,11 @@ fn beyond(
     } else {
         format!("ask for {} at least", short(lower))
     };
-    Finding::new(&key, message, help)
+    Diagnostic::new(&key, message, help)
 }
 
 /// Findings along the references: weight that a joint can't hold, or whose change its torque can't follow.
-pub(crate) fn on_the_way(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     for joint in 0..case.model.n() {
         let heaviest =
@@ -225,14 +225,14 @@ pub(crate) fn on_the_way(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
 }
 
 /// Finds weight that shifts onto a joint faster than its torque may change.
-fn torque_rate(case: &Case<'_>, followed: &Followed, joint: usize) -> Option<Finding> {
+fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Option<Diagnostic> {
     let rate = case.experiment.robot().joint_limits().torque_rate[joint];
     if rate == f64::INFINITY
-        || case.experiment.robot().file.interface.gravity_by == GravityCompensation::Robot
+        || case.experiment.robot().file.interface.gravity_compensated_by == GravityCompensation::Robot
     {
         return None;
     }
-    let change = |pair: &[super::followed::Instant]| {
+    let change = |pair: &[super::rollout::Instant]| {
         (pair[1].gravity[joint] - pair[0].gravity[joint]).abs() / (pair[1].time_s - pair[0].time_s)
     };
     let fastest = followed.instants.windows(2).max_by(|a, b| change(a).total_cmp(&change(b)))?;
@@ -252,9 +252,12 @@ fn torque_rate(case: &Case<'_>, followed: &Followed, joint: usize) -> Option<Fin
         "give the motion {} times as long, or check the unit: {unit}/s",
         short(change(fastest) / rate)
     );
-    Some(Finding::new(&["joint", case.joint(joint), "torque_rate_limit_nm_per_s"], message, help).of_robot())
+    Some(
+        Diagnostic::new(&["joint", case.joint(joint), "torque_rate_limit_nm_per_s"], message, help)
+            .of_robot(),
+    )
 }
 
-fn unit(case: &Case<'_>, joint: usize) -> &'static str {
+fn unit(case: &PreflightCase<'_>, joint: usize) -> &'static str {
     if case.model.joints()[joint].kind == JointKind::Prismatic { "N" } else { "Nm" }
 }

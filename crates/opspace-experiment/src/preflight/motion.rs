@@ -30,12 +30,12 @@ impl<'a> Motion<'a> {
             TaskParameters::CenterOfMass(p) => (Cow::Owned(p.as_cartesian()), ControlledFrame::CenterOfMass),
             _ => return None,
         };
-        let axes_frame = parameters.axes_in.resolve(model, controlled).ok()?;
+        let axes_frame = parameters.axes_frame.resolve(model, controlled).ok()?;
         Some(Self { name, parameters, controlled, axes_frame })
     }
 
     /// Name of the controlled frame in messages.
-    pub(crate) fn led(&self) -> String {
+    pub(crate) fn controlled_name(&self) -> String {
         match self.controlled {
             ControlledFrame::CenterOfMass => "the centre of mass".to_owned(),
             _ => format!("'{}'", self.parameters.frame),

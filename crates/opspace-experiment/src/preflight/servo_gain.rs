@@ -31,7 +31,7 @@
 //! compensation at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
 
 use super::case::input;
-use super::finding::{Finding, short};
+use super::diagnostic::{Diagnostic, short};
 use crate::run::experiment::Experiment;
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
@@ -155,7 +155,7 @@ impl fmt::Display for GainMargin {
 impl GainMargin {
     /// Returns the finding that the margin is too small, if it is.
     #[must_use]
-    pub fn finding(&self, experiment: &Experiment) -> Option<Finding> {
+    pub fn finding(&self, experiment: &Experiment) -> Option<Diagnostic> {
         let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
         let joint = self.joint.as_ref()?;
         let message = format!(
@@ -173,7 +173,7 @@ impl GainMargin {
             }
             ServoLoop::Velocity => format!("compensate less of the friction of joint '{joint}' or damp it"),
         };
-        let measured = robot.file.interface.measures.contains(&Measured::MotorCurrent);
+        let measured = robot.file.interface.measured.contains(&Measured::MotorCurrent);
         let name = if self.transformer.starts_with("paper") { "emulation" } else { &self.transformer };
         let current = match self.transformer.ends_with("+current") || !measured {
             true => String::new(),
@@ -184,7 +184,7 @@ impl GainMargin {
         let help = format!(
             "{current}{relief}, or believe the gains to be higher than they are: that only makes the arm sluggish",
         );
-        Some(Finding::new(&["profile", profile, "transformer"], message, help).of_robot())
+        Some(Diagnostic::new(&["profile", profile, "transformer"], message, help).of_robot())
     }
 }
 
@@ -336,10 +336,10 @@ fn bare(experiment: &Experiment, gain: f64) -> Option<Experiment> {
     });
     let plant = format!(
         "physics_hz = {servo_hz:?}\n{lag}encoder_quantisation = false\ntorque_saturation = false\n\
-         bristle = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0, damping_fades_over_rad_per_s = 1.0 }}\n\
+         bristle = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0, damping_fade_velocity_rad_per_s = 1.0 }}\n\
          end_stop = {{ stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
-         brake = {{ slips_at_torque_limits = 1.0, stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
-         scale = {{ {scaled} = {gain:?} }}\n{}",
+         brake = {{ holding_torque_ratio = 1.0, stiffness_nm_per_rad = 1.0, damping_nms_per_rad = 0.0 }}\n\
+         true_over_nominal = {{ {scaled} = {gain:?} }}\n{}",
         sensors.collect::<String>()
     );
     robot.file.simulated = Some(toml::from_str::<SimulatedParameters>(&plant).ok()?);
@@ -348,6 +348,6 @@ fn bare(experiment: &Experiment, gain: f64) -> Option<Experiment> {
         joint.friction.static_nm = NonNegative::default();
     });
     robot.model = robot.model.with_gravity(Vector3::zeros());
-    task.file.surroundings.clear();
-    Experiment::new(robot, task, experiment.choice().clone(), Vec::new()).ok()
+    task.file.environment.clear();
+    Experiment::new(robot, task, experiment.options().clone(), Vec::new()).ok()
 }

@@ -1,16 +1,16 @@
 //! References that are faster than the joints or the task's own limit.
 
-use super::case::{Case, kind};
-use super::finding::{Finding, short};
-use super::followed::{Followed, Instant};
+use super::case::{PreflightCase, kind};
+use super::diagnostic::{Diagnostic, short};
+use super::rollout::{Instant, Rollout};
 
 /// Largest ratio of a speed to its limit that is not reported: the excess may be rounding.
 const TOLERANCE: f64 = 1.001;
 
 /// Finds joints that would have to be faster than allowed, and reports the one most beyond its limit.
-pub(crate) fn of_joints(case: &Case<'_>, followed: &Followed) -> Option<Finding> {
+pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Diagnostic> {
     let limits = case.experiment.task().file.limits;
-    let share = if limits.enforce { limits.velocity_share.get().min(1.0) } else { 1.0 };
+    let share = if limits.enforce { limits.velocity_fraction.get().min(1.0) } else { 1.0 };
     let (mut worst, mut most) = (None, TOLERANCE);
     for instant in &followed.instants {
         for (joint, dq) in instant.dq.iter().enumerate() {
@@ -35,12 +35,12 @@ pub(crate) fn of_joints(case: &Case<'_>, followed: &Followed) -> Option<Finding>
         short(instant.dq[joint].abs()),
     );
     let help = format!("give the motion {} times as long, or make it smaller", short(most));
-    Some(Finding::new(&key, message, help))
+    Some(Diagnostic::new(&key, message, help))
 }
 
 /// Key of the moving reference of highest priority.
-fn key_of_fastest(case: &Case<'_>, instant: &Instant) -> Option<Vec<String>> {
-    let stack = &case.stacks[instant.stack];
+fn key_of_fastest(case: &PreflightCase<'_>, instant: &Instant) -> Option<Vec<String>> {
+    let stack = &case.task_sets[instant.task_set];
     let moving = stack.tasks.tasks().zip(&instant.tasks).find(|(_, asked)| asked.velocity > 1e-6);
     let in_joints = || {
         let task = stack.tasks.joint_task()?;
@@ -48,18 +48,18 @@ fn key_of_fastest(case: &Case<'_>, instant: &Instant) -> Option<Vec<String>> {
         targets.iter().any(|target| target.velocity.abs() > 1e-6).then(|| task.name())
     };
     let name = moving.map(|(task, _)| task.name()).or_else(in_joints)?;
-    Some(case.reference_key(instant.stack, name))
+    Some(case.reference_key(instant.task_set, name))
 }
 
 /// Finds references beyond the speed limit of their own task.
-pub(crate) fn of_tasks(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
-    let mut found: Vec<Finding> = Vec::new();
-    for (number, stack) in case.stacks.iter().enumerate() {
+pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
+    let mut found: Vec<Diagnostic> = Vec::new();
+    for (number, stack) in case.task_sets.iter().enumerate() {
         for (place, task) in stack.tasks.tasks().enumerate() {
             for (which, key, unit) in
                 [(0, "speed_limit_m_per_s", "m/s"), (1, "speed_limit_rad_per_s", "rad/s")]
             {
-                let in_force = followed.instants.iter().filter(|instant| instant.stack == number);
+                let in_force = followed.instants.iter().filter(|instant| instant.task_set == number);
                 let asked = in_force.filter_map(|instant| {
                     let asked = instant.tasks.get(place)?;
                     Some((asked.speeds[which]?, asked.speed_limits[which]?, instant.time_s))
@@ -84,8 +84,8 @@ pub(crate) fn of_tasks(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
                 let kind = stack.task.get(task.name()).map_or("", kind);
                 let key = case.key(number, task.name(), &[kind, key]);
                 // The same task after an event that leaves it as it was.
-                if !found.iter().any(|f| f.key == Finding::new(&key, String::new(), String::new()).key) {
-                    found.push(Finding::new(&key, message, help));
+                if !found.iter().any(|f| f.key == Diagnostic::new(&key, String::new(), String::new()).key) {
+                    found.push(Diagnostic::new(&key, message, help));
                 }
             }
         }

@@ -37,8 +37,8 @@
 //! of joints, friction and the motor's own lag. Two cases are not examined: force feedback, where the stiffness of the
 //! environment decides, and impedances, where the arm's inertia along the axis does.
 
-use super::case::{Case, kind};
-use super::finding::{Finding, short};
+use super::case::{PreflightCase, kind};
+use super::diagnostic::{Diagnostic, short};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::{JointTask, RowGains, Task, TaskParameters};
@@ -53,10 +53,10 @@ const LEAST_MARGIN_DEG: f64 = 30.0;
 const GOOD_MARGIN_DEG: f64 = 45.0;
 
 /// Finds gains that are too high: for each task the worst axis or joint over all task sets.
-pub(crate) fn stiff_gains(case: &Case<'_>) -> Vec<Finding> {
-    let mut found: Vec<Finding> = Vec::new();
-    for stack in 0..case.stacks.len() {
-        for name in case.stacks[stack].priority {
+pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+    let mut found: Vec<Diagnostic> = Vec::new();
+    for stack in 0..case.task_sets.len() {
+        for name in case.task_sets[stack].priority {
             let finding = stiff_task(case, stack, name);
             found.extend(finding.filter(|new| !found.iter().any(|old| old.key == new.key)));
         }
@@ -64,7 +64,7 @@ pub(crate) fn stiff_gains(case: &Case<'_>) -> Vec<Finding> {
     found
 }
 
-fn stiff_task(case: &Case<'_>, stack: usize, name: &str) -> Option<Finding> {
+fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diagnostic> {
     let worst = followers(case, stack, name).into_iter().filter_map(|follower| {
         let margin = follower.plant.margin(&follower.law)?;
         // Less than half of what the gains themselves have is lost to delay, not to little damping.
@@ -72,7 +72,7 @@ fn stiff_task(case: &Case<'_>, stack: usize, name: &str) -> Option<Finding> {
         (margin.degrees < LEAST_MARGIN_DEG.min(0.5 * ideal)).then_some((follower, margin))
     });
     let (follower, margin) = worst.min_by(|a, b| a.1.degrees.total_cmp(&b.1.degrees))?;
-    let Follower { law, plant, of, joint, key, quantity, value } = &follower;
+    let AxisLoop { law, plant, of, joint, key, quantity, value } = &follower;
     let how = if margin.degrees < 0.0 {
         format!("would be unstable on this robot: the phase margin is {:.0}°", margin.degrees)
     } else {
@@ -88,7 +88,7 @@ fn stiff_task(case: &Case<'_>, stack: usize, name: &str) -> Option<Finding> {
         Some(scale) => format!("{quantity} = {} has {GOOD_MARGIN_DEG:.0}°", rounded_down(scale * value)),
         None => "raise damping_ratio: no stiffness has enough margin with this one".to_owned(),
     };
-    Some(Finding::new(&case.key(stack, name, key), message, help))
+    Some(Diagnostic::new(&case.key(stack, name, key), message, help))
 }
 
 /// Formats a number with two digits, rounded down.
@@ -98,8 +98,8 @@ fn rounded_down(value: f64) -> String {
 }
 
 /// Law and drive of an axis or a joint.
-struct Follower<'a> {
-    law: Law,
+struct AxisLoop<'a> {
+    law: AxisFeedback,
     plant: Plant,
     /// Description of the gains: quantity, value and axis.
     of: String,
@@ -111,9 +111,9 @@ struct Follower<'a> {
 }
 
 /// Lists tasks of which some gains are unknown: their stability is not checked.
-pub(crate) fn not_checked(case: &Case<'_>) -> Vec<Finding> {
-    let mut found: Vec<Finding> = Vec::new();
-    for (number, stack) in case.stacks.iter().enumerate() {
+pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
+    let mut found: Vec<Diagnostic> = Vec::new();
+    for (number, stack) in case.task_sets.iter().enumerate() {
         let rows = stack.tasks.tasks().map(|task| {
             let names = task.row_names().into_iter().enumerate();
             let unknown = names.filter(|(row, _)| task.gains(*row).is_none()).map(|(_, name)| name);
@@ -130,7 +130,7 @@ pub(crate) fn not_checked(case: &Case<'_>) -> Vec<Finding> {
                 unknown.join(", ")
             );
             let finding =
-                Finding::new(&case.key(number, name, &[]), message, "try it in simulation".to_owned());
+                Diagnostic::new(&case.key(number, name, &[]), message, "try it in simulation".to_owned());
             if !found.contains(&finding) {
                 found.push(finding);
             }
@@ -140,8 +140,8 @@ pub(crate) fn not_checked(case: &Case<'_>) -> Vec<Finding> {
 }
 
 /// Laws of all rows and joints that a task controls.
-fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &'a str) -> Vec<Follower<'a>> {
-    let in_force = &case.stacks[stack];
+fn followers<'a>(case: &'a PreflightCase<'_>, stack: usize, name: &'a str) -> Vec<AxisLoop<'a>> {
+    let in_force = &case.task_sets[stack];
     if let Some(task) = in_force.tasks.tasks().find(|task| task.name() == name) {
         return row_followers(case, stack, task);
     }
@@ -152,15 +152,15 @@ fn followers<'a>(case: &'a Case<'_>, stack: usize, name: &'a str) -> Vec<Followe
 }
 
 /// Laws of every row with every joint that moves it.
-fn row_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn Task) -> Vec<Follower<'a>> {
-    let Some(parameters) = case.stacks[stack].task.get(task.name()) else { return Vec::new() };
+fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task) -> Vec<AxisLoop<'a>> {
+    let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
     let (kind, names) = (kind(parameters), task.row_names());
     let mut jacobian = Matrix6xX::zeros(case.model.n());
     task.jacobian(case.model, &case.data, &mut jacobian);
     let mut followers = Vec::new();
     for row in 0..task.rows() {
         let Some(gains) = task.gains(row) else { continue };
-        let law = Law::of_gains(&gains);
+        let law = AxisFeedback::of_gains(&gains);
         let along = match parameters {
             TaskParameters::JointTracking(_) => String::new(),
             _ => format!(" along {}", names[row]),
@@ -184,7 +184,7 @@ fn row_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn Task) -> Vec<F
         };
         let largest = jacobian.row(row).amax();
         let joints = (0..case.model.n()).filter(|&joint| jacobian[(row, joint)].abs() > 1e-6 * largest);
-        followers.extend(joints.map(|joint| Follower {
+        followers.extend(joints.map(|joint| AxisLoop {
             law,
             plant: Plant::new(case, joint),
             of: format!("{quantity} = {}{along}", short(value)),
@@ -198,14 +198,14 @@ fn row_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn Task) -> Vec<F
 }
 
 /// Laws of every joint of a task of all joints.
-fn joint_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn JointTask) -> Vec<Follower<'a>> {
-    let Some(parameters) = case.stacks[stack].task.get(task.name()) else { return Vec::new() };
+fn joint_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn JointTask) -> Vec<AxisLoop<'a>> {
+    let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
     let kind = kind(parameters);
     let mut followers = Vec::new();
     for joint in 0..case.model.n() {
         let plant = Plant::new(case, joint);
         let Some(gains) = task.gains(joint, plant.inertia) else { continue };
-        let law = Law::of_gains(&gains);
+        let law = AxisFeedback::of_gains(&gains);
         let (quantity, value, key) = match parameters {
             TaskParameters::JointDamping(_) => {
                 let quantity = "damping_nms_per_rad";
@@ -222,7 +222,7 @@ fn joint_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn JointTask) -
         };
         if value > 0.0 {
             let of = format!("{quantity} = {}", short(value));
-            followers.push(Follower { law, plant, of, joint: case.joint(joint), key, quantity, value });
+            followers.push(AxisLoop { law, plant, of, joint: case.joint(joint), key, quantity, value });
         }
     }
     followers
@@ -230,7 +230,7 @@ fn joint_followers<'a>(case: &'a Case<'_>, stack: usize, task: &dyn JointTask) -
 
 /// Control law: acceleration for an error, k (1 + i/s) of the position and c of the velocity.
 #[derive(Clone, Copy, Debug)]
-struct Law {
+struct AxisFeedback {
     /// Stiffness k, 1/s².
     stiffness: f64,
     /// Damping c, 1/s.
@@ -239,7 +239,7 @@ struct Law {
     integral: f64,
 }
 
-impl Law {
+impl AxisFeedback {
     fn of_gains(gains: &RowGains) -> Self {
         let RowGains { stiffness_per_s2, damping_per_s, integral_per_s } = *gains;
         Self { stiffness: stiffness_per_s2, damping: damping_per_s, integral: integral_per_s }
@@ -268,13 +268,13 @@ struct Servo {
     takes: CommandKind,
     law: ServoLaw,
     gains: ServoGains,
-    set_points: Setpoints,
+    setpoints: Setpoints,
 }
 
 impl Servo {
-    fn of(servo: &ServoParameters, period_s: f64, set_points: Setpoints) -> Option<Self> {
+    fn of(servo: &ServoParameters, period_s: f64, setpoints: Setpoints) -> Option<Self> {
         let law = ServoLaw::new(servo, period_s).ok()?;
-        Some(Self { takes: servo.takes(), law, gains: servo.gains(period_s), set_points })
+        Some(Self { takes: servo.takes(), law, gains: servo.gains(period_s), setpoints })
     }
 }
 
@@ -301,14 +301,14 @@ struct Margin {
 }
 
 impl Plant {
-    fn new(case: &Case<'_>, joint: usize) -> Self {
+    fn new(case: &PreflightCase<'_>, joint: usize) -> Self {
         let profile: &ProfileParameters = case.experiment.profile().1;
-        let set_points = case.experiment.robot().file.interface.set_points;
+        let setpoints = case.experiment.robot().file.interface.setpoints;
         let servos = match case.experiment.command_kind() {
             CommandKind::Torque => Vec::new(),
             CommandKind::Position | CommandKind::Velocity => case.experiment.servos().unwrap_or_default(),
         };
-        let servo = |servo| Servo::of(servo, profile.servo_period_s(), set_points);
+        let servo = |servo| Servo::of(servo, profile.servo_period_s(), setpoints);
         Self {
             inertia: case.data.mass_matrix[(joint, joint)],
             servo: servos.get(joint).and_then(servo),
@@ -339,7 +339,7 @@ impl Plant {
     }
 
     /// L at an angular frequency, rad/s.
-    fn open_loop(&self, law: &Law, omega: f64) -> Complex<f64> {
+    fn open_loop(&self, law: &AxisFeedback, omega: f64) -> Complex<f64> {
         let s = Complex::new(0.0, omega);
         let velocity = filtered_difference(s, self.period_s, self.filter_hz);
         let c = law.damping * velocity + law.stiffness * (1.0 + law.integral / s);
@@ -347,21 +347,21 @@ impl Plant {
         let Some(servo) = self.servo else {
             return c * late * hold(s, self.period_s) / (s * s);
         };
-        let [of_set_point, of_position] = servo.law.response((s * self.servo_period_s).exp());
+        let [of_setpoint, of_position] = servo.law.response((s * self.servo_period_s).exp());
         let own_hold = hold(s, self.servo_period_s);
         let held = hold(s, self.period_s) / own_hold;
-        let set_point = match servo.set_points {
+        let setpoint = match servo.setpoints {
             Setpoints::Held => late * held,
             Setpoints::Interpolated => late * held * held,
         };
         let (led, servo_loop) = match servo.takes {
             CommandKind::Velocity => {
-                let led = own_hold * set_point;
-                (led, led * of_set_point * velocity + own_hold * of_position)
+                let led = own_hold * setpoint;
+                (led, led * of_setpoint * velocity + own_hold * of_position)
             }
             CommandKind::Position | CommandKind::Torque => {
                 let ServoGains { stiffness, damping } = servo.gains;
-                let led = own_hold * of_set_point * set_point / stiffness;
+                let led = own_hold * of_setpoint * setpoint / stiffness;
                 (led, led * (stiffness + damping * velocity) + own_hold * of_position)
             }
         };
@@ -369,7 +369,7 @@ impl Plant {
     }
 
     /// Smallest margin over all crossovers; `None` where the law demands nothing.
-    fn margin(&self, law: &Law) -> Option<Margin> {
+    fn margin(&self, law: &AxisFeedback) -> Option<Margin> {
         const STEPS: i32 = 600;
         if law.stiffness <= 0.0 && law.damping <= 0.0 {
             return None;
@@ -405,7 +405,7 @@ impl Plant {
     }
 
     /// Factor, up to 1, by which the frequency may be multiplied for a good margin.
-    fn highest_scale(&self, law: &Law) -> Option<f64> {
+    fn highest_scale(&self, law: &AxisFeedback) -> Option<f64> {
         let good = |scale: f64| {
             self.margin(&law.scaled(scale)).is_some_and(|margin| margin.degrees >= GOOD_MARGIN_DEG)
         };
@@ -487,7 +487,7 @@ mod tests {
 
     /// Share of the initial error that remains after a while: the sampled loop itself, cycle by cycle, with the
     /// estimator, transformer and servo that robots run on, and a mass that is integrated exactly.
-    fn simulated(plant: &Plant, law: &Law, duration_s: f64) -> f64 {
+    fn simulated(plant: &Plant, law: &AxisFeedback, duration_s: f64) -> f64 {
         let ratio = (plant.period_s / plant.servo_period_s).round() as usize;
         let delay = (plant.delay_s / plant.servo_period_s).round() as usize;
         let ts = plant.servo_period_s;
@@ -533,7 +533,7 @@ mod tests {
         largest / 1e-3
     }
 
-    fn grid() -> Vec<(Plant, Law)> {
+    fn grid() -> Vec<(Plant, AxisFeedback)> {
         let mut grid = Vec::new();
         for (servo_hz, ratio, delay, filter_hz) in [
             (5000.0, 5, 0, 150.0),
@@ -551,7 +551,7 @@ mod tests {
                     for step in 0..14 {
                         let omega = 10.0 * 1.5_f64.powi(step);
                         let plant = plant(servo_hz, ratio, delay, filter_hz, servo.clone());
-                        grid.push((plant, Law::of(omega, zeta, 0.0)));
+                        grid.push((plant, AxisFeedback::of(omega, zeta, 0.0)));
                     }
                 }
             }
@@ -586,7 +586,7 @@ mod tests {
     #[test]
     fn without_delay_the_margin_is_the_textbooks() {
         for zeta in [0.2, 0.7, 1.0] {
-            let law = Law::of(30.0, zeta, 0.0);
+            let law = AxisFeedback::of(30.0, zeta, 0.0);
             let margin = Plant::ideal().margin(&law).expect("a law");
             let w = law.bandwidth();
             let exact = (2.0 * zeta * w / 30.0).atan().to_degrees();
@@ -600,7 +600,7 @@ mod tests {
     #[test]
     fn the_proposed_frequency_has_the_margin() {
         let plant = plant(1000.0, 5, 0, 80.0, None);
-        let law = Law::of(200.0, 1.0, 0.0);
+        let law = AxisFeedback::of(200.0, 1.0, 0.0);
         let scale = plant.highest_scale(&law).expect("some frequency");
         let degrees = |scale: f64| plant.margin(&law.scaled(scale)).expect("a law").degrees;
         assert!(degrees(1.0) < LEAST_MARGIN_DEG && degrees(scale) >= GOOD_MARGIN_DEG);

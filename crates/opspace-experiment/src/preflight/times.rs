@@ -1,8 +1,8 @@
 //! Events and references that end after the run, and statistics that begin too early.
 
-use super::case::{Case, InForce};
-use super::finding::{Finding, short};
-use super::followed::Followed;
+use super::case::{ActiveTasks, PreflightCase};
+use super::diagnostic::{Diagnostic, short};
+use super::rollout::Rollout;
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
 /// Largest difference of two durations that count as equal, s.
@@ -11,7 +11,7 @@ const ROUNDING_S: f64 = 1e-6;
 /// Highest speed of a reference that counts as standing still: m/s, rad/s.
 const STANDING: f64 = 1e-4;
 
-pub(crate) fn too_short(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+pub(crate) fn too_short(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut found = late_events(case);
     found.extend(settling(case));
     found.extend(unfinished(case, followed));
@@ -19,7 +19,7 @@ pub(crate) fn too_short(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
 }
 
 /// Finds events after the end of the run.
-fn late_events(case: &Case<'_>) -> Vec<Finding> {
+fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let duration_s = case.experiment.duration_s();
     let events = case.experiment.task().events.iter().enumerate();
     let late = events.filter(|(_, event)| event.time_s >= duration_s);
@@ -30,13 +30,13 @@ fn late_events(case: &Case<'_>) -> Vec<Finding> {
             short(duration_s)
         );
         let help = format!("give it a time below {} s, or the run a longer duration_s", short(duration_s));
-        Finding::new(&["event", &number.to_string(), "time_s"], message, help)
+        Diagnostic::new(&["event", &number.to_string(), "time_s"], message, help)
     })
     .collect()
 }
 
 /// Finds statistics that begin while the torque ramps in.
-fn settling(case: &Case<'_>) -> Option<Finding> {
+fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     let settle_s = case.experiment.task().file.settle_s.get();
     let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();
     if settle_s >= ramp_s {
@@ -47,17 +47,17 @@ fn settling(case: &Case<'_>) -> Option<Finding> {
         short(settle_s),
         short(ramp_s)
     );
-    Some(Finding::new(&["settle_s"], message, format!("settle_s = {}", short(ramp_s))))
+    Some(Diagnostic::new(&["settle_s"], message, format!("settle_s = {}", short(ramp_s))))
 }
 
 /// Finds references that still move at the end of the run.
-fn unfinished(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
+fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let duration_s = case.experiment.duration_s();
-    let last = case.stacks.len() - 1;
-    let stack = &case.stacks[last];
+    let last = case.task_sets.len() - 1;
+    let stack = &case.task_sets[last];
     let unfinished = stack.priority.iter().filter_map(|name| {
         let task = stack.task.get(name)?;
-        let same = |other: &InForce<'_>| {
+        let same = |other: &ActiveTasks<'_>| {
             other.priority.contains(name) && other.task.get(name).and_then(reference) == reference(task)
         };
         let begin_s = case.begin_s(last, same);
@@ -81,7 +81,7 @@ fn unfinished(case: &Case<'_>, followed: &Followed) -> Vec<Finding> {
             Length::Known(length_s) => format!("duration_s = {}, or a faster motion", short(begin_s + length_s)),
             Length::AsFastAsItCan => "a longer duration_s, or higher limits of the goal's motion".to_owned(),
         };
-        Some(Finding::new(&["duration_s"], message, help))
+        Some(Diagnostic::new(&["duration_s"], message, help))
     });
     unfinished.collect()
 }
@@ -139,7 +139,7 @@ fn length_s(task: &TaskParameters) -> Option<Length> {
 }
 
 /// Speed of a task's reference at the end of the run, with its unit; `None` if it stands still.
-fn speed_at_end(stack: &InForce<'_>, followed: &Followed, name: &str) -> Option<(f64, &'static str)> {
+fn speed_at_end(stack: &ActiveTasks<'_>, followed: &Rollout, name: &str) -> Option<(f64, &'static str)> {
     let end = followed.instants.last().filter(|_| followed.to_the_end)?;
     let place = stack.tasks.tasks().position(|task| task.name() == name);
     let (speed, unit) = match place.and_then(|place| end.tasks.get(place)) {

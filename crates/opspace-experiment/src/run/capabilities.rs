@@ -26,9 +26,14 @@ impl Experiment {
                 &periods[1],
             ));
         }
-        self.same("interface.set_points", "setpoints", &stated.setpoints, &declared.setpoints)?;
+        self.same("interface.setpoints", "setpoints", &stated.setpoints, &declared.setpoints)?;
         let gravity = |c: &Capabilities| c.gravity_compensated_by;
-        self.same("interface.gravity_by", "gravity compensation", &gravity(&stated), &gravity(declared))?;
+        self.same(
+            "interface.gravity_compensated_by",
+            "gravity compensation",
+            &gravity(&stated),
+            &gravity(declared),
+        )?;
         let missed = |c: &Capabilities| c.on_missed_cycle;
         self.same(
             "interface.on_missed_cycle",
@@ -37,7 +42,7 @@ impl Experiment {
             &missed(declared),
         )?;
         self.same("interface.brakes", "brakes", &stated.has_brakes, &declared.has_brakes)?;
-        self.same("interface.measures", "measured quantities", &measured(&stated), &measured(declared))?;
+        self.same("interface.measured", "measured quantities", &measured(&stated), &measured(declared))?;
         let sensors = |c: &Capabilities| -> Vec<ForceSensor> { c.force_sensors.clone() };
         self.same("force_sensor", "force sensors", &sensors(&stated), &sensors(declared))
     }

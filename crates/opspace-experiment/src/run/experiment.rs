@@ -105,7 +105,7 @@ impl ControllerKind {
 
 /// Options of an experiment besides the two files.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Choice {
+pub struct RunOptions {
     /// Kind of robot.
     pub backend: BackendKind,
     /// Controller.
@@ -122,7 +122,7 @@ pub struct Choice {
     pub label: Option<String>,
 }
 
-impl Default for Choice {
+impl Default for RunOptions {
     fn default() -> Self {
         Self {
             backend: BackendKind::Position,
@@ -141,7 +141,7 @@ impl Default for Choice {
 pub struct Experiment {
     pub(super) robot: Robot,
     pub(super) task: Task,
-    pub(super) choice: Choice,
+    pub(super) options: RunOptions,
     settings: Vec<String>,
     pub(super) profile_name: String,
     pub(super) profile: ProfileParameters,
@@ -157,10 +157,10 @@ impl Experiment {
         files: Files,
         task: &Path,
         robot: Option<&Path>,
-        choice: Choice,
+        options: RunOptions,
         settings: &[String],
     ) -> Result<Self, FileError> {
-        Self::load_with(&Extensions::default(), files, task, robot, choice, settings)
+        Self::load_with(&Extensions::default(), files, task, robot, options, settings)
     }
 
     /// Reads a task and its robot like [`load`](Self::load), with tasks and drivers defined by the user.
@@ -172,7 +172,7 @@ impl Experiment {
         files: Files,
         task: &Path,
         robot: Option<&Path>,
-        choice: Choice,
+        options: RunOptions,
         settings: &[String],
     ) -> Result<Self, FileError> {
         let (robot_settings, task_settings) = split(settings, "robot");
@@ -182,17 +182,22 @@ impl Experiment {
         }
         let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
         let robot = Robot::load(files, &robot_path, &robot_settings)?;
-        Self::new(robot, task, choice, settings.to_vec())
+        Self::new(robot, task, options, settings.to_vec())
     }
 
     /// Combines a task and a robot. `settings` are only recorded, not applied.
     ///
     /// # Errors
     /// Contradictions between the two, with their place.
-    pub fn new(robot: Robot, task: Task, choice: Choice, settings: Vec<String>) -> Result<Self, FileError> {
-        let (name, profile) = robot.profile(choice.profile.as_deref())?;
+    pub fn new(
+        robot: Robot,
+        task: Task,
+        options: RunOptions,
+        settings: Vec<String>,
+    ) -> Result<Self, FileError> {
+        let (name, profile) = robot.profile(options.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
-        let experiment = Self { robot, task, choice, settings, profile_name, profile };
+        let experiment = Self { robot, task, options, settings, profile_name, profile };
         experiment.check_choice()?;
         experiment.start()?;
         experiment.controller()?;
@@ -216,8 +221,8 @@ impl Experiment {
 
     /// Options that were chosen besides the files.
     #[must_use]
-    pub fn choice(&self) -> &Choice {
-        &self.choice
+    pub fn options(&self) -> &RunOptions {
+        &self.options
     }
 
     /// The settings that were applied to the files.
@@ -235,13 +240,13 @@ impl Experiment {
     /// The seed in use.
     #[must_use]
     pub fn seed(&self) -> u64 {
-        self.choice.seed.unwrap_or(self.task.file.seed)
+        self.options.seed.unwrap_or(self.task.file.seed)
     }
 
     /// Duration of control, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
-        self.choice.duration_s.unwrap_or(self.task.file.duration_s.get())
+        self.options.duration_s.unwrap_or(self.task.file.duration_s.get())
     }
 
     /// Builds the controller, before its start.
@@ -253,7 +258,7 @@ impl Experiment {
         let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
         let stack = self.stack(&file.priority, &file.task);
         let wrong = |e: ControlError| self.control_error(&e);
-        match self.choice.controller {
+        match self.options.controller {
             ControllerKind::Osc => {
                 let mut osc = OperationalSpaceController::new(model, &stack, &facts).map_err(wrong)?;
                 for (number, event) in events.iter().enumerate() {
@@ -263,7 +268,7 @@ impl Experiment {
                 Ok(Box::new(osc))
             }
             ControllerKind::Ik | ControllerKind::IkLead => {
-                let leads = self.choice.controller == ControllerKind::IkLead;
+                let leads = self.options.controller == ControllerKind::IkLead;
                 let lead = leads.then(|| self.servo_lead()).transpose()?;
                 let mut ik = InverseKinematicsController::new(model, &stack, &facts, lead).map_err(wrong)?;
                 for (number, event) in events.iter().enumerate() {
@@ -294,7 +299,7 @@ impl Experiment {
         ControlContext {
             period_s,
             sensors: self.robot.sensors.clone(),
-            gravity_by_robot: self.gravity_by() == GravityCompensation::Robot,
+            gravity_by_robot: self.gravity_compensated_by() == GravityCompensation::Robot,
             limits: self.robot.joint_limits(),
         }
     }
@@ -346,7 +351,7 @@ impl Experiment {
             capabilities: self.capabilities().simulated(),
             placement: Placement::identity(),
             external_forces: false,
-            environment: self.task.file.surroundings.clone().into_iter().collect(),
+            environment: self.task.file.environment.clone().into_iter().collect(),
             start: self.start()?,
             rest_s: self.robot.file.safety.tare_s.get(),
             seed: self.seed(),
@@ -392,11 +397,11 @@ impl Experiment {
     /// Kind of command that the chosen robot takes.
     #[must_use]
     pub fn command_kind(&self) -> CommandKind {
-        self.choice.backend.command()
+        self.options.backend.command()
     }
 
-    pub(super) fn gravity_by(&self) -> GravityCompensation {
-        self.robot.file.interface.gravity_by
+    pub(super) fn gravity_compensated_by(&self) -> GravityCompensation {
+        self.robot.file.interface.gravity_compensated_by
     }
 
     fn servo_lead(&self) -> Result<ServoLead, FileError> {
@@ -408,7 +413,7 @@ impl Experiment {
     }
 
     fn check_choice(&self) -> Result<(), FileError> {
-        let (backend, controller) = (self.choice.backend, self.choice.controller);
+        let (backend, controller) = (self.options.backend, self.options.controller);
         if backend != BackendKind::Position && controller != ControllerKind::Osc {
             let message = format!(
                 "controller '{}' commands positions, which a {} robot doesn't take",
@@ -515,8 +520,8 @@ impl Experiment {
             }
             Key::Task(mut key) => {
                 // The kind's own table stands between the name and the key.
-                if let Some(surrounding) = key.get(1).and_then(|name| self.task.file.surroundings.get(name)) {
-                    key.insert(2, surrounding.kind().to_owned());
+                if let Some(object) = key.get(1).and_then(|name| self.task.file.environment.get(name)) {
+                    key.insert(2, object.kind().to_owned());
                 }
                 FileError::at_key(&self.task.source, key, message, help)
             }

@@ -1,7 +1,7 @@
 //! The folder of a run: log, summary and report.
 
 use crate::evaluate::results::MEASURES;
-use crate::report::page::{Shown, page};
+use crate::report::document::{RunSection, page};
 use crate::run::error::RunError;
 use crate::run::execute::RunResult;
 use crate::run::experiment::Experiment;
@@ -46,7 +46,7 @@ impl Experiment {
         let result = run(BufWriter::new(file))?;
         let recording = Recording::read(&log)?;
         let summary = self.summary(&recording, &result.record, Some(result.realtime_factor));
-        let shown = Shown::new(self, &recording, summary.clone());
+        let shown = RunSection::new(self, &recording, summary.clone());
         let lead = "One run, with what the robot was asked and what it did.";
         let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), MEASURES, &[shown]);
         let json =

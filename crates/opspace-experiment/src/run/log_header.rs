@@ -5,7 +5,7 @@ use crate::files::robot::Robot;
 use crate::files::source::Source;
 use crate::files::task::Task;
 use crate::run::error::RunError;
-use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 use opspace_backend::World;
 use opspace_log::{Attachment, Header, LOG, Recording};
 use opspace_transformer::TransformerKind;
@@ -36,14 +36,14 @@ fn recording_file(file: &Path) -> String {
 impl Experiment {
     /// Builds the header of a log of this experiment: files, settings and versions.
     pub(crate) fn header(&self, world: World) -> Header {
-        let choice = self.choice();
+        let options = self.options();
         let mut entries = BTreeMap::from([
             ("opspace_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("task".to_owned(), self.task().source.name().to_owned()),
             ("robot".to_owned(), self.robot().source.name().to_owned()),
             (WORLD.to_owned(), if world == World::Real { REAL } else { "simulated" }.to_owned()),
-            ("backend".to_owned(), choice.backend.name().to_owned()),
-            ("controller".to_owned(), choice.controller.name().to_owned()),
+            ("backend".to_owned(), options.backend.name().to_owned()),
+            ("controller".to_owned(), options.controller.name().to_owned()),
             ("profile".to_owned(), self.profile().0.to_owned()),
             ("seed".to_owned(), self.seed().to_string()),
             ("duration_s".to_owned(), self.duration_s().to_string()),
@@ -54,7 +54,7 @@ impl Experiment {
         let transformer = self.chosen_transformer().0.name().to_owned();
         entries.insert("transformer".to_owned(), transformer);
         entries.insert("transformer_reason".to_owned(), self.transformer_reason().unwrap_or_default());
-        let asked_for = if choice.transformer.is_some() { "yes" } else { "no" };
+        let asked_for = if options.transformer.is_some() { "yes" } else { "no" };
         entries.insert("transformer_asked_for".to_owned(), asked_for.to_owned());
         let mut files = vec![
             (ROBOT_FILE.to_owned(), "application/toml", &self.robot().source),
@@ -111,7 +111,7 @@ impl Experiment {
         let unknown = |key: &str| RunError::Incomplete { what: format!("a '{key}' that is known") };
         let transformer =
             TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
-        let choice = Choice {
+        let options = RunOptions {
             backend: BackendKind::ALL
                 .into_iter()
                 .find(|kind| entry("backend").is_ok_and(|name| name == kind.name()))
@@ -128,12 +128,12 @@ impl Experiment {
             duration_s: Some(entry("duration_s")?.parse().map_err(|_| unknown("duration_s"))?),
         };
         let settings: Vec<String> = entry("overrides")?.lines().map(str::to_owned).collect();
-        let chosen = Self::new(robot.clone(), task.clone(), choice.clone(), settings.clone())?;
+        let chosen = Self::new(robot.clone(), task.clone(), options.clone(), settings.clone())?;
         if chosen.chosen_transformer().0 == transformer {
             return Ok(chosen);
         }
         // It was the best one to who wrote the log.
-        Ok(Self::new(robot, task, Choice { transformer: Some(transformer), ..choice }, settings)?)
+        Ok(Self::new(robot, task, RunOptions { transformer: Some(transformer), ..options }, settings)?)
     }
 }
 

@@ -7,7 +7,7 @@ use crate::files::task::Task;
 use crate::files::task_kinds::TaskKinds;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
-use crate::run::experiment::{BackendKind, Choice, ControllerKind, Experiment};
+use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 use crate::run::summary::Summary;
 use opspace_backend::{Backend, DeviceFault, Sample};
 use opspace_control::{SingularityHandling, TaskParameters};
@@ -107,12 +107,12 @@ impl Experiment {
             Source::new(name.display().to_string(), text),
             |named| Source::read(&named.path),
         )?;
-        let controller = match self.choice.backend {
+        let controller = match self.options.backend {
             BackendKind::Position => ControllerKind::IkLead,
             BackendKind::Velocity | BackendKind::Torque => ControllerKind::Osc,
         };
-        let choice = Choice { controller, duration_s: None, label: None, ..self.choice.clone() };
-        Self::new(self.robot.clone(), task, choice, Vec::new()).map(Some)
+        let options = RunOptions { controller, duration_s: None, label: None, ..self.options.clone() };
+        Self::new(self.robot.clone(), task, options, Vec::new()).map(Some)
     }
 
     /// Text of the task file of a motion from `q` to `goal`.

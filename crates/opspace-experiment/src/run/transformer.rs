@@ -7,9 +7,9 @@ use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Measured, Setpoints};
 use opspace_model::{Data, update};
 use opspace_transformer::{
-    CurrentCorrected, EmulatingTransformer, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, IdentifiedJoint, Identity, LiteralTransformer, Matching, Method,
-    PaperTransformer, ServoGains, ServoParameters, Transformer, TransformerKind, VelocityTransformer,
+    ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, FrictionCompensation,
+    FrictionCompensationParameters, Identity, LiteralTransformer, Method, PaperTransformer, ServoGains,
+    ServoParameters, TorqueObjective, Transformer, TransformerKind, VelocityTransformer,
 };
 
 impl Experiment {
@@ -27,22 +27,22 @@ impl Experiment {
     }
 
     fn uses_transformer(&self) -> bool {
-        self.choice.backend != BackendKind::Torque && self.choice.controller == ControllerKind::Osc
+        self.options.backend != BackendKind::Torque && self.options.controller == ControllerKind::Osc
     }
 
     pub(crate) fn chosen_transformer(&self) -> (TransformerKind, String) {
-        if let Some(kind) = self.choice.transformer {
+        if let Some(kind) = self.options.transformer {
             return (kind, "asked for".to_owned());
         }
         if let Some(kind) = self.profile.transformer {
             return (kind, format!("the one of profile '{}'", self.profile_name));
         }
-        let set_points = self.robot.file.interface.set_points;
-        TransformerKind::best(set_points, self.profile.delay_servo_ticks, self.measures_current())
+        let setpoints = self.robot.file.interface.setpoints;
+        TransformerKind::best(setpoints, self.profile.delay_servo_ticks, self.measures_current())
     }
 
     pub(crate) fn measures_current(&self) -> bool {
-        self.robot.file.interface.measures.contains(&Measured::MotorCurrent)
+        self.robot.file.interface.measured.contains(&Measured::MotorCurrent)
     }
 
     /// Builds the chosen transformer.
@@ -50,7 +50,7 @@ impl Experiment {
     /// # Errors
     /// A servo that it can't invert.
     pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
-        if self.choice.backend == BackendKind::Torque {
+        if self.options.backend == BackendKind::Torque {
             return Ok(Box::new(Identity));
         }
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
@@ -65,7 +65,7 @@ impl Experiment {
             }
             Method::Paper => Box::new(PaperTransformer::new(self.servo_gains()?)),
             Method::Identified => {
-                let split = |(joint, of): (usize, &IdentifiedJoint)| {
+                let split = |(joint, of): (usize, &ClosedLoopModel)| {
                     of.split().map_err(|error| self.joint_error("identified", joint, &error))
                 };
                 let gains: Result<Vec<ServoGains>, FileError> =
@@ -74,23 +74,23 @@ impl Experiment {
             }
             Method::IdentifiedLiteral => Box::new(literal(true)?),
             Method::IdentifiedOpenLoop => Box::new(literal(false)?),
-            Method::Emulation => return self.emulating(Matching::Mean, current),
-            Method::Interpolating => return self.emulating(Matching::EachTick, current),
+            Method::Emulation => return self.emulating(TorqueObjective::IntervalMean, current),
+            Method::Interpolating => return self.emulating(TorqueObjective::PerTick, current),
         };
         if !current {
             return Ok(plain);
         }
-        let (ratio, delay) = (self.profile.ratio.get(), self.profile.delay());
-        Ok(Box::new(CurrentCorrected::new(plain, &self.robot.torque_limits(), ratio, delay)))
+        let (ratio, delay) = (self.profile.servo_ticks_per_cycle.get(), self.profile.delay());
+        Ok(Box::new(CurrentFeedback::new(plain, &self.robot.torque_limits(), ratio, delay)))
     }
 
-    fn emulating(&self, matching: Matching, current: bool) -> Result<Box<dyn Transformer>, FileError> {
+    fn emulating(&self, matching: TorqueObjective, current: bool) -> Result<Box<dyn Transformer>, FileError> {
         let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
         Ok(Box::new(emulating.map_err(|(joint, error)| self.joint_error(self.servo_table(), joint, &error))?))
     }
 
     fn takes_velocities(&self) -> bool {
-        self.choice.backend == BackendKind::Velocity
+        self.options.backend == BackendKind::Velocity
     }
 
     /// Name of the profile's table with the servos in use.
@@ -106,7 +106,7 @@ impl Experiment {
         FileError::at_key(&self.robot.source, key, error.to_string(), Some(help))
     }
 
-    fn emulation(&self, matching: Matching, current: bool) -> Result<EmulationSetup, FileError> {
+    fn emulation(&self, matching: TorqueObjective, current: bool) -> Result<EmulationSetup, FileError> {
         let joints = self.robot.joints();
         let whole = FrictionCompensationParameters {
             gain: NonNegative::literal(1.0),
@@ -120,13 +120,13 @@ impl Experiment {
             inertias: self.inertias()?,
             torque_limits: self.robot.torque_limits(),
             servo_period_s: self.profile.servo_period_s(),
-            ratio: self.profile.ratio.get(),
+            servo_ticks_per_cycle: self.profile.servo_ticks_per_cycle.get(),
             delay: self.profile.delay(),
-            set_points: self.robot.file.interface.set_points,
+            setpoints: self.robot.file.interface.setpoints,
             matching,
-            gravity_by: self.gravity_by(),
+            gravity_compensated_by: self.gravity_compensated_by(),
             current,
-            refine: self.profile.refine,
+            adapt_gains: self.profile.adapt_gains,
         })
     }
 
@@ -185,10 +185,14 @@ impl Experiment {
                 "use 'paper', 'emulation' or 'interpolating', with or without '+current'",
             );
         }
-        if self.profile.refine.is_some() {
+        if self.profile.adapt_gains.is_some() {
             let message =
-                format!("gains of velocity servos can't be refined, whatever transformer: '{name}'");
-            return wrong(&["refine"], message, "leave refine out; '+current' makes up for a wrong gain");
+                format!("gains of velocity servos can't be adapted, whatever transformer: '{name}'");
+            return wrong(
+                &["adapt_gains"],
+                message,
+                "leave adapt_gains out; '+current' makes up for a wrong gain",
+            );
         }
         match self.joint_with_velocity_integral() {
             Some(joint) if method == Method::Paper => {
@@ -222,13 +226,13 @@ impl Experiment {
                 format!("transformer '{name}' needs the motors' current, which this robot doesn't measure");
             let without = name.trim_end_matches("+current");
             let help = format!("use '{without}', or add \"motor-current\" if the robot does");
-            return wrong(interface("measures"), message, help);
+            return wrong(interface("measured"), message, help);
         }
-        if method == Method::Interpolating && robot.file.interface.set_points == Setpoints::Held {
+        if method == Method::Interpolating && robot.file.interface.setpoints == Setpoints::Held {
             let message =
-                format!("transformer '{name}' is for drives that interpolate set-points; these hold them");
-            let help = "use 'emulation', or set_points = \"interpolated\" if the drives do".to_owned();
-            return wrong(interface("set_points"), message, help);
+                format!("transformer '{name}' is for drives that interpolate setpoints; these hold them");
+            let help = "use 'emulation', or setpoints = \"interpolated\" if the drives do".to_owned();
+            return wrong(interface("setpoints"), message, help);
         }
         if method.needs_identification() && self.profile.identified.is_empty() {
             let message =
@@ -246,10 +250,11 @@ impl Experiment {
             let help = "use 'identified', which measures the velocity instead of predicting it".to_owned();
             return wrong(profile(&[]), message, help);
         }
-        if self.profile.refine.is_some() && !(method.needs_delay() && kind.needs_current()) {
-            let message = format!("gains can't be refined with transformer '{name}'");
-            let help = "take 'emulation+current' or 'interpolating+current', or leave refine out".to_owned();
-            return wrong(profile(&["refine"]), message, help);
+        if self.profile.adapt_gains.is_some() && !(method.needs_delay() && kind.needs_current()) {
+            let message = format!("gains can't be adapted with transformer '{name}'");
+            let help =
+                "take 'emulation+current' or 'interpolating+current', or leave adapt_gains out".to_owned();
+            return wrong(profile(&["adapt_gains"]), message, help);
         }
         if self.profile.delay_servo_ticks.is_none() && (method.needs_delay() || kind.needs_current()) {
             let message =

@@ -7,7 +7,7 @@ mod record;
 mod robot;
 
 pub use record::{Record, Rows, columns, drive_robot, run};
-pub use robot::{Commanded, Scripted, Told, VelocityServo, at_rest};
+pub use robot::{Commanded, Received, Scripted, VelocityServo, at_rest};
 
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, CommandKind, Measured};
@@ -125,12 +125,12 @@ pub fn gravity_at(q: &[f64]) -> DVector<f64> {
 
 /// The torque with which the servos of a robot at rest at [`START`] answer a command; that of a torque robot is the
 /// command.
-pub fn servo_torque(told: &Told) -> DVector<f64> {
-    match told {
-        Told::Torques(tau) => tau.clone(),
-        Told::Velocities(dq) => DVector::from_fn(2, |i, _| KV[i] * dq[i]),
-        Told::Positions(q) => DVector::from_fn(2, |i, _| KP[i] * KV[i] * (q[i] - START[i])),
-        Told::Hold | Told::Stop => panic!("{told:?} is no command of a controller"),
+pub fn servo_torque(received: &Received) -> DVector<f64> {
+    match received {
+        Received::Torques(tau) => tau.clone(),
+        Received::Velocities(dq) => DVector::from_fn(2, |i, _| KV[i] * dq[i]),
+        Received::Positions(q) => DVector::from_fn(2, |i, _| KP[i] * KV[i] * (q[i] - START[i])),
+        Received::Hold | Received::Stop => panic!("{received:?} is no command of a controller"),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The record of a run on a scripted robot.
 
-use super::{AFTERMATH, Scripted, Told, capabilities, config};
+use super::{AFTERMATH, Received, Scripted, capabilities, config};
 use opspace_backend::{CommandKind, Layout, Sample, Sink, TICK, TICK_TIME};
 use opspace_control::Controller;
 use opspace_loop::{ControlLoop, Fault, LoopConfig, Phase, Run, RunOutcome, drive};
@@ -27,9 +27,9 @@ impl Sink for Rows {
 pub struct Record {
     pub outcome: RunOutcome,
     /// Calls of `write` and `stop`, in their order.
-    pub told: Vec<Told>,
+    pub received: Vec<Received>,
     /// Cycle of each of them.
-    pub told_in: Vec<u64>,
+    pub received_in: Vec<u64>,
     pub times_s: Vec<f64>,
     pub rows: Vec<Vec<f64>>,
     pub layout: Layout,
@@ -63,10 +63,14 @@ impl Record {
     }
 
     /// The commands, up to the stop. Nothing but stops may follow.
-    pub fn commands(&self) -> &[Told] {
-        let end = self.told.iter().position(|told| *told == Told::Stop).expect("it is stopped");
-        assert!(self.told[end..].iter().all(|told| *told == Told::Stop), "nothing is written after a stop");
-        &self.told[..end]
+    pub fn commands(&self) -> &[Received] {
+        let end =
+            self.received.iter().position(|received| *received == Received::Stop).expect("it is stopped");
+        assert!(
+            self.received[end..].iter().all(|received| *received == Received::Stop),
+            "nothing is written after a stop"
+        );
+        &self.received[..end]
     }
 
     /// The bits of the rows, without those of the wall time.
@@ -79,7 +83,7 @@ impl Record {
 
     /// Calls with their cycles, and outcome, as text: a float's debug text is another for other bits.
     pub fn text(&self) -> String {
-        format!("{:?}\n{:?}\n{:?}", self.told, self.told_in, self.outcome)
+        format!("{:?}\n{:?}\n{:?}", self.received, self.received_in, self.outcome)
     }
 
     /// Checks the rows around a fault: its code from one row on, that row still in `phase`, then 0.2 s of a stopped
@@ -117,9 +121,9 @@ pub fn drive_robot<F: FnMut(u64, &mut Sample)>(
     drive(&mut robot, &mut run);
     assert!(run.is_over(), "it is driven to its end");
     let outcome = run.finish();
-    let Scripted { told, told_in, .. } = robot;
+    let Scripted { received, received_in, .. } = robot;
     let Rows { times_s, rows } = rows;
-    Record { outcome, told, told_in, times_s, rows, layout }
+    Record { outcome, received, received_in, times_s, rows, layout }
 }
 
 /// Runs a controller for `duration_s` (s) on a robot of that kind.

@@ -12,7 +12,7 @@ use std::ops::Range;
 
 /// A call that a robot received.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Told {
+pub enum Received {
     Positions(DVector<f64>),
     Velocities(DVector<f64>),
     Torques(DVector<f64>),
@@ -20,7 +20,7 @@ pub enum Told {
     Stop,
 }
 
-impl From<Command<'_>> for Told {
+impl From<Command<'_>> for Received {
     fn from(command: Command<'_>) -> Self {
         match command {
             Command::Position(q) => Self::Positions(DVector::from_column_slice(q)),
@@ -42,9 +42,9 @@ pub struct Scripted<F> {
     /// Fault that is reported in those cycles.
     pub device_fault: DeviceFault,
     /// Calls of `write` and `stop`, in their order.
-    pub told: Vec<Told>,
+    pub received: Vec<Received>,
     /// Cycle of each of them.
-    pub told_in: Vec<u64>,
+    pub received_in: Vec<u64>,
     /// Reads so far.
     pub reads: u64,
 }
@@ -57,8 +57,8 @@ impl<F: FnMut(u64, &mut Sample)> Scripted<F> {
             unreadable: 0..0,
             refused: None,
             device_fault: DeviceFault::new(4711, "the drive of the elbow is too hot"),
-            told: Vec::new(),
-            told_in: Vec::new(),
+            received: Vec::new(),
+            received_in: Vec::new(),
             reads: 0,
         }
     }
@@ -67,9 +67,9 @@ impl<F: FnMut(u64, &mut Sample)> Scripted<F> {
         self.reads.saturating_sub(1)
     }
 
-    fn note(&mut self, told: Told) {
-        self.told.push(told);
-        self.told_in.push(self.cycle());
+    fn note(&mut self, received: Received) {
+        self.received.push(received);
+        self.received_in.push(self.cycle());
     }
 }
 
@@ -94,7 +94,7 @@ impl<F: FnMut(u64, &mut Sample)> Backend for Scripted<F> {
     }
 
     fn stop(&mut self) {
-        self.note(Told::Stop);
+        self.note(Received::Stop);
     }
 }
 

@@ -6,8 +6,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, UnitQuaternion, Vector3};
 use opspace_model::{
-    Data, Follows, Force, FrameId, Inertia, Joint, JointKind, Limits, Model, Motion, Placement, coriolis,
-    integrate, update,
+    Data, Force, FrameId, Inertia, Joint, JointKind, Limits, MimicConstraint, Model, Motion, Placement,
+    coriolis, integrate, update,
 };
 use proptest::prelude::*;
 use proptest::sample::Index;
@@ -75,7 +75,7 @@ pub fn first_joint(model: &Model) -> usize {
 pub struct Folded {
     pub case: Case,
     pub whole: Model,
-    pub followers: Vec<(usize, Follows)>,
+    pub followers: Vec<(usize, MimicConstraint)>,
 }
 
 impl Folded {
@@ -187,8 +187,8 @@ fn tree(
                 q.splice(3..6, turned.coords.iter().copied());
             }
             Case {
-                tip: model.frame("tip").expect("grown"),
-                second: model.frame("second").expect("grown"),
+                tip: model.frame_id("tip").expect("grown"),
+                second: model.frame_id("second").expect("grown"),
                 q,
                 dq: column(|s| s.1),
                 ddq: column(|s| s.2),
@@ -216,10 +216,10 @@ fn fold(whole: Case, shift: Index, rules: &[(bool, Index, f64, f64)]) -> Folded 
     let mut followers = Vec::new();
     for (i, &(follows, leader, ratio, offset)) in rules.iter().enumerate().take(count).skip(1) {
         if follows || i + 1 == count {
-            followers.push((order[i], Follows { leader: order[leader.index(i)], ratio, offset }));
+            followers.push((order[i], MimicConstraint { leader: order[leader.index(i)], ratio, offset }));
         }
     }
-    let model = whole.model.folded(&followers).expect("no joint follows itself");
+    let model = whole.model.with_mimic_constraints(&followers).expect("no joint follows itself");
     let left: Vec<usize> =
         (0..whole.model.n()).filter(|joint| followers.iter().all(|(f, _)| f != joint)).collect();
     let pick = |values: &[f64]| left.iter().map(|&i| values[i]).collect::<Vec<f64>>();

@@ -19,7 +19,7 @@ use std::f64::consts::TAU;
 
 /// Rms of the ripple over servo periods for each Nm/rad of stiffness and rad/s of speed, s: the bracket's rms times Ts.
 /// Without `current_loop_hz` the motor follows without lag.
-pub(super) fn of_held_set_point(ratio: u32, servo_period_s: f64, current_loop_hz: Option<f64>) -> f64 {
+pub(super) fn of_held_setpoint(ratio: u32, servo_period_s: f64, current_loop_hz: Option<f64>) -> f64 {
     let (ticks, middle) = (f64::from(ratio), 0.5 * f64::from(ratio - 1));
     let lag = |tick: f64| {
         current_loop_hz.map_or(0.0, |hz| {
@@ -34,7 +34,7 @@ pub(super) fn of_held_set_point(ratio: u32, servo_period_s: f64, current_loop_hz
 
 #[cfg(test)]
 mod tests {
-    use super::of_held_set_point;
+    use super::of_held_setpoint;
     use opspace_sim::motor::Motor;
 
     const SERVO_PERIOD_S: f64 = 2e-4;
@@ -52,7 +52,7 @@ mod tests {
                 let means = asked.map(|asked| (0..10).map(|_| motor.step(asked)).sum::<f64>() / 10.0);
                 rms = (means.map(|mean| mean * mean).sum::<f64>() / f64::from(ratio)).sqrt();
             }
-            let ripple = of_held_set_point(ratio, SERVO_PERIOD_S, Some(hz)) / SERVO_PERIOD_S;
+            let ripple = of_held_setpoint(ratio, SERVO_PERIOD_S, Some(hz)) / SERVO_PERIOD_S;
             assert!((ripple - rms).abs() < ROUNDING, "{ratio} {hz}: {ripple} for {rms}");
         }
     }
@@ -63,8 +63,8 @@ mod tests {
         const ROUNDING: f64 = 1e-15;
         for ratio in [2_u32, 5, 10] {
             let sawtooth = SERVO_PERIOD_S * ((f64::from(ratio).powi(2) - 1.0) / 12.0).sqrt();
-            assert!((of_held_set_point(ratio, SERVO_PERIOD_S, None) - sawtooth).abs() < ROUNDING);
+            assert!((of_held_setpoint(ratio, SERVO_PERIOD_S, None) - sawtooth).abs() < ROUNDING);
         }
-        assert!(of_held_set_point(1, SERVO_PERIOD_S, Some(1000.0)) < ROUNDING);
+        assert!(of_held_setpoint(1, SERVO_PERIOD_S, Some(1000.0)) < ROUNDING);
     }
 }

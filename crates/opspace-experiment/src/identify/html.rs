@@ -1,6 +1,6 @@
 //! The page of an identification: Bode plots of T and D*, joint by joint, and friction over speed.
 
-use super::{Identified, IdentifiedJoint};
+use super::{IdentificationResults, JointIdentification};
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
 use nalgebra::Complex;
@@ -9,7 +9,7 @@ use opspace_identify::TorqueScale;
 /// Points of a drawn curve.
 const CURVE: usize = 300;
 
-impl Identified {
+impl IdentificationResults {
     /// Draws the page.
     #[must_use]
     pub fn page(&self) -> String {
@@ -29,7 +29,7 @@ impl Identified {
                 "Torque mode is refused for a joint that can't be inverted, and where the scale of torque is not known: \
                  all torques are then per inertia.",
                 "T off by: relative error of the modelled T at the largest amplitude, rms over coherent frequencies. Torque \
-                 off by: the same of the motor's torque, from set-points and measured positions. Distortion: motion outside \
+                 off by: the same of the motor's torque, from setpoints and measured positions. Distortion: motion outside \
                  the excited frequencies over that at them.",
             ],
         );
@@ -39,7 +39,7 @@ impl Identified {
         page.render()
     }
 
-    fn joint(&self, mut page: Page, joint: &IdentifiedJoint) -> Page {
+    fn joint(&self, mut page: Page, joint: &JointIdentification) -> Page {
         if !joint.found.measured.is_empty() {
             page = page.figure(&position(joint)).figure(&effective(joint));
         }
@@ -49,7 +49,7 @@ impl Identified {
         page.facts(self.facts(joint))
     }
 
-    fn facts(&self, joint: &IdentifiedJoint) -> Vec<(&'static str, String)> {
+    fn facts(&self, joint: &JointIdentification) -> Vec<(&'static str, String)> {
         let mut facts = vec![("stood at", format!("{:.3} rad (m)", joint.position_rad))];
         for measured in &joint.found.measured {
             let d = &measured.distortion;
@@ -64,7 +64,7 @@ impl Identified {
                 format!("{free:.4} and {held:.4} kg m²"),
             ));
         }
-        if let Some(trust) = &joint.found.trust {
+        if let Some(trust) = &joint.found.fit_quality {
             let [kp, kv] = trust.deviation;
             facts.push((
                 "standard deviation of kp and kv",
@@ -92,15 +92,15 @@ impl Identified {
 }
 
 /// T, measured and modelled.
-fn position(joint: &IdentifiedJoint) -> Figure {
+fn position(joint: &JointIdentification) -> Figure {
     let mut curves = measured(joint, |_, t| Some(t));
     let hz = frequencies(joint);
     if let Some(rational) = &joint.found.rational {
         curves.push(curve("rational", Style::Thin, &hz, |hz| Some(rational.at(hz))));
     }
-    curves.push(curve("servo", Style::Desired, &hz, |hz| joint.found.model(&joint.told, hz)));
+    curves.push(curve("servo", Style::Desired, &hz, |hz| joint.found.model(&joint.known, hz)));
     Figure {
-        title: format!("T of {}: position over set-point", joint.name),
+        title: format!("T of {}: position over setpoint", joint.name),
         caption: "Measured at two amplitudes; the rational model; the identified servo with the friction of the largest \
                   amplitude, between interface ticks as it runs."
             .to_owned(),
@@ -110,7 +110,7 @@ fn position(joint: &IdentifiedJoint) -> Figure {
 }
 
 /// D*, from measured and modelled T.
-fn effective(joint: &IdentifiedJoint) -> Figure {
+fn effective(joint: &JointIdentification) -> Figure {
     let found = &joint.found;
     let mut curves = measured(joint, |hz, t| found.effective_servo(hz, t));
     let hz = frequencies(joint);
@@ -118,7 +118,7 @@ fn effective(joint: &IdentifiedJoint) -> Figure {
         curves.push(curve("rational", Style::Thin, &hz, |hz| found.effective_servo(hz, rational.at(hz))));
     }
     curves.push(curve("servo", Style::Desired, &hz, |hz| {
-        found.effective_servo(hz, found.model(&joint.told, hz)?)
+        found.effective_servo(hz, found.model(&joint.known, hz)?)
     }));
     let unit = match found.scale {
         TorqueScale::Unknown => "|D*| over inertia (1/s²)",
@@ -138,7 +138,10 @@ fn effective(joint: &IdentifiedJoint) -> Figure {
 type Curve = (String, Style, Vec<(f64, Option<Complex<f64>>)>);
 
 /// Curves of a quantity computed from the measured T, one per amplitude.
-fn measured(joint: &IdentifiedJoint, of: impl Fn(f64, Complex<f64>) -> Option<Complex<f64>>) -> Vec<Curve> {
+fn measured(
+    joint: &JointIdentification,
+    of: impl Fn(f64, Complex<f64>) -> Option<Complex<f64>>,
+) -> Vec<Curve> {
     (joint.found.measured.iter())
         .map(|m| {
             let points = m.position.iter().map(|p| (p.hz, of(p.hz, p.value))).collect();
@@ -152,7 +155,7 @@ fn curve(label: &str, style: Style, hz: &[f64], of: impl Fn(f64) -> Option<Compl
 }
 
 /// Frequencies of a drawn curve, Hz: evenly spread over the excited decades.
-fn frequencies(joint: &IdentifiedJoint) -> Vec<f64> {
+fn frequencies(joint: &JointIdentification) -> Vec<f64> {
     let points = joint.found.measured.first().map_or(&[][..], |m| &m.position);
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
     let ratio = last.hz / first.hz;
@@ -194,7 +197,7 @@ fn unwrapped(mut degrees: Vec<f64>) -> Vec<f64> {
     degrees
 }
 
-fn friction(joint: &IdentifiedJoint) -> Option<Figure> {
+fn friction(joint: &JointIdentification) -> Option<Figure> {
     let servo = joint.found.servo.as_ref()?;
     let curve = servo.friction?;
     let fastest = servo.passes.iter().map(|p| p.speed).fold(0.0, f64::max);

@@ -7,14 +7,14 @@
 //!
 //! ```
 //! use nalgebra::{Matrix3, Vector3};
-//! use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement, Suspicion, suspicions};
+//! use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement, ModelWarning, suspicions};
 //! // Moments as they were in g mm².
 //! let link = Inertia { mass: 1.0, com: Vector3::zeros(), rotational: Matrix3::identity() * 1e6 };
 //! let limits = Limits { lower: -2.0, upper: 2.0, velocity: 3.0, effort: 40.0 };
 //! let joint = Joint { name: "hinge".into(), kind: JointKind::Revolute, limits };
 //! let mut model = Model::new("pendulum");
 //! model.add_body(None, Placement::identity(), joint, link);
-//! assert!(matches!(suspicions(&model)[..], [Suspicion::LargeInertia { .. }]));
+//! assert!(matches!(suspicions(&model)[..], [ModelWarning::LargeInertia { .. }]));
 //! ```
 
 use crate::model::{Body, Joint, JointKind, Model};
@@ -48,7 +48,7 @@ const WIDEST_SLIDE_M: f64 = 20.0;
 /// Unusual value in a model. `part` names a body as in `link 'elbow'`, after the link that its joint moves.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
-pub enum Suspicion {
+pub enum ModelWarning {
     /// Centre of mass outside its body.
     #[error(
         "{part}: its centre of mass is {} m from its frame, {:.0} times its radius of gyration of {} m; \
@@ -135,13 +135,13 @@ pub enum Suspicion {
 }
 
 /// Rules about one body with mass.
-const OF_BODIES: [fn(&Part<'_>) -> Option<Suspicion>; 4] =
+const OF_BODIES: [fn(&Part<'_>) -> Option<ModelWarning>; 4] =
     [far_centre, small_inertia, large_inertia, unequal_masses];
 
 /// Returns the unusual values of a model, bodies first, in their order; empty for most. Allocates: call it once after
 /// loading.
 #[must_use]
-pub fn suspicions(model: &Model) -> Vec<Suspicion> {
+pub fn model_warnings(model: &Model) -> Vec<ModelWarning> {
     let heavy = (0..model.bodies().len()).filter(|&i| model.bodies()[i].inertia.mass > 0.0);
     let parts = heavy.map(|number| Part::new(model, number));
     let of_bodies = parts.flat_map(|part| OF_BODIES.iter().filter_map(move |rule| rule(&part)));
@@ -199,31 +199,28 @@ impl<'a> Part<'a> {
 
 /// Compares with both the radius of gyration and the extent: a bob at the end of a rod is far from its joint, but not
 /// from the frames there.
-fn far_centre(part: &Part<'_>) -> Option<Suspicion> {
+fn far_centre(part: &Part<'_>) -> Option<ModelWarning> {
     let distance_m = part.body().inertia.com.norm();
     let radius_m = (part.moments[2].max(part.least_moment()) / part.mass).sqrt();
-    (distance_m > FARTHEST_IN_RADII * radius_m && distance_m > part.extent()).then(|| Suspicion::FarCentre {
-        part: part.name(),
-        distance_m,
-        radius_m,
-    })
+    (distance_m > FARTHEST_IN_RADII * radius_m && distance_m > part.extent())
+        .then(|| ModelWarning::FarCentre { part: part.name(), distance_m, radius_m })
 }
 
-fn small_inertia(part: &Part<'_>) -> Option<Suspicion> {
+fn small_inertia(part: &Part<'_>) -> Option<ModelWarning> {
     let &Part { mass, moments: [.., moment], .. } = part;
     let least = part.least_moment();
-    (moment < least).then(|| Suspicion::SmallInertia { part: part.name(), mass, moment, least })
+    (moment < least).then(|| ModelWarning::SmallInertia { part: part.name(), mass, moment, least })
 }
 
 /// Compares the density of the uniform ellipsoid with the same mass and moments: its semi-axes are
 /// a² = 5 (I₂ + I₃ − I₁) / 2m and so on.
-fn large_inertia(part: &Part<'_>) -> Option<Suspicion> {
+fn large_inertia(part: &Part<'_>) -> Option<ModelWarning> {
     let &Part { mass, moments, .. } = part;
     let sum: f64 = moments.iter().sum();
     // None below zero: impossible moments are another's to say.
     let semi_axis = |moment: f64| (2.5 * (sum - 2.0 * moment).max(0.0) / mass).sqrt();
     let density = mass / (4.0 / 3.0 * PI * moments.map(semi_axis).iter().product::<f64>());
-    (density < LIGHTEST_KG_PER_M3).then(|| Suspicion::LargeInertia {
+    (density < LIGHTEST_KG_PER_M3).then(|| ModelWarning::LargeInertia {
         part: part.name(),
         mass,
         moments,
@@ -231,11 +228,11 @@ fn large_inertia(part: &Part<'_>) -> Option<Suspicion> {
     })
 }
 
-fn unequal_masses(part: &Part<'_>) -> Option<Suspicion> {
+fn unequal_masses(part: &Part<'_>) -> Option<ModelWarning> {
     let carrier = Part::new(part.model, part.body().parent?);
     let (light, heavy) = if part.mass < carrier.mass { (part, &carrier) } else { (&carrier, part) };
     // A root without mass is a frame to count from.
-    (light.mass > 0.0 && heavy.mass > LARGEST_MASS_RATIO * light.mass).then(|| Suspicion::UnequalMasses {
+    (light.mass > 0.0 && heavy.mass > LARGEST_MASS_RATIO * light.mass).then(|| ModelWarning::UnequalMasses {
         light: light.name(),
         heavy: heavy.name(),
         masses: [light.mass, heavy.mass],
@@ -243,21 +240,21 @@ fn unequal_masses(part: &Part<'_>) -> Option<Suspicion> {
 }
 
 /// Reports all joints without the limit at once: a file that leaves out one limit leaves out most.
-fn no_limit(model: &Model, limit: &'static str, of: fn(&Joint) -> f64) -> Option<Suspicion> {
+fn no_limit(model: &Model, limit: &'static str, of: fn(&Joint) -> f64) -> Option<ModelWarning> {
     let free = |joint: &&Joint| joint.kind != JointKind::Floating && of(joint) == f64::INFINITY;
     let joints: Vec<String> = model.joints().iter().filter(free).map(|j| j.name.clone()).collect();
-    (!joints.is_empty()).then_some(Suspicion::NoLimit { joints, limit })
+    (!joints.is_empty()).then_some(ModelWarning::NoLimit { joints, limit })
 }
 
 /// Checks the range of a joint with limits: others are continuous, or were made in code without limits.
-fn wide_range(joint: &Joint) -> Option<Suspicion> {
+fn wide_range(joint: &Joint) -> Option<ModelWarning> {
     let (lower, upper) = (joint.limits.lower, joint.limits.upper);
     let most = match joint.kind {
         JointKind::Revolute => WIDEST_TURN_RAD,
         JointKind::Prismatic => WIDEST_SLIDE_M,
         JointKind::Continuous | JointKind::Floating => return None,
     };
-    (lower.is_finite() && upper.is_finite() && upper - lower > most).then(|| Suspicion::WideRange {
+    (lower.is_finite() && upper.is_finite() && upper - lower > most).then(|| ModelWarning::WideRange {
         joint: joint.name.clone(),
         kind: joint.kind,
         lower,

@@ -12,7 +12,7 @@ use opspace_model::{Data, frame_placement, kinematics};
 
 /// A run that a page shows in full.
 #[derive(Clone, Debug)]
-pub struct Shown {
+pub struct RunSection {
     /// Title of the run, in one line.
     pub title: String,
     /// Summary of the run.
@@ -25,7 +25,7 @@ pub struct Shown {
     pub facts: Vec<(String, String)>,
 }
 
-impl Shown {
+impl RunSection {
     /// Draws a run from its log.
     #[must_use]
     pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
@@ -53,7 +53,13 @@ impl Shown {
 
 /// Builds a page about runs: one table, then each shown run with its figures.
 #[must_use]
-pub fn page(title: &str, lead: &str, summaries: &[Summary], measures: &[Measure], shown: &[Shown]) -> String {
+pub fn page(
+    title: &str,
+    lead: &str,
+    summaries: &[Summary],
+    measures: &[Measure],
+    shown: &[RunSection],
+) -> String {
     let mut page = Page::new(title).lead(lead).section("Results").table(
         "Medians over the runs of each row, counted from the end of settling",
         &table(summaries, measures),
@@ -102,7 +108,7 @@ pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
             _ => {}
         }
     }
-    figures.extend(set_points(tick));
+    figures.extend(setpoint_figure(tick));
     figures
 }
 
@@ -143,7 +149,7 @@ fn positions(
 ) -> Option<Figure> {
     let reference = tick.signal(&format!("{task}.reference"))?;
     let model = &experiment.robot().model;
-    let frame = model.frame(frame_name).ok()?;
+    let frame = model.frame_id(frame_name).ok()?;
     let q = truth.signal("q")?;
     let mut data = Data::new(model);
     let rest = vec![0.0; model.n()];
@@ -221,10 +227,10 @@ fn from_control_start(recording: &Recording) -> Recording {
 }
 
 /// Setpoints and the measured joints: velocities of a velocity robot, positions of a position robot.
-fn set_points(tick: &ChannelData) -> Option<Figure> {
+fn setpoint_figure(tick: &ChannelData) -> Option<Figure> {
     if let Some(velocities) = tick.signal("dq_desired") {
         return joint_figure(
-            "Set-points",
+            "Setpoints",
             "The velocities that the robot was given, and those that were measured or estimated.",
             "velocity (rad/s)",
             (tick, "dq", "measured"),
@@ -233,7 +239,7 @@ fn set_points(tick: &ChannelData) -> Option<Figure> {
     }
     let positions = tick.signal("q_desired")?;
     joint_figure(
-        "Set-points",
+        "Setpoints",
         "The positions that the robot was given, and where its joints were measured.",
         "position (rad)",
         (tick, "q", "measured"),

@@ -23,11 +23,11 @@ const UNCERTAIN: f64 = 0.1;
 /// Refinement of servo gains while running.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct RefinementParameters {
+pub struct GainAdaptationParameters {
     /// Time over which gains may change by a tenth, s: older measurements count less.
     pub time_s: Positive,
     /// Largest deviation of the gains from the nominal ones, as a share of them, below 1.
-    pub within: Share,
+    pub max_relative_change: Share,
 }
 
 /// Share above 0 and below 1.
@@ -49,24 +49,24 @@ impl TryFrom<f64> for Share {
 
 /// Stiffness and damping of one joint's servo over the nominal ones.
 #[derive(Clone, Copy, Debug)]
-pub struct Refinement {
+pub struct GainAdaptation {
     /// Estimates of a and −b.
     scales: Vector2<f64>,
     covariance: Matrix2<f64>,
     wander: f64,
-    within: f64,
+    max_relative_change: f64,
     noise: f64,
 }
 
-impl Refinement {
-    /// Returns the refinement for a drive of this torque limit (Nm, N), measured every `period_s`.
+impl GainAdaptation {
+    /// Returns the adaptation for a drive of this torque limit (Nm, N), measured every `period_s`.
     #[must_use]
-    pub fn new(parameters: &RefinementParameters, torque_limit: f64, period_s: f64) -> Self {
+    pub fn new(parameters: &GainAdaptationParameters, torque_limit: f64, period_s: f64) -> Self {
         Self {
             scales: Vector2::new(1.0, -1.0),
             covariance: Matrix2::from_diagonal_element(UNCERTAIN * UNCERTAIN),
             wander: UNCERTAIN * UNCERTAIN * period_s / parameters.time_s.get(),
-            within: parameters.within.0,
+            max_relative_change: parameters.max_relative_change.0,
             noise: (NOISE * torque_limit).powi(2),
         }
     }
@@ -77,8 +77,8 @@ impl Refinement {
         let p = self.covariance * x;
         let gain = p / (self.noise + x.dot(&p));
         self.scales += gain * (measured - x.dot(&self.scales));
-        self.scales.x = self.scales.x.clamp(1.0 - self.within, 1.0 + self.within);
-        self.scales.y = self.scales.y.clamp(-1.0 - self.within, -1.0 + self.within);
+        self.scales.x = self.scales.x.clamp(1.0 - self.max_relative_change, 1.0 + self.max_relative_change);
+        self.scales.y = self.scales.y.clamp(-1.0 - self.max_relative_change, -1.0 + self.max_relative_change);
         self.covariance -= gain * p.transpose();
         // Without excitation the uncertainty grows to what it was at the start, not beyond.
         for i in 0..2 {
@@ -97,23 +97,23 @@ mod tests {
     /// Error of the estimated gains due to their own random walk.
     const FOUND: f64 = 1e-3;
 
-    fn refinement(within: f64) -> Refinement {
-        let parameters = RefinementParameters {
+    fn adaptation(within: f64) -> GainAdaptation {
+        let parameters = GainAdaptationParameters {
             time_s: Positive::literal(1.0),
-            within: Share::try_from(within).expect("a share"),
+            max_relative_change: Share::try_from(within).expect("a share"),
         };
-        Refinement::new(&parameters, 40.0, 1e-3)
+        GainAdaptation::new(&parameters, 40.0, 1e-3)
     }
 
     /// Checks the scales estimated from torques of a servo with other gains than the nominal ones.
     #[test]
     fn gains_are_found_from_torques() {
-        let mut refinement = refinement(0.5);
+        let mut adaptation = adaptation(0.5);
         let mut found = [0.0; 2];
         for k in 0..5000 {
             let t = f64::from(k) * 1e-3;
             let (x1, x2) = (30.0 * (3.0 * t).sin(), 20.0 * (5.0 * t).cos());
-            found = refinement.update(0.8 * x1 - 1.2 * x2, x1, x2);
+            found = adaptation.update(0.8 * x1 - 1.2 * x2, x1, x2);
         }
         assert!((found[0] - 0.8).abs() < FOUND && (found[1] - 1.2).abs() < FOUND, "{found:?}");
     }
@@ -121,13 +121,13 @@ mod tests {
     /// Checks the scales of a servo that is further off than allowed, and of one that is not excited.
     #[test]
     fn scales_are_bounded_and_stay_at_rest() {
-        let mut bounded = refinement(0.3);
+        let mut bounded = adaptation(0.3);
         let found = (0..5000).map(|k| {
             let x = 30.0 * (3e-3 * f64::from(k)).sin();
             bounded.update(2.0 * x, x, 0.0)
         });
         assert_eq!(found.last().expect("some")[0], 1.3);
-        let mut still = refinement(0.3);
+        let mut still = adaptation(0.3);
         assert_eq!((0..5000).map(|_| still.update(0.5, 0.0, 0.0)).last(), Some([1.0, 1.0]));
     }
 }

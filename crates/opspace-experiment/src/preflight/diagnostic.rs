@@ -6,7 +6,7 @@ use crate::run::experiment::Experiment;
 
 /// A predicted failure of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
+pub struct Diagnostic {
     /// Key of the value at fault, as a dotted path into its file: `task.hand.cartesian.gains`.
     pub key: String,
     /// Description of the failure, with the numbers.
@@ -23,7 +23,7 @@ enum File {
     Robot,
 }
 
-impl Finding {
+impl Diagnostic {
     pub(super) fn new<S: AsRef<str>>(key: &[S], message: String, help: String) -> Self {
         let key = dotted(&key.iter().map(|part| part.as_ref().to_owned()).collect::<Vec<_>>());
         Self { key, message, help, file: File::Task }

@@ -8,7 +8,7 @@
 //!
 //! with the rows of all tasks that follow a reference in J, and the velocities of the task of all joints in q̇_0.
 
-use super::case::{Case, input};
+use super::case::{PreflightCase, input};
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
 use opspace_control::ik::{ERROR_GAIN_PER_S, POSTURE_GAIN_PER_S};
 use opspace_control::{Controller, Measurement, Targets, Task, TaskSet};
@@ -22,7 +22,7 @@ const LONGEST_STEP_S: f64 = 0.01;
 const STEPS: f64 = 2000.0;
 
 /// Largest number of steps: ten minutes of the longest, so that the check of a run of days ends soon.
-const MOST_STEPS: usize = 60_000;
+const MAX_STEPS: usize = 60_000;
 
 /// Largest number of instants that are kept.
 const KEPT: usize = 4000;
@@ -34,7 +34,7 @@ const DAMPING: f64 = 1e-6;
 const LARGEST_STEP: f64 = 0.2;
 
 /// A run whose references the joints follow.
-pub(crate) struct Followed {
+pub(crate) struct Rollout {
     /// Instants in the order of time; none where the task can't be followed.
     pub instants: Vec<Instant>,
     /// True if the last instant is the end of the run.
@@ -47,7 +47,7 @@ pub(crate) struct Instant {
     /// Number of the step, from 0.
     pub step: usize,
     /// Number of the task set in force.
-    pub stack: usize,
+    pub task_set: usize,
     /// Joint positions, rad or m (n).
     pub q: Vec<f64>,
     /// Joint velocities demanded by the references, rad/s or m/s (n).
@@ -97,21 +97,21 @@ struct Steps {
 }
 
 impl Steps {
-    fn new(case: &Case<'_>) -> Self {
+    fn new(case: &PreflightCase<'_>) -> Self {
         let duration_s = case.experiment.duration_s();
         let period_s = case.experiment.profile().1.period_s();
         let length_s = (duration_s / STEPS).min(LONGEST_STEP_S).max(period_s);
         let all = (duration_s / length_s).round() as usize;
-        Self { length_s, all, count: all.min(MOST_STEPS) }
+        Self { length_s, all, count: all.min(MAX_STEPS) }
     }
 }
 
-impl Followed {
-    pub(crate) fn new(case: &Case<'_>) -> Self {
+impl Rollout {
+    pub(crate) fn new(case: &PreflightCase<'_>) -> Self {
         let steps = Steps::new(case);
         let every = steps.count.div_ceil(KEPT).max(1);
         let (mut instants, mut followed) = (Vec::new(), 0);
-        if let Some(mut follower) = Follower::new(case, steps.length_s) {
+        if let Some(mut follower) = RolloutState::new(case, steps.length_s) {
             for step in 0..=steps.count {
                 let Some(instant) = follower.step(step) else { break };
                 followed = step;
@@ -124,9 +124,9 @@ impl Followed {
     }
 
     /// Follows the run once more, and passes the tasks at the given steps to `visit`, in the order of time.
-    pub(crate) fn revisit(case: &Case<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
+    pub(crate) fn revisit(case: &PreflightCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
         let Some(&last) = steps.iter().max() else { return };
-        let Some(mut follower) = Follower::new(case, Steps::new(case).length_s) else { return };
+        let Some(mut follower) = RolloutState::new(case, Steps::new(case).length_s) else { return };
         for step in 0..=last {
             if follower.step(step).is_none() {
                 return;
@@ -138,8 +138,8 @@ impl Followed {
     }
 }
 
-struct Follower<'a> {
-    case: &'a Case<'a>,
+struct RolloutState<'a> {
+    case: &'a PreflightCase<'a>,
     controller: opspace_control::OperationalSpaceController,
     measurement: Measurement,
     data: Data,
@@ -152,8 +152,8 @@ struct Follower<'a> {
     started: bool,
 }
 
-impl<'a> Follower<'a> {
-    fn new(case: &'a Case<'a>, step_s: f64) -> Option<Self> {
+impl<'a> RolloutState<'a> {
+    fn new(case: &'a PreflightCase<'a>, step_s: f64) -> Option<Self> {
         let controller = case.experiment.unlimited_controller(step_s)?;
         let n = case.model.n();
         let mut measurement = Measurement::new(n, case.experiment.robot().sensors.len(), false);
@@ -187,9 +187,9 @@ impl<'a> Follower<'a> {
         }
         self.controller.update(&input, &mut self.torque);
         // As the controller counts: half a nanosecond early is in time.
-        let stack = case.stacks.iter().rposition(|stack| stack.from_s <= time_s + 5e-10).unwrap_or(0);
+        let stack = case.task_sets.iter().rposition(|stack| stack.from_s <= time_s + 5e-10).unwrap_or(0);
 
-        let mut wanted = Wanted::new(model.n());
+        let mut wanted = DemandedMotion::new(model.n());
         let mut joints = BTreeMap::new();
         let tasks = self.controller.tasks();
         let mut instants = Vec::new();
@@ -234,7 +234,7 @@ impl<'a> Follower<'a> {
         let instant = Instant {
             time_s,
             step,
-            stack,
+            task_set: stack,
             q: self.measurement.q.as_slice().to_vec(),
             gravity: self.data.gravity.as_slice().to_vec(),
             tasks: instants,
@@ -256,7 +256,7 @@ fn single_joint(row: impl Iterator<Item = f64>) -> Option<usize> {
 }
 
 /// Rows of all tasks, and the joint motion in their null space.
-struct Wanted {
+struct DemandedMotion {
     rows: Vec<f64>,
     velocity: Vec<f64>,
     error: Vec<f64>,
@@ -264,7 +264,7 @@ struct Wanted {
     rest_correction: DVector<f64>,
 }
 
-impl Wanted {
+impl DemandedMotion {
     fn new(n: usize) -> Self {
         Self {
             rows: Vec::new(),
@@ -306,7 +306,7 @@ impl Wanted {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Choice, Experiment, Files};
+    use crate::{Experiment, Files, RunOptions};
     use std::path::Path;
 
     /// Compared: joint positions by forward kinematics, and the reference, all along a way out and back. Joints that
@@ -314,9 +314,10 @@ mod tests {
     #[test]
     fn the_joints_follow_the_reference() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/ur5e-reach.toml");
-        let experiment = Experiment::load(Files::Disk, &path, None, Choice::default(), &[]).expect("a task");
-        let case = Case::new(&experiment).expect("a start");
-        let followed = Followed::new(&case);
+        let experiment =
+            Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");
+        let case = PreflightCase::new(&experiment).expect("a start");
+        let followed = Rollout::new(&case);
         assert!(followed.instants.len() > 1000);
         let farthest = followed.instants.iter().map(|i| i.tasks[0].error.norm()).fold(0.0, f64::max);
         assert!(farthest < 3e-4, "{farthest} m");
