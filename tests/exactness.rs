@@ -43,7 +43,7 @@ fn largest_error(run: &Run) -> f64 {
 }
 
 /// Compared: torques that the simulated servos produced from positions, and torques asked for before any
-/// transformer. Nothing joins them but equation (10) and the simulated servo's own code.
+/// transformer. Nothing joins them but equation (K10) and the simulated servo's own code.
 #[test]
 fn setpoints_at_servo_rate_give_the_desired_torques_to_rounding() {
     for (profile, duration_s) in [("a-med", 2.5), ("b-soft", 8.0)] {

@@ -75,7 +75,7 @@ fn torque_error(profile: &str, robot: &str, transformer: &str) -> f64 {
 }
 
 /// Compared: torque errors with identified and with true nominal parameters, of the emulated servo, and of equation
-/// (10) with gains split from the fitted closed loop alone, beside the true ones.
+/// (K10) with gains split from the fitted closed loop alone, beside the true ones.
 #[test]
 fn control_with_what_was_found_is_as_good_as_with_the_truth() {
     let Some((folder, identification)) = identified() else { return };

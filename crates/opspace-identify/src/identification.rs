@@ -225,7 +225,7 @@ impl Identification {
         self.refused.clone().or((self.scale == TorqueScale::Unknown).then(|| ratios.to_owned()))
     }
 
-    /// Effective servo D* = T/(G* (1 − T)) of equation (6) of the paper, at a frequency and a T, with G* of the
+    /// Effective servo D* = T/(G* (1 − T)) of equation (K6) of the paper, at a frequency and a T, with G* of the
     /// identified inertia and viscous friction.
     #[must_use]
     pub fn effective_servo(&self, hz: f64, position: Complex<f64>) -> Option<Complex<f64>> {

@@ -1,12 +1,12 @@
 //! The paper's steps 1) to 5): a transformer from a joint's measured closed loop T(s), without knowledge of its servo.
 //!
 //! With H(s) the assumed model of the joint from torque to position, E is the servo that would explain T, and D* where
-//! H is the ideal joint G* of equation (5):
+//! H is the ideal joint G* of equation (K5):
 //!
 //! ```text
-//! E = T/(H (1 − T))                                                  (6), step 3)
-//! q_desired = τ/E + q                                                (8), first form
-//! q_desired = τ/(E (1 − T)) = H τ/T                                  (8), second form
+//! E = T/(H (1 − T))                                                 (K6), step 3)
+//! q_desired = τ/E + q                                               (K8), first form
+//! q_desired = τ/(E (1 − T)) = H τ/T                                 (K8), second form
 //! ```
 //!
 //! **Literally**, τ is the net torque on a single free joint: gravity, other joints and contact are not included, and
@@ -18,7 +18,7 @@
 //! 1/E = α + β s H        q_desired = q + α τ + β q̇
 //! ```
 //!
-//! which is equation (10) with kp = 1/β and kv = β/α.
+//! which is equation (K10) with kp = 1/β and kv = β/α.
 
 use crate::polynomial::{product, roots, value};
 use crate::servo::ServoGains;
@@ -244,7 +244,7 @@ impl Filter {
     }
 }
 
-/// Transformer by equation (8), literally: for a single joint that is free.
+/// Transformer by equation (K8), literally: for a single joint that is free.
 #[derive(Clone, Debug)]
 pub struct LiteralTransformer {
     joints: Vec<Filter>,

@@ -1,4 +1,4 @@
-//! Joint friction: the model, and its compensation (equation 11 of the paper).
+//! Joint friction: the model, and its compensation (equation (K11) of the paper).
 
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -46,7 +46,7 @@ const fn default_smoothing() -> Positive {
     Positive::literal(0.05)
 }
 
-/// Friction compensation n̂ of equation (11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
+/// Friction compensation n̂ of equation (K11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
 /// backend, for position and torque robots alike.
 #[derive(Clone, Debug)]
 pub struct FrictionCompensation {

@@ -24,7 +24,7 @@ pub enum ServoParameters {
     Velocity(VelocityServo),
 }
 
-/// Equation (9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; optionally with an integral in the velocity loop.
+/// Equation (K9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; optionally with an integral in the velocity loop.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CascadedServo {

@@ -1,6 +1,6 @@
 //! Conversion of torques to positions or velocities by emulating the servo between two interface cycles.
 //!
-//! Equation (10) of the paper is exact at the instant at which the setpoint is taken. A servo that runs R times faster
+//! Equation (K10) of the paper is exact at the instant at which the setpoint is taken. A servo that runs R times faster
 //! then combines the same setpoint with other positions. Here every servo tick up to the next setpoint is emulated with
 //! the drive's own law, on the arm in its present state. The torques at the R servo ticks at which the setpoint acts
 //! are

@@ -14,17 +14,17 @@ use std::borrow::Cow;
 /// Method of converting torques to positions or velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Equation (10) of the paper; its inner stage for velocity servos.
+    /// Equation (K10) of the paper; its inner stage for velocity servos.
     Paper,
     /// Emulation of the servo over the next interval, its mean torque matched.
     Emulation,
     /// Emulation of the servo for drives that interpolate setpoints, the torque of each servo tick matched.
     Interpolating,
-    /// Equation (10) with the gains of a measured closed loop.
+    /// Equation (K10) with the gains of a measured closed loop.
     Identified,
-    /// Equation (8) on a measured closed loop, for a single free joint.
+    /// Equation (K8) on a measured closed loop, for a single free joint.
     IdentifiedLiteral,
-    /// Second form of equation (8), which doesn't use the measured position.
+    /// Second form of equation (K8), which doesn't use the measured position.
     IdentifiedOpenLoop,
 }
 
@@ -109,14 +109,14 @@ impl TransformerKind {
             return "the same, corrected by measured motor current";
         }
         match self.method {
-            Method::Paper => "equation (10) of the paper",
+            Method::Paper => "equation (K10) of the paper",
             Method::Emulation => "the servo emulated up to the next setpoint, its mean torque matched",
             Method::Interpolating => {
                 "the servo emulated where drives interpolate, every tick's torque matched"
             }
-            Method::Identified => "equation (10) with the gains that a measured closed loop has",
+            Method::Identified => "equation (K10) with the gains that a measured closed loop has",
             Method::IdentifiedLiteral => {
-                "equation (8) on a measured closed loop: one joint, free of gravity and contact"
+                "equation (K8) on a measured closed loop: one joint, free of gravity and contact"
             }
             Method::IdentifiedOpenLoop => "its second form, blind to the measured position: drifts",
         }
@@ -196,7 +196,7 @@ pub trait Transformer: Send {
 /// position loop of its cascaded servo.
 ///
 /// ```text
-/// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                   (10)
+/// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                  (K10)
 /// ```
 ///
 /// Other position servos are represented by their equivalent gains; velocity servos have the

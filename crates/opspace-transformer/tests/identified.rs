@@ -14,7 +14,7 @@ const KV: f64 = 60.0;
 /// Tolerance of numbers that are solved for in floating point.
 const EXACT: f64 = 1e-6;
 
-/// T of a mass with viscous friction under the cascade of equation (9), and H: the mass itself.
+/// T of a mass with viscous friction under the cascade of equation (K9), and H: the mass itself.
 fn joint(zeros: &str) -> ClosedLoopModel {
     let text = format!(
         "closed_loop = {{ numerator = {zeros}, denominator = [{}, {}, {INERTIA}] }}\n\

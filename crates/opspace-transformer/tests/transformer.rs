@@ -8,7 +8,7 @@ use opspace_transformer::{
 };
 use std::f64::consts::TAU;
 
-/// Rounding of the few operations of equation (10), relative to positions of order 1.
+/// Rounding of the few operations of equation (K10), relative to positions of order 1.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
 /// Rounding of some hundred steps of a filter, rad/s.
@@ -61,7 +61,7 @@ fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
     transformed_by(&mut PaperTransformer::new(servos()), q, dq, tau)
 }
 
-/// Compared: the transformer's two loops, and equation (10) in one fraction, with the gains of the test.
+/// Compared: the transformer's two loops, and equation (K10) in one fraction, with the gains of the test.
 #[test]
 fn the_paper_transformer_is_equation_10() {
     for (q, dq, tau) in STATES {
@@ -73,7 +73,7 @@ fn the_paper_transformer_is_equation_10() {
     }
 }
 
-/// Compared: the torque of equation (9) at the transformer's setpoint, and the torque given to the transformer.
+/// Compared: the torque of equation (K9) at the transformer's setpoint, and the torque given to the transformer.
 #[test]
 fn the_paper_transformer_inverts_equation_9() {
     for (q, dq, tau) in STATES {
@@ -162,7 +162,7 @@ fn a_steady_motion_has_its_speed() {
     assert!(last.is_some_and(|v| (v - 1.7).abs() < SETTLED), "{last:?}");
 }
 
-/// Compared: n̂, and equation (11)'s `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.
+/// Compared: n̂, and equation (K11)'s `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.
 #[test]
 fn friction_compensation_is_its_model() {
     let joint = |coulomb: f64, viscous: f64| -> FrictionParameters {

@@ -125,7 +125,7 @@ fn effective(joint: &JointIdentification) -> Figure {
         _ => "|D*| (N·m/rad)",
     };
     Figure {
-        title: format!("D* of {}: the effective servo of equation (6)", joint.name),
+        title: format!("D* of {}: the effective servo of equation (K6)", joint.name),
         caption: "T/(G* (1 − T)), with G* of the identified inertia and viscous friction. Where Coulomb friction is most of \
                   the torque, at low frequencies, it depends on the amplitude."
             .to_owned(),

@@ -223,13 +223,13 @@ fn ratios(joint: &JointIdentification) -> String {
     )
 }
 
-/// T as fitted, behind hold and delay, and the ideal joint G* of equation (5): for the transformers `identified`. T is
+/// T as fitted, behind hold and delay, and the ideal joint G* of equation (K5): for the transformers `identified`. T is
 /// scaled to T(0) = 1, since a joint without load moves to its setpoint.
 fn identified(joint: &JointIdentification) -> Option<Table> {
     let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
     let trusted_hz = joint.found.fit_quality.as_ref()?.bandwidth_hz;
     let from_hz = joint.found.measured.first()?.position.first()?.hz;
-    // Linear friction alone, as equation (5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
+    // Linear friction alone, as equation (K5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
     let viscous = servo.friction.map_or(0.0, |friction| friction.viscous);
     let static_gain = t.numerator.first()? / t.denominator.first()?;
     let polynomials = |numerator: &[f64], denominator: &[f64]| {

@@ -14,8 +14,8 @@
 //! L(s) = C(s) exp(−s d Ts) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
 //! ```
 //!
-//! A position robot holds the setpoint of equation (10), of a stiffness K = kv kp and a damping D = kv, and its servo
-//! closes a loop of its own, with S its torque for a setpoint, Y that for a position (for equation (9) S = kv kp and
+//! A position robot holds the setpoint of equation (K10), of a stiffness K = kv kp and a damping D = kv, and its servo
+//! closes a loop of its own, with S its torque for a setpoint, Y that for a position (for equation (K9) S = kv kp and
 //! Y = −kv (kp + W), W its own velocity filter), and B the setpoint's delay and hold over R servo ticks (twice the hold
 //! where the drive interpolates):
 //!
