@@ -1,0 +1,24 @@
+//! Tasks, hierarchy, limits, references and controllers on small arms.
+
+mod allocation;
+mod common;
+#[path = "../../../opspace-log/tests/all/counting/mod.rs"]
+mod counting;
+mod files;
+mod hierarchy;
+mod impedance;
+mod inverse_kinematics;
+mod law;
+mod limited_motion;
+mod limits;
+mod limits_allocation;
+mod qp;
+mod qp_allocation;
+mod reference_allocation;
+mod references;
+mod singularity;
+mod streamed_targets;
+mod subjects;
+mod switching;
+mod swivel;
+mod tasks_in_code;
