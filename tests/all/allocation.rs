@@ -6,7 +6,6 @@
 //! loop runs on it: plant, drives and sensors of the simulated robot included.
 
 use crate::common::{self, ik, load, osc, positions, torque, torques};
-use crate::counting::{allocations, allocations_so_far};
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::quantity::NonNegative;
 use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink, TICK};
@@ -18,6 +17,7 @@ use opspace_experiment::{
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
 use opspace_sim::SimulatedArm;
+use opspace_testing::allocation::{allocations, allocations_so_far};
 use opspace_transformer::{Method, TransformerKind};
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -5,8 +5,6 @@ mod allocation;
 mod cli;
 mod cli_common;
 mod common;
-#[path = "../../crates/opspace-log/tests/all/counting/mod.rs"]
-mod counting;
 mod dropout;
 mod exactness;
 mod experiments;
@@ -18,3 +16,7 @@ mod replay;
 mod report_browser;
 mod robots;
 mod safety;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

@@ -1,9 +1,10 @@
 //! Compared: `opspace model --samples` and Pinocchio's numbers, as by a user who checks our model with another library.
 //! See `tests/oracles/pinocchio/README.md`.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
+#![expect(clippy::unwrap_used, reason = "a test")]
 
-use crate::cli_common::{self, Ran, command, opspace, project, read_json, scratch};
+use crate::cli_common::{self, Ran, command, opspace, scratch};
+use opspace_testing::oracle::{Oracle, numbers, relative_error};
 use serde_json::{Value, json};
 use std::fs;
 use std::io::Write;
@@ -18,14 +19,7 @@ const INVERSE_TOLERANCE: f64 = 1e-8;
 const INPUTS: [&str; 5] = ["q", "dq", "ddq", "tau_in", "f_tip"];
 const INVERTED: [&str; 5] = ["ddq_aba", "ddq_aba_fext", "Lambda", "Jbar", "N"];
 
-fn numbers(value: &Value) -> Vec<f64> {
-    match value {
-        Value::Array(entries) => entries.iter().map(|x| x.as_f64().expect("a number")).collect(),
-        _ => vec![value.as_f64().expect("a number")],
-    }
-}
-
-struct Oracle {
+struct States {
     urdf: String,
     tip: String,
     samples: Vec<Value>,
@@ -33,24 +27,23 @@ struct Oracle {
     lines: String,
 }
 
-fn oracle(robot: &str) -> Oracle {
-    let file = read_json(project(&format!("tests/oracles/pinocchio/{robot}.json")));
-    let samples = file["samples"].as_array().unwrap().clone();
+fn states(robot: &str) -> States {
+    let Oracle { meta, samples, urdf_path, .. } = Oracle::read(&format!("pinocchio/{robot}.json"));
     let lines = samples.iter().map(|sample| {
-        let mut input = json!({ "task_rows": file["meta"]["task_rows"] });
+        let mut input = json!({ "task_rows": meta["task_rows"] });
         INPUTS.iter().for_each(|key| input[key] = sample[key].clone());
         input.to_string() + "\n"
     });
-    Oracle {
-        urdf: project(&format!("tests/oracles/pinocchio/urdf/{}", file["meta"]["urdf"].as_str().unwrap())),
-        tip: file["meta"]["tip_frame"].as_str().unwrap().to_owned(),
+    States {
+        urdf: urdf_path,
+        tip: meta["tip_frame"].as_str().unwrap().to_owned(),
         lines: lines.collect(),
         samples,
     }
 }
 
 fn agree(robot: &str) {
-    let Oracle { urdf, tip, samples, lines } = oracle(robot);
+    let States { urdf, tip, samples, lines } = states(robot);
     let folder = scratch();
     fs::write(folder.path().join("states.jsonl"), lines).unwrap();
     let out =
@@ -64,12 +57,9 @@ fn agree(robot: &str) {
         for key in outputs {
             compared += 1;
             let (a, b) = (numbers(&ours[key]), numbers(&reference[key]));
-            assert_eq!(a.len(), b.len(), "{robot}, sample {i}, {key}");
-            let scale = b.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
             let tolerance = if INVERTED.contains(&key) { INVERSE_TOLERANCE } else { TOLERANCE };
-            for (a, b) in a.iter().zip(&b) {
-                assert!((a - b).abs() <= tolerance * scale, "{robot}, sample {i}, {key}: {a} is not {b}");
-            }
+            let error = relative_error(&a, &b);
+            assert!(error <= tolerance, "{robot}, sample {i}, {key}: off by {error:e}");
         }
         assert_eq!(compared, 19, "quantities");
     }
@@ -102,7 +92,7 @@ fn from_stdin(folder: &Path, arguments: &[&str], input: &str) -> Ran {
 /// States from a file, from standard input, and with results into a file: the same lines.
 #[test]
 fn states_come_from_a_file_or_from_standard_input() {
-    let Oracle { urdf, tip, lines, .. } = oracle("ur5");
+    let States { urdf, tip, lines, .. } = states("ur5");
     let folder = scratch();
     fs::write(folder.path().join("states.jsonl"), &lines).unwrap();
     let arguments = |samples| ["model", urdf.as_str(), "--tip", tip.as_str(), "--samples", samples];
@@ -116,7 +106,7 @@ fn states_come_from_a_file_or_from_standard_input() {
 
 #[test]
 fn a_bad_line_is_named_and_the_lines_before_it_are_answered() {
-    let Oracle { urdf, tip, lines, samples } = oracle("double_pendulum");
+    let States { urdf, tip, lines, samples } = states("double_pendulum");
     let first = lines.lines().next().unwrap();
     let zero = json!([0.0, 0.0]);
     let f_tip = json!([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -146,7 +136,7 @@ fn a_bad_line_is_named_and_the_lines_before_it_are_answered() {
 
 #[test]
 fn a_frame_or_a_file_that_is_not_there_is_named() {
-    let Oracle { urdf, .. } = oracle("ur5");
+    let States { urdf, .. } = states("ur5");
     let folder = scratch();
     let at = |arguments: &[&str]| opspace(folder.path(), arguments).exits(2);
     at(&["model", &urdf, "--tip", "tol0", "--samples", "-"]).says(&["--tip tol0", "tool0"]);

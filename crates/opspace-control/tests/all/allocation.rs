@@ -2,10 +2,10 @@
 //! controllers.
 
 use crate::common::{self, File, Q0, at_state, facts, four_joints, seven_joints};
-use crate::counting::allocations;
 use opspace_backend::Row;
 use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, ServoLead};
 use opspace_model::Model;
+use opspace_testing::allocation::allocations;
 
 /// Counts over updates and samples at several times, at a start pose and at a singular one.
 fn check(model: &Model, controller: &mut dyn Controller, start: &[f64], singular: &[f64]) {

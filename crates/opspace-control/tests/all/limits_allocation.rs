@@ -2,10 +2,10 @@
 //! widened, poses from regular to singular and back. The active set solves them all.
 
 use crate::common::{self, File, at_state, facts, sampled, seven_joints};
-use crate::counting::allocations;
 use opspace_backend::{Observable, Row};
 use opspace_control::{ControlInput, Controller, JointLimits, OperationalSpaceController};
 use opspace_model::update;
+use opspace_testing::allocation::allocations;
 
 const STACK: &str = r#"
 priority = ["hand", "upper", "rest"]

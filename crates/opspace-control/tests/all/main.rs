@@ -2,8 +2,6 @@
 
 mod allocation;
 mod common;
-#[path = "../../../opspace-log/tests/all/counting/mod.rs"]
-mod counting;
 mod files;
 mod hierarchy;
 mod impedance;
@@ -22,3 +20,7 @@ mod subjects;
 mod switching;
 mod swivel;
 mod tasks_in_code;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

@@ -1,10 +1,10 @@
 //! No active-set solution allocates, nor does a failure; the interior point allocates what its documentation says.
 
-use crate::counting::counted;
 use nalgebra::{DMatrix, DVector};
 use opspace_control::active_set::ActiveSet;
 use opspace_control::interior_point::InteriorPoint;
 use opspace_control::qp::quadratic_program::{QpError, QuadraticProgram};
+use opspace_testing::allocation::counted;
 
 /// n variables within a box, with n rows across it, the first of them an equality.
 fn programme(n: usize, tick: usize) -> QuadraticProgram {

@@ -1,12 +1,12 @@
 //! No reference allocates when it begins anew or is evaluated: a task may change within the control loop.
 
 use crate::common::{self, File, Q0, at_state, facts, four_joints};
-use crate::counting::allocations;
 use nalgebra::Vector3;
 use opspace_control::{
     CartesianReference, Controller, OperationalSpaceController, Target, Trajectory, recorded,
 };
 use opspace_model::{Motion, Placement};
+use opspace_testing::allocation::allocations;
 use serde::Deserialize;
 
 #[test]

@@ -1,7 +1,6 @@
 //! Streamed targets: what tasks make of them, between them and without them; task sets by number.
 
 use crate::common::{self, File, Numbers, at_state, facts, sampled, seven_joints};
-use crate::counting::allocations;
 use nalgebra::Vector3;
 use opspace_backend::{Observable, Row};
 use opspace_control::{
@@ -10,6 +9,7 @@ use opspace_control::{
     Trajectory,
 };
 use opspace_model::{Data, Model, Placement, frame_placement};
+use opspace_testing::allocation::allocations;
 use std::collections::BTreeMap;
 
 const PERIOD_S: f64 = 1e-3;

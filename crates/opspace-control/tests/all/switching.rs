@@ -4,11 +4,11 @@
 use crate::common::{
     self, File, Numbers, accelerations, at_state, facts, frame_acceleration, sampled, seven_joints, step,
 };
-use crate::counting::{allocations, counted};
 use nalgebra::{DVector, Rotation3, Vector3};
 use opspace_backend::{Observable, Row, Signal};
 use opspace_control::{ControlContext, Controller, JointLimits, OperationalSpaceController, TaskSet};
 use opspace_model::{Model, frame_placement};
+use opspace_testing::allocation::{allocations, counted};
 
 #[test]
 fn the_counter_counts() {

@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{self, channels, header, is_prefix, log, row};
-use crate::counting::counted;
 use opspace_log::{Header, LogError, Pace, Recording, record};
+use opspace_testing::allocation::counted;
 use std::fs::File;
 use std::process::Command;
 use std::thread::sleep;

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{bits, channels, row};
-use crate::counting::{Count, allocations, counted};
+use opspace_testing::allocation::{Count, allocations, counted};
 
 use foxglove::messages::Log;
 use mcap::MessageStream;

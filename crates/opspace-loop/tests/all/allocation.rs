@@ -4,9 +4,9 @@
 
 use crate::common::cases::{Case, DURATION_S, cases};
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config, weight_and};
-use crate::counting::allocations;
 use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
 use opspace_loop::{ControlLoop, Phase, Run};
+use opspace_testing::allocation::allocations;
 use std::sync::atomic::AtomicBool;
 
 /// The phases and device faults of the rows, without their values.

@@ -4,8 +4,6 @@ mod allocation;
 mod borrowed;
 mod clock;
 mod common;
-#[path = "../../../opspace-log/tests/all/counting/mod.rs"]
-mod counting;
 mod device_fault;
 mod dropout;
 mod ground_truth;
@@ -20,3 +18,7 @@ mod together;
 mod torques;
 mod velocity;
 mod watchdog;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

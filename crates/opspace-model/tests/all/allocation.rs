@@ -1,7 +1,6 @@
 //! No algorithm allocates once its scratch is there: a counting allocator against each of them.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
-use crate::counting::counted;
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::batch::{self, Lanes};
 use opspace_model::{
@@ -13,6 +12,8 @@ use opspace_model::{
     point_jacobian, potential_energy, relative_jacobian, rnea, rnea_derivatives, rnea_external,
     torque_regressor, update, world_jacobian, world_jacobian_rate,
 };
+use opspace_testing::allocation::counted;
+use opspace_testing::oracle::urdf;
 use std::hint::black_box;
 
 /// Number of times that `work` allocates, reallocates or frees.
@@ -28,8 +29,7 @@ fn the_counter_counts() {
 }
 
 fn load(robot: &str, options: UrdfOptions) -> Model {
-    let path = format!("{}/../../tests/oracles/pinocchio/urdf/{robot}.urdf", env!("CARGO_MANIFEST_DIR"));
-    Model::from_urdf_with(&std::fs::read_to_string(path).unwrap(), options).unwrap().model
+    Model::from_urdf_with(&urdf(robot), options).unwrap().model
 }
 
 /// A base that stands, one that floats, a joint that follows another, many branches; each with two of its frames.

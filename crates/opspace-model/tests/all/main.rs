@@ -3,8 +3,6 @@
 mod allocation;
 mod batch;
 mod common;
-#[path = "../../../opspace-log/tests/all/counting/mod.rs"]
-mod counting;
 mod floating;
 mod identities;
 mod mujoco;
@@ -15,3 +13,7 @@ mod states;
 mod suspicion;
 mod trees;
 mod urdf;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

@@ -3,9 +3,10 @@
 //! the URDF itself.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
-use crate::oracle::{Oracle, numbers, oracle, relative_error};
+use crate::oracle::{Oracle, oracle};
 use nalgebra::{DMatrix, Matrix3, Matrix6xX, Vector3};
 use opspace_model::{Data, aba, frame_jacobian, frame_placement, update};
+use opspace_testing::oracle::{numbers, relative_error};
 use serde_json::Value;
 
 /// Largest error of any entry relative to max(1, largest entry of the reference). MuJoCo takes inertias apart

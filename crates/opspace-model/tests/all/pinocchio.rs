@@ -1,10 +1,11 @@
 //! Our algorithms against Pinocchio's numbers on six robots: see `tests/oracles/pinocchio/README.md`.
 //! The two share nothing: Pinocchio has its own URDF reader, algebra and algorithms.
-#![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
+#![expect(clippy::unwrap_used, reason = "a test")]
 
-use crate::oracle::{Oracle, numbers, oracle, relative_error};
+use crate::oracle::{Oracle, oracle};
 use opspace_model::JointKind;
 use opspace_model::samples::{Sample, evaluate};
+use opspace_testing::oracle::{numbers, relative_error};
 
 /// Largest error of any entry relative to max(1, largest entry of the reference), where both sides only add
 /// and multiply. Measured: below 1e-14.

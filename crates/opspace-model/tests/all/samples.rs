@@ -3,10 +3,10 @@
 
 use opspace_model::samples::{Quantities, Sample, SampleError, evaluate};
 use opspace_model::{FrameId, Model, UrdfOptions};
+use opspace_testing::oracle::urdf;
 
 fn robot(name: &str, tip: &str) -> (Model, FrameId) {
-    let path = format!("{}/../../tests/oracles/pinocchio/urdf/{name}.urdf", env!("CARGO_MANIFEST_DIR"));
-    let model = Model::from_urdf(&std::fs::read_to_string(path).unwrap()).unwrap().model;
+    let model = Model::from_urdf(&urdf(name)).unwrap().model;
     let tip = model.frame(tip).unwrap();
     (model, tip)
 }
@@ -188,9 +188,8 @@ fn states_beyond_numbers_are_refused() {
 /// A floating base's rotation is a unit quaternion.
 #[test]
 fn a_quaternion_has_length_one() {
-    let path = format!("{}/../../tests/oracles/pinocchio/urdf/ur5.urdf", env!("CARGO_MANIFEST_DIR"));
     let options = UrdfOptions { floating_base: true, ..UrdfOptions::default() };
-    let model = Model::from_urdf_with(&std::fs::read_to_string(path).unwrap(), options).unwrap().model;
+    let model = Model::from_urdf_with(&urdf("ur5"), options).unwrap().model;
     let tip = model.frame("tool0").unwrap();
     let sample = |w: f64| {
         let q = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, w, 0.3, -1.2, 1.4, -0.7, 0.9, 0.2].to_vec();

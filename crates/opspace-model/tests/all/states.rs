@@ -5,7 +5,7 @@
 //! A matrix is compared by its product with a vector that comes with the state.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
-use crate::oracle::{Oracle, numbers, oracle, relative_error};
+use crate::oracle::{Oracle, oracle};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::{
     Data, Force, FrameId, Inertia, Model, aba, aba_derivatives, aba_external, center_of_mass, centroidal_map,
@@ -14,6 +14,7 @@ use opspace_model::{
     local_jacobian_rate, mass_matrix_inverse, neutral, point_jacobian, potential_energy, relative_jacobian,
     rnea, rnea_derivatives, rnea_external, torque_regressor, update, world_jacobian, world_jacobian_rate,
 };
+use opspace_testing::oracle::{numbers, relative_error};
 use serde_json::Value;
 use std::collections::BTreeMap;
 

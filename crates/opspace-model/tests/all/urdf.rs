@@ -4,8 +4,6 @@
 use nalgebra::{Matrix3, Vector3};
 use opspace_model::{Data, JointKind, Model, UrdfError, frame_placement, kinematics};
 
-const PINOCCHIO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/oracles/pinocchio/urdf");
-
 /// A base, an arm of two moving links and a tool fixed to the second. Tests change one piece of it.
 const ARM: &str = r#"<?xml version="1.0"?>
 <!-- an arm -->
@@ -513,7 +511,7 @@ fn what_is_fixed_to_the_base_has_no_inertia() {
 #[test]
 fn agrees_with_urdf_rs() {
     for robot in ["double_pendulum", "g1_29dof", "kinova_j2s6s200", "panda", "panda_arm7", "ur5"] {
-        let text = std::fs::read_to_string(format!("{PINOCCHIO}/{robot}.urdf")).unwrap();
+        let text = opspace_testing::oracle::urdf(robot);
         let model = Model::from_urdf(&text).expect(robot).model;
         let theirs = urdf_rs::read_from_string(&text).unwrap();
         assert_eq!(model.name(), theirs.name);

@@ -1,15 +1,26 @@
 //! Comparison of the numbers that two builds of opspace compute, bit by bit. `tests/same-bits/run` performs all steps.
+//!
+//! All runs of the suites by each build ([`suites`], [`side`]), a hash of every signal of every run ([`hashes`]), and the
+//! comparison of two lists of hashes ([`compare`](mod@compare)) through a table of the signals that were renamed in
+//! between ([`signals`]).
 
 #![forbid(unsafe_code)]
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
 
+mod compare;
+mod hashes;
+mod locate;
+mod side;
+mod signals;
+mod suites;
+
+use crate::compare::{compare, lines};
+use crate::locate::differences;
+use crate::side::Side;
+use crate::signals::Table;
+use crate::suites::{Run, SUITES};
 use clap::{Args, Parser};
 use opspace_log::Recording;
-use opspace_testing::compare::{compare, lines};
-use opspace_testing::locate::differences;
-use opspace_testing::side::Side;
-use opspace_testing::signals::Table;
-use opspace_testing::suites::{Run, SUITES};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;

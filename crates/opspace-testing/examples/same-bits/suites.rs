@@ -26,6 +26,7 @@ pub struct Run {
     /// Arguments of `opspace run`, relative to the checkout's folder.
     pub arguments: Vec<String>,
     /// Number of seeds that the suite has for the run.
+    #[cfg_attr(not(test), expect(dead_code, reason = "only the test counts the runs of a suite"))]
     pub seeds: usize,
 }
 

@@ -1,15 +1,16 @@
 //! An allocator that counts, thread by thread: the test harness has threads of its own.
 #![expect(unsafe_code, reason = "an allocator can't be written without")]
-#![allow(dead_code, reason = "each test uses some of it")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::hint::black_box;
 
 /// Requests to the allocator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Count {
     /// Number of allocations, reallocations included.
     pub allocations: usize,
+    /// Number of frees.
     pub frees: usize,
     /// Size of the largest piece, bytes.
     pub largest: usize,
@@ -19,10 +20,8 @@ thread_local! {
     static COUNT: Cell<Count> = const { Cell::new(Count { allocations: 0, frees: 0, largest: 0 }) };
 }
 
-struct Counting;
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+/// The system's allocator, with a count of requests for each thread; a test binary makes it its `#[global_allocator]`.
+pub struct CountingAllocator;
 
 fn note(change: impl FnOnce(&mut Count)) {
     // Fails only while a thread ends.
@@ -41,7 +40,7 @@ fn note_allocation(size: usize) {
 }
 
 // SAFETY: everything is passed on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note_allocation(layout.size());
         // SAFETY: the caller's promise is passed on.
@@ -68,12 +67,19 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 /// Number of allocations of this thread so far.
+#[must_use]
 pub fn allocations_so_far() -> usize {
     COUNT.get().allocations
 }
 
 /// Returns the result of `work`, and its requests to the allocator on this thread.
+///
+/// # Panics
+/// If [`CountingAllocator`] is not the global allocator of this binary.
 pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Count) {
+    let unused = allocations_so_far();
+    drop(black_box(Box::new(0_u8)));
+    assert!(allocations_so_far() > unused, "this binary does not declare the counting allocator");
     let before = COUNT.get();
     COUNT.set(Count { largest: 0, ..before });
     let result = work();
