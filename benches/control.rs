@@ -13,6 +13,7 @@ use opspace_control::{
     OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 };
 use opspace_model::{Data, Model, update};
+use opspace_testing::oracle::{urdf, urdf_path};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -44,9 +45,7 @@ fn main() {
     let testing = std::env::args().any(|a| a == "--test");
     let calls = if testing { 1 } else { CALLS };
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let urdf = root.join("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
-    let text = std::fs::read_to_string(&urdf).expect("the URDF is in the repository");
-    let model = Model::from_urdf(&text).expect("it is a good one").model;
+    let model = Model::from_urdf(&urdf("panda_arm7")).expect("it is a good one").model;
 
     let limits = JointLimits {
         acceleration: vec![ACCELERATION_LIMIT_RAD_PER_S2; model.n()],
@@ -72,7 +71,7 @@ fn main() {
     let peer = |name: &str| {
         let path = root.join("target").join(name).join("peer");
         let built = path.exists() && !testing;
-        if built { measure_peer(&path, &urdf, TIP) } else { BTreeMap::new() }
+        if built { measure_peer(&path, Path::new(&urdf_path("panda_arm7")), TIP) } else { BTreeMap::new() }
     };
     let (pinocchio, tsid) = (peer("pinocchio"), peer("tsid"));
     let theirs = |of: &BTreeMap<String, f64>, name: &str, ns: f64| {

@@ -16,6 +16,7 @@ use opspace_model::{
     frame_jacobian, frame_placement, frame_velocity, gravity, kinematics, mass_matrix_inverse, rnea,
     rnea_derivatives, torque_regressor, update,
 };
+use opspace_testing::oracle::{urdf, urdf_path};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -44,11 +45,12 @@ fn main() {
     for (robot, tip) in
         ROBOTS.into_iter().filter(|(robot, _)| names.is_empty() || names.iter().any(|n| n == robot))
     {
-        let urdf = root.join(format!("tests/oracles/pinocchio/urdf/{robot}.urdf"));
-        let text = std::fs::read_to_string(&urdf).expect("the URDF is in the repository");
-        let model = Model::from_urdf(&text).expect("it is a good one").model;
-        let theirs =
-            if peer.exists() && !testing { measure_peer(&peer, &urdf, tip) } else { BTreeMap::new() };
+        let model = Model::from_urdf(&urdf(robot)).expect("it is a good one").model;
+        let theirs = if peer.exists() && !testing {
+            measure_peer(&peer, Path::new(&urdf_path(robot)), tip)
+        } else {
+            BTreeMap::new()
+        };
         let mut bench = Bench::new(&model, model.frame_id(tip).expect("has that frame"));
         // The first tenth of a second after another program is a third slower: a first round warms up.
         bench.measure(calls);
@@ -67,7 +69,7 @@ fn main() {
     }
     if names.is_empty() {
         scaling(calls);
-        batches(calls, &root);
+        batches(calls);
     }
 }
 
@@ -251,10 +253,8 @@ fn scaling(calls: usize) {
 }
 
 /// Measures states per second, one after another and in lanes.
-fn batches(calls: usize, root: &Path) {
-    let path = root.join("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
-    let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
-    let model = Model::from_urdf(&text).expect("it is a good one").model;
+fn batches(calls: usize) {
+    let model = Model::from_urdf(&urdf("panda_arm7")).expect("it is a good one").model;
     let one = warm_sweep(&model, calls);
     let many = warm_sweep(&model.splat::<Lanes>(), calls);
     println!("\npanda_arm7, million states per second: alone, {} in lanes", batch::COUNT);

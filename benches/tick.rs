@@ -8,6 +8,7 @@ use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
 };
 use opspace::transformer::{PaperTransformer, Transformer};
+use opspace_testing::oracle::urdf;
 use std::path::Path;
 
 fn main() {
@@ -18,9 +19,7 @@ const ROBOTS: [&str; 3] = ["double_pendulum", "panda_arm7", "g1_29dof"];
 
 /// A robot in motion, away from zeros, and the frame furthest from its base.
 fn robot(name: &str) -> (Model, Data, Vec<f64>, Vec<f64>) {
-    let path = format!("{}/../../tests/oracles/pinocchio/urdf/{name}.urdf", env!("CARGO_MANIFEST_DIR"));
-    let text = std::fs::read_to_string(path).expect("the URDF is in the repository");
-    let model = Model::from_urdf(&text).expect("it is a good one").model;
+    let model = Model::from_urdf(&urdf(name)).expect("it is a good one").model;
     let q: Vec<f64> = (0..model.n()).map(|i| 0.3 + 0.1 * i as f64).collect();
     let dq: Vec<f64> = (0..model.n()).map(|i| 0.5 - 0.07 * i as f64).collect();
     let mut data = Data::new(&model);

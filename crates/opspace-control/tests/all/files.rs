@@ -1,0 +1,287 @@
+//! Task files that are wrong: the text of every error and the key that it points at.
+
+use crate::common::{File, build_error, facts, four_joints, seven_joints};
+use opspace_control::{InverseKinematicsController, OperationalSpaceController, ServoLead, TaskParameters};
+use schemars::schema_for;
+use std::collections::BTreeMap;
+
+const HAND: &str = r#"
+priority = ["hand", "rest"]
+[task.hand.cartesian]
+frame = "hand"
+axes = { x = "compliant", y = "motion", z = "motion" }
+reference = "hold"
+gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+force = { sensor = "wrist" }
+[task.rest.joint-posture]
+frequency_rad_per_s = 6.0
+damping_ratio = 0.8
+"#;
+
+const AXES: &str = r#"axes = { x = "compliant", y = "motion", z = "motion" }"#;
+
+/// Each change to a good file against the key and the message of the error it makes.
+#[test]
+fn errors_name_the_value_and_the_choices() {
+    let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
+    let cases = [
+        (
+            ("frame = \"hand\"", "frame = \"hnad\""),
+            "task.hand.cartesian.frame",
+            "no frame 'hnad'; the frames are: shoulder_pitch, shoulder_roll, shoulder_yaw, elbow, hand, wrist",
+        ),
+        (
+            (r#"["hand", "rest"]"#, r#"["hand", "reset"]"#),
+            "priority",
+            "no task 'reset'; the tasks are: hand, rest",
+        ),
+        (
+            (r#"["hand", "rest"]"#, r#"["hand"]"#),
+            "task.rest",
+            "task 'rest' is not in `priority`: give it a place there, or remove it",
+        ),
+        (
+            (r#"["hand", "rest"]"#, r#"["hand", "rest", "hand"]"#),
+            "priority",
+            "task 'hand' stands twice in `priority`",
+        ),
+        (
+            (r#"["hand", "rest"]"#, r#"["rest", "hand"]"#),
+            "priority",
+            "task 'rest' is in joint space and takes all the freedom that is left: it must be last in `priority`, but 'hand' stands below it",
+        ),
+        (
+            ("sensor = \"wrist\"", "sensor = \"foot\""),
+            "task.hand.cartesian.force.sensor",
+            "no force sensor 'foot'; the robot's are: wrist",
+        ),
+        (
+            (AXES, r#"axes = { x = "free" }"#),
+            "task.hand.cartesian.axes",
+            "all axes are free: at least one of x, y, z, rx, ry, rz must be `motion`, `compliant` or `force`",
+        ),
+        (
+            (
+                AXES,
+                r#"axes = { x = "compliant", y = "motion", z = "motion", rx = "motion", ry = "motion", rz = "motion" }"#,
+            ),
+            "task.hand.cartesian.axes",
+            "task 'hand' asks for 6 axes, this arm has 4 joints",
+        ),
+        (
+            (AXES, r#"axes = { x = "compliant", y = "motion", z = "motion", ry = "motion" }"#),
+            "task.hand.cartesian.axes.ry",
+            "task 'hand' asks for axis ry, but this arm of 4 joints can't turn the frame without moving it, wherever it stands: leave rx, ry and rz free",
+        ),
+        (
+            (AXES, r#"axes = { x = "motion" }"#),
+            "task.hand.cartesian.force",
+            "force feedback needs at least one axis that is `compliant` or `force`",
+        ),
+        (
+            ("sensor = \"wrist\"", "sensor = \"wrist\", integral_limit = 3.0"),
+            "task.hand.cartesian.force.integral_limit",
+            "only `force` axes integrate the force error: remove it, or make an axis `force`",
+        ),
+        (
+            ("sensor = \"wrist\"", "sensor = \"wrist\", target_n = { y = 3.0 }"),
+            "task.hand.cartesian.force.target_n",
+            "axis y takes no force (N) here: it is not a compliant or force axis of that kind",
+        ),
+        (
+            (gains, "gains = { frequency_rad_per_s = { y = 14.0 }, damping_ratio = 1.0 }"),
+            "task.hand.cartesian.gains.frequency_rad_per_s",
+            "no value for axis z, which is not free",
+        ),
+        (
+            ("damping_ratio = 0.8", "damping_ratio = { elbow = 0.8 }"),
+            "task.rest.joint-posture.damping_ratio",
+            "no value for joint 'shoulder_pitch': give one number for all joints, or one for each",
+        ),
+        (
+            ("damping_ratio = 0.8", "damping_ratio = 0.8\nposture_rad = { ellbow = 1.0 }"),
+            "task.rest.joint-posture.posture_rad.ellbow",
+            "no joint 'ellbow'; the joints are: shoulder_pitch, shoulder_roll, shoulder_yaw, elbow",
+        ),
+        (
+            ("reference = \"hold\"", "reference.point-to-point = { duration_s = 1.0 }"),
+            "task.hand.cartesian.reference.point-to-point",
+            "the goal names neither `position` nor `orientation`",
+        ),
+        (
+            ("reference = \"hold\"", "reference.sinusoid.rx = [{ amplitude_rad = 0.1, frequency_hz = 1.0 }]"),
+            "task.hand.cartesian.reference",
+            "an orientation is asked for, but the axes rx, ry and rz are all free",
+        ),
+        (
+            ("reference = \"hold\"", "reference.waypoints = []"),
+            "task.hand.cartesian.reference.waypoints",
+            "no waypoint: at least one is needed",
+        ),
+        (
+            (
+                "reference = \"hold\"",
+                "reference.waypoints = [{ time_s = 2.0, position = { offset_m = [0.0, 0.0, 0.1] } }, { time_s = 1.0 }]",
+            ),
+            "task.hand.cartesian.reference.waypoints",
+            "waypoint 1 at 1 s does not come after 2 s",
+        ),
+    ];
+    for ((from, to), key, message) in cases {
+        assert!(HAND.contains(from), "{from}");
+        let error = build_error(&four_joints(), &HAND.replace(from, to));
+        assert_eq!((error.key(), error.reason().to_string().as_str()), (key, message));
+        assert_eq!(error.to_string(), format!("{key}: {message}"));
+    }
+}
+
+/// Lists of joints that name none, one twice, one that isn't there and too many, against their error; a list that is
+/// left out means all joints.
+#[test]
+fn a_task_of_some_joints_names_them() {
+    let build = |joints: &str| {
+        let text = format!(
+            "priority = [\"all\"]\n[task.all.joint-tracking]\n{joints}\nreference = \"hold\"\n\
+             gains = {{ frequency_rad_per_s = 6.0, damping_ratio = 1.0 }}"
+        );
+        let (model, file) = (seven_joints(), File::read(&text));
+        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).map(|_| ())
+    };
+    let listed =
+        "`joints` must name at least one joint, and each only once: leave it out for a task of all joints";
+    for (joints, message) in [
+        ("joints = []", listed),
+        (r#"joints = ["j4", "j2", "j4"]"#, listed),
+        (r#"joints = ["j8"]"#, "no joint 'j8'; the joints are: j1, j2, j3, j4, j5, j6, j7"),
+        (
+            r#"joints = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"]"#,
+            "a task of some joints can have 6 of them at most, not 7",
+        ),
+    ] {
+        let error = build(joints).expect_err(joints);
+        assert_eq!(error.to_string(), format!("task.all.joint-tracking.joints: {message}"));
+    }
+    assert_eq!(build(""), Ok(()));
+    assert_eq!(build(r#"joints = ["j4", "j2"]"#), Ok(()));
+}
+
+/// Each slip against the start of serde's message.
+#[test]
+fn slips_are_refused_by_the_parser() {
+    let cases = [
+        (
+            AXES,
+            r#"axes = { x = "stiff" }"#,
+            "unknown variant `stiff`, expected one of `motion`, `compliant`, `force`, `free`",
+        ),
+        (
+            AXES,
+            r#"axes = { w = "motion" }"#,
+            "unknown field `w`, expected one of `x`, `y`, `z`, `rx`, `ry`, `rz`",
+        ),
+        ("= 14.0", "= -14.0", "expected a number above 0, got -14"),
+        (
+            "= 14.0",
+            "= \"fast\"",
+            "invalid type: string \"fast\", expected a number, [x, y, z], [x, y, z, rx, ry, rz], or a table such as { x = 1.0, rz = 2.0 }",
+        ),
+        (
+            "= 14.0",
+            "= [1.0, 2.0]",
+            "invalid length 2, expected 3 numbers [x, y, z] or 6 [x, y, z, rx, ry, rz]",
+        ),
+        (
+            "= 14.0",
+            "= { x = 1.0, u = 2.0 }",
+            "unknown variant `u`, expected one of `x`, `y`, `z`, `rx`, `ry`, `rz`",
+        ),
+        (
+            "= 0.8",
+            "= true",
+            "invalid type: boolean `true`, expected a number for all joints, or a table with one for each: { shoulder = 1.0, elbow = 2.0 }",
+        ),
+        ("= 0.8", "= 0.8\nstiffness = 3.0", "unknown field `stiffness`"),
+    ];
+    for (from, to, message) in cases {
+        assert!(HAND.contains(from), "{from}");
+        let error = toml::from_str::<File>(&HAND.replacen(from, to, 1)).expect_err(to);
+        assert!(error.message().starts_with(message), "{}", error.message());
+        let span = error.span().expect("the error knows its place");
+        assert!(span.len() < 80, "and not the whole table: {} bytes", span.len());
+    }
+}
+
+/// A force axis needs a sensor.
+#[test]
+fn a_force_axis_without_a_sensor_is_refused() {
+    let text =
+        HAND.replace("x = \"compliant\"", "x = \"force\"").replace("force = { sensor = \"wrist\" }\n", "");
+    let error = build_error(&four_joints(), &text);
+    assert_eq!(error.key(), "task.hand.cartesian.force");
+    assert!(error.to_string().contains("a `force` axis needs a sensor and a target"), "{error}");
+}
+
+/// A second task beside a first: axes that the two can't have at once, by number and by rank.
+#[test]
+fn a_stack_that_can_not_be_filled_is_refused() {
+    let second = |frame: &str, axes: &str| {
+        let text = HAND.replace(r#""rest"]"#, r#""second", "rest"]"#);
+        format!(
+            "{text}[task.second.cartesian]\nframe = \"{frame}\"\naxes = {axes}\nreference = \"hold\"\n\
+             gains = {{ frequency_rad_per_s = 14.0, damping_ratio = 1.0 }}\n"
+        )
+    };
+    let error = build_error(&four_joints(), &second("elbow", r#"{ x = "motion", y = "motion" }"#));
+    assert_eq!(error.key(), "task.second.cartesian.axes");
+    assert_eq!(
+        error.reason().to_string(),
+        "task 'second' asks for 2 axes beside the 3 of the tasks above it, this arm has 4 joints"
+    );
+    let error = build_error(&seven_joints(), &second("hand", r#"{ x = "motion" }"#));
+    assert_eq!(
+        error.reason().to_string(),
+        "task 'second' asks for 1 axes beside the 3 of the tasks above it, but wherever this arm stands it can move \
+         only 3 of these 4 at once"
+    );
+    let model = four_joints();
+    let file = File::read(&second("elbow", r#"{ y = "motion" }"#));
+    assert!(OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).is_ok());
+}
+
+#[test]
+fn inverse_kinematics_needs_a_motion_and_a_lead_for_every_joint() {
+    let model = four_joints();
+    let robot = facts(&model, "hand");
+    let file = File::read("priority = [\"all\"]\n[task.all.joint-damping]\ndamping_nms_per_rad = 0.0");
+    let error = InverseKinematicsController::new(&model, &file.stack(), &robot, None).expect_err("no motion");
+    assert!(error.to_string().starts_with("priority: no task of this stack asks for a motion"));
+    let file = File::read(HAND);
+    let lead = ServoLead { kp_per_s: vec![50.0; 4], stiffness_nm_per_rad: vec![1e3; 3] };
+    let error = InverseKinematicsController::new(&model, &file.stack(), &robot, Some(lead))
+        .expect_err("three numbers");
+    assert_eq!(error.to_string(), "stiffness_nm_per_rad: 3 numbers for 4 joints");
+}
+
+#[test]
+fn every_key_of_the_schema_is_described() {
+    fn visit(value: &serde_json::Value, undescribed: &mut Vec<String>) {
+        let properties = value.get("properties").and_then(|p| p.as_object());
+        for (name, property) in properties.into_iter().flatten() {
+            // The axes of a per-axis table and the content of an enum's variant explain themselves.
+            let plain = ["x", "y", "z", "rx", "ry", "rz"].contains(&name.as_str());
+            if !plain && property.get("description").is_none() && value.get("description").is_none() {
+                undescribed.push(name.clone());
+            }
+        }
+        match value {
+            serde_json::Value::Array(list) => list.iter().for_each(|v| visit(v, undescribed)),
+            serde_json::Value::Object(map) => map.values().for_each(|v| visit(v, undescribed)),
+            _ => {}
+        }
+    }
+    let schema = schema_for!(BTreeMap<String, TaskParameters>);
+    let mut undescribed = Vec::new();
+    visit(schema.as_value(), &mut undescribed);
+    assert!(schema.as_value().to_string().contains("singularity_threshold"));
+    assert!(undescribed.is_empty(), "{undescribed:?}");
+}

@@ -1,0 +1,221 @@
+//! The baseline: where forward kinematics puts the arm at the streamed joint positions, against the
+//! reference; and the lead against its formula.
+
+use crate::common::{self, File, Q0, at_state, facts, four_joints, seven_joints};
+use nalgebra::Vector3;
+use opspace_backend::{CommandKind, Observable, Row};
+use opspace_control::{Controller, InverseKinematicsController, ServoLead, orientation};
+use opspace_model::{Data, Model, frame_placement, gravity, kinematics};
+use std::f64::consts::PI;
+
+const LISSAJOUS: &str = r#"
+priority = ["hand", "rest"]
+[task.hand.cartesian]
+frame = "hand"
+axes = { x = "motion", y = "compliant", z = "motion" }
+gains = { frequency_rad_per_s = 14.142, damping_ratio = 1.0 }
+[task.hand.cartesian.reference.sinusoid]
+x = [{ amplitude_m = 0.05, frequency_hz = 1.0 }]
+y = [{ amplitude_m = 0.10, frequency_hz = 0.5 }]
+z = [{ amplitude_m = 0.08, frequency_hz = 0.5, phase_rad = -1.5707963267948966, offset_m = 0.08 }]
+[task.rest.joint-posture]
+frequency_rad_per_s = 6.0
+damping_ratio = 0.8
+"#;
+
+fn values(controller: &InverseKinematicsController, name: &str) -> Vec<f64> {
+    let signals = controller.signals();
+    let mut row = vec![0.0; signals.iter().map(|s| s.len()).sum()];
+    controller.sample(&mut Row::new(&mut row));
+    let place = signals.iter().position(|s| s.name == name).expect("the signal exists");
+    let first: usize = signals[..place].iter().map(|s| s.len()).sum();
+    row[first..first + signals[place].len()].to_vec()
+}
+
+fn placed(model: &Model, q: &[f64]) -> Data {
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, q, &vec![0.0; q.len()]);
+    gravity(model, &mut data);
+    data
+}
+
+#[test]
+fn the_streamed_positions_follow_the_figure_and_lead_by_the_servos_lag() {
+    let model = four_joints();
+    let file = File::read(LISSAJOUS);
+    let robot = facts(&model, "hand");
+    let lead =
+        ServoLead { kp_per_s: vec![50.3; 4], stiffness_nm_per_rad: vec![4756.0, 4522.0, 1529.0, 1524.0] };
+    let build =
+        |lead| InverseKinematicsController::new(&model, &file.stack(), &robot, lead).expect("a good stack");
+    let (mut plain, mut led) = (build(None), build(Some(lead.clone())));
+    assert_eq!(plain.command_kind(), CommandKind::Position);
+    let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    plain.start(&common::input(&model, &data, &measurement));
+    led.start(&common::input(&model, &data, &measurement));
+    let hand = model.frame_id("hand").expect("hand");
+    let start = frame_placement(&model, &data, hand).translation;
+    let (mut streamed, mut ahead) = ([0.0; 4], [0.0; 4]);
+    let mut worst = 0.0_f64;
+    for tick in 0..4000 {
+        let t = 1e-3 * f64::from(tick);
+        measurement.time_s = t;
+        plain.update(&common::input(&model, &data, &measurement), &mut streamed);
+        led.update(&common::input(&model, &data, &measurement), &mut ahead);
+        if tick == 0 {
+            assert!(streamed == Q0, "the first command is the measured posture");
+        }
+        let at = placed(&model, &streamed);
+        let dq = values(&led, "ik.dq");
+        for i in 0..4 {
+            let expected = streamed[i] + dq[i] / 50.3 + at.gravity[i] / lead.stiffness_nm_per_rad[i];
+            assert!((ahead[i] - expected).abs() < 1e-14, "joint {i} at {t} s");
+        }
+        if t >= 1.0 {
+            let w = PI * t;
+            let figure = Vector3::new(0.05 * (2.0 * w).sin(), 0.10 * w.sin(), 0.08 * (1.0 - w.cos()));
+            worst = worst.max((frame_placement(&model, &at, hand).translation - start - figure).norm());
+        }
+    }
+    // Explicit Euler lags by T ẍ/2 over the error gain: 1e-3 · 2 / 2 / 20.
+    assert!(worst < 1e-4, "{worst} m");
+}
+
+/// Orientation and position on seven joints; a robot that compensates gravity gets no lead for it.
+#[test]
+fn a_pose_is_reached() {
+    let model = seven_joints();
+    let file = File::read(
+        r#"
+        priority = ["hand", "rest"]
+        [task.hand.cartesian]
+        frame = "hand"
+        axes = { x = "motion", y = "motion", z = "motion", rx = "motion", ry = "motion", rz = "motion" }
+        gains = { frequency_rad_per_s = 14.142, damping_ratio = 1.0 }
+        reference.point-to-point = { position = { offset_m = [0.05, -0.04, -0.06] }, orientation = { offset_rpy_rad = [0.3, 0.2, -0.4] }, duration_s = 1.0 }
+        [task.rest.joint-posture]
+        frequency_rad_per_s = 6.0
+        damping_ratio = 0.8
+        "#,
+    );
+    let mut robot = facts(&model, "hand");
+    robot.gravity_by_robot = true;
+    let lead = ServoLead { kp_per_s: vec![50.0; 7], stiffness_nm_per_rad: vec![1e3; 7] };
+    let mut controller =
+        InverseKinematicsController::new(&model, &file.stack(), &robot, Some(lead)).expect("a good stack");
+    let q = [0.3, 0.7, -0.4, -1.4, 0.2, 1.1, 0.5];
+    let (data, mut measurement) = at_state(&model, &q, &[0.0; 7], 0.0);
+    controller.start(&common::input(&model, &data, &measurement));
+    let mut command = [0.0; 7];
+    for tick in 0..3000 {
+        measurement.time_s = 1e-3 * f64::from(tick);
+        controller.update(&common::input(&model, &data, &measurement), &mut command);
+    }
+    let hand = model.frame_id("hand").expect("hand");
+    let [from, to] =
+        [frame_placement(&model, &data, hand), frame_placement(&model, &placed(&model, &command), hand)];
+    assert!((to.translation - from.translation - Vector3::new(0.05, -0.04, -0.06)).norm() < 1e-6);
+    let turn = to.rotation * from.rotation.transpose() * orientation::from_rpy([0.3, 0.2, -0.4]).transpose();
+    assert!(orientation::log(&turn).norm() < 1e-6);
+}
+
+/// With the hand held, the elbow swings to where the posture asks for no more motion that the hand allows:
+/// what is left of the way to the posture has no part in the kernel of J.
+#[test]
+fn the_posture_is_approached_without_the_hand() {
+    let model = four_joints();
+    let text =
+        LISSAJOUS.replace("damping_ratio = 0.8", "damping_ratio = 0.8\nposture_rad = { shoulder_yaw = 0.7 }");
+    let begin = text.find("[task.hand.cartesian.reference").expect("there");
+    let end = text.find("[task.rest").expect("there");
+    let text = text.replace(&text[begin..end], "").replace("gains =", "reference = \"hold\"\ngains =");
+    let file = File::read(&text);
+    let mut controller =
+        InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+            .expect("a good stack");
+    let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    controller.start(&common::input(&model, &data, &measurement));
+    let mut q = [0.0; 4];
+    for _ in 0..20_000 {
+        controller.update(&common::input(&model, &data, &measurement), &mut q);
+    }
+    let hand = model.frame_id("hand").expect("hand");
+    let at = placed(&model, &q);
+    let [from, to] = [&data, &at].map(|data| frame_placement(&model, data, hand).translation);
+    assert!((to - from).norm() < 1e-9, "the hand stays");
+    assert!(q[2] > Q0[2] + 0.05, "the shoulder turns to {}", q[2]);
+    let j = common::jacobian(&model, &at, "hand").rows(0, 3).into_owned();
+    let kernel = nalgebra::DMatrix::identity(4, 4) - j.clone().pseudo_inverse(1e-9).expect("finite") * j;
+    let left = nalgebra::DVector::from_fn(4, |i, _| if i == 2 { 0.7 - q[i] } else { Q0[i] - q[i] });
+    assert!((kernel * left).norm() < 1e-6, "the posture is as near as it gets");
+}
+
+/// Two tasks that move at once: the second makes up for what the first does to it.
+#[test]
+fn a_lower_task_follows_too() {
+    let model = four_joints();
+    let text = LISSAJOUS.replace(r#"["hand", "rest"]"#, r#"["hand", "elbow"]"#);
+    let end = text.find("[task.rest").expect("there");
+    let text = format!(
+        "{}[task.elbow.cartesian]\nframe = \"elbow\"\naxes = {{ y = \"motion\" }}\nreference = \"hold\"\n\
+         gains = {{ frequency_rad_per_s = 14.0, damping_ratio = 1.0 }}\n",
+        &text[..end]
+    )
+    .replace("0.05", "0.02")
+    .replace("0.10", "0.02")
+    .replace("0.08", "0.02");
+    let file = File::read(&text);
+    let mut controller =
+        InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+            .expect("a good stack");
+    let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    controller.start(&common::input(&model, &data, &measurement));
+    let elbow = model.frame_id("elbow").expect("elbow");
+    let start = frame_placement(&model, &data, elbow).translation.y;
+    let mut q = [0.0; 4];
+    for tick in 0..3000 {
+        measurement.time_s = 1e-3 * f64::from(tick);
+        controller.update(&common::input(&model, &data, &measurement), &mut q);
+        let off = frame_placement(&model, &placed(&model, &q), elbow).translation.y - start;
+        // Explicit Euler, as above.
+        assert!(off.abs() < 1e-4, "{off} m at {} s", measurement.time_s);
+    }
+}
+
+#[test]
+fn joint_references_are_streamed_as_they_are() {
+    let model = four_joints();
+    let file = File::read(
+        r#"
+        priority = ["all"]
+        [task.all.joint-tracking]
+        gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
+        reference.sinusoid.joints.elbow = [{ amplitude_rad = 0.4, frequency_hz = 0.7 }]
+        "#,
+    );
+    let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
+    for lead in [false, true] {
+        let servo = lead.then(|| ServoLead { kp_per_s: vec![50.0; 4], stiffness_nm_per_rad: vec![1e3; 4] });
+        let mut controller =
+            InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), servo)
+                .expect("a good stack");
+        measurement.time_s = 0.0;
+        controller.start(&common::input(&model, &data, &measurement));
+        measurement.time_s = 1.9;
+        let mut command = [0.0; 4];
+        controller.update(&common::input(&model, &data, &measurement), &mut command);
+        let omega = 2.0 * PI * 0.7;
+        let mut q = Q0;
+        q[3] += 0.4 * (omega * 1.9).sin();
+        if lead {
+            let sag = placed(&model, &q).gravity;
+            q[3] += 0.4 * omega * (omega * 1.9).cos() / 50.0;
+            for i in 0..4 {
+                q[i] += sag[i] / 1e3;
+            }
+        }
+        for i in 0..4 {
+            assert!((command[i] - q[i]).abs() < 1e-14, "joint {i}: {} for {}", command[i], q[i]);
+        }
+    }
+}

@@ -1,0 +1,487 @@
+//! Commands within the robot's limits, against the tasks' own torques where no limit is in the way, against an
+//! independent cascade of least squares where one is.
+
+use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, LENGTH_M, POSE, without_limits};
+use crate::common::{
+    self, File, Numbers, accelerations, at_state, facts, frame_acceleration, jacobian, random_arm, sampled,
+};
+use nalgebra::{DMatrix, DVector};
+use opspace_backend::Observable;
+use opspace_control::limits::bounds::HORIZON_S;
+use opspace_control::{ControlContext, Controller, JointLimits, Measurement, OperationalSpaceController};
+use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity};
+
+/// Two solutions of one programme, by methods with tolerances of 1e-9 and smaller, relative to their size.
+const SOLVERS: f64 = 1e-6;
+
+/// Distance from a bound, relative to its size, within which a command is said to be at it.
+const AT_BOUND: f64 = 1e-6;
+
+/// Distance from a bound of a command that a level above wanted there: what the widening between levels lets the lower
+/// ones do where rows are nearly parallel.
+const MET: f64 = 1e-4;
+
+const HAND_POSE: &[usize] = &[0, 1, 2, 3, 4, 5];
+
+/// A task set, the number of joints of its arm, and the rows of its levels: frames and axes.
+struct Case {
+    text: &'static str,
+    joints: usize,
+    levels: &'static [(&'static str, &'static [usize])],
+}
+
+const CASES: [Case; 7] = [
+    Case { text: POSE, joints: 7, levels: &[("hand", HAND_POSE)] },
+    Case { text: ELBOW, joints: 7, levels: &[("hand", &[0, 1, 2]), ("upper", &[2])] },
+    Case { text: DAMPED, joints: 7, levels: &[("hand", &[0, 1, 2])] },
+    Case { text: COMPLIANT, joints: 7, levels: &[("hand", &[0, 1, 2, 5])] },
+    Case { text: ELBOW, joints: 6, levels: &[("hand", &[0, 1, 2]), ("upper", &[2])] },
+    Case { text: DAMPED, joints: 6, levels: &[("hand", &[0, 1, 2])] },
+    Case { text: COMPLIANT, joints: 6, levels: &[("hand", &[0, 1, 2, 5])] },
+];
+
+/// An arm on its way: where it was started, and where it is.
+struct Scene {
+    model: Model,
+    start: Vec<f64>,
+    data: Data,
+    measurement: Measurement,
+}
+
+impl Scene {
+    /// A random arm that has moved by some `far`, rad.
+    fn new(joints: usize, far: f64, numbers: &mut Numbers) -> Self {
+        let model = random_arm(joints, numbers);
+        let start = numbers.vector(joints, 1.2);
+        let q: Vec<f64> = start.iter().map(|q| q + far * numbers.next()).collect();
+        let dq = numbers.vector(joints, 1.0);
+        let (data, mut measurement) = at_state(&model, &q, &dq, 0.1);
+        let force = numbers.vector(6, 10.0);
+        measurement.wrenches[0].linear.copy_from_slice(&force[..3]);
+        measurement.wrenches[0].angular.copy_from_slice(&force[3..]);
+        Self { model, start, data, measurement }
+    }
+
+    fn robot(&self) -> ControlContext {
+        facts(&self.model, "hand")
+    }
+
+    /// A controller that was started where the scene was.
+    fn controller(&self, text: &str, limits: &JointLimits) -> OperationalSpaceController {
+        let (file, mut robot) = (File::read(text), self.robot());
+        robot.limits = limits.clone();
+        let mut controller =
+            OperationalSpaceController::new(&self.model, &file.stack(), &robot).expect("a good stack");
+        let (data, mut measurement) = at_state(&self.model, &self.start, &vec![0.0; self.model.n()], 0.0);
+        measurement.wrenches.clone_from(&self.measurement.wrenches);
+        controller.start(&common::input(&self.model, &data, &measurement));
+        controller
+    }
+
+    fn torque(&self, controller: &mut OperationalSpaceController) -> DVector<f64> {
+        let mut tau = DVector::zeros(self.model.n());
+        controller.update(&common::input(&self.model, &self.data, &self.measurement), tau.as_mut_slice());
+        tau
+    }
+
+    fn unlimited(&self, text: &str) -> DVector<f64> {
+        self.torque(&mut self.controller(&without_limits(text), &JointLimits::none(self.model.n())))
+    }
+
+    /// Torques commanded when the arm was started: gravity's there.
+    fn before(&self) -> DVector<f64> {
+        at_state(&self.model, &self.start, &vec![0.0; self.model.n()], 0.0).0.gravity
+    }
+}
+
+/// The torques of a task set without limits against those of the whole cascade with limits that are never reached, also
+/// where the tasks damp directions near a singularity.
+#[test]
+fn limits_out_of_reach_change_nothing() {
+    let mut numbers = Numbers::new(11);
+    let mut damped = 0;
+    for case in &CASES {
+        for threshold in ["0.001", "0.1", "1.0"] {
+            for _ in 0..8 {
+                let scene = Scene::new(case.joints, 0.3, &mut numbers);
+                let singular = format!("reference = \"hold\"\nsingularity_threshold = {threshold}");
+                let text = case.text.replace("reference = \"hold\"", &singular);
+                let n = case.joints;
+                let limits = JointLimits {
+                    lower: vec![-1e2; n],
+                    upper: vec![1e2; n],
+                    velocity: vec![1e4; n],
+                    acceleration: vec![1e6; n],
+                    torque: vec![1e5; n],
+                    torque_rate: vec![1e9; n],
+                };
+                let mut controller = scene.controller(&text, &limits);
+                controller.always_solve();
+                let (tau, unlimited) = (scene.torque(&mut controller), scene.unlimited(&text));
+                let off = (&tau - &unlimited).amax();
+                assert!(off < SOLVERS * unlimited.amax(), "{text}: off by {off} Nm of {unlimited}");
+                assert!(sampled(&controller, "limited").iter().all(|&at| at == 0.0));
+                damped += usize::from(sampled(&controller, "hand.weakest_share") < vec![1.0]);
+            }
+        }
+    }
+    assert!(damped > 20, "only {damped} poses were near a singularity");
+}
+
+/// A level as an independent reader of the documentation would write it: |J x + b − a|² in the metric WᵀΛW, with x the
+/// joint accelerations.
+struct Rows {
+    jacobian: DMatrix<f64>,
+    bias: DVector<f64>,
+    asked: DVector<f64>,
+    metric: DMatrix<f64>,
+}
+
+impl Rows {
+    /// The levels of a case, with their frames' accelerations under the torques of the task set without limits.
+    fn of(scene: &Scene, case: &Case, unlimited: &DVector<f64>) -> Vec<Self> {
+        let mass_inverse = scene.data.mass_matrix.clone().try_inverse().expect("M is regular");
+        let mut nullspace = DMatrix::identity(case.joints, case.joints);
+        let mut levels = Vec::new();
+        for (frame, axes) in case.levels {
+            let mut rows = Self::new(scene, frame, axes, unlimited);
+            let projected = &rows.jacobian * &nullspace;
+            let mobility = &projected * &mass_inverse * projected.transpose();
+            let inertia = mobility.try_inverse().expect("no singularity");
+            nullspace -= &mass_inverse * projected.transpose() * &inertia * &projected;
+            // Along where the task would be going after the horizon; aside of it, at right angles in the metric Λ, weighs
+            // ten times as much.
+            let frame = scene.model.frame_id(frame).expect("frame");
+            let velocity = pick(axes, &six(frame_velocity(&scene.model, &scene.data, frame)));
+            let heading = velocity + &rows.asked * HORIZON_S;
+            let momentum = &inertia * &heading;
+            let still = 2e-3 * 2e-3 * inertia.trace();
+            let ahead = 99.0 / (heading.dot(&momentum) + still);
+            rows.metric = inertia * 100.0 - &momentum * momentum.transpose() * ahead;
+            levels.push(rows);
+        }
+        levels
+    }
+
+    fn new(scene: &Scene, frame: &str, axes: &[usize], unlimited: &DVector<f64>) -> Self {
+        let (model, data) = (&scene.model, &scene.data);
+        let whole = jacobian(model, data, frame);
+        let jacobian =
+            DMatrix::from_fn(axes.len(), model.n(), |r, c| row_scale(axes[r]) * whole[(axes[r], c)]);
+        let id = model.frame_id(frame).expect("frame");
+        let metric = DMatrix::zeros(axes.len(), axes.len());
+        let bias = pick(axes, &six(frame_bias_acceleration(model, data, id)));
+        let asked = pick(axes, &frame_acceleration(model, data, frame, unlimited.as_slice()));
+        Self { jacobian, bias, asked, metric }
+    }
+}
+
+/// By what a row is multiplied.
+fn row_scale(axis: usize) -> f64 {
+    if axis < 3 { 1.0 } else { LENGTH_M }
+}
+
+/// Rows of a task among all six of a motion.
+fn pick(axes: &[usize], whole: &DVector<f64>) -> DVector<f64> {
+    DVector::from_iterator(axes.len(), axes.iter().map(|&i| row_scale(i) * whole[i]))
+}
+
+fn six(m: Motion) -> DVector<f64> {
+    DVector::from_iterator(6, m.linear.iter().chain(m.angular.iter()).copied())
+}
+
+/// Bounds on joint accelerations and torques.
+struct Bounds {
+    acceleration: [DVector<f64>; 2],
+    torque: [DVector<f64>; 2],
+}
+
+impl Bounds {
+    /// Bounds that the limits leave at the scene's state, by their documentation: no position limits.
+    fn new(scene: &Scene, limits: &JointLimits) -> Self {
+        let (n, dq, before) = (scene.model.n(), &scene.data.dq, scene.before());
+        let side = |sign: f64| {
+            let acceleration = DVector::from_fn(n, |i, _| {
+                let by_speed = (sign * 0.9 * limits.velocity[i] - dq[i]) / HORIZON_S;
+                sign * limits.acceleration[i].min(sign * by_speed)
+            });
+            let torque = DVector::from_fn(n, |i, _| {
+                let reach = sign * before[i] + limits.torque_rate[i] * 1e-3;
+                sign * limits.torque[i].min(reach)
+            });
+            (acceleration, torque)
+        };
+        let ((a, t), (b, u)) = (side(-1.0), side(1.0));
+        Self { acceleration: [a, b], torque: [t, u] }
+    }
+
+    /// By how much a motion under torques is beyond the bounds, relative to its size.
+    fn excess(&self, ddq: &DVector<f64>, tau: &DVector<f64>) -> f64 {
+        let beyond = |[lower, upper]: &[DVector<f64>; 2], x: &DVector<f64>| {
+            (lower - x).max().max((x - upper).max()) / (1.0 + x.amax())
+        };
+        beyond(&self.acceleration, ddq).max(beyond(&self.torque, tau))
+    }
+}
+
+/// The smallest |E w − f| with w ≥ 0: Lawson and Hanson, *Solving least squares problems*, 1974, ch. 23. Columns of E
+/// have length one.
+fn non_negative_distance(e: &DMatrix<f64>, f: &DVector<f64>) -> f64 {
+    let mut w = DVector::zeros(e.ncols());
+    let mut passive: Vec<usize> = Vec::new();
+    let rest = |w: &DVector<f64>| f - e * w;
+    for _ in 0..3 * e.ncols() {
+        let slope = e.tr_mul(&rest(&w));
+        let others = (0..w.len()).filter(|i| !passive.contains(i));
+        let Some(steepest) = others.max_by(|&i, &k| slope[i].total_cmp(&slope[k])) else { break };
+        if slope[steepest] < 1e-12 * f.norm() {
+            break;
+        }
+        passive.push(steepest);
+        loop {
+            let factors = e.select_columns(&passive).svd(true, true);
+            let best = factors.solve(f, 1e-12).expect("both factors were asked for");
+            let step = |(&i, &z): (&usize, &f64)| if z <= 0.0 { w[i] / (w[i] - z) } else { 1.0 };
+            let reach = passive.iter().zip(&best).map(step).fold(1.0, f64::min);
+            for (&i, z) in passive.iter().zip(&best) {
+                w[i] += reach * (z - w[i]);
+            }
+            if reach >= 1.0 {
+                break;
+            }
+            passive.retain(|&i| w[i] > 1e-12 * f.norm());
+            (0..w.len()).filter(|i| !passive.contains(i)).for_each(|i| w[i] = 0.0);
+        }
+    }
+    rest(&w).norm()
+}
+
+/// By how much each level's residual, then the distance to the `posture` in kinetic energy, could still fall at `ddq`
+/// (Karush, Kuhn and Tucker): what of its gradient neither the rows above nor the bounds that are met hold back, with
+/// the gradient and what it would be at rest. Scaled to unit inertia.
+fn slopes(
+    scene: &Scene,
+    levels: &[Rows],
+    posture: &DVector<f64>,
+    bounds: &Bounds,
+    ddq: &DVector<f64>,
+) -> Vec<[f64; 3]> {
+    let (n, m) = (scene.model.n(), &scene.data.mass_matrix);
+    let unscale = DMatrix::from_diagonal(&m.diagonal().map(|x| 1.0 / x.sqrt()));
+    let torque = m * ddq + &scene.data.bias;
+    let mut held: Vec<DVector<f64>> = Vec::new();
+    for i in 0..n {
+        for (bound, value, row) in [
+            (&bounds.acceleration, ddq[i], unscale.column(i).into_owned()),
+            (&bounds.torque, torque[i], &unscale * m.column(i)),
+        ] {
+            let near = MET * (1.0 + value.abs());
+            let inward = row.normalize();
+            if value < bound[0][i] + near {
+                held.push(inward.clone());
+            }
+            if value > bound[1][i] - near {
+                held.push(-inward);
+            }
+        }
+    }
+    let held = if held.is_empty() { DMatrix::zeros(n, 0) } else { DMatrix::from_columns(&held) };
+    let mut free = DMatrix::<f64>::identity(n, n);
+    let mut slopes = Vec::new();
+    for level in 0..=levels.len() {
+        let gradient_at = |ddq: &DVector<f64>| match levels.get(level) {
+            Some(rows) => {
+                let residual = &rows.jacobian * ddq + &rows.bias - &rows.asked;
+                (&rows.jacobian * &unscale).tr_mul(&(&rows.metric * residual))
+            }
+            None => &unscale * m * (ddq - posture),
+        };
+        let (gradient, at_rest) = (gradient_at(ddq), gradient_at(&DVector::zeros(n)).norm());
+        let mut normals = free.tr_mul(&held);
+        normals.column_iter_mut().for_each(|mut c| c /= c.norm().max(1e-9));
+        slopes.push([non_negative_distance(&normals, &free.tr_mul(&gradient)), gradient.norm(), at_rest]);
+        if let Some(rows) = levels.get(level) {
+            // What doesn't move this level's rows: the smallest eigenvalues of their square.
+            let square = &rows.jacobian * &unscale * &free;
+            let spectrum = square.tr_mul(&square).symmetric_eigen();
+            let mut order: Vec<usize> = (0..free.ncols()).collect();
+            order.sort_by(|&i, &k| spectrum.eigenvalues[i].total_cmp(&spectrum.eigenvalues[k]));
+            free = &free * spectrum.eigenvectors.select_columns(&order[..free.ncols() - rows.asked.len()]);
+        }
+    }
+    slopes
+}
+
+/// Limits that bind on a scene, and that some motion near the one asked for respects: random ones of torque, torque
+/// rate, velocity and acceleration.
+fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers) -> JointLimits {
+    let n = scene.model.n();
+    let ddq = accelerations(&scene.model, &scene.data, unlimited.as_slice());
+    let (size, share) = (ddq.amax(), 0.5 + 0.3 * numbers.next());
+    let possible = DVector::from_fn(n, |i, _| share * ddq[i] + 0.2 * size * numbers.next());
+    let tau = &scene.data.mass_matrix * &possible + &scene.data.bias;
+    // Many limits leave the lower levels nothing, few do.
+    let rare = if numbers.next() > 0.0 { 0.8 } else { 0.1 };
+    let mut limits = JointLimits::none(n);
+    for i in 0..n {
+        let mut limit = |of: &mut f64, least: f64| {
+            if numbers.next() > rare {
+                *of = 1.05 * least + 0.01;
+            }
+        };
+        limit(&mut limits.acceleration[i], possible[i].abs());
+        let v = scene.data.dq[i] + HORIZON_S * possible[i];
+        limit(&mut limits.velocity[i], v.abs() / 0.9);
+        limit(&mut limits.torque[i], tau[i].abs());
+        limits.torque_rate[i] = 1e9;
+        limit(&mut limits.torque_rate[i], (tau[i] - scene.before()[i]).abs() / 1e-3);
+    }
+    limits
+}
+
+/// Runs `check` on random scenes with limits that bind, of each task set: scene, case, limits, the torque without
+/// limits and the controller after its cycle, with its torque.
+fn on_bound_scenes(
+    seed: u64,
+    count: usize,
+    mut check: impl FnMut(&Scene, &Case, &JointLimits, &DVector<f64>, &OperationalSpaceController, &DVector<f64>),
+) {
+    let mut numbers = Numbers::new(seed);
+    for case in &CASES {
+        let mut limited = 0;
+        while limited < count {
+            let scene = Scene::new(case.joints, 0.3, &mut numbers);
+            let mut unbound = scene.controller(&without_limits(case.text), &JointLimits::none(case.joints));
+            let unlimited = scene.torque(&mut unbound);
+            let regular = case
+                .levels
+                .iter()
+                .zip(["hand", "elbow"])
+                .all(|(_, name)| sampled(&unbound, &format!("{name}.weakest_share")) == [1.0]);
+            if !regular {
+                continue;
+            }
+            let limits = binding_limits(&scene, &unlimited, &mut numbers);
+            let mut controller = scene.controller(case.text, &limits);
+            let tau = scene.torque(&mut controller);
+            if controller.is_limited() {
+                limited += 1;
+                check(&scene, case, &limits, &unlimited, &controller, &tau);
+            }
+        }
+    }
+}
+
+/// The gradient of each level's documented residual against what the bounds and the levels above hold back of it:
+/// nothing is left by which it could fall. Of the last level, whose metric is M, what is left bounds the distance to
+/// the optimum.
+#[test]
+fn each_level_is_as_near_as_the_limits_and_the_levels_above_allow() {
+    let mut missed = [0; 3];
+    on_bound_scenes(12, 12, |scene, case, limits, unlimited, controller, tau| {
+        assert_eq!(sampled(controller, "limits_solver"), [1.0], "the active set");
+        let ddq = accelerations(&scene.model, &scene.data, tau.as_slice());
+        let posture = accelerations(&scene.model, &scene.data, unlimited.as_slice());
+        let levels = Rows::of(scene, case, unlimited);
+        let bounds = Bounds::new(scene, limits);
+        let found = slopes(scene, &levels, &posture, &bounds, &ddq);
+        for (k, [left, whole, at_rest]) in found.iter().enumerate() {
+            assert!(*left < SOLVERS * at_rest, "{}: level {k} could fall by {left} of {whole}", case.text);
+            missed[k] += usize::from(*whole > 1.0);
+        }
+        let excess = bounds.excess(&ddq, tau);
+        assert!(excess < SOLVERS, "{}: beyond a bound by {excess} of its size", case.text);
+    });
+    assert!(missed[0] > 40 && missed[1] > 40 && missed[2] > 15, "levels that limits hold off: {missed:?}");
+}
+
+/// The task set's text with its first level alone.
+fn first_level(text: &str) -> String {
+    let first = text.split("[task.").nth(1).expect("the file has a task");
+    format!("priority = [\"hand\"]\n[task.{first}")
+}
+
+/// The acceleration of the first level's rows with the other levels below it, and without them.
+#[test]
+fn no_level_takes_from_one_above_it_where_limits_bind() {
+    let mut moved = 0;
+    on_bound_scenes(13, 10, |scene, case, limits, _, _, tau| {
+        let alone = scene.torque(&mut scene.controller(&first_level(case.text), limits));
+        let (frame, axes) = case.levels[0];
+        let rows = |tau: &DVector<f64>| {
+            pick(axes, &frame_acceleration(&scene.model, &scene.data, frame, tau.as_slice()))
+        };
+        let (with, without) = (rows(tau), rows(&alone));
+        let off = (&with - &without).amax();
+        assert!(off < SOLVERS * (1.0 + with.amax()), "{}: {with} for {without}", case.text);
+        moved += usize::from((tau - alone).amax() > 0.1);
+    });
+    assert!(moved > 15, "the levels below do something: {moved}");
+}
+
+/// The logged signals against the bounds at which the command stands, each bound seen from both sides of its tolerance.
+#[test]
+fn what_limits_a_joint_is_a_signal() {
+    let mut seen = [0; 4];
+    on_bound_scenes(14, 8, |scene, _, limits, _, controller, tau| {
+        assert_eq!(sampled(controller, "limits_solver"), [1.0], "the active set");
+        let ddq = accelerations(&scene.model, &scene.data, tau.as_slice());
+        let bounds = Bounds::new(scene, limits);
+        for (i, limited) in sampled(controller, "limited").into_iter().enumerate() {
+            let at = |[lower, upper]: &[DVector<f64>; 2], x: f64, near: f64| {
+                let near = near * (1.0 + x.abs());
+                x < lower[i] + near || x > upper[i] - near
+            };
+            let value = |near: f64| {
+                f64::from(u8::from(at(&bounds.acceleration, ddq[i], near)))
+                    + 2.0 * f64::from(u8::from(at(&bounds.torque, tau[i], near)))
+            };
+            assert!(
+                limited == value(AT_BOUND / 10.0) || limited == value(AT_BOUND * 10.0),
+                "joint {i}: {limited}"
+            );
+            seen[limited as usize] += 1;
+        }
+    });
+    assert!(seen[..3].iter().all(|&count| count > 20), "each kind occurs: {seen:?}");
+
+    let scene = Scene::new(7, 0.3, &mut Numbers::new(15));
+    let mut controller = scene.controller(POSE, &JointLimits::none(7));
+    scene.torque(&mut controller);
+    assert!(!controller.is_limited() && sampled(&controller, "limits_solver") == [0.0]);
+    assert_eq!(sampled(&controller, "limited"), [0.0; 7]);
+    let without = scene.controller(&without_limits(POSE), &JointLimits::none(7));
+    assert!(without.signals().iter().all(|signal| !signal.name.starts_with("limit")));
+}
+
+/// Tasks that leave nothing free: limits that bind against the first levels' acceleration without the posture.
+#[test]
+fn a_level_without_freedom_changes_nothing() {
+    let full = ELBOW.replace("z = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0", 
+        "z = \"motion\", rx = \"motion\", ry = \"motion\", rz = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0");
+    let mut numbers = Numbers::new(16);
+    for (joints, text) in [(6, POSE), (7, full.as_str())] {
+        let mut limited = 0;
+        while limited < 20 {
+            let scene = Scene::new(joints, 0.3, &mut numbers);
+            let unlimited = scene.unlimited(text);
+            let limits = binding_limits(&scene, &unlimited, &mut numbers);
+            let rest = text.find("[task.rest").expect("a posture");
+            let alone = text[..rest].replace(", \"rest\"", "");
+            let mut with = scene.controller(text, &limits);
+            with.always_solve();
+            let tau = scene.torque(&mut with);
+            assert_eq!(sampled(&with, "limits_solver"), [1.0], "the active set");
+            let regular = sampled(&with, "hand.weakest_share") == [1.0]
+                && (joints == 6 || sampled(&with, "elbow.weakest_share") == [1.0]);
+            let ddq = accelerations(&scene.model, &scene.data, tau.as_slice());
+            let excess = Bounds::new(&scene, &limits).excess(&ddq, &tau);
+            assert!(excess < SOLVERS, "beyond a bound by {excess} of its size");
+            if regular && with.is_limited() {
+                limited += 1;
+                let off = (&tau - scene.torque(&mut scene.controller(&alone, &limits))).amax();
+                assert!(off < SOLVERS * (1.0 + tau.amax()), "off by {off} Nm of {tau}");
+            }
+        }
+    }
+}

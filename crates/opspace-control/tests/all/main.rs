@@ -1,0 +1,26 @@
+//! Tasks, hierarchy, limits, references and controllers on small arms.
+
+mod allocation;
+mod common;
+mod files;
+mod hierarchy;
+mod impedance;
+mod inverse_kinematics;
+mod law;
+mod limited_motion;
+mod limits;
+mod limits_allocation;
+mod qp;
+mod qp_allocation;
+mod reference_allocation;
+mod references;
+mod singularity;
+mod streamed_targets;
+mod subjects;
+mod switching;
+mod swivel;
+mod tasks_in_code;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

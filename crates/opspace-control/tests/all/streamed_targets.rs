@@ -1,0 +1,709 @@
+//! Streamed targets: what tasks make of them, between them and without them; task sets by number.
+
+use crate::common::{self, File, Numbers, at_state, facts, sampled, seven_joints};
+use nalgebra::Vector3;
+use opspace_backend::{Observable, Row};
+use opspace_control::{
+    AxisMode, CartesianReference, CartesianTarget, ControlInput, Controller, InverseKinematicsController,
+    JointTarget, Measurement, OperationalSpaceController, Reason, STOP_S, Target, TargetError, Targets,
+    Trajectory,
+};
+use opspace_model::{Data, Model, Placement, frame_placement};
+use opspace_testing::allocation::allocations;
+use std::collections::BTreeMap;
+
+const PERIOD_S: f64 = 1e-3;
+
+/// Rest of a difference half a second after it was to be joined, m: targets in every cycle restart its fading, which
+/// then is an exponential decay.
+const JOINED: f64 = 1e-9;
+
+const Q: [f64; 7] = [0.3, 0.7, -0.4, -1.1, 0.2, 0.9, 0.5];
+const ALL: &str =
+    r#"{ x = "motion", y = "motion", z = "motion", rx = "motion", ry = "motion", rz = "motion" }"#;
+const XYZ: &str = r#"{ x = "motion", y = "motion", z = "motion" }"#;
+const LIMITS: &str = "shape = 'generated', velocity_m_per_s = 0.5, acceleration_m_per_s2 = 2.0, jerk_m_per_s3 = 20.0, \
+    angular_velocity_rad_per_s = 1.0, angular_acceleration_rad_per_s2 = 4.0, angular_jerk_rad_per_s3 = 40.0";
+
+/// A hand with a reference, above joint damping.
+fn hand(axes: &str, reference: &str, more: &str) -> String {
+    format!(
+        "priority = [\"hand\", \"rest\"]\n[task.hand.cartesian]\nframe = \"hand\"\naxes = {axes}\n\
+         reference.{reference}\ngains = {{ frequency_rad_per_s = 15.0, damping_ratio = 1.0 }}\n{more}\n\
+         [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n"
+    )
+}
+
+fn streamed(axes: &str, more: &str) -> String {
+    hand(axes, &format!("streamed = {{ {more} }}"), "")
+}
+
+/// All joints at a reference.
+fn joints(reference: &str) -> String {
+    format!(
+        "priority = [\"all\"]\n[task.all.joint-tracking]\nreference.{reference}\n\
+         gains = {{ frequency_rad_per_s = 15.0, damping_ratio = 1.0 }}\n"
+    )
+}
+
+fn controller(model: &Model, text: &str) -> OperationalSpaceController {
+    OperationalSpaceController::new(model, &File::read(text).stack(), &facts(model, "hand"))
+        .unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// A controller on an arm that stands still.
+struct Bench {
+    model: Model,
+    data: Data,
+    measurement: Measurement,
+    controller: OperationalSpaceController,
+    targets: Targets,
+    torque: Vec<f64>,
+    row: Vec<f64>,
+    clock_s: f64,
+    period_s: f64,
+}
+
+/// Clock of the robot at the start, s.
+const CLOCK_S: f64 = 40.0;
+
+impl Bench {
+    fn new(text: &str) -> Self {
+        let model = seven_joints();
+        let controller = controller(&model, text);
+        Self::of(model, controller)
+    }
+
+    fn of(model: Model, mut controller: OperationalSpaceController) -> Self {
+        let (data, measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
+        let targets = controller.targets();
+        let (base, row) = (common::input(&model, &data, &measurement), row(&controller));
+        controller.start(&ControlInput { targets: &targets, clock_s: CLOCK_S, ..base });
+        Self {
+            data,
+            measurement,
+            controller,
+            targets,
+            torque: vec![0.0; 7],
+            row,
+            clock_s: CLOCK_S,
+            period_s: PERIOD_S,
+            model,
+        }
+    }
+
+    fn hand(&self) -> CartesianTarget {
+        CartesianTarget::of(&self.targets, "hand").expect("a streamed task")
+    }
+
+    /// Pose of the hand.
+    fn placement(&self) -> Placement {
+        frame_placement(&self.model, &self.data, self.model.frame_id("hand").expect("a frame"))
+    }
+
+    /// One cycle. The arm stays where it is.
+    fn cycle(&mut self) {
+        let base = common::input(&self.model, &self.data, &self.measurement);
+        let input = ControlInput { targets: &self.targets, clock_s: self.clock_s, ..base };
+        self.controller.update(&input, &mut self.torque);
+        self.controller.sample(&mut Row::new(&mut self.row));
+        self.clock_s += self.period_s;
+        self.measurement.time_s += self.period_s;
+    }
+
+    fn held_cycle(&mut self) {
+        let base = common::input(&self.model, &self.data, &self.measurement);
+        let input = ControlInput { targets: &self.targets, clock_s: self.clock_s, ..base };
+        self.controller.observe_while_held(&input);
+        self.clock_s += self.period_s;
+        self.measurement.time_s += self.period_s;
+    }
+
+    fn resume(&mut self) {
+        let base = common::input(&self.model, &self.data, &self.measurement);
+        let input = ControlInput { targets: &self.targets, clock_s: self.clock_s, ..base };
+        self.controller.resume(&input);
+    }
+
+    fn signal(&self, name: &str) -> Vec<f64> {
+        sampled(&self.controller, name)
+    }
+
+    fn stale(&self) -> bool {
+        self.signal("hand.target_stale") == [1.0]
+    }
+
+    /// Desired acceleration of the task's rows.
+    fn acceleration(&self) -> Vec<f64> {
+        let task = self.controller.tasks().tasks().next().expect("a task");
+        task.acceleration().as_slice()[..task.rows()].to_vec()
+    }
+}
+
+fn row(controller: &dyn Observable) -> Vec<f64> {
+    vec![0.0; controller.signals().iter().map(|s| s.len()).sum()]
+}
+
+fn six(motion: &opspace_model::Motion) -> [f64; 6] {
+    common::six(motion).into()
+}
+
+fn write(hand: &mut CartesianTarget, target: &Target, targets: &mut Targets, stamp_s: f64) {
+    hand.placement(&target.placement).expect("a pose");
+    hand.twist(six(&target.velocity))
+        .expect("finite")
+        .acceleration(six(&target.acceleration))
+        .expect("finite");
+    hand.write(targets, stamp_s).expect("good values");
+}
+
+const SINUSOID: &str = "sinusoid = { ramp_s = 0.5, x = [{ amplitude_m = 0.05, frequency_hz = 0.5 }], \
+    z = [{ amplitude_m = 0.03, frequency_hz = 0.8 }], ry = [{ amplitude_rad = 0.1, frequency_hz = 0.5 }] }";
+
+/// Compared: desired accelerations of a task that has the sinusoid in its file, and of one to which the same poses,
+/// twists and accelerations are streamed in every cycle. Extrapolation doesn't know the jerk, so they differ by what
+/// the largest jerk changes in a few periods, and by half of that in periods of half the length.
+#[test]
+fn streamed_motion_gives_the_acceleration_of_the_same_reference_in_a_file() {
+    /// Difference over the change of acceleration in a period.
+    const PERIODS: f64 = 2.0;
+    /// Difference with half the period over that with the whole: 0.5 for a difference of first order.
+    const HALVED: [f64; 2] = [0.4, 0.6];
+    let [whole, half] = [PERIOD_S, 0.5 * PERIOD_S].map(streamed_and_filed);
+    for [difference, change, largest] in [whole, half] {
+        assert!(difference < PERIODS * change, "{difference} and {change} in a period");
+        assert!(largest > 100.0 * difference, "the motion asks for accelerations: {largest}");
+    }
+    let ratio = half[0] / whole[0];
+    assert!((HALVED[0]..HALVED[1]).contains(&ratio), "{ratio}");
+}
+
+/// Largest difference between the desired accelerations of a filed and a streamed sinusoid, largest change of the filed
+/// one in a period, and its largest value.
+fn streamed_and_filed(period_s: f64) -> [f64; 3] {
+    let (mut of_file, mut of_stream) = (Bench::new(&hand(ALL, SINUSOID, "")), Bench::new(&streamed(ALL, "")));
+    (of_file.period_s, of_stream.period_s) = (period_s, period_s);
+    let reference: BTreeMap<String, CartesianReference> =
+        toml::from_str(&format!("reference.{SINUSOID}")).expect("a reference");
+    let mut trajectory = Trajectory::new(&reference["reference"]);
+    let home = of_file.placement();
+    trajectory.start(&home, &Target::at_rest(home), &nalgebra::Matrix3::identity());
+    let mut target = of_stream.hand();
+    let ([mut difference, mut change, mut largest], mut before) = ([0.0_f64; 3], None::<Vec<f64>>);
+    for k in 0..(2.5 / period_s) as u32 {
+        let clock_s = of_stream.clock_s;
+        write(&mut target, &trajectory.at(f64::from(k) * period_s), &mut of_stream.targets, clock_s);
+        of_file.cycle();
+        of_stream.cycle();
+        let filed = of_file.acceleration();
+        for (i, (a, b)) in filed.iter().zip(of_stream.acceleration()).enumerate() {
+            difference = difference.max((a - b).abs());
+            change = change.max(before.as_ref().map_or(0.0, |before| (a - before[i]).abs()));
+            largest = largest.max(a.abs());
+        }
+        before = Some(filed);
+    }
+    [difference, change, largest]
+}
+
+/// Reference of a bench in a cycle: position and velocity.
+fn reference(bench: &Bench) -> [Vector3<f64>; 2] {
+    ["hand.reference", "hand.reference_velocity"].map(|name| Vector3::from_column_slice(&bench.signal(name)))
+}
+
+/// Compared: changes of the reference and of its velocity from cycle to cycle under random targets, pauses and returns,
+/// and a bound: limits of the generator, or 60 d/T³ and 5.8 d/T² of a difference d that fades within T.
+#[test]
+fn reference_never_jumps_under_random_targets_pauses_and_returns() {
+    // Targets lie within 0.1 m of the start in each direction, 0.35 m of each other.
+    let (away, blend_s) = (0.35, 0.1);
+    let peak_acceleration = 2.0 * 5.8 * away / (blend_s * blend_s);
+    // Restarts of blending within a blend add up to no more than twice.
+    for (shape, velocity, acceleration) in
+        [("", 2.0 * 1.9 * away / blend_s, peak_acceleration), (LIMITS, 0.9, 3.5)]
+    {
+        for seed in 0..8 {
+            let mut numbers = Numbers::new(seed + 1);
+            let mut bench = Bench::new(&streamed(ALL, shape));
+            let (home, mut target) = (bench.placement(), bench.hand());
+            let mut before = reference(&bench);
+            before[0] = home.translation;
+            let mut pause = 0;
+            for cycle in 0..3000 {
+                if pause > 0 {
+                    pause -= 1;
+                } else if numbers.below(20) == 0 {
+                    let mut placement = home;
+                    placement.translation += numbers.vector3(0.1);
+                    placement.rotation *= opspace_control::orientation::exp(&numbers.vector3(0.3));
+                    target.placement(&placement).expect("a pose");
+                    let clock_s = bench.clock_s;
+                    target.write(&mut bench.targets, clock_s).expect("good values");
+                } else if numbers.below(200) == 0 {
+                    pause = numbers.below(600);
+                }
+                bench.cycle();
+                let now = reference(&bench);
+                let (step, change) = ((now[0] - before[0]).norm(), (now[1] - before[1]).norm());
+                assert!(now[1].norm() < velocity, "{shape}: {} m/s in cycle {cycle}", now[1].norm());
+                assert!(step < velocity * PERIOD_S, "{shape}: a step of {step} m in cycle {cycle}");
+                assert!(change < acceleration * PERIOD_S, "{shape}: a step of {change} m/s in cycle {cycle}");
+                before = now;
+            }
+        }
+    }
+}
+
+/// Compared: position and velocity of the reference of a stale target after the documented time, and rest; its way, and
+/// half the speed times that time; then the reference some time after the return, and the target.
+#[test]
+fn stale_target_brings_the_reference_to_rest_and_is_joined_again() {
+    let mut bench = Bench::new(&streamed(ALL, "timeout_s = 0.05"));
+    let (home, mut target) = (bench.placement(), bench.hand());
+    let speed = Vector3::new(0.2, 0.0, -0.1);
+    let at = |time_s: f64| Target {
+        placement: Placement { translation: home.translation + speed * time_s, ..home },
+        velocity: opspace_model::Motion { linear: speed, angular: Vector3::zeros() },
+        ..Target::at_rest(home)
+    };
+    let mut stamp_s = 0.0;
+    for k in 0..1500 {
+        stamp_s = bench.clock_s;
+        write(&mut target, &at(f64::from(k) * PERIOD_S), &mut bench.targets, stamp_s);
+        bench.cycle();
+        assert!(!bench.stale());
+    }
+    let [_, velocity] = reference(&bench);
+    assert!((velocity - speed).norm() < 1e-9, "the target is joined: {velocity}");
+    let mut from = Vector3::zeros();
+    while !bench.stale() {
+        from = reference(&bench)[0];
+        bench.cycle();
+    }
+    let age_s = bench.signal("hand.target_age_s")[0];
+    assert!(
+        (age_s - (bench.clock_s - PERIOD_S - stamp_s)).abs() < 1e-12 && (age_s - 0.05).abs() < 2.0 * PERIOD_S
+    );
+    for _ in 0..(STOP_S / PERIOD_S) as usize + 2 {
+        bench.cycle();
+    }
+    let [rest, velocity] = reference(&bench);
+    assert_eq!(velocity, Vector3::zeros());
+    let way = (rest - from - speed * (0.5 * STOP_S + PERIOD_S)).norm();
+    assert!(way < 1e-3 * speed.norm(), "off by {way}");
+    assert_eq!(bench.controller.stale_target(), None, "on_timeout is hold");
+    let goal = Target::at_rest(home);
+    for _ in 0..1500 {
+        let clock_s = bench.clock_s;
+        write(&mut target, &goal, &mut bench.targets, clock_s);
+        let before = reference(&bench)[0];
+        bench.cycle();
+        assert!(!bench.stale());
+        assert!((reference(&bench)[0] - before).norm() < 2e-3, "a jump");
+    }
+    assert!((reference(&bench)[0] - home.translation).norm() < JOINED, "joined again");
+}
+
+/// Compared: the task and age reported, and the place of the task and the time since its stamp.
+#[test]
+fn stale_target_that_asks_for_a_stop_is_reported() {
+    let mut bench = Bench::new(&streamed(ALL, "timeout_s = 0.05, on_timeout = 'stop'"));
+    let (home, mut target) = (bench.placement(), bench.hand());
+    for _ in 0..200 {
+        bench.cycle();
+        assert_eq!(bench.controller.stale_target(), None, "no target has come yet");
+    }
+    write(&mut target, &Target::at_rest(home), &mut bench.targets, bench.clock_s);
+    let stamp_s = bench.clock_s;
+    while bench.controller.stale_target().is_none() {
+        bench.cycle();
+        assert!(bench.clock_s < stamp_s + 1.0, "it must become stale");
+    }
+    let stale = bench.controller.stale_target().expect("it is stale");
+    assert_eq!(stale.task, 0);
+    assert!((stale.age_s - (bench.clock_s - PERIOD_S - stamp_s)).abs() < 1e-12);
+    assert!(stale.age_s > 0.05 && stale.age_s < 0.052);
+}
+
+/// Compared: the reference without a target, with a target during a hold, and right after it, and the hand's position.
+#[test]
+fn reference_holds_before_the_first_target_and_starts_from_the_hand_after_a_hold() {
+    let mut bench = Bench::new(&streamed(ALL, ""));
+    let (home, mut target) = (bench.placement(), bench.hand());
+    for _ in 0..50 {
+        bench.cycle();
+        assert_eq!(reference(&bench), [home.translation, Vector3::zeros()]);
+        assert!(bench.signal("hand.target_age_s")[0].is_nan());
+    }
+    let far = Placement { translation: home.translation + Vector3::new(0.1, 0.0, 0.0), ..home };
+    for _ in 0..1200 {
+        write(&mut target, &Target::at_rest(far), &mut bench.targets, bench.clock_s);
+        bench.held_cycle();
+    }
+    assert!(
+        (reference(&bench)[0] - far.translation).norm() < 100.0 * JOINED,
+        "references go on while the robot is held"
+    );
+    bench.resume();
+    assert!((reference(&bench)[0] - home.translation).norm() < 1e-12);
+    bench.cycle();
+    assert!((reference(&bench)[0] - home.translation).norm() < 1e-9);
+}
+
+/// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force, and of a
+/// controller whose file has these.
+#[test]
+fn modes_gains_and_forces_change_at_a_step() {
+    const SENSOR: &str =
+        "force = { sensor = 'wrist', target_n = { x = 0.0 }, integral_per_s = { x = 0.0, z = 0.0 } }";
+    let axes = r#"{ x = "force", y = "motion", z = "motion" }"#;
+    let mut bench = Bench::new(&hand(axes, "streamed = {}", SENSOR));
+    bench.measurement.wrenches[0].linear = Vector3::new(1.0, 2.0, 3.0);
+    bench.measurement.dq.fill(0.1);
+    assert!(opspace_model::update(&bench.model, &mut bench.data, &Q, &[0.1; 7]));
+    // Until the force filter has settled.
+    for _ in 0..100 {
+        bench.cycle();
+    }
+    assert_eq!(bench.signal("hand.modes"), [2.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
+    let mut target = bench.hand();
+    let (nan, [m, c, f]) = (f64::NAN, AxisMode::IN_TASK.map(Some));
+    target.gains([nan, 20.0, nan, nan, nan, nan], [nan, 0.5, nan, nan, nan, nan]).expect("good gains");
+    target.modes([c, m, f, None, None, None]).expect("good modes");
+    target.wrench([nan, nan, -7.0, nan, nan, nan]).expect("finite");
+    target.write(&mut bench.targets, bench.clock_s).expect("good values");
+    bench.cycle();
+    assert_eq!(bench.signal("hand.modes"), [1.0, 0.0, 2.0, 3.0, 3.0, 3.0]);
+    let changed = "priority = [\"hand\", \"rest\"]\n[task.hand.cartesian]\nframe = \"hand\"\n\
+        axes = { x = \"compliant\", y = \"motion\", z = \"force\" }\nreference = \"hold\"\n\
+        gains = { frequency_rad_per_s = 20.0, damping_ratio = 0.5 }\n\
+        force = { sensor = 'wrist', target_n = { z = -7.0 }, integral_per_s = { z = 0.0 } }\n\
+        [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n";
+    let mut other = Bench::new(changed);
+    (other.measurement, other.data) = (bench.measurement.clone(), bench.data.clone());
+    other.controller.start(&common::input(&other.model, &other.data, &other.measurement));
+    other.cycle();
+    other.cycle();
+    for (a, b) in bench.acceleration().iter().zip(other.acceleration()) {
+        assert!((a - b).abs() < 1e-12, "{a} and {b}");
+    }
+    for (a, b) in bench.signal("hand.force").iter().zip(other.signal("hand.force")) {
+        assert!((a - b).abs() < 1e-9, "{a} and {b}");
+    }
+    // As configured again.
+    target.clear();
+    target.write(&mut bench.targets, bench.clock_s).expect("good values");
+    bench.cycle();
+    assert_eq!(bench.signal("hand.modes"), [2.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
+}
+
+/// Compared: the reference in the cycle in which a compliant axis comes into motion, far from where it held, and the
+/// hand.
+#[test]
+fn axis_that_comes_into_motion_starts_where_the_hand_is() {
+    let axes = r#"{ x = "compliant", y = "motion", z = "motion" }"#;
+    let mut bench = Bench::new(&streamed(axes, ""));
+    let mut target = bench.hand();
+    bench.cycle();
+    let q = Q.map(|q| q + 0.2);
+    assert!(opspace_model::update(&bench.model, &mut bench.data, &q, &[0.0; 7]));
+    target.modes([Some(AxisMode::Motion), None, None, None, None, None]).expect("a good mode");
+    let before = reference(&bench)[0];
+    target.write(&mut bench.targets, bench.clock_s).expect("good values");
+    bench.cycle();
+    let (now, hand) = (reference(&bench)[0], bench.placement().translation);
+    assert!((now.x - hand.x).abs() < 1e-12 && (now.x - before.x).abs() > 0.01, "{now} and {hand}");
+    assert!((now.y - before.y).abs() < 1e-12 && (now.z - before.z).abs() < 1e-12);
+}
+
+#[test]
+fn refused_inputs_name_what_is_allowed() {
+    let bench = Bench::new(&streamed(r#"{ x = "compliant", z = "motion" }"#, ""));
+    let mut target = bench.hand();
+    let refused = |result: Result<&mut CartesianTarget, TargetError>, words: &[&str]| {
+        let text = result.map(|_| ()).expect_err("it is refused").to_string();
+        assert!(words.iter().all(|word| text.contains(word)), "{text}");
+    };
+    let only = |axis: usize, mode| std::array::from_fn(|i| (i == axis).then_some(mode));
+    refused(target.modes(only(1, AxisMode::Motion)), &["axis y", "hand", "x, z"]);
+    refused(target.modes(only(0, AxisMode::Free)), &["axis x", "x, z"]);
+    refused(target.modes(only(2, AxisMode::Force)), &["axis z", "force", "motion, compliant"]);
+    refused(target.pose([0.0; 3], [0.9, 0.0, 0.0, 0.0]), &["unit quaternion", "0.001", "0.9"]);
+    refused(target.gains([0.0; 6], [1.0; 6]), &["frequency_rad_per_s", "axis x", "above 0"]);
+    refused(target.gains([1.0; 6], [-1.0; 6]), &["damping_ratio", "0 or above"]);
+    refused(target.twist([f64::NAN; 6]), &["finite"]);
+    target.pose([0.0; 3], [1.0005, 0.0, 0.0, 0.0]).expect("within the tolerance");
+    assert_eq!(target.inputs()[0].1[3], 1.0, "it is normalised");
+    let impedance = "impedance = { stiffness_n_per_m = 500.0 }\n";
+    let text = hand(XYZ, "streamed = {}", impedance)
+        .replace("gains = { frequency_rad_per_s = 15.0, damping_ratio = 1.0 }\n", "");
+    refused(Bench::new(&text).hand().gains([1.0; 6], [1.0; 6]), &["hand", "gains"]);
+    let error = CartesianTarget::of(&bench.targets, "rest").expect_err("no inputs");
+    assert!(error.to_string().contains("those that have are: hand"), "{error}");
+    let mut joints = JointTarget::of(&Bench::new(&joints("streamed = {}")).targets, "all").expect("a task");
+    assert!(joints.position(&[0.0; 3]).expect_err("three of seven").to_string().contains("7 values"));
+    assert!(JointTarget::of(&bench.targets, "hand").is_err());
+}
+
+/// Compared: the reference under values that no setter lets pass, and the start: they are ignored.
+#[test]
+fn raw_values_that_are_no_target_are_ignored() {
+    let mut bench = Bench::new(&streamed(XYZ, ""));
+    let home = bench.placement().translation;
+    let task = bench.targets.task("hand").expect("a task");
+    let [pose, modes, gains] = ["pose", "modes", "frequency_rad_per_s"]
+        .map(|name| bench.targets.input(&task, name).expect("an input"));
+    let nan = f64::NAN;
+    for _ in 0..300 {
+        let clock_s = bench.clock_s;
+        let values: [(&opspace_control::InputHandle, &[f64]); 3] = [
+            (&pose, &[nan, 1.0, 1.0, 0.5, 0.0, 0.0, 0.0]),
+            (&modes, &[3.0, 7.5, -1.0, 0.0, 1.0, 2.0]),
+            (&gains, &[-1.0, 0.0, nan, 5.0, 5.0, 5.0]),
+        ];
+        bench.targets.write(&task, clock_s, &values).expect("no value is infinite");
+        bench.cycle();
+    }
+    assert_eq!(reference(&bench), [home, Vector3::zeros()]);
+    assert_eq!(bench.signal("hand.modes"), [0.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
+    assert!(bench.torque.iter().all(|torque| torque.is_finite()));
+}
+
+/// Compared: joint references that are streamed in every cycle, and the motion itself; then rest after the last target.
+#[test]
+fn streamed_joints_follow_and_come_to_rest() {
+    const TOLERANCE: f64 = 1e-4;
+    let some = "priority = [\"all\"]\n[task.all.joint-tracking]\njoints = [\"j4\", \"j2\"]\nreference.streamed = {}\n\
+                gains = { frequency_rad_per_s = 15.0, damping_ratio = 1.0 }\n";
+    for (text, places) in
+        [(joints("streamed = {}"), vec![0, 1, 2, 3, 4, 5, 6]), (some.to_owned(), vec![3, 1])]
+    {
+        let mut bench = Bench::new(&text);
+        let mut target = JointTarget::of(&bench.targets, "all").expect("a task");
+        for k in 0..2000 {
+            let (sin, cos) = (3.0 * f64::from(k) * PERIOD_S).sin_cos();
+            let each = |of: &dyn Fn(usize) -> f64| places.iter().map(|&joint| of(joint)).collect::<Vec<_>>();
+            let (q, dq) = (each(&|joint| Q[joint] + 0.2 * (1.0 - cos)), each(&|_| 0.6 * sin));
+            target.position(&q).expect("finite").velocity(&dq).expect("finite");
+            target.acceleration(&each(&|_| 1.8 * cos)).expect("finite");
+            target.write(&mut bench.targets, bench.clock_s).expect("good values");
+            bench.cycle();
+            let (reference, speed) = (bench.signal("all.reference"), bench.signal("all.reference_velocity"));
+            for (place, &joint) in places.iter().enumerate() {
+                // The first target is joined within a second: its acceleration begins with a step.
+                let settled = k > 1100;
+                assert!(
+                    !settled || (reference[joint] - q[place]).abs() < TOLERANCE,
+                    "joint {joint}, cycle {k}"
+                );
+                assert!(
+                    !settled || (speed[joint] - dq[place]).abs() < 20.0 * TOLERANCE,
+                    "joint {joint}, cycle {k}"
+                );
+            }
+        }
+        for _ in 0..400 {
+            bench.cycle();
+        }
+        assert_eq!(bench.signal("all.target_stale"), [1.0]);
+        assert_eq!(bench.signal("all.reference_velocity"), vec![0.0; 7]);
+        if places.len() < 7 {
+            assert_eq!(bench.signal("all.reference")[0], Q[0], "a joint without input holds");
+        }
+    }
+}
+
+/// Compared: the reference of the position controller under a constant pose, and the pose.
+#[test]
+fn position_controller_follows_streamed_poses() {
+    let model = seven_joints();
+    let file = File::read(&streamed(ALL, LIMITS));
+    let mut ik = InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+        .unwrap_or_else(|e| panic!("{e}"));
+    let (data, mut measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
+    let mut targets = ik.targets();
+    ik.start(&common::input(&model, &data, &measurement));
+    let mut goal = frame_placement(&model, &data, model.frame_id("hand").expect("a frame"));
+    goal.translation.x += 0.05;
+    let mut target = CartesianTarget::of(&targets, "hand").expect("a streamed task");
+    let mut q = [0.0; 7];
+    for k in 0..2000 {
+        measurement.time_s = f64::from(k) * PERIOD_S;
+        if k % 10 == 0 {
+            target.placement(&goal).expect("a pose").write(&mut targets, measurement.time_s).expect("good");
+        }
+        let input = ControlInput { targets: &targets, ..common::input(&model, &data, &measurement) };
+        ik.update(&input, &mut q);
+    }
+    let (data, _) = at_state(&model, &q, &[0.0; 7], 0.0);
+    let reached = frame_placement(&model, &data, model.frame_id("hand").expect("a frame"));
+    assert!((reached.translation - goal.translation).norm() < 1e-6, "{reached:?}");
+}
+
+/// Compared: numbers in force and the tasks' references, and the numbers asked for.
+#[test]
+fn task_sets_are_chosen_by_number() {
+    let model = seven_joints();
+    let mut controller = controller(&model, &streamed(XYZ, ""));
+    let soft = File::read(&streamed(r#"{ x = "compliant", y = "motion" }"#, ""));
+    let rigid =
+        File::read(&hand(XYZ, "hold = []", "").replace("reference.hold = []", "reference = \"hold\""));
+    for (file, number) in [(&soft, 1), (&rigid, 2)] {
+        let prepared = controller.prepare(&model, &file.stack()).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(controller.add_task_set(prepared), Ok(number));
+    }
+    let scheduled = controller.prepare(&model, &soft.stack()).unwrap_or_else(|e| panic!("{e}"));
+    controller.schedule(0.02, scheduled);
+    let mut bench = Bench::of(model, controller);
+    let in_force = |bench: &Bench| (bench.controller.task_set(), bench.signal("task_set"));
+    bench.cycle();
+    assert_eq!(in_force(&bench), (0, vec![0.0]));
+    for (asked, number) in [(1, 1), (2, 2), (9, 2), (u32::MAX, 2), (0, 0), (1, 1)] {
+        bench.targets.choose_task_set(asked);
+        bench.cycle();
+        assert_eq!(in_force(&bench), (number, vec![number as f64]), "{asked} is asked for");
+        assert!(bench.torque.iter().all(|torque| torque.is_finite()));
+    }
+    assert_eq!(bench.controller.tasks().tasks().next().map(|task| task.rows()), Some(2));
+    for _ in 0..30 {
+        bench.cycle();
+    }
+    assert_eq!(in_force(&bench).0, 1, "the number asked for stays in force");
+    // As scheduled.
+    bench.targets.set_row(&vec![f64::NAN; bench.targets.row().len()]);
+    bench.cycle();
+    assert_eq!(in_force(&bench).0, 3, "the scheduled one");
+}
+
+/// Compared: torque steps at a switch by number, and the robot's torque rate.
+#[test]
+fn torque_moves_no_faster_than_the_robots_limit_at_a_switch_by_number() {
+    const RATE: f64 = 200.0;
+    let model = seven_joints();
+    let mut context = facts(&model, "hand");
+    context.limits.torque_rate = vec![RATE; 7];
+    let files = ["15.0", "60.0"].map(|gain| File::read(&streamed(XYZ, "").replace("15.0", gain)));
+    let mut controller = OperationalSpaceController::new(&model, &files[0].stack(), &context).expect("good");
+    let prepared = controller.prepare(&model, &files[1].stack()).expect("good");
+    controller.add_task_set(prepared).expect("the same inputs");
+    let mut bench = Bench::of(model, controller);
+    let (data, _) = at_state(&bench.model, &Q.map(|q| q + 0.05), &[0.0; 7], 0.0);
+    bench.data = data;
+    for _ in 0..200 {
+        bench.cycle();
+    }
+    let mut largest: f64 = 0.0;
+    for k in 0..100_u32 {
+        let before = bench.torque.clone();
+        bench.targets.choose_task_set(k / 50);
+        bench.cycle();
+        for (a, b) in bench.torque.iter().zip(&before) {
+            largest = largest.max((a - b).abs());
+        }
+    }
+    assert!(largest > 0.5 * RATE * PERIOD_S && largest <= RATE * PERIOD_S * (1.0 + 1e-6), "{largest}");
+}
+
+/// A task of one name with other inputs in another set is an error; one without inputs is not.
+#[test]
+fn tasks_of_one_name_have_the_same_inputs_in_all_sets() {
+    let model = seven_joints();
+    let of = |joints: &str| {
+        let text = "priority = [\"some\"]\n[task.some.joint-tracking]\nreference.streamed = {}\n\
+                    gains = { frequency_rad_per_s = 15.0, damping_ratio = 1.0 }\n";
+        File::read(&format!("{text}joints = [{joints}]\n"))
+    };
+    let mut controller = controller(&model, &streamed(XYZ, ""));
+    let one = controller.prepare(&model, &of("\"j1\"").stack()).expect("a good set");
+    controller.add_task_set(one).expect("a new task");
+    let error = controller.prepare(&model, &of("\"j1\", \"j2\"").stack()).expect_err("other inputs");
+    assert_eq!(
+        (error.key(), error.reason()),
+        ("task.some", &Reason::InputsChanged { name: "some".to_owned() })
+    );
+}
+
+/// Compared: torques of a run, and of a second one whose targets are the rows of the first; bit by bit.
+#[test]
+fn replayed_rows_of_targets_reproduce_the_torques() {
+    let text = streamed(XYZ, "");
+    let run = |rows: Option<&[Vec<f64>]>| {
+        let mut bench = Bench::new(&text);
+        let (home, mut target, mut numbers) = (bench.placement(), bench.hand(), Numbers::new(3));
+        let (mut torques, mut kept) = (Vec::new(), Vec::new());
+        for k in 0..600 {
+            match rows {
+                Some(rows) => bench.targets.set_row(&rows[k]),
+                None if k % 7 == 0 && k % 300 < 150 => {
+                    let translation = home.translation + numbers.vector3(0.05);
+                    let pose = Target::at_rest(Placement { translation, ..home });
+                    target
+                        .modes([Some(AxisMode::IN_TASK[numbers.below(2)]), None, None, None, None, None])
+                        .expect("ok");
+                    write(&mut target, &pose, &mut bench.targets, bench.clock_s);
+                }
+                None => {}
+            }
+            kept.push(bench.targets.row().to_vec());
+            bench.cycle();
+            torques.extend(bench.torque.iter().map(|torque| torque.to_bits()));
+        }
+        (torques, kept)
+    };
+    let (torques, rows) = run(None);
+    assert_eq!(run(Some(&rows)).0, torques);
+}
+
+#[test]
+fn counter_counts() {
+    assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
+}
+
+/// Counts over cycles with new targets, changed modes and gains, stale targets, task-set switches, a hold and a resume.
+#[test]
+fn streamed_targets_allocate_nothing() {
+    for shape in ["", LIMITS] {
+        let model = seven_joints();
+        let axes = r#"{ x = "motion", y = "compliant", z = "motion", ry = "motion" }"#;
+        let force = "force = { sensor = 'wrist' }";
+        let tracked = |more: &str| {
+            let text = hand(axes, &format!("streamed = {{ {shape} }}"), force);
+            let rest = "[task.rest.joint-tracking]\nreference.streamed = {}\ngains = { frequency_rad_per_s = 5.0, damping_ratio = 1.0 }\n";
+            let damped = text.find("[task.rest").expect("there is one");
+            File::read(&format!("{}{rest}", text[..damped].replace("15.0", more)))
+        };
+        let mut controller =
+            OperationalSpaceController::new(&model, &tracked("15.0").stack(), &facts(&model, "hand"))
+                .unwrap_or_else(|e| panic!("{e}"));
+        let other = controller.prepare(&model, &tracked("25.0").stack()).unwrap_or_else(|e| panic!("{e}"));
+        controller.add_task_set(other).expect("the same inputs");
+        let mut bench = Bench::of(model, controller);
+        let (home, mut target, mut numbers) = (bench.placement(), bench.hand(), Numbers::new(5));
+        let mut rest = JointTarget::of(&bench.targets, "rest").expect("a task");
+        for k in 0..900_u32 {
+            let q: Vec<f64> = Q.iter().map(|q| q + 0.1 * numbers.next()).collect();
+            let translation = home.translation + numbers.vector3(0.05);
+            let pose = Target::at_rest(Placement { translation, ..home });
+            let modes = [0, 1, 2].map(|_| Some(AxisMode::IN_TASK[numbers.below(3)]));
+            let count = allocations(|| {
+                if k % 10 == 0 && k % 300 < 100 {
+                    let gains = [10.0 + f64::from(k % 20); 6];
+                    target.gains(gains, [1.0; 6]).expect("good gains");
+                    target.modes([modes[0], modes[1], modes[2], None, None, None]).expect("good modes");
+                    write(&mut target, &pose, &mut bench.targets, bench.clock_s);
+                    rest.position(&q)
+                        .expect("finite")
+                        .write(&mut bench.targets, bench.clock_s)
+                        .expect("good");
+                }
+                bench.targets.choose_task_set(k / 50 % 3);
+                match k {
+                    700..800 => bench.held_cycle(),
+                    800 => bench.resume(),
+                    _ => bench.cycle(),
+                }
+            });
+            assert_eq!(count, 0, "{shape}: in cycle {k}");
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! Files, preflight, experiments, metrics and reports.
+
+mod findings;
+mod metrics;
+mod overrides;
+mod panicking_task;
+mod real_robot;
+mod recorded;
+mod report;
+mod servo_gain;
+mod source;
+mod streamed;
+mod task_kinds;
+mod velocity_robot;

@@ -1,0 +1,10 @@
+//! Recording, reading and repair of logs.
+
+mod common;
+mod damage;
+mod recorder;
+mod round_trip;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

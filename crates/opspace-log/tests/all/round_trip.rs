@@ -1,0 +1,174 @@
+//! Round trip of values, layouts and files; presence of the messages that viewers need.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use crate::common::{bits, channels, header, log, row, time};
+use foxglove::messages::{FrameTransforms, JointStates};
+use mcap::MessageStream;
+use opspace_log::{Channel, Header, LOG, LogError, Pace, Recording, TIME_ZERO_NS, record};
+use opspace_model::{Data, Model, frame_placement, kinematics};
+use prost::Message;
+use prost_types::FileDescriptorSet;
+use std::io::Cursor;
+use std::sync::Arc;
+
+/// Rows read against rows pushed, bit for bit, over several chunks.
+#[test]
+fn values_keep_their_bits() {
+    let ticks = 4000;
+    let (written, bytes) = log(header(), ticks);
+    assert_eq!((written.records, written.dropped), (3 * ticks as u64, 0));
+    let recording = Recording::from_bytes(&bytes).unwrap();
+    assert_eq!(recording.damage, None);
+    let (tick, servo) = (&recording.channels[0], &recording.channels[1]);
+    assert_eq!((tick.len(), servo.len()), (ticks, 2 * ticks));
+    for k in 0..ticks {
+        assert_eq!(tick.time_s[k].to_bits(), time(k).to_bits());
+        assert_eq!(bits(tick.row(k)), bits(&row(k, 9)), "tick {k}");
+        assert_eq!(bits(servo.row(2 * k + 1)), bits(&row(2 * k + 1, 1)), "servo row of tick {k}");
+    }
+}
+
+/// Layouts, metadata and attachments read against those given; signals looked up by name in the row.
+#[test]
+fn the_layout_and_the_files_come_back() {
+    let (_, bytes) = log(header(), 3);
+    let recording = Recording::from_bytes(&bytes).unwrap();
+    let read: Vec<_> = recording.channels.iter().map(|c| c.layout.clone()).collect();
+    let given: Vec<_> = channels().into_iter().map(|c| c.layout).collect();
+    assert_eq!(read, given);
+    assert_eq!(recording.attachments, header().attachments);
+    assert_eq!(recording.metadata("run"), Some(&header().metadata[0].1));
+    assert_eq!(recording.metadata(LOG).unwrap()["time_zero_ns"], TIME_ZERO_NS.to_string());
+    assert_eq!(recording.library, concat!("opspace ", env!("CARGO_PKG_VERSION")));
+    assert_eq!(recording.dropped(), 0);
+
+    let tick = recording.channel("tick").unwrap();
+    let dq = tick.signal("dq").unwrap();
+    assert_eq!((dq.elements(), dq.unit(), dq.len()), (&given[0].signals[1].elements[..], "rad/s", 3));
+    assert_eq!(bits(dq.row(2)), bits(&row(2, 9)[2..4]));
+    let hand = tick.signal("hand.position").unwrap();
+    assert_eq!(bits(&hand.rows().flatten().copied().collect::<Vec<_>>()[6..]), bits(&row(2, 9)[6..]));
+    assert!(tick.signal("no.joints").unwrap().row(1).is_empty());
+    assert!(tick.signal("nothing").is_none() && recording.channel("nothing").is_none());
+}
+
+/// Two recordings of the same rows, byte for byte: no wall clock, no thread's timing.
+#[test]
+fn equal_rows_make_equal_files() {
+    let (_, one) = log(header(), 3000);
+    let (_, other) = log(header(), 3000);
+    assert!(one == other);
+}
+
+/// A log without rows is a whole log: its layouts are known.
+#[test]
+fn a_run_without_a_tick_has_its_layouts() {
+    let (_, bytes) = log(header(), 0);
+    let recording = Recording::from_bytes(&bytes).unwrap();
+    assert_eq!(recording.damage, None);
+    assert_eq!(recording.channels[0].layout, channels()[0].layout);
+    assert!(recording.channels[0].is_empty());
+}
+
+/// The rows as any protobuf reader finds them: the definition in the file, decoded by prost's own types,
+/// names the fields whose values the bytes hold.
+#[test]
+fn a_foreign_reader_finds_the_fields() {
+    let (_, bytes) = log(Header::default(), 5);
+    let message = MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let message = message.filter(|m| m.channel.topic == "/opspace/tick").nth(3).unwrap();
+    assert_eq!(message.log_time, TIME_ZERO_NS + 1_000_000);
+    assert_eq!(message.publish_time, message.log_time);
+    let schema = message.channel.schema.clone().unwrap();
+    assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("opspace.Tick", "protobuf"));
+    let set = FileDescriptorSet::decode(&*schema.data).unwrap();
+    let fields = &set.file[0].message_type[0].field;
+    let names: Vec<_> = fields.iter().map(|f| (f.name(), f.number())).collect();
+    let expected =
+        [("t", 1), ("q", 2), ("dq", 3), ("motor_torque", 4), ("no_joints", 5), ("hand_position", 6)];
+    assert_eq!(names, expected);
+
+    /// Message of the channel `tick`, declared by hand.
+    #[derive(Clone, PartialEq, prost::Message)]
+    struct Tick {
+        #[prost(double, tag = "1")]
+        t: f64,
+        #[prost(double, repeated, tag = "2")]
+        q: Vec<f64>,
+        #[prost(double, repeated, tag = "6")]
+        hand_position: Vec<f64>,
+    }
+    let tick = Tick::decode(&*message.data).unwrap();
+    assert_eq!(tick.t, time(3));
+    assert_eq!(bits(&tick.q), bits(&row(3, 9)[..2]));
+    assert_eq!(bits(&tick.hand_position), bits(&row(3, 9)[6..]));
+}
+
+const ARM: &str = r#"<robot name="arm">
+  <link name="world"/>
+  <link name="upper"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="lower"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="continuous"><parent link="world"/><child link="upper"/>
+    <origin xyz="0.1 0.2 0.3" rpy="0.4 0.5 0.6"/><axis xyz="0 1 0"/></joint>
+  <joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
+    <origin xyz="0 0 0.5"/><axis xyz="1 0 0"/></joint>
+</robot>"#;
+
+/// `/joint_states` against the rows, `/tf` against the model's own kinematics, at no more than 50 Hz.
+#[test]
+fn viewers_find_the_joints_and_the_links() {
+    let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
+    let (_, bytes) = log(Header { model: Some(Arc::clone(&model)), ..Header::default() }, 101);
+    let messages: Vec<_> = MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+    let of = |topic: &str, schema: &str| {
+        let of: Vec<_> = messages.iter().filter(|m| m.channel.topic == topic).collect();
+        assert!(of.iter().all(|m| m.channel.schema.as_ref().unwrap().name == schema), "{topic}");
+        of
+    };
+    let states = of("/joint_states", "foxglove.JointStates");
+    let transforms = of("/tf", "foxglove.FrameTransforms");
+    assert_eq!((states.len(), transforms.len()), (6, 6), "0.1 s at 50 Hz");
+
+    let shown = 20;
+    assert_eq!(states[1].log_time, TIME_ZERO_NS + 18_000_000);
+    let joints = JointStates::decode(&*states[1].data).unwrap().joints;
+    let row = row(shown, 9);
+    for (i, name) in ["shoulder", "elbow"].iter().enumerate() {
+        assert_eq!(joints[i].name, *name);
+        assert_eq!(joints[i].position.unwrap().to_bits(), row[i].to_bits());
+        assert_eq!(joints[i].velocity.unwrap().to_bits(), row[2 + i].to_bits());
+        assert_eq!(joints[i].effort.unwrap().to_bits(), row[4 + i].to_bits());
+    }
+
+    let transforms = FrameTransforms::decode(&*transforms[1].data).unwrap().transforms;
+    let mut data = Data::new(&model);
+    kinematics(&model, &mut data, &row[..2], &[0.0; 2]);
+    assert_eq!(transforms.len(), model.frames().len());
+    for transform in &transforms {
+        // "world" is a link here.
+        assert_eq!(transform.parent_frame_id, "world_");
+        let placement = frame_placement(&model, &data, model.frame_id(&transform.child_frame_id).unwrap());
+        let (p, r) = (transform.translation.unwrap(), transform.rotation.unwrap());
+        let from_message = nalgebra::Quaternion::new(r.w, r.x, r.y, r.z);
+        let rotation = nalgebra::UnitQuaternion::new_unchecked(from_message).to_rotation_matrix();
+        // A rotation matrix to a quaternion and back: some ten roundings of numbers up to 1.
+        assert!((rotation.matrix() - placement.rotation).amax() < 16.0 * f64::EPSILON);
+        assert_eq!([p.x, p.y, p.z], <[f64; 3]>::from(placement.translation));
+    }
+}
+
+/// Checks that data that can't be recorded are refused by name.
+#[test]
+fn what_does_not_fit_is_refused() {
+    let twice = vec![channels().remove(0), channels().remove(0)];
+    let error = record(Cursor::new(Vec::new()), Header::default(), twice, Pace::Simulated).unwrap_err();
+    assert_eq!(error.to_string(), "two channels are called 'tick'; each needs a name of its own");
+
+    let model = Some(Arc::new(Model::from_urdf(ARM).unwrap().model));
+    let mut three = channels().remove(0);
+    three.layout.signals[0].elements.push("wrist".to_owned());
+    let three: Vec<Channel> = vec![three];
+    let header = Header { model, ..Header::default() };
+    let error = record(Cursor::new(Vec::new()), header, three, Pace::Simulated).unwrap_err();
+    assert!(matches!(error, LogError::ModelMismatch { joints: 2, elements: 3, .. }), "{error}");
+}

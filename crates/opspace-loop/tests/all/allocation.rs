@@ -1,0 +1,115 @@
+//! No cycle allocates: at rest, in control, after a dropout, held, resuming, at a stop and at a device fault.
+//!
+//! Compared: the allocator's own count before and after each call. It counts this thread only.
+
+use crate::common::cases::{Case, DURATION_S, cases};
+use crate::common::{self, KINDS, PERIOD_S, capabilities, config, weight_and};
+use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
+use opspace_loop::{ControlLoop, Phase, Run};
+use opspace_testing::allocation::allocations;
+use std::sync::atomic::AtomicBool;
+
+/// The phases and device faults of the rows, without their values.
+#[derive(Default)]
+struct Seen {
+    phase: usize,
+    device_failed: usize,
+    phases: [bool; 5],
+    device_fault: bool,
+}
+
+impl Seen {
+    fn new(layout: &Layout) -> Self {
+        let column = |name: &str| {
+            let signals = layout.signals.iter().take_while(|signal| signal.name != name);
+            signals.map(|signal| signal.len()).sum()
+        };
+        Self { phase: column("phase"), device_failed: column("device_failed"), ..Self::default() }
+    }
+}
+
+impl Sink for Seen {
+    fn row(&mut self, _channel: usize, _time_s: f64, row: &[f64]) {
+        self.phases[row[self.phase] as usize] = true;
+        self.device_fault |= row[self.device_failed] == 1.0;
+    }
+}
+
+/// A fault with borrowed words.
+fn device_fault() -> DeviceFault {
+    DeviceFault::new(7, "the drive is too hot")
+}
+
+/// Counts what each cycle of a run allocates.
+fn check(case: &Case, kind: CommandKind) -> Seen {
+    let stop_request = AtomicBool::new(false);
+    let control = ControlLoop::new(config(capabilities(kind), weight_and(3.0))).expect("parts that fit");
+    let mut seen = Seen::new(&Run::layouts(&control, None)[TICK]);
+    let mut run = Run::new(control, DURATION_S, &mut seen).with_stop_request(&stop_request);
+    let mut sample = Sample::new(&capabilities(kind));
+    for cycle in 0.. {
+        if run.is_over() {
+            break;
+        }
+        let count = allocations(|| {
+            let command = if case.unreadable.contains(&cycle) {
+                run.fail(device_fault())
+            } else {
+                case.play(cycle, &mut sample, &stop_request);
+                run.cycle(&sample)
+            };
+            if command.is_some() && case.refused == Some(cycle) {
+                run.refuse(device_fault());
+            }
+        });
+        assert_eq!(count, 0, "{kind:?}, {}, cycle {cycle}", case.name);
+    }
+    seen
+}
+
+#[test]
+fn the_counter_counts() {
+    assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
+}
+
+#[test]
+fn no_cycle_of_a_run_allocates() {
+    for kind in KINDS {
+        let mut phases = [false; 5];
+        let mut device_fault = false;
+        for case in cases() {
+            let seen = check(&case, kind);
+            (0..5).for_each(|phase| phases[phase] |= seen.phases[phase]);
+            device_fault |= seen.device_fault;
+        }
+        assert!(device_fault && phases[Phase::Rest.code() as usize], "{kind:?}");
+        // A dropout of 20 ms and 50 ms of a hold leave time for a part of the ramp.
+        assert_eq!(phases, [true; 5], "{kind:?}: all phases");
+    }
+}
+
+/// The core without a run: a robot at rest that drops out, resumes, fails, and is read on.
+#[test]
+fn no_step_of_a_loop_allocates() {
+    for kind in KINDS {
+        let mut control =
+            ControlLoop::new(config(capabilities(kind), weight_and(3.0))).expect("parts that fit");
+        let targets = control.targets();
+        let mut sample = Sample::new(&capabilities(kind));
+        let mut phases = [false; 5];
+        for cycle in 0..300_u64 {
+            common::at_rest(cycle, &mut sample);
+            sample.time_s += if cycle >= 60 { 20.0 * PERIOD_S } else { 0.0 };
+            let count = allocations(|| {
+                let step = control.step(&sample, &targets);
+                phases[step.phase.code() as usize] = true;
+                if cycle == 280 {
+                    let _ = control.fail(device_fault());
+                }
+            });
+            assert_eq!(count, 0, "{kind:?}, cycle {cycle}");
+        }
+        assert_eq!(phases, [true; 5], "{kind:?}: all phases");
+        let _ = control.stop();
+    }
+}

@@ -1,0 +1,93 @@
+//! Faults that the robot itself reports, when it is read and when it is commanded.
+
+use crate::common::{
+    self, AFTERMATH, KINDS, REST, Record, Scripted, at_rest, capabilities, config, drive_robot, model,
+    weight_and,
+};
+use opspace_backend::{CommandKind, DEVICE_FAILED, DeviceFault};
+use opspace_loop::{Fault, Phase, RunOutcome};
+use std::ops::Range;
+use std::sync::atomic::AtomicBool;
+
+/// The cycle of the fault, counted from the first read.
+const WRONG: u64 = 60;
+/// Code of device faults in the rows.
+const CODE: f64 = 17.0;
+/// A bound for sums of times, s.
+const ROUNDING: f64 = 1e-9;
+
+fn reported() -> DeviceFault {
+    DeviceFault::new(31, "joint 2: the brake is closed")
+}
+
+fn driven(kind: CommandKind, unreadable: Range<u64>, refused: Option<u64>) -> Record {
+    let robot = Scripted {
+        unreadable,
+        refused,
+        device_fault: reported(),
+        ..Scripted::new(capabilities(kind), at_rest)
+    };
+    drive_robot(config(capabilities(kind), weight_and(3.0)), 0.2, &AtomicBool::new(false), robot)
+}
+
+/// Checks outcome and rows: `before` rows without a fault, then one of the device fault, in `phase`.
+fn check(record: &Record, before: u64, phase: Phase, time_s: f64) {
+    let RunOutcome::Faulted { fault, time_s: at_s } = &record.outcome else { panic!("{:?}", record.outcome) };
+    assert_eq!(*fault, Fault::Device(reported()));
+    assert!((at_s - time_s).abs() < ROUNDING, "{at_s} s");
+    assert_eq!(fault.describe(&model()), "the robot reports: joint 2: the brake is closed (code 31)");
+    let row = before as usize;
+    let failed = record.scalar(DEVICE_FAILED);
+    assert_eq!((failed[row], failed.iter().sum::<f64>()), (1.0, 1.0), "in one row");
+    assert_eq!(record.scalar("fault")[row], CODE);
+    assert_eq!(record.scalar("fault")[..row].iter().sum::<f64>(), 0.0);
+    assert_eq!(record.phases()[row], phase.code());
+}
+
+/// Compared: outcome and rows of a run in which one cycle can't be read, and the device's code and words, and the 0.2 s
+/// of rows that follow.
+#[test]
+fn fault_at_read_stops_the_robot() {
+    for kind in KINDS {
+        let record = driven(kind, WRONG..WRONG + 1, None);
+        check(&record, WRONG, Phase::Control, (WRONG - 1 - REST) as f64 * common::PERIOD_S);
+        assert_eq!(record.check_fault_rows(Phase::Control), WRONG as usize);
+        let last = usize::from(kind != CommandKind::Torque);
+        assert_eq!(record.commands().len(), (WRONG - REST) as usize + last);
+    }
+}
+
+/// Compared: the rows of a robot that can't be read any more, and none after that of the fault.
+#[test]
+fn lasting_fault_at_read_has_no_aftermath() {
+    for kind in KINDS {
+        let record = driven(kind, WRONG..u64::MAX, None);
+        check(&record, WRONG, Phase::Control, (WRONG - 1 - REST) as f64 * common::PERIOD_S);
+        assert_eq!(record.rows.len(), WRONG as usize + 1);
+    }
+}
+
+/// Compared: outcome, rows and commands of a run whose first cycle can't be read, and one fault at rest and a stop.
+#[test]
+fn fault_at_the_first_read_stops_the_robot_without_a_command() {
+    for kind in KINDS {
+        let record = driven(kind, 0..1, None);
+        check(&record, 0, Phase::Rest, 0.0);
+        assert_eq!(record.check_fault_rows(Phase::Rest), 0);
+        assert_eq!(record.commands(), []);
+    }
+}
+
+/// Compared: outcome and rows of a run in which a command is refused, and the device's code and words; the refused
+/// command's row is there, and the refused command is the last.
+#[test]
+fn fault_at_write_stops_the_robot() {
+    for kind in KINDS {
+        let record = driven(kind, 0..0, Some(WRONG));
+        check(&record, WRONG + 1, Phase::Control, (WRONG - REST) as f64 * common::PERIOD_S);
+        assert_eq!(record.check_fault_rows(Phase::Control), WRONG as usize + 1);
+        assert_eq!(record.rows.len(), WRONG as usize + 2 + AFTERMATH);
+        assert_eq!(record.times_s[WRONG as usize], record.times_s[WRONG as usize + 1], "one cycle");
+        assert_eq!(record.commands().len(), (WRONG + 1 - REST) as usize);
+    }
+}

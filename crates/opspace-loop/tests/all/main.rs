@@ -1,0 +1,24 @@
+//! The control loop, its supervision and its shells, with scripted robots.
+
+mod allocation;
+mod borrowed;
+mod clock;
+mod common;
+mod device_fault;
+mod dropout;
+mod ground_truth;
+mod measurement;
+mod panic;
+mod parts;
+mod setpoints;
+mod shells;
+mod stop;
+mod supervision;
+mod together;
+mod torques;
+mod velocity;
+mod watchdog;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

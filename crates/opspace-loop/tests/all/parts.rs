@@ -1,0 +1,61 @@
+//! Parts of a loop that do not fit together are refused before the first cycle, by name.
+//!
+//! Compared throughout: the error, and the contradiction that the test put in.
+
+use crate::common::{KV, VelocityServo, capabilities, config, positions_at, weight_and};
+use opspace_backend::{Capabilities, CommandKind};
+use opspace_loop::{ControlLoop, LoopConfig, LoopError};
+
+fn refusal(config: LoopConfig) -> LoopError {
+    match ControlLoop::new(config) {
+        Ok(_) => panic!("it is accepted"),
+        Err(error) => error,
+    }
+}
+
+#[test]
+fn torque_robot_refuses_positions_by_name() {
+    let (gives, takes) = (CommandKind::Position, CommandKind::Torque);
+    let error = refusal(config(capabilities(takes), positions_at(|_| 0.0)));
+    assert_eq!(error, LoopError::Kind { part: "controller", gives, takes });
+    assert_eq!(
+        error.to_string(),
+        "the controller gives position commands, and the robot takes torque commands"
+    );
+}
+
+#[test]
+fn position_robot_refuses_a_transformer_to_velocities() {
+    let (gives, takes) = (CommandKind::Velocity, CommandKind::Position);
+    let config = LoopConfig {
+        transformer: Box::new(VelocityServo::new(KV)),
+        ..config(capabilities(takes), weight_and(0.0))
+    };
+    assert_eq!(refusal(config), LoopError::Kind { part: "transformer", gives, takes });
+}
+
+#[test]
+fn other_joints_than_the_models_are_refused() {
+    let robot = Capabilities::new(["elbow", "shoulder"], CommandKind::Torque, 1e-3);
+    let error = refusal(config(robot, weight_and(0.0)));
+    let joints = |names: [&str; 2]| names.map(str::to_owned).to_vec();
+    let [robot, model] = [joints(["elbow", "shoulder"]), joints(["shoulder", "elbow"])];
+    assert_eq!(error, LoopError::Joints { robot, model });
+}
+
+#[test]
+fn arrays_of_another_length_are_refused() {
+    let position = || config(capabilities(CommandKind::Position), weight_and(0.0));
+    let limits = LoopConfig { torque_limits: vec![1.0], ..position() };
+    assert_eq!(refusal(limits), LoopError::Length { what: "torque_limits", found: 1, joints: 2 });
+    let servos = LoopConfig { servo_gains: Vec::new(), ..position() };
+    assert_eq!(refusal(servos), LoopError::Length { what: "servo_gains", found: 0, joints: 2 });
+}
+
+#[test]
+fn force_sensor_on_an_unknown_frame_is_refused() {
+    let robot = capabilities(CommandKind::Torque).with_force_sensor("foot", "sole");
+    let error = refusal(config(robot, weight_and(0.0)));
+    assert!(matches!(error, LoopError::Sensor(_)), "{error:?}");
+    assert!(error.to_string().contains("sole"), "{error}");
+}

@@ -1,0 +1,281 @@
+//! Laws that our algorithms must obey together, on random trees in random states: with a base that stands or
+//! floats, and with joints that follow others.
+//!
+//! Identities don't see a transform that all algorithms share and that is wrong: see `pinocchio.rs` for those.
+#![expect(clippy::unwrap_used, reason = "a test")]
+
+use crate::common::{
+    Case, DIFFERENCE, INVERSE, ROUNDING, STEP, case, close, config, evaluated, jacobian, jointed, moved,
+    placement, plus, same_place, stacked, unit, vector,
+};
+use nalgebra::DMatrix;
+use opspace_model::{
+    Data, OperationalSpace, aba, bias, crba, frame_bias_acceleration, frame_jacobian, frame_placement,
+    frame_velocity, gravity, kinematics, kinetic_energy, potential_energy, rnea, update,
+};
+use proptest::prelude::*;
+
+fn mass_matrix(case: &Case) -> DMatrix<f64> {
+    case.evaluated().mass_matrix
+}
+
+proptest! {
+    #![proptest_config(config(384))]
+
+    /// Forward dynamics of inverse dynamics against the acceleration put in.
+    #[test]
+    fn aba_undoes_rnea(case in case()) {
+        let mut data = case.evaluated();
+        rnea(&case.model, &mut data, &case.ddq);
+        let tau = data.torque.as_slice().to_vec();
+        aba(&case.model, &mut data, &tau);
+        close(&data.ddq, &case.ddq, INVERSE)?;
+    }
+
+    /// ABA against M⁻¹ (τ − h) with CRBA's M, factored, and RNEA's h.
+    #[test]
+    fn aba_solves_the_equation_of_motion(case in case()) {
+        let mut data = case.evaluated();
+        aba(&case.model, &mut data, &case.tau);
+        let mut ddq: Vec<f64> = case.tau.iter().zip(&data.bias).map(|(tau, h)| tau - h).collect();
+        data.mass_matrix_factor.solve(&mut ddq);
+        close(&data.ddq, &ddq, INVERSE)?;
+    }
+
+    /// RNEA at one unit acceleration each against the bias and the column of CRBA's M; rotors included.
+    #[test]
+    fn the_mass_matrix_is_what_inverse_dynamics_say(case in case()) {
+        let mut data = case.evaluated();
+        for i in 0..case.model.n() {
+            rnea(&case.model, &mut data, &unit(case.model.n(), i));
+            close(&data.torque, &(&data.bias + data.mass_matrix.column(i)), ROUNDING)?;
+        }
+    }
+
+    /// Rotors add to M's diagonal, and to nothing else of the equation of motion.
+    #[test]
+    fn rotors_add_to_the_diagonal(case in case()) {
+        let rotors = case.model.rotor_inertia().to_vec();
+        let bare = case.model.clone().with_rotor_inertia(&vec![0.0; rotors.len()]);
+        let (with, without) =
+            (case.evaluated(), evaluated(&bare, &case.q, &case.dq));
+        let expected = &without.mass_matrix + DMatrix::from_diagonal(&vector(&rotors));
+        close(&with.mass_matrix, &expected, ROUNDING)?;
+        close(&with.bias, &without.bias, 0.0)?;
+        close(&with.coriolis_matrix, &without.coriolis_matrix, 0.0)?;
+    }
+
+    /// J q̇ against the frame's velocity, and both against the difference of its pose.
+    #[test]
+    fn the_jacobian_is_the_rate_of_the_pose(case in case()) {
+        let data = case.evaluated();
+        let jacobian = jacobian(case.model.n(), |j| frame_jacobian(&case.model, &data, case.tip, j));
+        let velocity = frame_velocity(&case.model, &data, case.tip);
+        close(&(&jacobian * vector(&case.dq)), &stacked(&velocity), ROUNDING)?;
+
+        let pose = |t: f64| {
+            let data = case.moved(&case.dq, t).evaluated();
+            frame_placement(&case.model, &data, case.tip)
+        };
+        let (before, now, after) = (pose(-STEP), pose(0.0), pose(STEP));
+        close(&((after.translation - before.translation) / (2.0 * STEP)), &velocity.linear, DIFFERENCE)?;
+        let spin = (after.rotation - before.rotation) / (2.0 * STEP) * now.rotation.transpose();
+        close(&spin, &velocity.angular.cross_matrix(), DIFFERENCE)?;
+    }
+
+    /// J̇ q̇ against the difference of the frame's velocity while q̇ stays the same.
+    #[test]
+    fn the_bias_acceleration_is_the_rate_of_the_velocity(case in case()) {
+        let data = case.evaluated();
+        let velocity = |t: f64| {
+            let data = case.moved(&case.dq, t).evaluated();
+            frame_velocity(&case.model, &data, case.tip)
+        };
+        let rate = (velocity(STEP) - velocity(-STEP)) * (0.5 / STEP);
+        let bias = frame_bias_acceleration(&case.model, &data, case.tip);
+        close(&rate.linear, &bias.linear, DIFFERENCE)?;
+        close(&rate.angular, &bias.angular, DIFFERENCE)?;
+    }
+
+    /// C q̇ against RNEA's bias less its gravity; C + Cᵀ against the difference of M in time.
+    #[test]
+    fn the_coriolis_matrix_obeys_both_its_laws(case in case()) {
+        let data = case.evaluated();
+        let coriolis = &data.coriolis_matrix;
+        close(&(coriolis * vector(&case.dq)), &(&data.bias - &data.gravity), ROUNDING)?;
+        let mass = |t: f64| mass_matrix(&case.moved(&case.dq, t));
+        let rate = (mass(STEP) - mass(-STEP)) / (2.0 * STEP);
+        close(&(coriolis + coriolis.transpose()), &rate, DIFFERENCE)?;
+    }
+
+    /// C against Christoffel's symbols from differences of M: C_ij = ½ Σ_k (∂_k M_ij + ∂_j M_ik − ∂_i M_jk) q̇_k.
+    #[test]
+    fn the_coriolis_matrix_is_christoffels(case in jointed()) {
+        let n = case.model.n();
+        let gradient: Vec<DMatrix<f64>> = (0..n)
+            .map(|k| {
+                let mass = |t: f64| mass_matrix(&case.moved(&unit(n, k), t));
+                (mass(STEP) - mass(-STEP)) / (2.0 * STEP)
+            })
+            .collect();
+        let expected = DMatrix::from_fn(n, n, |i, j| {
+            (0..n).map(|k| 0.5 * (gradient[k][(i, j)] + gradient[j][(i, k)] - gradient[i][(j, k)]) * case.dq[k]).sum()
+        });
+        close(&case.evaluated().coriolis_matrix, &expected, DIFFERENCE)?;
+    }
+
+    /// Gravity torques against the gradient of the potential energy.
+    #[test]
+    fn gravity_is_the_gradient_of_the_potential_energy(case in case()) {
+        let n = case.model.n();
+        let energy = |k: usize, t: f64| {
+            potential_energy(&case.model, &case.moved(&unit(n, k), t).evaluated())
+        };
+        let gradient: Vec<f64> = (0..n).map(|k| (energy(k, STEP) - energy(k, -STEP)) / (2.0 * STEP)).collect();
+        close(&case.evaluated().gravity, &gradient, DIFFERENCE)?;
+    }
+
+    /// The bodies' kinetic energy against ½ q̇ᵀ M q̇.
+    #[test]
+    fn kinetic_energy_is_that_of_the_mass_matrix(case in case()) {
+        let data = case.evaluated();
+        let dq = vector(&case.dq);
+        close(&[kinetic_energy(&case.model, &data)], &[0.5 * dq.dot(&(&data.mass_matrix * &dq))], ROUNDING)?;
+    }
+
+    /// The rate of all energy, by difference along ABA's motion, against the power of the torques.
+    #[test]
+    fn energy_changes_by_the_power_of_the_torques(case in case()) {
+        let mut data = case.evaluated();
+        aba(&case.model, &mut data, &case.tau);
+        let ddq = data.ddq.as_slice().to_vec();
+        // Speeds change as little over it as positions do elsewhere.
+        let step = STEP / vector(&ddq).amax().max(1.0).sqrt();
+        let energies = |t: f64| {
+            let q = moved(&case.model, &case.q, &plus(&case.dq, &ddq, 0.5 * t), t);
+            let data = evaluated(&case.model, &q, &plus(&case.dq, &ddq, t));
+            [kinetic_energy(&case.model, &data), potential_energy(&case.model, &data)]
+        };
+        let rate = (energies(step).iter().sum::<f64>() - energies(-step).iter().sum::<f64>()) / (2.0 * step);
+        // Energies of some hundred J lose their last digits in a difference over so short a step.
+        let size = energies(0.0).iter().map(|e| e.abs()).sum::<f64>() + 100.0;
+        let tolerance = DIFFERENCE + 4.0 * f64::EPSILON * size / step;
+        close(&[rate], &[vector(&case.tau).dot(&vector(&case.dq))], tolerance)?;
+    }
+
+    /// Compares the results of [`update`] with those of the single functions.
+    #[test]
+    fn one_update_is_all_of_them(case in case()) {
+        let mut alone = case.evaluated();
+        bias(&case.model, &mut alone);
+        gravity(&case.model, &mut alone);
+        crba(&case.model, &mut alone);
+        let mut at_once = Data::new(&case.model);
+        prop_assert!(update(&case.model, &mut at_once, &case.q, &case.dq));
+        close(&at_once.bias, &alone.bias, ROUNDING)?;
+        close(&at_once.gravity, &alone.gravity, ROUNDING)?;
+        close(&at_once.mass_matrix, &alone.mass_matrix, ROUNDING)?;
+    }
+
+    /// The robot with its base and gravity turned together, and moved, against itself: only its pose changes.
+    #[test]
+    fn turning_the_world_changes_no_torque(case in case(), world in placement()) {
+        let turned = case.model.clone()
+            .with_base(world * case.model.base())
+            .with_gravity(world.rotation * case.model.gravity());
+        let (mut here, mut there) =
+            (case.evaluated(), evaluated(&turned, &case.q, &case.dq));
+        for (model, data) in [(&case.model, &mut here), (&turned, &mut there)] {
+            rnea(model, data, &case.ddq);
+            aba(model, data, &case.tau);
+        }
+        close(&here.torque, &there.torque, ROUNDING)?;
+        close(&here.gravity, &there.gravity, ROUNDING)?;
+        close(&here.mass_matrix, &there.mass_matrix, ROUNDING)?;
+        close(&here.coriolis_matrix, &there.coriolis_matrix, ROUNDING)?;
+        close(&here.ddq, &there.ddq, INVERSE)?;
+        let expected = world * frame_placement(&case.model, &here, case.tip);
+        same_place(&expected, &frame_placement(&turned, &there, case.tip), ROUNDING)?;
+    }
+
+    /// A joint at an angle against the same joint locked there, everything else alike; against the model with it:
+    /// what the others move, weigh and feel.
+    #[test]
+    fn a_locked_joint_is_one_that_stands_still(
+        case in case(),
+        at in -3.0..3.0f64,
+        which in any::<prop::sample::Index>(),
+    ) {
+        let (n, first, ahead) = (case.model.n(), case.first_joint(), case.ahead());
+        prop_assume!(n > first);
+        let which = first + which.index(n - first);
+        let locked = case.model.with_locked_joints(&[(which, at)]).unwrap();
+        let (mut q, mut dq) = (case.q.clone(), case.dq.clone());
+        (q[ahead + which], dq[which]) = (at, 0.0);
+        let whole = evaluated(&case.model, &q, &dq);
+        q.remove(ahead + which);
+        let left: Vec<usize> = (0..n).filter(|&i| i != which).collect();
+        let pick = |values: &[f64]| -> Vec<f64> { left.iter().map(|&i| values[i]).collect() };
+        let part = evaluated(&locked, &q, &pick(&dq));
+        close(&part.bias, &pick(whole.bias.as_slice()), ROUNDING)?;
+        let expected = DMatrix::from_fn(n - 1, n - 1, |i, j| whole.mass_matrix[(left[i], left[j])]);
+        close(&part.mass_matrix, &expected, ROUNDING)?;
+        let (a, b) = (frame_placement(&case.model, &whole, case.tip), frame_placement(&locked, &part, case.tip));
+        same_place(&a, &b, ROUNDING)?;
+    }
+
+    /// All masses and inertias times a factor against all torques times it.
+    #[test]
+    fn torques_scale_with_the_inertia(case in case(), factor in 0.1..10.0f64) {
+        let heavy = case.model.clone().with_scaled_inertia(factor);
+        let (mut light, mut scaled) =
+            (case.evaluated(), evaluated(&heavy, &case.q, &case.dq));
+        rnea(&case.model, &mut light, &case.ddq);
+        rnea(&heavy, &mut scaled, &case.ddq);
+        close(&(light.torque * factor), &scaled.torque, ROUNDING)?;
+    }
+
+    /// J N = 0, J J̄ = 1, N N = N, Λ J M⁻¹ Jᵀ = 1, and J M⁻¹ Nᵀ = 0: nullspace torques don't move the task.
+    #[test]
+    fn the_nullspace_leaves_the_task_alone(case in case(), rows in 1..4usize) {
+        let n = case.model.n();
+        let data = case.evaluated();
+        let jacobian = jacobian(n, |j| frame_jacobian(&case.model, &data, case.tip, j));
+        let task = jacobian.rows(0, rows).into_owned();
+        let minv_jt = data.mass_matrix.clone().cholesky().unwrap().solve(&task.transpose());
+        let inverse_inertia = &task * &minv_jt;
+        let spectrum = inverse_inertia.clone().symmetric_eigenvalues();
+        prop_assume!(spectrum.min() > 1e-4 * spectrum.max());
+
+        let mut space = OperationalSpace::new(n);
+        space.update(&data.mass_matrix_factor, &jacobian, rows, 0.0);
+        let inverse = space.jbar_transpose.rows(0, rows).transpose();
+        let inertia = space.task_inertia.view((0, 0), (rows, rows));
+        let nullspace = &mut DMatrix::zeros(n, n);
+        space.nullspace(&jacobian, nullspace);
+        let mut projected = case.tau.clone();
+        space.project_torque(&jacobian, &mut projected);
+        close(&projected, &(nullspace.transpose() * vector(&case.tau)), INVERSE)?;
+        let nullspace = &*nullspace;
+        let identity = DMatrix::identity(rows, rows);
+        close(&(&task * nullspace), &DMatrix::zeros(rows, n), INVERSE)?;
+        close(&(&task * inverse), &identity, INVERSE)?;
+        close(&(nullspace * nullspace), nullspace, INVERSE)?;
+        close(&(inertia * inverse_inertia), &identity, INVERSE)?;
+        close(&(minv_jt.transpose() * nullspace.transpose()), &DMatrix::zeros(rows, n), INVERSE)?;
+        prop_assert_eq!(space.min_singular_gain, 1.0);
+    }
+
+    /// A frame on the base stands still, whatever the joints do.
+    #[test]
+    fn a_frame_on_the_base_stands_still(case in jointed(), place in placement()) {
+        let mut model = case.model.clone();
+        let stand = model.add_frame("stand", None, place);
+        let mut data = Data::new(&model);
+        kinematics(&model, &mut data, &case.q, &case.dq);
+        let jacobian = jacobian(model.n(), |j| frame_jacobian(&model, &data, stand, j));
+        prop_assert!(jacobian.iter().all(|&x| x == 0.0));
+        prop_assert_eq!(frame_placement(&model, &data, stand), model.base() * place);
+        prop_assert_eq!(frame_velocity(&model, &data, stand), opspace_model::Motion::zero());
+    }
+}

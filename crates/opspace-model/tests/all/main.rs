@@ -1,0 +1,19 @@
+//! Kinematics and dynamics: identities on random trees, foreign programs, URDF texts.
+
+mod allocation;
+mod batch;
+mod common;
+mod floating;
+mod identities;
+mod mujoco;
+mod oracle;
+mod pinocchio;
+mod samples;
+mod states;
+mod suspicion;
+mod trees;
+mod urdf;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

@@ -1,0 +1,20 @@
+//! The robot that a file of foreign numbers is about.
+
+use opspace_model::{Model, UrdfOptions};
+use opspace_testing::oracle;
+use serde_json::Value;
+
+pub struct Oracle {
+    pub meta: Value,
+    pub samples: Vec<Value>,
+    pub model: Model,
+}
+
+/// `file` of `tests/oracles/`, and the robot that it is about.
+pub fn oracle(file: &str) -> Oracle {
+    let oracle::Oracle { meta, samples, urdf, .. } = oracle::Oracle::read(file);
+    let flag = |key: &str| meta[key].as_bool().unwrap_or(false);
+    let options = UrdfOptions { floating_base: flag("floating"), fold_mimics: flag("fold_mimics") };
+    let model = Model::from_urdf_with(&urdf, options).expect(file).model;
+    Oracle { meta, samples, model }
+}

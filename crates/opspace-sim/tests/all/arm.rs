@@ -1,0 +1,419 @@
+//! The simulated arm behind its interface: timing, encoders, sensors, brakes, stops and weight.
+
+use crate::common::{START, arm, object, parsed, read, servo_rows, setup, try_read};
+use nalgebra::{DVector, Vector3};
+use opspace_backend::{Backend, Command, CommandKind, GravityCompensation, Measured, Sample, TruthRow};
+use opspace_model::{Data, Model, frame_placement, kinematics, potential_energy};
+use opspace_sim::{ArmConfig, SimulatedArm, SimulationError, fault};
+use std::f64::consts::TAU;
+
+/// The gradient of potential energy: joint torques against gravity, without any dynamics algorithm.
+fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
+    const STEP: f64 = 1e-5;
+    let mut data = Data::new(model);
+    let mut height = |q: &[f64]| {
+        kinematics(model, &mut data, q, &vec![0.0; q.len()]);
+        potential_energy(model, &data)
+    };
+    DVector::from_fn(q.len(), |i, _| {
+        let mut moved = q.to_vec();
+        moved[i] += STEP;
+        let above = height(&moved);
+        moved[i] -= 2.0 * STEP;
+        (above - height(&moved)) / (2.0 * STEP)
+    })
+}
+
+/// Rounding of the gradient above.
+const WEIGHT_NM: f64 = 1e-7;
+
+/// Compares the servo tick at which a setpoint moves the servos' torque with the delay of the file, for every delay
+/// that there can be.
+#[test]
+fn a_command_acts_after_its_delay_to_the_tick() {
+    for command in [CommandKind::Position, CommandKind::Torque] {
+        for delay in 0..=5_u32 {
+            let mut setup = setup(command, "a-med");
+            setup.profile.delay_servo_ticks = Some(delay);
+            let mut arm = arm(setup);
+            let hold = read(&mut arm);
+            let give = |arm: &mut SimulatedArm, size: f64| match command {
+                CommandKind::Position => {
+                    let q: Vec<f64> = hold.q.iter().map(|q| q + size * 1e-3).collect();
+                    arm.write(Command::Position(&q))
+                }
+                _ => arm.write(Command::Torque(&[size; 4])),
+            };
+            let mut rows = Vec::new();
+            for k in 1..=3_u32 {
+                give(&mut arm, f64::from(k)).expect("it takes them");
+                read(&mut arm);
+                rows.extend(servo_rows(&arm));
+            }
+            for (tick, (number, torque)) in rows.iter().enumerate() {
+                let expected = (tick + 5 - delay as usize) / 5;
+                assert_eq!(*number, expected as u64, "delay {delay}, servo tick {tick}");
+                if command == CommandKind::Torque {
+                    assert_eq!(torque[0], expected as f64, "delay {delay}, servo tick {tick}");
+                } else if tick > 0 {
+                    // kv kp of joint 0 times a step of 1 mrad is 4.8 Nm; between steps the arm hardly moves.
+                    let steps = *number > rows[tick - 1].0;
+                    assert_eq!(
+                        torque[0] - rows[tick - 1].1[0] > 3.0,
+                        steps,
+                        "delay {delay}, servo tick {tick}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Compared: torques asked for, and motor torques, beyond and below the drives' limits.
+#[test]
+fn drives_give_no_more_than_their_limit() {
+    let asked = [100.0, -100.0, 10.0, -100.0];
+    for (saturation, expected) in [(true, [40.0, -40.0, 10.0, -22.0]), (false, asked)] {
+        let mut setup = setup(CommandKind::Torque, "a-med");
+        setup.simulated.torque_saturation = saturation;
+        let mut arm = arm(setup);
+        read(&mut arm);
+        arm.write(Command::Torque(&asked)).expect("it takes them");
+        let sample = read(&mut arm);
+        assert_eq!(sample.motor_torque.expect("measured").as_slice(), expected);
+    }
+}
+
+/// Compared: positions as read, and true ones: within half a count, and a whole number of counts.
+#[test]
+fn encoders_count() {
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.simulated.encoder_quantisation = true;
+    let counts: Vec<f64> = setup
+        .joints
+        .iter()
+        .map(|j| f64::from(j.rotor.encoder_counts_per_turn.get()) * j.rotor.gear_ratio.get())
+        .collect();
+    let mut arm = arm(setup);
+    read(&mut arm);
+    let mut seen = Vec::new();
+    for _ in 0..100 {
+        arm.write(Command::Torque(&[5.0, -3.0, 2.0, 4.0])).expect("it takes them");
+        let sample = read(&mut arm);
+        for (i, per_turn) in counts.iter().enumerate() {
+            let turns = sample.q[i] / TAU * per_turn;
+            assert!((turns - turns.round()).abs() < 1e-6, "joint {i}: {turns} counts");
+            let error = (sample.q[i] - arm.true_q()[i]).abs() / TAU * per_turn;
+            assert!(error <= 0.5 + 1e-6, "joint {i}: {error} counts off");
+            seen.push(error);
+        }
+    }
+    assert!(seen.iter().any(|e| *e > 0.3), "truth lies between counts");
+}
+
+/// Compared: the arm after two seconds, and where it started: a position robot by its servo, a torque robot by
+/// its brakes, both without a command.
+#[test]
+fn an_arm_left_alone_holds_itself() {
+    for command in [CommandKind::Position, CommandKind::Torque] {
+        let setup = setup(command, "b-soft");
+        let weight = weight(&setup.model, &START);
+        let mut arm = arm(setup);
+        let mut last = read(&mut arm);
+        for _ in 0..400 {
+            last = read(&mut arm);
+        }
+        // A brake gives by the weight over its stiffness of 20000 Nm/rad: 0.3 mrad.
+        let moved = (DVector::from_vec(last.q) - DVector::from_column_slice(&START)).amax();
+        assert!(moved < 5e-4, "{command:?}: {moved} rad");
+        assert!(arm.true_dq().amax() < 1e-6, "{command:?} stands still");
+        let torque = DVector::from_vec(last.motor_torque.expect("measured"));
+        match command {
+            CommandKind::Position => {
+                assert!((torque - weight).amax() < WEIGHT_NM, "the servo carries the weight")
+            }
+            _ => assert_eq!(torque.amax(), 0.0, "the brakes carry the weight"),
+        }
+    }
+}
+
+/// Compared: a thrown arm's speed before and after its brakes fall in.
+#[test]
+fn brakes_stop_a_moving_arm_and_keep_it() {
+    let mut arm = arm(setup(CommandKind::Torque, "a-med"));
+    read(&mut arm);
+    for _ in 0..150 {
+        arm.write(Command::Torque(&[-15.0, 0.0, 0.0, 0.0])).expect("it takes them");
+        read(&mut arm);
+    }
+    let fast = arm.true_dq().amax();
+    assert!(fast > 1.0, "{fast} rad/s");
+    arm.stop();
+    (0..300).for_each(|_| drop(read(&mut arm)));
+    assert!(arm.true_dq().amax() < 1e-3, "{}", arm.true_dq());
+    let stood = arm.true_q();
+    (0..300).for_each(|_| drop(read(&mut arm)));
+    assert!((arm.true_q() - stood).amax() < 1e-4);
+}
+
+/// Compares a robot that compensates its own weight under no torque with one that doesn't.
+#[test]
+fn a_robot_that_carries_its_weight_needs_no_torque() {
+    let fallen = |gravity_compensated_by| {
+        let mut setup = setup(CommandKind::Torque, "a-med");
+        setup.capabilities.gravity_compensated_by = gravity_compensated_by;
+        setup.simulated.true_over_nominal.friction = Default::default();
+        let mut arm = arm(setup);
+        read(&mut arm);
+        for _ in 0..300 {
+            arm.write(Command::Torque(&[0.0; 4])).expect("it takes them");
+            read(&mut arm);
+        }
+        (arm.true_q() - DVector::from_column_slice(&START)).amax()
+    };
+    assert!(fallen(GravityCompensation::Robot) < 1e-12);
+    assert!(fallen(GravityCompensation::Controller) > 0.1);
+}
+
+/// Compared: how far a joint pressed into its stop with full torque gets, and the torque over the stop's
+/// stiffness.
+#[test]
+fn end_stops_hold() {
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.start = vec![0.0, 0.0, 0.0, -0.05];
+    setup.capabilities.gravity_compensated_by = GravityCompensation::Robot;
+    let mut arm = arm(setup);
+    read(&mut arm);
+    for _ in 0..1500 {
+        arm.write(Command::Torque(&[0.0, 0.0, 0.0, 22.0])).expect("it takes them");
+        read(&mut arm);
+    }
+    let (q, dq) = (arm.true_q()[3], arm.true_dq()[3]);
+    // Static friction holds it up to 1.43 Nm on either side of that.
+    assert!((q * 2000.0 - 22.0).abs() < 1.43, "{q} rad beyond the stop");
+    assert!(dq.abs() < 0.01, "{dq} rad/s");
+}
+
+/// A position robot with something at its hand and a sensor without noise or bias.
+fn touched(by: &str) -> ArmConfig {
+    let mut setup = setup(CommandKind::Position, "a-med");
+    let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
+    *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
+    setup.environment = vec![("push".to_owned(), object(by))];
+    setup
+}
+
+/// Compared: the sensor's reading turned into world axes by the hand's pose, and the push of the file.
+#[test]
+fn a_force_sensor_reads_the_contact_in_its_own_axes() {
+    let force = Vector3::new(4.0, -3.0, 2.0);
+    let setup = touched(
+        "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.0, duration_s = 0.4, force_n = [4.0, -3.0, 2.0] }]",
+    );
+    let (model, hand) = (setup.model.clone(), setup.model.frame_id("hand").expect("the hand"));
+    let mut arm = arm(setup);
+    let mut sample = read(&mut arm);
+    for _ in 0..200 {
+        sample = read(&mut arm);
+    }
+    let mut data = Data::new(&model);
+    kinematics(&model, &mut data, arm.true_q().as_slice(), &[0.0; 4]);
+    let axes = frame_placement(&model, &data, hand).rotation;
+    let [linear, angular] = [0, 3].map(|i| Vector3::from_column_slice(&sample.wrenches[0][i..i + 3]));
+    assert!((linear - force).norm() > 1.0, "the hand's axes are not the world's");
+    // At its height the half sine is flat; the sensor's filter of 0.3 ms lags by nothing there.
+    assert!((axes * linear - force).norm() < 1e-3, "{}", axes * linear);
+    assert!(angular.norm() < 1e-9, "a force at the sensor has no moment");
+}
+
+/// Compared: the noise of torque and force measurements with and without something else that is random.
+#[test]
+fn environment_leaves_other_randomness_as_it_was() {
+    let noise = |environment: Vec<(String, opspace_sim::EnvironmentObjectParameters)>| {
+        let mut setup = setup(CommandKind::Position, "a-med");
+        setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
+        setup.environment = environment;
+        let mut arm = arm(setup);
+        // The hand has not moved yet at the first tick: the difference is noise and bias alone.
+        let Sample { motor_torque, wrenches, .. } = read(&mut arm);
+        (motor_torque.expect("measured"), wrenches[0])
+    };
+    let hand = object(
+        "[spring]\nframe = 'hand'\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 15.0\nmotion.random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7 }",
+    );
+    let alone = noise(Vec::new());
+    let held = noise(vec![("operator".to_owned(), hand)]);
+    assert!(alone == held, "{alone:?} {held:?}");
+    assert!(alone.1[..3].iter().any(|f| *f != 0.0), "there is something random");
+}
+
+/// Compared: a command that is not a number, and the fault of the next read.
+#[test]
+fn diverged_state_faults() {
+    let mut arm = arm(setup(CommandKind::Torque, "a-med"));
+    read(&mut arm);
+    arm.write(Command::Torque(&[f64::NAN; 4])).expect("it takes them");
+    assert_eq!(try_read(&mut arm), Err(fault::diverged()));
+}
+
+/// Compared: commands of the wrong kind or length, and their faults; none of them is counted.
+#[test]
+fn wrong_commands_fault() {
+    let mut position = arm(setup(CommandKind::Position, "a-med"));
+    let mut torque = arm(setup(CommandKind::Torque, "a-med"));
+    read(&mut position);
+    for (command, takes) in
+        [(Command::Torque(&START), CommandKind::Position), (Command::Velocity(&START), CommandKind::Position)]
+    {
+        assert_eq!(position.write(command), Err(fault::wrong_command(takes)));
+    }
+    assert_eq!(position.write(Command::Position(&START[1..])), Err(fault::wrong_length()));
+    assert_eq!(torque.write(Command::Position(&START)), Err(fault::wrong_command(CommandKind::Torque)));
+    position.write(Command::Position(&START)).expect("it takes them");
+    read(&mut position);
+    assert!(servo_rows(&position).iter().all(|(number, _)| *number == 1));
+}
+
+/// Numbers of the commands in force in the servo periods of the last read.
+fn numbers(arm: &mut SimulatedArm) -> Vec<Option<u64>> {
+    read(arm);
+    let mut numbers = Vec::new();
+    arm.ground_truth().expect("a simulation").visit(&mut |row| {
+        if let TruthRow::Servo { command, .. } = row {
+            numbers.push(command);
+        }
+    });
+    numbers
+}
+
+/// Compared: two position robots, of which one is held and the other gets its last setpoints again; a hold before the
+/// first command is counted and changes nothing.
+#[test]
+fn hold_repeats_the_last_setpoints_of_a_position_robot() {
+    let mut setup = setup(CommandKind::Position, "a-med");
+    setup.profile.delay_servo_ticks = Some(2);
+    let (mut held, mut told) = (arm(setup.clone()), arm(setup));
+    let moved = START.map(|q| q + 0.01);
+    for robot in [&mut held, &mut told] {
+        read(robot);
+        robot.write(Command::Hold).expect("held");
+        assert_eq!(numbers(robot), [None; 5]);
+        robot.write(Command::Position(&moved)).expect("it takes them");
+        assert_eq!(numbers(robot), [None, None, Some(2), Some(2), Some(2)]);
+    }
+    held.write(Command::Hold).expect("held");
+    told.write(Command::Position(&moved)).expect("it takes them");
+    assert_eq!(numbers(&mut held), [2, 2, 3, 3, 3].map(Some));
+    read(&mut told);
+    assert_eq!(servo_rows(&held), servo_rows(&told));
+    // A setpoint on its way still acts after a stop, and a second stop changes nothing.
+    for robot in [&mut held, &mut told] {
+        robot.write(Command::Position(&START)).expect("it takes them");
+        robot.stop();
+    }
+    told.stop();
+    assert_eq!(numbers(&mut held), [3, 3, 4, 4, 4].map(Some));
+    read(&mut told);
+    assert_eq!(servo_rows(&held), servo_rows(&told));
+}
+
+/// Compared: the command in force and the motors' torque of a torque robot that is held, commanded again and stopped,
+/// and the contract: torques on their way are dropped, a hold has a number, a stop has none.
+#[test]
+fn hold_and_stop_brake_a_torque_robot_at_once() {
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.profile.delay_servo_ticks = Some(2);
+    let mut arm = arm(setup);
+    arm.stop();
+    read(&mut arm);
+    arm.write(Command::Torque(&[5.0; 4])).expect("it takes them");
+    assert_eq!(numbers(&mut arm), [None, None, Some(1), Some(1), Some(1)]);
+    arm.write(Command::Torque(&[6.0; 4])).expect("it takes them");
+    arm.write(Command::Hold).expect("held");
+    assert_eq!(numbers(&mut arm), [Some(3); 5]);
+    assert!(servo_rows(&arm).iter().all(|(_, torque)| torque.amax() == 0.0));
+    arm.write(Command::Torque(&[7.0; 4])).expect("it takes them");
+    assert_eq!(numbers(&mut arm), [3, 3, 4, 4, 4].map(Some));
+    assert_eq!(servo_rows(&arm)[4].1[0], 7.0);
+    arm.write(Command::Torque(&[8.0; 4])).expect("it takes them");
+    arm.stop();
+    arm.stop();
+    assert_eq!(numbers(&mut arm), [None; 5]);
+    assert!(servo_rows(&arm).iter().all(|(_, torque)| torque.amax() == 0.0));
+}
+
+/// Compared: measured velocities and the finite difference of true positions; measured joint torques of a robot at rest
+/// and its weight, which brakes carry; the status and whether a drive's limit was exceeded; and the samples of a robot
+/// that measures none of these.
+#[test]
+fn optional_measurements_are_honoured() {
+    /// Half the acceleration times the period: 120 rad/s² here.
+    const DIFFERENCE_RAD_PER_S: f64 = 0.1;
+    let mut setup = setup(CommandKind::Torque, "a-med");
+    setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
+    let plain = setup.clone();
+    let weight = weight(&setup.model, &START);
+    setup.capabilities =
+        setup.capabilities.measuring(&[Measured::Velocity, Measured::JointTorque]).with_status();
+    let (mut rich, mut plain) = (arm(setup), arm(plain));
+    let torque = |sample: &Sample| DVector::from_vec(sample.joint_torque.clone().expect("measured"));
+    assert!((torque(&read(&mut rich)) - &weight).amax() < WEIGHT_NM);
+    read(&mut plain);
+    let mut before = read(&mut rich);
+    read(&mut plain);
+    // A torque beyond the limit at the third cycle alone.
+    for cycle in 0..5 {
+        let asked = [if cycle == 2 { 41.0 } else { 20.0 }, 0.0, 0.0, 0.0];
+        for robot in [&mut rich, &mut plain] {
+            robot.write(Command::Torque(&asked)).expect("it takes them");
+        }
+        let (sample, bare) = (read(&mut rich), read(&mut plain));
+        let status = sample.status.expect("reported");
+        assert_eq!((status.word, status.command_limited), (0, cycle == 2));
+        let dq = sample.dq.as_ref().expect("measured");
+        for (joint, velocity) in dq.iter().enumerate() {
+            let difference = (sample.q[joint] - before.q[joint]) / 1e-3;
+            assert!((velocity - difference).abs() < DIFFERENCE_RAD_PER_S, "{velocity} {difference}");
+        }
+        assert_eq!(
+            (bare.dq.is_some(), bare.joint_torque.is_some(), bare.status.is_some()),
+            (false, false, false)
+        );
+        assert_eq!(
+            (&bare.q, &bare.motor_torque, &bare.wrenches),
+            (&sample.q, &sample.motor_torque, &sample.wrenches)
+        );
+        before = sample;
+    }
+    assert!(before.dq.expect("measured")[0] > 0.1, "it moves");
+}
+
+/// Compared: parameters that contradict each other, and the error that names them.
+#[test]
+fn contradictions_are_refused_by_name() {
+    let refused = |change: &dyn Fn(&mut ArmConfig)| {
+        let mut setup = setup(CommandKind::Position, "a-med");
+        change(&mut setup);
+        SimulatedArm::new(setup).err().expect("refused")
+    };
+    let too_long = |truth| SimulationError::Delay { delay: 6, ratio: 5, truth };
+    assert_eq!(refused(&|s| s.profile.delay_servo_ticks = Some(6)), too_long(false));
+    assert_eq!(refused(&|s| s.simulated.delay_servo_ticks = Some(6)), too_long(true));
+    let rates = refused(&|s| s.simulated.physics_hz = parsed::<Wrapped>("value = 12000.0").value);
+    assert_eq!(rates, SimulationError::PhysicsRate { physics_hz: 12_000.0, servo_hz: 5000.0 });
+    let sensor = refused(&|s| s.simulated.force_sensor.clear());
+    assert_eq!(sensor, SimulationError::UnknownSensorQuality { sensor: "wrist".to_owned() });
+    let wall = "[wall]\nframe = 'hand'\npoint_m = [0.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 0.0]\nstiffness_n_per_m = 1.0\ndamping_ns_per_m = 0.0";
+    let flat = refused(&|s| s.environment = vec![("table".to_owned(), object(wall))]);
+    assert_eq!(flat, SimulationError::Normal { object: "table".to_owned() });
+    let lost = wall.replace("'hand'", "'hnad'");
+    let lost = refused(&|s| s.environment = vec![("table".to_owned(), object(&lost))]);
+    assert!(lost.to_string().contains("hnad"), "{lost}");
+    let sensor = refused(&|s| s.capabilities.force_sensors[0].frame = "hnad".to_owned());
+    assert!(matches!(sensor, SimulationError::SensorFrame { .. }), "{sensor}");
+}
+
+#[derive(serde::Deserialize)]
+struct Wrapped {
+    value: opspace_backend::quantity::Positive,
+}

@@ -1,0 +1,111 @@
+//! Motor and friction, each against its formula.
+
+use crate::common::{parsed, robot};
+use opspace_sim::friction::LuGre;
+use opspace_sim::motor::Motor;
+use opspace_sim::parameters::BristleParameters;
+use opspace_transformer::FrictionParameters;
+use std::f64::consts::TAU;
+
+/// Compared: mean and end of each step, and the differential equation τ̇ = ω (asked − τ) integrated in a
+/// hundred thousand Euler steps with its mean.
+#[test]
+fn a_motor_follows_its_first_order_lag_exactly() {
+    const FINE: u32 = 100_000;
+    /// Error of an Euler step: first order.
+    const TOLERANCE: f64 = 1e-4;
+    let (hz, dt, start) = (1000.0, 5e-5, 2.0);
+    let mut motor = Motor::new(Some(hz), dt, start);
+    let mut torque = start;
+    for asked in [7.0, 7.0, -3.0, 0.5, 0.5] {
+        let fine = dt / f64::from(FINE);
+        let mut sum = 0.0;
+        for _ in 0..FINE {
+            sum += torque;
+            torque += TAU * hz * (asked - torque) * fine;
+        }
+        let mean = motor.step(asked);
+        let expected = sum / f64::from(FINE);
+        assert!((mean - expected).abs() < TOLERANCE, "{mean} for {expected}");
+    }
+    // A step of ten time constants ends where it was asked to.
+    let mut slow = Motor::new(Some(hz), 10.0 / (TAU * hz), 0.0);
+    slow.step(5.0);
+    assert!((slow.step(5.0) - 5.0).abs() < 1e-4);
+    assert_eq!(Motor::new(None, dt, start).step(7.0), 7.0, "without a current loop at once");
+}
+
+fn friction() -> (FrictionParameters, BristleParameters) {
+    let friction =
+        parsed("coulomb_nm = 1.8\nstatic_nm = 2.34\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = 2.0");
+    (friction, robot().simulated.bristle)
+}
+
+const DT: f64 = 5e-5;
+
+/// Compared: bristles dragged at constant speed until they settle, and Stribeck's curve.
+#[test]
+fn friction_at_constant_speed_is_the_stribeck_curve() {
+    let (parameters, bristle) = friction();
+    for scale in [1.0, 0.5] {
+        for v in [-2.0, -0.3, -0.05, 0.01, 0.06, 0.2, 1.0, 6.0_f64] {
+            let mut joint = LuGre::new(&parameters, &bristle, scale);
+            // Ten bristle lengths of travel.
+            let steps = (10.0 * 2.34 / 4000.0 / (v.abs() * DT)).ceil() as u32;
+            let settled = (0..steps).map(|_| joint.step(v, DT)).last().expect("a step");
+            let curve = (1.8 + (2.34 - 1.8) * (-(v / 0.06) * (v / 0.06)).exp()) * v.signum() + 2.0 * v;
+            assert!((settled - scale * curve).abs() < 1e-3, "at {v}: {settled} for {}", scale * curve);
+        }
+    }
+}
+
+/// Compared: torque over a displacement far below breakaway, and the spring σ₀ that bristles are there.
+#[test]
+fn friction_before_sliding_is_a_spring() {
+    let (parameters, bristle) = friction();
+    let mut joint = LuGre::new(&parameters, &bristle, 1.0);
+    // 1 % of the way to breakaway, slowly, and then at rest: damping and viscous friction are gone.
+    let (v, steps) = (1e-4, 1200);
+    for _ in 0..steps {
+        joint.step(v, DT);
+    }
+    let displacement = v * DT * f64::from(steps);
+    let stiffness = joint.step(0.0, DT) / displacement;
+    assert!((stiffness / 4000.0 - 1.0).abs() < 0.01, "{stiffness} Nm/rad");
+    for _ in 0..steps {
+        joint.step(-v, DT);
+    }
+    let left = joint.step(0.0, DT);
+    // The curve towards breakaway leaves 1 % of hysteresis at 1 % of the way.
+    assert!(left.abs() < 0.02 * 4000.0 * displacement, "a spring gives back: {left} Nm left");
+}
+
+/// Compared: the drift of a mass under a torque just below and just above static friction.
+#[test]
+fn a_joint_breaks_away_at_static_friction() {
+    let drift = |torque: f64| {
+        let (parameters, bristle) = friction();
+        let mut joint = LuGre::new(&parameters, &bristle, 1.0);
+        let (mut q, mut v, inertia) = (0.0, 0.0, 0.3);
+        for step in 0..20_000 {
+            // Over half a second, then held for another half.
+            let asked = torque * (f64::from(step) / 10_000.0).min(1.0);
+            v += (asked - joint.step(v, DT)) / inertia * DT;
+            q += v * DT;
+        }
+        q
+    };
+    // The bristles give by Fs / σ₀ = 0.6 mrad; their curve is flat near breakaway.
+    let (stuck, slid) = (drift(0.97 * 2.34), drift(1.03 * 2.34));
+    assert!(stuck < 0.02, "sticks: {stuck} rad");
+    assert!(slid > 10.0 * stuck.max(0.002), "slides: {slid} rad, stuck {stuck} rad");
+    assert!((drift(-1.03 * 2.34) + slid).abs() < 1e-9, "the same either way");
+}
+
+/// Compared: the two ends of friction scaled to nothing.
+#[test]
+fn no_friction_is_no_torque() {
+    let (parameters, bristle) = friction();
+    let mut joint = LuGre::new(&parameters, &bristle, 0.0);
+    assert!([-1.0, 0.0, 0.01, 3.0].iter().all(|&v| joint.step(v, DT) == 0.0));
+}

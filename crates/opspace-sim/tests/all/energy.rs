@@ -1,0 +1,91 @@
+//! The integrator, in the plant that the experiments use.
+
+use crate::common::{START, robot, setup};
+use nalgebra::DVector;
+use opspace_backend::CommandKind;
+use opspace_model::{Data, Limits, Model, kinematics, kinetic_energy, potential_energy};
+use opspace_sim::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
+use opspace_sim::friction::LuGre;
+use opspace_sim::motor::Motor;
+use opspace_sim::{Plant, PlantArm, PlantConfig, RigidPlant, RungeKutta};
+use opspace_transformer::JointParameters;
+
+/// The arm of the experiments with friction scaled to nothing, no end stops and nothing around it: its bodies and its
+/// drivetrains.
+fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
+    let (robot, setup) = (robot(), setup(CommandKind::Torque, "a-med"));
+    let model = setup.model;
+    let drivetrain = |j: &JointParameters| {
+        let simulated = &robot.simulated;
+        Drivetrain::new(
+            Motor::new(Some(1000.0), dt, 0.0),
+            LuGre::new(&j.friction, &simulated.bristle, 0.0),
+            EndStop::new(&Limits::NONE, &simulated.end_stop),
+            Brake::new(&simulated.brake, 0.0),
+            Encoder::new(None),
+        )
+    };
+    let drivetrains = setup.joints.iter().map(drivetrain).collect();
+    let arm = PlantArm { model: model.clone(), q: q.to_vec(), contacts: Vec::new() };
+    (RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new() }), drivetrains, model)
+}
+
+/// Kinetic and potential energy.
+fn energy(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) -> (f64, f64) {
+    kinematics(model, data, q, dq);
+    (kinetic_energy(model, data), potential_energy(model, data))
+}
+
+/// Compared: energy from masses, positions and speeds, and its value at the start. The plant moves by
+/// articulated bodies and knows no energy.
+#[test]
+fn a_swinging_arm_without_friction_keeps_its_energy() {
+    /// Tolerance as a share of the range of kinetic energy over the swing.
+    const DRIFT: f64 = 1e-6;
+    let steps_per_s = robot().simulated.physics_hz.get();
+    let dt = 1.0 / steps_per_s;
+    let (mut plant, mut drivetrains, model) = frictionless(dt, &START);
+    let mut data = Data::new(&model);
+    let (_, start) = energy(&model, &mut data, plant.q(), plant.dq());
+    let (mut drift, mut slowest, mut fastest) = (0.0_f64, f64::INFINITY, 0.0_f64);
+    for step in 0..(5.0 * steps_per_s) as u32 {
+        let torques: Vec<f64> = (drivetrains.iter_mut().enumerate())
+            .map(|(i, joint)| joint.step(plant.q()[i], plant.dq()[i], dt, 0.0))
+            .collect();
+        plant.step(f64::from(step) * dt, dt, &torques);
+        if step % 20 == 0 {
+            let (kinetic, potential) = energy(&model, &mut data, plant.q(), plant.dq());
+            drift = drift.max((kinetic + potential - start).abs());
+            (slowest, fastest) = (slowest.min(kinetic), fastest.max(kinetic));
+        }
+    }
+    let range = fastest - slowest;
+    assert!(range > 0.5, "it does swing: {range} J");
+    assert!(drift < DRIFT * range, "{drift} J of {range} J");
+}
+
+/// State at the end of a swing of `duration_s` with steps of `dt`: all positions and speeds.
+fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
+    let mut integrator = RungeKutta::new(model);
+    let mut q = DVector::from_column_slice(&START);
+    let mut dq = DVector::zeros(model.n());
+    for _ in 0..(duration_s / dt).round() as u32 {
+        integrator.step(model, q.as_mut_slice(), dq.as_mut_slice(), &[0.0; 4], dt);
+    }
+    DVector::from_iterator(2 * model.n(), q.iter().chain(dq.iter()).copied())
+}
+
+/// Compared: swings with coarse steps and one with steps 64 times as fine. Halving the step divides the error of
+/// a method of order p by 2^p.
+#[test]
+fn the_integrator_is_of_fourth_order() {
+    const DURATION_S: f64 = 1.28;
+    let model = setup(CommandKind::Torque, "a-med").model;
+    let exact = swing(&model, 0.02 / 256.0, DURATION_S);
+    let errors: Vec<f64> =
+        [0.02, 0.01, 0.005].iter().map(|&dt| (swing(&model, dt, DURATION_S) - &exact).norm()).collect();
+    for pair in errors.windows(2) {
+        let order = (pair[0] / pair[1]).log2();
+        assert!((3.7..4.6).contains(&order), "order {order} from errors {errors:?}");
+    }
+}

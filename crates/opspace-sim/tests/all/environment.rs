@@ -1,0 +1,206 @@
+//! Hands, pushes, walls and the force sensor, each against its description.
+
+use crate::common::{object, parsed};
+use nalgebra::Vector3;
+use opspace_model::Force;
+use opspace_sim::EnvironmentObject;
+use opspace_sim::force_sensor::SimulatedForceSensor;
+use opspace_sim::parameters::ForceSensorParameters;
+use opspace_sim::random::{RngStream, generator};
+use std::f64::consts::TAU;
+
+const HOME: Vector3<f64> = Vector3::new(0.3, -0.1, -0.2);
+
+/// A hand of stiffness 1 N/m and no damper: its force on a frame at home is its own offset.
+fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
+    let parameters = object(
+        r#"
+        [spring]
+        frame = "hand"
+        stiffness_n_per_m = 1.0
+        damping_ns_per_m = 0.0
+        motion.random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }
+        "#,
+    );
+    let hand = EnvironmentObject::new(&parameters, HOME, generator(5, RngStream::EnvironmentObject(stream)));
+    move |t| hand.force(t, &HOME, &Vector3::zeros())
+}
+
+/// Compared: root mean squares of the motion over a long time, and the one asked for.
+#[test]
+fn a_hand_moves_as_far_as_asked() {
+    // Sines of nearby frequencies beat; over 4000 s little of it is left.
+    const TOLERANCE: f64 = 0.05;
+    let offset = offset_of_hand(0);
+    let samples = 40_000;
+    let squares: Vector3<f64> = (0..samples).map(|k| offset(2.0 + 0.1 * f64::from(k)).map(|x| x * x)).sum();
+    for square in squares.iter() {
+        let rms = (square / f64::from(samples)).sqrt();
+        assert!((rms / 0.04 - 1.0).abs() < TOLERANCE, "{rms} m");
+    }
+}
+
+/// Compared: power of the motion within its band and beyond, by the Fourier sum at single frequencies under a
+/// Hann window.
+#[test]
+fn a_hand_moves_within_its_band() {
+    const OUTSIDE: f64 = 1e-4;
+    let offset = offset_of_hand(0);
+    let (duration_s, rate_hz) = (400.0, 10.0);
+    let samples: Vec<(f64, f64)> = (0..(duration_s * rate_hz) as u32)
+        .map(|k| {
+            let t = f64::from(k) / rate_hz;
+            let window = 0.5 - 0.5 * (TAU * t / duration_s).cos();
+            (t, window * offset(5.0 + t).x)
+        })
+        .collect();
+    let power = |hz: f64| {
+        let (re, im) = samples.iter().fold((0.0, 0.0), |(re, im), &(t, x)| {
+            let (sin, cos) = (TAU * hz * t).sin_cos();
+            (re + x * cos, im + x * sin)
+        });
+        re * re + im * im
+    };
+    let band = |from: f64, to: f64| {
+        let step = 1.0 / duration_s;
+        (0..((to - from) / step) as u32).map(|k| power(from + f64::from(k) * step)).sum::<f64>()
+    };
+    // Windowed lines are four bins wide.
+    let margin = 4.0 / duration_s;
+    let inside = band(0.1 - margin, 0.7 + margin);
+    let outside = band(0.0, 0.1 - margin) + band(0.7 + margin, 3.0);
+    assert!(inside > 0.0 && outside < OUTSIDE * inside, "{outside} of {inside}");
+}
+
+/// Compared: the hand's force at the beginning, and rest; its force under two signs of offset and speed.
+#[test]
+fn a_hand_starts_at_rest_where_the_frame_is_and_pulls_towards_itself() {
+    let offset = offset_of_hand(0);
+    assert_eq!(offset(0.0), Vector3::zeros());
+    assert!(offset(0.05).norm() < 1e-3 * 0.04 * 10.0, "comes in smoothly: {}", offset(0.05));
+    let text = |motion: &str| {
+        format!(
+            "[spring]\nframe = 'hand'\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 15.0\ngain = [1.0, 0.5, 0.0]\nmotion.{motion}"
+        )
+    };
+    let still = EnvironmentObject::new(
+        &object(&text("still = {}")),
+        HOME,
+        generator(1, RngStream::EnvironmentObject(0)),
+    );
+    let force = still.force(3.0, &(HOME + Vector3::new(0.01, 0.02, 0.03)), &Vector3::new(0.1, -0.2, 0.3));
+    // Written out: -200 0.01 - 15 0.1; half of -200 0.02 + 15 0.2; nothing.
+    assert!((force - Vector3::new(-3.5, -0.5, 0.0)).norm() < 1e-12, "{force}");
+    // The damper follows the hand's own speed: the derivative of its offset.
+    let random = "random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }";
+    let moving =
+        EnvironmentObject::new(&object(&text(random)), HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let at = |t: f64| moving.force(t, &HOME, &Vector3::zeros()).x;
+    let spring_only = EnvironmentObject::new(
+        &object(&text(random).replace("damping_ns_per_m = 15.0", "damping_ns_per_m = 0.0")),
+        HOME,
+        generator(1, RngStream::EnvironmentObject(0)),
+    );
+    let offset = |t: f64| spring_only.force(t, &HOME, &Vector3::zeros()).x / 200.0;
+    for t in [0.4, 1.3, 5.7] {
+        let speed = (offset(t + 1e-5) - offset(t - 1e-5)) / 2e-5;
+        assert!((at(t) - 200.0 * offset(t) - 15.0 * speed).abs() < 1e-6, "at {t} s");
+    }
+}
+
+/// Compared: two streams of one seed, and one stream twice.
+#[test]
+fn every_source_of_randomness_is_its_own() {
+    assert_eq!(offset_of_hand(0)(3.0), offset_of_hand(0)(3.0));
+    assert_ne!(offset_of_hand(0)(3.0), offset_of_hand(1)(3.0));
+}
+
+/// Compared: force and impulse of a push, and half a sine, whose mean is 2/π of its height.
+#[test]
+fn a_push_is_half_a_sine() {
+    let parameters = object(
+        "[pushes]\nframe = 'hand'\npush = [{ at_s = 1.0, duration_s = 0.5, force_n = [10.0, -4.0, 0.0] }]",
+    );
+    let push = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let force = |t: f64| push.force(t, &HOME, &Vector3::zeros());
+    assert_eq!(force(0.999), Vector3::zeros());
+    assert_eq!(force(1.501), Vector3::zeros());
+    assert!((force(1.25) - Vector3::new(10.0, -4.0, 0.0)).norm() < 1e-12);
+    let impulse: f64 = (0..20_000).map(|k| force(f64::from(k) * 1e-4).x * 1e-4).sum();
+    assert!((impulse - 10.0 * 0.5 * 2.0 / (TAU / 2.0)).abs() < 1e-5, "{impulse} Ns");
+}
+
+/// Compared: the wall's force at many places and speeds, and its description: along the normal, outwards only,
+/// nothing before it.
+#[test]
+fn a_wall_pushes_and_never_pulls() {
+    let parameters = object(
+        r#"
+        [wall]
+        frame = "hand"
+        point_m = [0.3, 0.0, 0.0]
+        normal = [-2.0, 0.0, 0.0]
+        stiffness_n_per_m = 5000.0
+        damping_ns_per_m = 50.0
+        "#,
+    );
+    let wall = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let force = |x: f64, v: f64| wall.force(0.0, &Vector3::new(x, 0.2, -0.3), &Vector3::new(v, 1.0, -1.0));
+    for v in [-3.0, -0.1, 0.0, 0.1, 3.0] {
+        assert_eq!(force(0.2999, v), Vector3::zeros(), "before the wall");
+        for depth in [1e-5, 1e-3, 1e-2] {
+            let push = force(0.3 + depth, v);
+            assert!(push.x <= 0.0 && push.y == 0.0 && push.z == 0.0, "{push}");
+            let expected = (5000.0 * depth + 50.0 * v).max(0.0);
+            assert!((push.x + expected).abs() < 1e-9, "{push} for {expected}");
+        }
+    }
+}
+
+fn sensor(bias: f64, noise: f64, seed: u64) -> SimulatedForceSensor {
+    let parameters: ForceSensorParameters = parsed(&format!(
+        "bandwidth_hz = 100.0\nnoise_n = {noise}\nnoise_nm = {noise}\nbias_n = {bias}\nbias_nm = {bias}"
+    ));
+    SimulatedForceSensor::new(&parameters, 1e-4, generator(seed, RngStream::ForceSensor(0)))
+}
+
+/// Compared: the response to a step, and 1 − exp(−ω t); the amplitude of a sine at the bandwidth, and 1/√2.
+#[test]
+fn a_force_sensor_has_its_bandwidth() {
+    let mut step = sensor(0.0, 0.0, 1);
+    let pull = Force { linear: Vector3::new(3.0, 0.0, 0.0), angular: Vector3::new(0.0, -1.0, 0.0) };
+    for k in 1..100 {
+        step.follow(&pull);
+        let share = 1.0 - (-TAU * 100.0 * 1e-4 * f64::from(k)).exp();
+        let reading = step.read();
+        assert!((reading.linear.x - 3.0 * share).abs() < 1e-12);
+        assert!((reading.angular.y + share).abs() < 1e-12);
+    }
+    let mut sine = sensor(0.0, 0.0, 1);
+    let mut largest = 0.0_f64;
+    for k in 0..2000 {
+        let force = (TAU * 100.0 * 1e-4 * f64::from(k)).sin();
+        sine.follow(&Force { linear: Vector3::new(force, 0.0, 0.0), angular: Vector3::zeros() });
+        if k > 1000 {
+            largest = largest.max(sine.read().linear.x.abs());
+        }
+    }
+    // A hundred samples a period: the hold costs a little.
+    assert!((largest - 0.5_f64.sqrt()).abs() < 0.01, "{largest}");
+}
+
+/// Compared: mean and spread of many readings at rest, and the bias and noise asked for.
+#[test]
+fn a_force_sensor_has_a_constant_bias_and_white_noise() {
+    let readings = |bias: f64, noise: f64, seed: u64| -> Vec<f64> {
+        let mut sensor = sensor(bias, noise, seed);
+        (0..4000).map(|_| sensor.read().linear.z).collect()
+    };
+    let biased = readings(2.0, 0.0, 1);
+    assert!(biased.iter().all(|f| *f == biased[0]) && biased[0] != 0.0 && biased[0].abs() <= 2.0);
+    assert_ne!(biased[0], readings(2.0, 0.0, 2)[0], "another sensor, another bias");
+    let noisy = readings(0.0, 0.5, 1);
+    let rms = (noisy.iter().map(|f| f * f).sum::<f64>() / 4000.0).sqrt();
+    // Four standard deviations of the estimate.
+    assert!((rms / 0.5 - 1.0).abs() < 4.0 / (2.0 * 4000.0_f64).sqrt(), "{rms}");
+}

@@ -1,0 +1,159 @@
+//! External forces while a simulation runs.
+
+use crate::common::{START, arm, parsed, read, setup};
+use nalgebra::{DVector, Matrix6xX, Vector3};
+use opspace_backend::quantity::NonNegative;
+use opspace_backend::{Command, CommandKind, GroundTruth, TruthRow};
+use opspace_model::{Data, Force, crba, frame_jacobian, frame_placement, kinematics};
+use opspace_sim::{ArmConfig, ExternalForce, Pull, SimulatedArm, external};
+
+/// An arm that may be pulled, without friction.
+fn pulled(command: CommandKind) -> ArmConfig {
+    let mut config = setup(command, "a-med");
+    config.external_forces = true;
+    config.simulated.true_over_nominal.friction = NonNegative::literal(0.0);
+    let quality = config.simulated.force_sensor.get_mut("wrist").expect("the wrist");
+    *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
+    config
+}
+
+/// The rows of the channel `external` that came with the last read, with their times.
+fn rows(arm: &SimulatedArm) -> Vec<(f64, Vec<f64>)> {
+    let mut rows = Vec::new();
+    arm.visit(&mut |row| {
+        if let TruthRow::External { time_s, row } = row {
+            rows.push((time_s, row.to_vec()));
+        }
+    });
+    rows
+}
+
+/// The Jacobian of the hand's origin, and the hand's position, at `q`.
+fn hand(config: &ArmConfig, q: &DVector<f64>) -> (Matrix6xX<f64>, Vector3<f64>) {
+    let model = &config.model;
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, q.as_slice(), &[0.0; 4]);
+    let frame = model.frame_id("hand").expect("the hand");
+    let mut jacobian = Matrix6xX::zeros(model.n());
+    frame_jacobian(model, &data, frame, &mut jacobian);
+    (jacobian, frame_placement(model, &data, frame).translation)
+}
+
+/// Compared: the displacement of each joint of a position robot under a constant force, and Jᵀ F over the servo's
+/// stiffness kv kp. Released, it returns.
+#[test]
+fn push_deflects_a_position_robot_by_force_over_stiffness() {
+    /// Change of gravity and of the Jacobian over the deflection, over the deflection.
+    const CURVATURE: f64 = 0.03;
+    let config = pulled(CommandKind::Position);
+    let force = Vector3::new(12.0, -7.0, 15.0);
+    let gains: Vec<f64> = config.servos.iter().map(|servo| servo.gains(2e-4).stiffness).collect();
+    let (jacobian, _) = hand(&config, &DVector::from_column_slice(&START));
+    let torque = jacobian.rows(0, 3).tr_mul(&force);
+    let expected = DVector::from_fn(4, |i, _| torque[i] / gains[i]);
+    let frame = config.model.frame_id("hand").expect("the hand");
+    let mut arm = arm(config);
+    let handle = arm.external_force().expect("it may be pulled");
+    handle.apply(frame, Pull::Wrench(Force { linear: force, angular: Vector3::zeros() }));
+    (0..600).for_each(|_| drop(read(&mut arm)));
+    let moved = arm.true_q() - DVector::from_column_slice(&START);
+    assert!(expected.amax() > 2e-3, "{expected}");
+    assert!((&moved - &expected).amax() < CURVATURE * expected.amax(), "{moved} for {expected}");
+    handle.release();
+    (0..600).for_each(|_| drop(read(&mut arm)));
+    assert!((arm.true_q() - DVector::from_column_slice(&START)).amax() < 1e-6);
+}
+
+/// Compared: the velocity that a torque robot without weight gains in a cycle under a wrench, and M⁻¹ Jᵀ F times the
+/// period, by the composite-rigid-body algorithm.
+#[test]
+fn push_accelerates_a_torque_robot_by_its_inertia() {
+    /// Change of inertia and velocity products over the cycle, over the velocity.
+    const CURVATURE: f64 = 1e-3;
+    let mut config = pulled(CommandKind::Torque);
+    config.capabilities.gravity_compensated_by = opspace_backend::GravityCompensation::Robot;
+    let wrench = Force { linear: Vector3::new(3.0, -2.0, 4.0), angular: Vector3::new(0.2, 0.4, -0.3) };
+    let (jacobian, _) = hand(&config, &DVector::from_column_slice(&START));
+    let mut data = Data::new(&config.model);
+    kinematics(&config.model, &mut data, &START, &[0.0; 4]);
+    crba(&config.model, &mut data);
+    let torque = jacobian.rows(0, 3).tr_mul(&wrench.linear) + jacobian.rows(3, 3).tr_mul(&wrench.angular);
+    let acceleration = data.mass_matrix.clone().lu().solve(&torque).expect("regular");
+    let frame = config.model.frame_id("hand").expect("the hand");
+    let mut arm = arm(config);
+    let handle = arm.external_force().expect("it may be pulled");
+    // A cycle without a force, so that the brakes are off when it begins.
+    for cycle in 0..3 {
+        if cycle == 1 {
+            handle.apply(frame, Pull::Wrench(wrench));
+        }
+        read(&mut arm);
+        opspace_backend::Backend::write(&mut arm, Command::Torque(&[0.0; 4])).expect("it takes them");
+    }
+    let expected = acceleration * 1e-3;
+    let gained = arm.true_dq();
+    assert!(expected.amax() > 5e-3);
+    assert!((&gained - &expected).amax() < CURVATURE * expected.amax(), "{gained} for {expected}");
+}
+
+/// Compared: the rows of the channel `external` and what was set; the force of a spring and its stiffness times its
+/// stretch; the force sensor's reading and that force; and the force decoded from a row and the one that was set.
+#[test]
+fn external_forces_are_read_once_per_cycle_and_recorded() {
+    const STIFFNESS: f64 = 150.0;
+    let config = pulled(CommandKind::Position);
+    let model = config.model.clone();
+    let frame = model.frame_id("hand").expect("the hand");
+    let (_, home) = hand(&config, &DVector::from_column_slice(&START));
+    let mut arm = arm(config.clone());
+    let layout = arm.layouts().external.expect("there may be external forces");
+    let width = layout.width();
+    let handle = arm.external_force().expect("it may be pulled");
+    read(&mut arm);
+    assert_eq!((rows(&arm)[0].0, rows(&arm)[0].1[0], rows(&arm).len()), (0.0, 0.0, 1));
+    let target_m = home + Vector3::new(0.1, 0.05, -0.02);
+    let pull = Pull::Spring { target_m, stiffness_n_per_m: STIFFNESS, damping_ns_per_m: 4.0 };
+    handle.apply(frame, pull);
+    let mut sample = read(&mut arm);
+    let first = rows(&arm).remove(0).1;
+    assert_eq!(first.len(), width);
+    assert_eq!(&first[2..5], target_m.as_slice());
+    assert_eq!(&first[13..], [0.0; 3], "it acts from this cycle on");
+    assert_eq!(external::decode(&first, &model), Some(ExternalForce { frame, pull }));
+    assert_eq!(handle.get(), Some(ExternalForce { frame, pull }));
+    for _ in 0..600 {
+        sample = read(&mut arm);
+    }
+    let force = Vector3::from_column_slice(&rows(&arm).remove(0).1[13..]);
+    let (_, x) = hand(&config, &arm.true_q());
+    let expected = (target_m - x) * STIFFNESS;
+    assert!(expected.norm() > 5.0 && (force - expected).norm() < 1e-3, "{force} for {expected}");
+    let mut data = Data::new(&model);
+    kinematics(&model, &mut data, arm.true_q().as_slice(), &[0.0; 4]);
+    let axes = frame_placement(&model, &data, frame).rotation;
+    let sensed = axes * Vector3::from_column_slice(&sample.wrenches[0][..3]);
+    assert!((sensed - force).norm() < 1e-3, "{sensed} for {force}");
+    let wrench = Pull::Wrench(Force { linear: Vector3::x(), angular: Vector3::y() });
+    handle.apply(frame, wrench);
+    read(&mut arm);
+    let decoded = external::decode(&rows(&arm)[0].1, &model);
+    assert_eq!(decoded, Some(ExternalForce { frame, pull: wrench }));
+    handle.set(None);
+    read(&mut arm);
+    assert_eq!(external::decode(&rows(&arm)[0].1, &model), None);
+    read(&mut arm);
+    assert_eq!(&rows(&arm)[0].1[13..], [0.0; 3]);
+}
+
+/// Compared: layouts and true states of an arm that may be pulled but isn't, and of one that may not be.
+#[test]
+fn arms_without_external_forces_have_no_such_channel() {
+    let config = ArmConfig { external_forces: false, ..pulled(CommandKind::Position) };
+    let (mut free, mut closed) = (arm(pulled(CommandKind::Position)), arm(config));
+    assert!(closed.external_force().is_none() && closed.layouts().external.is_none());
+    for _ in 0..50 {
+        assert_eq!(read(&mut free), read(&mut closed));
+        assert!(rows(&closed).is_empty());
+    }
+    assert_eq!(free.true_q(), closed.true_q());
+}

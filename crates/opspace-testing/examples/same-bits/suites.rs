@@ -1,0 +1,199 @@
+//! The runs of a suite, with the arguments that `opspace run` takes for each of them.
+//!
+//! The suites are read by a separate parser rather than by opspace's own, so that the files of an older checkout can be
+//! read as well. An unknown key is refused, since a setting left out would be one run less that is compared.
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+use std::path::{Path, PathBuf};
+
+/// Suites, by the names of their files in `tasks/suites/`.
+pub const SUITES: [&str; 7] =
+    ["paper", "features", "limits", "singularity", "transformer", "stiffness", "robustness"];
+
+const FOLDER: &str = "tasks/suites";
+
+/// A run of a suite, with the first of its seeds.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Name of the suite.
+    pub suite: String,
+    /// Place of the run in the suite, by which two checkouts' runs are paired: the numbers of its entry, and within
+    /// this of task, case and profile, each from 1.
+    pub place: String,
+    /// Task, case, profile and seed as the suite spells them.
+    pub spelling: String,
+    /// Arguments of `opspace run`, relative to the checkout's folder.
+    pub arguments: Vec<String>,
+    /// Number of seeds that the suite has for the run.
+    #[cfg_attr(not(test), expect(dead_code, reason = "only the test counts the runs of a suite"))]
+    pub seeds: usize,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SuiteFile {
+    #[serde(rename = "title")]
+    _title: IgnoredAny,
+    #[serde(default, rename = "columns")]
+    _columns: IgnoredAny,
+    #[serde(default)]
+    profiles: Vec<String>,
+    run: Vec<Entry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    tasks: Vec<PathBuf>,
+    robot: Option<PathBuf>,
+    backend: String,
+    controller: String,
+    transformer: Option<String>,
+    profiles: Option<Vec<String>>,
+    #[serde(default)]
+    seeds: Vec<u64>,
+    #[serde(default)]
+    set: Vec<String>,
+    label: Option<String>,
+    #[serde(default)]
+    case: Vec<Case>,
+}
+
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Case {
+    label: String,
+    set: Vec<String>,
+}
+
+/// Lists the runs of a suite of a checkout, in the suite's order.
+///
+/// # Errors
+/// A suite file that can't be read, or that has unknown keys.
+pub fn runs(checkout: &Path, suite: &str) -> Result<Vec<Run>, String> {
+    let path = checkout.join(FOLDER).join(suite).with_extension("toml");
+    let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let text = std::fs::read_to_string(&path).map_err(|e| wrong(&e))?;
+    let file: SuiteFile = toml::from_str(&text).map_err(|e| wrong(&e))?;
+    let mut runs = Vec::new();
+    for (number, entry) in (1..).zip(&file.run) {
+        let profiles = or_none(entry.profiles.as_ref().unwrap_or(&file.profiles));
+        for (task_number, task) in (1..).zip(&entry.tasks) {
+            for (case_number, case) in (1..).zip(or_none(&entry.case)) {
+                for (profile_number, profile) in (1..).zip(&profiles) {
+                    let (case, profile) = (case.as_ref(), profile.as_deref());
+                    runs.push(Run {
+                        suite: suite.to_owned(),
+                        place: format!("{number}.{task_number}.{case_number}.{profile_number}"),
+                        spelling: entry.spelling(task, case, profile),
+                        arguments: entry.arguments(task, case, profile),
+                        seeds: entry.seeds.len().max(1),
+                    });
+                }
+            }
+        }
+    }
+    Ok(runs)
+}
+
+impl Entry {
+    fn spelling(&self, task: &Path, case: Option<&Case>, profile: Option<&str>) -> String {
+        let task = task.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let label = case.map(|case| &case.label).or(self.label.as_ref()).cloned();
+        let seed = self.seeds.first().map(|seed| format!("seed {seed}"));
+        let words = [task, label, profile.map(str::to_owned), seed];
+        words.into_iter().flatten().collect::<Vec<_>>().join(", ")
+    }
+
+    fn arguments(&self, task: &Path, case: Option<&Case>, profile: Option<&str>) -> Vec<String> {
+        let mut arguments = vec![from_root(task)];
+        let seed = self.seeds.first().map(u64::to_string);
+        let given = [
+            ("--robot", self.robot.as_deref().map(from_root)),
+            ("--backend", Some(self.backend.clone())),
+            ("--controller", Some(self.controller.clone())),
+            ("--transformer", self.transformer.clone()),
+            ("--profile", profile.map(str::to_owned)),
+            ("--seed", seed),
+        ];
+        for (flag, value) in given {
+            arguments.extend(value.into_iter().flat_map(|value| [flag.to_owned(), value]));
+        }
+        for setting in self.set.iter().chain(case.iter().flat_map(|case| &case.set)) {
+            let setting = setting.replace("{profile}", profile.unwrap_or("{profile}"));
+            arguments.extend(["--set".to_owned(), setting]);
+        }
+        arguments
+    }
+}
+
+/// Converts a path relative to the suite's file into one relative to the checkout's folder.
+fn from_root(path: &Path) -> String {
+    Path::new(FOLDER).join(path).display().to_string()
+}
+
+/// Returns each item of the list, or one `None` if it is empty.
+fn or_none<T: Clone>(list: &[T]) -> Vec<Option<T>> {
+    if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test")]
+mod tests {
+    use super::{SUITES, runs};
+    use opspace_experiment::{Experiment, Files, Suite};
+    use std::path::{Path, PathBuf};
+
+    fn checkout() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+    }
+
+    /// Values of a flag in the arguments.
+    fn values<'a>(arguments: &'a [String], flag: &str) -> Vec<&'a str> {
+        let pairs = arguments[1..].chunks_exact(2);
+        pairs.filter(|pair| pair[0] == flag).map(|pair| pair[1].as_str()).collect()
+    }
+
+    fn assert_same(arguments: &[String], experiment: &Experiment, robot: Option<&str>) {
+        let options = experiment.options();
+        let seed = options.seed.map(|seed| seed.to_string());
+        let task = checkout().join(&arguments[0]).canonicalize().unwrap();
+        assert_eq!(task, Path::new(experiment.task().source.name()).canonicalize().unwrap());
+        assert_eq!(values(arguments, "--robot").first().copied(), robot);
+        assert_eq!(values(arguments, "--backend"), [options.backend.name()]);
+        assert_eq!(values(arguments, "--controller"), [options.controller.name()]);
+        let one = |flag| values(arguments, flag).first().copied();
+        assert_eq!(one("--transformer"), options.transformer.map(|kind| kind.name()));
+        assert_eq!(one("--profile"), options.profile.as_deref());
+        assert_eq!(one("--seed"), seed.as_deref());
+        assert_eq!(values(arguments, "--set"), experiment.settings());
+    }
+
+    #[test]
+    fn runs_are_those_that_a_bench_makes() {
+        for suite in SUITES {
+            let runs = runs(&checkout(), suite).unwrap();
+            let path = checkout().join("tasks/suites").join(suite).with_extension("toml");
+            let bench = Suite::load(Files::Disk, &path).unwrap().experiments;
+            assert_eq!(runs.iter().map(|run| run.seeds).sum::<usize>(), bench.len(), "{suite}");
+            let mut at = 0;
+            for run in &runs {
+                assert_same(&run.arguments, &bench[at], None);
+                at += run.seeds;
+            }
+        }
+    }
+
+    #[test]
+    fn every_suite_of_the_project_is_there() {
+        let mut names: Vec<String> = std::fs::read_dir(checkout().join("tasks/suites"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+            .collect();
+        let mut known = SUITES.to_vec();
+        names.sort();
+        known.sort_unstable();
+        assert_eq!(names, known);
+    }
+}

@@ -1,0 +1,4 @@
+//! Rules that the sources of all crates obey.
+
+mod doc_lines;
+mod import_cycles;

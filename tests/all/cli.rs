@@ -1,0 +1,804 @@
+//! The command line from the user's side: output, its place, and the exit code.
+
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
+
+use crate::cli_common::{ROOT, command, opspace, project, read, read_json, run, scratch};
+use opspace_log::Recording;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
+
+const COMMANDS: [&str; 9] =
+    ["run", "bench", "replay", "report", "check", "model", "new", "schema", "completion"];
+
+/// Keys that a summary and a row of bench always contain.
+const ROW: [&str; 14] = [
+    "task",
+    "robot",
+    "backend",
+    "controller",
+    "transformer",
+    "profile",
+    "ratio",
+    "seed",
+    "duration_s",
+    "overrides",
+    "faulted",
+    "fault_time_s",
+    "metrics",
+    "timing",
+];
+const METRICS: [&str; 11] = [
+    "position_rms_m",
+    "position_max_m",
+    "orientation_rms_rad",
+    "orientation_max_rad",
+    "joint_rms_rad",
+    "force_rms_n",
+    "hand_force_rms_n",
+    "hand_motion_rms_m",
+    "torque_error_servo",
+    "torque_error_interval",
+    "torque_error_tick",
+];
+const TIMING: [&str; 4] = ["tick_ns_median", "tick_ns_p99", "tick_ns_max", "realtime_factor"];
+
+#[track_caller]
+fn assert_row(row: &Value) {
+    for (keys, of) in [(&ROW[..], row), (&METRICS, &row["metrics"]), (&TIMING, &row["timing"])] {
+        let object = of.as_object().unwrap();
+        assert!(keys.iter().all(|key| object.contains_key(*key)), "{keys:?}: {of}");
+    }
+}
+
+fn task(name: &str) -> String {
+    project(&format!("tasks/{name}.toml"))
+}
+
+#[test]
+fn every_command_has_its_help_within_a_terminals_width() {
+    let folder = scratch();
+    let top = opspace(folder.path(), &["--help"]).exits(0).stdout;
+    for name in COMMANDS {
+        assert!(top.contains(&format!("  {name} ")), "{name} is missing:\n{top}");
+        let help = opspace(folder.path(), &[name, "--help"]).exits(0);
+        assert!(help.stdout.contains(&format!("Usage: opspace {name}")) && help.stderr.is_empty());
+        let longest = help.stdout.lines().map(|line| line.chars().count()).max().unwrap();
+        assert!(longest <= 100, "{name}: {longest} columns");
+    }
+    for code in ["0 ", "1 ", "2 ", "3 ", "130 "] {
+        assert!(top.lines().any(|line| line.trim_start().starts_with(code)), "exit code {code}:\n{top}");
+    }
+}
+
+#[test]
+fn bad_arguments_end_with_2_and_a_tip() {
+    let folder = scratch();
+    let task = task("compliant-x");
+    opspace(folder.path(), &[]).exits(2);
+    opspace(folder.path(), &["runn"]).exits(2).says(&["'run'"]);
+    opspace(folder.path(), &["run"]).exits(2).says(&["<TASK>"]);
+    opspace(folder.path(), &["run", &task, "--backend", "torq"])
+        .exits(2)
+        .says(&["position, velocity, torque"]);
+    for seconds in ["0", "-1", "nan", "inf", "abc"] {
+        opspace(folder.path(), &["run", &task, "--duration-s", seconds]).exits(2).says(&["seconds above 0"]);
+    }
+    opspace(folder.path(), &["run", &task, "-v", "-q"]).exits(2).says(&["cannot be used with"]);
+    opspace(folder.path(), &["bench", "--jobs", "0"]).exits(2).says(&["--jobs"]);
+    let ik = ["run", &task, "--backend", "torque", "--controller", "ik"];
+    opspace(folder.path(), &ik).exits(2).says(&["'ik'", "--controller osc"]);
+    let profile = ["run", &task, "--profile", "a-mad"];
+    opspace(folder.path(), &profile).exits(2).says(&[
+        "no profile 'a-mad'",
+        "did you mean 'a-med'?",
+        "b-soft",
+    ]);
+    assert!(fs::read_dir(folder.path()).unwrap().next().is_none(), "nothing was written");
+}
+
+#[test]
+fn a_run_leaves_log_report_and_summary_and_prints_the_table() {
+    let folder = scratch();
+    let ran = opspace(folder.path(), &["run", &task("compliant-x"), "--duration-s", "2"]).exits(0);
+    let out = folder.path().join("runs/compliant-x-position");
+    assert!(
+        ran.stdout.contains("position osc + emulation+current") && ran.stdout.contains("a-med 1:5"),
+        "{}",
+        ran.stdout
+    );
+    assert!(!ran.stdout.contains('\u{1b}') && !ran.stderr.contains('\u{1b}'), "no colours in a pipe");
+    ran.says(&["wrote runs/compliant-x-position/run.mcap"]);
+    assert!(Recording::read(out.join("run.mcap")).unwrap().damage.is_none());
+    assert!(read(out.join("report.html")).contains("<figure>"));
+    let summary = read_json(out.join("summary.json"));
+    assert_row(&summary);
+    assert_eq!(summary["faulted"], Value::Null);
+    assert!(summary["metrics"]["hand_force_rms_n"].as_f64().unwrap() > 0.0);
+    assert_eq!(summary["metrics"]["orientation_rms_rad"], Value::Null, "the arm has no orientation axes");
+}
+
+#[test]
+fn what_is_chosen_stands_in_the_summary() {
+    let folder = scratch();
+    let set = "task.hand.gains.damping_ratio=0.7";
+    let options = ["--backend", "torque", "--profile", "b-soft", "--seed", "9", "--set", set];
+    let log = run(folder.path(), "out", "cartesian-tracking", &options);
+    let summary = read_json(log.with_file_name("summary.json"));
+    let text = |key: &str| summary[key].as_str().unwrap_or("none").to_owned();
+    let names = ["task", "robot", "backend", "controller", "transformer", "profile"].map(text);
+    assert_eq!(names, ["cartesian-tracking", "asimo-arm", "torque", "osc", "none", "b-soft"]);
+    assert_eq!((summary["seed"].as_u64(), summary["duration_s"].as_f64()), (Some(9), Some(2.0)));
+    assert_eq!(summary["overrides"], serde_json::json!([set]));
+    let recording = Recording::read(log).unwrap();
+    let attached = &recording.attachment("task.toml").unwrap().data;
+    assert!(
+        String::from_utf8_lossy(attached).contains("damping_ratio = 0.7"),
+        "the task that ran is in the log"
+    );
+}
+
+/// Runs of the same file, seed and binary: the same bits in every signal but the wall clock's. Another seed: other
+/// bits.
+#[test]
+fn a_run_can_be_had_again() {
+    let folder = scratch();
+    let recording = |name: &str, options: &[&str]| {
+        Recording::read(run(folder.path(), name, "compliant-x", options)).unwrap()
+    };
+    let (first, again, other) = (recording("a", &[]), recording("b", &[]), recording("c", &["--seed", "2"]));
+    let mut differs = false;
+    for (index, channel) in first.channels.iter().enumerate() {
+        assert!(channel.len() > 2000);
+        for signal in channel.layout.signals.iter().filter(|signal| signal.name != "tick_time") {
+            let bits = |recording: &Recording| -> Vec<u64> {
+                let column = recording.channels[index].signal(&signal.name).unwrap();
+                column.rows().flatten().map(|value| value.to_bits()).collect()
+            };
+            assert!(bits(&first) == bits(&again), "{} of {}", signal.name, channel.layout.channel);
+            differs |= bits(&first) != bits(&other);
+        }
+    }
+    assert!(differs, "the seed does something");
+}
+
+#[test]
+fn json_goes_to_a_file_or_takes_the_tables_place() {
+    let folder = scratch();
+    let task = task("joint-tracking");
+    let run = ["run", &task, "--duration-s", "2", "--json"];
+    let printed = opspace(folder.path(), &[&run[..], &["-"]].concat()).exits(0).json();
+    let ran = opspace(folder.path(), &[&run[..], &["row.json", "--out", "b"]].concat()).exits(0);
+    assert!(ran.stdout.contains("joint"), "the table is there as well");
+    let apart = |mut summary: Value| {
+        summary["timing"] = Value::Null;
+        summary
+    };
+    let written = apart(read_json(folder.path().join("row.json")));
+    assert_eq!(apart(printed), written);
+    assert_eq!(written, apart(read_json(folder.path().join("b/summary.json"))));
+}
+
+#[test]
+fn the_run_before_is_moved_aside_and_said_so() {
+    let folder = scratch();
+    let run = |seed: &str| {
+        let task = task("gravity-compensation");
+        opspace(folder.path(), &["run", &task, "--duration-s", "1.6", "--seed", seed]).exits(0)
+    };
+    let seed =
+        |name: &str| read_json(folder.path().join("runs").join(name).join("summary.json"))["seed"].clone();
+    assert!(!run("1").stderr.contains("previous"));
+    run("2").says(&["moved", "runs/gravity-compensation-position.previous"]);
+    run("3").says(&["runs/gravity-compensation-position.previous-2"]);
+    assert_eq!(seed("gravity-compensation-position"), 3);
+    assert_eq!(seed("gravity-compensation-position.previous"), 1);
+    assert_eq!(seed("gravity-compensation-position.previous-2"), 2);
+}
+
+#[test]
+fn a_folder_that_was_asked_for_is_only_replaced_by_force() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let before = fs::read(&log).unwrap();
+    let note = log.with_file_name("note.txt");
+    fs::write(&note, "mine").unwrap();
+    let task = task("compliant-x");
+    let again = ["run", &task, "--duration-s", "2", "--seed", "2", "--out", "out"];
+    opspace(folder.path(), &again).exits(2).says(&["out", "already holds a run", "--force"]);
+    assert!(fs::read(&log).unwrap() == before, "the log is as it was");
+    opspace(folder.path(), &[&again[..], &["--force"]].concat()).exits(0);
+    assert!(fs::read(&log).unwrap() != before);
+    assert_eq!(read(note), "mine");
+    opspace(folder.path(), &[&again[..7], &["out/note.txt"]].concat()).exits(2).says(&["note.txt"]);
+}
+
+#[test]
+fn quiet_says_nothing_but_results() {
+    let folder = scratch();
+    let arguments = ["run", &task("compliant-x"), "--duration-s", "2", "-q"];
+    let ran = opspace(folder.path(), &arguments).exits(0);
+    assert_eq!(ran.stderr, "");
+    assert!(ran.stdout.contains("compliant-x") && !ran.stdout.contains("simulation"), "{}", ran.stdout);
+}
+
+/// A reader that closes its pipe: the program ends quietly, and the results are on the disk.
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    let folder = scratch();
+    let task = task("compliant-x");
+    let cases: [&[&str]; 6] = [
+        &["run", &task, "--duration-s", "2", "-q"],
+        &["schema", "task"],
+        &["model", ROOT_ROBOT],
+        &["check", ROOT_ROBOT],
+        &["completion", "bash"],
+        &["--help"],
+    ];
+    for arguments in cases {
+        let mut child =
+            command(folder.path(), arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!((output.status.code(), said.as_ref()), (Some(0), ""), "{arguments:?}");
+    }
+    assert!(folder.path().join("runs/compliant-x-position/summary.json").exists());
+}
+
+const ROOT_ROBOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/asimo-arm");
+
+/// Starts a run too long to end by itself, and returns it once its log holds some seconds.
+fn long_run(folder: &Path) -> (Child, PathBuf) {
+    let task = task("compliant-x");
+    let mut run = command(folder, &["run", &task, "--duration-s", "2000", "--out", "out"]);
+    let child = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let log = folder.join("out/run.mcap");
+    while fs::metadata(&log).map_or(0, |file| file.len()) < 4 << 20 {
+        sleep(Duration::from_millis(20));
+    }
+    (child, log)
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_stops_the_run_and_closes_its_log() {
+    let folder = scratch();
+    let (child, log) = long_run(folder.path());
+    let interrupt = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(said.contains("interrupted at") && said.contains("log is closed"), "{said}");
+    assert!(Recording::read(&log).unwrap().damage.is_none());
+    let summary = read_json(log.with_file_name("summary.json"));
+    assert_eq!((&summary["interrupted"], &summary["faulted"]), (&Value::Bool(true), &Value::Null));
+    opspace(folder.path(), &["replay", "out"]).exits(0);
+    opspace(folder.path(), &["report", "out"]).exits(0);
+}
+
+/// A process killed during the run: the file holds the beginning of the run, to the bit.
+#[test]
+fn a_killed_run_leaves_a_log_that_is_good_so_far() {
+    let folder = scratch();
+    let (mut child, log) = long_run(folder.path());
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let cut = Recording::read(&log).unwrap();
+    assert!(cut.damage.is_some());
+    let tick = cut.channel("tick").unwrap();
+    assert!(tick.len() > 1000);
+    let replayed = opspace(folder.path(), &["replay", "out"]).exits(3).says(&["damaged"]);
+    assert!(replayed.stdout.contains("are the same, bit for bit"), "{}", replayed.stdout);
+    opspace(folder.path(), &["report", "out"]).exits(3).says(&["damaged"]);
+    assert!(log.with_file_name("report.html").exists());
+
+    let whole = Recording::read(run(folder.path(), "whole", "compliant-x", &[])).unwrap();
+    let whole = whole.channel("tick").unwrap();
+    let (a, b) = (tick.signal("q").unwrap(), whole.signal("q").unwrap());
+    assert!((0..1000).all(|k| a.row(k) == b.row(k)), "the same run, cut short");
+}
+
+/// Exit codes of a suite's runs: a fault outranks success.
+#[test]
+fn a_fault_ends_with_1_and_its_cause() {
+    let folder = scratch();
+    let rms = "environment.operator.spring.motion.random.rms_m=2.0";
+    let stiffness = "environment.operator.spring.stiffness_n_per_m=3000";
+    let arguments = ["run", &task("compliant-x"), "--set", rms, "--set", stiffness, "--json", "-"];
+    let ran = opspace(folder.path(), &arguments).exits(1);
+    let summary = ran.json();
+    let cause = summary["faulted"].as_str().unwrap();
+    assert!(cause.contains("joint"), "{cause}");
+    ran.says(&["stopped at", cause]);
+    let time = summary["fault_time_s"].as_f64().unwrap();
+    let log = Recording::read(folder.path().join("runs/compliant-x-position/run.mcap")).unwrap();
+    assert!(log.damage.is_none());
+    assert!(*log.channel("tick").unwrap().time_s.last().unwrap() >= time, "the last ticks are in the log");
+}
+
+const SUITE: &str = r#"
+title = "short"
+[[run]]
+tasks = ["TASKS/gravity-compensation.toml", "TASKS/compliant-x.toml"]
+backend = "torque"
+controller = "osc"
+profiles = ["a-med", "b-soft"]
+set = ["duration_s=1.6"]
+[[run]]
+tasks = ["TASKS/cartesian-tracking.toml", "TASKS/joint-tracking.toml", "TASKS/compliant-x.toml"]
+backend = "position"
+controller = "ik-lead"
+seeds = [1, 2]
+set = ["duration_s=1.6"]
+[[run]]
+tasks = ["TASKS/compliant-x.toml"]
+backend = "position"
+controller = "osc"
+set = ["duration_s=1.6"]
+"#;
+
+#[test]
+fn a_suite_is_one_table_whatever_the_number_of_jobs() {
+    let folder = scratch();
+    fs::write(folder.path().join("short.toml"), SUITE.replace("TASKS", &project("tasks"))).unwrap();
+    let ran = opspace(folder.path(), &["bench", "short.toml", "--json", "rows.json", "--jobs", "2"]).exits(0);
+    let longest = ran.stdout.lines().map(|line| line.chars().count()).max().unwrap();
+    assert!(longest <= 132, "{longest} columns:\n{}", ran.stdout);
+    let titles: Vec<&str> = ran.stdout.lines().filter(|line| line.ends_with("-x")).collect();
+    assert_eq!(titles, [" compliant-x"], "a task's rows stand together");
+    let json = read_json(folder.path().join("rows.json"));
+    assert_eq!(json["schema"], "opspace.bench/1");
+    assert_eq!(json, read_json(folder.path().join("runs/bench-short/bench.json")));
+    let rows = |json: &Value| {
+        let mut rows = json["rows"].as_array().unwrap().clone();
+        rows.iter().for_each(assert_row);
+        rows.iter_mut().for_each(|row| row["timing"] = Value::Null);
+        rows
+    };
+    assert_eq!(rows(&json).len(), 4 + 6 + 1);
+    let alone = opspace(folder.path(), &["bench", "short.toml", "--json", "-", "--jobs", "1"]).exits(0);
+    assert_eq!(rows(&alone.json()), rows(&json));
+    alone.says(&["runs/bench-short.previous"]);
+    let replayed = ["replay", "runs/bench-short/compliant-x-torque.mcap"];
+    opspace(folder.path(), &replayed).exits(0);
+}
+
+#[test]
+fn a_suite_with_a_fault_ends_with_1_and_all_its_rows() {
+    let folder = scratch();
+    let faulty = format!(
+        "{SUITE}\n[[run]]\ntasks = [\"TASKS/compliant-x.toml\"]\nbackend = \"position\"\ncontroller = \"osc\"\n\
+         set = [\"environment.operator.spring.motion.random.rms_m=2.0\",\n\
+         \"environment.operator.spring.stiffness_n_per_m=3000\"]\n"
+    );
+    fs::write(folder.path().join("short.toml"), faulty.replace("TASKS", &project("tasks"))).unwrap();
+    let ran = opspace(folder.path(), &["bench", "short.toml"]).exits(1);
+    assert!(ran.stdout.contains("1 faulted"), "{}", ran.stdout);
+    let rows = read_json(folder.path().join("runs/bench-short/bench.json"));
+    assert_eq!(rows["rows"].as_array().unwrap().len(), 12);
+}
+
+#[test]
+fn a_report_is_made_of_logs_and_folders() {
+    let folder = scratch();
+    run(folder.path(), "a", "compliant-x", &[]);
+    let log = run(folder.path(), "b", "compliant-x", &["--backend", "torque"]);
+    let arguments = ["report", "a", log.to_str().unwrap(), "-o", "both.html", "--json", "both.json"];
+    let said = opspace(folder.path(), &arguments).exits(0).stdout;
+    assert_eq!(said, "both.html\n");
+    let page = read(folder.path().join("both.html"));
+    assert!(page.contains("position robot") && page.contains("torque robot"));
+    // Said from the log against said after the run: the same but for what only the clock knew.
+    let rows = read_json(folder.path().join("both.json"));
+    for (row, name) in rows.as_array().unwrap().iter().zip(["a", "b"]) {
+        let summary = read_json(folder.path().join(name).join("summary.json"));
+        assert_eq!(row["metrics"], summary["metrics"], "{name}");
+        assert_eq!(row["timing"]["tick_ns_median"], summary["timing"]["tick_ns_median"]);
+    }
+    opspace(folder.path(), &["report", "a", "-o", "none/x.html"]).exits(2).says(&["none/x.html"]);
+}
+
+#[test]
+fn a_robot_is_a_table_or_json() {
+    let folder = scratch();
+    let table = opspace(folder.path(), &["model", ROOT_ROBOT]).exits(0).stdout;
+    let toml = format!("{ROOT_ROBOT}/robot.toml");
+    assert_eq!(opspace(folder.path(), &["model", &toml]).exits(0).stdout, table);
+    assert!(table.contains("4 moving joints") && table.contains("revolute (rad, Nm)"), "{table}");
+    let json = opspace(folder.path(), &["model", &toml, "--json", "-"]).exits(0).json();
+    let names = |key: &str| -> Vec<String> {
+        let all = json[key].as_array().unwrap().iter();
+        all.map(|one| one["name"].as_str().unwrap().to_owned()).collect()
+    };
+    assert_eq!(names("joints"), ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"]);
+    for name in names("joints").iter().chain(&names("frames")) {
+        assert!(table.contains(name), "{name}");
+    }
+    // The URDF alone knows no rotors.
+    let urdf = opspace(folder.path(), &["model", &format!("{ROOT_ROBOT}/asimo-arm.urdf"), "--json", "-"]);
+    assert_eq!(urdf.exits(0).json()["joints"][0]["rotor_inertia"], 0.0);
+    assert!((json["joints"][0]["rotor_inertia"].as_f64().unwrap() - 120.0 * 120.0 * 1.6e-5).abs() < 1e-12);
+}
+
+fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
+}
+
+/// Compared: masses, centres and offsets, and the text of the file.
+#[test]
+fn the_table_of_a_robot_says_what_its_file_says() {
+    let folder = scratch();
+    let urdf = project("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
+    let shown = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0).json();
+    let text = read(&urdf);
+    let masses = text.split("<mass value=\"").skip(1).map(|rest| rest.split('"').next().unwrap());
+    let sum: f64 = masses.map(|mass| mass.parse::<f64>().unwrap()).sum();
+    let total = shown["total_mass_kg"].as_f64().unwrap();
+    assert!(
+        (total - sum).abs() < 1e-9 && shown["moving_mass_kg"].as_f64().unwrap() < total,
+        "{total}, {sum}"
+    );
+    let table = opspace(folder.path(), &["model", &urdf]).exits(0);
+    assert!(table.stdout.contains("7 moving joints on a fixed base, 16.822 kg in motion, 17.452 kg in all"));
+    assert_eq!(table.stderr, "", "nothing is wrong with it");
+    // A robot whose axes are not along z: places are in the links' axes all the same, not in the model's.
+    let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
+    let shown = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0).json();
+    let text = read(&urdf);
+    let origin = |of: &str| {
+        let after = text.split_once(of).unwrap().1.split_once("xyz=\"").unwrap().1;
+        let numbers = after.split('"').next().unwrap().split_whitespace();
+        numbers.map(|x| x.parse().unwrap()).collect::<Vec<f64>>()
+    };
+    let assert_near = |said: &Value, place: &str| {
+        let (said, written) = (numbers(said), origin(place));
+        assert!(said.iter().zip(&written).all(|(a, b)| (a - b).abs() < 1e-9), "{said:?}, {written:?}");
+        assert!(written.iter().any(|x| *x != 0.0), "{place}");
+    };
+    let (upper_arm, joint) = (&shown["bodies"][1], &shown["joints"][1]);
+    assert_eq!((&upper_arm["link"], &upper_arm["joint"]), (&"upper_arm_link".into(), &joint["name"]));
+    assert_near(&upper_arm["com_m"], "<inertial>\n      <mass value=\"8.393\"");
+    assert_eq!(joint["carried_by"], "shoulder_link");
+    let tool = shown["frames"].as_array().unwrap().iter().find(|f| f["name"] == "ee_link").unwrap();
+    assert_eq!((&tool["fixed_to"], &tool["moves_with"]), (&"wrist_3_link".into(), &"wrist_3_joint".into()));
+    assert_near(&tool["offset_m"], "<joint name=\"ee_fixed_joint\"");
+}
+
+/// Warnings of the reader, and of the model as a whole: on stderr with the file, and as JSON.
+#[test]
+fn what_looks_wrong_with_a_robot_is_said() {
+    let folder = scratch();
+    for (name, count, words) in [
+        ("ur5", 3, &["link 'wrist_1_link'", "a solid of 8.35 kg/m³"][..]),
+        ("allegro_right_hand", 4, &["line 143: link 'link_3.0'", "triangle inequality"]),
+        ("xarm7_turned", 0, &[]),
+    ] {
+        let urdf = project(&format!("tests/oracles/pinocchio/urdf/{name}.urdf"));
+        let ran = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0);
+        let warnings = ran.json()["warnings"].clone();
+        let said: Vec<String> =
+            warnings.as_array().unwrap().iter().map(|w| format!("{urdf}: {}", w.as_str().unwrap())).collect();
+        assert_eq!(said.len(), count, "{name}: {said:?}");
+        assert_eq!(ran.stderr.lines().collect::<Vec<_>>(), said, "{name}");
+        ran.says(words);
+    }
+    for robot in ["asimo-arm", "panda", "planar-2-link", "ur5e"] {
+        let ran = opspace(folder.path(), &["model", &project(&format!("robots/{robot}"))]).exits(0);
+        assert_eq!(ran.stderr, "", "{robot}");
+    }
+}
+
+#[test]
+fn a_urdf_can_float_and_fold_its_mimic_joints() {
+    let folder = scratch();
+    let urdf = project("tests/oracles/pinocchio/urdf/panda.urdf");
+    let shown = |options: &[&str]| {
+        let arguments = [&["model", &urdf, "--json", "-"], options].concat();
+        opspace(folder.path(), &arguments).exits(0)
+    };
+    let count = |value: &Value, key: &str| value[key].as_array().unwrap().len();
+    let fixed = shown(&[]);
+    fixed.json()["warnings"][0].as_str().unwrap().find("mimics").expect("it is said");
+    let fixed = fixed.json();
+    assert_eq!((count(&fixed, "joints"), count(&fixed, "bodies"), &fixed["base"]), (9, 9, &"fixed".into()));
+    let folded = shown(&["--fold-mimics"]).json();
+    assert_eq!((count(&folded, "joints"), count(&folded, "bodies"), count(&folded, "warnings")), (8, 9, 0));
+    // Both fingers hang on the joint that is left.
+    let fingers = 2.0 * fixed["joints"][8]["mass_kg"].as_f64().unwrap();
+    assert!((folded["joints"][7]["mass_kg"].as_f64().unwrap() - fingers).abs() < 1e-12);
+    let floating = shown(&["--floating"]).json();
+    assert_eq!((count(&floating, "joints"), count(&floating, "bodies")), (15, 10));
+    assert_eq!(
+        (&floating["base"], &floating["bodies"][0]["link"]),
+        (&"floating".into(), &"panda_link0".into())
+    );
+    assert_eq!(floating["moving_mass_kg"], floating["total_mass_kg"]);
+    let table = opspace(folder.path(), &["model", &urdf, "--floating", "--fold-mimics"]).exits(0).stdout;
+    assert!(table.contains("8 moving joints on a floating base, 17.452 kg in motion, 17.452 kg in all"));
+    assert!(table.contains("base.angular.z") && table.contains("the base (floating)"), "{table}");
+    // A state then has a position and a quaternion first: with them it computes, without it says how many it wants.
+    let sample = |nq: usize| {
+        let list = |length: usize, at: usize| -> Vec<f64> {
+            (0..length).map(|i| if i == at { 1.0 } else { 0.0 }).collect()
+        };
+        let line = serde_json::json!({
+            "q": list(nq, 6), "dq": list(15, 99), "ddq": list(15, 99), "tau_in": list(15, 99), "f_tip": list(6, 99),
+        });
+        let path = folder.path().join("samples.jsonl");
+        fs::write(&path, line.to_string()).unwrap();
+        opspace(
+            folder.path(),
+            &["model", &urdf, "--floating", "--tip", "panda_hand", "--samples", "samples.jsonl"],
+        )
+    };
+    let quantities = sample(16).exits(0).json();
+    // Free in space it weighs all its mass: the third row of gravity is m g.
+    let weight = quantities["g"][2].as_f64().unwrap();
+    assert!((weight - 9.81 * floating["total_mass_kg"].as_f64().unwrap()).abs() < 1e-9, "{weight}");
+    sample(15).exits(2).says(&["16"]);
+    // What is controlled is the robot of its folder.
+    for option in ["--floating", "--fold-mimics"] {
+        let refused = opspace(folder.path(), &["model", ROOT_ROBOT, option]).exits(2);
+        refused.says(&[option, "asimo-arm.urdf"]);
+    }
+}
+
+const SCHEMAS: [(&str, &str); 3] = [
+    ("robot", "robots/robot.schema.json"),
+    ("task", "tasks/task.schema.json"),
+    ("suite", "tasks/suite.schema.json"),
+];
+
+/// Compared: the schemas beside the files, which editors read, and the program's present output.
+#[test]
+fn the_schemas_in_the_project_are_those_of_the_program() {
+    let folder = scratch();
+    for (kind, path) in SCHEMAS {
+        let schema = opspace(folder.path(), &["schema", kind]).exits(0);
+        assert!(
+            schema.stdout == read(project(path)),
+            "{path} is out of date: `opspace schema {kind} > {path}` in the project's root"
+        );
+        assert_eq!(schema.json()["additionalProperties"], false, "{kind}");
+    }
+    opspace(folder.path(), &["schema", "robots"]).exits(2).says(&["robot"]);
+}
+
+/// Returns the violation of a schema by a value: unknown or missing keys, or the wrong kind of a value.
+fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<String> {
+    if let Some(reference) = schema["$ref"].as_str() {
+        let name = reference.strip_prefix("#/$defs/").unwrap();
+        let found = refused(root, &root["$defs"][name], value, at);
+        if found.is_some() {
+            return found;
+        }
+    }
+    for key in ["anyOf", "oneOf"] {
+        if let Some(kinds) = schema[key].as_array() {
+            let all: Option<Vec<String>> = kinds.iter().map(|kind| refused(root, kind, value, at)).collect();
+            if let Some(all) = all {
+                return Some(all.join(" | "));
+            }
+        }
+    }
+    let types: Vec<&str> = match &schema["type"] {
+        Value::String(one) => vec![one],
+        Value::Array(several) => several.iter().filter_map(Value::as_str).collect(),
+        _ => Vec::new(),
+    };
+    let is = |kind: &str| match kind {
+        "object" => value.is_object(),
+        "array" => value.is_array(),
+        "string" => value.is_string(),
+        "number" => value.is_number(),
+        "integer" => value.is_i64() || value.is_u64(),
+        "boolean" => value.is_boolean(),
+        _ => false,
+    };
+    if !types.is_empty() && !types.iter().any(|kind| is(kind)) {
+        return Some(format!("{at} is no {types:?}"));
+    }
+    let is_one_of = |known: &Value| known.as_array().is_some_and(|known| !known.contains(value));
+    if is_one_of(&schema["enum"]) || (!schema["const"].is_null() && schema["const"] != *value) {
+        return Some(format!("{at} is {value}"));
+    }
+    if let Some(object) = value.as_object() {
+        let missing = schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str);
+        if let Some(key) = missing.into_iter().find(|key| !object.contains_key(*key)) {
+            return Some(format!("{at}.{key} is missing"));
+        }
+        for (key, value) in object {
+            let own = &schema["properties"][key];
+            let other = &schema["additionalProperties"];
+            let place = format!("{at}.{key}");
+            let schema = if own.is_null() { other } else { own };
+            if *schema == Value::Bool(false) {
+                return Some(format!("{place} is unknown"));
+            }
+            let found = refused(root, schema, value, &place);
+            if found.is_some() {
+                return found;
+            }
+        }
+    }
+    let elements = value.as_array().into_iter().flatten();
+    elements.filter_map(|element| refused(root, &schema["items"], element, at)).next()
+}
+
+/// Validation of the project's files by the schemas; with an additional key, or without a required one, they are
+/// refused.
+#[test]
+fn the_schemas_accept_the_projects_files_and_no_others() {
+    let files = [
+        ("robots/robot.schema.json", "robots/asimo-arm/robot.toml", "urdf"),
+        ("tasks/task.schema.json", "tasks/compliant-x.toml", "priority"),
+        ("tasks/task.schema.json", "tasks/cartesian-tracking.toml", "robot"),
+        ("tasks/task.schema.json", "tasks/joint-tracking.toml", "robot"),
+        ("tasks/task.schema.json", "tasks/gravity-compensation.toml", "robot"),
+        ("tasks/suite.schema.json", "tasks/suites/paper.toml", "run"),
+    ];
+    for (schema, path, required) in files {
+        let schema = read_json(project(schema));
+        let text = read(project(path));
+        let first = text.lines().next().unwrap();
+        let (_, named) = first.split_once("#:schema ").expect("editors find the schema by the first line");
+        let beside = Path::new(ROOT).join(path).with_file_name(named);
+        assert!(beside.exists(), "{}", beside.display());
+        let value: Value = toml::from_str(&text).unwrap();
+        assert_eq!(refused(&schema, &schema, &value, path), None);
+        let mut more = value.clone();
+        more["more"] = Value::from(1);
+        assert!(refused(&schema, &schema, &more, path).unwrap().contains("more is unknown"));
+        let mut less = value.clone();
+        less.as_object_mut().unwrap().remove(required);
+        assert!(refused(&schema, &schema, &less, path).unwrap().contains("is missing"), "{required}");
+    }
+}
+
+#[test]
+fn every_shell_gets_its_completion() {
+    let folder = scratch();
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = opspace(folder.path(), &["completion", shell]).exits(0).stdout;
+        assert!(COMMANDS.iter().all(|name| script.contains(name)), "{shell}");
+    }
+    opspace(folder.path(), &["completion", "csh"]).exits(2).says(&["bash"]);
+}
+
+/// The gain margin that is reported for a task, for the kind of robot that its robot file states.
+#[test]
+fn check_is_for_the_robot_of_the_file() {
+    let folder = scratch();
+    let (robot, tasks) = (folder.path().join("robots/asimo-arm"), folder.path().join("tasks"));
+    fs::create_dir_all(&robot).unwrap();
+    fs::create_dir_all(&tasks).unwrap();
+    for file in ["robots/asimo-arm/asimo-arm.urdf", "tasks/gravity-compensation.toml"] {
+        fs::copy(project(file), folder.path().join(file)).unwrap();
+    }
+    let text = read(project("robots/asimo-arm/robot.toml"));
+    // What a robot does on a missed cycle follows from what it takes.
+    let text: String =
+        text.split_inclusive('\n').filter(|line| !line.starts_with("on_missed_cycle")).collect();
+    for (command, margin) in
+        [("position", "position_gain_margin"), ("velocity", "velocity_gain_margin"), ("torque", "none")]
+    {
+        let stated = "command = \"position\"";
+        assert!(text.contains(stated));
+        fs::write(robot.join("robot.toml"), text.replace(stated, &format!("command = \"{command}\"")))
+            .unwrap();
+        let arguments = ["check", "tasks/gravity-compensation.toml", "--json", "-"];
+        let json = opspace(folder.path(), &arguments).exits(0).json();
+        let file = &json["files"][0];
+        for key in ["position_gain_margin", "velocity_gain_margin"] {
+            assert_eq!(file[key].is_object(), key == margin, "{command}: {key} in {file}");
+        }
+    }
+}
+
+#[test]
+fn check_knows_what_a_file_is() {
+    let folder = scratch();
+    let at = |path: &str| opspace(Path::new(ROOT), &["check", path]).exits(0).stdout;
+    assert_eq!(at("robots/asimo-arm"), "robots/asimo-arm: a robot of 4 joints\n");
+    assert_eq!(at("robots/asimo-arm/robot.toml"), "robots/asimo-arm/robot.toml: a robot of 4 joints\n");
+    let urdf = "robots/asimo-arm/asimo-arm.urdf";
+    assert_eq!(at(urdf), format!("{urdf}: a URDF of 4 moving joints\n"));
+    let task = at("tasks/compliant-x.toml");
+    assert!(
+        task.starts_with(
+            "tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n  position loops may have "
+        )
+    );
+    assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
+
+    // Several files: each is reported, and one with a mistake is enough.
+    fs::write(folder.path().join("bad.toml"), "robot = \".\"\nduration_s = 1.0\n").unwrap();
+    fs::write(folder.path().join("other.toml"), "[package]\nname = \"x\"\n").unwrap();
+    let arguments = ["check", ROOT_ROBOT, "bad.toml", "other.toml", "none.toml", "--json", "-"];
+    let ran = opspace(folder.path(), &arguments).exits(2);
+    let json = ran.json();
+    let files = json["files"].as_array().unwrap();
+    let ok: Vec<Option<bool>> = files.iter().map(|file| file["ok"].as_bool()).collect();
+    assert_eq!(ok, [Some(true), Some(false), Some(false), Some(false)]);
+    ran.says(&[
+        "bad.toml: missing key `priority`",
+        "other.toml: is neither a robot, a task nor a suite",
+        "none.toml: there is no such file",
+    ]);
+    let empty = scratch();
+    opspace(empty.path(), &["check", "."]).exits(2).says(&["robot.toml: there is no such file"]);
+}
+
+#[test]
+fn a_file_of_another_kind_is_told_apart() {
+    let folder = scratch();
+    let task = task("compliant-x");
+    let robot = format!("{ROOT_ROBOT}/robot.toml");
+    opspace(folder.path(), &["run", &robot]).exits(2).says(&["is a robot file; a task file is meant here"]);
+    opspace(folder.path(), &["bench", &task]).exits(2).says(&["is a task file; a suite file is meant here"]);
+    let swapped = ["run", &task, "--robot", &task];
+    opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is meant here"]);
+}
+
+/// Writing of results: a file is written only if all states are valid; the samples are never overwritten.
+#[test]
+fn samples_write_no_file_that_they_should_not() {
+    let folder = scratch();
+    let urdf = project("robots/planar-2-link/planar-2-link.urdf");
+    let line = r#"{"q":[0.1,0.2],"dq":[0,0],"ddq":[0,0],"tau_in":[0,0],"f_tip":[0,0,0,0,0,0]}"#;
+    let path = |name: &str| folder.path().join(name);
+    fs::write(path("states.jsonl"), line).unwrap();
+    fs::write(path("kept.jsonl"), "kept").unwrap();
+    let run = |tip: &str, samples: &str, json: &str| {
+        opspace(folder.path(), &["model", &urdf, "--tip", tip, "--samples", samples, "--json", json])
+    };
+    run("tipp", "states.jsonl", "kept.jsonl").exits(2);
+    run("tip", "nothing.jsonl", "kept.jsonl").exits(2);
+    assert_eq!(read(path("kept.jsonl")), "kept");
+    let same = run("tip", "states.jsonl", "./states.jsonl").exits(2);
+    assert!(same.stderr.contains("these are the samples"), "{}", same.stderr);
+    assert_eq!(read(path("states.jsonl")), line);
+    run("tip", "states.jsonl", "new.jsonl").exits(0);
+    assert!(read(path("new.jsonl")).contains("tau_rnea"));
+}
+
+/// A robot without moving joints has a table too.
+#[test]
+fn a_robot_without_joints_has_a_table() {
+    let folder = scratch();
+    fs::write(folder.path().join("table.urdf"), r#"<robot name="t"><link name="table"/></robot>"#).unwrap();
+    let ran = opspace(folder.path(), &["model", "table.urdf"]).exits(0);
+    assert!(ran.stdout.contains("0 moving joints on a fixed base"), "{}", ran.stdout);
+}
+
+/// A task with an impedance, whose gains depend on the arm's inertia.
+#[test]
+fn check_says_what_it_could_not_check() {
+    let arguments = ["check", "tasks/panda-impedance.toml"];
+    let said = opspace(Path::new(ROOT), &arguments).exits(0).stdout;
+    assert!(said.contains("not checked: tasks/panda-impedance.toml"), "{said}");
+    let json = opspace(Path::new(ROOT), &[&arguments[..], &["--json", "-"]].concat()).exits(0).json();
+    let skipped = json["files"][0]["not_checked"].as_array().unwrap();
+    assert!(skipped.iter().all(|one| one["help"] == "try it in simulation") && !skipped.is_empty(), "{json}");
+}
+
+/// Compared: the kind of robot in the summary, and the one that robot.toml states, or that is asked for.
+#[test]
+fn run_is_on_the_kind_of_robot_that_robot_toml_states() {
+    let folder = scratch();
+    let task = project("tasks/gravity-compensation.toml");
+    let command = "robot.interface.command=velocity";
+    for (asked, backend) in [(&[][..], "velocity"), (&["--backend", "torque"][..], "torque")] {
+        let set = ["--set", command, "--set", "robot.interface.on_missed_cycle=hold-last"];
+        let fixed =
+            ["run", &task, "--duration-s", "0.2", "--set", "settle_s=0", "--out", backend, "--json", "-"];
+        let ran = opspace(folder.path(), &[&fixed[..], &set, asked].concat()).exits(0);
+        assert_eq!(ran.json()["backend"], backend);
+        assert_eq!(ran.json()["simulated"], true);
+    }
+}

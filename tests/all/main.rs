@@ -1,0 +1,22 @@
+//! The whole of opspace: experiments, the command line, logs, robots and suites.
+
+mod acceptance;
+mod allocation;
+mod cli;
+mod cli_common;
+mod common;
+mod dropout;
+mod exactness;
+mod experiments;
+mod files;
+mod identification;
+mod identified;
+mod model_samples;
+mod replay;
+mod report_browser;
+mod robots;
+mod safety;
+
+#[global_allocator]
+static ALLOCATOR: opspace_testing::allocation::CountingAllocator =
+    opspace_testing::allocation::CountingAllocator;

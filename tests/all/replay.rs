@@ -1,0 +1,264 @@
+//! `opspace replay`: every run is reproduced bit for bit, and a log that differs from the run is detected, to the
+//! number.
+
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
+
+use crate::cli_common::{Ran, opspace, project, run, scratch};
+use opspace_log::header::{GAPS, LOG};
+use opspace_log::{Channel, ChannelData, Header, Pace, Recording, record};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+fn replay(log: &Path) -> Ran {
+    opspace(log.parent().unwrap(), &["replay", log.to_str().unwrap()])
+}
+
+/// Every command, recomputed from the log's measurements, against the log.
+#[track_caller]
+fn comes_out_again(task: &str, options: &[&str]) {
+    let folder = scratch();
+    let log = run(folder.path(), "out", task, options);
+    let said = replay(&log).exits(0).stdout;
+    assert!(said.contains("ticks are the same, bit for bit"), "{said}");
+    let ticks = Recording::read(&log).unwrap().channel("tick").unwrap().len();
+    assert!(ticks > 400 && said.contains(&format!("all {ticks} ticks")), "{said}");
+}
+
+#[test]
+fn a_position_robot_under_torque_control_comes_out_again() {
+    comes_out_again("compliant-x", &[]);
+}
+
+#[test]
+fn a_torque_robot_comes_out_again() {
+    comes_out_again("cartesian-tracking", &["--backend", "torque"]);
+}
+
+#[test]
+fn inverse_kinematics_comes_out_again() {
+    comes_out_again("cartesian-tracking", &["--controller", "ik"]);
+}
+
+#[test]
+fn inverse_kinematics_with_lead_comes_out_again() {
+    comes_out_again("joint-tracking", &["--controller", "ik-lead", "--profile", "b-soft"]);
+}
+
+#[test]
+fn a_run_with_other_settings_comes_out_again() {
+    let set = "task.hand.gains.damping_ratio=0.7";
+    comes_out_again(
+        "compliant-x",
+        &["--seed", "7", "--set", set, "--set", "robot.simulated.true_over_nominal.kp=1.02"],
+    );
+}
+
+#[test]
+fn a_run_with_missed_cycles_comes_out_again() {
+    let dead = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
+    let lost = "robot.simulated.bus.lost_cycles_share=0.02";
+    let options = ["--set", dead, "--set", lost, "--transformer", "emulation+current"];
+    comes_out_again("cartesian-tracking", &options);
+    comes_out_again("cartesian-tracking", &["--set", lost, "--backend", "torque"]);
+    comes_out_again("joint-tracking", &["--set", dead, "--controller", "ik-lead"]);
+}
+
+/// Settings of a push that the arm can't withstand.
+const PUSH: [&str; 2] = [
+    "environment.operator.spring.motion.random.rms_m=2.0",
+    "environment.operator.spring.stiffness_n_per_m=3000",
+];
+
+#[test]
+fn a_run_that_faulted_comes_out_again_with_its_fault() {
+    for backend in ["position", "torque"] {
+        let folder = scratch();
+        let task = project("tasks/compliant-x.toml");
+        let arguments =
+            ["run", &task, "--backend", backend, "--out", "out", "--set", PUSH[0], "--set", PUSH[1]];
+        opspace(folder.path(), &arguments).exits(1).says(&["stopped at", "joint"]);
+        replay(&folder.path().join("out/run.mcap")).exits(0);
+    }
+}
+
+/// Records a recording again as a log, with its rows changed by `change`.
+fn recorded_again(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelData)) -> PathBuf {
+    let own = |name: &str| name != LOG && name != GAPS;
+    let header = Header {
+        metadata: recording.metadata.iter().filter(|(name, _)| own(name)).cloned().collect(),
+        attachments: recording.attachments.clone(),
+        model: None,
+    };
+    let channels = recording.channels.iter().map(|c| Channel { layout: c.layout.clone(), rate_hz: 1e3 });
+    let sink = File::create(&to).unwrap();
+    let (mut recorder, writer) = record(sink, header, channels.collect(), Pace::Simulated).unwrap();
+    for (index, channel) in recording.channels.iter().enumerate() {
+        let mut channel = channel.clone();
+        change(&mut channel);
+        for k in 0..channel.len() {
+            recorder.wait_for_space();
+            recorder.push(index, channel.time_s[k], channel.row(k));
+        }
+    }
+    drop(recorder);
+    let (written, _) = writer.finish().unwrap();
+    assert_eq!(written.dropped, 0);
+    to
+}
+
+/// Index of a signal's element in the rows of a channel.
+fn place(channel: &ChannelData, signal: &str, element: &str) -> usize {
+    let before = channel.layout.signals.iter().take_while(|s| s.name != signal);
+    let offset: usize = before.map(|s| s.elements.len()).sum();
+    let within = channel.signal(signal).expect(signal).elements().iter().position(|e| e == element);
+    offset + within.expect(element)
+}
+
+/// Adds to one number of the channel `tick`.
+fn nudge(tick: usize, signal: &'static str, element: &'static str, by: f64) -> impl Fn(&mut ChannelData) {
+    move |channel| {
+        if channel.layout.channel == "tick" {
+            let at = tick * channel.layout.width() + place(channel, signal, element);
+            channel.rows[at] += by;
+        }
+    }
+}
+
+fn value(recording: &Recording, tick: usize, signal: &str, element: &str) -> f64 {
+    let channel = recording.channel("tick").unwrap();
+    channel.row(tick)[place(channel, signal, element)]
+}
+
+#[test]
+fn one_changed_command_is_found_to_the_number() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let whole = Recording::read(&log).unwrap();
+    let same = recorded_again(&whole, folder.path().join("same.mcap"), |_| ());
+    replay(&same).exits(0);
+
+    let (tick, by) = (1234, 1e-12);
+    let changed = folder.path().join("changed.mcap");
+    let changed = recorded_again(&whole, changed, nudge(tick, "torque_desired", "elbow", by));
+    let (is, was) = (value(&whole, tick, "torque_desired", "elbow"), {
+        value(&Recording::read(&changed).unwrap(), tick, "torque_desired", "elbow")
+    });
+    assert_ne!(is.to_bits(), was.to_bits(), "the change is one that f64 can hold");
+    let said = replay(&changed).exits(1).stdout;
+    let expected =
+        format!("first at tick {tick} ({:.6} s): torque_desired of 'elbow' was {was:?}, is {is:?}", {
+            whole.channel("tick").unwrap().time_s[tick]
+        });
+    assert!(said.contains("differs in 1 of ") && said.contains(&expected), "{said}\n{expected}");
+
+    let json = opspace(folder.path(), &["replay", "changed.mcap", "--json", "-"]).exits(1).json();
+    let first = &json["first_difference"];
+    assert_eq!((first["tick"].as_u64(), first["signal"].as_str()), (Some(1234), Some("torque_desired")));
+    assert_eq!((first["logged"].as_f64(), first["recomputed"].as_f64()), (Some(was), Some(is)));
+}
+
+/// A changed measurement: all values computed from it differ in the replay.
+#[test]
+fn one_changed_measurement_is_found_at_its_tick_and_joint() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let whole = Recording::read(&log).unwrap();
+    for joint in ["shoulder_roll", "elbow"] {
+        let changed = folder.path().join(format!("{joint}.mcap"));
+        let changed = recorded_again(&whole, changed, nudge(900, "q", joint, 1e-9));
+        let said = replay(&changed).exits(1).stdout;
+        let wanted = [" ticks, first at tick 900 ", &format!(" of '{joint}' was "), ", is "];
+        assert!(wanted.iter().all(|w| said.contains(w)), "{said}");
+    }
+}
+
+/// A log that differs and is damaged: the difference outranks the damage.
+#[test]
+fn a_log_that_differs_and_is_cut_fails() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let whole = Recording::read(&log).unwrap();
+    let changed = folder.path().join("changed.mcap");
+    let changed = recorded_again(&whole, changed, nudge(700, "torque_desired", "elbow", 1.0));
+    let bytes = fs::read(&changed).unwrap();
+    fs::write(&changed, &bytes[..bytes.len() - 100]).unwrap();
+    replay(&changed).exits(1).says(&["damaged"]);
+}
+
+/// A byte changed anywhere, or the end missing: the log never counts as a whole one. Its undamaged part is compared,
+/// and is equal.
+#[test]
+fn damage_is_told_and_what_is_good_is_compared() {
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let bytes = fs::read(&log).unwrap();
+    let damaged = folder.path().join("damaged.mcap");
+    let mut codes = Vec::new();
+    for part in 0..24 {
+        let at = bytes.len() * part / 24;
+        let mut flipped = bytes.clone();
+        flipped[at] ^= 0x10;
+        for (case, bytes) in [("flipped", flipped.as_slice()), ("cut", &bytes[..at])] {
+            fs::write(&damaged, bytes).unwrap();
+            let ran = replay(&damaged);
+            assert!([2, 3].contains(&ran.code), "{case} at {at}: {}\n{}{}", ran.code, ran.stdout, ran.stderr);
+            assert!(!ran.stderr.is_empty(), "{case} at {at}: nothing is said");
+            let report = opspace(folder.path(), &["report", "damaged.mcap", "-o", "page.html"]);
+            assert_eq!(report.code, ran.code, "{case} at {at}: {}", report.stderr);
+            codes.push(ran.code);
+        }
+    }
+    // Only what comes before the first row can make a log unreadable as a whole.
+    assert!(codes.iter().filter(|c| **c == 3).count() > 40, "{codes:?}");
+}
+
+#[test]
+fn another_task_is_what_if_and_says_so() {
+    let folder = scratch();
+    run(folder.path(), "out", "compliant-x", &[]);
+    let other = project("tasks/cartesian-tracking.toml");
+    let said = opspace(folder.path(), &["replay", "out", "--task", &other]).exits(0).stdout;
+    assert!(said.starts_with("open loop: what 'cartesian-tracking' would have commanded"), "{said}");
+    assert!(said.contains("torque_desired of 'elbow'") && said.contains(" Nm rms"), "{said}");
+
+    // The task of the log against the log: no difference in any joint. Another one: some in all.
+    let own = project("tasks/compliant-x.toml");
+    let difference = |task: &str| {
+        let json = opspace(folder.path(), &["replay", "out", "--task", task, "--json", "-"]).exits(0).json();
+        assert_eq!(json["open_loop"], true);
+        let joints = json["rms_difference"]["torque_desired"].as_object().unwrap().clone();
+        joints.values().map(|v| v.as_f64().unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(difference(&own), [0.0; 4]);
+    assert!(difference(&other).iter().all(|rms| *rms > 0.1));
+}
+
+#[test]
+fn what_is_no_log_is_refused_by_name() {
+    let folder = scratch();
+    fs::write(folder.path().join("a.mcap"), "").unwrap();
+    fs::write(folder.path().join("run.toml"), "a = 1").unwrap();
+    fs::create_dir(folder.path().join("empty")).unwrap();
+    for command in ["replay", "report"] {
+        let at = |path: &str| opspace(folder.path(), &[command, path]).exits(2);
+        at("b.mcap").says(&["b.mcap: there is no such file", "did you mean `a.mcap`?"]);
+        at("a.mcap").says(&["a.mcap: this is not an MCAP file"]);
+        at("run.toml").says(&["run.toml: this is not an MCAP file"]);
+        at("empty").says(&["empty/run.mcap: there is no such file"]);
+    }
+}
+
+/// A log written by opspace 0.1.0: the message names the version that reads it, and the log is unchanged.
+#[test]
+fn a_log_of_the_version_before_is_refused_with_the_version_that_reads_it() {
+    let folder = scratch();
+    let log = folder.path().join("run.mcap");
+    fs::copy(project("tests/logs/opspace-0.1.0.mcap"), &log).unwrap();
+    let before = fs::read(&log).unwrap();
+    for command in ["replay", "report"] {
+        let ran = opspace(folder.path(), &[command, "run.mcap"]).exits(2);
+        ran.says(&["run.mcap", "opspace 0.1.0 reads it", concat!("this is ", env!("CARGO_PKG_VERSION"))]);
+    }
+    assert_eq!(fs::read(&log).unwrap(), before);
+    assert!(!folder.path().join("report.html").exists());
+}

@@ -1,0 +1,139 @@
+//! The report of a run in a browser: everything is laid out and drawn, without messages on the console. Without
+//! Chromium nothing is tested, and the test says so.
+
+#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
+
+use crate::cli_common::{opspace, project, read, run, scratch};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// Script that writes the browser's layout of the page into its DOM: each figure's size and texts, and every error.
+const PROBE: &str = r#"
+<script>
+const errors = [];
+addEventListener("error", e => errors.push(e.message || "a resource"), true);
+addEventListener("unhandledrejection", e => errors.push(String(e.reason)));
+addEventListener("load", () => {
+  const figures = [...document.querySelectorAll("figure")].map(figure => {
+    const svg = figure.querySelector("svg");
+    const box = svg ? svg.getBoundingClientRect() : { width: 0, height: 0 };
+    const shapes = svg ? [...svg.querySelectorAll("path, line, rect, circle, polyline")] : [];
+    return {
+      caption: figure.querySelector("figcaption").textContent,
+      width: box.width,
+      height: box.height,
+      drawn: shapes.filter(s => s.getBoundingClientRect().width + s.getBoundingClientRect().height > 0).length,
+      texts: svg ? [...svg.querySelectorAll("text")].map(t => t.textContent.trim()) : [],
+    };
+  });
+  const probe = document.createElement("pre");
+  probe.id = "probe";
+  probe.textContent = JSON.stringify({ errors, figures, rows: document.querySelectorAll("table tr").length,
+    outside: document.documentElement.scrollWidth - document.documentElement.clientWidth });
+  document.body.append(probe);
+});
+</script>
+"#;
+
+const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+
+#[expect(clippy::print_stderr, reason = "a skipped test says so")]
+fn browser() -> Option<&'static str> {
+    let works = |name: &&&str| Command::new(name).arg("--version").output().is_ok_and(|o| o.status.success());
+    let found = BROWSERS.iter().find(works).copied();
+    if found.is_none() {
+        eprintln!("SKIPPED: none of {BROWSERS:?} is installed, so the report isn't tested in a browser");
+    }
+    found
+}
+
+/// Returns the layout of a page in the browser.
+fn probed(browser: &str, page: &Path) -> Value {
+    let folder = page.parent().unwrap();
+    let probing = folder.join("probing.html");
+    fs::write(&probing, read(page).replacen("<head>", &format!("<head>{PROBE}"), 1)).unwrap();
+    let output = Command::new(browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync"])
+        .args(["--disable-background-networking", "--disable-component-update", "--enable-logging=stderr"])
+        .arg(format!("--user-data-dir={}", folder.join("profile").display()))
+        .args(["--window-size=1200,900", "--dump-dom"])
+        .arg(format!("file://{}", probing.display()))
+        .output()
+        .unwrap();
+    let console = String::from_utf8_lossy(&output.stderr);
+    let complaints: Vec<&str> = console.lines().filter(|line| line.contains(":CONSOLE")).collect();
+    assert!(complaints.is_empty(), "{complaints:#?}");
+    let dom = String::from_utf8(output.stdout).unwrap();
+    let (_, rest) = dom.split_once("<pre id=\"probe\">").unwrap_or_else(|| panic!("no probe:\n{console}"));
+    let json = rest.split_once("</pre>").unwrap().0;
+    let json = json.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
+    serde_json::from_str(&json).expect("what the probe says")
+}
+
+/// Checks that every figure is drawn, and returns the captions.
+fn captions(probe: &Value) -> Vec<String> {
+    assert_eq!(probe["errors"], serde_json::json!([]));
+    assert!(
+        probe["outside"].as_f64().unwrap() <= 0.0,
+        "the page is wider than its window: {}",
+        probe["outside"]
+    );
+    assert!(probe["rows"].as_u64().unwrap() >= 2, "the table has a head and rows");
+    let figures = probe["figures"].as_array().unwrap();
+    for figure in figures {
+        let (width, height) = (figure["width"].as_f64().unwrap(), figure["height"].as_f64().unwrap());
+        assert!(width > 200.0 && height > 100.0, "{width} × {height}: {}", figure["caption"]);
+        assert!(figure["drawn"].as_u64().unwrap() > 4, "nothing is drawn: {}", figure["caption"]);
+    }
+    figures.iter().map(|figure| figure["caption"].as_str().unwrap().to_owned()).collect()
+}
+
+/// Returns the texts in the figure whose caption contains `word`.
+fn texts<'a>(probe: &'a Value, word: &str) -> Vec<&'a str> {
+    let figures = probe["figures"].as_array().unwrap();
+    let figure = figures.iter().find(|figure| figure["caption"].as_str().unwrap().contains(word));
+    let figure = figure.unwrap_or_else(|| panic!("no figure of '{word}'"));
+    figure["texts"].as_array().unwrap().iter().map(|text| text.as_str().unwrap()).collect()
+}
+
+const JOINTS: [&str; 4] = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
+
+#[test]
+fn the_report_of_a_run_is_drawn() {
+    let Some(browser) = browser() else { return };
+    let folder = scratch();
+    let log = run(folder.path(), "out", "compliant-x", &[]);
+    let probe = probed(browser, &log.with_file_name("report.html"));
+    let captions = captions(&probe);
+    for figure in ["torque", "Position of 'hand'", "force", "Setpoints"] {
+        assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
+    }
+    let torques = texts(&probe, "torque");
+    assert!(JOINTS.iter().all(|joint| torques.contains(joint)), "a panel for each joint: {torques:?}");
+    for figure in ["Position of", "Contact force"] {
+        let texts = texts(&probe, figure);
+        assert!(["x", "y", "z"].iter().all(|axis| texts.contains(axis)), "{figure}: {texts:?}");
+    }
+}
+
+#[test]
+fn the_report_of_a_suite_is_drawn() {
+    let Some(browser) = browser() else { return };
+    let folder = scratch();
+    let suite = format!(
+        "title = \"Short\"\n{}{}",
+        "[[run]]\ntasks = [\"TASKS/compliant-x.toml\", \"TASKS/joint-tracking.toml\"]\nbackend = \"torque\"\n\
+         controller = \"osc\"\nset = [\"duration_s=2.0\"]\n",
+        "[[run]]\ntasks = [\"TASKS/compliant-x.toml\", \"TASKS/joint-tracking.toml\"]\nbackend = \"position\"\n\
+         controller = \"ik\"\nset = [\"duration_s=2.0\"]\n",
+    );
+    fs::write(folder.path().join("short.toml"), suite.replace("TASKS", &project("tasks"))).unwrap();
+    opspace(folder.path(), &["bench", "short.toml", "--out", "out"]).exits(0);
+    let probe = probed(browser, &folder.path().join("out/report.html"));
+    let captions = captions(&probe);
+    for figure in ["Tracking", "Hand force", "Hand motion", "torque", "Joint positions"] {
+        assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
+    }
+}
