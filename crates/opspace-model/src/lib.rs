@@ -115,3 +115,8 @@ pub fn update<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[T]) 
     rnea::gravity_of_composites(model, data);
     cholesky(data)
 }
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
