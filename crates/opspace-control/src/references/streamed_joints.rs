@@ -11,8 +11,10 @@ use crate::references::target::BLEND_S;
 use crate::targets::TaskTarget;
 use opspace_backend::quantity::Positive;
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 
 /// A reference of joints that is streamed: see [`streamed`](crate::references::streamed). Before the first target the
@@ -58,7 +60,8 @@ impl Default for StreamedJointReference {
 }
 
 /// [`StreamedJointReference`] as it is written.
-#[derive(Deserialize, JsonSchema)]
+#[derive(Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct StreamedJointsFile {
     /// Age from which a target is stale, s; 0.1 if absent.
@@ -80,6 +83,7 @@ struct StreamedJointsFile {
     jerk_rad_per_s3: Option<PerJoint<Positive>>,
 }
 
+#[cfg(feature = "schema")]
 impl JsonSchema for StreamedJointReference {
     fn schema_name() -> Cow<'static, str> {
         "StreamedJointReference".into()
