@@ -506,7 +506,7 @@ fn a_urdf_can_float_and_fold_its_mimic_joints() {
     fixed.json()["warnings"][0].as_str().unwrap().find("mimics").expect("it is said");
     let fixed = fixed.json();
     assert_eq!((count(&fixed, "joints"), count(&fixed, "bodies"), &fixed["base"]), (9, 9, &"fixed".into()));
-    let folded = shown(&["--fold-mimics"]).json();
+    let folded = shown(&["--enforce-mimic"]).json();
     assert_eq!((count(&folded, "joints"), count(&folded, "bodies"), count(&folded, "warnings")), (8, 9, 0));
     // Both fingers hang on the joint that is left.
     let fingers = 2.0 * fixed["joints"][8]["mass_kg"].as_f64().unwrap();
@@ -518,7 +518,7 @@ fn a_urdf_can_float_and_fold_its_mimic_joints() {
         (&"floating".into(), &"panda_link0".into())
     );
     assert_eq!(floating["moving_mass_kg"], floating["total_mass_kg"]);
-    let table = opspace(folder.path(), &["model", &urdf, "--floating", "--fold-mimics"]).exits(0).stdout;
+    let table = opspace(folder.path(), &["model", &urdf, "--floating", "--enforce-mimic"]).exits(0).stdout;
     assert!(table.contains("8 moving joints on a floating base, 17.452 kg in motion, 17.452 kg in all"));
     assert!(table.contains("base.angular.z") && table.contains("the base (floating)"), "{table}");
     // A state then has a position and a quaternion first: with them it computes, without it says how many it wants.
@@ -542,7 +542,7 @@ fn a_urdf_can_float_and_fold_its_mimic_joints() {
     assert!((weight - 9.81 * floating["total_mass_kg"].as_f64().unwrap()).abs() < 1e-9, "{weight}");
     sample(15).exits(2).says(&["16"]);
     // What is controlled is the robot of its folder.
-    for option in ["--floating", "--fold-mimics"] {
+    for option in ["--floating", "--enforce-mimic"] {
         let refused = opspace(folder.path(), &["model", ROOT_ROBOT, option]).exits(2);
         refused.says(&[option, "asimo-arm.urdf"]);
     }

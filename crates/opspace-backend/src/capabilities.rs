@@ -3,7 +3,7 @@
 use crate::command::CommandKind;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-#[cfg(feature = "schema")]
+#[cfg(feature = "serde")]
 use serde::Deserialize;
 
 /// Properties of a robot and its interface. Compared with robot.toml before a run; a contradiction is an error that
@@ -137,7 +137,8 @@ pub enum World {
 
 /// Behaviour of the drives between two setpoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum Setpoints {
     /// A setpoint is held until the next one.
     Held,
@@ -161,7 +162,8 @@ impl Setpoints {
 
 /// Behaviour of the drives in a cycle in which no command arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum MissedCycle {
     /// The last setpoint stays in force: a position robot comes to a stop there, a velocity robot keeps its velocity.
     HoldLast,
@@ -182,7 +184,8 @@ impl MissedCycle {
 
 /// The part that compensates gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum GravityCompensation {
     /// The controller: its torques include gravity.
     Controller,
@@ -192,7 +195,8 @@ pub enum GravityCompensation {
 
 /// A quantity that a robot measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum Measured {
     /// Joint positions.
     Position,

@@ -159,7 +159,7 @@ impl From<DeviceFault> for DriverError {
     }
 }
 
-#[cfg(feature = "schema")]
+#[cfg(feature = "serde")]
 impl<'de> serde::Deserialize<'de> for Setting {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct AnySetting;

@@ -71,3 +71,8 @@ pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};
 pub use sample::{Sample, Status};
 pub use signal::{Layout, Observable, Row, Signal};
 pub use sink::{DEVICE_FAILED, EXTERNAL, SERVO, STOP_REQUESTED, Sink, TICK, TICK_TIME, TRUTH};
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -4,7 +4,7 @@
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-#[cfg(feature = "schema")]
+#[cfg(feature = "serde")]
 use serde::{
     Deserialize, Deserializer,
     de::{Error, IgnoredAny, SeqAccess, Visitor},
@@ -12,17 +12,20 @@ use serde::{
 
 /// A number above zero.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(try_from = "f64"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub struct Positive(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
 
 /// A number not below zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(try_from = "f64"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub struct NonNegative(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
 
 /// A whole number above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[cfg_attr(feature = "schema", derive(Deserialize, JsonSchema), serde(try_from = "u32"))]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "u32"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub struct Count(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] u32);
 
 impl TryFrom<f64> for Positive {
@@ -121,7 +124,7 @@ impl Count {
 ///
 /// # Errors
 /// Fewer or more values than N.
-#[cfg(feature = "schema")]
+#[cfg(feature = "serde")]
 pub fn exactly<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
 where
     D: Deserializer<'de>,

@@ -319,7 +319,7 @@ pub struct ModelArgs {
 
     /// Let mimic joints follow the joint that they name, instead of moving on their own. For a URDF.
     #[arg(long)]
-    pub fold_mimics: bool,
+    pub enforce_mimic: bool,
 
     #[command(flatten)]
     pub json: JsonArgs,

@@ -45,3 +45,8 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
     let exit: Exit = outcome.unwrap_or_else(|failure| console::report(&failure));
     exit.into()
 }
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

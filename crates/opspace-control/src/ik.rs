@@ -123,7 +123,7 @@ impl InverseKinematicsController {
         Ok(prepared)
     }
 
-    /// Follows `tasks` from `time_s` on, s after the start.
+    /// MimicConstraint `tasks` from `time_s` on, s after the start.
     pub fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
         self.schedule.schedule(time_s, tasks);
     }

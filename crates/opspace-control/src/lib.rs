@@ -141,3 +141,8 @@ pub use tasks::swivel::{SwivelAngle, SwivelParameters};
 pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 pub use tasks::task_axes::TaskAxes;
 pub use tasks::tracking::Tracking;
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -2,9 +2,11 @@
 
 use crate::error::{ControlError, Reason};
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, IntoDeserializer, MapAccess, Visitor};
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -90,6 +92,7 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for PerJointVisitor<T> {
     }
 }
 
+#[cfg(feature = "schema")]
 impl<T: JsonSchema> JsonSchema for PerJoint<T> {
     fn inline_schema() -> bool {
         true

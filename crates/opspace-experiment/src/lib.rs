@@ -47,3 +47,8 @@ pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 pub use run::summary::Summary;
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

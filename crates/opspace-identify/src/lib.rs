@@ -74,3 +74,8 @@ mod sweep;
 
 pub use identification::{ExcitationPlan, Identification, KnownParameters, TorqueScale};
 pub use joint::identify;
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

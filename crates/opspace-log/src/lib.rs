@@ -61,3 +61,8 @@ pub use inputs::{LoggedInput, LoggedInputs};
 pub use outcome::OutcomeRecord;
 pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
 pub use recording::{ChannelData, Column, Recording};
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -77,3 +77,8 @@ pub use safety::SafetyParameters;
 pub use target_stream::{TargetReceiver, TargetSender, target_stream};
 pub use timeline::{Cycle, Timeline, TimelineError};
 pub use watchdog::{Watchdog, WatchdogParameters};
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

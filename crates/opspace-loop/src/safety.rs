@@ -2,11 +2,13 @@
 
 use crate::watchdog::WatchdogParameters;
 use opspace_backend::quantity::NonNegative;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Safety parameters of a run: torque ramp, taring, joint limits, missed cycles and watchdogs.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SafetyParameters {
     /// Time over which the task's torque ramps in from the torque that holds the arm still, s.

@@ -11,6 +11,7 @@
 use crate::fault::Fault;
 use nalgebra::DVector;
 use opspace_backend::quantity::Positive;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -19,7 +20,8 @@ use serde::Deserialize;
 pub const MEMORY_S: f64 = 0.05;
 
 /// Bounds of the watchdogs. A bound of many times the limit is none.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WatchdogParameters {
     /// Largest mean of the motor's torque less the desired one, as a share of the joint's torque limit.

@@ -3,7 +3,7 @@
 //! RBDA table 7.1; in Pinocchio `aba`.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, aba, kinematics, rnea};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

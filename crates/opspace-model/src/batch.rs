@@ -5,7 +5,7 @@
 //! workspaces, calibration, identification. `RUSTFLAGS="-C target-cpu=x86-64-v3"` makes the registers twice as wide.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{batch::{self, Lanes}, Data, Model, forward_kinematics, gravity};
 //!
 //! let model = Model::from_urdf(urdf)?.model.splat::<Lanes>();

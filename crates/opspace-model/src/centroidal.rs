@@ -4,7 +4,7 @@
 //! `ccrba` and `computeCentroidalMomentum`. World axes, linear part first. Rotors don't count.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, centroidal_map, centroidal_momentum, kinematics};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

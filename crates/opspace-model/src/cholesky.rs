@@ -8,7 +8,7 @@
 //! loops run over such ranges, so that a tree costs only its non-zero entries and a chain costs no more for it.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, cholesky, crba, forward_kinematics};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

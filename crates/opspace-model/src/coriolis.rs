@@ -6,7 +6,7 @@
 //! the Christoffel symbols times q̇.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, bias, coriolis, gravity, kinematics};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, crba, forward_kinematics};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

@@ -1,7 +1,7 @@
 //! Results of the algorithms: allocated once, written every control cycle.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, update};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

@@ -14,7 +14,7 @@
 //! derivative in the coordinates of a floating base is that along its own axes, as q̇ is.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, kinematics, rnea_derivatives};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

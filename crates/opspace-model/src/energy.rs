@@ -3,7 +3,7 @@
 //! In Pinocchio `computeKineticEnergy`, `computePotentialEnergy` and `centerOfMass`.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, center_of_mass, kinematics, kinetic_energy, potential_energy};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

@@ -13,12 +13,12 @@
 //! and `jacobianCenterOfMass` for [`com_jacobian`].
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, frame_jacobian, frame_velocity, kinematics};
 //!
 //! let model = Model::from_urdf(urdf)?.model;
 //! let mut data = Data::new(&model);
-//! let tool = model.frame("tool0").expect("a link of the file");
+//! let tool = model.frame("flange").expect("a link of the file");
 //! let mut jacobian = nalgebra::Matrix6xX::zeros(model.n());
 //! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
 //! frame_jacobian(&model, &data, tool, &mut jacobian);

@@ -40,7 +40,7 @@
 //! | Λ, J̄, N | [`OperationalSpace`] | – |
 //! | q ⊕ v, q₁ ⊖ q₀ | [`integrate`], [`difference`] | `integrate`, `difference` |
 //! | locked joints | [`Model::locked`] | `buildReducedModel` |
-//! | many states at once | [`batch`] | – |
+//! | many states at once | `batch`, with feature `simd` | – |
 //!
 //! Conventions: SI units, where rad and Nm stand for m and N on prismatic joints too; frames and data must be of the
 //! model that they are given with; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's
@@ -50,6 +50,7 @@
 #![forbid(unsafe_code)]
 
 pub mod aba;
+#[cfg(feature = "simd")]
 pub mod batch;
 pub mod centroidal;
 pub mod cholesky;
@@ -115,3 +116,8 @@ pub fn update<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[T]) 
     rnea::gravity_of_composites(model, data);
     cholesky(data)
 }
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -330,7 +330,7 @@ impl Model {
         self
     }
 
-    /// Returns the robot with its numbers in every lane: see [`batch`](crate::batch).
+    /// Returns the robot with its numbers in every lane: see the module `batch`, with feature `simd`.
     #[must_use]
     pub fn splat<T: Real>(&self) -> Model<T> {
         let body = |b: &Body| Body {

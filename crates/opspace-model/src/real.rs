@@ -15,7 +15,7 @@
 use nalgebra::SimdRealField;
 use std::f64::consts::FRAC_2_PI;
 
-/// Scalar of the algorithms: `f64`, or several of them side by side ([`Lanes`](crate::batch::Lanes)). All algorithms
+/// Scalar of the algorithms: `f64`, or several of them side by side (`batch::Lanes`, with feature `simd`). All algorithms
 /// without a branch on values are written for both; the number of one state is the default everywhere.
 pub trait Real: SimdRealField<Element = f64> + Copy {}
 

@@ -1,7 +1,7 @@
 //! Reduced models: joints locked at a position, or coupled to other joints.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{MimicConstraint, Model};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

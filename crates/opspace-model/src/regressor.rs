@@ -4,7 +4,7 @@
 //! Research 5(3), 1986; in Pinocchio `computeJointTorqueRegressor`, whose order of parameters this is.
 //!
 //! ```
-//! # let urdf = include_str!("../../../tests/oracles/pinocchio/urdf/ur5.urdf");
+//! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use opspace_model::{Data, Model, inertial_parameters, kinematics, rnea, torque_regressor};
 //!
 //! let model = Model::from_urdf(urdf)?.model;

@@ -1,4 +1,5 @@
-//! Conversion of URDF text to a [`Model`]: read, checked, and reduced to moving bodies.
+//! Conversion of a URDF to a [`Model`]: read, checked, and reduced to moving bodies. Text is read, and with feature
+//! `urdf-rs` also a robot of that crate; both are checked by the same code.
 //!
 //! Everything that the dynamics need must be in the file and be physically possible: a moving body without mass,
 //! a joint without limits or a tree with two roots is an error that names the element and its line, not a
@@ -27,7 +28,11 @@
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 
+mod check;
+mod elements;
 mod error;
+#[cfg(feature = "urdf-rs")]
+mod from_urdf_rs;
 mod read;
 mod tree;
 
@@ -36,7 +41,8 @@ pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
 use crate::model::{BASE_JOINTS, Joint, JointKind, Model, rotation_z_to};
 use crate::reduce::{MimicConstraint, ReduceError};
 use crate::spatial::{Inertia, Placement};
-use read::{Description, JointElement, Motion};
+use check::{Checked, CheckedJoint, Description, Motion};
+use elements::RobotElement;
 
 /// Model read from a URDF, and the warnings about its file.
 #[derive(Clone, Debug)]
@@ -56,7 +62,7 @@ pub struct UrdfOptions {
     pub floating_base: bool,
     /// Mimic joints move with their leader instead of having coordinates of their own: see
     /// [`Model::folded`].
-    pub fold_mimics: bool,
+    pub enforce_mimic: bool,
 }
 
 impl Model {
@@ -77,16 +83,36 @@ impl Model {
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
     pub fn from_urdf_with(text: &str, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
-        let read::Reading { description, mut warnings } = read::read(text)?;
-        let order = tree::depth_first(&description)?;
-        let (mut model, standing_kg) = assemble(&description, &order, options.floating_base)?;
-        if options.fold_mimics {
-            model = fold(&model, &description)?;
-            warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { .. }));
-        }
-        warnings.sort_by_key(UrdfWarning::line);
-        Ok(ParsedUrdf { model, standing_kg, warnings })
+        load(read::read(text)?, options)
     }
+
+    /// Returns the robot that urdf-rs has read, or that a program has put together. The checks are those of
+    /// [`from_urdf`](Self::from_urdf); errors and warnings have no line.
+    ///
+    /// urdf-rs tells no zero from a number that is left out: a link whose mass and moments are all zero has no inertia,
+    /// a revolute or prismatic joint whose limits all have their defaults is refused as one without limits, and a limit
+    /// of speed or effort that is zero beside others is a limit of zero, with a warning. A rotation given as a quaternion
+    /// has become roll, pitch and yaw.
+    ///
+    /// # Errors
+    /// As [`from_urdf`](Self::from_urdf).
+    #[cfg(feature = "urdf-rs")]
+    pub fn from_urdf_rs(robot: &urdf_rs::Robot, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
+        load(from_urdf_rs::elements(robot)?, options)
+    }
+}
+
+/// Checks a robot's elements and makes its model.
+fn load(robot: RobotElement, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
+    let Checked { description, mut warnings } = check::check(robot)?;
+    let order = tree::depth_first(&description)?;
+    let (mut model, standing_kg) = assemble(&description, &order, options.floating_base)?;
+    if options.enforce_mimic {
+        model = fold(&model, &description)?;
+        warnings.retain(|w| !matches!(w.kind(), UrdfWarningKind::Mimic { .. }));
+    }
+    warnings.sort_by_key(UrdfWarning::line);
+    Ok(ParsedUrdf { model, standing_kg, warnings })
 }
 
 /// Placement of a link: its body, and its pose in that body's frame.
@@ -109,7 +135,7 @@ fn assemble(
     let mut places = vec![root; description.links.len()];
     let mut inertias = vec![Inertia::zero(); model.bodies().len()];
     // The joint that moves each body, and the line of each frame's link, for errors.
-    let mut movers: Vec<&JointElement> = Vec::new();
+    let mut movers: Vec<&CheckedJoint> = Vec::new();
     for step in order {
         if let Some((joint, parent_link)) = step.from {
             let element = &description.joints[joint];
@@ -186,7 +212,7 @@ fn is_finite_inertia(Inertia { mass, com, rotational }: &Inertia) -> bool {
 /// Folds every mimic joint into its leader.
 fn fold(model: &Model, description: &Description) -> Result<Model, UrdfError> {
     let mut followers = Vec::new();
-    let mut line = 1;
+    let mut line = None;
     for element in &description.joints {
         let Motion::Moving { mimic: Some(mimic), .. } = &element.motion else {
             continue;

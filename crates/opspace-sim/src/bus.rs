@@ -7,11 +7,13 @@ use crate::random::{RngStream, generator};
 use opspace_backend::quantity::{NonNegative, Positive};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Losses and delays of the bus; without any of them every cycle passes in time.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BusParameters {
     /// Probability with which each cycle is lost, independently of the one before; below 1.
@@ -27,7 +29,8 @@ pub struct BusParameters {
 }
 
 /// Interval in which no cycle passes.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DropoutParameters {
     /// Beginning, s after the controller's start.

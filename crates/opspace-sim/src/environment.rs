@@ -5,12 +5,14 @@ use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
 /// Object that exerts a force on one frame of the robot.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum EnvironmentObjectParameters {
     /// Operator who holds the frame by a spring and a damper.
@@ -45,7 +47,8 @@ impl EnvironmentObjectParameters {
 
 /// Spring and damper to an operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`; the operator starts at the
 /// frame's initial position.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SpringParameters {
     /// Name of the frame that the operator holds.
@@ -73,7 +76,8 @@ fn all_axes() -> Vec<WorldAxis> {
 }
 
 /// Axis of the world.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum WorldAxis {
     /// Forward.
@@ -85,7 +89,8 @@ pub enum WorldAxis {
 }
 
 /// Motion of an operator.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum OperatorMotion {
     /// No motion.
@@ -95,7 +100,8 @@ pub enum OperatorMotion {
 }
 
 /// Band-limited random motion.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RandomMotion {
     /// Size of the motion of each axis, rms, m.
@@ -114,7 +120,8 @@ const fn one_second() -> Positive {
 }
 
 /// Pushes, each a half sine in time.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PushesParameters {
     /// Name of the frame that is pushed.
@@ -124,7 +131,8 @@ pub struct PushesParameters {
 }
 
 /// Single push, a half sine in time.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PushParameters {
     /// Beginning, s from the controller's start.
@@ -137,7 +145,8 @@ pub struct PushParameters {
 }
 
 /// Plane that pushes back: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WallParameters {
     /// Name of the frame that touches it.

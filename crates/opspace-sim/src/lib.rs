@@ -89,3 +89,8 @@ pub use parameters::SimulatedParameters;
 pub use plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
 pub use rigid::RigidPlant;
 pub use simulation::Simulation;
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

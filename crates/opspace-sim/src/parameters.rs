@@ -4,12 +4,14 @@
 use crate::bus::BusParameters;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_transformer::{FrictionParameters, ServoParameters, VelocityServo};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
 /// Parameters of the plant behind the interface.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedParameters {
     /// Steps of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`.
@@ -60,7 +62,8 @@ const fn yes() -> bool {
 }
 
 /// Bristles of the LuGre model, which describe friction before the joint slides.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BristleParameters {
     /// Stiffness σ₀, Nm/rad.
@@ -72,7 +75,8 @@ pub struct BristleParameters {
 }
 
 /// Spring and damper beyond each position limit of the URDF.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EndStopParameters {
     /// Stiffness, Nm/rad.
@@ -82,7 +86,8 @@ pub struct EndStopParameters {
 }
 
 /// Brake: a spring and a damper to the position at which it was engaged, slipping at its torque.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BrakeParameters {
     /// Torque at which it slips, as a multiple of the joint's torque limit.
@@ -94,7 +99,8 @@ pub struct BrakeParameters {
 }
 
 /// Six-axis force sensor.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ForceSensorParameters {
     /// Bandwidth of its first-order filter, Hz.
@@ -110,7 +116,8 @@ pub struct ForceSensorParameters {
 }
 
 /// Ratios of true to nominal values.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScaleParameters {
     /// Scale of the position loops' gains.

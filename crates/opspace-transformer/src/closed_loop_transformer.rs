@@ -27,6 +27,7 @@ use nalgebra::{Complex, DVector, Matrix2, Vector2};
 use opspace_backend::Sample;
 use opspace_backend::quantity::Positive;
 use opspace_model::Data;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
@@ -42,7 +43,8 @@ const POINTS: u32 = 60;
 const WORST_SPLIT: f64 = 0.3;
 
 /// Ratio of polynomials in s, coefficients in ascending order from the constant.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Rational {
     /// b₀, b₁, … of b₀ + b₁ s + …
@@ -52,7 +54,8 @@ pub struct Rational {
 }
 
 /// Measured closed loop of a joint, and the model of the joint assumed with it.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ClosedLoopModel {
     /// T(s), from setpoint to position.

@@ -5,12 +5,14 @@
 
 use nalgebra::DVector;
 use opspace_backend::quantity::Positive;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
 /// Estimation of joint velocity.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EstimatorParameters {
     /// Cut-off of the low-pass on the finite difference, Hz.

@@ -2,11 +2,13 @@
 
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Friction of one joint: `Fc` and `Fs` with the Stribeck effect between them, and viscous friction.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionParameters {
     /// Coulomb friction Fc while moving, Nm (N).
@@ -20,7 +22,8 @@ pub struct FrictionParameters {
 }
 
 /// Compensation of joint friction.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionCompensationParameters {
     /// Share of the modelled friction that is compensated. More than the true friction drives the joint by

@@ -11,6 +11,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 use opspace_backend::quantity::Positive;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -21,7 +22,8 @@ const NOISE: f64 = 0.01;
 const UNCERTAIN: f64 = 0.1;
 
 /// Refinement of servo gains while running.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GainAdaptationParameters {
     /// Time over which gains may change by a tenth, s: older measurements count less.
@@ -31,9 +33,10 @@ pub struct GainAdaptationParameters {
 }
 
 /// Share above 0 and below 1.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(try_from = "f64")]
-pub struct Share(#[schemars(range(min = 0.0, max = 1.0))] f64);
+pub struct Share(#[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))] f64);
 
 impl TryFrom<f64> for Share {
     type Error = String;

@@ -70,3 +70,8 @@ pub use servo_law::{ServoError, ServoLaw, ServoState};
 pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};
 pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};
 pub use velocity_transformer::VelocityTransformer;
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

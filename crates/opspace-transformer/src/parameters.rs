@@ -7,13 +7,15 @@ use crate::gain_adaptation::GainAdaptationParameters;
 use crate::servo::{ServoParameters, VelocityServo};
 use crate::transformer::TransformerKind;
 use opspace_backend::quantity::{Count, NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Drive of one joint.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointParameters {
     /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
@@ -32,7 +34,8 @@ pub struct JointParameters {
 }
 
 /// Rotor and encoder of a joint's motor.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RotorParameters {
     /// Inertia of all parts that turn at motor speed, kg m².
@@ -58,7 +61,8 @@ impl RotorParameters {
 }
 
 /// Drive profile of a robot: rates, servo gains and transformer. A robot may have several profiles.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.

@@ -6,12 +6,14 @@ use crate::polynomial::value;
 use nalgebra::Complex;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
 /// Servo of a joint.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ServoParameters {
     /// Position loop around a velocity loop.
@@ -25,7 +27,8 @@ pub enum ServoParameters {
 }
 
 /// Equation (K9) of the paper: `τ = kv [kp (q_desired − q) − q̇]`; optionally with an integral in the velocity loop.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CascadedServo {
     /// Gain of the outer position loop, 1/s.
@@ -40,7 +43,8 @@ pub struct CascadedServo {
 }
 
 /// `τ = K e + D ė + Ki ∫ e`, with e = q_desired − q, and ė or −q̇ from a filtered finite difference.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PidServo {
     /// Stiffness K, Nm/rad (N/m).
@@ -58,7 +62,8 @@ pub struct PidServo {
 }
 
 /// `τ = kv (q̇_desired − q̇) + ki ∫ (q̇_desired − q̇)`, with q̇ from a filtered finite difference.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct VelocityServo {
     /// Gain kv on the velocity error, Nms/rad (Ns/m).
@@ -71,7 +76,8 @@ pub struct VelocityServo {
 }
 
 /// Differentiated quantity of a PID servo.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DerivativeOf {
     /// Measured position: a setpoint that jumps gives no kick.
@@ -83,7 +89,8 @@ pub enum DerivativeOf {
 
 /// Torque (Nm, N) over position error (rad, m) at servo rate:
 /// `(b₀ + b₁ z⁻¹ + …)/(a₀ + a₁ z⁻¹ + …)`.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TransferFunctionServo {
     /// b₀, b₁, …

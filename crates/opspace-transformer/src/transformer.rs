@@ -6,9 +6,11 @@
 use crate::servo::ServoGains;
 use opspace_backend::{CommandKind, Sample, Setpoints};
 use opspace_model::Data;
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 
 /// Method of converting torques to positions or velocities.
@@ -155,6 +157,7 @@ impl<'de> Deserialize<'de> for TransformerKind {
     }
 }
 
+#[cfg(feature = "schema")]
 impl JsonSchema for TransformerKind {
     fn schema_name() -> Cow<'static, str> {
         "TransformerKind".into()

@@ -90,3 +90,8 @@ pub use opspace_loop as control_loop;
 pub use opspace_model as model;
 pub use opspace_sim as sim;
 pub use opspace_transformer as transformer;
+
+/// Programs of the README, compiled and run as tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

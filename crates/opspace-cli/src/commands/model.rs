@@ -45,7 +45,7 @@ impl ModelView {
 }
 
 fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
-    let options = UrdfOptions { floating_base: args.floating, fold_mimics: args.fold_mimics };
+    let options = UrdfOptions { floating_base: args.floating, enforce_mimic: args.enforce_mimic };
     if args.robot.extension().is_some_and(|e| e == "urdf") {
         let urdf = Source::read(&args.robot)?;
         let ParsedUrdf { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
@@ -53,7 +53,7 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
     }
     let robot = Robot::load(Files::Disk, &args.robot, &[])?;
     if options != UrdfOptions::default() {
-        let option = if args.floating { "--floating" } else { "--fold-mimics" };
+        let option = if args.floating { "--floating" } else { "--enforce-mimic" };
         let (file, urdf) = (args.robot.display(), robot.urdf.name());
         let text =
             format!("{option} is for a URDF, and {file} is a robot that is controlled as it is: give {urdf}");

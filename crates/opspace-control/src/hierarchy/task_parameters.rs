@@ -10,6 +10,7 @@ use crate::tasks::joint_parameters::{
 use crate::tasks::swivel::SwivelParameters;
 use crate::tasks::task::Task;
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -17,7 +18,8 @@ use std::fmt;
 use std::sync::Arc;
 
 /// One task of a file: `[task.NAME.KIND]`.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum TaskParameters {
     /// A frame that follows a reference on some axes and is compliant on others.
@@ -88,7 +90,8 @@ impl fmt::Debug for RegisteredTask {
 }
 
 /// Part of the arm's own forces that the controller compensates.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Compensation {
     /// Gravity, Coriolis and centrifugal forces: C q̇ + g.

@@ -2,6 +2,7 @@
 
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -25,7 +26,8 @@ pub struct JointLimits {
 }
 
 /// Enforcement of the robot's limits by the controller.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LimitParameters {
     /// True if the limits are enforced; true if absent. If false, torques are only clipped, and the run stops where a

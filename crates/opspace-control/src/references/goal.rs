@@ -4,11 +4,13 @@ use crate::orientation;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::exactly;
 use opspace_model::Placement;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// A position to reach.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum PositionGoal {
     /// In the world, m.
     #[serde(rename = "absolute_m")]
@@ -19,7 +21,8 @@ pub enum PositionGoal {
 }
 
 /// An orientation to reach, as roll, pitch and yaw about fixed axes, in that order.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum OrientationGoal {
     /// Against the world, rad.
     #[serde(rename = "absolute_rpy_rad")]

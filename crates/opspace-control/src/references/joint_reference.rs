@@ -14,12 +14,14 @@ use crate::references::wave::{AngularWave, Wave, default_ramp_s};
 use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
 /// Reference of a joint-tracking task.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum JointReference {
     /// Stays at the start posture.
@@ -32,12 +34,13 @@ pub enum JointReference {
     Waypoints(Vec<JointWaypoint>),
     /// Goes to one posture as fast as limits allow, from any state of motion.
     Goal(JointOnlineGoal),
-    /// Follows targets that are streamed.
+    /// MimicConstraint targets that are streamed.
     Streamed(StreamedJointReference),
 }
 
 /// A minimum-jerk motion to one posture.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointPointToPoint {
     /// Posture to reach.
@@ -50,7 +53,8 @@ pub struct JointPointToPoint {
 }
 
 /// A posture to be at, reached with minimum jerk from the one before.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointWaypoint {
     /// Time of arrival, s after the start.
@@ -61,7 +65,8 @@ pub struct JointWaypoint {
 
 /// A motion to one posture as fast as the limits allow, from any state of motion at the start. Each joint arrives in
 /// its own time.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointOnlineGoal {
     /// Posture to reach.
@@ -75,7 +80,8 @@ pub struct JointOnlineGoal {
 }
 
 /// A posture to reach, by joint names.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum JointGoal {
     /// Joint positions, rad (m for a prismatic joint).
     #[serde(rename = "absolute_rad")]
@@ -86,7 +92,8 @@ pub enum JointGoal {
 }
 
 /// Sums of sines, added to the start posture.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointSinusoid {
     /// The sines of each joint, by its name.

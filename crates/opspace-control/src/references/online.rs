@@ -13,8 +13,10 @@ use opspace_backend::quantity::Positive;
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
 use rsruckig::profile::Profile;
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 
 /// A motion to one pose as fast as the limits allow, from any state of motion at the start.
@@ -45,7 +47,8 @@ pub struct MotionLimits {
 }
 
 /// [`OnlineGoal`] as it is written.
-#[derive(Deserialize, JsonSchema)]
+#[derive(Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct OnlineGoalFile {
     /// Position to reach; without it the frame stays where it is.
@@ -66,6 +69,7 @@ struct OnlineGoalFile {
     angular_jerk_rad_per_s3: Option<Positive>,
 }
 
+#[cfg(feature = "schema")]
 impl JsonSchema for OnlineGoal {
     fn schema_name() -> Cow<'static, str> {
         "OnlineGoal".into()

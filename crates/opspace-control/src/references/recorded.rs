@@ -10,6 +10,7 @@ use crate::references::target::Target;
 use nalgebra::{Matrix3, Quaternion, SVector, UnitQuaternion, Vector3, Vector4};
 use opspace_backend::quantity::Positive;
 use opspace_model::{Motion, Placement};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -20,7 +21,8 @@ use thiserror::Error;
 /// The path is the C² cubic spline through the samples, at rest and without acceleration at both ends. Record it
 /// from rest to rest: what is already under way at its first sample is caught up with in the first two
 /// intervals, however fast that is.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RecordedPath {
     /// A CSV file with the columns `time_s,x_m,y_m,z_m` and, if the frame turns, `qw,qx,qy,qz`; the path counts

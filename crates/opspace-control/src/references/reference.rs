@@ -17,11 +17,13 @@ use crate::references::wave::{AngularWave, LinearWave, Wave, default_ramp_s};
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Placement;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Reference of a Cartesian task.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum CartesianReference {
     /// Stays at the start pose.
@@ -34,14 +36,15 @@ pub enum CartesianReference {
     Waypoints(Vec<Waypoint>),
     /// Goes to one pose as fast as limits allow, from any state of motion.
     Goal(OnlineGoal),
-    /// Follows a recorded path.
+    /// MimicConstraint a recorded path.
     Recorded(RecordedPath),
-    /// Follows targets that are streamed.
+    /// MimicConstraint targets that are streamed.
     Streamed(StreamedReference),
 }
 
 /// A minimum-jerk motion to one pose.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PointToPoint {
     /// Position to reach; the start position if absent.
@@ -58,7 +61,8 @@ pub struct PointToPoint {
 }
 
 /// A pose to be at, reached with minimum jerk from the one before.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Waypoint {
     /// Time of arrival, s after the start.
@@ -73,7 +77,8 @@ pub struct Waypoint {
 
 /// Sums of sines along and about the task's axes, added to the start pose. The three rotations are the
 /// components of one rotation vector.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Sinusoid {
     /// Sines along the first task axis.

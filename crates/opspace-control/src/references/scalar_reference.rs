@@ -8,11 +8,13 @@ use crate::references::target::BLEND_S;
 use crate::references::wave;
 use crate::references::wave::{AngularWave, Wave, default_ramp_s};
 use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Reference of a coordinate, rad (m for a length).
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ScalarReference {
     /// Stays at the value at the start.
@@ -27,7 +29,8 @@ pub enum ScalarReference {
 }
 
 /// A minimum-jerk motion to one value.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScalarPointToPoint {
     /// Value to reach.
@@ -40,7 +43,8 @@ pub struct ScalarPointToPoint {
 }
 
 /// A value to reach.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum ScalarGoal {
     /// The value itself, rad (m for a length); an angle takes the shorter way.
     #[serde(rename = "absolute_rad")]
@@ -51,7 +55,8 @@ pub enum ScalarGoal {
 }
 
 /// A sum of sines, added to the value at the start.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScalarSinusoid {
     /// The sines.
@@ -62,7 +67,8 @@ pub struct ScalarSinusoid {
 }
 
 /// A jerk-limited motion to one value.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScalarOnlineGoal {
     /// Value to reach.

@@ -13,6 +13,7 @@
 use crate::targets::TaskTarget;
 use opspace_backend::quantity::Positive;
 use opspace_backend::{Row, Signal};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -21,7 +22,8 @@ use serde::Deserialize;
 pub const STOP_S: f64 = 0.25;
 
 /// Reaction to a target that is not renewed in time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum OnTimeout {
     /// The reference comes to rest and holds until a fresh target comes.
@@ -32,10 +34,11 @@ pub enum OnTimeout {
 }
 
 /// Motion between targets.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum StreamedShape {
-    /// Follows position, velocity and acceleration of the last target.
+    /// MimicConstraint position, velocity and acceleration of the last target.
     #[default]
     Extrapolated,
     /// Goes to the position of the last target under limits of speed, acceleration and jerk; its velocity and

@@ -11,8 +11,10 @@ use crate::references::target::BLEND_S;
 use crate::targets::TaskTarget;
 use opspace_backend::quantity::Positive;
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 
 /// A reference of joints that is streamed: see [`streamed`](crate::references::streamed). Before the first target the
@@ -31,7 +33,7 @@ pub struct StreamedJointReference {
 /// Motion of joints between targets.
 #[derive(Clone, Debug, PartialEq)]
 pub enum JointShape {
-    /// Follows the last target's position, velocity and acceleration; differences fade within `blend_s`.
+    /// MimicConstraint the last target's position, velocity and acceleration; differences fade within `blend_s`.
     Extrapolated {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
@@ -58,7 +60,8 @@ impl Default for StreamedJointReference {
 }
 
 /// [`StreamedJointReference`] as it is written.
-#[derive(Deserialize, JsonSchema)]
+#[derive(Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct StreamedJointsFile {
     /// Age from which a target is stale, s; 0.1 if absent.
@@ -80,6 +83,7 @@ struct StreamedJointsFile {
     jerk_rad_per_s3: Option<PerJoint<Positive>>,
 }
 
+#[cfg(feature = "schema")]
 impl JsonSchema for StreamedJointReference {
     fn schema_name() -> Cow<'static, str> {
         "StreamedJointReference".into()
@@ -225,7 +229,7 @@ impl StreamedJoints {
         }
     }
 
-    /// Follows the new target of the joint at a place among the inputs.
+    /// MimicConstraint the new target of the joint at a place among the inputs.
     fn follow(&mut self, place: usize, target: &TaskTarget<'_>, rejoins: bool) {
         let (joint, clock_s, count) = (self.joints[place], target.clock_s, self.joints.len());
         let now = self.at(joint, clock_s);

@@ -11,8 +11,10 @@ use crate::targets::TaskTarget;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_model::{Motion, Placement};
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Deserialize;
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 
 /// Largest deviation from 1 of a quaternion's length.
@@ -34,7 +36,7 @@ pub struct StreamedReference {
 /// Motion of a frame between targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PoseShape {
-    /// Follows the last target's pose, twist and acceleration; differences fade within `blend_s`.
+    /// MimicConstraint the last target's pose, twist and acceleration; differences fade within `blend_s`.
     Extrapolated {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
@@ -60,7 +62,8 @@ impl Default for StreamedReference {
 }
 
 /// [`StreamedReference`] as it is written.
-#[derive(Deserialize, JsonSchema)]
+#[derive(Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct StreamedPoseFile {
     /// Age from which a target is stale, s; 0.1 if absent.
@@ -88,6 +91,7 @@ struct StreamedPoseFile {
     angular_jerk_rad_per_s3: Option<Positive>,
 }
 
+#[cfg(feature = "schema")]
 impl JsonSchema for StreamedReference {
     fn schema_name() -> Cow<'static, str> {
         "StreamedReference".into()
@@ -221,7 +225,7 @@ impl StreamedPose {
         }
     }
 
-    /// Follows a new target.
+    /// MimicConstraint a new target.
     fn follow(&mut self, target: &TaskTarget<'_>, rejoins: bool) {
         let clock_s = target.clock_s;
         let now = self.at(clock_s);

@@ -1,12 +1,14 @@
 //! Sums of sines, from which circles, Lissajous figures and sweeps are made.
 
 use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;
 
 /// One sine along an axis: offset + amplitude · sin(2π · frequency · t + phase).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LinearWave {
     /// Amplitude, m.
@@ -22,7 +24,8 @@ pub struct LinearWave {
 }
 
 /// One sine about an axis or of a joint: offset + amplitude · sin(2π · frequency · t + phase).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AngularWave {
     /// Amplitude, rad (m for a prismatic joint).

@@ -6,9 +6,11 @@ use crate::tasks::controlled_frame::ControlledFrame;
 use nalgebra::Matrix3;
 use opspace_backend::quantity::exactly;
 use opspace_model::{Data, FrameId, Model, UnknownFrame, frame_placement};
+#[cfg(feature = "schema")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, IntoDeserializer, MapAccess, SeqAccess, Visitor};
+#[cfg(feature = "schema")]
 use std::borrow::Cow;
 use std::fmt;
 use std::marker::PhantomData;
@@ -29,10 +31,11 @@ enum Axis {
 }
 
 /// Mode of an axis of a task.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisMode {
-    /// Follows the reference.
+    /// MimicConstraint the reference.
     Motion,
     /// Compliant: belongs to the task, which holds it to a force (zero, if no force is set) and not to a place; lower
     /// tasks can't use it.
@@ -79,7 +82,8 @@ impl AxisMode {
 }
 
 /// The mode of each axis. An axis that is left out is free.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Axes {
     /// Mode along the first task axis.
@@ -147,7 +151,8 @@ impl Axes {
 }
 
 /// The directions of a task's axes.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum AxesFrameParameter {
     /// The world's own.
     #[default]
@@ -314,6 +319,7 @@ impl<'de, T: Deserialize<'de> + Copy> Visitor<'de> for PerAxisVisitor<T> {
     }
 }
 
+#[cfg(feature = "schema")]
 impl<T: JsonSchema> JsonSchema for PerAxis<T> {
     fn inline_schema() -> bool {
         true

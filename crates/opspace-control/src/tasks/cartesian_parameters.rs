@@ -11,11 +11,13 @@ use crate::tasks::impedance::ImpedanceParameters;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Inversion, Model};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// A frame that follows a reference on some axes and is compliant on others.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CartesianParameters {
     /// The controlled frame: a link of the URDF.
@@ -66,7 +68,8 @@ pub struct CartesianParameters {
 }
 
 /// The centre of mass, which follows a reference on some axes. It doesn't turn.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CenterOfMassParameters {
     /// Modes of x, y and z; axes that are left out are free.
@@ -85,7 +88,8 @@ pub struct CenterOfMassParameters {
 }
 
 /// Inertia that turns a task's accelerations into forces.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Decoupling {
     /// Λ: every axis answers as if it were alone.
@@ -100,9 +104,10 @@ pub enum Decoupling {
 }
 
 /// Handling of directions in which an arm can hardly move a frame. See [`Inversion`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-#[schemars(rename = "Singularities")]
+#[cfg_attr(feature = "schema", schemars(rename = "Singularities"))]
 pub enum SingularityHandling {
     /// Below the threshold they are damped, smoothly and down to nothing; above it nothing is.
     #[default]

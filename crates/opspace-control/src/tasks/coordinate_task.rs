@@ -15,12 +15,14 @@ use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_backend::{Row, Signal};
 use opspace_model::{Data, Inversion, Model};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::any::Any;
 
 /// Feedback of a coordinate: a unit mass on a spring and a damper, whatever the arm's inertia.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CoordinateGains {
     /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).

@@ -9,11 +9,13 @@ use crate::tasks::gains::integrate;
 use nalgebra::{Matrix3, Vector3, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Data, FrameId, Model, frame_placement};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Feedback of a force sensor to the compliant and force axes.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ForceParameters {
     /// The robot's sensor, by name.

@@ -4,11 +4,13 @@ use crate::error::ControlError;
 use crate::tasks::axes::PerAxis;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Feedback of an axis in motion: a unit mass on a spring and a damper, whatever the arm's inertia.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxisGains {
     /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).

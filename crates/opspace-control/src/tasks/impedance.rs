@@ -17,11 +17,13 @@ use crate::error::{ControlError, Reason};
 use crate::tasks::axes::{PerAxis, required};
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use opspace_backend::quantity::{NonNegative, Positive};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// A spring and a damper on each axis in motion.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ImpedanceParameters {
     /// Stiffness along axes in motion, N/m.

@@ -5,12 +5,14 @@ use crate::per_joint::PerJoint;
 use crate::references::joint_reference::JointReference;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
 /// The joints follow a reference.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointTrackingParameters {
     /// The joints that belong to the task, six at most: tasks below it may use the others. All of them if absent, and
@@ -24,7 +26,8 @@ pub struct JointTrackingParameters {
 }
 
 /// Feedback of a joint: a unit inertia on a spring and a damper, whatever the arm's inertia.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointGains {
     /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
@@ -34,7 +37,8 @@ pub struct JointGains {
 }
 
 /// The joints are drawn to a posture.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointPostureParameters {
     /// The posture by joint names, rad (m for a prismatic joint); the start posture for joints that are
@@ -48,7 +52,8 @@ pub struct JointPostureParameters {
 }
 
 /// The joints are braked in proportion to their speed.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointDampingParameters {
     /// Damping, Nms/rad (Ns/m for a prismatic joint); may be 0.

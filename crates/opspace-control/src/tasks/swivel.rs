@@ -22,6 +22,7 @@ use crate::tasks::coordinate_task::{CoordinateGains, CoordinateTask};
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::{Positive, exactly};
 use opspace_model::{Data, FrameId, Model, frame_bias_acceleration, frame_placement, frame_velocity};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::{PI, TAU};
@@ -39,7 +40,8 @@ pub struct SwivelAngle {
 }
 
 /// Parameters of a swivel task: `[task.NAME.swivel]`.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SwivelParameters {
     /// Frame at the shoulder: a link of the URDF.

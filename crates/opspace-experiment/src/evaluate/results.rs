@@ -2,6 +2,7 @@
 
 use crate::evaluate::table::{Cell, Table};
 use crate::run::summary::Summary;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -133,7 +134,8 @@ fn profile(summary: &Summary) -> String {
 }
 
 /// A column of measured numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Measure {
     /// Distance from the reference, rms.

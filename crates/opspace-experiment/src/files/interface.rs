@@ -1,11 +1,13 @@
 //! `[interface]` of robot.toml: the commands that a robot accepts, and the quantities that it measures.
 
 use opspace_backend::{CommandKind, GravityCompensation, Measured, MissedCycle, Setpoints};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Table `[interface]` of robot.toml.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InterfaceParameters {
     /// Command accepted by the robot: `position`, `velocity` or `torque`.
@@ -26,7 +28,8 @@ pub struct InterfaceParameters {
 }
 
 /// Command accepted by a robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum CommandParameter {
     /// Joint positions.

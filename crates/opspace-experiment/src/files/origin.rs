@@ -15,10 +15,11 @@ pub enum Files {
 
 macro_rules! embedded {
     ($($path:literal),* $(,)?) => {
-        &[$(($path, include_str!(concat!("../../../../", $path)))),*]
+        &[$(($path, include_str!(concat!("../../embedded/", $path)))),*]
     };
 }
 
+/// Names and texts of the copies in `embedded/` of this crate.
 const EMBEDDED: &[(&str, &str)] = embedded![
     "robots/asimo-arm/asimo-arm.urdf",
     "robots/asimo-arm/robot.toml",

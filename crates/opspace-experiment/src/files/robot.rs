@@ -13,13 +13,15 @@ use opspace_loop::SafetyParameters;
 use opspace_model::{FrameId, Model, ParsedUrdf, UrdfOptions, UrdfWarning};
 use opspace_sim::SimulatedParameters;
 use opspace_transformer::{ClosedLoopModel, JointParameters, ProfileParameters, ServoLaw, ServoParameters};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A robot file, as it is written.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RobotFile {
     /// URDF of the robot; the path is relative to this file.
@@ -50,7 +52,8 @@ pub struct RobotFile {
 }
 
 /// A six-axis force sensor.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ForceSensorFile {
     /// URDF link at whose origin, and in whose axes, the sensor measures.

@@ -6,12 +6,14 @@ use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
 use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 use opspace_transformer::TransformerKind;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// A suite file, as it is written.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SuiteFile {
     /// Subject of the suite, in one line.
@@ -31,7 +33,8 @@ fn every_table() -> Vec<Measure> {
 }
 
 /// Runs of a suite that share robot, controller and settings.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SuiteRun {
     /// Task files; the paths are relative to the suite file.
@@ -65,7 +68,8 @@ pub struct SuiteRun {
 }
 
 /// Further settings for the runs of a suite.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SuiteVariant {
     /// Name of the settings in the table.

@@ -11,13 +11,15 @@ use opspace_control::{
 };
 use opspace_sim::EnvironmentObjectParameters;
 use opspace_transformer::FrictionCompensationParameters;
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A task file, as it is written.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TaskFile {
     /// Robot of the task: its folder or its robot.toml; the path is relative to this file.
@@ -57,7 +59,8 @@ pub struct TaskFile {
 }
 
 /// A change of the tasks while the controller runs.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EventFile {
     /// Time of the change, s after the controller's start.

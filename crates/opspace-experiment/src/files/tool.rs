@@ -5,12 +5,14 @@ use crate::files::suggest::choices;
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::{NonNegative, exactly};
 use opspace_model::{Inertia, Model, Placement, principal_moments};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
 /// A rigid body that is fixed to a link. Tasks can control its frame, which has its name.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ToolFile {
     /// URDF link on which the tool is mounted.

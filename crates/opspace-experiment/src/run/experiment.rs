@@ -17,13 +17,15 @@ use opspace_loop::{ControlLoop, LoopConfig, LoopError};
 use opspace_model::Placement;
 use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError};
 use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, TransformerKind};
+#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Kind of robot: the command that it takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendKind {
     /// A position robot, through the transformer where the controller gives torques.
@@ -80,7 +82,8 @@ impl BackendKind {
 }
 
 /// Controller of the robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {
     /// Operational-space control: torques.

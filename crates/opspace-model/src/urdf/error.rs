@@ -11,15 +11,15 @@ pub struct UrdfError {
 }
 
 impl UrdfError {
-    pub(super) fn at(line: u32, kind: UrdfErrorKind) -> Self {
-        Self { line: Some(line), kind }
+    pub(super) fn at(line: impl Into<Option<u32>>, kind: UrdfErrorKind) -> Self {
+        Self { line: line.into(), kind }
     }
 
     pub(super) fn whole_file(kind: UrdfErrorKind) -> Self {
         Self { line: None, kind }
     }
 
-    /// Line of the element at fault, from 1; `None` where it is the file as a whole.
+    /// Line of the element at fault, from 1; `None` where it is the file as a whole, or where there is no text.
     #[must_use]
     pub fn line(&self) -> Option<u32> {
         self.line
@@ -34,6 +34,10 @@ impl UrdfError {
 
 fn prefix(line: Option<u32>) -> String {
     line.map(|l| format!("line {l}: ")).unwrap_or_default()
+}
+
+fn on_line(line: Option<u32>) -> String {
+    line.map(|l| format!(", on line {l}")).unwrap_or_default()
 }
 
 /// Names in one line, up to a hundred; the number of others.
@@ -110,12 +114,12 @@ pub enum UrdfErrorKind {
         element: &'static str,
     },
     /// Two elements of one name.
-    #[error("{element} is there already, on line {first_line}: names must be unique")]
+    #[error("{element} is there already{}: names must be unique", on_line(*first_line))]
     DuplicateName {
         /// Second of the two.
         element: String,
-        /// Line of the first.
-        first_line: u32,
+        /// Line of the first; `None` where there is no text.
+        first_line: Option<u32>,
     },
     /// Child element that is allowed once and given twice.
     #[error("{element} has more than one <{child}>: leave one")]
@@ -302,18 +306,18 @@ pub enum UrdfErrorKind {
 /// Warning about a value of a URDF that is possible but unusual, and its line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UrdfWarning {
-    line: u32,
+    line: Option<u32>,
     kind: UrdfWarningKind,
 }
 
 impl UrdfWarning {
-    pub(super) fn at(line: u32, kind: UrdfWarningKind) -> Self {
+    pub(super) fn at(line: Option<u32>, kind: UrdfWarningKind) -> Self {
         Self { line, kind }
     }
 
-    /// Line of the element, from 1.
+    /// Line of the element, from 1; `None` where there is no text.
     #[must_use]
-    pub fn line(&self) -> u32 {
+    pub fn line(&self) -> Option<u32> {
         self.line
     }
 
@@ -326,7 +330,7 @@ impl UrdfWarning {
 
 impl std::fmt::Display for UrdfWarning {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "line {}: {}", self.line, self.kind)
+        write!(f, "{}{}", prefix(self.line), self.kind)
     }
 }
 

@@ -1,11 +1,13 @@
-//! Extraction from URDF text of the elements that the dynamics need, each checked on its own, with its line.
+//! Extraction from URDF text of the elements that the dynamics need, each with its line.
 
-use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
+use super::check::{LIMIT, MOMENTS, ONE_NUMBER, THREE_NUMBERS, joint_kind};
+use super::elements::{
+    AxisElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
+    RobotElement,
+};
+use super::error::{UrdfError, UrdfErrorKind};
 use crate::model::{JointKind, Limits};
-use crate::spatial::{Inertia, Placement, principal_moments};
-use nalgebra::{Matrix3, Unit, Vector3};
 use roxmltree::Document;
-use std::collections::HashMap;
 
 /// Largest size of a file, bytes: those of the largest robots have some hundred kilobytes.
 const MAX_BYTES: usize = 16 << 20;
@@ -13,73 +15,17 @@ const MAX_BYTES: usize = 16 << 20;
 const MAX_DEPTH: usize = 64;
 /// Most attributes of a tag: URDF's own have six at most; readers compare each with each.
 const MAX_ATTRIBUTES: usize = 64;
-/// Tolerance of principal moments relative to the largest; files print five digits and more.
-const INERTIA_TOLERANCE: f64 = 1e-6;
-/// Remedy in errors about a joint's limits.
-const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
 
-/// Contents of a URDF that concern the robot's dynamics.
-pub(super) struct Description {
-    pub name: String,
-    pub links: Vec<LinkElement>,
-    pub joints: Vec<JointElement>,
-}
-
-/// Description, and the warnings about it.
-pub(super) struct Reading {
-    pub description: Description,
-    pub warnings: Vec<UrdfWarning>,
-}
-
-pub(super) struct LinkElement {
-    pub name: String,
-    pub line: u32,
-    /// Inertia in the link's frame.
-    pub inertia: Option<Inertia>,
-}
-
-pub(super) struct JointElement {
-    pub name: String,
-    pub line: u32,
-    pub parent: String,
-    pub child: String,
-    pub origin: Placement,
-    pub motion: Motion,
-}
-
-pub(super) enum Motion {
-    Fixed,
-    Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits, mimic: Option<Mimic> },
-}
-
-/// Coupling of a joint to its leader.
-pub(super) struct Mimic {
-    pub line: u32,
-    pub leader: String,
-    pub ratio: f64,
-    pub offset: f64,
-}
-
-pub(super) fn read(text: &str) -> Result<Reading, UrdfError> {
+pub(super) fn read(text: &str) -> Result<RobotElement, UrdfError> {
     guard(text)?;
     let document = Document::parse(text).map_err(|e| malformed(&e))?;
     let robot = document.root_element();
     let lines = Lines::of(text);
     expect_urdf(robot, &lines)?;
-    let mut warnings = Vec::new();
-    let mut links = Vec::new();
-    for element in named_children(robot, "link", &lines)? {
-        links.push(element.link(&mut warnings)?);
-    }
-    if links.is_empty() {
-        return Err(UrdfError::at(lines.line(robot), UrdfErrorKind::NoLinks));
-    }
-    let mut joints = Vec::new();
-    for element in named_children(robot, "joint", &lines)? {
-        joints.push(element.joint(&mut warnings)?);
-    }
+    let links = children(robot, "link", &lines).map(|element| element.link()).collect::<Result<_, _>>()?;
+    let joints = children(robot, "joint", &lines).map(|element| element.joint()).collect::<Result<_, _>>()?;
     let name = robot.attribute("name").unwrap_or_default().to_owned();
-    Ok(Reading { description: Description { name, links, joints }, warnings })
+    Ok(RobotElement { line: Some(lines.line(robot)), name, links, joints })
 }
 
 /// Refuses, in one pass without recursion, texts that are unsafe to pass to an XML reader.
@@ -228,28 +174,12 @@ fn expect_urdf(robot: Node<'_>, lines: &Lines) -> Result<(), UrdfError> {
     Ok(())
 }
 
-/// Returns all children `tag` of the robot, which must have unique names.
-fn named_children<'a>(
-    robot: Node<'a>,
-    tag: &'static str,
-    lines: &'a Lines,
-) -> Result<Vec<Element<'a>>, UrdfError> {
-    let mut first_lines = HashMap::new();
-    let mut all = Vec::new();
-    for node in robot.children().filter(|n| n.has_tag_name(tag)) {
-        let line = lines.line(node);
-        let name = match node.attribute("name").map(str::trim) {
-            None | Some("") => return Err(UrdfError::at(line, UrdfErrorKind::Nameless { element: tag })),
-            Some(name) => name,
-        };
-        let element = Element { node, name, words: format!("{tag} '{name}'"), lines };
-        if let Some(first_line) = first_lines.insert(name, line) {
-            let kind = UrdfErrorKind::DuplicateName { element: element.words, first_line };
-            return Err(UrdfError::at(line, kind));
-        }
-        all.push(element);
-    }
-    Ok(all)
+/// Returns all children `tag` of the robot.
+fn children<'a>(robot: Node<'a>, tag: &'static str, lines: &'a Lines) -> impl Iterator<Item = Element<'a>> {
+    robot.children().filter(move |node| node.has_tag_name(tag)).map(move |node| {
+        let name = node.attribute("name").unwrap_or_default().trim();
+        Element { node, name, words: format!("{tag} '{name}'"), lines }
+    })
 }
 
 /// Element `<link>` or `<joint>`. The nodes that its functions take are within it.
@@ -262,72 +192,51 @@ struct Element<'a> {
 }
 
 impl<'a> Element<'a> {
-    fn link(&self, warnings: &mut Vec<UrdfWarning>) -> Result<LinkElement, UrdfError> {
+    fn link(&self) -> Result<LinkElement, UrdfError> {
         let inertial = self.child(self.node, "inertial")?;
-        let inertia = inertial.map(|node| self.inertia(node, warnings)).transpose()?;
-        Ok(LinkElement { name: self.name.to_owned(), line: self.lines.line(self.node), inertia })
+        let inertial = inertial.map(|node| self.inertial(node)).transpose()?;
+        Ok(LinkElement { line: self.line(self.node), name: self.name.to_owned(), inertial })
     }
 
-    fn inertia(&self, inertial: Node<'a>, warnings: &mut Vec<UrdfWarning>) -> Result<Inertia, UrdfError> {
+    fn inertial(&self, inertial: Node<'a>) -> Result<InertialElement, UrdfError> {
         const MASS: &str = "write <mass value=\"...\"/> (kg)";
-        const MOMENTS: &str = "<inertia> has six: ixx ixy ixz iyy iyz izz (kg m²)";
+        const INERTIA: &str = "<inertia> has six: ixx ixy ixz iyy iyz izz (kg m²)";
         let origin = self.origin(inertial)?;
-        let node = self.required(inertial, "mass", MASS)?;
-        let mass = self.number(node, "value", MASS)?;
-        if mass < 0.0 {
-            return Err(self.error(node, UrdfErrorKind::NegativeMass { element: self.words.clone(), mass }));
+        let mass = self.required(inertial, "mass", MASS)?;
+        let mass_kg = self.number(mass, "value", MASS)?;
+        let inertia = self.required(inertial, "inertia", INERTIA)?;
+        let mut moments = [0.0; 6];
+        for (moment, attribute) in moments.iter_mut().zip(MOMENTS) {
+            *moment = self.number(inertia, attribute, INERTIA)?;
         }
-        let node = self.required(inertial, "inertia", MOMENTS)?;
-        let moment = |attribute| self.number(node, attribute, MOMENTS);
-        let (xx, xy, xz) = (moment("ixx")?, moment("ixy")?, moment("ixz")?);
-        let (yy, yz, zz) = (moment("iyy")?, moment("iyz")?, moment("izz")?);
-        let rotational = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-        let moments = principal_moments(&rotational);
-        let tolerance = INERTIA_TOLERANCE * moments[2].max(-moments[0]);
-        if moments[0] < -tolerance {
-            let (element, smallest) = (self.words.clone(), moments[0]);
-            return Err(self.error(node, UrdfErrorKind::NegativeInertia { element, smallest }));
-        }
-        if moments[0] + moments[1] < moments[2] - tolerance {
-            let kind = UrdfWarningKind::ImpossibleInertia { link: self.name.to_owned(), moments };
-            warnings.push(self.warning(node, kind));
-        }
-        Ok(origin.act_inertia(&Inertia { mass, com: Vector3::zeros(), rotational }))
+        let (mass_line, inertia_line) = (self.line(mass), self.line(inertia));
+        Ok(InertialElement { origin, mass_line, mass_kg, inertia_line, moments })
     }
 
-    fn joint(&self, warnings: &mut Vec<UrdfWarning>) -> Result<JointElement, UrdfError> {
+    fn joint(&self) -> Result<JointElement, UrdfError> {
         const TYPE: &str = "give type=\"...\": revolute, continuous, prismatic or fixed";
-        let kind = match self.attribute(self.node, "type", TYPE)? {
-            "revolute" => Some(JointKind::Revolute),
-            "continuous" => Some(JointKind::Continuous),
-            "prismatic" => Some(JointKind::Prismatic),
-            "fixed" => None,
-            found => {
-                let (element, found) = (self.words.clone(), found.to_owned());
-                return Err(self.error(self.node, UrdfErrorKind::JointType { element, found }));
-            }
-        };
-        let motion = match kind {
-            None => Motion::Fixed,
-            Some(kind) => Motion::Moving {
-                kind,
-                axis: self.axis()?,
-                limits: self.limits(kind, warnings)?,
-                mimic: self.mimic(warnings)?,
-            },
+        let line = self.line(self.node);
+        let kind = joint_kind(&self.words, line, self.attribute(self.node, "type", TYPE)?)?;
+        // A fixed joint's axis, limits and leader mean nothing, and are not read.
+        let (axis, limit, mimic) = match kind {
+            None => (None, None, None),
+            Some(kind) => (self.axis()?, self.limit(kind)?, self.mimic()?),
         };
         Ok(JointElement {
+            line,
             name: self.name.to_owned(),
-            line: self.lines.line(self.node),
+            kind,
             parent: self.linked("parent", "write <parent link=\"...\"/>")?,
             child: self.linked("child", "write <child link=\"...\"/>")?,
             origin: self.origin(self.node)?,
-            motion,
+            axis,
+            limit,
+            mimic,
         })
     }
 
     /// Returns its `<mimic>`, if it has one: the ratio is 1 and the offset 0 where they aren't given.
-    fn mimic(&self, warnings: &mut Vec<UrdfWarning>) -> Result<Option<Mimic>, UrdfError> {
+    fn mimic(&self) -> Result<Option<MimicElement>, UrdfError> {
         const MIMIC: &str = "write <mimic joint=\"...\" multiplier=\"...\" offset=\"...\"/>";
         let Some(node) = self.child(self.node, "mimic")? else {
             return Ok(None);
@@ -338,9 +247,7 @@ impl<'a> Element<'a> {
         };
         let (ratio, offset) = (number("multiplier", 1.0)?, number("offset", 0.0)?);
         let leader = self.attribute(node, "joint", MIMIC)?.to_owned();
-        let kind = UrdfWarningKind::Mimic { joint: self.name.to_owned(), of: leader.clone() };
-        warnings.push(self.warning(node, kind));
-        Ok(Some(Mimic { line: self.lines.line(node), leader, ratio, offset }))
+        Ok(Some(MimicElement { line: self.line(node), leader, ratio, offset }))
     }
 
     /// Name of the link in a joint's `<parent>` or `<child>`.
@@ -349,70 +256,32 @@ impl<'a> Element<'a> {
         Ok(self.attribute(node, "link", remedy)?.to_owned())
     }
 
-    /// Direction of the joint's axis; x where the file gives none, which is the default of the format.
-    fn axis(&self) -> Result<Unit<Vector3<f64>>, UrdfError> {
+    fn axis(&self) -> Result<Option<AxisElement>, UrdfError> {
         let Some(node) = self.child(self.node, "axis")? else {
-            return Ok(Vector3::x_axis());
+            return Ok(None);
         };
         self.attribute(node, "xyz", "give a direction, e.g. xyz=\"0 0 1\"")?;
-        let axis = Vector3::from(self.vector(node, "xyz")?);
-        if axis.amax() == 0.0 {
-            return Err(self.error(node, UrdfErrorKind::ZeroAxis { element: self.words.clone() }));
-        }
-        // By the largest component first: the square of a tiny or huge one is zero or infinite.
-        Ok(Unit::new_normalize(axis / axis.amax()))
+        Ok(Some(AxisElement { line: self.line(node), xyz: self.vector(node, "xyz")? }))
     }
 
-    fn limits(&self, kind: JointKind, warnings: &mut Vec<UrdfWarning>) -> Result<Limits, UrdfError> {
-        let bounded = kind != JointKind::Continuous;
-        let node = match self.child(self.node, "limit")? {
-            Some(node) => node,
-            None if bounded => return Err(self.missing(self.node, "<limit>".to_owned(), LIMIT)),
-            None => return Ok(Limits::NONE),
+    fn limit(&self, kind: JointKind) -> Result<Option<LimitElement>, UrdfError> {
+        let Some(node) = self.child(self.node, "limit")? else {
+            return Ok(None);
         };
-        let (lower, upper) = match bounded {
-            true => (self.number(node, "lower", LIMIT)?, self.number(node, "upper", LIMIT)?),
-            false => (Limits::NONE.lower, Limits::NONE.upper),
+        let position = match kind {
+            JointKind::Continuous => [Limits::NONE.lower, Limits::NONE.upper],
+            _ => [self.number(node, "lower", LIMIT)?, self.number(node, "upper", LIMIT)?],
         };
-        if lower > upper {
-            let element = self.words.clone();
-            return Err(self.error(node, UrdfErrorKind::LimitsSwapped { element, lower, upper }));
-        }
-        if lower == upper {
-            let joint = self.name.to_owned();
-            warnings.push(self.warning(node, UrdfWarningKind::EqualLimits { joint, value: lower }));
-        }
-        let velocity = self.magnitude(node, "velocity", warnings)?;
-        let effort = self.magnitude(node, "effort", warnings)?;
-        Ok(Limits { lower, upper, velocity, effort })
+        let magnitude =
+            |limit| node.has_attribute(limit).then(|| self.number(node, limit, LIMIT)).transpose();
+        let (velocity, effort) = (magnitude("velocity")?, magnitude("effort")?);
+        Ok(Some(LimitElement { line: self.line(node), position, velocity, effort }))
     }
 
-    /// Limit of speed or effort; infinite where the file gives none.
-    fn magnitude(
-        &self,
-        node: Node<'a>,
-        limit: &'static str,
-        warnings: &mut Vec<UrdfWarning>,
-    ) -> Result<f64, UrdfError> {
-        if !node.has_attribute(limit) {
-            return Ok(f64::INFINITY);
-        }
-        let value = self.number(node, limit, LIMIT)?;
-        if value < 0.0 {
-            let element = self.words.clone();
-            return Err(self.error(node, UrdfErrorKind::NegativeLimit { element, limit, value }));
-        }
-        if value == 0.0 {
-            let joint = self.name.to_owned();
-            warnings.push(self.warning(node, UrdfWarningKind::ZeroLimit { joint, limit }));
-        }
-        Ok(value)
-    }
-
-    /// Placement of the `<origin>` of a joint or an inertia; the identity if there is none.
-    fn origin(&self, parent: Node<'a>) -> Result<Placement, UrdfError> {
+    /// Returns the `<origin>` of a joint or an inertia.
+    fn origin(&self, parent: Node<'a>) -> Result<OriginElement, UrdfError> {
         let Some(node) = self.child(parent, "origin")? else {
-            return Ok(Placement::identity());
+            return Ok(OriginElement::default());
         };
         if node.has_attribute("quat_xyzw") {
             let kind = UrdfErrorKind::Unsupported {
@@ -422,7 +291,8 @@ impl<'a> Element<'a> {
             };
             return Err(self.error(node, kind));
         }
-        Ok(Placement::from_rpy(self.vector(node, "rpy")?, self.vector(node, "xyz")?))
+        let (rpy_rad, xyz_m) = (self.vector(node, "rpy")?, self.vector(node, "xyz")?);
+        Ok(OriginElement { line: self.line(node), xyz_m, rpy_rad })
     }
 
     /// Returns the one child `tag` of `parent`, if there is one.
@@ -454,7 +324,7 @@ impl<'a> Element<'a> {
 
     fn number(&self, node: Node<'a>, attribute: &str, remedy: &'static str) -> Result<f64, UrdfError> {
         let value = self.attribute(node, attribute, remedy)?;
-        finite(value).ok_or_else(|| self.bad_number(node, attribute, value, "one finite number"))
+        finite(value).ok_or_else(|| self.bad_number(node, attribute, value, ONE_NUMBER))
     }
 
     /// Three numbers of an attribute; zeros where it isn't there.
@@ -465,7 +335,7 @@ impl<'a> Element<'a> {
         let numbers: Option<Vec<f64>> = value.split_whitespace().map(finite).collect();
         match numbers.as_deref() {
             Some(&[x, y, z]) => Ok([x, y, z]),
-            _ => Err(self.bad_number(node, attribute, value, "three finite numbers")),
+            _ => Err(self.bad_number(node, attribute, value, THREE_NUMBERS)),
         }
     }
 
@@ -479,11 +349,11 @@ impl<'a> Element<'a> {
     }
 
     fn error(&self, node: Node<'a>, kind: UrdfErrorKind) -> UrdfError {
-        UrdfError::at(self.lines.line(node), kind)
+        UrdfError::at(self.line(node), kind)
     }
 
-    fn warning(&self, node: Node<'a>, kind: UrdfWarningKind) -> UrdfWarning {
-        UrdfWarning::at(self.lines.line(node), kind)
+    fn line(&self, node: Node<'a>) -> Line {
+        Some(self.lines.line(node))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Order of a robot's links, and the check that they form one tree.
 
+use super::check::Description;
 use super::error::{UrdfError, UrdfErrorKind};
-use super::read::Description;
 use std::collections::HashMap;
 
 /// Link, and the joint and link before it in the tree.
@@ -89,7 +89,7 @@ fn cycle(
     }
     links.push(on_cycle);
     links.reverse();
-    let line = above[on_cycle].map_or(1, |j| description.joints[j].line);
+    let line = above[on_cycle].and_then(|j| description.joints[j].line);
     let links = links.iter().map(|&l| description.links[l].name.clone()).collect();
     UrdfError::at(line, UrdfErrorKind::Cycle { links })
 }

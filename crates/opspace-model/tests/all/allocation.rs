@@ -36,7 +36,7 @@ fn load(robot: &str, options: UrdfOptions) -> Model {
 fn robots() -> Vec<(&'static str, Model, [FrameId; 2])> {
     let plain = UrdfOptions::default();
     let floating = UrdfOptions { floating_base: true, ..plain };
-    let folding = UrdfOptions { fold_mimics: true, ..plain };
+    let folding = UrdfOptions { enforce_mimic: true, ..plain };
     let robots = [
         ("panda_arm7", plain, ["panda_hand_tcp", "panda_link4"]),
         ("anymal_c", floating, ["LF_FOOT", "RH_FOOT"]),

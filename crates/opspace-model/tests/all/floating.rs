@@ -326,7 +326,7 @@ const HOPPER: &str = r#"<robot name="hopper">
   <joint name="hip" type="continuous"><parent link="trunk"/><child link="leg"/><axis xyz="0 1 0"/></joint>
 </robot>"#;
 
-const FLOATING: UrdfOptions = UrdfOptions { floating_base: true, fold_mimics: false };
+const FLOATING: UrdfOptions = UrdfOptions { floating_base: true, enforce_mimic: false };
 
 /// A URDF's root with all that is fixed to it against its figures: on a floating base it weighs, on a fixed one not.
 #[test]
@@ -388,7 +388,7 @@ const WHEEL: &str = r#"<robot name="cart">
 fn a_floating_base_leads_no_mimic_joint_and_keeps_its_names() {
     let follows =
         WHEEL.replace(r#"<child link="wheel"/>"#, r#"<child link="wheel"/><mimic joint="base.linear.x"/>"#);
-    let options = UrdfOptions { fold_mimics: true, ..FLOATING };
+    let options = UrdfOptions { enforce_mimic: true, ..FLOATING };
     assert_eq!(
         Model::from_urdf_with(&follows, options).unwrap_err().to_string(),
         "line 4: joint 'axle' mimics 'base.linear.x', which is no moving joint; those are: axle"

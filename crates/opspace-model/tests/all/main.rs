@@ -10,9 +10,11 @@ mod oracle;
 mod pinocchio;
 mod samples;
 mod states;
-mod suspicion;
+
 mod trees;
 mod urdf;
+mod urdf_rs;
+mod warnings;
 
 #[global_allocator]
 static ALLOCATOR: opspace_testing::allocation::CountingAllocator =

@@ -630,9 +630,10 @@ const GRIPPER: &str = r#"<robot name="gripper">
 /// A URDF with its mimic joints folded against the same with all joints free, put where the mimics say.
 #[test]
 fn mimic_joints_of_a_urdf_fold() -> Result<(), TestCaseError> {
-    let fold = |floating_base| UrdfOptions { floating_base, fold_mimics: true };
+    let fold = |floating_base| UrdfOptions { floating_base, enforce_mimic: true };
     for floating_base in [false, true] {
-        let free = Model::from_urdf_with(GRIPPER, UrdfOptions { floating_base, fold_mimics: false }).unwrap();
+        let free =
+            Model::from_urdf_with(GRIPPER, UrdfOptions { floating_base, enforce_mimic: false }).unwrap();
         let folded = Model::from_urdf_with(GRIPPER, fold(floating_base)).unwrap();
         let mimics = |w: &&opspace_model::UrdfWarning| matches!(w.kind(), UrdfWarningKind::Mimic { .. });
         assert_eq!(free.warnings.iter().filter(mimics).count(), 2);
@@ -671,7 +672,7 @@ fn mimic_joints_of_a_urdf_fold() -> Result<(), TestCaseError> {
 #[test]
 fn impossible_mimics_are_named() {
     let line_of = |text: &str, what: &str| text.lines().position(|l| l.contains(what)).unwrap() as u32 + 1;
-    let fold = UrdfOptions { fold_mimics: true, ..UrdfOptions::default() };
+    let fold = UrdfOptions { enforce_mimic: true, ..UrdfOptions::default() };
 
     let text = GRIPPER.replace("mimic joint=\"counter\"", "mimic joint=\"conter\"");
     let error = Model::from_urdf_with(&text, fold).unwrap_err();

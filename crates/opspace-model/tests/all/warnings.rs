@@ -53,8 +53,8 @@ fn nothing_is_said_of_a_good_robot() {
         .map(|r| format!("tests/oracles/pinocchio/urdf/{r}.urdf"));
     for path in ours.iter().chain(&theirs) {
         for floating_base in [false, true] {
-            for fold_mimics in [false, true] {
-                let model = robot(path, UrdfOptions { floating_base, fold_mimics });
+            for enforce_mimic in [false, true] {
+                let model = robot(path, UrdfOptions { floating_base, enforce_mimic });
                 assert_eq!(texts(&model), [""; 0], "{path}");
             }
         }

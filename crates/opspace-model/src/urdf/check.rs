@@ -1,0 +1,279 @@
+//! Checks of a robot's elements, each on its own, and their conversion to inertias, placements and limits.
+
+use super::elements::{
+    AxisElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
+    RobotElement,
+};
+use super::error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
+use crate::model::{JointKind, Limits};
+use crate::spatial::{Inertia, Placement, principal_moments};
+use nalgebra::{Matrix3, Unit, Vector3};
+use std::collections::HashMap;
+
+/// Tolerance of principal moments relative to the largest; files print five digits and more.
+const INERTIA_TOLERANCE: f64 = 1e-6;
+/// Remedy in errors about a joint's limits.
+pub(super) const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
+/// Attributes of `<inertia>`, in the order of [`InertialElement::moments`].
+pub(super) const MOMENTS: [&str; 6] = ["ixx", "ixy", "ixz", "iyy", "iyz", "izz"];
+
+/// Checked contents of a URDF that concern the robot's dynamics.
+pub(super) struct Description {
+    pub name: String,
+    pub links: Vec<CheckedLink>,
+    pub joints: Vec<CheckedJoint>,
+}
+
+/// Description, and the warnings about it.
+pub(super) struct Checked {
+    pub description: Description,
+    pub warnings: Vec<UrdfWarning>,
+}
+
+pub(super) struct CheckedLink {
+    pub name: String,
+    pub line: Line,
+    /// Inertia in the link's frame.
+    pub inertia: Option<Inertia>,
+}
+
+pub(super) struct CheckedJoint {
+    pub name: String,
+    pub line: Line,
+    pub parent: String,
+    pub child: String,
+    pub origin: Placement,
+    pub motion: Motion,
+}
+
+pub(super) enum Motion {
+    Fixed,
+    Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits, mimic: Option<MimicElement> },
+}
+
+/// Returns the contents of a robot whose elements are each possible; how they hang together is checked by `tree`.
+pub(super) fn check(robot: RobotElement) -> Result<Checked, UrdfError> {
+    check_names("link", robot.links.iter().map(|link| (link.name.as_str(), link.line)))?;
+    check_names("joint", robot.joints.iter().map(|joint| (joint.name.as_str(), joint.line)))?;
+    if robot.links.is_empty() {
+        return Err(UrdfError::at(robot.line, UrdfErrorKind::NoLinks));
+    }
+    let mut warnings = Vec::new();
+    let links =
+        robot.links.into_iter().map(|link| checked_link(link, &mut warnings)).collect::<Result<_, _>>()?;
+    let joints = robot
+        .joints
+        .into_iter()
+        .map(|joint| checked_joint(joint, &mut warnings))
+        .collect::<Result<_, _>>()?;
+    Ok(Checked { description: Description { name: robot.name, links, joints }, warnings })
+}
+
+/// Returns the kind of joint that a URDF's word stands for; `None` for a fixed joint. `element` names the joint.
+pub(super) fn joint_kind(element: &str, line: Line, word: &str) -> Result<Option<JointKind>, UrdfError> {
+    match word {
+        "revolute" => Ok(Some(JointKind::Revolute)),
+        "continuous" => Ok(Some(JointKind::Continuous)),
+        "prismatic" => Ok(Some(JointKind::Prismatic)),
+        "fixed" => Ok(None),
+        found => {
+            let (element, found) = (element.to_owned(), found.to_owned());
+            Err(UrdfError::at(line, UrdfErrorKind::JointType { element, found }))
+        }
+    }
+}
+
+/// Checks that all elements of a tag have names, each its own.
+fn check_names<'a>(
+    tag: &'static str,
+    elements: impl Iterator<Item = (&'a str, Line)>,
+) -> Result<(), UrdfError> {
+    let mut first_lines = HashMap::new();
+    for (name, line) in elements {
+        if name.is_empty() {
+            return Err(UrdfError::at(line, UrdfErrorKind::Nameless { element: tag }));
+        }
+        if let Some(first_line) = first_lines.insert(name, line) {
+            let kind = UrdfErrorKind::DuplicateName { element: format!("{tag} '{name}'"), first_line };
+            return Err(UrdfError::at(line, kind));
+        }
+    }
+    Ok(())
+}
+
+fn checked_link(link: LinkElement, warnings: &mut Vec<UrdfWarning>) -> Result<CheckedLink, UrdfError> {
+    let element = Element { name: &link.name, words: format!("link '{}'", link.name) };
+    let inertia = link.inertial.as_ref().map(|inertial| element.inertia(inertial, warnings)).transpose()?;
+    Ok(CheckedLink { line: link.line, inertia, name: link.name })
+}
+
+fn checked_joint(joint: JointElement, warnings: &mut Vec<UrdfWarning>) -> Result<CheckedJoint, UrdfError> {
+    let element = Element { name: &joint.name, words: format!("joint '{}'", joint.name) };
+    let motion = match joint.kind {
+        None => Motion::Fixed,
+        Some(kind) => Motion::Moving {
+            kind,
+            axis: element.axis(joint.axis.as_ref())?,
+            limits: element.limits(kind, joint.line, joint.limit.as_ref(), warnings)?,
+            mimic: element.mimic(joint.mimic, warnings)?,
+        },
+    };
+    let origin = element.origin(&joint.origin)?;
+    Ok(CheckedJoint {
+        line: joint.line,
+        parent: joint.parent,
+        child: joint.child,
+        origin,
+        motion,
+        name: joint.name,
+    })
+}
+
+/// Link or joint whose parts are checked.
+struct Element<'a> {
+    name: &'a str,
+    /// Description of the element in errors: `joint 'elbow'`.
+    words: String,
+}
+
+impl Element<'_> {
+    fn inertia(
+        &self,
+        inertial: &InertialElement,
+        warnings: &mut Vec<UrdfWarning>,
+    ) -> Result<Inertia, UrdfError> {
+        let origin = self.origin(&inertial.origin)?;
+        let (mass, line) = (inertial.mass_kg, inertial.mass_line);
+        self.finite("<mass value>", line, &[mass])?;
+        if mass < 0.0 {
+            let kind = UrdfErrorKind::NegativeMass { element: self.words.clone(), mass };
+            return Err(UrdfError::at(line, kind));
+        }
+        let line = inertial.inertia_line;
+        for (attribute, moment) in MOMENTS.iter().zip(inertial.moments) {
+            self.finite(&format!("<inertia {attribute}>"), line, &[moment])?;
+        }
+        let [xx, xy, xz, yy, yz, zz] = inertial.moments;
+        let rotational = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let moments = principal_moments(&rotational);
+        let tolerance = INERTIA_TOLERANCE * moments[2].max(-moments[0]);
+        if moments[0] < -tolerance {
+            let (element, smallest) = (self.words.clone(), moments[0]);
+            return Err(UrdfError::at(line, UrdfErrorKind::NegativeInertia { element, smallest }));
+        }
+        if moments[0] + moments[1] < moments[2] - tolerance {
+            let kind = UrdfWarningKind::ImpossibleInertia { link: self.name.to_owned(), moments };
+            warnings.push(UrdfWarning::at(line, kind));
+        }
+        Ok(origin.act_inertia(&Inertia { mass, com: Vector3::zeros(), rotational }))
+    }
+
+    fn mimic(
+        &self,
+        mimic: Option<MimicElement>,
+        warnings: &mut Vec<UrdfWarning>,
+    ) -> Result<Option<MimicElement>, UrdfError> {
+        let Some(mimic) = mimic else { return Ok(None) };
+        self.finite("<mimic multiplier>", mimic.line, &[mimic.ratio])?;
+        self.finite("<mimic offset>", mimic.line, &[mimic.offset])?;
+        let kind = UrdfWarningKind::Mimic { joint: self.name.to_owned(), of: mimic.leader.clone() };
+        warnings.push(UrdfWarning::at(mimic.line, kind));
+        Ok(Some(mimic))
+    }
+
+    /// Direction of the joint's axis; x where there is none, which is the default of the format.
+    fn axis(&self, axis: Option<&AxisElement>) -> Result<Unit<Vector3<f64>>, UrdfError> {
+        let Some(AxisElement { line, xyz }) = axis else {
+            return Ok(Vector3::x_axis());
+        };
+        self.finite("<axis xyz>", *line, xyz)?;
+        let axis = Vector3::from(*xyz);
+        if axis.amax() == 0.0 {
+            return Err(UrdfError::at(*line, UrdfErrorKind::ZeroAxis { element: self.words.clone() }));
+        }
+        // By the largest component first: the square of a tiny or huge one is zero or infinite.
+        Ok(Unit::new_normalize(axis / axis.amax()))
+    }
+
+    fn limits(
+        &self,
+        kind: JointKind,
+        joint_line: Line,
+        limit: Option<&LimitElement>,
+        warnings: &mut Vec<UrdfWarning>,
+    ) -> Result<Limits, UrdfError> {
+        let bounded = kind != JointKind::Continuous;
+        let limit = match limit {
+            Some(limit) => limit,
+            None if bounded => {
+                let (element, missing) = (self.words.clone(), "<limit>".to_owned());
+                let kind = UrdfErrorKind::Missing { element, missing, remedy: LIMIT };
+                return Err(UrdfError::at(joint_line, kind));
+            }
+            None => return Ok(Limits::NONE),
+        };
+        let [lower, upper] = match bounded {
+            true => limit.position,
+            false => [Limits::NONE.lower, Limits::NONE.upper],
+        };
+        if bounded {
+            self.finite("<limit lower>", limit.line, &[lower])?;
+            self.finite("<limit upper>", limit.line, &[upper])?;
+        }
+        if lower > upper {
+            let element = self.words.clone();
+            return Err(UrdfError::at(limit.line, UrdfErrorKind::LimitsSwapped { element, lower, upper }));
+        }
+        if lower == upper {
+            let kind = UrdfWarningKind::EqualLimits { joint: self.name.to_owned(), value: lower };
+            warnings.push(UrdfWarning::at(limit.line, kind));
+        }
+        let velocity = self.magnitude("velocity", limit.line, limit.velocity, warnings)?;
+        let effort = self.magnitude("effort", limit.line, limit.effort, warnings)?;
+        Ok(Limits { lower, upper, velocity, effort })
+    }
+
+    /// Limit of speed or effort; infinite where there is none.
+    fn magnitude(
+        &self,
+        limit: &'static str,
+        line: Line,
+        value: Option<f64>,
+        warnings: &mut Vec<UrdfWarning>,
+    ) -> Result<f64, UrdfError> {
+        let Some(value) = value else { return Ok(f64::INFINITY) };
+        self.finite(&format!("<limit {limit}>"), line, &[value])?;
+        if value < 0.0 {
+            let element = self.words.clone();
+            return Err(UrdfError::at(line, UrdfErrorKind::NegativeLimit { element, limit, value }));
+        }
+        if value == 0.0 {
+            let joint = self.name.to_owned();
+            warnings.push(UrdfWarning::at(line, UrdfWarningKind::ZeroLimit { joint, limit }));
+        }
+        Ok(value)
+    }
+
+    /// Placement of a joint or an inertia.
+    fn origin(&self, origin: &OriginElement) -> Result<Placement, UrdfError> {
+        self.finite("<origin xyz>", origin.line, &origin.xyz_m)?;
+        self.finite("<origin rpy>", origin.line, &origin.rpy_rad)?;
+        Ok(Placement::from_rpy(origin.rpy_rad, origin.xyz_m))
+    }
+
+    /// Checks that the numbers of an attribute, `place`, are finite.
+    fn finite(&self, place: &str, line: Line, values: &[f64]) -> Result<(), UrdfError> {
+        if values.iter().all(|value| value.is_finite()) {
+            return Ok(());
+        }
+        let value = values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+        let (element, place) = (self.words.clone(), place.to_owned());
+        let wanted = if values.len() == 1 { ONE_NUMBER } else { THREE_NUMBERS };
+        Err(UrdfError::at(line, UrdfErrorKind::BadNumber { element, place, value, wanted }))
+    }
+}
+
+/// Description of a number in errors.
+pub(super) const ONE_NUMBER: &str = "one finite number";
+/// Description of a vector in errors.
+pub(super) const THREE_NUMBERS: &str = "three finite numbers";

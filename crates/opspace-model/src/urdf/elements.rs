@@ -1,0 +1,73 @@
+//! Elements of a URDF that concern the robot's dynamics, as given: the form that text and other readers are brought to,
+//! and that `check` refuses or accepts.
+
+use crate::model::JointKind;
+
+/// Line of an element, from 1; `None` if the robot was not read from text.
+pub(super) type Line = Option<u32>;
+
+pub(super) struct RobotElement {
+    pub line: Line,
+    pub name: String,
+    pub links: Vec<LinkElement>,
+    pub joints: Vec<JointElement>,
+}
+
+pub(super) struct LinkElement {
+    pub line: Line,
+    pub name: String,
+    pub inertial: Option<InertialElement>,
+}
+
+pub(super) struct InertialElement {
+    pub origin: OriginElement,
+    pub mass_line: Line,
+    pub mass_kg: f64,
+    pub inertia_line: Line,
+    /// ixx, ixy, ixz, iyy, iyz, izz, kg m².
+    pub moments: [f64; 6],
+}
+
+/// Pose of a joint or of an inertia; zeros where there is none.
+#[derive(Default)]
+pub(super) struct OriginElement {
+    pub line: Line,
+    pub xyz_m: [f64; 3],
+    pub rpy_rad: [f64; 3],
+}
+
+pub(super) struct JointElement {
+    pub line: Line,
+    pub name: String,
+    /// `None`: fixed.
+    pub kind: Option<JointKind>,
+    pub parent: String,
+    pub child: String,
+    pub origin: OriginElement,
+    pub axis: Option<AxisElement>,
+    pub limit: Option<LimitElement>,
+    pub mimic: Option<MimicElement>,
+}
+
+pub(super) struct AxisElement {
+    pub line: Line,
+    pub xyz: [f64; 3],
+}
+
+pub(super) struct LimitElement {
+    pub line: Line,
+    /// Lower and upper limit of the position, rad or m; not read of a continuous joint.
+    pub position: [f64; 2],
+    /// Limit of the speed, rad/s or m/s; `None` for no limit.
+    pub velocity: Option<f64>,
+    /// Limit of torque or force, Nm or N; `None` for no limit.
+    pub effort: Option<f64>,
+}
+
+/// Coupling of a joint to its leader.
+pub(super) struct MimicElement {
+    pub line: Line,
+    pub leader: String,
+    pub ratio: f64,
+    pub offset: f64,
+}

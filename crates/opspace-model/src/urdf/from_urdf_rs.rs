@@ -1,0 +1,83 @@
+//! Elements of a robot that urdf-rs has read, or that a program has put together.
+//!
+//! urdf-rs fills in what a file leaves out. A link whose mass and moments are all zero has no `<inertial>`; a joint
+//! whose limits all have their defaults has no `<limit>`; an infinite limit of speed or effort is none.
+
+use super::check::joint_kind;
+use super::elements::{
+    AxisElement, InertialElement, JointElement, LimitElement, LinkElement, MimicElement, OriginElement,
+    RobotElement,
+};
+use super::error::UrdfError;
+use urdf_rs::{Inertial, Joint, JointLimit, JointType, Link, Pose, Robot};
+
+pub(super) fn elements(robot: &Robot) -> Result<RobotElement, UrdfError> {
+    let links = robot.links.iter().map(link).collect();
+    let joints = robot.joints.iter().map(joint).collect::<Result<_, _>>()?;
+    Ok(RobotElement { line: None, name: robot.name.clone(), links, joints })
+}
+
+fn link(link: &Link) -> LinkElement {
+    LinkElement { line: None, name: trimmed(&link.name), inertial: inertial(&link.inertial) }
+}
+
+fn inertial(given: &Inertial) -> Option<InertialElement> {
+    let inertia = &given.inertia;
+    let moments = [inertia.ixx, inertia.ixy, inertia.ixz, inertia.iyy, inertia.iyz, inertia.izz];
+    if given.mass.value == 0.0 && moments == [0.0; 6] {
+        return None;
+    }
+    let (origin, mass_kg) = (origin(&given.origin), given.mass.value);
+    Some(InertialElement { origin, mass_line: None, mass_kg, inertia_line: None, moments })
+}
+
+fn joint(joint: &Joint) -> Result<JointElement, UrdfError> {
+    let name = trimmed(&joint.name);
+    Ok(JointElement {
+        line: None,
+        kind: joint_kind(&format!("joint '{name}'"), None, word(&joint.joint_type))?,
+        parent: trimmed(&joint.parent.link),
+        child: trimmed(&joint.child.link),
+        origin: origin(&joint.origin),
+        axis: Some(AxisElement { line: None, xyz: joint.axis.xyz.0 }),
+        limit: limit(&joint.limit),
+        mimic: joint.mimic.as_ref().map(|mimic| MimicElement {
+            line: None,
+            leader: trimmed(&mimic.joint),
+            ratio: mimic.multiplier.unwrap_or(1.0),
+            offset: mimic.offset.unwrap_or(0.0),
+        }),
+        name,
+    })
+}
+
+fn limit(limit: &JointLimit) -> Option<LimitElement> {
+    let bound = |value: f64| (value != f64::INFINITY).then_some(value);
+    (*limit != JointLimit::default()).then(|| LimitElement {
+        line: None,
+        position: [limit.lower, limit.upper],
+        velocity: bound(limit.velocity),
+        effort: bound(limit.effort),
+    })
+}
+
+fn origin(pose: &Pose) -> OriginElement {
+    OriginElement { line: None, xyz_m: pose.xyz.0, rpy_rad: pose.rpy.0 }
+}
+
+fn word(kind: &JointType) -> &'static str {
+    match kind {
+        JointType::Revolute => "revolute",
+        JointType::Continuous => "continuous",
+        JointType::Prismatic => "prismatic",
+        JointType::Fixed => "fixed",
+        JointType::Floating => "floating",
+        JointType::Planar => "planar",
+        JointType::Spherical => "spherical",
+    }
+}
+
+/// Name without spaces around it, as in text.
+fn trimmed(name: &str) -> String {
+    name.trim().to_owned()
+}
