@@ -78,7 +78,7 @@ that contradict each other, a singular start, freedom that nothing damps, a run 
 
     /// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
     #[command(after_help = "\
-Told beforehand are the servo's structure, the rates, limits, URDF and rotors; gains, filter, delay and friction are not. \
+Inputs are the structure of the servo, the rates, limits, URDF and rotors; gains, filter, delay and friction are estimated. \
 The scale of torque comes from the motors' current where the robot measures it, else from URDF and rotor inertia; without \
 either only ratios are written and torque mode is refused (exit code 1), as it is for a joint that can't be inverted.
 

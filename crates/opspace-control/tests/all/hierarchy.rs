@@ -129,11 +129,11 @@ impl Task {
     fn rows(&self) -> usize {
         match &self.what {
             What::Joints(joints) => joints.len(),
-            _ => self.in_task().count(),
+            _ => self.active_axes().count(),
         }
     }
 
-    fn in_task(&self) -> impl Iterator<Item = usize> + '_ {
+    fn active_axes(&self) -> impl Iterator<Item = usize> + '_ {
         (0..6).filter(|&axis| self.modes[axis] != Mode::Free)
     }
 
@@ -156,7 +156,8 @@ impl Task {
             What::Joints(_) => String::new(),
         };
         let mode = |axis: usize| if self.modes[axis] == Mode::Motion { "motion" } else { "compliant" };
-        let axes: Vec<String> = self.in_task().map(|a| format!("{} = \"{}\"", AXES[a], mode(a))).collect();
+        let axes: Vec<String> =
+            self.active_axes().map(|a| format!("{} = \"{}\"", AXES[a], mode(a))).collect();
         let axes_frame = match self.lie {
             Lie::World => "\"world\"".to_owned(),
             Lie::Base => "\"base\"".to_owned(),
@@ -168,7 +169,7 @@ impl Task {
         let axis = AXES[axis];
         write!(
             text,
-            "axes = {{ {} }}\naxes_in = {axes_frame}\n{gains}singularity_threshold = 1e-6\n\
+            "axes = {{ {} }}\naxes_frame = {axes_frame}\n{gains}singularity_threshold = 1e-6\n\
              reference.sinusoid = {{ ramp_s = 0.1, {axis} = [{{ amplitude_m = {amplitude:e}, frequency_hz = {frequency:e} }}] }}\n",
             axes.join(", ")
         )
@@ -302,13 +303,13 @@ impl Task {
             }
             _ => -self.compliance * velocity[axis],
         };
-        let in_task: Vec<usize> = self.in_task().collect();
-        let (rows, n) = (in_task.len(), model.n());
+        let active_axes: Vec<usize> = self.active_axes().collect();
+        let (rows, n) = (active_axes.len(), model.n());
         let column = |c: usize| in_axes(&Vector6::from_fn(|r, _| jacobian[(r, c)]));
         (
-            DMatrix::from_fn(rows, n, |r, c| column(c)[in_task[r]]),
-            DVector::from_fn(rows, |r, _| bias[in_task[r]]),
-            DVector::from_fn(rows, |r, _| wanted(in_task[r])),
+            DMatrix::from_fn(rows, n, |r, c| column(c)[active_axes[r]]),
+            DVector::from_fn(rows, |r, _| bias[active_axes[r]]),
+            DVector::from_fn(rows, |r, _| wanted(active_axes[r])),
         )
     }
 }
@@ -613,11 +614,14 @@ fn the_power_of_a_task_is_that_of_its_force() {
         let force = sampled(&with.controller, &format!("{}.force", case.tasks[level].name));
         let velocity = &case.laws[level].0 * &dq;
         let of_force: Vec<f64> =
-            case.tasks[level].in_task().zip(velocity.iter()).map(|(axis, v)| force[axis] * v).collect();
+            case.tasks[level].active_axes().zip(velocity.iter()).map(|(axis, v)| force[axis] * v).collect();
         let size = with.tau.component_mul(&dq).abs().sum() + of_force.iter().map(|p| p.abs()).sum::<f64>();
-        let (in_joints, in_task) = (added.dot(&dq), of_force.iter().sum::<f64>());
-        let off = (in_joints - in_task).abs() / size.max(1.0);
-        assert!(off < POWER, "case {i}, level {level}: {in_joints} W in the joints, {in_task} W in the task");
+        let (in_joints, active_axes) = (added.dot(&dq), of_force.iter().sum::<f64>());
+        let off = (in_joints - active_axes).abs() / size.max(1.0);
+        assert!(
+            off < POWER,
+            "case {i}, level {level}: {in_joints} W in the joints, {active_axes} W in the task"
+        );
         seen += 1;
         lower += usize::from(level > 0);
     }

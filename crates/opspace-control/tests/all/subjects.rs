@@ -201,7 +201,7 @@ fn axes_that_turn_are_followed_as_they_lie() {
         let in_motion = in_motion.join(", ");
         let text = format!(
             "priority = [\"hand\", \"rest\"]\nlimits.enforce = false\n\
-             [task.hand.cartesian]\nframe = \"hand\"\n{from}axes = {{ {in_motion} }}\naxes_in = {axes_frame}\nreference = \"hold\"\n\
+             [task.hand.cartesian]\nframe = \"hand\"\n{from}axes = {{ {in_motion} }}\naxes_frame = {axes_frame}\nreference = \"hold\"\n\
              gains = {{ frequency_rad_per_s = [6.0, 7.0, 8.0, 9.0, 9.0, 9.0], damping_ratio = 0.7 }}\nsingularity_threshold = 1e-3\n\
              [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n"
         );

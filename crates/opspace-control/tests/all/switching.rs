@@ -325,7 +325,7 @@ fn an_axis_that_follows_again_begins_where_the_hand_is() {
     let text = |x: &str, rx: &str| {
         format!(
             "priority = [\"hand\", \"rest\"]\n[task.hand.cartesian]\nframe = \"hand\"\n\
-             axes = {{ x = \"{x}\", y = \"motion\", z = \"motion\", rx = \"{rx}\" }}\naxes_in = {{ rpy_rad = [0.3, -0.5, 0.8] }}\n\
+             axes = {{ x = \"{x}\", y = \"motion\", z = \"motion\", rx = \"{rx}\" }}\naxes_frame = {{ rpy_rad = [0.3, -0.5, 0.8] }}\n\
              reference = \"hold\"\n{STEADY}\n[task.rest]\n{POSTURE}\n"
         )
     };

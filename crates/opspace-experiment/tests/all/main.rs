@@ -1,6 +1,6 @@
 //! Files, preflight, experiments, metrics and reports.
 
-mod findings;
+mod diagnostics;
 mod metrics;
 mod overrides;
 mod panicking_task;

@@ -5,7 +5,7 @@ use opspace_experiment::files::source::{FileError, Source, parse};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-const FILE: &str = r#"# the hand gives way in x
+const FILE: &str = r#"# the hand is compliant in x
 robot = "../robots/asimo-arm"
 seed = 1
 [task.hand.cartesian]

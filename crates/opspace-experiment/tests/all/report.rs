@@ -433,7 +433,7 @@ fn sample_page(samples: usize) -> Page {
     };
     let hand = Figure {
         title: "The hand in world axes".to_owned(),
-        caption: "x gives way to the operator; y and z hold their place.".to_owned(),
+        caption: "x yields to the operator; y and z hold their place.".to_owned(),
         panels: ["x", "y", "z"].into_iter().enumerate().map(axis).collect(),
         columns: None,
     };
@@ -444,7 +444,9 @@ fn sample_page(samples: usize) -> Page {
         panel("small", vec![Series::new("measured", vec![0.0, 1.0, 2.0], vec![1e-7, f64::NAN, 3e-7])]),
     ]);
     Page::new("compliant-x on asimo-arm")
-        .lead("The hand gives way in x with 3.1 N RMS at the operator's hand, and holds y and z to 4.3 mm.")
+        .lead(
+            "The hand is compliant in x with 3.1 N RMS at the operator's hand, and holds y and z to 4.3 mm.",
+        )
         .warning("The run faulted at 3.1 s: joint `elbow` reached its limit.")
         .table(
             "Every task on every backend.",

@@ -2,3 +2,4 @@
 
 mod doc_lines;
 mod import_cycles;
+mod old_names;

@@ -40,7 +40,7 @@ fn no_old_name_is_in_use() {
 /// Lists the places of the files at which one line of the list is in use.
 fn uses(kind: &str, rest: &str, files: &[(String, String)]) -> Vec<String> {
     if kind == "text" {
-        return lines(files, |_, line| line.to_lowercase().contains(rest));
+        return lines(files, |_, line| has_words(&line.to_lowercase(), rest));
     }
     let (place, name) = rest.split_once(' ').expect("a place and a name");
     match kind {
@@ -64,6 +64,16 @@ fn uses(kind: &str, rest: &str, files: &[(String, String)]) -> Vec<String> {
     }
 }
 
+/// True if a text has the words, not as parts of longer ones.
+fn has_words(text: &str, words: &str) -> bool {
+    let is_letter = |c: char| c.is_alphanumeric() || c == '_';
+    text.match_indices(words).any(|(at, _)| {
+        let (before, after) = (text[..at].chars().next_back(), text[at + words.len()..].chars().next());
+        !before.is_some_and(is_letter) && !after.is_some_and(is_letter)
+    })
+}
+
+/// Lists the lines that are found, as `file:line`.
 fn lines(files: &[(String, String)], is_found: impl Fn(&str, &str) -> bool) -> Vec<String> {
     let mut found = Vec::new();
     for (file, text) in files {

@@ -1,7 +1,8 @@
 //! Servo laws and transformers on joints of known numbers.
 
+mod closed_loop;
 mod emulation;
-mod identified;
+
 mod servos;
 mod transformer;
 mod velocity_stability;
