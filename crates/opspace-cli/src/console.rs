@@ -1,7 +1,8 @@
 //! Results to stdout, everything else to stderr; a closed pipe ends the program quietly.
 
+use annotate_snippets::renderer::DecorStyle;
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use miette::{GraphicalReportHandler, GraphicalTheme};
 use opspace_experiment::evaluate::results::{Measure, notes, table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
@@ -202,32 +203,31 @@ pub fn report(failure: &Failure) -> Exit {
             *exit
         }
         Failure::File(error) => {
-            let theme = if colours(&io::stderr()) {
-                GraphicalTheme::unicode()
-            } else {
-                GraphicalTheme::unicode_nocolor()
-            };
-            let mut text = String::new();
-            let handler = GraphicalReportHandler::new_themed(theme)
-                .with_links(false)
-                .with_width(usize::from(width().unwrap_or(100)));
-            let _ = handler.render_report(&mut text, error);
             let _ = writeln!(err, "error: {error}");
-            // What comes before the frame is the message again.
-            let frame: Vec<&str> = text.lines().skip_while(|line| !line.contains(FRAME)).collect();
-            if error.line().is_none() || frame.is_empty() {
-                let help = error.help().map(|help| help.replace('\n', "\n        "));
-                let _ = help.map(|help| writeln!(err, "  help: {help}"));
-            } else {
-                let _ = writeln!(err, "{}", frame.join("\n"));
-            }
+            let _ = match excerpt(error, colours(&io::stderr())) {
+                Some(text) => writeln!(err, "{text}"),
+                None => error
+                    .help()
+                    .map_or(Ok(()), |help| writeln!(err, "  help: {}", help.replace('\n', "\n        "))),
+            };
             Exit::Bad
         }
     }
 }
 
-/// Beginning of the frame around a line of a file.
-const FRAME: &str = "╭─";
+/// Renders the line of a mistake in a file, underlined, and the remedy; `None` if the mistake has no line.
+fn excerpt(error: &FileError, colours: bool) -> Option<String> {
+    let (text, span) = error.excerpt().filter(|_| error.line().is_some())?;
+    let line = Snippet::source(text).path(error.path()).annotation(AnnotationKind::Primary.span(span));
+    let place = Group::with_level(Level::ERROR).element(line);
+    let group = match error.help() {
+        Some(help) => place.element(Level::HELP.message(help)),
+        None => place,
+    };
+    let renderer = if colours { Renderer::styled() } else { Renderer::plain() };
+    let width = usize::from(width().unwrap_or(100));
+    Some(renderer.decor_style(DecorStyle::Unicode).term_width(width).render(&[group]))
+}
 
 /// True if a stream takes colours.
 fn colours(stream: &impl IsTerminal) -> bool {
