@@ -258,7 +258,26 @@ fn wrap(text: &str, width: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::blocks;
+    use super::{blocks, excerpt};
+    use opspace_experiment::{FileError, Source};
+
+    /// Checks that the line, its place and the help are there and that the underline stands below the mistake; without
+    /// colours, no escape sequence.
+    #[test]
+    fn a_mistake_is_shown_underlined_in_its_line() {
+        let source = Source::new("tasks/x.toml", "robot = 1\n\tname = \"\u{e9}lan\" # two\n");
+        let error = FileError::at_key(&source, "name", "is wrong", Some("write another".to_owned()));
+        let text = excerpt(&error, false).expect("a line");
+        assert!(text.contains("tasks/x.toml:2:"), "{text}");
+        assert!(text.contains("help: write another") && !text.contains('\u{1b}'), "{text}");
+        let lines: Vec<&str> = text.lines().collect();
+        let at = lines.iter().position(|line| line.contains("# two")).expect("the line");
+        let column = |line: &str, part: char| line.chars().position(|c| c == part);
+        assert_eq!(column(lines[at], '"'), column(lines[at + 1], '\u{2501}'), "{text}");
+        assert_eq!(lines[at + 1].matches('\u{2501}').count(), "\"\u{e9}lan\"".chars().count(), "{text}");
+        assert!(excerpt(&error, true).is_some_and(|text| text.contains('\u{1b}')));
+        assert_eq!(excerpt(&FileError::of_file("x.toml", "is missing", None), false), None);
+    }
 
     #[test]
     fn columns_that_dont_fit_go_on_below_beside_the_first_again() {
