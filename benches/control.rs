@@ -8,13 +8,13 @@
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
-use chacha20::ChaCha8Rng;
 use opspace_control::{
     Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
     OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 };
 use opspace_model::{Data, Model, update};
 use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::path::Path;

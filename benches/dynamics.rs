@@ -8,7 +8,6 @@
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
-use chacha20::ChaCha8Rng;
 use nalgebra::{Matrix6xX, Rotation3, UnitQuaternion, Vector3, Vector6};
 use opspace_model::batch::{self, Lanes};
 use opspace_model::{
@@ -18,6 +17,7 @@ use opspace_model::{
     rnea_derivatives, torque_regressor, update,
 };
 use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::path::Path;

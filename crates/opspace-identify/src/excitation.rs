@@ -4,8 +4,8 @@
 //! nonlinearity is at even lines, that of an odd one (friction) also at odd lines that were left out: both are
 //! detected, and neither is taken for the linear response at the cost of a bias that changes with the phases.
 
-use chacha20::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
 /// Number of draws of the phases; those whose signal has the lowest peak are kept.

@@ -6,10 +6,10 @@
 
 use crate::phase::Phase;
 use crate::timeline::Timeline;
-use chacha20::ChaCha8Rng;
 use opspace_backend::Layout;
 use opspace_control::{InputHandle, TargetError, Targets, TaskHandle};
 use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 use thiserror::Error;
 

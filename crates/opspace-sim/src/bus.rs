@@ -4,9 +4,9 @@
 //! controller waits for the next sample that passes. Until the controller starts, every cycle passes.
 
 use crate::random::{RngStream, generator};
-use chacha20::ChaCha8Rng;
 use opspace_backend::quantity::{NonNegative, Positive};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
 use serde::Deserialize;
 

@@ -1,10 +1,10 @@
 //! Objects of the environment that touch the robot: an operator with a spring, pushes, a wall.
 //! `[surroundings.NAME.KIND]` in a task file.
 
-use chacha20::ChaCha8Rng;
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::TAU;

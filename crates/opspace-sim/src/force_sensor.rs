@@ -1,10 +1,10 @@
 //! Six-axis force sensor: first-order bandwidth, constant bias, white noise.
 
 use crate::parameters::ForceSensorParameters;
-use chacha20::ChaCha8Rng;
 use nalgebra::Vector3;
 use opspace_model::Force;
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
 

@@ -11,10 +11,10 @@ use crate::plant::{Plant, PlantFrame};
 use crate::random::{RngStream, generator};
 use crate::timing::{Clock, Timing};
 use crate::truth::TruthRows;
-use chacha20::ChaCha8Rng;
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, Command, CommandKind, DeviceFault, Sample, Status};
 use opspace_model::{Data, FrameId, Model, gravity, kinematics};
+use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::Range;
 

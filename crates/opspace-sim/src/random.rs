@@ -1,7 +1,7 @@
 //! Random numbers: every source has a stream of its own, so that adding one leaves the others unchanged.
 
-use chacha20::ChaCha8Rng;
 use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 
 /// Use of a stream of random numbers.
 #[derive(Clone, Copy, Debug)]
