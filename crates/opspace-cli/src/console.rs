@@ -220,14 +220,21 @@ fn excerpt(error: &FileError, colours: bool) -> Option<String> {
     let (text, span) = error.excerpt().filter(|_| error.line().is_some())?;
     let line = Snippet::source(text).path(error.path()).annotation(AnnotationKind::Primary.span(span));
     let place = Group::with_level(Level::ERROR).element(line);
+    let width = usize::from(width().unwrap_or(100));
     let group = match error.help() {
-        Some(help) => place.element(Level::HELP.message(help)),
+        Some(help) => {
+            let lines: Vec<String> =
+                help.lines().map(|line| wrap(line, width.saturating_sub(HELP_INDENT))).collect();
+            place.element(Level::HELP.message(lines.join("\n")))
+        }
         None => place,
     };
     let renderer = if colours { Renderer::styled() } else { Renderer::plain() };
-    let width = usize::from(width().unwrap_or(100));
     Some(renderer.decor_style(DecorStyle::Unicode).term_width(width).render(&[group]))
 }
+
+/// Columns left of a help's text: the line's number, of up to four digits, and `help: `.
+const HELP_INDENT: usize = 12;
 
 /// True if a stream takes colours.
 fn colours(stream: &impl IsTerminal) -> bool {
