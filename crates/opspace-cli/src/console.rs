@@ -1,7 +1,8 @@
 //! Results to stdout, everything else to stderr; a closed pipe ends the program quietly.
 
+use annotate_snippets::renderer::DecorStyle;
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use miette::{GraphicalReportHandler, GraphicalTheme};
 use opspace_experiment::evaluate::results::{Measure, notes, table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
@@ -202,32 +203,38 @@ pub fn report(failure: &Failure) -> Exit {
             *exit
         }
         Failure::File(error) => {
-            let theme = if colours(&io::stderr()) {
-                GraphicalTheme::unicode()
-            } else {
-                GraphicalTheme::unicode_nocolor()
-            };
-            let mut text = String::new();
-            let handler = GraphicalReportHandler::new_themed(theme)
-                .with_links(false)
-                .with_width(usize::from(width().unwrap_or(100)));
-            let _ = handler.render_report(&mut text, error);
             let _ = writeln!(err, "error: {error}");
-            // What comes before the frame is the message again.
-            let frame: Vec<&str> = text.lines().skip_while(|line| !line.contains(FRAME)).collect();
-            if error.line().is_none() || frame.is_empty() {
-                let help = error.help().map(|help| help.replace('\n', "\n        "));
-                let _ = help.map(|help| writeln!(err, "  help: {help}"));
-            } else {
-                let _ = writeln!(err, "{}", frame.join("\n"));
-            }
+            let _ = match excerpt(error, colours(&io::stderr())) {
+                Some(text) => writeln!(err, "{text}"),
+                None => error
+                    .help()
+                    .map_or(Ok(()), |help| writeln!(err, "  help: {}", help.replace('\n', "\n        "))),
+            };
             Exit::Bad
         }
     }
 }
 
-/// Beginning of the frame around a line of a file.
-const FRAME: &str = "╭─";
+/// Renders the line of a mistake in a file, underlined, and the remedy; `None` if the mistake has no line.
+fn excerpt(error: &FileError, colours: bool) -> Option<String> {
+    let (text, span) = error.excerpt().filter(|_| error.line().is_some())?;
+    let line = Snippet::source(text).path(error.path()).annotation(AnnotationKind::Primary.span(span));
+    let place = Group::with_level(Level::ERROR).element(line);
+    let width = usize::from(width().unwrap_or(100));
+    let group = match error.help() {
+        Some(help) => {
+            let lines: Vec<String> =
+                help.lines().map(|line| wrap(line, width.saturating_sub(HELP_INDENT))).collect();
+            place.element(Level::HELP.message(lines.join("\n")))
+        }
+        None => place,
+    };
+    let renderer = if colours { Renderer::styled() } else { Renderer::plain() };
+    Some(renderer.decor_style(DecorStyle::Unicode).term_width(width).render(&[group]))
+}
+
+/// Columns left of a help's text: the line's number, of up to four digits, and `help: `.
+const HELP_INDENT: usize = 12;
 
 /// True if a stream takes colours.
 fn colours(stream: &impl IsTerminal) -> bool {
@@ -258,7 +265,26 @@ fn wrap(text: &str, width: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::blocks;
+    use super::{blocks, excerpt};
+    use opspace_experiment::{FileError, Source};
+
+    /// Checks that the line, its place and the help are there and that the underline stands below the mistake; without
+    /// colours, no escape sequence.
+    #[test]
+    fn a_mistake_is_shown_underlined_in_its_line() {
+        let source = Source::new("tasks/x.toml", "robot = 1\n\tname = \"\u{e9}lan\" # two\n");
+        let error = FileError::at_key(&source, "name", "is wrong", Some("write another".to_owned()));
+        let text = excerpt(&error, false).expect("a line");
+        assert!(text.contains("tasks/x.toml:2:"), "{text}");
+        assert!(text.contains("help: write another") && !text.contains('\u{1b}'), "{text}");
+        let lines: Vec<&str> = text.lines().collect();
+        let at = lines.iter().position(|line| line.contains("# two")).expect("the line");
+        let column = |line: &str, part: char| line.chars().position(|c| c == part);
+        assert_eq!(column(lines[at], '"'), column(lines[at + 1], '\u{2501}'), "{text}");
+        assert_eq!(lines[at + 1].matches('\u{2501}').count(), "\"\u{e9}lan\"".chars().count(), "{text}");
+        assert!(excerpt(&error, true).is_some_and(|text| text.contains('\u{1b}')));
+        assert_eq!(excerpt(&FileError::of_file("x.toml", "is missing", None), false), None);
+    }
 
     #[test]
     fn columns_that_dont_fit_go_on_below_beside_the_first_again() {

@@ -5,12 +5,11 @@
 //! the wall clock, except where a real-time run's chunks end.
 
 use crate::error::LogError;
+use crate::foxglove::{FrameTransforms, JointStates, Message, Warning};
 use crate::header::{Channel, GAPS, Header, LOG, TIME_ZERO_NS};
 use crate::outcome::{OUTCOME, OutcomeRecord};
 use crate::schema;
 use crate::viewer::{Viewer, nanoseconds, warning};
-use foxglove::Encode;
-use foxglove::messages::{FrameTransforms, JointStates, Log};
 use mcap::records::MessageHeader;
 use mcap::write::{Metadata, NoSeek};
 use opspace_backend::Layout;
@@ -99,7 +98,7 @@ impl<W: Write> File<W> {
                 Some((viewer, joints, known_topic::<FrameTransforms, _>(&mut mcap, "/tf")?))
             }
         };
-        let log = known_topic::<Log, _>(&mut mcap, "/log")?;
+        let log = known_topic::<Warning, _>(&mut mcap, "/log")?;
         mcap.flush()?;
         Ok(Self {
             mcap,
@@ -135,10 +134,10 @@ impl<W: Write> File<W> {
             return Ok(());
         };
         if viewer.channel == channel && viewer.show(ns, row) {
-            encode(&viewer.joints, &mut self.message)?;
+            encode(&viewer.joints, &mut self.message);
             self.chunk_bytes += put(&mut self.mcap, joints, ns, &self.message)?;
             if let Some(bodies) = &viewer.bodies {
-                encode(&bodies.transforms, &mut self.message)?;
+                encode(&bodies.transforms, &mut self.message);
                 self.chunk_bytes += put(&mut self.mcap, tf, ns, &self.message)?;
             }
         }
@@ -154,7 +153,7 @@ impl<W: Write> File<W> {
         let ns = nanoseconds(gap.to_s);
         let text =
             format!("{} records were dropped from t = {} s to {} s", gap.records, gap.from_s, gap.to_s);
-        encode(&warning(ns, text), &mut self.message)?;
+        encode(&warning(ns, text), &mut self.message);
         self.chunk_bytes += put(&mut self.mcap, &mut self.log, ns, &self.message)?;
         Ok(())
     }
@@ -204,21 +203,18 @@ fn own_metadata() -> BTreeMap<String, String> {
 }
 
 /// Adds a topic of one of Foxglove's own message types.
-fn known_topic<M: Encode, W: Write>(
+fn known_topic<M: Message, W: Write>(
     mcap: &mut mcap::Writer<NoSeek<W>>,
     topic: &str,
 ) -> Result<Topic, LogError> {
-    let schema = match M::get_schema() {
-        Some(s) => mcap.add_schema(&s.name, &s.encoding, &s.data)?,
-        None => 0,
-    };
-    let id = mcap.add_channel(schema, topic, &M::get_message_encoding(), &BTreeMap::new())?;
+    let schema = mcap.add_schema(M::NAME, "protobuf", M::DEFINITION)?;
+    let id = mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
     Ok(Topic { id, sequence: 0 })
 }
 
-fn encode<M: Encode>(message: &M, out: &mut Vec<u8>) -> Result<(), LogError> {
+fn encode<M: Message>(message: &M, out: &mut Vec<u8>) {
     out.clear();
-    message.encode(out).map_err(|e| LogError::Write(std::io::Error::other(e.to_string())))
+    message.encode(out);
 }
 
 /// Writes a message and returns its length.

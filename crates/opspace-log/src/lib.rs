@@ -45,6 +45,7 @@
 pub mod compare;
 pub mod error;
 mod file;
+mod foxglove;
 pub mod header;
 pub mod inputs;
 pub mod outcome;

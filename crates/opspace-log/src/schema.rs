@@ -4,11 +4,9 @@
 //! `repeated double` per signal, in the layout's order. Doubles keep their bits. Names that protobuf doesn't
 //! allow, units and element labels stand as JSON in the channel's metadata.
 
+use crate::foxglove::nested;
 use opspace_backend::{Layout, Signal};
-use prost::Message;
-use prost::encoding::{WireType, decode_key, decode_varint, double};
-use prost_types::field_descriptor_proto::{Label, Type};
-use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
+use prost::encoding::{WireType, decode_key, decode_varint, double, int32, string};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,30 +21,35 @@ pub(crate) fn widths(layout: &Layout) -> Vec<usize> {
 /// Returns the name of the message of a channel, and the serialised `FileDescriptorSet` that defines it.
 pub(crate) fn definition(layout: &Layout) -> (String, Vec<u8>) {
     let message = pascal_case(&layout.channel);
-    let field = |name: String, number, label| FieldDescriptorProto {
-        name: Some(name),
-        number: Some(number),
-        label: Some(label as i32),
-        r#type: Some(Type::Double as i32),
-        ..FieldDescriptorProto::default()
-    };
-    let mut fields = vec![field("t".to_owned(), 1, Label::Optional)];
-    let names = field_names(layout);
-    fields.extend(names.into_iter().enumerate().map(|(i, n)| field(n, number(i) as i32, Label::Repeated)));
-    let set = FileDescriptorSet {
-        file: vec![FileDescriptorProto {
-            name: Some(format!("opspace/{message}.proto")),
-            package: Some("opspace".to_owned()),
-            message_type: vec![DescriptorProto {
-                name: Some(message.clone()),
-                field: fields,
-                ..DescriptorProto::default()
-            }],
-            syntax: Some("proto3".to_owned()),
-            ..FileDescriptorProto::default()
-        }],
-    };
-    (format!("opspace.{message}"), set.encode_to_vec())
+    let mut set = Vec::new();
+    nested(1, &mut set, |file| {
+        string::encode(1, &format!("opspace/{message}.proto"), file);
+        string::encode(2, &"opspace".to_owned(), file);
+        nested(4, file, |definition| {
+            string::encode(1, &message, definition);
+            nested(2, definition, |field| define("t".to_owned(), 1, OPTIONAL, field));
+            for (i, name) in field_names(layout).into_iter().enumerate() {
+                nested(2, definition, |field| define(name, number(i), REPEATED, field));
+            }
+        });
+        string::encode(12, &"proto3".to_owned(), file);
+    });
+    (format!("opspace.{message}"), set)
+}
+
+/// Label of a field with one value, in a `FieldDescriptorProto`.
+const OPTIONAL: i32 = 1;
+
+/// Label of a field with any number of values.
+const REPEATED: i32 = 3;
+
+/// Appends the `FieldDescriptorProto` of a field of doubles.
+fn define(name: String, number: u32, label: i32, field: &mut Vec<u8>) {
+    const DOUBLE: i32 = 1;
+    string::encode(1, &name, field);
+    int32::encode(3, &(number as i32), field);
+    int32::encode(4, &label, field);
+    int32::encode(5, &DOUBLE, field);
 }
 
 /// Field number of a signal; protobuf reserves 19000 to 19999.
@@ -162,6 +165,9 @@ fn decode_into(widths: &[usize], mut message: &[u8], rows: &mut Vec<f64>) -> Opt
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use prost::Message;
+    use prost_types::field_descriptor_proto::{Label, Type};
+    use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
 
     fn awkward() -> Layout {
         let names = ["hand.position", "hand_position", "handPosition", "t", "τ", "2nd", ""];
@@ -187,6 +193,33 @@ mod tests {
             assert!(json.insert(name.replace('_', "").to_lowercase()), "{name} twice");
         }
         assert_eq!(fields[1].name(), "hand_position");
+    }
+
+    /// Compares the definition with the one that prost's descriptor types make of the same names, byte for byte.
+    #[test]
+    fn the_definition_is_a_file_descriptor_set() {
+        let field = |(i, name): (usize, String)| FieldDescriptorProto {
+            name: Some(name),
+            number: Some(i as i32 + 1),
+            label: Some(if i == 0 { Label::Optional } else { Label::Repeated } as i32),
+            r#type: Some(Type::Double as i32),
+            ..FieldDescriptorProto::default()
+        };
+        let names = std::iter::once("t".to_owned()).chain(field_names(&awkward()));
+        let message = DescriptorProto {
+            name: Some("ServoLeftArm".to_owned()),
+            field: names.enumerate().map(field).collect(),
+            ..DescriptorProto::default()
+        };
+        let file = FileDescriptorProto {
+            name: Some("opspace/ServoLeftArm.proto".to_owned()),
+            package: Some("opspace".to_owned()),
+            message_type: vec![message],
+            syntax: Some("proto3".to_owned()),
+            ..FileDescriptorProto::default()
+        };
+        let set = FileDescriptorSet { file: vec![file] };
+        assert_eq!(definition(&awkward()).1, set.encode_to_vec());
     }
 
     /// Compares the layout before and after the metadata.

@@ -2,10 +2,8 @@
 //! the channel `tick` on the writer's thread.
 
 use crate::error::LogError;
+use crate::foxglove::{FrameTransform, FrameTransforms, JointState, JointStates, Timestamp, Warning};
 use crate::header::TIME_ZERO_NS;
-use foxglove::messages::{
-    FrameTransform, FrameTransforms, JointState, JointStates, Log, Quaternion, Timestamp, Vector3, log,
-};
 use nalgebra::{Rotation3, UnitQuaternion};
 use opspace_backend::Layout;
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
@@ -56,7 +54,7 @@ impl Viewer {
         let joints = names.into_iter().flatten().map(joint).collect();
         Ok(Some(Self {
             channel,
-            joints: JointStates { timestamp: None, joints },
+            joints: JointStates { joints, ..JointStates::default() },
             bodies: model.map(|m| Bodies::new(m, q.len())).transpose()?,
             dq: alike("dq"),
             effort: alike("motor_torque"),
@@ -71,7 +69,7 @@ impl Viewer {
             return false;
         }
         self.last_ns = Some(ns);
-        self.joints.timestamp = Some(timestamp(ns));
+        self.joints.timestamp = timestamp(ns);
         let value = |columns: &Option<Range<usize>>, i| columns.as_ref().map(|c| row[c.start + i]);
         for (i, joint) in self.joints.joints.iter_mut().enumerate() {
             joint.position = Some(row[self.q.start + i]);
@@ -112,22 +110,16 @@ impl Bodies {
         for (&frame, transform) in self.frames.iter().zip(&mut self.transforms.transforms) {
             let Placement { rotation, translation: p } = frame_placement(&self.model, &self.data, frame);
             let r = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
-            transform.timestamp = Some(timestamp(ns));
-            transform.translation = Some(Vector3 { x: p.x, y: p.y, z: p.z });
-            transform.rotation = Some(Quaternion { x: r.i, y: r.j, z: r.k, w: r.w });
+            transform.timestamp = timestamp(ns);
+            transform.translation = [p.x, p.y, p.z];
+            transform.rotation = [r.i, r.j, r.k, r.w];
         }
     }
 }
 
 /// Returns a warning for `/log`.
-pub(crate) fn warning(ns: u64, message: String) -> Log {
-    Log {
-        timestamp: Some(timestamp(ns)),
-        level: log::Level::Warning.into(),
-        message,
-        name: "opspace".to_owned(),
-        ..Log::default()
-    }
+pub(crate) fn warning(ns: u64, message: String) -> Warning {
+    Warning { timestamp: timestamp(ns), message, name: "opspace".to_owned() }
 }
 
 /// Converts a time on the robot's clock to the log's timestamps.
@@ -139,5 +131,7 @@ pub(crate) fn nanoseconds(time_s: f64) -> u64 {
 
 fn timestamp(ns: u64) -> Timestamp {
     let (s, rest) = (ns / 1_000_000_000, (ns % 1_000_000_000) as u32);
-    u32::try_from(s).map_or(Timestamp::MAX, |s| Timestamp::new(s, rest))
+    // A time beyond the year 2106 is the latest that there is.
+    u32::try_from(s)
+        .map_or(Timestamp { sec: u32::MAX, nsec: 999_999_999 }, |sec| Timestamp { sec, nsec: rest })
 }

@@ -10,7 +10,6 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use miette::{Diagnostic, LabeledSpan, NamedSource, SourceCode};
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
@@ -109,13 +108,13 @@ impl Source {
 
 /// A mistake in a file or a setting: the place, the text there, and the remedy.
 ///
-/// Displays as one line, `tasks/reach.toml:7: unknown key ...`; as a [`Diagnostic`] it also shows the line itself,
-/// underlined, and the help.
+/// Displays as one line, `tasks/reach.toml:7: unknown key ...`; [`excerpt`](Self::excerpt) and [`help`](Self::help) serve
+/// to show the line itself, underlined, and the remedy.
 pub struct FileError(Box<Inner>);
 
 struct Inner {
     path: String,
-    source: NamedSource<Arc<str>>,
+    text: Arc<str>,
     span: Option<Range<usize>>,
     line: Option<usize>,
     message: String,
@@ -126,8 +125,14 @@ impl FileError {
     /// An error of a file as a whole.
     pub fn of_file(path: impl Into<String>, message: impl Into<String>, help: Option<String>) -> Self {
         let path = path.into();
-        let source = NamedSource::new(&path, Arc::from(""));
-        Self(Box::new(Inner { path, source, span: None, line: None, message: message.into(), help }))
+        Self(Box::new(Inner {
+            path,
+            text: Arc::from(""),
+            span: None,
+            line: None,
+            message: message.into(),
+            help,
+        }))
     }
 
     /// An error at a line of a text (from 1) that is not TOML, or of the text as a whole.
@@ -146,8 +151,8 @@ impl FileError {
             Some(begin + indent..begin + text.trim_end().len())
         });
         let path = source.name.clone();
-        let named = NamedSource::new(&path, Arc::clone(&source.text));
-        Self(Box::new(Inner { path, source: named, span, line, message: message.into(), help }))
+        let text = Arc::clone(&source.text);
+        Self(Box::new(Inner { path, text, span, line, message: message.into(), help }))
     }
 
     /// An error detected after parsing, at a key: `"task.hand.cartesian.frame"`, or its segments where a key may hold
@@ -181,7 +186,7 @@ impl FileError {
         let line = 1 + text.as_bytes()[..start].iter().filter(|&&byte| byte == b'\n').count();
         let inner = Inner {
             path: name.to_owned(),
-            source: NamedSource::new(name, Arc::clone(text)),
+            text: Arc::clone(text),
             span: Some(start..span.end.clamp(start, text.len())),
             line: Some(line),
             message,
@@ -206,7 +211,7 @@ impl FileError {
         };
         let inner = Inner {
             path: "--set".to_owned(),
-            source: NamedSource::new("--set", Arc::from(setting.spelling.as_str())),
+            text: Arc::from(setting.spelling.as_str()),
             span: Some(span),
             line: None,
             message,
@@ -238,14 +243,20 @@ impl FileError {
     pub fn help(&self) -> Option<&str> {
         self.0.help.as_deref()
     }
+
+    /// Text in which the mistake stands and its bytes there; `None` for a file as a whole.
+    #[must_use]
+    pub fn excerpt(&self) -> Option<(&str, Range<usize>)> {
+        Some((&self.0.text, self.0.span.clone()?))
+    }
 }
 
 impl fmt::Display for FileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Inner { path, line, message, span, source, .. } = &*self.0;
+        let Inner { path, line, message, span, text, .. } = &*self.0;
         match (line, span) {
             (Some(line), _) => write!(f, "{path}:{line}: {message}"),
-            (None, Some(_)) => write!(f, "{path} {}: {message}", source.inner()),
+            (None, Some(_)) => write!(f, "{path} {text}: {message}"),
             (None, None) => write!(f, "{path}: {message}"),
         }
     }
@@ -258,21 +269,6 @@ impl fmt::Debug for FileError {
 }
 
 impl std::error::Error for FileError {}
-
-impl Diagnostic for FileError {
-    fn help(&self) -> Option<Box<dyn fmt::Display + '_>> {
-        self.0.help.as_ref().map(|help| Box::new(help) as Box<dyn fmt::Display>)
-    }
-
-    fn source_code(&self) -> Option<&dyn SourceCode> {
-        self.0.span.as_ref().map(|_| &self.0.source as &dyn SourceCode)
-    }
-
-    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
-        let span = self.0.span.clone()?;
-        Some(Box::new(std::iter::once(LabeledSpan::new_primary_with_span(None, span))))
-    }
-}
 
 /// Path of a key within nested tables.
 pub trait KeyPath {

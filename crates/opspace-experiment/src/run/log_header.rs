@@ -9,7 +9,6 @@ use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions
 use opspace_backend::World;
 use opspace_log::{Attachment, Header, LOG, Recording};
 use opspace_transformer::TransformerKind;
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -64,7 +63,7 @@ impl Experiment {
         let recordings = self.task().recordings.iter();
         files.extend(recordings.map(|(file, source)| (recording_file(file), "text/csv", source)));
         for (name, _, source) in &files {
-            entries.insert(format!("{name}.sha256"), hex(&Sha256::digest(source.text())));
+            entries.insert(format!("{name}.sha256"), hex(&hmac_sha256::Hash::hash(source.text().as_bytes())));
         }
         Header {
             metadata: vec![(RUN.to_owned(), entries)],

@@ -1,7 +1,6 @@
 //! Every signal of a run as one hash.
 
 use opspace_log::{ChannelData, Recording};
-use sha2::{Digest, Sha256};
 
 /// Signal with wall-clock time, which is not a result.
 const WALL_CLOCK: &str = "tick_time";
@@ -71,7 +70,7 @@ pub fn bits(number: f64) -> u64 {
 }
 
 fn of_numbers<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> String {
-    let mut hasher = Sha256::new();
+    let mut hasher = hmac_sha256::Hash::new();
     for number in numbers {
         hasher.update(bits(*number).to_le_bytes());
     }
