@@ -1,0 +1,41 @@
+//! Dependencies of the workspace: DESIGN.md gives a reason for each.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+/// First columns of the table's head in DESIGN.md.
+const HEAD: &str = "| crate | used by | why | what it would take to do without |";
+
+/// Compared: the dependencies in Cargo.toml, the workspace's own crates left out, and the rows of the table in DESIGN.md.
+#[test]
+fn every_dependency_has_a_row_in_the_table_of_reasons() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let read = |name: &str| fs::read_to_string(root.join(name)).expect("a file of the project");
+    let manifest: toml::Table = toml::from_str(&read("Cargo.toml")).expect("a manifest");
+    let dependencies = manifest["workspace"]["dependencies"].as_table().expect("a table");
+    let foreign = |value: &toml::Value| value.get("path").is_none();
+    let used: BTreeSet<String> =
+        dependencies.iter().filter(|(_, value)| foreign(value)).map(|(name, _)| name.clone()).collect();
+    let design = read("DESIGN.md");
+    let rows = rows(&design);
+    assert!(used.len() > 10 && rows.len() > 10, "{} dependencies, {} rows", used.len(), rows.len());
+    let listed: BTreeSet<String> = rows.iter().map(|cells| cells[0].to_owned()).collect();
+    assert_eq!(listed.len(), rows.len(), "a crate has two rows");
+    let missing: Vec<_> = used.difference(&listed).collect();
+    let stale: Vec<_> = listed.difference(&used).collect();
+    assert!(missing.is_empty(), "without a row in DESIGN.md: {missing:?}");
+    assert!(stale.is_empty(), "in DESIGN.md, but not in Cargo.toml: {stale:?}");
+    for cells in rows {
+        assert!(cells.len() == 4 && cells.iter().all(|cell| !cell.is_empty()), "an empty cell: {cells:?}");
+    }
+}
+
+/// Cells of the rows of the table.
+fn rows(design: &str) -> Vec<Vec<&str>> {
+    let table = design.lines().skip_while(|line| *line != HEAD).skip(2);
+    table
+        .take_while(|line| line.starts_with('|'))
+        .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
+        .collect()
+}

@@ -1,0 +1,58 @@
+//! Copies of the project's files in the crates' folders, from which packages are made.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// Compares two files byte by byte.
+fn assert_equal(copy: &Path, original: &Path) {
+    let read = |path: &Path| fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    assert!(read(copy) == read(original), "{} differs from {}", copy.display(), original.display());
+}
+
+/// Files of a folder and those below it.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut all = Vec::new();
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("a file").path();
+        if path.is_dir() { all.extend(files(&path)) } else { all.push(path) }
+    }
+    all
+}
+
+/// Compared: the files that `opspace-experiment` embeds, and those of the project.
+#[test]
+fn embedded_files_are_those_of_the_project() {
+    let embedded = root().join("crates/opspace-experiment/embedded");
+    let copies = files(&embedded);
+    assert!(copies.len() >= 7, "{copies:?}");
+    for copy in copies {
+        assert_equal(&copy, &root().join(copy.strip_prefix(&embedded).expect("within the folder")));
+    }
+}
+
+/// Compared: the robot of `opspace-model`'s documentation, and the project's.
+#[test]
+fn robot_of_the_documentation_is_that_of_the_project() {
+    assert_equal(&root().join("crates/opspace-model/urdf/ur5e.urdf"), &root().join("robots/ur5e/ur5e.urdf"));
+}
+
+/// Compared: each crate's licences, and the project's.
+#[test]
+fn licences_of_the_crates_are_those_of_the_project() {
+    let mut crates = 0;
+    for entry in fs::read_dir(root().join("crates")).expect("a folder") {
+        let folder = entry.expect("a crate").path();
+        if folder.ends_with("opspace-testing") {
+            continue;
+        }
+        crates += 1;
+        for licence in ["LICENSE-MIT", "LICENSE-APACHE"] {
+            assert_equal(&folder.join(licence), &root().join(licence));
+        }
+    }
+    assert!(crates >= 11, "only {crates} crates");
+}
