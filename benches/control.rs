@@ -122,7 +122,7 @@ fn states(
         for _ in 0..100 * STATES {
             let q: Vec<f64> = states.home.iter().map(|q| q + rng.random_range(-away..away)).collect();
             let dq: Vec<f64> = q.iter().map(|_| rng.random_range(-speed..speed)).collect();
-            if wanted(bench.weakest_share(&q, &dq), bench.controller.is_limited()) {
+            if wanted(bench.min_singular_gain(&q, &dq), bench.controller.is_limited()) {
                 states.q.push(q);
                 states.dq.push(dq);
             }
@@ -175,7 +175,7 @@ impl<'a> Bench<'a> {
         };
         let controller = OperationalSpaceController::new(model, &stack, &context).expect("a good stack");
         let signals = opspace_backend::Observable::signals(&controller);
-        let before = signals.iter().take_while(|s| s.name != "hand.weakest_share");
+        let before = signals.iter().take_while(|s| s.name != "hand.min_singular_gain");
         Self {
             model,
             data: Data::new(model),
@@ -204,9 +204,9 @@ impl<'a> Bench<'a> {
         self.controller.update(&input, &mut self.tau);
     }
 
-    fn weakest_share(&mut self, q: &[f64], dq: &[f64]) -> f64 {
+    fn min_singular_gain(&mut self, q: &[f64], dq: &[f64]) -> f64 {
         self.run(q, dq);
-        opspace_backend::Observable::sample(&self.controller, &mut opspace_backend::Row::new(&mut self.row));
+        opspace_backend::Observable::sample(&self.controller, &mut self.row);
         self.row[self.share]
     }
 
@@ -215,7 +215,7 @@ impl<'a> Bench<'a> {
         let (mut damped, mut limited) = (0, 0);
         self.start(&states.home);
         for (q, dq) in states.q.iter().zip(&states.dq) {
-            damped += usize::from(self.weakest_share(q, dq) < 1.0);
+            damped += usize::from(self.min_singular_gain(q, dq) < 1.0);
             limited += usize::from(self.controller.is_limited());
         }
         (damped as f64 / STATES as f64, limited as f64 / STATES as f64)

@@ -58,6 +58,7 @@ pub mod ground_truth;
 pub mod quantity;
 pub mod sample;
 pub mod signal;
+pub mod signal_names;
 pub mod sink;
 
 pub use backend::Backend;
@@ -69,8 +70,9 @@ pub use driver::{Driver, DriverError, Setting, Settings};
 pub use fault::DeviceFault;
 pub use ground_truth::{GroundTruth, TruthLayouts, TruthRow};
 pub use sample::{Sample, Status};
-pub use signal::{Layout, Observable, Row, Signal};
-pub use sink::{DEVICE_FAILED, EXTERNAL, SERVO, STOP_REQUESTED, Sink, TICK, TICK_TIME, TRUTH};
+pub use signal::{Layout, Observable, Signal, SignalName, SignalRecorder, Units};
+pub use signal_names::{DEVICE_FAILED, STOP_REQUESTED, TICK_TIME};
+pub use sink::{EXTERNAL, SERVO, Sink, TICK, TRUTH};
 
 /// Programs of the README, compiled and run as tests of the documentation.
 #[cfg(doctest)]

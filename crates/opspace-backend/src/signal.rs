@@ -1,8 +1,31 @@
 //! Signals: the named quantities of a run, sampled every cycle into one row of numbers.
 //!
-//! The layout of a row is fixed before the run, so that sampling only copies numbers.
+//! A part declares each of its signals once, as a line of a table: name, units, elements and values. The same lines
+//! describe the row before the run and fill it in each cycle, so that they cannot disagree:
+//!
+//! ```
+//! use opspace_backend::{Observable, Signal, SignalRecorder};
+//!
+//! struct Gripper {
+//!     name: String,
+//!     position_m: [f64; 2],
+//! }
+//!
+//! impl Observable for Gripper {
+//!     fn record(&self, out: &mut SignalRecorder<'_>) {
+//!         out.signal((&self.name, "position"), "m", &["left", "right"], &self.position_m);
+//!         out.scalar((&self.name, "closed"), "1", f64::from(u8::from(self.position_m == [0.0; 2])));
+//!     }
+//! }
+//!
+//! let gripper = Gripper { name: "gripper".to_owned(), position_m: [0.01, 0.02] };
+//! assert_eq!(gripper.signals()[0], Signal::new("gripper.position", "m", &["left", "right"]));
+//! let mut row = [0.0; 3];
+//! gripper.sample(&mut row);
+//! assert_eq!(row, [0.01, 0.02, 0.0]);
+//! ```
 
-use std::borrow::Cow;
+use std::fmt;
 use std::ops::Range;
 
 /// One named quantity of a row.
@@ -10,28 +33,28 @@ use std::ops::Range;
 pub struct Signal {
     /// Name, with the quantity's owner before a dot where it has one: `q`, `hand.position`.
     pub name: String,
-    /// SI unit (`rad`, `m`, `Nm`, `N`, `s`, `1`), mixed ones separated by a comma.
-    pub unit: Cow<'static, str>,
+    /// SI unit of each element (`rad`, `m`, `Nm`, `N`, `s`, `1`).
+    pub units: Vec<String>,
     /// Labels of the elements: joint names or axes; one label per element.
     pub elements: Vec<String>,
 }
 
 impl Signal {
     /// A signal with one element per label.
+    ///
+    /// # Panics
+    /// If units are listed, but not one per element.
     #[must_use]
-    pub fn new<S: AsRef<str>>(
-        name: impl Into<String>,
-        unit: impl Into<Cow<'static, str>>,
-        elements: &[S],
-    ) -> Self {
-        let elements = elements.iter().map(|e| e.as_ref().to_owned()).collect();
-        Self { name: name.into(), unit: unit.into(), elements }
+    pub fn new<S: AsRef<str>>(name: impl Into<String>, unit: &(impl Units + ?Sized), elements: &[S]) -> Self {
+        let (name, units) = (name.into(), unit.of_elements(elements.len()));
+        assert_eq!(units.len(), elements.len(), "signal {name}: one unit per element");
+        Self { name, units, elements: elements.iter().map(|e| e.as_ref().to_owned()).collect() }
     }
 
     /// A single number.
     #[must_use]
-    pub fn scalar(name: impl Into<String>, unit: impl Into<Cow<'static, str>>) -> Self {
-        Self::new(name, unit, &["value"])
+    pub fn scalar(name: impl Into<String>, unit: &str) -> Self {
+        Self::new(name, unit, &SCALAR)
     }
 
     /// Number of elements.
@@ -44,6 +67,84 @@ impl Signal {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.elements.is_empty()
+    }
+
+    /// Units as a text, separated by commas: one unit if all elements share it, one per block of elements if the text
+    /// is read as the same units again (see [`Units`]), else one per element.
+    #[must_use]
+    pub fn unit(&self) -> String {
+        let mut blocks = self.units.clone();
+        blocks.dedup();
+        let short = blocks.join(",");
+        if short.of_elements(self.len()) == self.units { short } else { self.units.join(",") }
+    }
+}
+
+/// Label of the element of a single number.
+const SCALAR: [&str; 1] = ["value"];
+
+/// SI units of the elements of a signal: a list of one per element, or a text.
+///
+/// The text is the unit of all elements, or units separated by commas. Each of those belongs to a block of equally many
+/// elements, and the last one to the remaining elements too: `N,Nm` for six elements is N for three and Nm for three.
+pub trait Units {
+    /// Unit of each of `count` elements.
+    fn of_elements(&self, count: usize) -> Vec<String>;
+}
+
+impl Units for str {
+    fn of_elements(&self, count: usize) -> Vec<String> {
+        let units: Vec<&str> = self.split(',').map(str::trim).collect();
+        let (last, block) = (units.len() - 1, (count / units.len()).max(1));
+        (0..count).map(|element| units[(element / block).min(last)].to_owned()).collect()
+    }
+}
+
+impl<S: AsRef<str>> Units for [S] {
+    fn of_elements(&self, _count: usize) -> Vec<String> {
+        self.iter().map(|unit| unit.as_ref().to_owned()).collect()
+    }
+}
+
+impl<S: AsRef<str>> Units for Vec<S> {
+    fn of_elements(&self, count: usize) -> Vec<String> {
+        self.as_slice().of_elements(count)
+    }
+}
+
+impl Units for String {
+    fn of_elements(&self, count: usize) -> Vec<String> {
+        self.as_str().of_elements(count)
+    }
+}
+
+/// Name of a signal: a quantity (`q`), or a quantity of an owner (`hand.position`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SignalName<'a> {
+    /// Task, force sensor or contact.
+    pub owner: Option<&'a str>,
+    /// Quantity.
+    pub quantity: &'a str,
+}
+
+impl<'a> From<&'a str> for SignalName<'a> {
+    fn from(quantity: &'a str) -> Self {
+        Self { owner: None, quantity }
+    }
+}
+
+impl<'a, S: AsRef<str> + ?Sized> From<(&'a S, &'a str)> for SignalName<'a> {
+    fn from((owner, quantity): (&'a S, &'a str)) -> Self {
+        Self { owner: Some(owner.as_ref()), quantity }
+    }
+}
+
+impl fmt::Display for SignalName<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.owner {
+            Some(owner) => write!(f, "{owner}.{}", self.quantity),
+            None => f.write_str(self.quantity),
+        }
     }
 }
 
@@ -60,71 +161,221 @@ impl Layout {
     /// Number of values in a row.
     #[must_use]
     pub fn width(&self) -> usize {
-        self.signals.iter().map(Signal::len).sum()
+        width(&self.signals)
     }
 
     /// Columns of a signal in a row; `None` if there is no signal of that name.
     #[must_use]
     pub fn columns(&self, signal: &str) -> Option<Range<usize>> {
         let place = self.signals.iter().position(|known| known.name == signal)?;
-        let start = self.signals[..place].iter().map(Signal::len).sum();
+        let start = width(&self.signals[..place]);
         Some(start..start + self.signals[place].len())
     }
 }
 
-/// A row being filled: values are put in the order of the signals.
-#[derive(Debug)]
-pub struct Row<'a> {
-    free: &'a mut [f64],
+fn width(signals: &[Signal]) -> usize {
+    signals.iter().map(Signal::len).sum()
 }
 
-impl<'a> Row<'a> {
-    /// An empty row on top of `slots`.
+/// A pass over signals. Before the run it describes them; in each cycle it samples their values into a row, and
+/// allocates and formats nothing.
+#[derive(Debug)]
+pub struct SignalRecorder<'a> {
+    pass: Pass<'a>,
+    recorded: usize,
+}
+
+#[derive(Debug)]
+enum Pass<'a> {
+    Describe(Vec<Signal>),
+    /// The values still to be filled.
+    Sample(&'a mut [f64]),
+}
+
+impl<'a> SignalRecorder<'a> {
+    /// Describes the signals that `record` records.
     #[must_use]
-    pub fn new(slots: &'a mut [f64]) -> Self {
-        Self { free: slots }
-    }
-
-    /// Puts the next values.
-    ///
-    /// # Panics
-    /// If the row is full: the values put don't match the signals described.
-    pub fn put(&mut self, values: &[f64]) {
-        let (now, later) = std::mem::take(&mut self.free).split_at_mut(values.len());
-        now.copy_from_slice(values);
-        self.free = later;
-    }
-
-    /// Puts one value.
-    ///
-    /// # Panics
-    /// As [`put`](Self::put).
-    pub fn put_one(&mut self, value: f64) {
-        self.put(&[value]);
-    }
-
-    /// Puts NaN in place of `count` values that are left out.
-    ///
-    /// # Panics
-    /// As [`put`](Self::put).
-    pub fn skip(&mut self, count: usize) {
-        for _ in 0..count {
-            self.put_one(f64::NAN);
+    pub fn describe(record: impl FnOnce(&mut SignalRecorder<'_>)) -> Vec<Signal> {
+        let mut recorder = SignalRecorder { pass: Pass::Describe(Vec::new()), recorded: 0 };
+        record(&mut recorder);
+        match recorder.pass {
+            Pass::Describe(signals) => signals,
+            Pass::Sample(_) => Vec::new(),
         }
     }
 
-    /// Number of values still to be put.
+    /// A recorder that fills a row, from its first value on.
     #[must_use]
-    pub fn remaining(&self) -> usize {
-        self.free.len()
+    pub fn sampling(row: &'a mut [f64]) -> Self {
+        Self { pass: Pass::Sample(row), recorded: 0 }
     }
+
+    /// Records a signal: one value per element; no values stand for NaN.
+    ///
+    /// # Panics
+    /// If there are values, but not one per element; if the row is full.
+    #[inline]
+    pub fn signal<'n, S: AsRef<str>>(
+        &mut self,
+        name: impl Into<SignalName<'n>>,
+        unit: &(impl Units + ?Sized),
+        elements: &[S],
+        values: &[f64],
+    ) {
+        self.recorded += elements.len();
+        match &mut self.pass {
+            Pass::Describe(signals) => {
+                let signal = Signal::new(name.into().to_string(), unit, elements);
+                describe(signals, signal, values);
+            }
+            Pass::Sample(free) => fill(free, elements.len(), values),
+        }
+    }
+
+    /// Records a single number.
+    ///
+    /// # Panics
+    /// If the row is full.
+    #[inline]
+    pub fn scalar<'n>(&mut self, name: impl Into<SignalName<'n>>, unit: &str, value: f64) {
+        self.signal(name, unit, &SCALAR, &[value]);
+    }
+
+    /// Records a signal whose description takes an allocation: `signal` is called before the run alone.
+    ///
+    /// # Panics
+    /// If the number of values differs from the number of elements; if the row is full.
+    #[inline]
+    pub fn signal_with(&mut self, signal: impl FnOnce() -> Signal, values: &[f64]) {
+        self.recorded += values.len();
+        match &mut self.pass {
+            Pass::Describe(signals) => describe(signals, signal(), values),
+            Pass::Sample(free) => fill(free, values.len(), values),
+        }
+    }
+
+    /// Records signals that are described already: all their values in one piece; no values stand for NaN.
+    ///
+    /// # Panics
+    /// If there are values, but not one per element; if the row is full.
+    pub fn block(&mut self, known: &[Signal], values: &[f64]) {
+        self.recorded += width(known);
+        match &mut self.pass {
+            Pass::Describe(signals) => signals.extend_from_slice(known),
+            Pass::Sample(free) => fill(free, width(known), values),
+        }
+    }
+
+    /// Number of elements recorded.
+    #[must_use]
+    pub fn recorded(&self) -> usize {
+        self.recorded
+    }
+}
+
+fn describe(signals: &mut Vec<Signal>, signal: Signal, values: &[f64]) {
+    let matches = values.is_empty() || values.len() == signal.len();
+    assert!(matches, "signal {}: {} values for {} elements", signal.name, values.len(), signal.len());
+    signals.push(signal);
+}
+
+/// Fills the next `count` values.
+#[inline]
+fn fill(free: &mut &mut [f64], count: usize, values: &[f64]) {
+    let (now, later) = std::mem::take(free).split_at_mut(count);
+    if values.is_empty() {
+        now.fill(f64::NAN);
+    } else {
+        now.copy_from_slice(values);
+    }
+    *free = later;
 }
 
 /// A part whose signals can be recorded.
 pub trait Observable {
-    /// Signals whose values [`sample`](Self::sample) puts, in its order. Called once, before the run.
-    fn signals(&self) -> Vec<Signal>;
+    /// Records the signals, always the same ones in the same order. Allocates nothing where the values are sampled.
+    fn record(&self, out: &mut SignalRecorder<'_>);
 
-    /// Puts the values of this cycle. Allocates nothing.
-    fn sample(&self, row: &mut Row<'_>);
+    /// Signals that are recorded. Called before the run.
+    fn signals(&self) -> Vec<Signal> {
+        SignalRecorder::describe(|out| self.record(out))
+    }
+
+    /// Samples the values of this cycle into a row. Allocates nothing.
+    ///
+    /// # Panics
+    /// If the row has fewer values than the signals.
+    fn sample(&self, row: &mut [f64]) {
+        let width = row.len();
+        let mut out = SignalRecorder::sampling(row);
+        self.record(&mut out);
+        debug_assert_eq!(out.recorded(), width, "every value of the row is recorded");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AXES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
+
+    /// Compared: units of a text, and the same units written out by hand.
+    #[test]
+    fn units_of_a_text_belong_to_blocks_of_elements() {
+        let units = |text: &str, count| text.of_elements(count).join(" ");
+        assert_eq!(units("rad", 3), "rad rad rad");
+        assert_eq!(units("N,Nm", 6), "N N N Nm Nm Nm");
+        assert_eq!(units("m,1", 7), "m m m 1 1 1 1");
+        assert_eq!(units("rad,m,rad", 3), "rad m rad");
+        assert_eq!(units("N,Nm", 1), "N");
+        assert_eq!(units("rad", 0), "");
+    }
+
+    /// Compared: a signal, and the one that is made of its unit's text.
+    #[test]
+    fn unit_text_keeps_the_unit_of_each_element() {
+        let cases = [
+            (vec!["rad"; 6], "rad"),
+            (vec!["m", "m", "m", "rad", "rad", "rad"], "m,rad"),
+            (vec!["rad", "m", "rad", "rad", "rad", "rad"], "rad,m,rad,rad,rad,rad"),
+            (vec!["m", "rad", "rad", "rad", "rad", "rad"], "m,rad,rad,rad,rad,rad"),
+        ];
+        for (units, text) in cases {
+            let signal = Signal::new("s", &units, &AXES);
+            assert_eq!(signal.unit(), text);
+            assert_eq!(Signal::new("s", text, &AXES), signal);
+        }
+    }
+
+    struct Part;
+
+    impl Observable for Part {
+        fn record(&self, out: &mut SignalRecorder<'_>) {
+            out.scalar("count", "1", 4.0);
+            out.signal(("hand", "error"), "m,rad", &AXES, &[]);
+            out.signal_with(|| Signal::new("late", "N", &["a", "b"]), &[1.0, 2.0]);
+            out.block(&[Signal::scalar("known", "s")], &[3.0]);
+        }
+    }
+
+    /// Compared: the row, and values by hand; the width that is described, and the number recorded.
+    #[test]
+    fn row_has_the_values_in_the_order_of_the_signals() {
+        let layout = Layout { channel: "c".to_owned(), signals: Part.signals() };
+        let names: Vec<&str> = layout.signals.iter().map(|signal| signal.name.as_str()).collect();
+        assert_eq!(names, ["count", "hand.error", "late", "known"]);
+        let mut row = vec![0.0; layout.width()];
+        let mut out = SignalRecorder::sampling(&mut row);
+        Part.record(&mut out);
+        assert_eq!(out.recorded(), layout.width());
+        assert!(row[1..7].iter().all(|value| value.is_nan()), "{row:?}");
+        assert_eq!((row[0], &row[7..]), (4.0, &[1.0, 2.0, 3.0][..]));
+    }
+
+    /// Compared: the number of values with the number of elements, before any row.
+    #[test]
+    #[should_panic(expected = "signal q: 1 values for 2 elements")]
+    fn description_refuses_a_wrong_number_of_values() {
+        let _ = SignalRecorder::describe(|out| out.signal("q", "rad", &["a", "b"], &[1.0]));
+    }
 }

@@ -9,13 +9,6 @@ pub const SERVO: usize = 2;
 /// Channel number of the external forces put into a simulation: one per interface cycle.
 pub const EXTERNAL: usize = 3;
 
-/// Signal of [`TICK`]: wall-clock duration of a step, ns. It differs from run to run.
-pub const TICK_TIME: &str = "tick_time";
-/// Signal of [`TICK`]: 1 in the cycle in which a stop was asked for.
-pub const STOP_REQUESTED: &str = "stop_requested";
-/// Signal of [`TICK`]: 1 in the row of a device fault, which came in place of a sample.
-pub const DEVICE_FAILED: &str = "device_failed";
-
 /// A receiver of rows: a log, a live view, or a comparison.
 pub trait Sink {
     /// Takes a row of a channel at `time_s` (s, the robot's clock). Must not allocate, lock or format.

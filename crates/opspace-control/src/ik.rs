@@ -22,8 +22,8 @@ use crate::hierarchy::task_set::TaskSet;
 use crate::targets::Targets;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
-use opspace_backend::{Observable, Row, Signal};
-use opspace_model::{Data, Model, gravity, kinematics};
+use opspace_backend::{Observable, SignalRecorder};
+use opspace_model::{Data, JointUnits, Model, gravity, kinematics};
 use std::fmt;
 
 /// Gain with which the error of a reference decays, 1/s.
@@ -53,7 +53,8 @@ pub struct InverseKinematicsController {
     scratch: DVector<f64>,
     /// Joint positions streamed last, rad or m (n).
     streamed: DVector<f64>,
-    own_signals: Vec<Signal>,
+    joint_names: Vec<String>,
+    units: JointUnits,
 }
 
 impl InverseKinematicsController {
@@ -94,8 +95,6 @@ impl InverseKinematicsController {
         }
         let mut data = Data::new(model);
         data.mass_matrix_factor.set_identity();
-        let joints: Vec<&str> = model.joints().iter().map(|j| j.name.as_str()).collect();
-        let own_signals = vec![Signal::new("ik.q", "rad", &joints), Signal::new("ik.dq", "rad/s", &joints)];
         Ok(Self {
             schedule: TaskSchedule::new(tasks, RecordedSignals::Motion),
             context: context.clone(),
@@ -105,7 +104,8 @@ impl InverseKinematicsController {
             dq: DVector::zeros(n),
             scratch: DVector::zeros(n),
             streamed: DVector::zeros(n),
-            own_signals,
+            joint_names: model.joints().iter().map(|joint| joint.name.clone()).collect(),
+            units: model.joint_units(),
         })
     }
 
@@ -259,16 +259,10 @@ impl Controller for InverseKinematicsController {
 }
 
 impl Observable for InverseKinematicsController {
-    fn signals(&self) -> Vec<Signal> {
-        let mut signals = self.schedule.signals();
-        signals.extend(self.own_signals.iter().cloned());
-        signals
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
-        self.schedule.sample(row);
-        row.put(self.q.as_slice());
-        row.put(self.dq.as_slice());
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        self.schedule.record(out);
+        out.signal("ik.q", &self.units.position, &self.joint_names, self.q.as_slice());
+        out.signal("ik.dq", &self.units.velocity, &self.joint_names, self.dq.as_slice());
     }
 }
 

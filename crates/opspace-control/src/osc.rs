@@ -22,7 +22,7 @@ use crate::qp::lexicographic::Solver;
 use crate::targets::Targets;
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
-use opspace_backend::{Observable, Row, Signal};
+use opspace_backend::{Observable, SignalRecorder};
 use opspace_model::{Data, Model};
 
 /// Tasks to torques.
@@ -276,18 +276,10 @@ impl Controller for OperationalSpaceController {
 }
 
 impl Observable for OperationalSpaceController {
-    fn signals(&self) -> Vec<Signal> {
-        let mut signals = self.schedule.signals();
-        if self.limiter.is_some() {
-            signals.extend(Limiter::signals(&self.joint_names));
-        }
-        signals
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
-        self.schedule.sample(row);
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        self.schedule.record(out);
         if let Some(limiter) = &self.limiter {
-            limiter.sample(row);
+            limiter.record(&self.joint_names, out);
         }
     }
 }

@@ -5,7 +5,11 @@
 use crate::error::LogError;
 use crate::outcome::OutcomeRecord;
 use crate::recording::{ChannelData, Column, Recording};
-use opspace_backend::{Capabilities, DEVICE_FAILED, DeviceFault, Layout, STOP_REQUESTED, Sample, Status};
+use opspace_backend::signal_names::{
+    self, DEVICE_FAILED, DEVICE_LIMITED, DQ_MEASURED, JOINT_TORQUE, MOTOR_TORQUE, Q, RAW, STATUS,
+    STOP_REQUESTED,
+};
+use opspace_backend::{Capabilities, DeviceFault, Layout, Sample, Status};
 
 /// Logged inputs of a run, row by row.
 pub struct LoggedInputs<'a> {
@@ -57,18 +61,20 @@ impl<'a> LoggedInputs<'a> {
         };
         let n = capabilities.joints.len();
         let optional = |measured: bool, name| measured.then(|| signal(name, n)).transpose();
-        let status = || Ok::<_, LogError>([signal("status", 1)?, signal("device_limited", 1)?]);
+        let status = || Ok::<_, LogError>([signal(STATUS, 1)?, signal(DEVICE_LIMITED, 1)?]);
         let sensors = capabilities.force_sensors.iter();
         let columns = Columns {
             tick,
             stop_requested: signal(STOP_REQUESTED, 1)?,
             device_failed: signal(DEVICE_FAILED, 1)?,
-            q: signal("q", n)?,
-            dq: optional(capabilities.measures_velocity, "dq_measured")?,
-            motor_torque: optional(capabilities.measures_motor_torque, "motor_torque")?,
-            joint_torque: optional(capabilities.measures_joint_torque, "joint_torque")?,
+            q: signal(Q, n)?,
+            dq: optional(capabilities.measures_velocity, DQ_MEASURED)?,
+            motor_torque: optional(capabilities.measures_motor_torque, MOTOR_TORQUE)?,
+            joint_torque: optional(capabilities.measures_joint_torque, JOINT_TORQUE)?,
             status: capabilities.reports_status.then(status).transpose()?,
-            wrenches: sensors.map(|s| signal(&format!("{}.raw", s.name), 6)).collect::<Result<_, _>>()?,
+            wrenches: sensors
+                .map(|s| signal(&signal_names::of(&s.name, RAW), 6))
+                .collect::<Result<_, _>>()?,
         };
         let signals = targets.signals.iter();
         let device_fault = OutcomeRecord::of(recording).device_fault;

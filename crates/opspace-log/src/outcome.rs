@@ -2,6 +2,7 @@
 
 use crate::recording::Recording;
 use opspace_backend::DeviceFault;
+use opspace_backend::signal_names::FAULT;
 use std::collections::BTreeMap;
 
 /// Name of the metadata record of the outcome.
@@ -42,7 +43,7 @@ impl OutcomeRecord {
     }
 
     fn of_last_row(recording: &Recording) -> Self {
-        let fault = recording.channel("tick").and_then(|tick| tick.signal("fault"));
+        let fault = recording.channel("tick").and_then(|tick| tick.signal(FAULT));
         let code = fault.and_then(|fault| fault.rows().last()).map_or(0.0, |row| row[0]);
         let words = format!("fault {code}; the log was cut short before its cause");
         Self { fault: (code != 0.0).then_some(words), ..Self::default() }

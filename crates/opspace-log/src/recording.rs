@@ -182,10 +182,16 @@ impl<'a> Column<'a> {
         &self.signal.elements
     }
 
-    /// SI unit.
+    /// SI unit of each element.
     #[must_use]
-    pub fn unit(&self) -> &'a str {
-        &self.signal.unit
+    pub fn units(&self) -> &'a [String] {
+        &self.signal.units
+    }
+
+    /// SI unit, as [`Signal::unit`].
+    #[must_use]
+    pub fn unit(&self) -> String {
+        self.signal.unit()
     }
 }
 

@@ -91,7 +91,7 @@ fn pascal_case(name: &str) -> String {
 /// Metadata of a channel: the layout, so that it is restored exactly.
 pub(crate) fn channel_metadata(layout: &Layout) -> BTreeMap<String, String> {
     let fields = field_names(layout);
-    let signal = |(s, field): (&Signal, String)| json!({ "name": s.name, "unit": s.unit, "field": field, "elements": s.elements });
+    let signal = |(s, field): (&Signal, String)| json!({ "name": s.name, "unit": s.unit(), "field": field, "elements": s.elements });
     let signals: Vec<Value> = layout.signals.iter().zip(fields).map(signal).collect();
     let text = json!({ "channel": layout.channel, "signals": signals }).to_string();
     BTreeMap::from([(LAYOUT.to_owned(), text)])
@@ -109,12 +109,8 @@ pub(crate) fn layout(metadata: &BTreeMap<String, String>) -> Option<Result<Layou
 }
 
 fn signal(value: &Value) -> Option<Signal> {
-    let elements = value["elements"].as_array()?;
-    Some(Signal {
-        name: value["name"].as_str()?.to_owned(),
-        unit: value["unit"].as_str()?.to_owned().into(),
-        elements: elements.iter().map(|e| e.as_str().map(str::to_owned)).collect::<Option<_>>()?,
-    })
+    let elements = value["elements"].as_array()?.iter().map(Value::as_str).collect::<Option<Vec<_>>>()?;
+    Some(Signal::new(value["name"].as_str()?, value["unit"].as_str()?, &elements))
 }
 
 /// Appends the message of a row to `out`.
@@ -173,7 +169,7 @@ mod tests {
         let names = ["hand.position", "hand_position", "handPosition", "t", "τ", "2nd", ""];
         Layout {
             channel: "servo.left-arm".to_owned(),
-            signals: names.iter().map(|&n| Signal::new(n, "m, rad", &["x", "y"])).collect(),
+            signals: names.iter().map(|&n| Signal::new(n, "m,rad", &["x", "y"])).collect(),
         }
     }
 

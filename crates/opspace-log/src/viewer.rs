@@ -6,6 +6,7 @@ use crate::foxglove::{FrameTransform, FrameTransforms, JointState, JointStates, 
 use crate::header::TIME_ZERO_NS;
 use nalgebra::{Rotation3, UnitQuaternion};
 use opspace_backend::Layout;
+use opspace_backend::signal_names::{DQ, MOTOR_TORQUE, Q};
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
 use std::ops::Range;
 use std::sync::Arc;
@@ -45,19 +46,19 @@ impl Viewer {
         let Some(channel) = layouts.iter().position(|l| l.channel == TICK) else {
             return Ok(None);
         };
-        let Some(q) = layouts[channel].columns("q") else {
+        let Some(q) = layouts[channel].columns(Q) else {
             return Ok(None);
         };
         let alike = |name| layouts[channel].columns(name).filter(|c| c.len() == q.len());
-        let names = layouts[channel].signals.iter().find(|s| s.name == "q").map(|s| &s.elements);
+        let names = layouts[channel].signals.iter().find(|s| s.name == Q).map(|s| &s.elements);
         let joint = |name: &String| JointState { name: name.clone(), ..JointState::default() };
         let joints = names.into_iter().flatten().map(joint).collect();
         Ok(Some(Self {
             channel,
             joints: JointStates { joints, ..JointStates::default() },
             bodies: model.map(|m| Bodies::new(m, q.len())).transpose()?,
-            dq: alike("dq"),
-            effort: alike("motor_torque"),
+            dq: alike(DQ),
+            effort: alike(MOTOR_TORQUE),
             q,
             last_ns: None,
         }))

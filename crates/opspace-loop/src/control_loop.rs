@@ -27,12 +27,13 @@ use crate::loop_config::{LoopConfig, LoopError};
 use crate::phase::{Phase, Standstill};
 use crate::state_estimator::StateEstimator;
 use nalgebra::DVector;
+use opspace_backend::signal_names::{COMMAND, FAULT, PHASE, TORQUE_DESIRED, TORQUE_SATURATED};
 use opspace_backend::{
-    Capabilities, Command, CommandKind, DeviceFault, GravityCompensation, Layout, Observable, Row, Sample,
-    Signal,
+    Capabilities, Command, CommandKind, DeviceFault, GravityCompensation, Layout, Observable, Sample,
+    SignalRecorder,
 };
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
-use opspace_model::{Data, Model};
+use opspace_model::{Data, JointUnits, Model};
 use opspace_transformer::{FrictionCompensation, Transformer};
 
 /// The result of a cycle.
@@ -56,6 +57,7 @@ pub struct Step<'a> {
 pub struct ControlLoop {
     state: State,
     capabilities: Capabilities,
+    units: JointUnits,
     controller: Box<dyn Controller>,
     transformer: Box<dyn Transformer>,
     guard: Option<Guard>,
@@ -129,8 +131,7 @@ impl ControlLoop {
             &safety.watchdog,
             period_s,
         );
-        let layout = layout(&capabilities, &estimator, &*controller, guard.as_ref());
-        Ok(Self {
+        let mut new = Self {
             standstill: Standstill::new(n, period_s, safety.max_dropout_s.get()),
             ramp_s: safety.torque_ramp_s.get(),
             rest_cycles: (safety.tare_s.get() / period_s).round() as u64,
@@ -139,8 +140,9 @@ impl ControlLoop {
             held: false,
             ramp_from_s: 0.0,
             fault: None,
-            row: vec![0.0; layout.width()],
-            layout,
+            row: Vec::new(),
+            layout: Layout { channel: "tick".to_owned(), signals: Vec::new() },
+            units: model.joint_units(),
             state: State { data: Data::new(&model), estimator, feedforward_torque: DVector::zeros(n), model },
             command: nan.clone(),
             torque_desired: nan,
@@ -152,7 +154,10 @@ impl ControlLoop {
             controller,
             transformer,
             guard,
-        })
+        };
+        new.layout.signals = new.signals();
+        new.row = vec![0.0; new.layout.width()];
+        Ok(new)
     }
 
     /// Computes one cycle. Targets are those in force now ([`targets`](Self::targets)). Allocates nothing.
@@ -220,6 +225,11 @@ impl ControlLoop {
     #[must_use]
     pub fn model(&self) -> &Model {
         &self.state.model
+    }
+
+    /// Units of the joints' quantities.
+    pub(crate) fn units(&self) -> &JointUnits {
+        &self.units
     }
 
     /// Targets for this loop's tasks, all as configured.
@@ -455,36 +465,31 @@ impl ControlLoop {
     }
 
     fn fill_row(&mut self) {
-        let mut row = Row::new(&mut self.row);
-        row.put_one(self.phase.code());
-        row.put_one(self.fault.as_ref().map_or(0.0, |fault| f64::from(fault.code())));
-        self.state.estimator.sample_row(&mut row);
-        row.put(self.command.as_slice());
-        row.put(self.torque_desired.as_slice());
-        row.put(self.saturated.as_slice());
-        if let Some(guard) = &self.guard {
-            guard.sample(&mut row);
-        }
-        self.controller.sample(&mut row);
-        debug_assert_eq!(row.remaining(), 0, "signals and samples must agree");
+        let mut row = std::mem::take(&mut self.row);
+        self.sample(&mut row);
+        self.row = row;
     }
 }
 
-fn layout(
-    capabilities: &Capabilities,
-    estimator: &StateEstimator,
-    controller: &dyn Controller,
-    guard: Option<&Guard>,
-) -> Layout {
-    let joints = &capabilities.joints;
-    let mut signals = vec![Signal::scalar("phase", "1"), Signal::scalar("fault", "1")];
-    signals.extend(estimator.signals());
-    signals.push(Signal::new("command", controller.command_kind().unit(), joints));
-    signals.push(Signal::new("torque_desired", "Nm", joints));
-    signals.push(Signal::new("torque_saturated", "1", joints));
-    signals.extend(guard.into_iter().flat_map(Guard::signals));
-    signals.extend(controller.signals());
-    Layout { channel: "tick".to_owned(), signals }
+impl Observable for ControlLoop {
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        let (joints, units) = (&self.capabilities.joints, &self.units);
+        let command_units = match self.controller.command_kind() {
+            CommandKind::Torque => &units.torque,
+            CommandKind::Velocity => &units.velocity,
+            CommandKind::Position => &units.position,
+        };
+        out.scalar(PHASE, "1", self.phase.code());
+        out.scalar(FAULT, "1", self.fault.as_ref().map_or(0.0, |fault| f64::from(fault.code())));
+        self.state.estimator.record(out);
+        out.signal(COMMAND, command_units, joints, self.command.as_slice());
+        out.signal(TORQUE_DESIRED, &units.torque, joints, self.torque_desired.as_slice());
+        out.signal(TORQUE_SATURATED, "1", joints, self.saturated.as_slice());
+        if let Some(guard) = &self.guard {
+            guard.record(out);
+        }
+        self.controller.record(out);
+    }
 }
 
 /// Checks that the command of every joint is a finite number.

@@ -6,15 +6,19 @@
 use crate::fault::Fault;
 use crate::watchdog::{Watchdog, WatchdogParameters};
 use nalgebra::DVector;
-use opspace_backend::{CommandKind, Observable, Row, Signal};
+use opspace_backend::signal_names::{
+    DQ_DESIRED, Q_DESIRED, SETPOINT_ACCELERATION, SETPOINT_CLAMPED, SETPOINT_SPEED,
+};
+use opspace_backend::{CommandKind, Observable, SignalRecorder};
 use opspace_control::Measurement;
-use opspace_model::Model;
+use opspace_model::{JointUnits, Model};
 use opspace_transformer::ServoGains;
 
 /// Guard of the setpoints of a position or velocity robot.
 pub(crate) struct Guard {
     kind: CommandKind,
     joints: Vec<String>,
+    units: JointUnits,
     /// Largest distance of a setpoint from the measured position or velocity, by joint.
     reach: DVector<f64>,
     /// Largest motion of a joint within a period at full speed.
@@ -60,6 +64,7 @@ impl Guard {
         Some(Self {
             kind,
             joints: model.joints().iter().map(|j| j.name.clone()).collect(),
+            units: model.joint_units(),
             reach: DVector::from_fn(n, |i, _| reach(&gains[i], torque_limits[i], speeds[i])),
             step: DVector::from_fn(n, |i, _| speeds[i] * period_s),
             period_s,
@@ -205,21 +210,16 @@ fn measured(kind: CommandKind, measurement: &Measurement) -> &DVector<f64> {
 }
 
 impl Observable for Guard {
-    fn signals(&self) -> Vec<Signal> {
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        let Self { joints, units, .. } = self;
         let [(setpoint, unit), (rate, rate_unit)] = match self.kind {
-            CommandKind::Velocity => [("dq_desired", "rad/s"), ("setpoint_acceleration", "rad/s^2")],
-            _ => [("q_desired", "rad"), ("setpoint_speed", "rad/s")],
+            CommandKind::Velocity => {
+                [(DQ_DESIRED, &units.velocity), (SETPOINT_ACCELERATION, &units.acceleration)]
+            }
+            _ => [(Q_DESIRED, &units.position), (SETPOINT_SPEED, &units.velocity)],
         };
-        vec![
-            Signal::new(setpoint, unit, &self.joints),
-            Signal::new(rate, rate_unit, &self.joints),
-            Signal::new("setpoint_clamped", "1", &self.joints),
-        ]
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
-        row.put(self.setpoint.as_slice());
-        row.put(self.rate.as_slice());
-        row.put(self.clamped.as_slice());
+        out.signal(setpoint, unit, joints, self.setpoint.as_slice());
+        out.signal(rate, rate_unit, joints, self.rate.as_slice());
+        out.signal(SETPOINT_CLAMPED, "1", joints, self.clamped.as_slice());
     }
 }

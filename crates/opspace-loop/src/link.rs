@@ -7,6 +7,7 @@
 use crate::phase::Phase;
 use crate::timeline::Timeline;
 use opspace_backend::Layout;
+use opspace_backend::signal_names::PHASE;
 use opspace_control::{InputHandle, TargetError, Targets, TaskHandle};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -85,7 +86,7 @@ impl Link {
             to,
             task,
             copies: found,
-            phase: columns(row, "phase")?.start,
+            phase: columns(row, PHASE)?.start,
             channel: Channel::new(timeline, parameters, width)?,
             values: vec![0.0; width],
         })

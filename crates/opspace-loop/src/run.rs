@@ -6,9 +6,10 @@ use crate::control_loop::ControlLoop;
 use crate::fault::Fault;
 use crate::phase::Phase;
 use crate::target_stream::TargetReceiver;
+use opspace_backend::signal_names::TORQUE_DESIRED;
 use opspace_backend::{
-    Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, Row, SERVO, STOP_REQUESTED, Sample,
-    Signal, Sink, TICK, TICK_TIME, TRUTH, TruthLayouts, TruthRow,
+    Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, SERVO, STOP_REQUESTED, Sample,
+    Signal, SignalRecorder, Sink, TICK, TICK_TIME, TRUTH, TruthLayouts, TruthRow,
 };
 use opspace_control::Targets;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -51,6 +52,7 @@ pub struct Run<'a> {
     history: History,
     row: Vec<f64>,
     servo_row: Vec<f64>,
+    servo_signals: Vec<Signal>,
 }
 
 impl<'a> Run<'a> {
@@ -63,6 +65,7 @@ impl<'a> Run<'a> {
         Self {
             row: vec![0.0; tick_layout(&control).width()],
             servo_row: Vec::new(),
+            servo_signals: Vec::new(),
             history: History::new(control.model().n()),
             duration_cycles: cycles(duration_s),
             aftermath_cycles: cycles(AFTERMATH_S),
@@ -88,7 +91,8 @@ impl<'a> Run<'a> {
         let mut layouts = vec![tick_layout(control)];
         if let Some(truth) = truth {
             let TruthLayouts { truth, mut servo, external, .. } = truth;
-            servo.signals.insert(0, Signal::new("torque_desired", "Nm", &control.capabilities().joints));
+            servo.signals =
+                SignalRecorder::describe(|out| record_servo(control, &servo.signals, &[], &[], out));
             layouts.extend([truth, servo]);
             layouts.extend(external);
         }
@@ -98,7 +102,9 @@ impl<'a> Run<'a> {
     /// Makes room for the rows of a simulation. Called once, before its first cycle.
     pub fn prepare_truth(&mut self, truth: &dyn GroundTruth) {
         let n = self.control.model().n();
-        self.servo_row = vec![0.0; n + truth.layouts().servo.width()];
+        let servo = truth.layouts().servo;
+        self.servo_row = vec![0.0; n + servo.width()];
+        self.servo_signals = servo.signals;
     }
 
     /// The targets that the next cycle uses.
@@ -198,15 +204,13 @@ impl<'a> Run<'a> {
     /// Records the rows of a simulation that came with the last read, with the torque that was desired when the command
     /// in force was given.
     pub fn record_truth(&mut self, truth: &dyn GroundTruth) {
-        let Self { sink, history, servo_row, .. } = self;
+        let Self { control, sink, history, servo_signals, servo_row, .. } = self;
         truth.visit(&mut |row| match row {
             TruthRow::State { time_s, row } => sink.row(TRUTH, time_s, row),
             TruthRow::External { time_s, row } => sink.row(EXTERNAL, time_s, row),
             TruthRow::Servo { time_s, command, row } => {
                 let torque = history.get(command);
-                let mut full = Row::new(servo_row);
-                full.put(torque);
-                full.put(row);
+                record_servo(control, servo_signals, torque, row, &mut SignalRecorder::sampling(servo_row));
                 sink.row(SERVO, time_s, servo_row);
             }
             _ => {}
@@ -263,10 +267,8 @@ impl<'a> Run<'a> {
 
     /// Records a row that begins with the run's own signals.
     fn record(&mut self, own: [f64; 3]) {
-        let mut row = Row::new(&mut self.row);
-        row.put(&own);
-        row.put(self.control.row());
-        row.put(self.targets.row());
+        let mut out = SignalRecorder::sampling(&mut self.row);
+        record_tick(&self.control, &self.targets, own, &mut out);
         self.sink.row(TICK, self.control.clock_s(), &self.row);
         self.recorded = true;
     }
@@ -276,13 +278,32 @@ fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
-/// Layout of the row of a cycle: the run's own signals, then the loop's row, then its targets.
+/// Records the row of a cycle: the run's own signals, then the loop's row, then its targets.
+fn record_tick(control: &ControlLoop, targets: &Targets, own: [f64; 3], out: &mut SignalRecorder<'_>) {
+    let [tick_time_ns, stop_requested, device_failed] = own;
+    out.scalar(TICK_TIME, "ns", tick_time_ns);
+    out.scalar(STOP_REQUESTED, "1", stop_requested);
+    out.scalar(DEVICE_FAILED, "1", device_failed);
+    out.block(&control.layout().signals, control.row());
+    out.block(&targets.layout().signals, targets.row());
+}
+
 fn tick_layout(control: &ControlLoop) -> Layout {
-    let own = [(TICK_TIME, "ns"), (STOP_REQUESTED, "1"), (DEVICE_FAILED, "1")];
-    let mut signals: Vec<Signal> = own.map(|(name, unit)| Signal::scalar(name, unit)).into();
-    signals.extend(control.layout().signals.iter().cloned());
-    signals.extend(control.targets().layout().signals.iter().cloned());
-    Layout { channel: control.layout().channel.clone(), signals }
+    let record = |out: &mut SignalRecorder<'_>| record_tick(control, &control.targets(), [0.0; 3], out);
+    Layout { channel: control.layout().channel.clone(), signals: SignalRecorder::describe(record) }
+}
+
+/// Records the row of a servo tick: the desired torque, then the signals of the simulation.
+fn record_servo(
+    control: &ControlLoop,
+    signals: &[Signal],
+    torque_desired: &[f64],
+    row: &[f64],
+    out: &mut SignalRecorder<'_>,
+) {
+    let joints = &control.capabilities().joints;
+    out.signal(TORQUE_DESIRED, &control.units().torque, joints, torque_desired);
+    out.block(signals, row);
 }
 
 /// The desired torques of the last commands. The drives' rows need them: a command may act up to one interface period

@@ -4,16 +4,20 @@ use crate::fault::Fault;
 use crate::safety::SafetyParameters;
 use crate::supervisor::{SampleGap, Supervisor};
 use nalgebra::Vector3;
-use opspace_backend::{Capabilities, Row, Sample, Signal};
+use opspace_backend::signal_names::{
+    DEVICE_LIMITED, DQ, DQ_MEASURED, JOINT_TORQUE, MISSED_CYCLES, MOTOR_TORQUE, Q, RAW, STATUS, WRENCH,
+};
+use opspace_backend::{Capabilities, Observable, Sample, SignalRecorder};
 use opspace_control::Measurement;
-use opspace_model::{Data, Force, FrameId, Model, UnknownFrame, frame_placement, update};
+use opspace_model::{Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_placement, update};
 use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator};
 
-const WRENCH: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
+const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
 /// Velocity estimate, model update, tared force sensors in world axes, and the checks of each.
 pub(crate) struct StateEstimator {
     capabilities: Capabilities,
+    units: JointUnits,
     sensor_frames: Vec<FrameId>,
     velocity: VelocityEstimator,
     supervisor: Supervisor,
@@ -46,6 +50,7 @@ impl StateEstimator {
         let sensor_frames: Result<Vec<FrameId>, _> =
             sensors.iter().map(|s| model.frame_id(&s.frame)).collect();
         Ok(Self {
+            units: model.joint_units(),
             sensor_frames: sensor_frames?,
             velocity: VelocityEstimator::new(n, estimator, capabilities.period_s),
             supervisor: Supervisor::new(model, safety, capabilities.period_s),
@@ -152,52 +157,35 @@ impl StateEstimator {
         self.supervisor.check_dropout(self.gap)?;
         self.supervisor.check_state(measurement)
     }
+}
 
-    /// The signals of [`sample_row`](Self::sample_row): the raw sample, then the measurement.
-    pub(crate) fn signals(&self) -> Vec<Signal> {
-        let Capabilities { joints, force_sensors, .. } = &self.capabilities;
-        let mut signals = vec![Signal::scalar("missed_cycles", "1"), Signal::new("q", "rad", joints)];
-        if self.capabilities.measures_velocity {
-            signals.push(Signal::new("dq_measured", "rad/s", joints));
+impl Observable for StateEstimator {
+    /// The raw sample, then the measurement.
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        let Self { capabilities, units, sample, measurement, .. } = self;
+        let (joints, sensors) = (&capabilities.joints, &capabilities.force_sensors);
+        out.scalar(MISSED_CYCLES, "1", self.gap.missed() as f64);
+        out.signal(Q, &units.position, joints, &sample.q);
+        if let Some(dq) = &sample.dq {
+            out.signal(DQ_MEASURED, &units.velocity, joints, dq);
         }
-        if self.capabilities.measures_motor_torque {
-            signals.push(Signal::new("motor_torque", "Nm", joints));
+        if let Some(torque) = &sample.motor_torque {
+            out.signal(MOTOR_TORQUE, &units.torque, joints, torque);
         }
-        if self.capabilities.measures_joint_torque {
-            signals.push(Signal::new("joint_torque", "Nm", joints));
+        if let Some(torque) = &sample.joint_torque {
+            out.signal(JOINT_TORQUE, &units.torque, joints, torque);
         }
-        for sensor in force_sensors {
-            signals.push(Signal::new(format!("{}.raw", sensor.name), "N,Nm", &WRENCH));
+        for (sensor, wrench) in sensors.iter().zip(&sample.wrenches) {
+            out.signal((&sensor.name, RAW), "N,Nm", &WRENCH_AXES, wrench);
         }
-        if self.capabilities.reports_status {
-            signals.push(Signal::scalar("status", "1"));
-            signals.push(Signal::scalar("device_limited", "1"));
-        }
-        signals.push(Signal::new("dq", "rad/s", joints));
-        for sensor in force_sensors {
-            signals.push(Signal::new(format!("{}.wrench", sensor.name), "N,Nm", &WRENCH));
-        }
-        signals
-    }
-
-    /// Puts the raw sample and the measurement.
-    pub(crate) fn sample_row(&self, row: &mut Row<'_>) {
-        let sample = &self.sample;
-        row.put_one(self.gap.missed() as f64);
-        row.put(&sample.q);
-        for measured in [&sample.dq, &sample.motor_torque, &sample.joint_torque].into_iter().flatten() {
-            row.put(measured);
-        }
-        sample.wrenches.iter().for_each(|wrench| row.put(wrench));
-        // There is one if the robot declares it.
         if let Some(status) = &sample.status {
-            row.put_one(f64::from(status.word));
-            row.put_one(f64::from(u8::from(status.command_limited)));
+            out.scalar(STATUS, "1", f64::from(status.word));
+            out.scalar(DEVICE_LIMITED, "1", f64::from(u8::from(status.command_limited)));
         }
-        row.put(self.measurement.dq.as_slice());
-        for wrench in &self.measurement.wrenches {
-            row.put(wrench.linear.as_slice());
-            row.put(wrench.angular.as_slice());
+        out.signal(DQ, &units.velocity, joints, measurement.dq.as_slice());
+        for (sensor, Force { linear, angular }) in sensors.iter().zip(&measurement.wrenches) {
+            let wrench = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            out.signal((&sensor.name, WRENCH), "N,Nm", &WRENCH_AXES, &wrench);
         }
     }
 }

@@ -89,7 +89,9 @@ pub use jacobian::{
 pub use kinematics::{
     forward_kinematics, frame_bias_acceleration, frame_placement, frame_velocity, kinematics,
 };
-pub use model::{Body, Frame, FrameId, Joint, JointKind, Limits, Model, UnknownFrame, UnknownJoint};
+pub use model::{
+    Body, Frame, FrameId, Joint, JointKind, JointUnits, Limits, Model, UnknownFrame, UnknownJoint,
+};
 pub use operational_space::{Inversion, OperationalSpace};
 pub use real::Real;
 pub use reduce::{MimicConstraint, ReduceError};

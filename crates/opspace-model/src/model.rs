@@ -31,6 +31,20 @@ pub enum JointKind {
     Floating,
 }
 
+/// SI units of the quantities of all joints (n each): of revolute joints rad, rad/s, rad/s^2 and Nm, of prismatic ones
+/// m, m/s, m/s^2 and N.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JointUnits {
+    /// Units of positions.
+    pub position: Vec<&'static str>,
+    /// Units of velocities.
+    pub velocity: Vec<&'static str>,
+    /// Units of accelerations.
+    pub acceleration: Vec<&'static str>,
+    /// Units of torques and forces.
+    pub torque: Vec<&'static str>,
+}
+
 /// Limits of a joint, infinite where there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
@@ -52,6 +66,11 @@ impl Limits {
         velocity: f64::INFINITY,
         effort: f64::INFINITY,
     };
+}
+
+/// Returns true if coordinate `i` of that kind is a length: the first three of a floating base are.
+fn slides(kind: JointKind, i: usize) -> bool {
+    kind == JointKind::Prismatic || (kind == JointKind::Floating && i < 3)
 }
 
 /// A coordinate of the robot: one entry of q̇, q̈ and τ.
@@ -394,6 +413,21 @@ impl<T: Real> Model<T> {
     #[must_use]
     pub fn joints(&self) -> &[Joint] {
         &self.joints
+    }
+
+    /// Units of the joints' quantities, in the order of q̇.
+    #[must_use]
+    pub fn joint_units(&self) -> JointUnits {
+        let units = |linear, angular| {
+            let unit = |(i, joint): (usize, &Joint)| if slides(joint.kind, i) { linear } else { angular };
+            self.joints.iter().enumerate().map(unit).collect()
+        };
+        JointUnits {
+            position: units("m", "rad"),
+            velocity: units("m/s", "rad/s"),
+            acceleration: units("m/s^2", "rad/s^2"),
+            torque: units("N", "Nm"),
+        }
     }
 
     /// Bodies, parents before children.

@@ -4,7 +4,7 @@
 //! the channel `external` hold all of it, so that a simulation can be repeated from its log.
 
 use nalgebra::Vector3;
-use opspace_backend::{Layout, Row, Signal};
+use opspace_backend::{Layout, SignalRecorder};
 use opspace_model::{Force, FrameId, Model};
 use std::cell::Cell;
 use std::rc::Rc;
@@ -81,17 +81,33 @@ const WIDTH: usize = 16;
 /// The layout of the channel `external`.
 #[must_use]
 pub fn layout() -> Layout {
-    let axes = ["x", "y", "z"];
-    let signals = vec![
-        Signal::new("pull", "1", &["0 none, 1 spring, 2 wrench"]),
-        Signal::new("frame", "1", &["index in the model"]),
-        Signal::new("target", "m", &axes),
-        Signal::new("stiffness", "N/m", &["value"]),
-        Signal::new("damping", "Ns/m", &["value"]),
-        Signal::new("wrench", "N,Nm", &["fx", "fy", "fz", "mx", "my", "mz"]),
-        Signal::new("force", "N", &axes),
-    ];
+    let signals = SignalRecorder::describe(|out| record(None, f64::NAN, &Vector3::zeros(), out));
     Layout { channel: "external".to_owned(), signals }
+}
+
+/// Records the force that is set, with the index of its frame, and the force (N) that acted in the last step.
+fn record(set: Option<Pull>, frame: f64, acting: &Vector3<f64>, out: &mut SignalRecorder<'_>) {
+    let (mut target, mut gains, mut wrench) = ([f64::NAN; 3], [f64::NAN; 2], [f64::NAN; 6]);
+    let pull = match set {
+        None => 0.0,
+        Some(Pull::Spring { target_m, stiffness_n_per_m, damping_ns_per_m }) => {
+            target = target_m.into();
+            gains = [stiffness_n_per_m, damping_ns_per_m];
+            1.0
+        }
+        Some(Pull::Wrench(Force { linear, angular })) => {
+            wrench = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+            2.0
+        }
+    };
+    let axes = ["x", "y", "z"];
+    out.signal("pull", "1", &["0 none, 1 spring, 2 wrench"], &[pull]);
+    out.signal("frame", "1", &["index in the model"], &[frame]);
+    out.signal("target", "m", &axes, &target);
+    out.scalar("stiffness", "N/m", gains[0]);
+    out.scalar("damping", "Ns/m", gains[1]);
+    out.signal("wrench", "N,Nm", &["fx", "fy", "fz", "mx", "my", "mz"], &wrench);
+    out.signal("force", "N", &axes, acting.as_slice());
 }
 
 /// The external force of a row of the channel `external`; `None` where none was set, or if the row is of another model.
@@ -136,28 +152,10 @@ impl ExternalRows {
     pub fn push(&mut self, set: Option<&ExternalForce>, acting: &Vector3<f64>) {
         let begin = self.values.len();
         self.values.resize(begin + WIDTH, f64::NAN);
-        let mut row = Row::new(&mut self.values[begin..]);
-        row.put_one(match set.map(|force| force.pull) {
-            None => 0.0,
-            Some(Pull::Spring { .. }) => 1.0,
-            Some(Pull::Wrench(_)) => 2.0,
-        });
         let index = set.and_then(|force| self.frames.iter().position(|frame| *frame == force.frame));
-        row.put_one(index.map_or(f64::NAN, |index| index as f64));
-        match set.map(|force| force.pull) {
-            None => row.skip(11),
-            Some(Pull::Spring { target_m, stiffness_n_per_m, damping_ns_per_m }) => {
-                row.put(target_m.as_slice());
-                row.put(&[stiffness_n_per_m, damping_ns_per_m]);
-                row.skip(6);
-            }
-            Some(Pull::Wrench(wrench)) => {
-                row.skip(5);
-                row.put(wrench.linear.as_slice());
-                row.put(wrench.angular.as_slice());
-            }
-        }
-        row.put(acting.as_slice());
+        let frame = index.map_or(f64::NAN, |index| index as f64);
+        let mut out = SignalRecorder::sampling(&mut self.values[begin..]);
+        record(set.map(|force| force.pull), frame, acting, &mut out);
     }
 
     /// The rows, in the order of time.

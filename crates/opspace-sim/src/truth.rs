@@ -4,14 +4,14 @@ use crate::external::{self, ExternalForce, ExternalRows};
 use crate::plant::Plant;
 use crate::timing::Timing;
 use nalgebra::Vector3;
-use opspace_backend::{Layout, Signal, TruthLayouts, TruthRow};
-use opspace_model::Model;
+use opspace_backend::signal_names::{DQ, FORCE, MOTOR_TORQUE, Q};
+use opspace_backend::{Layout, Signal, SignalRecorder, TruthLayouts, TruthRow};
+use opspace_model::{JointUnits, Model};
 use std::ops::Range;
 
 /// Rows since the last read, with room for those of many missed cycles.
 pub(crate) struct TruthRows {
-    joints: Vec<String>,
-    contacts: Vec<String>,
+    arm: ArmSignals,
     truth: Vec<f64>,
     truth_width: usize,
     servo: Vec<f64>,
@@ -21,6 +21,29 @@ pub(crate) struct TruthRows {
     read: bool,
     /// True if the rows may be read.
     kept: bool,
+}
+
+/// Signals of the true state of an arm.
+struct ArmSignals {
+    joints: Vec<String>,
+    units: JointUnits,
+    contacts: Vec<String>,
+}
+
+impl ArmSignals {
+    fn record(
+        &self,
+        q: &[f64],
+        dq: &[f64],
+        force: impl Fn(usize) -> Vector3<f64>,
+        out: &mut SignalRecorder<'_>,
+    ) {
+        out.signal(Q, &self.units.position, &self.joints, q);
+        out.signal(DQ, &self.units.velocity, &self.joints, dq);
+        for (i, contact) in self.contacts.iter().enumerate() {
+            out.signal((contact, FORCE), "N", &["x", "y", "z"], force(i).as_slice());
+        }
+    }
 }
 
 impl TruthRows {
@@ -41,17 +64,15 @@ impl TruthRows {
             servo: Vec::with_capacity(cycles * ratio * n),
             servo_commands: Vec::with_capacity(cycles * ratio),
             external: with_external.then(|| ExternalRows::new(model, cycles)),
-            contacts,
-            joints,
+            arm: ArmSignals { joints, units: model.joint_units(), contacts },
             read: false,
             kept: true,
         }
     }
 
     pub fn layouts(&self) -> TruthLayouts {
-        let mut truth = vec![Signal::new("q", "rad", &self.joints), Signal::new("dq", "rad/s", &self.joints)];
-        truth.extend(self.contacts.iter().map(|c| Signal::new(format!("{c}.force"), "N", &["x", "y", "z"])));
-        let servo = vec![Signal::new("motor_torque", "Nm", &self.joints)];
+        let truth = SignalRecorder::describe(|out| self.arm.record(&[], &[], |_| Vector3::zeros(), out));
+        let servo = vec![Signal::new(MOTOR_TORQUE, &self.arm.units.torque, &self.arm.joints)];
         let layouts = TruthLayouts::new(
             Layout { channel: "truth".to_owned(), signals: truth },
             Layout { channel: "servo".to_owned(), signals: servo },
@@ -88,23 +109,23 @@ impl TruthRows {
     pub fn begin_servo_period(&mut self, command: Option<u64>) {
         self.clear_if_read();
         self.servo_commands.push(command);
-        self.servo.resize(self.servo.len() + self.joints.len(), 0.0);
+        self.servo.resize(self.servo.len() + self.arm.joints.len(), 0.0);
     }
 
     /// The row of the present servo period (n; Nm).
     pub fn servo_row(&mut self) -> &mut [f64] {
-        let begin = self.servo.len() - self.joints.len();
+        let begin = self.servo.len() - self.arm.joints.len();
         &mut self.servo[begin..]
     }
 
     /// Adds the row of an interface cycle.
     pub fn begin_cycle(&mut self, plant: &dyn Plant, arm: usize, joints: &Range<usize>) {
         self.clear_if_read();
-        self.truth.extend_from_slice(&plant.q()[joints.clone()]);
-        self.truth.extend_from_slice(&plant.dq()[joints.clone()]);
-        for contact in 0..self.contacts.len() {
-            self.truth.extend_from_slice(plant.contact_force(arm, contact).as_slice());
-        }
+        let begin = self.truth.len();
+        self.truth.resize(begin + self.truth_width, f64::NAN);
+        let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
+        let mut out = SignalRecorder::sampling(&mut self.truth[begin..]);
+        self.arm.record(q, dq, |contact| plant.contact_force(arm, contact), &mut out);
     }
 
     /// Adds the row of the external force that is set from this cycle on, and the force that acted before it (N).
@@ -129,7 +150,7 @@ impl TruthRows {
 
     /// Visits the rows in the order of time: each period's rows of the drives, then the truth at its end.
     pub fn visit(&self, timing: &Timing, visit: &mut dyn FnMut(TruthRow<'_>)) {
-        let (n, ratio) = (self.joints.len(), u64::from(timing.servo_ticks_per_cycle));
+        let (n, ratio) = (self.arm.joints.len(), u64::from(timing.servo_ticks_per_cycle));
         let rows = self.servo_commands.iter().zip(self.servo.chunks_exact(n));
         let mut rows = (timing.servo_tick - rows.len() as u64..).zip(rows);
         let truths = self.truth.chunks_exact(self.truth_width);

@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
-use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, Row, Signal, Sink};
+use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, SignalRecorder, Sink};
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{BackendKind, ControllerKind, Experiment, Files, Metrics, Robot, RunOptions, Task};
@@ -172,11 +172,7 @@ impl<F: FnMut(&Data, &Measurement, &mut [f64]) + Send> Controller for Told<F> {
 }
 
 impl<F> Observable for Told<F> {
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    fn sample(&self, _row: &mut Row<'_>) {}
+    fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
 /// A controller of torques.

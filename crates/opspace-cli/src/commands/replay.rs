@@ -74,10 +74,10 @@ fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayRepo
     if compared < replayed.logged {
         text += &format!("it would have ended there; the log has {} ticks\n", replayed.logged);
     }
-    let units = recording.channel("tick").map_or(&[][..], |tick| &tick.layout.signals);
+    let tick = recording.channel("tick");
     for (signal, elements) in &replayed.rms {
-        let unit = units.iter().find(|s| s.name == *signal).map_or("", |s| s.unit.as_ref());
-        for (element, rms) in elements {
+        let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());
+        for ((element, rms), unit) in elements.iter().zip(units) {
             text += &format!("  {signal} of '{element}': {rms:.6} {unit} rms from the log\n");
         }
     }

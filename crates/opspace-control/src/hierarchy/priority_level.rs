@@ -8,7 +8,8 @@ use crate::limits::bounds::HORIZON_S;
 use crate::targets::TargetPlace;
 use crate::tasks::task::{SpeedLimit, Task, TaskInput};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
-use opspace_backend::{Row, Signal};
+use opspace_backend::SignalRecorder;
+use opspace_backend::signal_names::MIN_SINGULAR_GAIN;
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
 /// A task among others.
@@ -153,15 +154,13 @@ impl PriorityLevel {
         Some(upper)
     }
 
-    /// Signals of the task's force, and how much of it is left near a singularity.
-    pub(crate) fn force_signals(&self) -> Vec<Signal> {
-        let share = || Signal::scalar(format!("{}.weakest_share", self.name()), "1");
-        self.task.force_signal().map_or_else(Vec::new, |force| vec![force, share()])
-    }
-
-    pub(crate) fn sample_force(&self, row: &mut Row<'_>) {
-        self.task.sample_force(&self.force, row);
-        row.put_one(self.projected.space.min_singular_gain);
+    /// Records the task's force, if it has such a signal, and the lowest gain of its damped inverse.
+    pub(crate) fn record_force(&self, out: &mut SignalRecorder<'_>) {
+        let before = out.recorded();
+        self.task.record_force(&self.force, out);
+        if out.recorded() > before {
+            out.scalar((self.name(), MIN_SINGULAR_GAIN), "1", self.projected.space.min_singular_gain);
+        }
     }
 }
 

@@ -8,8 +8,8 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::TaskSetParameters;
 use crate::hierarchy::task_set::TaskSet;
 use crate::targets::{AllowedInputs, Targets};
-use crate::tasks::task::Task;
-use opspace_backend::{Observable, Row, Signal};
+use opspace_backend::signal_names::TASK_SET;
+use opspace_backend::{Observable, Signal, SignalRecorder};
 use opspace_model::Model;
 
 /// Largest time by which a cycle may precede what is scheduled and still carry it out, s: clocks add up periods, and
@@ -46,7 +46,7 @@ struct Slot {
     signals: Vec<Signal>,
 }
 
-/// Signals that a task samples together.
+/// Signals that a task records together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Group {
     Motion,
@@ -216,51 +216,36 @@ impl TaskSchedule {
 }
 
 impl Observable for TaskSchedule {
-    fn signals(&self) -> Vec<Signal> {
-        let numbered = !self.targets.row().is_empty();
-        let number = numbered.then(|| Signal::scalar("task_set", "1"));
-        self.slots.iter().flat_map(|slot| slot.signals.iter().cloned()).chain(number).collect()
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
+    /// Signals of tasks that are not in force are NaN.
+    fn record(&self, out: &mut SignalRecorder<'_>) {
         for slot in &self.slots {
-            if !slot.sample(&self.current().0, row) {
-                slot.signals.iter().for_each(|signal| row.skip(signal.len()));
+            let before = out.recorded();
+            slot.record(&self.current().0, out);
+            if out.recorded() == before {
+                out.block(&slot.signals, &[]);
             }
         }
         if !self.targets.row().is_empty() {
-            row.put_one(self.in_force as f64);
+            out.scalar(TASK_SET, "1", self.in_force as f64);
         }
     }
 }
 
 impl Slot {
-    /// Puts the values of the task of that name, if it is in force and has such signals.
-    fn sample(&self, hierarchy: &TaskHierarchy, row: &mut Row<'_>) -> bool {
-        let before = row.remaining();
-        if matches!(self.group, Group::AllJoints | Group::JointTarget) {
-            let task = hierarchy.joint.as_ref();
-            let Some(task) = task.filter(|task| task.name() == self.name && task.kind() == self.kind) else {
-                return false;
-            };
-            if self.group == Group::AllJoints {
-                task.sample(row)
-            } else {
-                task.sample_target(row)
-            }
-            return row.remaining() < before;
+    /// Records the signals of the task of that name, if it is in force and has them.
+    fn record(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
+        let is_own = |name: &str, kind: &str| name == self.name && kind == self.kind;
+        let level = hierarchy.levels.iter().find(|level| is_own(level.name(), level.task.kind()));
+        let joint = hierarchy.joint.as_ref().filter(|task| is_own(task.name(), task.kind()));
+        match (self.group, level, joint) {
+            (Group::Motion, Some(level), _) => level.task.record(out),
+            (Group::Force, Some(level), _) => level.record_force(out),
+            (Group::Sensed, Some(level), _) => level.task.record_sensed(out),
+            (Group::Target, Some(level), _) => level.task.record_target(out),
+            (Group::AllJoints, _, Some(task)) => task.record(out),
+            (Group::JointTarget, _, Some(task)) => task.record_target(out),
+            _ => {}
         }
-        let of_slot = |task: &dyn Task| task.name() == self.name && task.kind() == self.kind;
-        let Some(level) = hierarchy.levels.iter().find(|level| of_slot(&*level.task)) else {
-            return false;
-        };
-        match self.group {
-            Group::Force => level.sample_force(row),
-            Group::Sensed => level.task.sample_sensed(row),
-            Group::Target => level.task.sample_target(row),
-            Group::Motion | Group::AllJoints | Group::JointTarget => level.task.sample(row),
-        }
-        row.remaining() < before
     }
 }
 
@@ -270,25 +255,27 @@ fn slots<'a>(
     hierarchies: impl IntoIterator<Item = &'a TaskHierarchy>,
 ) -> Vec<Slot> {
     let mut slots: Vec<Slot> = Vec::new();
-    let mut add = |name: &str, kind: &'static str, group: Group, signals: Vec<Signal>| {
-        let known = slots.iter().any(|slot| slot.name == name && slot.kind == kind && slot.group == group);
-        if !known && !signals.is_empty() {
-            slots.push(Slot { name: name.to_owned(), kind, group, signals });
+    let mut add = |name: &str, kind: &'static str, group: Group, hierarchy: &TaskHierarchy| {
+        if slots.iter().any(|slot| slot.name == name && slot.kind == kind && slot.group == group) {
+            return;
+        }
+        let mut slot = Slot { name: name.to_owned(), kind, group, signals: Vec::new() };
+        slot.signals = SignalRecorder::describe(|out| slot.record(hierarchy, out));
+        if !slot.signals.is_empty() {
+            slots.push(slot);
         }
     };
     for hierarchy in hierarchies {
         for level in &hierarchy.levels {
-            let (name, task) = (level.name(), &level.task);
-            add(name, task.kind(), Group::Motion, task.signals());
-            if recorded == RecordedSignals::Forces {
-                add(name, task.kind(), Group::Force, level.force_signals());
-                add(name, task.kind(), Group::Sensed, task.sensed_signal().into_iter().collect());
-            }
-            add(name, task.kind(), Group::Target, task.target_signals());
+            let groups: &[Group] = match recorded {
+                RecordedSignals::Motion => &[Group::Motion, Group::Target],
+                RecordedSignals::Forces => &[Group::Motion, Group::Force, Group::Sensed, Group::Target],
+            };
+            groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));
         }
         if let Some(task) = &hierarchy.joint {
-            add(task.name(), task.kind(), Group::AllJoints, task.signals());
-            add(task.name(), task.kind(), Group::JointTarget, task.target_signals());
+            let groups = [Group::AllJoints, Group::JointTarget];
+            groups.into_iter().for_each(|group| add(task.name(), task.kind(), group, hierarchy));
         }
     }
     slots

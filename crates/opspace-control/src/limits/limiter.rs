@@ -9,7 +9,8 @@ use crate::limits::joint_limits::LimitParameters;
 use crate::qp::lexicographic::{HierarchicalQp, Limits, Residual, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
-use opspace_backend::{Row, Signal};
+use opspace_backend::SignalRecorder;
+use opspace_backend::signal_names::{LIMITED, LIMITS_SOLVER};
 use opspace_model::{Data, Model};
 
 /// Computation of commands within the limits.
@@ -225,14 +226,9 @@ impl Limiter {
         self.cascade.torque_into(data, torque);
     }
 
-    /// Signals: the bounds that each joint is at, and the solver of the command.
-    pub(crate) fn signals(joint_names: &[String]) -> [Signal; 2] {
-        [Signal::new("limited", "1", joint_names), Signal::scalar("limits_solver", "1")]
-    }
-
-    /// Puts the values of [`signals`](Self::signals).
-    pub(crate) fn sample(&self, row: &mut Row<'_>) {
-        row.put(self.limited.as_slice());
-        row.put_one(f64::from(self.solver as u8));
+    /// Records the bounds that each joint is at, and the solver of the command.
+    pub(crate) fn record(&self, joint_names: &[String], out: &mut SignalRecorder<'_>) {
+        out.signal(LIMITED, "1", joint_names, self.limited.as_slice());
+        out.scalar(LIMITS_SOLVER, "1", f64::from(self.solver as u8));
     }
 }

@@ -11,8 +11,9 @@
 //! within [`BLEND_S`](crate::references::target::BLEND_S), without a step in acceleration either.
 
 use crate::targets::TaskTarget;
+use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Row, Signal};
+use opspace_backend::signal_names::{TARGET_AGE_S, TARGET_STALE};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -127,16 +128,9 @@ impl Freshness {
         self.age_s.filter(|_| self.stale && self.on_timeout == OnTimeout::Stop)
     }
 
-    pub(crate) fn signals(task: &str) -> Vec<Signal> {
-        vec![
-            Signal::scalar(format!("{task}.target_stale"), "1"),
-            Signal::scalar(format!("{task}.target_age_s"), "s"),
-        ]
-    }
-
-    pub(crate) fn sample(&self, row: &mut Row<'_>) {
-        row.put_one(f64::from(u8::from(self.stale)));
-        row.put_one(self.age_s.unwrap_or(f64::NAN));
+    pub(crate) fn record(&self, task: &str, out: &mut SignalRecorder<'_>) {
+        out.scalar((task, TARGET_STALE), "1", f64::from(u8::from(self.stale)));
+        out.scalar((task, TARGET_AGE_S), "s", self.age_s.unwrap_or(f64::NAN));
     }
 }
 

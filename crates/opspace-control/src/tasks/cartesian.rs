@@ -21,7 +21,6 @@ use crate::error::{ControlError, Reason};
 use crate::hierarchy::rank::{characteristic_length, orientation_is_coupled};
 use crate::orientation;
 use crate::references::reference::{CartesianReference, Trajectory};
-use crate::references::streamed::Freshness;
 use crate::references::streamed_pose::StreamedPose;
 use crate::references::target::Target;
 use crate::targets::AllowedInputs;
@@ -38,7 +37,11 @@ use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
 use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Row, Signal};
+use opspace_backend::signal_names::{
+    ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY,
+    SENSED_FORCE, VELOCITY,
+};
+use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Inversion, Model, Placement};
 use std::any::Any;
 
@@ -582,19 +585,10 @@ impl Task for CartesianTask {
         self.streamed.as_ref().and_then(|streamed| streamed.freshness().stop_for_age_s())
     }
 
-    fn target_signals(&self) -> Vec<Signal> {
-        if self.streamed.is_none() {
-            return Vec::new();
-        }
-        let mut signals = Freshness::signals(&self.name);
-        signals.push(Signal::new(format!("{}.modes", self.name), "1", &AXIS_NAMES));
-        signals
-    }
-
-    fn sample_target(&self, row: &mut Row<'_>) {
+    fn record_target(&self, out: &mut SignalRecorder<'_>) {
         if let Some(streamed) = &self.streamed {
-            streamed.freshness().sample(row);
-            row.put(&self.modes.map(AxisMode::code));
+            streamed.freshness().record(&self.name, out);
+            out.signal((&self.name, MODES), "1", &AXIS_NAMES, &self.modes.map(AxisMode::code));
         }
     }
 
@@ -674,50 +668,30 @@ impl Task for CartesianTask {
         })
     }
 
-    fn signals(&self) -> Vec<Signal> {
-        let named = |quantity: &str| format!("{}.{quantity}", self.name);
-        let xyz = &AXIS_NAMES[..3];
-        let wxyz = ["w", "x", "y", "z"];
-        vec![
-            Signal::new(named("reference"), "m", xyz),
-            Signal::new(named("position"), "m", xyz),
-            Signal::new(named("reference_velocity"), "m/s", xyz),
-            Signal::new(named("velocity"), "m/s", xyz),
-            Signal::new(named("reference_orientation"), "1", &wxyz),
-            Signal::new(named("orientation"), "1", &wxyz),
-            Signal::new(named("error"), "m,rad", &AXIS_NAMES),
-        ]
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
-        row.put(self.path.placement.translation.as_slice());
-        row.put(self.placement.translation.as_slice());
-        row.put(self.path.velocity.linear.as_slice());
-        row.put(self.linear_velocity.as_slice());
-        for rotation in [&self.path.placement.rotation, &self.placement.rotation] {
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        let (name, xyz, wxyz) = (&self.name, &AXIS_NAMES[..3], &["w", "x", "y", "z"]);
+        let quaternion = |rotation| {
             let q = orientation::quaternion(rotation);
-            row.put(&[q.w, q.i, q.j, q.k]);
-        }
-        row.put(self.error.as_slice());
+            [q.w, q.i, q.j, q.k]
+        };
+        let (path, placement) = (&self.path, &self.placement);
+        out.signal((name, REFERENCE), "m", xyz, path.placement.translation.as_slice());
+        out.signal((name, POSITION), "m", xyz, placement.translation.as_slice());
+        out.signal((name, REFERENCE_VELOCITY), "m/s", xyz, path.velocity.linear.as_slice());
+        out.signal((name, VELOCITY), "m/s", xyz, self.linear_velocity.as_slice());
+        out.signal((name, REFERENCE_ORIENTATION), "1", wxyz, &quaternion(&path.placement.rotation));
+        out.signal((name, ORIENTATION), "1", wxyz, &quaternion(&placement.rotation));
+        out.signal((name, ERROR), "m,rad", &AXIS_NAMES, self.error.as_slice());
     }
 
-    fn force_signal(&self) -> Option<Signal> {
-        Some(Signal::new(format!("{}.force", self.name), "N,Nm", &AXIS_NAMES))
+    fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {
+        let force = self.axes.force_of_rows(force);
+        out.signal((&self.name, FORCE), "N,Nm", &AXIS_NAMES, force.as_slice());
     }
 
-    fn sample_force(&self, force: &Vector6<f64>, row: &mut Row<'_>) {
-        row.put(self.axes.force_of_rows(force).as_slice());
-    }
-
-    fn sensed_signal(&self) -> Option<Signal> {
-        let name = format!("{}.sensed_force", self.name);
-        self.force.as_ref().map(|_| Signal::new(name, "N,Nm", &AXIS_NAMES))
-    }
-
-    fn sample_sensed(&self, row: &mut Row<'_>) {
-        match &self.force {
-            Some(force) => row.put(force.sensed.as_slice()),
-            None => row.skip(6),
+    fn record_sensed(&self, out: &mut SignalRecorder<'_>) {
+        if let Some(force) = &self.force {
+            out.signal((&self.name, SENSED_FORCE), "N,Nm", &AXIS_NAMES, force.sensed.as_slice());
         }
     }
 }

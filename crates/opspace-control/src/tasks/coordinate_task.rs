@@ -12,8 +12,9 @@ use crate::references::scalar_reference::{ScalarReference, ScalarTrajectory};
 use crate::tasks::coordinate::Coordinate;
 use crate::tasks::task::{RowGains, SINGULARITY_THRESHOLD, SpeedLimit, Task, TaskInput};
 use nalgebra::{Matrix6xX, Vector6};
+use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::{NonNegative, Positive};
-use opspace_backend::{Row, Signal};
+use opspace_backend::signal_names::{ERROR, REFERENCE, REFERENCE_VELOCITY, VALUE, VELOCITY};
 use opspace_model::{Data, Inversion, Model};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -64,6 +65,10 @@ pub struct CoordinateTask<C> {
     name: String,
     rows_key: String,
     coordinate: C,
+    /// Names, units and units of the rates of the elements.
+    elements: Vec<&'static str>,
+    units: Vec<&'static str>,
+    rate_units: Vec<String>,
     references: Vec<ScalarReference>,
     trajectories: Vec<ScalarTrajectory>,
     gains: CoordinateGains,
@@ -94,12 +99,16 @@ impl<C: Coordinate> CoordinateTask<C> {
         let rows = coordinate.rows();
         let (name, zero) = (name.into(), Vector6::zeros());
         let references = vec![ScalarReference::Hold; rows];
+        let (elements, units): (Vec<_>, Vec<_>) = (0..rows).map(|row| coordinate.element(row)).unzip();
         Self {
             rows_key: format!("task.{name}"),
             name,
             trajectories: references.iter().map(ScalarTrajectory::new).collect(),
             references,
             coordinate,
+            elements,
+            rate_units: units.iter().map(|unit| format!("{unit}/s")).collect(),
+            units,
             gains,
             speed_limit: f64::INFINITY,
             singularity_threshold: SINGULARITY_THRESHOLD,
@@ -336,23 +345,13 @@ impl<C: Coordinate> Task for CoordinateTask<C> {
         })
     }
 
-    fn signals(&self) -> Vec<Signal> {
-        let (elements, unit) = (self.row_names(), self.coordinate.element(0).1);
-        let signal =
-            |quantity: &str, unit: String| Signal::new(format!("{}.{quantity}", self.name), unit, &elements);
-        vec![
-            signal("reference", unit.to_owned()),
-            signal("value", unit.to_owned()),
-            signal("reference_velocity", format!("{unit}/s")),
-            signal("velocity", format!("{unit}/s")),
-            signal("error", unit.to_owned()),
-        ]
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
-        let rows = self.rows();
-        for quantity in [&self.path[0], &self.value, &self.path[1], &self.velocity, &self.error] {
-            row.put(&quantity.as_slice()[..rows]);
-        }
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        let Self { name, elements, units, rate_units, .. } = self;
+        let rows = elements.len();
+        out.signal((name, REFERENCE), units, elements, &self.path[0].as_slice()[..rows]);
+        out.signal((name, VALUE), units, elements, &self.value.as_slice()[..rows]);
+        out.signal((name, REFERENCE_VELOCITY), rate_units, elements, &self.path[1].as_slice()[..rows]);
+        out.signal((name, VELOCITY), rate_units, elements, &self.velocity.as_slice()[..rows]);
+        out.signal((name, ERROR), units, elements, &self.error.as_slice()[..rows]);
     }
 }

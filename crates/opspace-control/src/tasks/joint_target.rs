@@ -1,9 +1,14 @@
 //! Streamed target of a joint-tracking task: a typed handle.
 
 use crate::targets::{InputHandle, TargetError, Targets, TaskHandle};
+use opspace_model::JointUnits;
 
-/// Names and units of the inputs, one value for each joint of the task: position, velocity, acceleration.
-pub(crate) const JOINT_INPUTS: [(&str, &str); 3] = [("q", "rad"), ("dq", "rad/s"), ("ddq", "rad/s^2")];
+/// An input: its name, and its units for all joints of a robot.
+pub(crate) type Input = (&'static str, fn(&JointUnits) -> &[&'static str]);
+
+/// The inputs, one value for each joint of the task: position, velocity, acceleration.
+pub(crate) const JOINT_INPUTS: [Input; 3] =
+    [("q", |units| &units.position), ("dq", |units| &units.velocity), ("ddq", |units| &units.acceleration)];
 
 /// Streamed target of a joint-tracking task with a streamed reference.
 ///

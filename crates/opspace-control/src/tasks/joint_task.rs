@@ -2,7 +2,7 @@
 
 use crate::controller::ControlInput;
 use crate::tasks::task::{RowGains, TaskInput};
-use opspace_backend::{Row, Signal};
+use opspace_backend::{Signal, SignalRecorder};
 use std::any::Any;
 
 /// A task of all n joints, last in the priority.
@@ -42,13 +42,8 @@ pub trait JointTask: Any + Send {
         None
     }
 
-    /// Signals of the streamed target.
-    fn target_signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    /// Puts the values of [`target_signals`](Self::target_signals).
-    fn sample_target(&self, _row: &mut Row<'_>) {}
+    /// Records the signals of the streamed target.
+    fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
 
     /// Joins the reference from the state of `input.data`, at rest, after the robot was held. Allocates nothing.
     fn resume(&mut self, _input: &ControlInput<'_>) {}
@@ -75,11 +70,6 @@ pub trait JointTask: Any + Send {
         "task of all joints"
     }
 
-    /// Signals of reference and motion.
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    /// Puts the values of [`signals`](Self::signals).
-    fn sample(&self, _row: &mut Row<'_>) {}
+    /// Records the signals of reference and motion, always the same ones.
+    fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }

@@ -7,7 +7,7 @@ use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, Task, TaskInput};
 use crate::tasks::tracking::Tracking;
 use nalgebra::{Matrix6xX, Vector6};
-use opspace_backend::{Row, Signal};
+use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Inversion, Model};
 use std::any::Any;
 
@@ -122,12 +122,8 @@ impl Task for SelectedJoints {
         self.tracking.stop_for_stale_age_s()
     }
 
-    fn target_signals(&self) -> Vec<Signal> {
-        self.tracking.freshness_signals()
-    }
-
-    fn sample_target(&self, row: &mut Row<'_>) {
-        self.tracking.sample_freshness(row);
+    fn record_target(&self, out: &mut SignalRecorder<'_>) {
+        self.tracking.record_target(out);
     }
 
     /// A joint alone is never singular: only rows that tasks above have taken are.
@@ -162,15 +158,9 @@ impl Task for SelectedJoints {
         Some(RowGains { stiffness_per_s2, damping_per_s, integral_per_s: 0.0 })
     }
 
-    fn signals(&self) -> Vec<Signal> {
-        self.tracking.signals()
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        self.tracking.record(out);
     }
 
-    fn sample(&self, row: &mut Row<'_>) {
-        self.tracking.sample(row);
-    }
-
-    fn force_signal(&self) -> Option<Signal> {
-        None
-    }
+    fn record_force(&self, _force: &Vector6<f64>, _out: &mut SignalRecorder<'_>) {}
 }

@@ -4,7 +4,7 @@ use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::targets::{AllowedInputs, TaskTarget};
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
-use opspace_backend::{Row, Signal};
+use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model};
 use std::any::Any;
 
@@ -98,13 +98,8 @@ pub trait Task: Any + Send {
         None
     }
 
-    /// Signals of the streamed target.
-    fn target_signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    /// Puts the values of [`target_signals`](Self::target_signals).
-    fn sample_target(&self, _row: &mut Row<'_>) {}
+    /// Records the signals of the streamed target.
+    fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
 
     /// Joins the reference from the state of `input.data`, at rest, after the robot was held. Allocates nothing.
     fn resume(&mut self, input: &ControlInput<'_>) {
@@ -183,29 +178,33 @@ pub trait Task: Any + Send {
         None
     }
 
-    /// Signals of reference and motion.
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
+    /// Records the signals of reference and motion, always the same ones: each with its name, unit, elements and values.
+    ///
+    /// ```
+    /// # use opspace_backend::SignalRecorder;
+    /// # struct Press { name: String, depth_m: f64 }
+    /// # impl Press {
+    /// fn record(&self, out: &mut SignalRecorder<'_>) {
+    ///     out.signal((&self.name, "depth"), "m", &["depth"], &[self.depth_m]);
+    /// }
+    /// # }
+    /// ```
+    fn record(&self, _out: &mut SignalRecorder<'_>) {}
+
+    /// Records the signal of the force on the rows, where torques are commanded.
+    fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {
+        let signal = || {
+            let units: Vec<&str> = (0..self.rows()).map(|row| force_unit(self.row_unit(row).0)).collect();
+            Signal::new(signal_names::of(self.name(), signal_names::FORCE), &units, &self.row_names())
+        };
+        out.signal_with(signal, &force.as_slice()[..self.rows()]);
     }
 
-    /// Puts the values of [`signals`](Self::signals).
-    fn sample(&self, _row: &mut Row<'_>) {}
+    /// Records the signal of what the task senses, where torques are commanded.
+    fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}
+}
 
-    /// Signal of the task's force, where torques are commanded.
-    fn force_signal(&self) -> Option<Signal> {
-        Some(Signal::new(format!("{}.force", self.name()), "N,Nm", &self.row_names()))
-    }
-
-    /// Puts the values of [`force_signal`](Self::force_signal), given the force on the rows.
-    fn sample_force(&self, force: &Vector6<f64>, row: &mut Row<'_>) {
-        row.put(&force.as_slice()[..self.rows()]);
-    }
-
-    /// Signal of what the task senses, where torques are commanded.
-    fn sensed_signal(&self) -> Option<Signal> {
-        None
-    }
-
-    /// Puts the values of [`sensed_signal`](Self::sensed_signal).
-    fn sample_sensed(&self, _row: &mut Row<'_>) {}
+/// Unit of the force that does work on a coordinate.
+fn force_unit(coordinate: &str) -> &'static str {
+    if coordinate == "m" { "N" } else { "Nm" }
 }

@@ -8,16 +8,16 @@ use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::hierarchy::products::multiply;
 use crate::references::joint_reference::{JointMotion, JointReference, JointTrajectory};
-use crate::references::streamed::Freshness;
 use crate::references::streamed_joints::StreamedJoints;
 use crate::targets::TaskTarget;
 use crate::tasks::joint_parameters::{JointFeedback, JointGains, JointTrackingParameters};
-use crate::tasks::joint_target::JOINT_INPUTS;
+use crate::tasks::joint_target::{Input, JOINT_INPUTS};
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, TaskInput};
 use nalgebra::DVector;
-use opspace_backend::{Row, Signal};
-use opspace_model::{Data, Model};
+use opspace_backend::signal_names::{ERROR, REFERENCE, REFERENCE_VELOCITY};
+use opspace_backend::{Signal, SignalRecorder};
+use opspace_model::{Data, JointUnits, Model};
 use std::any::Any;
 
 /// Joints that follow a reference: see [`JointTrackingParameters`].
@@ -25,6 +25,7 @@ use std::any::Any;
 pub struct Tracking {
     name: String,
     joint_names: Vec<String>,
+    units: JointUnits,
     parameters: JointReference,
     trajectory: JointTrajectory,
     /// Streamed reference in place of the trajectory.
@@ -78,6 +79,7 @@ impl Tracking {
         Ok(Self {
             name: name.to_owned(),
             joint_names: model.joints().iter().map(|j| j.name.clone()).collect(),
+            units: model.joint_units(),
             parameters: parameters.reference.clone(),
             trajectory: JointTrajectory::new(&parameters.reference, model, &format!("{key}.reference"))?,
             streamed,
@@ -179,21 +181,15 @@ impl Tracking {
             return Vec::new();
         }
         let names: Vec<&str> = self.joints.iter().map(|&joint| self.joint_name(joint)).collect();
-        JOINT_INPUTS.map(|(name, unit)| Signal::new(name, unit, &names)).into()
+        let input = |(name, units): Input| {
+            let units: Vec<&str> = self.joints.iter().map(|&joint| units(&self.units)[joint]).collect();
+            Signal::new(name, &units, &names)
+        };
+        JOINT_INPUTS.map(input).into()
     }
 
     pub(crate) fn stop_for_stale_age_s(&self) -> Option<f64> {
         self.streamed.as_ref().and_then(|streamed| streamed.freshness().stop_for_age_s())
-    }
-
-    pub(crate) fn freshness_signals(&self) -> Vec<Signal> {
-        self.streamed.as_ref().map_or_else(Vec::new, |_| Freshness::signals(&self.name))
-    }
-
-    pub(crate) fn sample_freshness(&self, row: &mut Row<'_>) {
-        if let Some(streamed) = &self.streamed {
-            streamed.freshness().sample(row);
-        }
     }
 
     fn acceleration(&self, data: &Data, out: &mut [f64]) {
@@ -273,12 +269,10 @@ impl JointTask for Tracking {
         self.stop_for_stale_age_s()
     }
 
-    fn target_signals(&self) -> Vec<Signal> {
-        self.freshness_signals()
-    }
-
-    fn sample_target(&self, row: &mut Row<'_>) {
-        self.sample_freshness(row);
+    fn record_target(&self, out: &mut SignalRecorder<'_>) {
+        if let Some(streamed) = &self.streamed {
+            streamed.freshness().record(&self.name, out);
+        }
     }
 
     fn reference(&self) -> Option<(&[f64], &[f64])> {
@@ -294,17 +288,10 @@ impl JointTask for Tracking {
         "joint-tracking of all joints"
     }
 
-    fn signals(&self) -> Vec<Signal> {
-        vec![
-            Signal::new(format!("{}.reference", self.name), "rad", &self.joint_names),
-            Signal::new(format!("{}.reference_velocity", self.name), "rad/s", &self.joint_names),
-            Signal::new(format!("{}.error", self.name), "rad", &self.joint_names),
-        ]
-    }
-
-    fn sample(&self, row: &mut Row<'_>) {
-        row.put(self.path.as_slice());
-        row.put(self.path_velocity.as_slice());
-        row.put(self.error.as_slice());
+    fn record(&self, out: &mut SignalRecorder<'_>) {
+        let Self { name, units, joint_names: joints, path, path_velocity, error, .. } = self;
+        out.signal((name, REFERENCE), &units.position, joints, path.as_slice());
+        out.signal((name, REFERENCE_VELOCITY), &units.velocity, joints, path_velocity.as_slice());
+        out.signal((name, ERROR), &units.position, joints, error.as_slice());
     }
 }

@@ -2,7 +2,6 @@
 //! controllers.
 
 use crate::common::{self, File, Q0, at_state, facts, four_joints, seven_joints};
-use opspace_backend::Row;
 use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, ServoLead};
 use opspace_model::Model;
 use opspace_testing::allocation::allocations;
@@ -19,7 +18,7 @@ fn check(model: &Model, controller: &mut dyn Controller, start: &[f64], singular
             let (data, measurement) = at_state(model, q, &vec![0.3; n], time_s);
             let count = allocations(|| {
                 controller.update(&common::input(model, &data, &measurement), &mut command);
-                controller.sample(&mut Row::new(&mut row));
+                controller.sample(&mut row);
             });
             assert_eq!(count, 0, "at {q:?} and {time_s} s");
             assert!(command.iter().all(|c| c.is_finite()));

@@ -417,7 +417,7 @@ impl Case {
         let Some(ran) = self.run(self.tasks.len(), true) else { return false };
         (self.tasks.iter())
             .filter(|task| !matches!(task.what, What::Joints(_)))
-            .all(|task| sampled(&ran.controller, &format!("{}.weakest_share", task.name)) == [1.0])
+            .all(|task| sampled(&ran.controller, &format!("{}.min_singular_gain", task.name)) == [1.0])
     }
 
     /// Runs the first `levels` of the task set, with what is below all of them or without.

@@ -185,7 +185,7 @@ impl Held {
         };
         let mut data = self.data.clone();
         aba_external(&self.model, &mut data, &tau, &[(hand, force)]);
-        let regular = sampled(&self.controller, "hand.weakest_share") == [1.0];
+        let regular = sampled(&self.controller, "hand.min_singular_gain") == [1.0];
         regular.then(|| &self.jacobian * &data.ddq + &self.bias)
     }
 }
@@ -327,7 +327,7 @@ fn bounded_decoupling_is_that_of_an_arm_without_light_joints() {
             (DVector::from_vec(tau), data, controller)
         };
         let (full, data, controller) = run("");
-        if sampled(&controller, "hand.weakest_share") != [1.0] {
+        if sampled(&controller, "hand.min_singular_gain") != [1.0] {
             continue;
         }
         seen += 1;
@@ -355,7 +355,7 @@ fn bounded_decoupling_is_that_of_an_arm_without_light_joints() {
         let force = sampled(&controller, "hand.force");
         let off =
             (0..3).map(|i| (force[i] - expected[i]).abs()).fold(0.0, f64::max) / expected.amax().max(1.0);
-        if sampled(&controller, "hand.weakest_share") == [1.0] && off > ROUNDING {
+        if sampled(&controller, "hand.min_singular_gain") == [1.0] && off > ROUNDING {
             panic!("case {case}: a force of {force:?} for {expected}");
         }
         let plain = &sampled(&run("").2, "hand.force")[..3];
@@ -466,7 +466,7 @@ fn the_speed_asked_for_is_bounded_and_keeps_its_direction() {
         let (data, measurement) = at_state(&model, &q, &numbers.vector(n, 0.5), 0.4);
         let mut tau = vec![0.0; n];
         controller.update(&common::input(&model, &data, &measurement), &mut tau);
-        if sampled(&controller, "hand.weakest_share") != [1.0] {
+        if sampled(&controller, "hand.min_singular_gain") != [1.0] {
             continue;
         }
         seen += 1;

@@ -3,7 +3,7 @@
 
 use crate::common::{self, File, Q0, at_state, facts, four_joints, seven_joints};
 use nalgebra::Vector3;
-use opspace_backend::{CommandKind, Observable, Row};
+use opspace_backend::{CommandKind, Observable};
 use opspace_control::{Controller, InverseKinematicsController, ServoLead, orientation};
 use opspace_model::{Data, Model, frame_placement, gravity, kinematics};
 use std::f64::consts::PI;
@@ -26,7 +26,7 @@ damping_ratio = 0.8
 fn values(controller: &InverseKinematicsController, name: &str) -> Vec<f64> {
     let signals = controller.signals();
     let mut row = vec![0.0; signals.iter().map(|s| s.len()).sum()];
-    controller.sample(&mut Row::new(&mut row));
+    controller.sample(&mut row);
     let place = signals.iter().position(|s| s.name == name).expect("the signal exists");
     let first: usize = signals[..place].iter().map(|s| s.len()).sum();
     row[first..first + signals[place].len()].to_vec()

@@ -121,7 +121,7 @@ fn limits_out_of_reach_change_nothing() {
                 let off = (&tau - &unlimited).amax();
                 assert!(off < SOLVERS * unlimited.amax(), "{text}: off by {off} Nm of {unlimited}");
                 assert!(sampled(&controller, "limited").iter().all(|&at| at == 0.0));
-                damped += usize::from(sampled(&controller, "hand.weakest_share") < vec![1.0]);
+                damped += usize::from(sampled(&controller, "hand.min_singular_gain") < vec![1.0]);
             }
         }
     }
@@ -357,7 +357,7 @@ fn on_bound_scenes(
                 .levels
                 .iter()
                 .zip(["hand", "elbow"])
-                .all(|(_, name)| sampled(&unbound, &format!("{name}.weakest_share")) == [1.0]);
+                .all(|(_, name)| sampled(&unbound, &format!("{name}.min_singular_gain")) == [1.0]);
             if !regular {
                 continue;
             }
@@ -472,8 +472,8 @@ fn a_level_without_freedom_changes_nothing() {
             with.always_solve();
             let tau = scene.torque(&mut with);
             assert_eq!(sampled(&with, "limits_solver"), [1.0], "the active set");
-            let regular = sampled(&with, "hand.weakest_share") == [1.0]
-                && (joints == 6 || sampled(&with, "elbow.weakest_share") == [1.0]);
+            let regular = sampled(&with, "hand.min_singular_gain") == [1.0]
+                && (joints == 6 || sampled(&with, "elbow.min_singular_gain") == [1.0]);
             let ddq = accelerations(&scene.model, &scene.data, tau.as_slice());
             let excess = Bounds::new(&scene, &limits).excess(&ddq, &tau);
             assert!(excess < SOLVERS, "beyond a bound by {excess} of its size");

@@ -2,7 +2,7 @@
 //! widened, poses from regular to singular and back. The active set solves them all.
 
 use crate::common::{self, File, at_state, facts, sampled, seven_joints};
-use opspace_backend::{Observable, Row};
+use opspace_backend::Observable;
 use opspace_control::{ControlInput, Controller, JointLimits, OperationalSpaceController};
 use opspace_model::update;
 use opspace_testing::allocation::allocations;
@@ -64,13 +64,13 @@ fn no_limited_tick_allocates() {
             let input = common::input(&model, &data, &measurement);
             let input = ControlInput { feedforward_torque: &feedforward_torque, ..input };
             controller.update(&input, &mut command);
-            controller.sample(&mut Row::new(&mut row));
+            controller.sample(&mut row);
         });
         assert_eq!(count, 0, "at {time_s} s");
         assert!(command.iter().all(|c| c.is_finite()), "at {time_s} s");
         assert!(sampled(&controller, "limits_solver")[0] <= 1.0, "the active set, at {time_s} s");
         limited += usize::from(controller.is_limited());
-        singular += usize::from(sampled(&controller, "hand.weakest_share") < vec![1.0]);
+        singular += usize::from(sampled(&controller, "hand.min_singular_gain") < vec![1.0]);
         beyond += usize::from(measurement.q.amax() > 1.1 || measurement.dq.amax() > 1.5);
     }
     assert!(

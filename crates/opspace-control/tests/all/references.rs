@@ -3,7 +3,7 @@
 
 use crate::common::{self, File, Q0, at_state, facts, four_joints};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
-use opspace_backend::{Observable, Row};
+use opspace_backend::Observable;
 use opspace_control::ramp::minimum_jerk;
 use opspace_control::{CartesianReference, Controller, OperationalSpaceController, Target, Trajectory};
 use opspace_control::{orientation, recorded};
@@ -523,7 +523,7 @@ fn joint_references_move_and_arrive() {
             controller.update(&common::input(&model, &data, &measurement), &mut [0.0; 4]);
             let signals = controller.signals();
             let mut row = vec![0.0; signals.iter().map(|s| s.len()).sum()];
-            controller.sample(&mut Row::new(&mut row));
+            controller.sample(&mut row);
             ["all.reference", "all.reference_velocity", "all.error"].map(|name| {
                 let before = signals.iter().take_while(|s| s.name != name);
                 let at = before.map(|s| s.len()).sum();

@@ -2,7 +2,7 @@
 
 use crate::common::{self, File, Numbers, at_state, facts, sampled, seven_joints};
 use nalgebra::Vector3;
-use opspace_backend::{Observable, Row};
+use opspace_backend::Observable;
 use opspace_control::{
     AxisMode, CartesianReference, CartesianTarget, ControlInput, Controller, InverseKinematicsController,
     JointTarget, Measurement, OperationalSpaceController, Reason, STOP_S, Target, TargetError, Targets,
@@ -106,7 +106,7 @@ impl Bench {
         let base = common::input(&self.model, &self.data, &self.measurement);
         let input = ControlInput { targets: &self.targets, clock_s: self.clock_s, ..base };
         self.controller.update(&input, &mut self.torque);
-        self.controller.sample(&mut Row::new(&mut self.row));
+        self.controller.sample(&mut self.row);
         self.clock_s += self.period_s;
         self.measurement.time_s += self.period_s;
     }

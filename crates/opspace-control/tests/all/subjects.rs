@@ -220,7 +220,7 @@ fn axes_that_turn_are_followed_as_they_lie() {
         let (data, measurement) = at_state(&model, &q, &numbers.vector(n, 1.0), 0.4);
         let mut tau = vec![0.0; n];
         controller.update(&common::input(&model, &data, &measurement), &mut tau);
-        if sampled(&controller, "hand.weakest_share") != [1.0] {
+        if sampled(&controller, "hand.min_singular_gain") != [1.0] {
             continue;
         }
         seen += 1;

@@ -8,6 +8,10 @@ mod ripple;
 use crate::run::experiment::{ControllerKind, Experiment};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::quantity::Positive;
+use opspace_backend::signal_names::{
+    self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MOTOR_TORQUE, PHASE, Q, REFERENCE, REFERENCE_ORIENTATION,
+    SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_TIME, TORQUE_DESIRED, TORQUE_SATURATED,
+};
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::orientation::log;
 use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame, TaskParameters};
@@ -92,9 +96,9 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
         }
     }
     run.hand(&mut metrics);
-    metrics.setpoint_speed_max_rad_per_s = run.largest("setpoint_speed");
-    metrics.setpoint_acceleration_max_rad_per_s2 = run.largest("setpoint_acceleration");
-    metrics.torque_saturated_share = run.tick.signal("torque_saturated").and_then(|saturated| {
+    metrics.setpoint_speed_max_rad_per_s = run.largest(SETPOINT_SPEED);
+    metrics.setpoint_acceleration_max_rad_per_s2 = run.largest(SETPOINT_ACCELERATION);
+    metrics.torque_saturated_share = run.tick.signal(TORQUE_SATURATED).and_then(|saturated| {
         mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
     });
     run.peaks(&mut metrics);
@@ -106,7 +110,7 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
 pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
     let mut ticks: Vec<f64> = Vec::new();
     if let Some(tick) = recording.channel("tick")
-        && let (Some(phase), Some(time)) = (tick.signal("phase"), tick.signal("tick_time"))
+        && let (Some(phase), Some(time)) = (tick.signal(PHASE), tick.signal(TICK_TIME))
     {
         let controlled = phase.rows().zip(time.rows()).filter(|(p, t)| p[0] == 1.0 && t[0].is_finite());
         ticks.extend(controlled.map(|(_, t)| t[0]));
@@ -142,7 +146,7 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
         let tick = recording.channel("tick")?;
-        let phase = tick.signal("phase")?;
+        let phase = tick.signal(PHASE)?;
         let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
         let mut controlled = (0..tick.len()).filter(|&k| !idle.contains(&phase.row(k)[0]));
         let first = controlled.next()?;
@@ -152,7 +156,7 @@ impl<'a> Run<'a> {
             experiment,
             recording,
             tick,
-            joints: (&positions.time_s, positions.signal("q")?),
+            joints: (&positions.time_s, positions.signal(Q)?),
             start_s: tick.time_s[first],
             from_s: tick.time_s[first] + experiment.task().file.settle_s.get(),
             to_s: tick.time_s[last],
@@ -208,7 +212,7 @@ impl<'a> Run<'a> {
     ) {
         let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, subject) else { return };
         let motion = task.motion_axes();
-        if let Some(reference) = self.tick.signal(&format!("{name}.reference"))
+        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE))
             && motion[..3].contains(&true)
         {
             let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
@@ -217,7 +221,7 @@ impl<'a> Run<'a> {
             });
             (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
         }
-        if let Some(reference) = self.tick.signal(&format!("{name}.reference_orientation"))
+        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION))
             && motion[3..].contains(&true)
         {
             let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
@@ -243,7 +247,7 @@ impl<'a> Run<'a> {
         };
         let ticks = self.settled(&self.tick.time_s);
         let torques = self.experiment.options().controller == ControllerKind::Osc;
-        if let Some(command) = self.tick.signal("command").filter(|_| torques) {
+        if let Some(command) = self.tick.signal(COMMAND).filter(|_| torques) {
             metrics.torque_commanded_max_nm =
                 largest(&mut ticks.clone().flat_map(|k| command.row(k).iter().copied()));
             let steps = ticks.clone().skip(1).flat_map(|k| {
@@ -252,17 +256,17 @@ impl<'a> Run<'a> {
             metrics.torque_step_max_nm = largest(&mut { steps });
         }
         let positions = self.recording.channel("truth").unwrap_or(self.tick);
-        if let Some(dq) = positions.signal("dq") {
+        if let Some(dq) = positions.signal(DQ) {
             let settled = self.settled(&positions.time_s);
             metrics.speed_max_rad_per_s = largest(&mut settled.flat_map(|k| dq.row(k).iter().copied()));
         }
-        if let Some(solver) = self.tick.signal("limits_solver") {
+        if let Some(solver) = self.tick.signal(LIMITS_SOLVER) {
             metrics.limited_share = mean(ticks.map(|k| f64::from(u8::from(solver.row(k)[0] != 0.0))));
         }
     }
 
     fn joint_error(&self, name: &str) -> Option<f64> {
-        let reference = self.tick.signal(&format!("{name}.reference"))?;
+        let reference = self.tick.signal(&signal_names::of(name, REFERENCE))?;
         let (times, q) = self.joints;
         let ticks = self.settled(times).filter_map(|k| Some((k, self.tick_of(k)?)));
         let squares = ticks.flat_map(|(k, tick)| {
@@ -282,7 +286,7 @@ impl<'a> Run<'a> {
         };
         let axes = [WorldAxis::X, WorldAxis::Y, WorldAxis::Z].map(|axis| spring.report.contains(&axis));
         if let Some(truth) = self.recording.channel("truth")
-            && let Some(force) = truth.signal(&format!("{name}.force"))
+            && let Some(force) = truth.signal(&signal_names::of(name, FORCE))
         {
             let forces = self.settled(&truth.time_s).map(|k| {
                 let force = Vector3::from_column_slice(force.row(k));
@@ -313,8 +317,7 @@ impl<'a> Run<'a> {
     fn torque_errors(&self) -> Metrics {
         let mut metrics = Metrics::default();
         let Some(servo) = self.recording.channel("servo") else { return metrics };
-        let (Some(desired), Some(motor)) = (servo.signal("torque_desired"), servo.signal("motor_torque"))
-        else {
+        let (Some(desired), Some(motor)) = (servo.signal(TORQUE_DESIRED), servo.signal(MOTOR_TORQUE)) else {
             return metrics;
         };
         let ratio = self.experiment.profile().1.servo_ticks_per_cycle.get() as usize;
@@ -369,7 +372,7 @@ impl<'a> Run<'a> {
         let ripple_s =
             ripple::of_held_setpoint(profile.servo_ticks_per_cycle.get(), servo_period_s, current_loop_hz);
         let positions = self.recording.channel("truth").unwrap_or(self.tick);
-        let dq = positions.signal("dq")?;
+        let dq = positions.signal(DQ)?;
         let scale = simulated.true_over_nominal.kp.get() * simulated.true_over_nominal.kv.get();
         let true_servos =
             robot.model.joints().iter().filter_map(|joint| {

@@ -35,7 +35,7 @@ use super::diagnostic::{Diagnostic, short};
 use crate::run::experiment::Experiment;
 use nalgebra::{DMatrix, DVector, Vector3};
 use opspace_backend::quantity::NonNegative;
-use opspace_backend::{Backend, CommandKind, Measured, Observable, Row, Sample, Signal};
+use opspace_backend::{Backend, CommandKind, Measured, Observable, Sample, SignalRecorder};
 use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_loop::{ControlLoop, LoopConfig, SafetyParameters};
 use opspace_model::{Data, update};
@@ -314,11 +314,7 @@ impl Controller for NudgedDamping {
 }
 
 impl Observable for NudgedDamping {
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    fn sample(&self, _row: &mut Row<'_>) {}
+    fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
 /// The experiment on the nominal arm, the gains of its position or velocity loops times `gain`, without anything that

@@ -5,6 +5,9 @@ use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Ser
 use crate::report::html::Page;
 use crate::run::experiment::Experiment;
 use crate::run::summary::Summary;
+use opspace_backend::signal_names::{
+    self, DQ, DQ_DESIRED, MOTOR_TORQUE, PHASE, Q, Q_DESIRED, REFERENCE, TORQUE_DESIRED, WRENCH,
+};
 use opspace_control::TaskParameters;
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_loop::Phase;
@@ -118,13 +121,13 @@ fn torques(recording: &Recording, tick: &ChannelData) -> Option<Figure> {
         Some(servo) => (servo, "True motor torque, mean over each servo period, and the torque asked for."),
         None => (tick, "Motor torque as measured by current, and the torque asked for."),
     };
-    let motor = channel.signal("motor_torque")?;
-    let desired = channel.signal("torque_desired");
+    let motor = channel.signal(MOTOR_TORQUE)?;
+    let desired = channel.signal(TORQUE_DESIRED);
     let panels = (motor.elements().iter().enumerate())
         .map(|(j, joint)| Panel {
             title: joint.clone(),
             x_label: "time (s)".to_owned(),
-            y_label: "torque (N·m)".to_owned(),
+            y_label: label_of("torque", &motor, j),
             series: [("motor", Style::Solid, Some(motor)), ("desired", Style::Desired, desired)]
                 .into_iter()
                 .filter_map(|(label, style, column)| series(label, &channel.time_s, &column?, j, style))
@@ -147,10 +150,10 @@ fn positions(
     task: &str,
     frame_name: &str,
 ) -> Option<Figure> {
-    let reference = tick.signal(&format!("{task}.reference"))?;
+    let reference = tick.signal(&signal_names::of(task, REFERENCE))?;
     let model = &experiment.robot().model;
     let frame = model.frame_id(frame_name).ok()?;
-    let q = truth.signal("q")?;
+    let q = truth.signal(Q)?;
     let mut data = Data::new(model);
     let rest = vec![0.0; model.n()];
     let path: Vec<[f64; 3]> = (0..q.len())
@@ -183,7 +186,7 @@ fn positions(
 }
 
 fn forces(tick: &ChannelData, task: &str, sensor: Option<&str>) -> Option<Figure> {
-    let wrench = tick.signal(&format!("{}.wrench", sensor?))?;
+    let wrench = tick.signal(&signal_names::of(sensor?, WRENCH))?;
     let panels = (0..3)
         .map(|axis| Panel {
             title: ["x", "y", "z"][axis].to_owned(),
@@ -202,12 +205,12 @@ fn forces(tick: &ChannelData, task: &str, sensor: Option<&str>) -> Option<Figure
 }
 
 fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure> {
-    let reference = tick.signal(&format!("{task}.reference"))?;
+    let reference = tick.signal(&signal_names::of(task, REFERENCE))?;
     joint_figure(
         "Joint positions",
         "True positions and their references.",
-        "position (rad)",
-        (truth, "q", "true"),
+        "position",
+        (truth, Q, "true"),
         (tick, &reference),
     )
 }
@@ -216,7 +219,7 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
 /// clock.
 fn from_control_start(recording: &Recording) -> Recording {
     let mut shifted = recording.clone();
-    let phase = recording.channel("tick").and_then(|tick| Some((tick, tick.signal("phase")?)));
+    let phase = recording.channel("tick").and_then(|tick| Some((tick, tick.signal(PHASE)?)));
     let first = phase.and_then(|(tick, phase)| {
         let first = phase.rows().position(|row| row[0] == Phase::Control.code())?;
         Some(tick.time_s[first])
@@ -228,21 +231,21 @@ fn from_control_start(recording: &Recording) -> Recording {
 
 /// Setpoints and the measured joints: velocities of a velocity robot, positions of a position robot.
 fn setpoint_figure(tick: &ChannelData) -> Option<Figure> {
-    if let Some(velocities) = tick.signal("dq_desired") {
+    if let Some(velocities) = tick.signal(DQ_DESIRED) {
         return joint_figure(
             "Setpoints",
             "The velocities that the robot was given, and those that were measured or estimated.",
-            "velocity (rad/s)",
-            (tick, "dq", "measured"),
+            "velocity",
+            (tick, DQ, "measured"),
             (tick, &velocities),
         );
     }
-    let positions = tick.signal("q_desired")?;
+    let positions = tick.signal(Q_DESIRED)?;
     joint_figure(
         "Setpoints",
         "The positions that the robot was given, and where its joints were measured.",
-        "position (rad)",
-        (tick, "q", "measured"),
+        "position",
+        (tick, Q, "measured"),
         (tick, &positions),
     )
 }
@@ -250,7 +253,7 @@ fn setpoint_figure(tick: &ChannelData) -> Option<Figure> {
 fn joint_figure(
     title: &str,
     caption: &str,
-    y_label: &str,
+    quantity: &str,
     (channel, name, label): (&ChannelData, &str, &str),
     (desired_channel, desired): (&ChannelData, &Column<'_>),
 ) -> Option<Figure> {
@@ -259,7 +262,7 @@ fn joint_figure(
         .map(|(j, joint)| Panel {
             title: joint.clone(),
             x_label: "time (s)".to_owned(),
-            y_label: y_label.to_owned(),
+            y_label: label_of(quantity, &actual, j),
             series: [
                 series(label, &channel.time_s, &actual, j, Style::Solid),
                 series("desired", &desired_channel.time_s, desired, j, Style::Desired),
@@ -271,6 +274,11 @@ fn joint_figure(
         })
         .collect();
     Some(Figure { title: title.to_owned(), caption: caption.to_owned(), panels, columns: None })
+}
+
+/// Label of an axis: the quantity, and the unit of one element of a signal.
+fn label_of(quantity: &str, column: &Column<'_>, element: usize) -> String {
+    format!("{quantity} ({})", column.units()[element].replace("Nm", "N·m"))
 }
 
 /// Extracts one element of a signal over time, from the start of control on: before, references and tared forces have

@@ -3,6 +3,7 @@
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use opspace_backend::Sink;
+use opspace_backend::signal_names::{COMMAND, DQ_DESIRED, Q_DESIRED, TORQUE_DESIRED};
 use opspace_log::{Comparer, Difference, LoggedInputs, Recording};
 use opspace_loop::{Run, RunOutcome};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,7 +26,7 @@ pub struct ReplayReport {
 }
 
 /// The signals that are commands.
-const COMMANDS: [&str; 4] = ["command", "torque_desired", "q_desired", "dq_desired"];
+const COMMANDS: [&str; 4] = [COMMAND, TORQUE_DESIRED, Q_DESIRED, DQ_DESIRED];
 
 /// Recomputes every row of a log from its inputs and compares it with the log.
 ///

@@ -44,7 +44,10 @@ fn the_layout_and_the_files_come_back() {
 
     let tick = recording.channel("tick").unwrap();
     let dq = tick.signal("dq").unwrap();
-    assert_eq!((dq.elements(), dq.unit(), dq.len()), (&given[0].signals[1].elements[..], "rad/s", 3));
+    assert_eq!(
+        (dq.elements(), dq.unit(), dq.len()),
+        (&given[0].signals[1].elements[..], "rad/s".to_owned(), 3)
+    );
     assert_eq!(bits(dq.row(2)), bits(&row(2, 9)[2..4]));
     let hand = tick.signal("hand.position").unwrap();
     assert_eq!(bits(&hand.rows().flatten().copied().collect::<Vec<_>>()[6..]), bits(&row(2, 9)[6..]));

@@ -82,7 +82,7 @@ fn rate_of_velocity_setpoints_is_an_acceleration() {
     let record = driven(weight_and(4.0), [0.3, -0.2], KV, 0);
     let unit = |name: &str| {
         let signal = record.layout.signals.iter().find(|signal| signal.name == name);
-        signal.map(|signal| signal.unit.to_string())
+        signal.map(|signal| signal.unit())
     };
     assert_eq!(unit("dq_desired").as_deref(), Some("rad/s"));
     assert_eq!(unit("setpoint_acceleration").as_deref(), Some("rad/s^2"));

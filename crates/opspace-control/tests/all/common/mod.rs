@@ -5,7 +5,7 @@
 pub mod stacks;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
-use opspace_backend::{Observable, Row};
+use opspace_backend::Observable;
 use opspace_control::{
     Compensation, ControlContext, ControlError, ControlInput, JointLimits, LimitParameters, Measurement,
     Targets, TaskParameters, TaskSetParameters,
@@ -290,9 +290,7 @@ pub fn random_arm(n: usize, numbers: &mut Numbers) -> Model {
 pub fn sampled(observable: &dyn Observable, name: &str) -> Vec<f64> {
     let signals = observable.signals();
     let mut values = vec![0.0; signals.iter().map(|s| s.len()).sum()];
-    let mut row = Row::new(&mut values);
-    observable.sample(&mut row);
-    assert_eq!(row.remaining(), 0, "every signal was sampled");
+    observable.sample(&mut values);
     let place = signals.iter().position(|s| s.name == name).expect("the signal exists");
     let first: usize = signals[..place].iter().map(|s| s.len()).sum();
     values[first..first + signals[place].len()].to_vec()

@@ -3,7 +3,7 @@
 use super::{PERIOD_S, START};
 use nalgebra::DVector;
 use opspace_backend::{
-    Backend, Capabilities, Command, CommandKind, DeviceFault, Observable, Row, Sample, Signal,
+    Backend, Capabilities, Command, CommandKind, DeviceFault, Observable, Sample, SignalRecorder,
 };
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_model::Data;
@@ -129,11 +129,7 @@ impl<F: FnMut(&Data, &Measurement, &mut [f64]) + Send> Controller for Commanded<
 }
 
 impl<F> Observable for Commanded<F> {
-    fn signals(&self) -> Vec<Signal> {
-        Vec::new()
-    }
-
-    fn sample(&self, _row: &mut Row<'_>) {}
+    fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
 /// Setpoints of velocity servos that give τ = kv (q̇_d − q̇).
