@@ -186,7 +186,7 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
     let unstable = servo("{numerator=[-1500.0,1600.0],denominator=[1.0,-0.5]}");
     refused("emulation", &[&unstable], &["its inverse is unstable", "outside the unit circle"]);
     let improper = servo("{numerator=[1.0],denominator=[0.0,1.0]}");
-    refused("paper", &[&improper], &["errors to come"]);
+    refused("paper", &[&improper], &["future errors"]);
     let joint = "{closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]},\
                  open_loop={numerator=[1.0],denominator=[0.0,2.0,0.3]},from_hz=0.5,to_hz=50.0}";
     let joints = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
@@ -245,13 +245,13 @@ fn a_urdf_whose_links_are_no_tree() {
     joints(&[joint("j", "b", "c"), joint("k", "c", "b")], 5, &["cycle", "b → c", "root"]);
     joints(&[ab.clone(), joint("k", "b", "d")], 6, &["joint 'k'", "child link 'd' doesn't exist", "a, b, c"]);
     joints(&[ab.clone(), joint("k", "d", "c")], 6, &["joint 'k'", "parent link 'd' doesn't exist"]);
-    joints(&[ab.clone(), joint("j", "b", "c")], 6, &["joint 'j' is there already, on line 5", "unique"]);
+    joints(&[ab.clone(), joint("j", "b", "c")], 6, &["joint 'j' is already defined, on line 5", "unique"]);
     joints(&[ab.clone(), bc, joint("l", "a", "c")], 7, &["'c' is the child of two joints, 'k' and 'l'"]);
     let roots = whole_urdf(&LINKS.replace("JOINTS\n", &ab), &["the links a, c", "one root", "fixed"]);
     assert!(roots.stderr.contains("a.urdf:"), "{}", roots.stderr);
     whole_urdf(
         &LINKS.replace("\"c\"", "\"b\"").replace("JOINTS\n", &ab),
-        &["a.urdf:4: ", "link 'b' is there already"],
+        &["a.urdf:4: ", "link 'b' is already defined"],
     );
     whole_urdf("<robot name=\"r\"/>", &["no <link>"]);
     whole_urdf("<robot name=\"r\">\n<link/>\n</robot>", &["a.urdf:2: ", "no name"]);
@@ -373,7 +373,7 @@ fn value_of(key: &str) -> &'static str {
         "stribeck_rad_per_s" => "0.05",
         "viscous_nms_per_rad" => "0.5",
         "servo_hz" => "4000.0",
-        "ratio" => "4",
+        "servo_ticks_per_cycle" => "4",
         "delay_servo_ticks" => "0",
         "velocity_filter_hz" => "300.0",
         "kp_per_s" => "20.0",

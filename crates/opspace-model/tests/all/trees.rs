@@ -679,7 +679,7 @@ fn impossible_mimics_are_named() {
     assert_eq!((error.line(), line_of(&text, "conter")), (Some(21), 21));
     assert_eq!(
         error.to_string(),
-        "line 21: joint 'close' mimics 'conter', which is no moving joint; those are: bend, counter, close, grasp"
+        "line 21: joint 'close' mimics 'conter', which is not a moving joint; the moving joints are: bend, counter, close, grasp"
     );
     assert!(matches!(error.kind(), UrdfErrorKind::UnknownLeader { .. }));
 
