@@ -461,7 +461,7 @@ fn what_is_wrong_in_a_recorded_path_is_named_with_its_line() {
         (
             "time_s,x_m,y_m,z_m\n0,0,0,0\n1,0,0,0\n1,0,0,1\n".to_owned(),
             Some(4),
-            "1 s does not come after 1 s",
+            "1 s is not after the previous 1 s",
         ),
         (turn("0.99,0,0,0"), Some(4), "length is 0.99, not 1"),
         (turn("0.7,0,0,0.7141428"), Some(4), "1.59"),

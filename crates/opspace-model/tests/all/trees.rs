@@ -419,7 +419,7 @@ proptest! {
             prop_assert!(error.to_string().contains(words), "'{}' doesn't say '{}'", error, words);
             Ok(error)
         };
-        let count = format!("there are {n}, numbered from 0");
+        let count = format!("the model has {n} joints, numbered from 0");
         refused(model.with_locked_joints(&[(n, 0.0)]).unwrap_err(), &count)?;
         if model.is_floating() {
             let base = refused(model.with_locked_joints(&[(4, 0.0)]).unwrap_err(), "base.angular.y")?;
