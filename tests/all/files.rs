@@ -130,7 +130,7 @@ fn a_missing_file_is_told_with_what_there_is() {
         .exits(2)
         .says(&["tsk.toml: there is no such file", "`task.toml`"]);
     opspace(folder.path(), &["run", "task"]).exits(2).says(&["did you mean `task.toml`?"]);
-    opspace(folder.path(), &["run", "nowhere/task.toml"]).exits(2).says(&["nor a folder `nowhere`"]);
+    opspace(folder.path(), &["run", "nowhere/task.toml"]).exits(2).says(&["no folder `nowhere`"]);
     opspace(folder.path(), &["run", "."]).exits(2).says(&["is a folder", "task.toml"]);
     let robot = ["run", "task.toml", "--robot", "robots"];
     opspace(folder.path(), &robot).exits(2).says(&["robots: there is no such file"]);
@@ -159,7 +159,7 @@ fn a_setting_errs_as_a_file_does() {
     set("robot.profile.a-med.delay_servo_ticks=9", &["--set", "9 servo ticks"]);
     set("robot.simulated.true_over_nominal.kq=1", &["--set", "kq", "kp"]);
     set("robot.simulated.physics_hz=12000", &["--set", "multiple"]);
-    set("damping_ratio", &["a setting needs a `=`"]);
+    set("damping_ratio", &["a setting needs an `=`"]);
     set("=1", &["--set"]);
     set("", &["--set"]);
 }
@@ -173,7 +173,7 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
         settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
         opspace(folder.path(), &arguments).exits(2).says(words);
     };
-    refused("interpolating", &[], &["robot.toml", "setpoints", "these hold them", "use 'emulation'"]);
+    refused("interpolating", &[], &["robot.toml", "setpoints", "these drives hold them", "use 'emulation'"]);
     let blind = r#"robot.interface.measured=["position"]"#;
     refused("paper+current", &[blind], &["motors' current", "use 'paper'"]);
     refused("identified", &[], &["[profile.a-med]", "opspace identify"]);
@@ -192,7 +192,7 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
     let joints = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
     let all: Vec<String> = joints.iter().map(|name| format!("{name}={joint}")).collect();
     let identified = format!("robot.profile.a-med.identified={{{}}}", all.join(","));
-    refused("identified-literal", &[&identified], &["one joint alone", "use 'identified'"]);
+    refused("identified-literal", &[&identified], &["a single joint", "use 'identified'"]);
     let one = format!("robot.profile.a-med.identified={{{}}}", all[0]);
     refused("identified", &[&one], &["joint 'shoulder_roll'", "missing"]);
 }
@@ -496,7 +496,7 @@ fn a_new_robot_is_told_what_its_urdf_lacks() {
     let mut lines: Vec<String> = read(&path).lines().map(str::to_owned).collect();
     fill(&mut lines);
     fs::write(&path, lines.join("\n")).unwrap();
-    opspace(folder.path(), &["check", "mine"]).exits(2).says(&["joint 'joint1' no speed limit", "velocity="]);
+    opspace(folder.path(), &["check", "mine"]).exits(2).says(&["joint 'joint1' has no velocity limit", "velocity="]);
 }
 
 /// Names that TOML must quote.
