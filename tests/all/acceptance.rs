@@ -433,7 +433,7 @@ fn one_thing_that_is_not_as_it_should_be_is_borne() {
         let what = format!("{} {} {label}", row["transformer"], row["profile"]);
         if row["transformer"] == "paper" && label == "kp 1.3" {
             let cause = row["faulted"].as_str().unwrap_or_default();
-            assert!(cause.contains("more than is asked for"), "{what}: {cause}");
+            assert!(cause.contains("more than the desired torque"), "{what}: {cause}");
             stopped += 1;
             continue;
         }

@@ -371,7 +371,7 @@ fn no_tick_of_any_transformer_allocates() {
         let experiment = Experiment::load(Files::Embedded, path, None, options, &settings);
         if matches!(transformer.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop) {
             let refused = experiment.err().map(|e| e.to_string()).unwrap_or_default();
-            assert!(refused.contains("one joint alone"), "{transformer:?}: {refused}");
+            assert!(refused.contains("a single joint"), "{transformer:?}: {refused}");
             continue;
         }
         let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);

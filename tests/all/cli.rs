@@ -328,18 +328,18 @@ tasks = ["TASKS/gravity-compensation.toml", "TASKS/compliant-x.toml"]
 backend = "torque"
 controller = "osc"
 profiles = ["a-med", "b-soft"]
-set = ["duration_s=1.6"]
+override = ["duration_s=1.6"]
 [[run]]
 tasks = ["TASKS/cartesian-tracking.toml", "TASKS/joint-tracking.toml", "TASKS/compliant-x.toml"]
 backend = "position"
 controller = "ik-lead"
 seeds = [1, 2]
-set = ["duration_s=1.6"]
+override = ["duration_s=1.6"]
 [[run]]
 tasks = ["TASKS/compliant-x.toml"]
 backend = "position"
 controller = "osc"
-set = ["duration_s=1.6"]
+override = ["duration_s=1.6"]
 "#;
 
 #[test]
@@ -373,7 +373,7 @@ fn a_suite_with_a_fault_ends_with_1_and_all_its_rows() {
     let folder = scratch();
     let faulty = format!(
         "{SUITE}\n[[run]]\ntasks = [\"TASKS/compliant-x.toml\"]\nbackend = \"position\"\ncontroller = \"osc\"\n\
-         set = [\"environment.operator.spring.motion.random.rms_m=2.0\",\n\
+         override = [\"environment.operator.spring.motion.random.rms_m=2.0\",\n\
          \"environment.operator.spring.stiffness_n_per_m=3000\"]\n"
     );
     fs::write(folder.path().join("short.toml"), faulty.replace("TASKS", &project("tasks"))).unwrap();
@@ -711,7 +711,7 @@ fn check_knows_what_a_file_is() {
     let task = at("tasks/compliant-x.toml");
     assert!(
         task.starts_with(
-            "tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n  position loops may have "
+            "tasks/compliant-x.toml: a task for the robot 'asimo-arm'\n  position loops tolerate "
         )
     );
     assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
@@ -739,10 +739,14 @@ fn a_file_of_another_kind_is_told_apart() {
     let folder = scratch();
     let task = task("compliant-x");
     let robot = format!("{ROOT_ROBOT}/robot.toml");
-    opspace(folder.path(), &["run", &robot]).exits(2).says(&["is a robot file; a task file is meant here"]);
-    opspace(folder.path(), &["bench", &task]).exits(2).says(&["is a task file; a suite file is meant here"]);
+    opspace(folder.path(), &["run", &robot])
+        .exits(2)
+        .says(&["is a robot file; a task file is expected here"]);
+    opspace(folder.path(), &["bench", &task])
+        .exits(2)
+        .says(&["is a task file; a suite file is expected here"]);
     let swapped = ["run", &task, "--robot", &task];
-    opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is meant here"]);
+    opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is expected here"]);
 }
 
 /// Writing of results: a file is written only if all states are valid; the samples are never overwritten.
@@ -784,7 +788,10 @@ fn check_says_what_it_could_not_check() {
     assert!(said.contains("not checked: tasks/panda-impedance.toml"), "{said}");
     let json = opspace(Path::new(ROOT), &[&arguments[..], &["--json", "-"]].concat()).exits(0).json();
     let skipped = json["files"][0]["not_checked"].as_array().unwrap();
-    assert!(skipped.iter().all(|one| one["help"] == "try it in simulation") && !skipped.is_empty(), "{json}");
+    assert!(
+        skipped.iter().all(|one| one["help"] == "test it in simulation") && !skipped.is_empty(),
+        "{json}"
+    );
 }
 
 /// Compared: the kind of robot in the summary, and the one that robot.toml states, or that is asked for.

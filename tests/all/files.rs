@@ -130,7 +130,7 @@ fn a_missing_file_is_told_with_what_there_is() {
         .exits(2)
         .says(&["tsk.toml: there is no such file", "`task.toml`"]);
     opspace(folder.path(), &["run", "task"]).exits(2).says(&["did you mean `task.toml`?"]);
-    opspace(folder.path(), &["run", "nowhere/task.toml"]).exits(2).says(&["nor a folder `nowhere`"]);
+    opspace(folder.path(), &["run", "nowhere/task.toml"]).exits(2).says(&["no folder `nowhere`"]);
     opspace(folder.path(), &["run", "."]).exits(2).says(&["is a folder", "task.toml"]);
     let robot = ["run", "task.toml", "--robot", "robots"];
     opspace(folder.path(), &robot).exits(2).says(&["robots: there is no such file"]);
@@ -159,7 +159,7 @@ fn a_setting_errs_as_a_file_does() {
     set("robot.profile.a-med.delay_servo_ticks=9", &["--set", "9 servo ticks"]);
     set("robot.simulated.true_over_nominal.kq=1", &["--set", "kq", "kp"]);
     set("robot.simulated.physics_hz=12000", &["--set", "multiple"]);
-    set("damping_ratio", &["a setting needs a `=`"]);
+    set("damping_ratio", &["a setting needs an `=`"]);
     set("=1", &["--set"]);
     set("", &["--set"]);
 }
@@ -173,7 +173,7 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
         settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
         opspace(folder.path(), &arguments).exits(2).says(words);
     };
-    refused("interpolating", &[], &["robot.toml", "setpoints", "these hold them", "use 'emulation'"]);
+    refused("interpolating", &[], &["robot.toml", "setpoints", "these drives hold them", "use 'emulation'"]);
     let blind = r#"robot.interface.measured=["position"]"#;
     refused("paper+current", &[blind], &["motors' current", "use 'paper'"]);
     refused("identified", &[], &["[profile.a-med]", "opspace identify"]);
@@ -186,13 +186,13 @@ fn a_transformer_that_the_robot_cannot_have_is_refused() {
     let unstable = servo("{numerator=[-1500.0,1600.0],denominator=[1.0,-0.5]}");
     refused("emulation", &[&unstable], &["its inverse is unstable", "outside the unit circle"]);
     let improper = servo("{numerator=[1.0],denominator=[0.0,1.0]}");
-    refused("paper", &[&improper], &["errors to come"]);
+    refused("paper", &[&improper], &["future errors"]);
     let joint = "{closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]},\
                  open_loop={numerator=[1.0],denominator=[0.0,2.0,0.3]},from_hz=0.5,to_hz=50.0}";
     let joints = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
     let all: Vec<String> = joints.iter().map(|name| format!("{name}={joint}")).collect();
     let identified = format!("robot.profile.a-med.identified={{{}}}", all.join(","));
-    refused("identified-literal", &[&identified], &["one joint alone", "use 'identified'"]);
+    refused("identified-literal", &[&identified], &["a single joint", "use 'identified'"]);
     let one = format!("robot.profile.a-med.identified={{{}}}", all[0]);
     refused("identified", &[&one], &["joint 'shoulder_roll'", "missing"]);
 }
@@ -245,13 +245,13 @@ fn a_urdf_whose_links_are_no_tree() {
     joints(&[joint("j", "b", "c"), joint("k", "c", "b")], 5, &["cycle", "b → c", "root"]);
     joints(&[ab.clone(), joint("k", "b", "d")], 6, &["joint 'k'", "child link 'd' doesn't exist", "a, b, c"]);
     joints(&[ab.clone(), joint("k", "d", "c")], 6, &["joint 'k'", "parent link 'd' doesn't exist"]);
-    joints(&[ab.clone(), joint("j", "b", "c")], 6, &["joint 'j' is there already, on line 5", "unique"]);
+    joints(&[ab.clone(), joint("j", "b", "c")], 6, &["joint 'j' is already defined, on line 5", "unique"]);
     joints(&[ab.clone(), bc, joint("l", "a", "c")], 7, &["'c' is the child of two joints, 'k' and 'l'"]);
     let roots = whole_urdf(&LINKS.replace("JOINTS\n", &ab), &["the links a, c", "one root", "fixed"]);
     assert!(roots.stderr.contains("a.urdf:"), "{}", roots.stderr);
     whole_urdf(
         &LINKS.replace("\"c\"", "\"b\"").replace("JOINTS\n", &ab),
-        &["a.urdf:4: ", "link 'b' is there already"],
+        &["a.urdf:4: ", "link 'b' is already defined"],
     );
     whole_urdf("<robot name=\"r\"/>", &["no <link>"]);
     whole_urdf("<robot name=\"r\">\n<link/>\n</robot>", &["a.urdf:2: ", "no name"]);
@@ -373,7 +373,7 @@ fn value_of(key: &str) -> &'static str {
         "stribeck_rad_per_s" => "0.05",
         "viscous_nms_per_rad" => "0.5",
         "servo_hz" => "4000.0",
-        "ratio" => "4",
+        "servo_ticks_per_cycle" => "4",
         "delay_servo_ticks" => "0",
         "velocity_filter_hz" => "300.0",
         "kp_per_s" => "20.0",
@@ -496,7 +496,7 @@ fn a_new_robot_is_told_what_its_urdf_lacks() {
     let mut lines: Vec<String> = read(&path).lines().map(str::to_owned).collect();
     fill(&mut lines);
     fs::write(&path, lines.join("\n")).unwrap();
-    opspace(folder.path(), &["check", "mine"]).exits(2).says(&["joint 'joint1' no speed limit", "velocity="]);
+    opspace(folder.path(), &["check", "mine"]).exits(2).says(&["joint 'joint1' has no velocity limit", "velocity="]);
 }
 
 /// Names that TOML must quote.

@@ -129,7 +129,7 @@ fn a_joint_that_does_not_move_is_refused_with_the_reason() {
     let found = identified_of(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     let reason = joint.no_torque_mode.as_ref().expect("it is refused");
-    assert!(reason.contains("does not follow") || reason.contains("within its limits"), "{reason}");
+    assert!(reason.contains("does not follow") || reason.contains("within the limits"), "{reason}");
     assert_eq!(found.robot_toml("arm.urdf").expect("it can be edited"), None);
 }
 
@@ -141,7 +141,7 @@ fn a_servo_that_is_not_what_it_is_said_to_be_is_refused() {
     ];
     let found = identified_of(robot(&settings), short("a-med"));
     let reason = found.joints[0].no_torque_mode.as_ref().expect("it is refused");
-    assert!(reason.contains("no cascaded servo explains"), "{reason}");
+    assert!(reason.contains("no cascaded servo fits"), "{reason}");
 }
 
 /// The written robot file: its plant is the identified one, and its nominal parameters are the identified ones.

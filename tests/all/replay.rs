@@ -257,7 +257,11 @@ fn a_log_of_the_version_before_is_refused_with_the_version_that_reads_it() {
     let before = fs::read(&log).unwrap();
     for command in ["replay", "report"] {
         let ran = opspace(folder.path(), &[command, "run.mcap"]).exits(2);
-        ran.says(&["run.mcap", "opspace 0.1.0 reads it", concat!("this is ", env!("CARGO_PKG_VERSION"))]);
+        ran.says(&[
+            "run.mcap",
+            "read it with opspace 0.1.0",
+            concat!("this is opspace ", env!("CARGO_PKG_VERSION")),
+        ]);
     }
     assert_eq!(fs::read(&log).unwrap(), before);
     assert!(!folder.path().join("report.html").exists());

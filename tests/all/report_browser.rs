@@ -125,9 +125,9 @@ fn the_report_of_a_suite_is_drawn() {
     let suite = format!(
         "title = \"Short\"\n{}{}",
         "[[run]]\ntasks = [\"TASKS/compliant-x.toml\", \"TASKS/joint-tracking.toml\"]\nbackend = \"torque\"\n\
-         controller = \"osc\"\nset = [\"duration_s=2.0\"]\n",
+         controller = \"osc\"\noverride = [\"duration_s=2.0\"]\n",
         "[[run]]\ntasks = [\"TASKS/compliant-x.toml\", \"TASKS/joint-tracking.toml\"]\nbackend = \"position\"\n\
-         controller = \"ik\"\nset = [\"duration_s=2.0\"]\n",
+         controller = \"ik\"\noverride = [\"duration_s=2.0\"]\n",
     );
     fs::write(folder.path().join("short.toml"), suite.replace("TASKS", &project("tasks"))).unwrap();
     opspace(folder.path(), &["bench", "short.toml", "--out", "out"]).exits(0);

@@ -260,7 +260,7 @@ fn a_tool_that_cannot_be_is_refused_with_its_line() {
     let last = read(project("robots/planar-2-link/robot.toml")).lines().count();
     for (lines, line, message) in [
         ("\n[tool.a]\non = \"link2\"\n", 3, "the URDF has no link 'link2'"),
-        ("\n[tool.tip]\non = \"link_2\"\n", 2, "the robot has a link or tool 'tip' already"),
+        ("\n[tool.tip]\non = \"link_2\"\n", 2, "the robot already has a link or tool 'tip'"),
         (
             "\n[tool.a]\non = \"tip\"\nmass_kg = 1.0\ninertia_kg_m2 = [1.0, 0.0, 0.0, 1.0, 0.0, 3.0]\n",
             5,

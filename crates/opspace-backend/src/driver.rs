@@ -102,7 +102,7 @@ impl Settings {
         match self.values.keys().find(|key| !known.contains(&key.as_str())) {
             None => Ok(()),
             Some(key) => {
-                Err(DriverError::at(key, format!("unknown key '{key}'; known are: {}", known.join(", "))))
+                Err(DriverError::at(key, format!("unknown key '{key}'; the keys are: {}", known.join(", "))))
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Errors of a task set, with the key at which they stand in its file.
+//! Errors of a task set, with the key of the file that causes them.
 
 use opspace_model::{UnknownFrame, UnknownJoint};
 use thiserror::Error;
@@ -53,7 +53,7 @@ pub enum Reason {
     #[error(transparent)]
     Joint(#[from] UnknownJoint),
     /// The robot has no such force sensor.
-    #[error("no force sensor '{name}'; the robot's are: {}", listed(known))]
+    #[error("no force sensor '{name}'; the robot's force sensors are: {}", listed(known))]
     Sensor {
         /// The name asked for.
         name: String,
@@ -69,27 +69,27 @@ pub enum Reason {
         known: Vec<String>,
     },
     /// A task without a place in `priority`.
-    #[error("task '{name}' is not in `priority`: give it a place there, or remove it")]
+    #[error("task '{name}' is not in `priority`: add it there, or remove the task")]
     Unranked {
         /// The task.
         name: String,
     },
     /// A task twice in `priority`.
-    #[error("task '{name}' stands twice in `priority`")]
+    #[error("task '{name}' is in `priority` twice")]
     Repeated {
         /// The task.
         name: String,
     },
     /// A name that can't be part of a key or a signal's name.
-    #[error("task name '{name}': letters, digits, '_' and '-' only")]
+    #[error("task name '{name}': only letters, digits, '_' and '-' are allowed")]
     Name {
         /// The name.
         name: String,
     },
     /// A joint-space task above another task.
     #[error(
-        "task '{name}' is in joint space and takes all the freedom that is left: it must be last in \
-         `priority`, but '{below}' stands below it"
+        "task '{name}' is in joint space and uses all remaining degrees of freedom: it must be last in \
+         `priority`, but '{below}' is below it"
     )]
     NotLast {
         /// The joint-space task.
@@ -103,7 +103,7 @@ pub enum Reason {
     )]
     NoAxis,
     /// More axes than joints.
-    #[error("task '{name}' asks for {axes} axes{}, this arm has {joints} joints", beside(*above))]
+    #[error("task '{name}' controls {axes} axes{}, but this arm has only {joints} joints", beside(*above))]
     TooManyAxes {
         /// The task.
         name: String,
@@ -114,10 +114,10 @@ pub enum Reason {
         /// Number of joints, n.
         joints: usize,
     },
-    /// A rotation axis for a frame that this arm can't turn on the spot.
+    /// A rotation axis for a frame that this arm cannot rotate without translating it.
     #[error(
-        "task '{name}' asks for axis {axis}, but this arm of {joints} joints can't turn the frame without moving \
-         it, wherever it stands: leave rx, ry and rz free"
+        "task '{name}' controls axis {axis}, but this arm of {joints} joints cannot rotate the frame without \
+         translating it, in any configuration: leave rx, ry and rz free"
     )]
     CoupledOrientation {
         /// The task.
@@ -127,10 +127,10 @@ pub enum Reason {
         /// Number of joints, n.
         joints: usize,
     },
-    /// Axes that this arm can't move, or not beside those of the tasks above, wherever it stands.
+    /// Axes that this arm cannot move together with those of the tasks above, in any configuration.
     #[error(
-        "task '{name}' asks for {axes} axes{}, but wherever this arm stands it can move only {rank} of \
-         these {} at once",
+        "task '{name}' controls {axes} axes{}, but this arm can move at most {rank} of these {} at once, in any \
+         configuration",
         beside(*above),
         above + axes
     )]
@@ -151,7 +151,7 @@ pub enum Reason {
         axis: &'static str,
     },
     /// A target force or moment on an axis that doesn't take one.
-    #[error("axis {axis} takes no {what} here: it is not a compliant or force axis of that kind")]
+    #[error("axis {axis} accepts no target {what}: it is not a compliant or force axis of that kind")]
     TargetAxis {
         /// The axis.
         axis: &'static str,
@@ -174,25 +174,25 @@ pub enum Reason {
     )]
     NoGains,
     /// Gains and an impedance.
-    #[error("`gains` and `impedance` exclude each other: one says how axes in motion follow")]
+    #[error("`gains` and `impedance` are mutually exclusive: give one of them for the axes in motion")]
     GainsTwice,
     /// An impedance that leaves out one of its values.
-    #[error("axes in motion of this kind need `{key}`")]
+    #[error("these axes in motion need `{key}`")]
     ImpedanceMissing {
         /// The key.
         key: String,
     },
     /// A damping ratio and a damping.
-    #[error("`damping_ratio` and a damping exclude each other: remove one")]
+    #[error("`damping_ratio` and a damping are mutually exclusive: remove one")]
     DampingTwice,
     /// A shaped inertia without a sensor.
-    #[error("an inertia other than the arm's own needs the sensed force: force = {{ sensor = \"...\" }}")]
+    #[error("an inertia other than the arm's own needs the measured force: force = {{ sensor = \"...\" }}")]
     ShapedInertiaUnsensed,
-    /// The centre of mass as something that turns.
-    #[error("the centre of mass doesn't turn: only x, y and z can belong to its task")]
+    /// A rotation axis of the centre of mass.
+    #[error("the centre of mass has no orientation: its task can have only the axes x, y and z")]
     CenterOfMassTurns,
     /// A joint task above others that moves more joints than such a task can.
-    #[error("a task of some joints can have {most} of them at most, not {joints}")]
+    #[error("a task of selected joints can have at most {most} joints, not {joints}")]
     TooManyJoints {
         /// Number of joints that the task names.
         joints: usize,
@@ -200,9 +200,7 @@ pub enum Reason {
         most: usize,
     },
     /// A task that becomes one of another kind while it runs.
-    #[error(
-        "task '{name}' is {was} and can't become {is} while it runs: give the new task a name of its own"
-    )]
+    #[error("task '{name}' is {was} and cannot become {is} during a run: give the new task another name")]
     KindChanged {
         /// The task.
         name: String,
@@ -213,22 +211,20 @@ pub enum Reason {
     },
     /// A task whose streamed inputs are not those of the task of its name in another task set.
     #[error(
-        "task '{name}' has other streamed inputs in another task set: give the new task a name of its own"
+        "task '{name}' has different streamed inputs in another task set: give the new task another name"
     )]
     InputsChanged {
         /// The task.
         name: String,
     },
     /// A joint task that names no joint, or one twice.
-    #[error(
-        "`joints` must name at least one joint, and each only once: leave it out for a task of all joints"
-    )]
+    #[error("`joints` must name at least one joint, and each only once: omit it for a task of all joints")]
     JointList,
     /// A goal that names neither a position nor an orientation.
     #[error("the goal names neither `position` nor `orientation`")]
     NoGoal,
     /// An orientation to reach, but all rotation axes are free.
-    #[error("an orientation is asked for, but the axes rx, ry and rz are all free")]
+    #[error("the goal has an orientation, but the axes rx, ry and rz are all free")]
     OrientationOfFreeAxes,
     /// A recorded path whose file has not been read.
     #[error("the recorded path has no samples: read its file into `samples`")]
@@ -237,7 +233,7 @@ pub enum Reason {
     #[error("no waypoint: at least one is needed")]
     NoWaypoint,
     /// Waypoints that go back in time.
-    #[error("waypoint {index} at {time_s} s does not come after {previous_s} s")]
+    #[error("waypoint {index} at {time_s} s is not after the previous one at {previous_s} s")]
     WaypointTime {
         /// Its place in the list, from 0.
         index: usize,
@@ -247,15 +243,15 @@ pub enum Reason {
         previous_s: f64,
     },
     /// A per-joint table that leaves out a joint.
-    #[error("no value for joint '{joint}': give one number for all joints, or one for each")]
+    #[error("no value for joint '{joint}': give one number for all joints, or one per joint")]
     MissingJoint {
         /// The joint.
         joint: String,
     },
-    /// Inverse kinematics for a task set that asks for no motion.
+    /// Inverse kinematics for a task set without a reference motion.
     #[error(
-        "no task of this stack asks for a motion, so inverse kinematics has nothing to follow: it needs a \
-         cartesian or a joint-tracking task"
+        "no task of this set has a reference motion for inverse kinematics to follow: add a cartesian or a \
+         joint-tracking task"
     )]
     NoMotion,
     /// A number out of its range.
@@ -264,7 +260,7 @@ pub enum Reason {
         /// The range and the number.
         message: String,
     },
-    /// A list that should have one number a joint.
+    /// A list without one number per joint.
     #[error("{given} numbers for {joints} joints")]
     JointCount {
         /// Number of values given.
@@ -279,5 +275,5 @@ fn listed(names: &[String]) -> String {
 }
 
 fn beside(above: usize) -> String {
-    if above == 0 { String::new() } else { format!(" beside the {above} of the tasks above it") }
+    if above == 0 { String::new() } else { format!(" in addition to the {above} of the tasks above it") }
 }

@@ -68,7 +68,7 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for PerJointVisitor<T> {
     type Value = PerJoint<T>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a number for all joints, or a table with one for each: { shoulder = 1.0, elbow = 2.0 }")
+        f.write_str("a number for all joints, or a table with one per joint: { shoulder = 1.0, elbow = 2.0 }")
     }
 
     fn visit_f64<E: Error>(self, value: f64) -> Result<Self::Value, E> {

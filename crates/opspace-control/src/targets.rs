@@ -148,7 +148,7 @@ impl InputHandle {
 #[non_exhaustive]
 pub enum TargetError {
     /// A task without inputs, or no task at all.
-    #[error("no task '{name}' has inputs; those that have are: {}", known.join(", "))]
+    #[error("no task '{name}' with inputs; the tasks with inputs are: {}", known.join(", "))]
     Task {
         /// The name asked for.
         name: String,
@@ -174,17 +174,17 @@ pub enum TargetError {
         found: usize,
     },
     /// A value that is infinite, or a time stamp that is not finite.
-    #[error("a target must be finite, or NaN for a value as configured; found {value}")]
+    #[error("a target must be finite, or NaN for the configured value; got {value}")]
     NotFinite {
         /// The value.
         value: f64,
     },
     /// An input of another task.
-    #[error("the inputs of one write belong to one task")]
+    #[error("all inputs of one write must belong to the same task")]
     OtherTask,
     /// A quaternion that is not of length 1.
     #[error(
-        "an orientation must be a unit quaternion (w, x, y, z), its length 1 within {tolerance}; found {norm}"
+        "an orientation must be a unit quaternion (w, x, y, z), of length 1 within {tolerance}; its length is {norm}"
     )]
     Quaternion {
         /// Its length.
@@ -193,7 +193,7 @@ pub enum TargetError {
         tolerance: f64,
     },
     /// An axis that is not in the task, or the mode `free`.
-    #[error("axis {axis} can't be added to task '{task}' or removed from it; its axes are: {}", known.join(", "))]
+    #[error("axis {axis} cannot be added to task '{task}' or removed from it; its axes are: {}", known.join(", "))]
     Axis {
         /// The task.
         task: String,
@@ -203,7 +203,7 @@ pub enum TargetError {
         known: Vec<&'static str>,
     },
     /// A mode for which the axis is not configured.
-    #[error("axis {axis} of task '{task}' can't be {mode}; it can be: {}", known.join(", "))]
+    #[error("axis {axis} of task '{task}' cannot be {mode}; it can be: {}", known.join(", "))]
     Mode {
         /// The task.
         task: String,
@@ -215,13 +215,13 @@ pub enum TargetError {
         known: Vec<&'static str>,
     },
     /// Gains for a task that follows by an impedance.
-    #[error("task '{task}' doesn't follow by `gains`: its frequency and damping ratio can't be streamed")]
+    #[error("task '{task}' has no `gains`: its frequency and damping ratio cannot be streamed")]
     NoGains {
         /// The task.
         task: String,
     },
     /// A gain out of its range.
-    #[error("{input} of axis {axis} must be {range}, or NaN for the configured one; found {value}")]
+    #[error("{input} of axis {axis} must be {range}, or NaN for the configured one; got {value}")]
     Gain {
         /// The input.
         input: &'static str,

@@ -123,7 +123,7 @@ impl IdentificationJob {
         let (name, profile) = robot.profile(request.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         if robot.file.interface.command != CommandParameter::Position {
-            let message = "this robot takes torques: it has no position servos to identify";
+            let message = "this robot does not accept joint positions: it has no position servos to identify";
             return Err(FileError::at_key(&robot.source, "interface.command", message, None));
         }
         robot.servos_for(&profile_name, CommandKind::Position)?;
@@ -145,8 +145,8 @@ impl IdentificationJob {
             let at = joint(name)?;
             let limits = &robot.model.joints()[at].limits;
             if !(limits.lower..=limits.upper).contains(value) {
-                let message = format!("joint '{name}' can't stand at {value}: that is outside its limits");
-                let help = Some(format!("from {} to {}", limits.lower, limits.upper));
+                let message = format!("joint '{name}' cannot be at {value}: this is outside its limits");
+                let help = Some(format!("give a value from {} to {}", limits.lower, limits.upper));
                 return Err(FileError::of_file(robot.source.name(), message, help));
             }
             start[at] = *value;
@@ -285,15 +285,15 @@ impl IdentificationJob {
             {
                 return Ok(Structure::Pid);
             }
-            ServoParameters::Cascaded(_) => "a cascade with an integral",
+            ServoParameters::Cascaded(_) => "cascaded with an integral",
             ServoParameters::Pid(_) => "a PID servo with an integral, or with the derivative of the error",
             ServoParameters::TransferFunction(_) => "a transfer function",
             ServoParameters::Velocity(_) => "a velocity servo",
         };
         let key = ["profile", &self.profile_name, "servo", name];
-        let message = format!("the servo of '{name}' is {what}, which can't be identified");
-        let help =
-            "cascades without an integral can, and PID servos with the derivative of the position alone";
+        let message = format!("the servo of joint '{name}' is {what}, which cannot be identified");
+        let help = "supported are cascaded servos without an integral, and PID servos without an integral whose derivative is of \
+             the position";
         Err(FileError::at_key(&self.robot.source, key, message, Some(help.to_owned())))
     }
 }
@@ -333,10 +333,10 @@ impl IdentificationResults {
             ("Coulomb", "Nm"),
             ("static", "Nm"),
             ("viscous", "Nms/rad"),
-            ("torque from", ""),
-            ("trusted to", "Hz"),
-            ("T off by", "%"),
-            ("torque off by", "%"),
+            ("torque scale from", ""),
+            ("bandwidth", "Hz"),
+            ("T error", "%"),
+            ("torque error", "%"),
             ("distortion", "%"),
             ("torque mode", ""),
         ]);
@@ -348,7 +348,7 @@ impl IdentificationResults {
             let scale = match joint.found.scale {
                 TorqueScale::MotorCurrent => "motor current",
                 TorqueScale::Urdf => "URDF and rotor",
-                TorqueScale::Unknown => "nowhere: per inertia",
+                TorqueScale::Unknown => "none: relative to inertia",
             };
             table.push(vec![
                 joint.name.as_str().into(),
@@ -366,7 +366,7 @@ impl IdentificationResults {
                 trust.and_then(|t| t.torque_residual).map_or(Cell::Empty, percent),
                 joint.found.measured.first().map_or(Cell::Empty, |m| percent(m.distortion.total())),
                 match &joint.no_torque_mode {
-                    None => Cell::Pass("can be used".to_owned()),
+                    None => Cell::Pass("accepted".to_owned()),
                     Some(_) => Cell::Fail("refused".to_owned()),
                 },
             ]);

@@ -94,13 +94,14 @@ pub enum TorqueScale {
     Unknown,
 }
 
-/// Reason why a joint can't be inverted.
+/// Reason why the servo of a joint cannot be inverted. Each message is about the joint.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentificationFailure {
     /// Motion within the limits that is too small for the encoder.
     #[error(
-        "within its limits it can be moved by {reached:.2e} rad (m) rms only, and its encoder shows {least:.2e}"
+        "within the limits it can be excited by only {reached:.2e} rad (m) rms, below the {least:.2e} rad (m) that its \
+         encoder resolves"
     )]
     NoRoom {
         /// Amplitude reached, rms, rad (m).
@@ -110,7 +111,7 @@ pub enum IdentificationFailure {
     },
     /// Joint that does not follow its setpoints.
     #[error(
-        "it does not follow its setpoints: at {hz:.1} Hz it moves by {gain:.2} of what is asked; is it locked, braked or in contact?"
+        "it does not follow its setpoints: at {hz:.1} Hz the ratio of position to setpoint is {gain:.2}; is it locked, braked or in contact?"
     )]
     DoesNotFollow {
         /// Frequency, Hz.
@@ -119,13 +120,13 @@ pub enum IdentificationFailure {
         gain: f64,
     },
     /// Response without a dominant linear part.
-    #[error("{:.0} % of its motion is not linear in its setpoints", 100.0 * distortion)]
+    #[error("{:.0} % of its response to the setpoints is nonlinear", 100.0 * distortion)]
     NotLinear {
         /// Rms outside the excited lines over rms at them.
         distortion: f64,
     },
     /// Responses that no gains explain.
-    #[error("no cascaded servo explains its motion: the best is off by {:.0} % (allowed: {:.0} %)", 100.0 * error, 100.0 * allowed)]
+    #[error("no cascaded servo fits its response: the best fit has an error of {:.0} % (allowed: {:.0} %)", 100.0 * error, 100.0 * allowed)]
     NotExplained {
         /// Relative error of the fit, rms.
         error: f64,
@@ -133,10 +134,10 @@ pub enum IdentificationFailure {
         allowed: f64,
     },
     /// Responses that determine no gains.
-    #[error("its responses determine no servo: torque and motion don't belong together")]
+    #[error("its responses do not identify a servo; check that torque and position are synchronised")]
     Undetermined,
     /// Motion that was aborted.
-    #[error("its motion was broken off: {0}")]
+    #[error("its motion was aborted: {0}")]
     Stopped(AbortReason),
 }
 
@@ -220,8 +221,8 @@ impl Identification {
     /// Reason why the joint can't be driven by torques; `None` if it can.
     #[must_use]
     pub fn no_torque_mode(&self) -> Option<String> {
-        let ratios = "the scale of torque is not known: only ratios to the inertia are. Measure the motor's current, or \
-                      give the rotor's inertia";
+        let ratios = "the scale of torque is unknown: only ratios to the inertia are identified. Measure motor \
+                      current, or give the rotor inertia";
         self.refused.clone().or((self.scale == TorqueScale::Unknown).then(|| ratios.to_owned()))
     }
 

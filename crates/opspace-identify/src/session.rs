@@ -27,13 +27,13 @@ pub enum AbortReason {
     #[error("the measured position of joint {0} is not a finite number")]
     NotFinite(usize),
     /// Distance beyond the limit.
-    #[error("it moved {0} rad (m) from where it stood")]
+    #[error("it moved {0} rad (m) from its initial position")]
     Travel(f64),
     /// Speed beyond the limit.
-    #[error("it reached {0} rad/s (m/s)")]
+    #[error("its speed reached {0} rad/s (m/s)")]
     Speed(f64),
     /// Motor torque beyond the limit.
-    #[error("its motor reached {0} Nm (N)")]
+    #[error("its motor torque reached {0} Nm (N)")]
     Torque(f64),
     /// Requested interruption.
     #[error("interrupted")]

@@ -24,7 +24,7 @@ pub enum LogError {
     #[error("this is not an MCAP file: it doesn't begin with the bytes 89 'MCAP0' 0D 0A")]
     NotMcap,
     /// MCAP file from which nothing of opspace can be read.
-    #[error("this MCAP file holds no channel recorded by opspace{}", because(damage.as_ref()))]
+    #[error("this MCAP file has no channel recorded by opspace{}", because(damage.as_ref()))]
     NoChannel {
         /// Damage of the file, if there is any.
         damage: Option<Corruption>,
@@ -36,7 +36,7 @@ pub enum LogError {
         name: String,
     },
     /// Two channels of one name.
-    #[error("two channels are called '{name}'; each needs a name of its own")]
+    #[error("two channels have the name '{name}'; names must be unique")]
     DuplicateChannel {
         /// Name of the channels.
         name: String,
@@ -65,8 +65,8 @@ pub struct Corruption {
 impl fmt::Display for Corruption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.after_s {
-            Some(t) => write!(f, "{}; good up to t = {t} s", self.what),
-            None => write!(f, "{}; no row is good", self.what),
+            Some(t) => write!(f, "{}; readable up to t = {t} s", self.what),
+            None => write!(f, "{}; no row is readable", self.what),
         }
     }
 }

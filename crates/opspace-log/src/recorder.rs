@@ -238,7 +238,7 @@ impl<W> Writer<W> {
         match self.join() {
             Some(Ok(result)) => result,
             Some(Err(panic)) => std::panic::resume_unwind(panic),
-            None => Err(LogError::Write(io::Error::other("the log was finished already"))),
+            None => Err(LogError::Write(io::Error::other("the log is already finished"))),
         }
     }
 

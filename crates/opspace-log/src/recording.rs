@@ -221,7 +221,7 @@ fn verify(bytes: &[u8]) -> Result<(), String> {
 }
 
 fn no_end() -> String {
-    "it has no proper end: the recording was cut short".to_owned()
+    "the file is truncated: it has no end record".to_owned()
 }
 
 /// Recording while it is read.
@@ -298,7 +298,7 @@ impl Reader {
 
     fn message(&mut self, id: u16, sequence: u32, data: &[u8]) -> Result<(), String> {
         let Some(place) = self.index.get(&id) else {
-            return Err(format!("a message of channel {id}, which is not described"));
+            return Err(format!("a message of channel {id}, for which there is no channel record"));
         };
         let Some(place) = *place else {
             return Ok(());
@@ -310,7 +310,7 @@ impl Reader {
             return Err(format!("row {next} of channel '{name}' is missing"));
         }
         let Some(time_s) = schema::decode(widths, data, &mut channel.rows) else {
-            return Err(format!("row {next} of channel '{name}' doesn't have its layout"));
+            return Err(format!("row {next} of channel '{name}' does not match the layout of the channel"));
         };
         channel.time_s.push(time_s);
         *next = next.wrapping_add(1);

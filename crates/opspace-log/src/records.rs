@@ -61,7 +61,7 @@ impl<'a> Iterator for Records<'a> {
         }
         let Some(raw) = first(rest, at) else {
             self.at = self.bytes.len();
-            return Some(Err(format!("it ends within the record that begins at byte {at}")));
+            return Some(Err(format!("the file ends within the record at byte {at}")));
         };
         self.at += PREFIX + raw.body.len();
         Some(Ok(raw))
@@ -77,7 +77,7 @@ fn first(rest: &[u8], at: usize) -> Option<Raw<'_>> {
 impl<'a> Raw<'a> {
     /// Parses the content of the record.
     pub fn parse(&self) -> Result<Record<'a>, String> {
-        let broken = || format!("the record at byte {} is broken", self.at);
+        let broken = || format!("the record at byte {} is malformed", self.at);
         let record = self.fields().ok_or_else(broken)?;
         if self.opcode == op::ATTACHMENT {
             let (checked, crc) = self.body.split_last_chunk().ok_or_else(broken)?;
@@ -129,15 +129,15 @@ impl<'a> Chunk<'a> {
     /// Returns the records in it, after verifying their checksum.
     pub fn unpack(&self) -> Result<Cow<'a, [u8]>, String> {
         if self.size > CHUNK_MAX {
-            return Err(format!("a chunk of {} bytes; {CHUNK_MAX} are allowed", self.size));
+            return Err(format!("a chunk of {} bytes; at most {CHUNK_MAX} are allowed", self.size));
         }
         let bytes = match self.compression.as_str() {
             "" => Cow::Borrowed(self.packed),
             "zstd" => {
                 let unpacked = zstd::bulk::decompress(self.packed, self.size as usize);
-                Cow::Owned(unpacked.map_err(|e| format!("a chunk can't be unpacked: {e}"))?)
+                Cow::Owned(unpacked.map_err(|e| format!("a chunk cannot be decompressed: {e}"))?)
             }
-            other => return Err(format!("a chunk is packed by '{other}'; only zstd is known")),
+            other => return Err(format!("a chunk is compressed by '{other}'; only zstd is supported")),
         };
         checksum("a chunk", self.crc, &bytes)?;
         Ok(bytes)
@@ -149,7 +149,7 @@ pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), Strin
     if saved == 0 || crc32fast::hash(bytes) == saved {
         Ok(())
     } else {
-        Err(format!("the checksum of {what} doesn't hold"))
+        Err(format!("the checksum of {what} does not match"))
     }
 }
 

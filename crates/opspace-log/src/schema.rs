@@ -105,7 +105,7 @@ pub(crate) fn layout(metadata: &BTreeMap<String, String>) -> Option<Result<Layou
         let signals = value["signals"].as_array()?.iter().map(signal).collect::<Option<_>>()?;
         Some(Layout { channel: value["channel"].as_str()?.to_owned(), signals })
     };
-    Some(read().ok_or_else(|| format!("the layout of a channel can't be understood: {text}")))
+    Some(read().ok_or_else(|| format!("the layout of a channel cannot be parsed: {text}")))
 }
 
 fn signal(value: &Value) -> Option<Signal> {

@@ -18,7 +18,7 @@ pub enum Fault {
         joint: usize,
     },
     /// A force sensor gave no finite number.
-    #[error("force sensor {sensor}: the reading is not a finite number")]
+    #[error("force sensor {sensor}: the measured force is not a finite number")]
     SensorNotFinite {
         /// Sensor index.
         sensor: usize,
@@ -46,7 +46,7 @@ pub enum Fault {
         limit_s: f64,
     },
     /// After a dropout, a joint that should be held goes on moving.
-    #[error("joint {joint}: held after a dropout, it still moves after {held_s} s")]
+    #[error("joint {joint}: still moving after being held for {held_s} s following a dropout")]
     HoldFailed {
         /// Joint index.
         joint: usize,
@@ -96,7 +96,7 @@ pub enum Fault {
         limit: f64,
     },
     /// The motor of a position robot gives another torque than the one for which its setpoints were made.
-    #[error("joint {joint}: the motor's torque is {deviation} Nm from what is asked for, limit {limit}")]
+    #[error("joint {joint}: the motor's torque is {deviation} Nm from the desired torque, limit {limit}")]
     TorqueDeviation {
         /// Joint index.
         joint: usize,
@@ -106,7 +106,7 @@ pub enum Fault {
         limit: f64,
     },
     /// The motor of a position robot drives its joint with more power than was asked for.
-    #[error("joint {joint}: the motor puts in {power} W more than is asked for, limit {limit}")]
+    #[error("joint {joint}: the motor delivers {power} W more than the desired torque would, limit {limit}")]
     ExcessPower {
         /// Joint index.
         joint: usize,

@@ -34,13 +34,13 @@ pub struct ChannelParameters {
 #[non_exhaustive]
 pub enum LinkError {
     /// A signal that the sending robot does not have.
-    #[error("the sending robot has no signal '{0}'")]
+    #[error("the sending robot does not record the signal '{0}'")]
     Signal(String),
     /// A task or an input that the receiving robot does not have, or one of another length.
     #[error(transparent)]
     Target(#[from] TargetError),
     /// Parameters out of range.
-    #[error("delay_s and jitter_s must be finite and not negative, loss from 0 to 1")]
+    #[error("delay_s and jitter_s must be finite and not negative, and loss between 0 and 1")]
     Parameters,
 }
 

@@ -117,7 +117,7 @@ pub enum LoopError {
         joints: usize,
     },
     /// A value out of range.
-    #[error("{what} must be {allowed}, found {found}")]
+    #[error("{what} must be {allowed}, got {found}")]
     Value {
         /// Name of the value.
         what: &'static str,
@@ -127,7 +127,7 @@ pub enum LoopError {
         found: f64,
     },
     /// A controller or a transformer whose commands the robot does not take.
-    #[error("the {part} gives {} commands, and the robot takes {} commands", gives.name(), takes.name())]
+    #[error("the {part} returns {} commands, but the robot accepts {} commands", gives.name(), takes.name())]
     Kind {
         /// `controller` or `transformer`.
         part: &'static str,

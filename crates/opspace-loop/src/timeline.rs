@@ -31,7 +31,7 @@ pub struct Cycle {
 #[non_exhaustive]
 pub enum TimelineError {
     /// No robot, or one with a rate of zero.
-    #[error("every robot needs a rate of at least 1 Hz, and there must be a robot")]
+    #[error("a timeline needs at least one robot, and a rate of at least 1 Hz for each")]
     Rate,
     /// A clock with more ticks per second than can be counted.
     #[error("the rates have no common multiple below 2^32 Hz")]

@@ -32,7 +32,7 @@ pub struct MimicConstraint {
 #[non_exhaustive]
 pub enum ReduceError {
     /// Joint index out of range.
-    #[error("there is no joint {joint}: there are {count}, numbered from 0")]
+    #[error("no joint {joint}: the model has {count} joints, numbered from 0")]
     NoSuchJoint {
         /// Index asked for.
         joint: usize,
@@ -40,7 +40,7 @@ pub enum ReduceError {
         count: usize,
     },
     /// Joint given twice.
-    #[error("joint '{joint}' is given twice; leave one")]
+    #[error("joint '{joint}' is given twice; remove one")]
     Repeated {
         /// Name of the joint.
         joint: String,
@@ -60,7 +60,7 @@ pub enum ReduceError {
         value: f64,
     },
     /// Joints that follow each other in a circle.
-    #[error("joint '{joint}' follows itself")]
+    #[error("joint '{joint}' mimics itself")]
     FollowsItself {
         /// Name of one of them.
         joint: String,

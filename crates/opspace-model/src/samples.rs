@@ -169,7 +169,7 @@ pub enum SampleError {
         row: usize,
     },
     /// Task row given twice.
-    #[error("`task_rows` has {row} more than once; leave one")]
+    #[error("`task_rows` has {row} more than once; remove one")]
     RepeatedRow {
         /// Row as given.
         row: usize,
@@ -187,7 +187,7 @@ pub enum SampleError {
         length: f64,
     },
     /// Angle beyond the range in which sines keep their digits.
-    #[error("`q`: joint '{joint}' is turned by {angle} rad; give at most {MOST_TURNED_RAD}")]
+    #[error("`q`: joint '{joint}' is at {angle} rad; give at most {MOST_TURNED_RAD}")]
     Turned {
         /// Name of the joint.
         joint: String,

@@ -52,7 +52,7 @@ pub enum ModelWarning {
     /// Centre of mass outside its body.
     #[error(
         "{part}: its centre of mass is {} m from its frame, {:.0} times its radius of gyration of {} m; \
-         links have 4 times at most: give it in the link's own frame, in m",
+         for real links it is at most 4 times: give it in the link's own frame, in m",
         short(*distance_m), distance_m / radius_m, short(*radius_m)
     )]
     FarCentre {
@@ -65,8 +65,8 @@ pub enum ModelWarning {
     },
     /// Body too compact for its mass.
     #[error(
-        "{part}: its largest principal moment is {} kg m²; even a ball of osmium of its {} kg has {}: \
-         give moments in kg m², unless a point mass is meant",
+        "{part}: its largest principal moment is {} kg m²; a solid osmium sphere of its mass, {} kg, has {}: \
+         give moments in kg m², unless a point mass is intended",
         short(*moment), short(*mass), short(*least)
     )]
     SmallInertia {
@@ -81,8 +81,8 @@ pub enum ModelWarning {
     },
     /// Body too wide for its mass.
     #[error(
-        "{part}: its principal moments {}, {}, {} kg m² with {} kg are those of a solid of {} kg/m³, lighter than \
-         styrofoam; links have 50 and more: give moments about the centre of mass, in kg m², no placeholders",
+        "{part}: its principal moments {}, {}, {} kg m² with {} kg are those of a solid of {} kg/m³; real links \
+         have at least 50 kg/m³: give moments about the centre of mass, in kg m², not placeholders",
         short(moments[0]), short(moments[1]), short(moments[2]), short(*mass), short(*density)
     )]
     LargeInertia {
@@ -97,8 +97,8 @@ pub enum ModelWarning {
     },
     /// Parent and child of very different mass.
     #[error(
-        "{heavy} has {} kg and {light} next to it {} kg; usual is a ratio below 1000: give both in kg, and fix a link \
-         that is only a placeholder to a neighbour",
+        "{heavy} has {} kg and the adjacent {light} {} kg; mass ratios are usually below 1000: give both in kg, and \
+         attach a placeholder link to a neighbour by a fixed joint",
         short(masses[1]), short(masses[0])
     )]
     UnequalMasses {
@@ -111,7 +111,7 @@ pub enum ModelWarning {
     },
     /// Joints without a limit of speed or effort.
     #[error(
-        "{}: no {limit} limit, so that any {limit} passes; give <limit {limit}=\"...\"> from the motor's data",
+        "{}: no {limit} limit, so any {limit} is accepted; give <limit {limit}=\"...\"> from the motor's data sheet",
         listed(joints)
     )]
     NoLimit {
@@ -175,8 +175,8 @@ impl<'a> Part<'a> {
         let mut links = self.model.frames().iter().filter(|f| f.body == Some(self.number));
         match (links.next(), links.next()) {
             (Some(link), None) => format!("link '{}'", link.name),
-            (Some(link), Some(_)) => format!("link '{}' with what is fixed to it", link.name),
-            (None, _) => format!("what joint '{}' moves", self.model.joints()[self.body().joint].name),
+            (Some(link), Some(_)) => format!("link '{}' with the links fixed to it", link.name),
+            (None, _) => format!("the body moved by joint '{}'", self.model.joints()[self.body().joint].name),
         }
     }
 

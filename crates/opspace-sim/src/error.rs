@@ -10,7 +10,7 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum SimulationError {
     /// Command that would act after the next one.
-    #[error("a delay of {delay} servo ticks is longer than the {ratio} of an interface period")]
+    #[error("a delay of {delay} servo ticks is longer than an interface period of {ratio} servo ticks")]
     Delay {
         /// Delay, `delay_servo_ticks`.
         delay: u32,
@@ -40,7 +40,7 @@ pub enum SimulationError {
         source: ServoError,
     },
     /// Number of servos that differs from the number of joints.
-    #[error("{found} servos for {joints} joints")]
+    #[error("{found} servos for {joints} joints: one per joint is needed")]
     Servos {
         /// Number of servos.
         found: usize,
@@ -48,7 +48,7 @@ pub enum SimulationError {
         joints: usize,
     },
     /// Servo of another kind than the robot needs.
-    #[error("the servo of joint '{joint}' does not take {} setpoints: {} is missing", setpoints.name(), needed(joint, *truth, *setpoints))]
+    #[error("the servo of joint '{joint}' does not accept {} setpoints: {} is missing", setpoints.name(), needed(joint, *truth, *setpoints))]
     ServoKind {
         /// Name of its joint.
         joint: String,
@@ -58,7 +58,9 @@ pub enum SimulationError {
         setpoints: CommandKind,
     },
     /// Physics rate that is no multiple of the servo rate.
-    #[error("physics at {physics_hz} Hz is not a whole multiple, 1 to 10000, of the servo's {servo_hz} Hz")]
+    #[error(
+        "a physics rate of {physics_hz} Hz is not a whole multiple (1 to 10000) of the servo rate of {servo_hz} Hz"
+    )]
     PhysicsRate {
         /// Physics rate `physics_hz`, Hz.
         physics_hz: f64,
@@ -67,7 +69,7 @@ pub enum SimulationError {
     },
     /// Servo rates without a common clock.
     #[error(
-        "arms of one simulation have servo rates of {first_hz} Hz and {second_hz} Hz: whole numbers of hertz are needed"
+        "the arms of a simulation have servo rates of {first_hz} Hz and {second_hz} Hz: whole numbers of hertz are needed"
     )]
     ServoRates {
         /// Servo rate of one arm, Hz.
@@ -76,19 +78,19 @@ pub enum SimulationError {
         second_hz: f64,
     },
     /// Declared joints that are not those of the model.
-    #[error("the declared joints are not those of the model, in its order: {}", declared.join(", "))]
+    #[error("the declared joints are not those of the model, in the order of the model: {}", declared.join(", "))]
     Joints {
         /// Names of the declared joints.
         declared: Vec<String>,
     },
     /// Interface period that is no time.
-    #[error("an interface period of {period_s} s: a finite number above 0 is needed")]
+    #[error("the interface period is {period_s} s; it must be finite and above 0")]
     Period {
         /// Interface period `period_s`, s.
         period_s: f64,
     },
     /// Simulation without arms.
-    #[error("a simulation needs an arm")]
+    #[error("a simulation needs at least one arm")]
     NoArm,
     /// Coupling of an arm or a frame that doesn't exist, or of an arm with itself.
     #[error("coupling '{coupling}': {reason}")]
@@ -99,13 +101,13 @@ pub enum SimulationError {
         reason: String,
     },
     /// Bus on which nothing passes.
-    #[error("a bus that loses {share} of its cycles passes nothing: less than 1")]
+    #[error("the fraction of lost cycles is {share}; it must be less than 1")]
     LostCycles {
         /// Share of lost cycles, `lost_cycles_share`.
         share: f64,
     },
     /// Dropout too long for its rows to be kept.
-    #[error("a dropout of {duration_s} s is longer than {longest_s} s")]
+    #[error("a dropout of {duration_s} s is longer than the maximum of {longest_s} s")]
     Dropout {
         /// Duration, `duration_s`, s.
         duration_s: f64,
@@ -113,7 +115,9 @@ pub enum SimulationError {
         longest_s: f64,
     },
     /// Setpoint that would act after the next one.
-    #[error("a jitter of {jitter} servo ticks is not fewer than the {ratio} of an interface period")]
+    #[error(
+        "a jitter of {jitter} servo ticks is not shorter than an interface period of {ratio} servo ticks"
+    )]
     Jitter {
         /// Jitter, `jitter_servo_ticks`.
         jitter: u32,
@@ -149,7 +153,7 @@ pub enum SimulationError {
         object: String,
     },
     /// Operator that reports no axis.
-    #[error("environment.{object}: report names no axis; leave it out for all of x, y and z")]
+    #[error("environment.{object}: report names no axis; omit it to report x, y and z")]
     NothingReported {
         /// Name of the object.
         object: String,

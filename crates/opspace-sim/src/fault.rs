@@ -19,9 +19,9 @@ pub fn diverged() -> DeviceFault {
 #[must_use]
 pub fn wrong_command(takes: CommandKind) -> DeviceFault {
     let words = match takes {
-        CommandKind::Torque => "the simulated robot takes joint torques only",
-        CommandKind::Velocity => "the simulated robot takes joint velocities only",
-        CommandKind::Position => "the simulated robot takes joint positions only",
+        CommandKind::Torque => "the simulated robot accepts only joint torques",
+        CommandKind::Velocity => "the simulated robot accepts only joint velocities",
+        CommandKind::Position => "the simulated robot accepts only joint positions",
     };
     DeviceFault::new(WRONG_COMMAND, words)
 }

@@ -150,12 +150,12 @@ impl Simulation {
 fn coupling(config: &CouplingConfig, models: &[Model]) -> Result<PlantCoupling, SimulationError> {
     let error = |reason: String| SimulationError::Coupling { coupling: config.name.clone(), reason };
     let find = |(arm, frame): &(usize, String)| {
-        let model = models.get(*arm).ok_or_else(|| error(format!("there is no arm {arm}")))?;
+        let model = models.get(*arm).ok_or_else(|| error(format!("no arm {arm}")))?;
         let frame = model.frame_id(frame).map_err(|source| error(source.to_string()))?;
         Ok(PlantFrame { arm: *arm, frame })
     };
     if config.first.0 == config.second.0 {
-        return Err(error("both of its frames are on one arm".to_owned()));
+        return Err(error("both frames are on the same arm".to_owned()));
     }
     Ok(PlantCoupling {
         frames: [find(&config.first)?, find(&config.second)?],

@@ -68,7 +68,7 @@ pub struct ClosedLoopModel {
     pub to_hz: Positive,
 }
 
-/// Reason why a joint can't be inverted from what was identified.
+/// Reason why a joint cannot be inverted from its identified closed loop.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentificationError {
@@ -79,11 +79,11 @@ pub enum IdentificationError {
         what: &'static str,
     },
     /// Band from a higher to a lower frequency.
-    #[error("to_hz isn't above from_hz")]
+    #[error("to_hz is not above from_hz")]
     Band,
     /// Closed loop that falls off faster than the open loop: q_desired would follow the rate of the torque.
     #[error(
-        "closed_loop falls off faster than open_loop (by {excess} powers of s): setpoints would follow the rate of \
+        "closed_loop rolls off faster than open_loop (by {excess} powers of s): setpoints would depend on the rate of \
          the torque"
     )]
     Improper {
@@ -92,7 +92,7 @@ pub enum IdentificationError {
     },
     /// Unstable inverse: setpoints would grow by themselves.
     #[error(
-        "setpoints would grow without bound: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
+        "setpoints would be unbounded: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
     )]
     Unstable {
         /// Real part of the zero or pole, rad/s.
@@ -100,8 +100,8 @@ pub enum IdentificationError {
     },
     /// Inverse 1/E that is not a compliance and a velocity.
     #[error(
-        "1/E isn't a compliance and a velocity within the band: {left:.2} of it is left over, alpha = {alpha:.3e} rad/Nm, \
-         beta = {beta:.3e} s"
+        "1/E is not the sum of a compliance and a velocity term within the band: a fraction of {left:.2} remains, \
+         alpha = {alpha:.3e} rad/Nm, beta = {beta:.3e} s"
     )]
     Split {
         /// Compliance α, rad/Nm.

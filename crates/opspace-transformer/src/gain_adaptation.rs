@@ -45,7 +45,7 @@ impl TryFrom<f64> for Share {
         if value > 0.0 && value < 1.0 {
             Ok(Self(value))
         } else {
-            Err(format!("expected a share above 0 and below 1, got {value}"))
+            Err(format!("expected a fraction above 0 and below 1, got {value}"))
         }
     }
 }

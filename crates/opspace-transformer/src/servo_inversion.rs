@@ -34,7 +34,7 @@ pub enum EmulationError {
     #[error(transparent)]
     Servo(#[from] ServoError),
     /// Position and velocity servos on one robot.
-    #[error("it takes {} setpoints, the servos before it take {}", takes.name(), others.name())]
+    #[error("it accepts {} setpoints, but the servos of the joints before it accept {} setpoints", takes.name(), others.name())]
     Mixed {
         /// Quantity of this servo's setpoints.
         takes: CommandKind,
@@ -42,14 +42,14 @@ pub enum EmulationError {
         others: CommandKind,
     },
     /// Torque that comes later than the next setpoint.
-    #[error("a setpoint makes no torque within the {ratio} servo ticks in which it acts")]
+    #[error("a setpoint produces no torque during the {ratio} servo ticks for which it acts")]
     NoTorque {
         /// Servo ticks per interface cycle.
         ratio: u32,
     },
     /// Unstable inverse: setpoints for the torques would grow without bound.
     #[error(
-        "its inverse is unstable: setpoints for a torque would grow {growth:.3} times from one to the next (zeros \
+        "its inverse is unstable: setpoints for a torque would grow by a factor of {growth:.3} per cycle (zeros \
          outside the unit circle)"
     )]
     Unstable {

@@ -30,19 +30,19 @@ pub type ServoState = [f64; MAX_ORDER];
 #[non_exhaustive]
 pub enum ServoError {
     /// Order higher than [`MAX_ORDER`].
-    #[error("a transfer function of order {order}; at most {MAX_ORDER} are taken")]
+    #[error("the transfer function has order {order}; at most {MAX_ORDER} is supported")]
     Order {
         /// Order of the longer polynomial.
         order: usize,
     },
     /// Improper transfer function: its torque doesn't follow from errors, past or present.
-    #[error("denominator[0] is zero or missing: this torque would depend on errors to come")]
+    #[error("denominator[0] is zero or missing: the torque would depend on future errors")]
     Improper,
     /// Transfer function that is zero: no error makes a torque.
-    #[error("the numerator is zero: no position error would make a torque")]
+    #[error("the numerator is zero: no position error would produce a torque")]
     NoTorque,
     /// Servo without a setpoint for a torque at rest.
-    #[error("this servo can't hold a torque at rest: no constant position error gives one")]
+    #[error("this servo cannot hold a torque at rest: no constant position error produces one")]
     HoldsNothing,
 }
 

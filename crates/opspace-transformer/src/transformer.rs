@@ -108,19 +108,21 @@ impl TransformerKind {
     #[must_use]
     pub fn description(self) -> &'static str {
         if self.current {
-            return "the same, corrected by measured motor current";
+            return "the same method, corrected by measured motor current";
         }
         match self.method {
             Method::Paper => "equation (K10) of the paper",
-            Method::Emulation => "the servo emulated up to the next setpoint, its mean torque matched",
+            Method::Emulation => "emulates the servo up to the next setpoint and matches the mean torque",
             Method::Interpolating => {
-                "the servo emulated where drives interpolate, every tick's torque matched"
+                "emulates the servo of drives that interpolate setpoints and matches the torque of each servo tick"
             }
-            Method::Identified => "equation (K10) with the gains that a measured closed loop has",
+            Method::Identified => "equation (K10) with gains from a measured closed loop",
             Method::IdentifiedLiteral => {
-                "equation (K8) on a measured closed loop: one joint, free of gravity and contact"
+                "equation (K8) on a measured closed loop: one joint without gravity and contact; simulation only"
             }
-            Method::IdentifiedOpenLoop => "its second form, blind to the measured position: drifts",
+            Method::IdentifiedOpenLoop => {
+                "second form of (K8), without the measured position: drifts; simulation only"
+            }
         }
     }
 
@@ -135,7 +137,8 @@ impl TransformerKind {
     #[must_use]
     pub fn best(setpoints: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
         let Some(delay) = delay_servo_ticks else {
-            let why = "the delay of setpoints isn't known, and this one bears any".to_owned();
+            let why =
+                "the delay of setpoints is unknown, and this transformer works with any delay".to_owned();
             return (Self::new(Method::Paper, false), why);
         };
         let (method, setpoints) = match setpoints {
@@ -164,7 +167,7 @@ impl JsonSchema for TransformerKind {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "description": "Which transformer.", "type": "string", "enum": Self::NAMES })
+        json_schema!({ "description": "Transformer from desired torques to setpoints.", "type": "string", "enum": Self::NAMES })
     }
 }
 

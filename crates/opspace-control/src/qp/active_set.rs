@@ -138,7 +138,7 @@ impl ActiveSet {
         let m = program.constraints();
         self.iterations = 0;
         if program.variables() > self.max_variables || m > self.max_constraints {
-            return Err(QpError::Unsolved("the programme is larger than the solver"));
+            return Err(QpError::Unsolved("the problem exceeds the size that the solver was created for"));
         }
         program.check()?;
         self.start(program)?;

@@ -52,7 +52,7 @@ impl InteriorPoint {
     /// For programmes of at most so many variables and constraints.
     ///
     /// # Errors
-    /// [`QpError::Unsolved`] if Clarabel refuses the sizes.
+    /// [`QpError::Unsolved`] if Clarabel rejects the problem size.
     pub fn new(variables: usize, constraints: usize) -> Result<Self, QpError> {
         let rows = 3 * constraints;
         let p = upper_triangle(variables);
@@ -81,7 +81,7 @@ impl InteriorPoint {
             ..DefaultSettings::default()
         };
         let solver = DefaultSolver::new(&p, &q, &a, &b, &cones, settings)
-            .map_err(|_| QpError::Unsolved("Clarabel refuses the sizes"))?;
+            .map_err(|_| QpError::Unsolved("Clarabel rejects the problem size"))?;
         Ok(Self {
             variables,
             constraints,
@@ -109,7 +109,7 @@ impl InteriorPoint {
     pub fn solve(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let n = program.variables();
         if n > self.variables || program.constraints() > self.constraints {
-            return Err(QpError::Unsolved("the programme is larger than the solver"));
+            return Err(QpError::Unsolved("the problem exceeds the size that the solver was created for"));
         }
         program.check()?;
         program.cholesky(&mut self.factor[..n * n])?;
@@ -117,7 +117,7 @@ impl InteriorPoint {
         self.set_constraints(program);
         self.solver
             .update_data(&self.p, &self.q, &self.a, &self.b)
-            .map_err(|_| QpError::Unsolved("Clarabel refuses new numbers"))?;
+            .map_err(|_| QpError::Unsolved("Clarabel rejects the new data"))?;
         self.solver.solve();
         let found = &self.solver.solution;
         match found.status {

@@ -33,7 +33,7 @@ pub struct QuadraticProgram {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum QpError {
     /// No x meets the constraints.
-    #[error("constraint {row} can't be met together with the others")]
+    #[error("constraint {row} is inconsistent with the other constraints")]
     Infeasible {
         /// A row that contradicts itself or others.
         row: usize,
@@ -42,10 +42,10 @@ pub enum QpError {
     #[error("the Hessian is not positive definite")]
     NotConvex,
     /// A NaN or an infinity in the programme, or an overflow on the way.
-    #[error("the programme has a NaN or an infinity where a number must be, or its numbers overflow")]
+    #[error("the problem data has a NaN or an infinity where a finite number is needed, or overflows")]
     NotFinite,
     /// The solver's bound on its iterations.
-    #[error("the solver reached its limit of iterations")]
+    #[error("the solver reached its iteration limit")]
     Iterations,
     /// Anything else, by name.
     #[error("the solver found no solution: {0}")]
@@ -134,7 +134,7 @@ impl QuadraticProgram {
             && self.lower.len() >= m
             && self.upper.len() >= m;
         if !fits {
-            return Err(QpError::Unsolved("an array is smaller than the programme"));
+            return Err(QpError::Unsolved("an array is smaller than the problem"));
         }
         let finite = (0..n).all(|j| all_finite(self.hessian_column(j)))
             && all_finite(&self.gradient.as_slice()[..n])

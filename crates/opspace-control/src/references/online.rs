@@ -112,12 +112,12 @@ fn limited<T>(
 ) -> Result<Option<(T, MotionLimits)>, String> {
     let Some(goal) = goal else {
         return match limits.iter().find(|(_, limit)| limit.is_some()) {
-            Some((name, _)) => Err(format!("`{name}` limits a motion to `{key}`, which is not given")),
+            Some((name, _)) => Err(format!("`{name}` limits the motion to `{key}`, which is not given")),
             None => Ok(None),
         };
     };
     let [velocity, acceleration, jerk] = limits.map(|(name, limit)| {
-        limit.ok_or_else(|| format!("`{key}` needs a limit `{name}`, which is missing"))
+        limit.ok_or_else(|| format!("`{key}` needs the limit `{name}`, which is missing"))
     });
     Ok(Some((goal, MotionLimits { velocity: velocity?, acceleration: acceleration?, jerk: jerk? })))
 }

@@ -91,8 +91,8 @@ pub struct RecordedError {
 pub enum RecordedReason {
     /// The first line doesn't name a column that must be there.
     #[error(
-        "no column `{name}`: a recorded path has time_s, x_m, y_m, z_m and, if it turns, qw, qx, qy, qz, all of \
-         them"
+        "no column `{name}`: a recorded path has the columns time_s, x_m, y_m, z_m and, for an orientation, all of \
+         qw, qx, qy, qz"
     )]
     MissingColumn {
         /// The column.
@@ -100,14 +100,15 @@ pub enum RecordedReason {
     },
     /// The first line names a column that is not known.
     #[error(
-        "unknown column `{name}`: a recorded path has time_s, x_m, y_m, z_m and, if it turns, qw, qx, qy, qz"
+        "unknown column `{name}`: a recorded path has the columns time_s, x_m, y_m, z_m and, for an orientation, \
+         qw, qx, qy, qz"
     )]
     UnknownColumn {
         /// The column.
         name: String,
     },
     /// The first line names a column twice.
-    #[error("two columns `{name}`")]
+    #[error("column `{name}` is given twice")]
     RepeatedColumn {
         /// The column.
         name: String,
@@ -129,7 +130,7 @@ pub enum RecordedReason {
         value: String,
     },
     /// A sample not after the one before.
-    #[error("column `time_s`: {time_s} s does not come after {previous_s} s")]
+    #[error("column `time_s`: {time_s} s is not after the previous {previous_s} s")]
     Time {
         /// Its time, s.
         time_s: f64,
@@ -144,8 +145,8 @@ pub enum RecordedReason {
     },
     /// A turn too large to tell which way it went.
     #[error(
-        "columns `qw`, `qx`, `qy`, `qz`: {angle_rad:.3} rad from the orientation before it; sample so often \
-         that it is less than a quarter turn"
+        "columns `qw`, `qx`, `qy`, `qz`: {angle_rad:.3} rad from the previous orientation; sample more often: \
+         consecutive orientations must differ by less than a quarter turn"
     )]
     Turn {
         /// The angle between the two, rad.

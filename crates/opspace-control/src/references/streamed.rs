@@ -67,11 +67,11 @@ pub(crate) fn blending(
 ) -> Result<Option<Positive>, String> {
     match shape {
         StreamedShape::Extrapolated => match given.iter().find(|(_, given)| *given) {
-            Some((name, _)) => Err(format!("`{name}` limits a motion with shape = \"generated\" only")),
+            Some((name, _)) => Err(format!("`{name}` applies only to shape = \"generated\"")),
             None => Ok(Some(blend_s.unwrap_or_else(default_blend_s))),
         },
         StreamedShape::Generated if blend_s.is_some() => {
-            Err("`blend_s` goes with shape = \"extrapolated\" only".to_owned())
+            Err("`blend_s` applies only to shape = \"extrapolated\"".to_owned())
         }
         StreamedShape::Generated => Ok(None),
     }

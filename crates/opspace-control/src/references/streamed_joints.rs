@@ -109,7 +109,7 @@ impl TryFrom<StreamedJointsFile> for StreamedJointReference {
             None => {
                 let [velocity, acceleration, jerk] = limits.map(|(name, limit)| {
                     limit.ok_or_else(|| {
-                        format!("shape = \"generated\" needs a limit `{name}`, which is missing")
+                        format!("shape = \"generated\" needs the limit `{name}`, which is missing")
                     })
                 });
                 JointShape::Generated { velocity: velocity?, acceleration: acceleration?, jerk: jerk? }

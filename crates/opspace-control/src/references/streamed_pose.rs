@@ -123,9 +123,11 @@ impl TryFrom<StreamedPoseFile> for StreamedReference {
             None => {
                 let (linear, angular) = (limits(linear)?, limits(angular)?);
                 if linear.is_none() && angular.is_none() {
-                    return Err("shape = \"generated\" needs limits: `velocity_m_per_s`, `acceleration_m_per_s2` and \
-                                `jerk_m_per_s3`, or those of the rotation"
-                        .to_owned());
+                    return Err(
+                        "shape = \"generated\" needs the limits `velocity_m_per_s`, `acceleration_m_per_s2` \
+                                and `jerk_m_per_s3`, or those of the rotation"
+                            .to_owned(),
+                    );
                 }
                 PoseShape::Generated { linear, angular }
             }
@@ -139,8 +141,9 @@ fn limits(limits: [(&str, Option<Positive>); 3]) -> Result<Option<MotionLimits>,
     if limits.iter().all(|(_, limit)| limit.is_none()) {
         return Ok(None);
     }
-    let [velocity, acceleration, jerk] = limits
-        .map(|(name, limit)| limit.ok_or_else(|| format!("the limit `{name}` is missing beside the others")));
+    let [velocity, acceleration, jerk] = limits.map(|(name, limit)| {
+        limit.ok_or_else(|| format!("the limit `{name}` is missing: give all three limits or none"))
+    });
     Ok(Some(MotionLimits { velocity: velocity?, acceleration: acceleration?, jerk: jerk? }))
 }
 

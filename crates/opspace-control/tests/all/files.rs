@@ -38,22 +38,22 @@ fn errors_name_the_value_and_the_choices() {
         (
             (r#"["hand", "rest"]"#, r#"["hand"]"#),
             "task.rest",
-            "task 'rest' is not in `priority`: give it a place there, or remove it",
+            "task 'rest' is not in `priority`: add it there, or remove the task",
         ),
         (
             (r#"["hand", "rest"]"#, r#"["hand", "rest", "hand"]"#),
             "priority",
-            "task 'hand' stands twice in `priority`",
+            "task 'hand' is in `priority` twice",
         ),
         (
             (r#"["hand", "rest"]"#, r#"["rest", "hand"]"#),
             "priority",
-            "task 'rest' is in joint space and takes all the freedom that is left: it must be last in `priority`, but 'hand' stands below it",
+            "task 'rest' is in joint space and uses all remaining degrees of freedom: it must be last in `priority`, but 'hand' is below it",
         ),
         (
             ("sensor = \"wrist\"", "sensor = \"foot\""),
             "task.hand.cartesian.force.sensor",
-            "no force sensor 'foot'; the robot's are: wrist",
+            "no force sensor 'foot'; the robot's force sensors are: wrist",
         ),
         (
             (AXES, r#"axes = { x = "free" }"#),
@@ -66,12 +66,12 @@ fn errors_name_the_value_and_the_choices() {
                 r#"axes = { x = "compliant", y = "motion", z = "motion", rx = "motion", ry = "motion", rz = "motion" }"#,
             ),
             "task.hand.cartesian.axes",
-            "task 'hand' asks for 6 axes, this arm has 4 joints",
+            "task 'hand' controls 6 axes, but this arm has only 4 joints",
         ),
         (
             (AXES, r#"axes = { x = "compliant", y = "motion", z = "motion", ry = "motion" }"#),
             "task.hand.cartesian.axes.ry",
-            "task 'hand' asks for axis ry, but this arm of 4 joints can't turn the frame without moving it, wherever it stands: leave rx, ry and rz free",
+            "task 'hand' controls axis ry, but this arm of 4 joints cannot rotate the frame without translating it, in any configuration: leave rx, ry and rz free",
         ),
         (
             (AXES, r#"axes = { x = "motion" }"#),
@@ -86,7 +86,7 @@ fn errors_name_the_value_and_the_choices() {
         (
             ("sensor = \"wrist\"", "sensor = \"wrist\", target_n = { y = 3.0 }"),
             "task.hand.cartesian.force.target_n",
-            "axis y takes no force (N) here: it is not a compliant or force axis of that kind",
+            "axis y accepts no target force (N): it is not a compliant or force axis of that kind",
         ),
         (
             (gains, "gains = { frequency_rad_per_s = { y = 14.0 }, damping_ratio = 1.0 }"),
@@ -96,7 +96,7 @@ fn errors_name_the_value_and_the_choices() {
         (
             ("damping_ratio = 0.8", "damping_ratio = { elbow = 0.8 }"),
             "task.rest.joint-posture.damping_ratio",
-            "no value for joint 'shoulder_pitch': give one number for all joints, or one for each",
+            "no value for joint 'shoulder_pitch': give one number for all joints, or one per joint",
         ),
         (
             ("damping_ratio = 0.8", "damping_ratio = 0.8\nposture_rad = { ellbow = 1.0 }"),
@@ -111,7 +111,7 @@ fn errors_name_the_value_and_the_choices() {
         (
             ("reference = \"hold\"", "reference.sinusoid.rx = [{ amplitude_rad = 0.1, frequency_hz = 1.0 }]"),
             "task.hand.cartesian.reference",
-            "an orientation is asked for, but the axes rx, ry and rz are all free",
+            "the goal has an orientation, but the axes rx, ry and rz are all free",
         ),
         (
             ("reference = \"hold\"", "reference.waypoints = []"),
@@ -124,7 +124,7 @@ fn errors_name_the_value_and_the_choices() {
                 "reference.waypoints = [{ time_s = 2.0, position = { offset_m = [0.0, 0.0, 0.1] } }, { time_s = 1.0 }]",
             ),
             "task.hand.cartesian.reference.waypoints",
-            "waypoint 1 at 1 s does not come after 2 s",
+            "waypoint 1 at 1 s is not after the previous one at 2 s",
         ),
     ];
     for ((from, to), key, message) in cases {
@@ -148,14 +148,14 @@ fn a_task_of_some_joints_names_them() {
         OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).map(|_| ())
     };
     let listed =
-        "`joints` must name at least one joint, and each only once: leave it out for a task of all joints";
+        "`joints` must name at least one joint, and each only once: omit it for a task of all joints";
     for (joints, message) in [
         ("joints = []", listed),
         (r#"joints = ["j4", "j2", "j4"]"#, listed),
         (r#"joints = ["j8"]"#, "no joint 'j8'; the joints are: j1, j2, j3, j4, j5, j6, j7"),
         (
             r#"joints = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"]"#,
-            "a task of some joints can have 6 of them at most, not 7",
+            "a task of selected joints can have at most 6 joints, not 7",
         ),
     ] {
         let error = build(joints).expect_err(joints);
@@ -198,7 +198,7 @@ fn slips_are_refused_by_the_parser() {
         (
             "= 0.8",
             "= true",
-            "invalid type: boolean `true`, expected a number for all joints, or a table with one for each: { shoulder = 1.0, elbow = 2.0 }",
+            "invalid type: boolean `true`, expected a number for all joints, or a table with one per joint: { shoulder = 1.0, elbow = 2.0 }",
         ),
         ("= 0.8", "= 0.8\nstiffness = 3.0", "unknown field `stiffness`"),
     ];
@@ -235,13 +235,13 @@ fn a_stack_that_can_not_be_filled_is_refused() {
     assert_eq!(error.key(), "task.second.cartesian.axes");
     assert_eq!(
         error.reason().to_string(),
-        "task 'second' asks for 2 axes beside the 3 of the tasks above it, this arm has 4 joints"
+        "task 'second' controls 2 axes in addition to the 3 of the tasks above it, but this arm has only 4 joints"
     );
     let error = build_error(&seven_joints(), &second("hand", r#"{ x = "motion" }"#));
     assert_eq!(
         error.reason().to_string(),
-        "task 'second' asks for 1 axes beside the 3 of the tasks above it, but wherever this arm stands it can move \
-         only 3 of these 4 at once"
+        "task 'second' controls 1 axes in addition to the 3 of the tasks above it, but this arm can move at most 3 of \
+         these 4 at once, in any configuration"
     );
     let model = four_joints();
     let file = File::read(&second("elbow", r#"{ y = "motion" }"#));
@@ -254,7 +254,7 @@ fn inverse_kinematics_needs_a_motion_and_a_lead_for_every_joint() {
     let robot = facts(&model, "hand");
     let file = File::read("priority = [\"all\"]\n[task.all.joint-damping]\ndamping_nms_per_rad = 0.0");
     let error = InverseKinematicsController::new(&model, &file.stack(), &robot, None).expect_err("no motion");
-    assert!(error.to_string().starts_with("priority: no task of this stack asks for a motion"));
+    assert!(error.to_string().starts_with("priority: no task of this set has a reference motion"));
     let file = File::read(HAND);
     let lead = ServoLead { kp_per_s: vec![50.0; 4], stiffness_nm_per_rad: vec![1e3; 3] };
     let error = InverseKinematicsController::new(&model, &file.stack(), &robot, Some(lead))

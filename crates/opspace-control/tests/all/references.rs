@@ -343,7 +343,7 @@ fn a_goal_and_its_limits_come_together() {
         (linear.to_owned(), "neither `position` nor `orientation`"),
         (
             format!("{position}\nvelocity_m_per_s = 0.5\njerk_m_per_s3 = 1"),
-            "needs a limit `acceleration_m_per_s2`",
+            "needs the limit `acceleration_m_per_s2`",
         ),
         (format!("{position}\n{linear}\nangular_jerk_rad_per_s3 = 1"), "`orientation`, which is not given"),
         (format!("{position}\n{linear}\nspeed = 1"), "unknown field `speed`"),
@@ -451,7 +451,7 @@ fn what_is_wrong_in_a_recorded_path_is_named_with_its_line() {
         ("time_s,x_m,z_m\n0,0,0".to_owned(), Some(1), "no column `y_m`"),
         ("time_s,x_m,y_m,z_m,qw,qx,qz\n".to_owned(), Some(1), "no column `qy`"),
         ("time_s,x_m,y_m,z_m,force\n".to_owned(), Some(1), "unknown column `force`"),
-        ("time_s,x_m,y_m,z_m,x_m\n".to_owned(), Some(1), "two columns `x_m`"),
+        ("time_s,x_m,y_m,z_m,x_m\n".to_owned(), Some(1), "column `x_m` is given twice"),
         (head.to_owned(), None, "0 samples"),
         (format!("{head}0,0,0,0,1,0,0,0"), None, "1 samples"),
         (format!("{head}0,0,0,0,1,0,0,0\n1,0,0\n"), Some(3), "3 values for 8 columns"),
@@ -461,7 +461,7 @@ fn what_is_wrong_in_a_recorded_path_is_named_with_its_line() {
         (
             "time_s,x_m,y_m,z_m\n0,0,0,0\n1,0,0,0\n1,0,0,1\n".to_owned(),
             Some(4),
-            "1 s does not come after 1 s",
+            "1 s is not after the previous 1 s",
         ),
         (turn("0.99,0,0,0"), Some(4), "length is 0.99, not 1"),
         (turn("0.7,0,0,0.7141428"), Some(4), "1.59"),

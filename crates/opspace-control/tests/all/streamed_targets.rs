@@ -439,7 +439,7 @@ fn refused_inputs_name_what_is_allowed() {
         .replace("gains = { frequency_rad_per_s = 15.0, damping_ratio = 1.0 }\n", "");
     refused(Bench::new(&text).hand().gains([1.0; 6], [1.0; 6]), &["hand", "gains"]);
     let error = CartesianTarget::of(&bench.targets, "rest").expect_err("no inputs");
-    assert!(error.to_string().contains("those that have are: hand"), "{error}");
+    assert!(error.to_string().contains("the tasks with inputs are: hand"), "{error}");
     let mut joints = JointTarget::of(&Bench::new(&joints("streamed = {}")).targets, "all").expect("a task");
     assert!(joints.position(&[0.0; 3]).expect_err("three of seven").to_string().contains("7 values"));
     assert!(JointTarget::of(&bench.targets, "hand").is_err());

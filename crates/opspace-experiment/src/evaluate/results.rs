@@ -7,20 +7,19 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Note under tables of simulated runs.
-const OF_SIMULATION: &str = "Every figure is from a simulation: one plant, one interface rate, one measurement and one \
-                             estimator for position, velocity and torque robots alike. Parameters of the arm are partly assumed; \
-                             its robot.toml says which.";
+const OF_SIMULATION: &str = "All values are from simulation. Position, velocity and torque robots share one plant, one \
+                             interface rate, one measurement and one estimator. The parameters of the arm are partly assumed; \
+                             its robot.toml marks which.";
 /// Note under tables with runs of a real robot.
-const OF_A_ROBOT: &str = "Figures of a real robot are from its own measurements; those that need the true state or the true \
-                          torque of the motors are missing.";
+const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
+                          motor torque are missing.";
 /// Notes under every table.
 const OF_ALL: [&str; 2] = [
     "Tracking alone does not justify torque control: with velocity lead, inverse kinematics tracks as well. \
-     Compliance, contact and a stiffness that is what was asked for are: see the hand's force and how far it \
-     could move.",
-    "Torque error: motor torque against desired torque, relative, at servo rate, on the mean over each interface \
-     interval, and in the first servo period after the tick. The last alone hides what the held setpoint does \
-     between ticks.",
+     Compliance, contact and a specified stiffness do: see the force and the motion of the operator's hand.",
+    "Torque error: rms of motor torque minus desired torque, relative to the rms of the desired torque: at servo rate, \
+     of the interval means (means over each interval between two setpoints), and in the first servo period after each \
+     control tick. The last one alone hides the ripple of a held setpoint between ticks.",
 ];
 
 /// The notes under a table of results.

@@ -20,7 +20,7 @@ pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[Strin
     let key = |message: String, help: Option<String>| Words { message, help, part: Part::Key };
     if let Some((name, allowed)) = unknown(raw, "unknown field `") {
         if let Some(new) = present_name(name, &allowed) {
-            return key(format!("unknown key `{name}`: its name is now `{new}`"), None);
+            return key(format!("unknown key `{name}`: it was renamed to `{new}`"), None);
         }
         return key(format!("unknown key `{name}`"), Some(did_you_mean(name, &allowed)));
     }
@@ -47,8 +47,8 @@ pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[Strin
         // The file's own kind is the one meant; a setting may have put another before it.
         let own = DeTable::parse(base).map(|base| keys_at(base.get_ref(), path)).unwrap_or_default();
         held.sort_by_key(|key| !own.contains(key));
-        let found = if held.is_empty() { "is empty".to_owned() } else { format!("holds {}", list(&held)) };
-        let message = format!("`{}` {found}; it takes exactly one kind", dotted(path));
+        let found = if held.is_empty() { "is empty".to_owned() } else { format!("has {}", list(&held)) };
+        let message = format!("`{}` {found}; it must have exactly one kind", dotted(path));
         let help = held.first().map(|kind| format!("a key of `{kind}` is `{}.{kind}.<key>`", dotted(path)));
         return key(message, help);
     }
@@ -84,7 +84,7 @@ fn unknown<'a>(raw: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
 
 pub(crate) fn did_you_mean(name: &str, allowed: &[&str]) -> String {
     let listed = match allowed {
-        [] => "nothing is allowed here".to_owned(),
+        [] => "no key or value is allowed here".to_owned(),
         _ => format!("allowed here: {}", list(allowed)),
     };
     match same_but_unit(name, allowed).or_else(|| nearest(name, allowed)) {
@@ -140,11 +140,11 @@ fn type_help(found: &DeValue<'_>, expected: &str, path: &[String]) -> Option<Str
             Some(if unit.is_empty() {
                 format!("write the number without quotes: `{key} = {number}`")
             } else {
-                format!("the unit belongs to the key's name: write a number, `{key} = {number}`")
+                format!("the unit is part of the key's name: write only the number, `{key} = {number}`")
             })
         }
         (DeValue::Integer(_), "a number") => {
-            Some("a whole number this long does not fit: write it with a dot".into())
+            Some("this whole number is too large: write it with a decimal point".into())
         }
         _ => None,
     }
@@ -165,13 +165,13 @@ pub(crate) fn syntax_words(raw: &str, text: &str, span: &Range<usize>) -> (Strin
             _ if at.is_empty() => ("a value is missing after `=`".to_owned(), None),
             Some((number, _)) => (
                 format!("`{at}` is not a TOML value"),
-                Some(format!("the unit belongs to the key's name: write a number, `{number}`")),
+                Some(format!("the unit is part of the key's name: write only the number, `{number}`")),
             ),
             None => (format!("`{at}` is not a TOML value"), Some(format!("text needs quotes: {at:?}"))),
         };
     }
     if raw == "duplicate key" {
-        return (format!("`{at}` stands twice in this table"), Some("remove one of the two".to_owned()));
+        return (format!("`{at}` is defined twice in this table"), Some("remove one of the two".to_owned()));
     }
     (format!("not TOML: {raw}"), None)
 }

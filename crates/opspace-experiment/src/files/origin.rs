@@ -45,7 +45,7 @@ impl Files {
                 let found = EMBEDDED.iter().find(|(name, _)| Path::new(name) == path);
                 found.map(|(name, text)| Source::new(*name, *text)).ok_or_else(|| {
                     let name = path.display().to_string();
-                    FileError::of_file(name, "is not one of the files inside the program", None)
+                    FileError::of_file(name, "is not one of the files built into the program", None)
                 })
             }
         }
@@ -129,7 +129,7 @@ impl Kind {
     pub(crate) fn require(self, source: &Source) -> Result<(), FileError> {
         match Self::of(source.text()) {
             Some(kind) if kind != self => {
-                let message = format!("is {}; {} is meant here", kind.name(), self.name());
+                let message = format!("is {}; {} is expected here", kind.name(), self.name());
                 Err(FileError::of_file(source.name(), message, None))
             }
             _ => Ok(()),

@@ -61,7 +61,7 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
             keys.remove(0);
         }
         if keys.len() > MAX_DEPTH {
-            let message = format!("a key of {} parts is too deep", keys.len());
+            let message = format!("a key of {} parts is nested too deeply", keys.len());
             return Err(refuse(&setting, Part::Key, (message, None)));
         }
         let value =
@@ -93,7 +93,7 @@ fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {
     }
     let help = Some("a setting is `key=value`: `--set task.hand.gains.damping_ratio=0.7`".to_owned());
     let message = match equals.min() {
-        None => "a setting needs a `=`".to_owned(),
+        None => "a setting needs an `=`".to_owned(),
         Some(end) => format!("`{}` is not a key", spelling[..end].trim()),
     };
     let setting = Setting { spelling: spelling.to_owned(), key: 0..spelling.len(), path: Vec::new() };
@@ -105,7 +105,7 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     if text.is_empty() {
         return Err((
             "a value is missing after `=`".to_owned(),
-            Some("for no text, write `\"\"`".to_owned()),
+            Some("for an empty text, write `\"\"`".to_owned()),
         ));
     }
     if let Ok(value) = text.parse::<Value>() {
@@ -121,8 +121,8 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     {
         return Ok(text.into());
     }
-    let help = "write a number without its unit, which belongs to the key's name, or text in quotes";
-    Err((format!("`{text}` is neither a TOML value nor a bare word"), Some(help.to_owned())))
+    let help = "write a number without a unit (the unit is part of the key's name), or text in quotes";
+    Err((format!("`{text}` is neither a TOML value nor a single word"), Some(help.to_owned())))
 }
 
 /// Part of a document below which a key can continue.
@@ -250,6 +250,9 @@ fn replace(old: &mut Value, new: &Value) {
 fn element(key: &str, length: usize, path: &[String]) -> Result<usize, OverrideError> {
     match key.parse::<usize>() {
         Ok(index) if index < length => Ok(index),
-        _ => Err((format!("`{}` has elements 0 to {}, no `{key}`", dotted(path), length.max(1) - 1), None)),
+        _ => Err((
+            format!("`{}` has elements 0 to {}, but no element `{key}`", dotted(path), length.max(1) - 1),
+            None,
+        )),
     }
 }

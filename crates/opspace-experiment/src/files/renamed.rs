@@ -70,7 +70,7 @@ mod tests {
                 _ => parse::<SuiteFile>(&source).err(),
             };
             let error = error.expect("an old key").to_string();
-            assert!(error.contains(&format!("unknown key `{old}`: its name is now `{new}`")), "{error}");
+            assert!(error.contains(&format!("unknown key `{old}`: it was renamed to `{new}`")), "{error}");
             assert!(error.starts_with("old.toml:"), "{error}");
         }
     }

@@ -116,8 +116,9 @@ impl Robot {
             let (delay, ratio) = (profile.delay(), profile.servo_ticks_per_cycle.get());
             if delay > ratio {
                 let key = ["profile", name, "delay_servo_ticks"];
-                let message =
-                    format!("a delay of {delay} servo ticks is longer than an interface period of {ratio}");
+                let message = format!(
+                    "a delay of {delay} servo ticks is longer than an interface period of {ratio} servo ticks"
+                );
                 return Err(FileError::at_key(&source, key, message, None));
             }
         }
@@ -282,7 +283,9 @@ fn check_servos(
             FileError::at_key(source, ["profile", name, "servo", joint.as_str()], message, help)
         };
         if servo.takes() == CommandKind::Velocity {
-            let message = format!("the servo of '{joint}' takes velocities; here are the position servos");
+            let message = format!(
+                "the servo of joint '{joint}' is a velocity servo, but this table is for position servos"
+            );
             return Err(wrong(message, Some(format!("move it to [profile.{name}.velocity_servo.{joint}]"))));
         }
         ServoLaw::new(servo, profile.servo_period_s()).map_err(|error| wrong(error.to_string(), None))?;
@@ -305,13 +308,14 @@ const MAX_TARE_S: f64 = 60.0;
 /// Checks values that depend on each other.
 fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), FileError> {
     if !file.interface.measured.contains(&Measured::Position) {
-        let message = "a robot that doesn't measure its positions can't be controlled";
-        let help =
-            Some("measured = [\"position\"], with \"motor-current\" if it measures that too".to_owned());
+        let message = "a robot that does not measure its joint positions cannot be controlled";
+        let help = Some(
+            "write measured = [\"position\"], and add \"motor-current\" if the robot measures it".to_owned(),
+        );
         return Err(FileError::at_key(source, "interface.measured", message, help));
     }
     if file.safety.tare_s.get() > MAX_TARE_S {
-        let message = format!("a rest of more than {MAX_TARE_S} s before the start");
+        let message = format!("tare_s is above {MAX_TARE_S} s");
         return Err(FileError::at_key(
             source,
             "safety.tare_s",
@@ -321,7 +325,7 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
     }
     for (name, profile) in &file.profile {
         if profile.servo_ticks_per_cycle.get() > MAX_RATIO {
-            let message = format!("more than {MAX_RATIO} servo ticks per interface tick");
+            let message = format!("more than {MAX_RATIO} servo ticks per interface cycle");
             return Err(FileError::at_key(source, ["profile", name, "servo_ticks_per_cycle"], message, None));
         }
     }
@@ -330,12 +334,12 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
         let friction = file.joint.get(name).map(|j| &j.friction);
         if friction.is_some_and(|f| f.static_nm < f.coulomb_nm) {
             let key = ["joint", name, "friction", "static_nm"];
-            let message = "static friction below Coulomb friction: a joint at rest doesn't slide more easily";
+            let message = "static friction must not be below Coulomb friction";
             return Err(FileError::at_key(source, key, message, Some("give at least coulomb_nm".to_owned())));
         }
         if !(joint.limits.velocity.is_finite() && joint.limits.velocity > 0.0) {
             let message =
-                format!("the URDF gives joint '{name}' no speed limit, without which no run is safe");
+                format!("joint '{name}' has no velocity limit in the URDF, which a safe run requires");
             let help = "add velocity=\"...\" (rad/s, m/s; above 0) to the joint's <limit>".to_owned();
             return Err(FileError::at_key(source, ["joint", name], message, Some(help)));
         }
@@ -361,8 +365,11 @@ fn joints_of<'a, T>(
     for name in names() {
         let Some(value) = map.get(name) else {
             let message = format!("joint '{name}' of the URDF is missing in `{}`", table.join("."));
-            let help =
-                format!("add [{}.{name}]; each of these needs one: {}", table.join("."), list(names()));
+            let help = format!(
+                "add [{}.{name}]; each of these joints needs one: {}",
+                table.join("."),
+                list(names())
+            );
             return Err(FileError::at_key(source, table.to_vec(), message, Some(help)));
         };
         values.push(value);

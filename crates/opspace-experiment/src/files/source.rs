@@ -57,7 +57,7 @@ impl Source {
         let path = path.as_ref();
         let name = path.display().to_string();
         if path.is_dir() {
-            return Err(FileError::of_file(name, "is a folder; a file is meant here", files_in(path)));
+            return Err(FileError::of_file(name, "is a folder; a file is expected here", files_in(path)));
         }
         let mut bytes = Vec::new();
         let read =
@@ -68,11 +68,7 @@ impl Source {
             }
             Err(error) => return Err(FileError::of_file(name, format!("cannot be read: {error}"), None)),
             Ok(_) if bytes.len() as u64 > MAX_BYTES => {
-                return Err(FileError::of_file(
-                    name,
-                    "is larger than 4 MiB: is it the file you meant?",
-                    None,
-                ));
+                return Err(FileError::of_file(name, "is larger than 4 MiB: is it the intended file?", None));
             }
             Ok(_) => {}
         }
@@ -430,7 +426,7 @@ fn made_here(source: &Source, setting: &Setting) -> Option<String> {
     let siblings = keys_at(base.get_ref(), &setting.path[..depth]);
     let within =
         if depth == 0 { "the file".to_owned() } else { format!("`{}`", dotted(&setting.path[..depth])) };
-    let mut note = format!("{within} has no `{made}` yet");
+    let mut note = format!("{within} has no `{made}`");
     if !siblings.is_empty() {
         note += &format!("; it has {}", list(&siblings));
     }
@@ -453,7 +449,7 @@ fn missing_file(path: &Path, name: String) -> FileError {
         _ => PathBuf::from("."),
     };
     if !folder.is_dir() {
-        let message = format!("there is no such file, nor a folder `{}`", folder.display());
+        let message = format!("there is no such file, and no folder `{}`", folder.display());
         return FileError::of_file(name, message, None);
     }
     let wanted = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -485,5 +481,5 @@ fn files_in(folder: &Path) -> Option<String> {
     let more = names.len().saturating_sub(12);
     names.truncate(12);
     let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
-    (!names.is_empty()).then(|| format!("`{}` holds {}{rest}", folder.display(), list(&names)))
+    (!names.is_empty()).then(|| format!("`{}` contains {}{rest}", folder.display(), list(&names)))
 }

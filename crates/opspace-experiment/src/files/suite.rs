@@ -134,7 +134,7 @@ impl Suite {
         }
         if experiments.is_empty() {
             let help = Some("add a [[run]] with tasks".to_owned());
-            return Err(FileError::of_file(source.name(), "this suite runs nothing", help));
+            return Err(FileError::of_file(source.name(), "this suite has no runs", help));
         }
         Ok(Self { source, title: file.title, columns: file.columns, experiments })
     }

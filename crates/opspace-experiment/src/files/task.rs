@@ -212,17 +212,17 @@ fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<V
         let time_s = event.time_s.get();
         if let Some(before) = stacks.last().filter(|before| before.time_s >= time_s) {
             let message =
-                format!("the event at {time_s} s does not come after the one at {} s", before.time_s);
+                format!("the event at {time_s} s is not after the previous one at {} s", before.time_s);
             return Err(at("time_s", message, None));
         }
         for setting in &event.set {
             let key = setting.split(['.', '=']).next().unwrap_or_default().trim();
             if key != "task" && key != "priority" {
-                let message = format!("`{setting}`: an event changes `task` and `priority` alone");
+                let message = format!("`{setting}`: an event can change only `task` and `priority`");
                 return Err(at(
                     "set",
                     message,
-                    Some("as in \"task.hand.cartesian.axes.x=compliant\"".to_owned()),
+                    Some("for example \"task.hand.cartesian.axes.x=compliant\"".to_owned()),
                 ));
             }
             settings.push(setting.clone());

@@ -27,7 +27,7 @@ type Parser = Arc<dyn Fn(ValueDeserializer<'_>) -> Result<Build, toml::de::Error
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TaskKindError {
     /// The name is that of a built-in kind, or of one that is registered.
-    #[error("the task kind '{kind}' exists already")]
+    #[error("the task kind '{kind}' already exists")]
     Taken {
         /// Name of the kind.
         kind: String,

@@ -67,7 +67,7 @@ pub(crate) fn mount(
             }
         };
         if model.frame_id(name).is_ok() {
-            let message = format!("the robot has a link or tool '{name}' already");
+            let message = format!("the robot already has a link or tool '{name}'");
             return Err(FileError::at_key(
                 source,
                 ["tool", name],
@@ -79,8 +79,8 @@ pub(crate) fn mount(
         let tolerance = INERTIA_TOLERANCE * moments[2].abs().max(moments[0].abs());
         if moments[0] < -tolerance || moments[0] + moments[1] < moments[2] - tolerance {
             let message = format!(
-                "no body has the principal moments {:.3e}, {:.3e}, {:.3e} kg m²: none is negative, and no two sum to less \
-                 than the third",
+                "no body has the principal moments {:.3e}, {:.3e}, {:.3e} kg m²: they must not be negative, and the sum of \
+                 any two must not be less than the third",
                 moments[0], moments[1], moments[2]
             );
             let help = "the order is xx, xy, xz, yy, yz, zz, about the centre of mass".to_owned();

@@ -14,23 +14,24 @@ impl IdentificationResults {
     #[must_use]
     pub fn page(&self) -> String {
         let title = format!("Servos of {}, profile {}", self.robot.name(), self.profile_name);
-        let lead = "Each joint was excited about where it stood by odd random-phase multisines at two amplitudes, while \
-                    the others held. Points are measured; curves are the identified models.";
+        let lead = "Each joint was excited about its initial position by odd random-phase multisines at two amplitudes, \
+                    while the other joints were held. Points are measured; curves are the identified models.";
         let mut page = Page::new(title).lead(lead);
         for joint in &self.joints {
             if let Some(reason) = &joint.no_torque_mode {
-                page = page.warning(&format!("{}: no torque mode. {reason}.", joint.name));
+                page = page.warning(&format!("{}: torque mode refused. {reason}.", joint.name));
             }
         }
         page = page.section("Results").table(
-            "What was identified of each joint",
+            "Identified parameters of each joint",
             &self.table(),
             &[
-                "Torque mode is refused for a joint that can't be inverted, and where the scale of torque is not known: \
-                 all torques are then per inertia.",
-                "T off by: relative error of the modelled T at the largest amplitude, rms over coherent frequencies. Torque \
-                 off by: the same of the motor's torque, from setpoints and measured positions. Distortion: motion outside \
-                 the excited frequencies over that at them.",
+                "Torque mode is refused for a joint whose servo cannot be inverted, and if the scale of torque is unknown: \
+                 all torques are then relative to the inertia.",
+                "T: closed loop from setpoint (commanded position) to position. T error: relative error of the modelled T at \
+                 the largest amplitude, rms over coherent frequencies, up to the given bandwidth. Torque error: relative \
+                 error of the motor torque computed from setpoints and measured positions. Distortion: rms motion at \
+                 frequencies that are not excited, relative to that at the excited ones.",
             ],
         );
         for joint in &self.joints {
@@ -50,11 +51,11 @@ impl IdentificationResults {
     }
 
     fn facts(&self, joint: &JointIdentification) -> Vec<(&'static str, String)> {
-        let mut facts = vec![("stood at", format!("{:.3} rad (m)", joint.position_rad))];
+        let mut facts = vec![("initial position", format!("{:.3} rad (m)", joint.position_rad))];
         for measured in &joint.found.measured {
             let d = &measured.distortion;
             facts.push((
-                "amplitude (rms), and what came out at even, other odd lines, and of noise",
+                "amplitude (rms), and response at even lines, at other odd lines, and noise",
                 format!("{:.2e} rad: {:.1e}, {:.1e}, {:.1e}", measured.rms, d.even, d.odd, d.noise),
             ));
         }
@@ -70,17 +71,20 @@ impl IdentificationResults {
                 "standard deviation of kp and kv",
                 format!("{:.2} % and {:.2} %", 100.0 * kp, 100.0 * kv),
             ));
-            facts.push(("the next best delay explains", format!("{:.1} times worse", trust.delay_margin)));
+            facts.push((
+                "fit error of the next best delay",
+                format!("{:.1} times as large", trust.delay_margin),
+            ));
             if let Some(ratio) = trust.inertia_over_urdf {
-                facts.push(("inertia over that of URDF and rotor", format!("{ratio:.3}")));
+                facts.push(("inertia relative to URDF and rotor", format!("{ratio:.3}")));
             }
         }
         if let Some(rational) = &joint.found.rational {
             let list = |c: &[f64]| c.iter().map(|v| format!("{v:.4e}")).collect::<Vec<_>>().join(", ");
             facts.push((
-                "rational T behind hold and delay: coefficients from s⁰ on",
+                "rational T without hold and delay: coefficients from s⁰ on",
                 format!(
-                    "({}) / ({}); off by {:.1} %",
+                    "({}) / ({}); error {:.1} %",
                     list(&rational.numerator),
                     list(&rational.denominator),
                     100.0 * joint.found.rational_residual.unwrap_or(f64::NAN)
@@ -101,8 +105,8 @@ fn position(joint: &JointIdentification) -> Figure {
     curves.push(curve("servo", Style::Desired, &hz, |hz| joint.found.model(&joint.known, hz)));
     Figure {
         title: format!("T of {}: position over setpoint", joint.name),
-        caption: "Measured at two amplitudes; the rational model; the identified servo with the friction of the largest \
-                  amplitude, between interface ticks as it runs."
+        caption: "Measured at two amplitudes; the rational model; the identified servo at its servo rate, with the friction \
+                  of the largest amplitude."
             .to_owned(),
         panels: bode(curves, "|T| (1)"),
         columns: Some(2),
@@ -126,8 +130,8 @@ fn effective(joint: &JointIdentification) -> Figure {
     };
     Figure {
         title: format!("D* of {}: the effective servo of equation (K6)", joint.name),
-        caption: "T/(G* (1 − T)), with G* of the identified inertia and viscous friction. Where Coulomb friction is most of \
-                  the torque, at low frequencies, it depends on the amplitude."
+        caption: "T/(G* (1 − T)), with G* of the identified inertia and viscous friction. At low frequencies, where Coulomb \
+                  friction dominates the torque, it depends on the amplitude."
             .to_owned(),
         panels: bode(curves, unit),
         columns: Some(2),

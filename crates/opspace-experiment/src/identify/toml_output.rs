@@ -14,15 +14,15 @@ impl IdentificationResults {
     pub fn servo_toml(&self) -> String {
         let profile = &self.profile_name;
         let mut text = format!(
-            "# Servos of {}, profile {profile}, as `opspace identify` found them: keys of its robot.toml.\n",
+            "# Servos of {}, profile {profile}, identified by `opspace identify`: keys for its robot.toml.\n",
             self.robot.name()
         );
         if self.joints.iter().any(|j| j.no_torque_mode.is_some()) {
-            text += "# Not all joints can be driven by torques; the comments say which, and why.\n";
+            text += "# Torque mode is refused for some joints; the comments name them and the reasons.\n";
         }
         let usable = || self.joints.iter().filter(|j| j.no_torque_mode.is_none());
         if let Some((delay, all)) = self.delay().filter(|_| usable().next().is_some()) {
-            let doubt = if all { "" } else { " # most joints; the others were found to have another" };
+            let doubt = if all { "" } else { " # of most joints; the other joints have another delay" };
             // Writing to a String cannot fail.
             let _ = writeln!(text, "\n[profile.{profile}]\ndelay_servo_ticks = {delay}{doubt}");
         }
@@ -68,14 +68,14 @@ impl IdentificationResults {
         let file = document.as_table_mut();
         put(file, "urdf", urdf.into());
         put(file, "default_profile", profile.into());
-        self.keep_plant(file).ok_or_else(|| wrong("its tables can't be edited"))?;
-        let profiles = table(file, "profile").ok_or_else(|| wrong("`profile` is no table"))?;
+        self.keep_plant(file).ok_or_else(|| wrong("its tables cannot be edited"))?;
+        let profiles = table(file, "profile").ok_or_else(|| wrong("`profile` is not a table"))?;
         profiles.retain(|name, _| name == profile);
-        let driven = table(profiles, profile).ok_or_else(|| wrong("its profile is no table"))?;
+        let driven = table(profiles, profile).ok_or_else(|| wrong("its profile is not a table"))?;
         if let Some((delay, _)) = self.delay() {
             put(driven, "delay_servo_ticks", i64::from(delay).into());
         }
-        let servos = table(driven, "servo").ok_or_else(|| wrong("`servo` is no table"))?;
+        let servos = table(driven, "servo").ok_or_else(|| wrong("`servo` is not a table"))?;
         for joint in &self.joints {
             put(servos, &joint.name, servo(joint));
         }
@@ -89,15 +89,15 @@ impl IdentificationResults {
             }
             driven.insert("identified", Item::Table(joints));
         }
-        let joints = table(file, "joint").ok_or_else(|| wrong("`joint` is no table"))?;
+        let joints = table(file, "joint").ok_or_else(|| wrong("`joint` is not a table"))?;
         for joint in &self.joints {
             if let Some(friction) = friction(joint) {
-                let drive = table(joints, &joint.name).ok_or_else(|| wrong("a joint is no table"))?;
+                let drive = table(joints, &joint.name).ok_or_else(|| wrong("a joint is not a table"))?;
                 put(drive, "friction", friction);
             }
         }
         let head = format!(
-            "# As `opspace identify` found it: {}. The plant of the simulation is the one that was identified.\n",
+            "# Identified by `opspace identify`: {}. The plant of the simulation is the identified one.\n",
             self.joints.iter().map(|j| j.name.as_str()).collect::<Vec<_>>().join(", ")
         );
         Ok(Some(head + &without_schema(&document.to_string())))
@@ -169,19 +169,19 @@ fn without_schema(text: &str) -> String {
 /// Source of a servo's torque scale, and its fit quality.
 fn remark(joint: &JointIdentification) -> String {
     let scale = match joint.found.scale {
-        TorqueScale::MotorCurrent => "the motor's current",
-        TorqueScale::Urdf => "URDF and rotor inertia, with viscous friction within kv",
+        TorqueScale::MotorCurrent => "motor current",
+        TorqueScale::Urdf => "URDF and rotor inertia, with viscous friction included in kv",
         TorqueScale::Unknown => "nothing",
     };
     let trust = joint.found.fit_quality.as_ref().map_or_else(String::new, |t| {
         format!(
-            "; trusted up to {:.0} Hz, T off by {:.1} %{}",
+            "; bandwidth {:.0} Hz, error of T {:.1} %{}",
             t.bandwidth_hz,
             100.0 * t.position_residual,
-            t.torque_residual.map_or_else(String::new, |r| format!(", torque by {:.1} %", 100.0 * r))
+            t.torque_residual.map_or_else(String::new, |r| format!(", of torque {:.1} %", 100.0 * r))
         )
     });
-    format!("torque from {scale}{trust}")
+    format!("torque scale from {scale}{trust}")
 }
 
 fn servo(joint: &JointIdentification) -> Value {

@@ -21,9 +21,12 @@ pub(crate) fn undamped(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         let used: usize = stack.tasks.tasks().map(|task| task.rows()).sum();
         let left = n.checked_sub(used).filter(|left| *left > 0)?;
         let message = match left {
-            1 => format!("1 of the {n} joints' freedoms is neither led nor damped by any task: friction alone brakes it"),
+            1 => format!(
+                "1 of the {n} degrees of freedom is neither controlled nor damped by any task: only friction brakes it"
+            ),
             _ => format!(
-                "{left} of the {n} joints' freedoms are neither led nor damped by any task: friction alone brakes them"
+                "{left} of the {n} degrees of freedom are neither controlled nor damped by any task: only friction \
+                 brakes them"
             ),
         };
         let help = "add [task.rest.joint-damping] or [task.rest.joint-posture], with \"rest\" last in `priority`";
@@ -41,18 +44,18 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
     weak.map(|(level, spectrum)| {
         let lost = match spectrum.share {
-            share if share < 0.005 => "can't be moved".to_owned(),
-            share => format!("has {} % left of its force", short(100.0 * share)),
+            share if share < 0.005 => "cannot be moved".to_owned(),
+            share => format!("retains only {} % of its force", short(100.0 * share)),
         };
-        let where_it_is = if spectrum.share < 0.5 { "singular there" } else { "near a singularity" };
+        let where_it_is = if spectrum.share < 0.5 { "in a singular pose" } else { "near a singularity" };
         let message = format!(
             "task '{}': at the start it {lost} along {}: the arm is {where_it_is}{}",
             spectrum.name,
             spectrum.direction,
-            if level > 0 { ", or the tasks above take what it needs" } else { "" },
+            if level > 0 { ", or tasks of higher priority use the required joints" } else { "" },
         );
         let help = bend(case, level).unwrap_or_else(|| {
-            "start elsewhere, free that axis, or give it to a task that comes first".to_owned()
+            "start in another posture, free that axis, or control it by a task of higher priority".to_owned()
         });
         Diagnostic::new(&["start_rad"], message, help)
     })
@@ -149,7 +152,7 @@ fn bend(case: &PreflightCase<'_>, level: usize) -> Option<String> {
                 if spectra(case, &data)[..=level].iter().all(|spectrum| spectrum.share >= WHOLE) {
                     let name = case.joint(joint);
                     return Some(format!(
-                        "start with joint '{name}' at {} instead of {}",
+                        "start with joint '{name}' at {} instead of at {}",
                         short(q[joint]),
                         short(case.start[joint])
                     ));

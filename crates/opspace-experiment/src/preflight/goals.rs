@@ -90,14 +90,14 @@ fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> 
     }
     let (asked, motion, joint, distance_m, reach_m) = worst?;
     let message = format!(
-        "task '{}': at {} s its reference is {} m from joint '{joint}', and {} reaches {} m from there",
+        "task '{}': at {} s its reference is {} m from joint '{joint}', but {} reaches only {} m from there",
         motion.name,
         short(asked.instant.time_s),
         short(distance_m),
         motion.controlled_name(),
         short(reach_m)
     );
-    let help = format!("bring it {} m nearer, or choose a smaller motion", short(distance_m - reach_m));
+    let help = format!("move it {} m closer, or reduce the motion", short(distance_m - reach_m));
     Some(Diagnostic::new(&asked.key(case), message, help))
 }
 
@@ -165,10 +165,10 @@ fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) ->
     };
     let with = match nearest.at_ends.is_empty() {
         true => String::new(),
-        false => format!(", with {} at its end", nearest.at_ends.join(", ")),
+        false => format!(", with {} at the end of its range", nearest.at_ends.join(", ")),
     };
     let message = format!(
-        "task '{}': at {} s its reference can't be reached within the joints' ranges: the nearest of {} postures \
+        "task '{}': at {} s its reference cannot be reached within the joint ranges: the nearest of {} postures \
          misses it by {by}{with}",
         asked.name,
         short(asked.instant.time_s),
@@ -177,7 +177,7 @@ fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) ->
     let help = if radians > 1e-3 && metres <= 1e-4 {
         "choose another orientation, or free an axis of rotation".to_owned()
     } else {
-        "choose a nearer goal, or free an axis that need not be kept".to_owned()
+        "choose a closer goal, or free an axis that the task does not need".to_owned()
     };
     Some(Diagnostic::new(&asked.key(case), message, help))
 }

@@ -27,8 +27,8 @@ fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     all.into_iter()
         .filter(|(_, share)| share.get() > 1.0)
         .map(|(key, share)| {
-            let message = format!("{key} is {}, more than the whole: it counts as 1", short(share.get()));
-            let help = format!("give a share from 0 to 1: {key} = 0.9");
+            let message = format!("{key} is {}, above 1: 1 is used", short(share.get()));
+            let help = format!("give a fraction from 0 to 1: {key} = 0.9");
             Diagnostic::new(&["limits", key], message, help)
         })
         .collect()
@@ -42,7 +42,7 @@ fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
         return None;
     }
     let message = format!(
-        "position_margin_rad is {} at both ends of joint '{}', whose range is {}: it is kept in the middle",
+        "position_margin_rad is {} at both ends of joint '{}', whose range is {}: the joint is kept at the middle",
         short(margin),
         case.joint(joint),
         short(width),
@@ -60,8 +60,8 @@ fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic>
     let (end, inside) =
         if q < lower { (lower - case.margin(), lower) } else { (upper + case.margin(), upper) };
     let message = format!(
-        "joint '{}' starts at {}, nearer to its end at {} than position_margin_rad = {}: it is led away from \
-         there at once",
+        "joint '{}' starts at {}, closer to its limit at {} than position_margin_rad = {}: it moves away from there \
+         as soon as control starts",
         case.joint(joint),
         short(q),
         short(end),
@@ -88,21 +88,22 @@ fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f
     } else {
         String::new()
     };
-    let what = time_s
-        .map_or("to hold the start".to_owned(), |t| format!("to hold what is asked for at {} s", short(t)));
+    let what = time_s.map_or("to hold the start posture".to_owned(), |t| {
+        format!("to hold the reference posture at {} s", short(t))
+    });
     let message = format!(
-        "joint '{}' needs {} {unit} {what}, and may use {} {unit}{whose}",
+        "joint '{}' needs {} {unit} {what}, but only {} {unit} is allowed{whose}",
         case.joint(joint),
         short(gravity.abs()),
         short(share * limit),
     );
     let name = case.joint(joint);
     if gravity.abs() <= limit {
-        let help = format!("give torque_fraction at least {}", short(gravity.abs() / limit));
+        let help = format!("set torque_fraction to at least {}", short(gravity.abs() / limit));
         return Some(Diagnostic::new(&["limits", "torque_fraction"], message, help));
     }
-    let help =
-        "choose a posture in which the arm weighs less on it, or check the limit and the masses".to_owned();
+    let help = "choose a posture with less gravity torque on this joint, or check the limit and the masses"
+        .to_owned();
     Some(Diagnostic::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
 }
 
@@ -116,8 +117,8 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
         return None;
     }
     let message = format!(
-        "joint '{}' brakes from its highest speed of {} over {}, and its range is {}: with \
-         acceleration_limit_rad_per_s2 = {} it never gets so fast",
+        "braking joint '{}' from its velocity limit of {} takes a distance of {}, but its range is {}: with \
+         acceleration_limit_rad_per_s2 = {} it never reaches that speed",
         case.joint(joint),
         short(limits.velocity),
         short(way),
@@ -125,7 +126,7 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
         short(acceleration),
     );
     let least = short(limits.velocity * limits.velocity / (2.0 * width));
-    let help = format!("give it in rad/s² (m/s²); {least} and more let the joint use its speed");
+    let help = format!("give it in rad/s² (m/s²); at least {least} lets the joint reach its velocity limit");
     Some(
         Diagnostic::new(&["joint", case.joint(joint), "acceleration_limit_rad_per_s2"], message, help)
             .of_robot(),
@@ -191,19 +192,22 @@ fn beyond(
 ) -> Diagnostic {
     let (lower, upper) = case.range(joint);
     let when = time_s.map_or(String::new(), |t| format!("at {} s ", short(t)));
-    let kept =
-        if case.margin() > 0.0 { format!(", {} from its ends", short(case.margin())) } else { String::new() };
+    let kept = if case.margin() > 0.0 {
+        format!(", a margin of {} from its limits", short(case.margin()))
+    } else {
+        String::new()
+    };
     let message = format!(
-        "task '{name}': {when}it asks joint '{}' for {}, and the joint is kept from {} to {}{kept}",
+        "task '{name}': {when}its target for joint '{}' is {}, but the joint is kept between {} and {}{kept}",
         case.joint(joint),
         short(asked),
         short(lower),
         short(upper),
     );
     let help = if asked > upper {
-        format!("ask for {} at most", short(upper))
+        format!("give a target of at most {}", short(upper))
     } else {
-        format!("ask for {} at least", short(lower))
+        format!("give a target of at least {}", short(lower))
     };
     Diagnostic::new(&key, message, help)
 }
@@ -241,15 +245,15 @@ fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Op
     }
     let unit = unit(case, joint);
     let message = format!(
-        "at {} s the arm's weight on joint '{}' changes by {} {unit}/s on the way that the references ask for; its \
-         torque may change by {} {unit}/s",
+        "at {} s the gravity torque of joint '{}' along the references changes by {} {unit}/s; its torque rate limit is \
+         {} {unit}/s",
         short(fastest[0].time_s),
         case.joint(joint),
         short(change(fastest)),
         short(rate),
     );
     let help = format!(
-        "give the motion {} times as long, or check the unit: {unit}/s",
+        "make the motion {} times as long, or check the unit of the limit: {unit}/s",
         short(change(fastest) / rate)
     );
     Some(

@@ -138,15 +138,11 @@ impl fmt::Display for GainMargin {
             (Some(excess), Some(joint)) => {
                 write!(
                     f,
-                    "{loops} may have up to {:.1} % more gain than the file says (joint '{joint}' first)",
+                    "{loops} tolerate up to {:.1} % more gain than nominal (joint '{joint}' becomes unstable first)",
                     100.0 * excess
                 )?;
             }
-            _ => write!(
-                f,
-                "{loops} may have {} times the gain that the file says, or more",
-                1.0 + MOST_EXCESS
-            )?,
+            _ => write!(f, "{loops} tolerate at least {} times the nominal gain", 1.0 + MOST_EXCESS)?,
         }
         write!(f, ", with transformer '{}'", self.transformer)
     }
@@ -159,8 +155,8 @@ impl GainMargin {
         let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
         let joint = self.joint.as_ref()?;
         let message = format!(
-            "{} may have only {:.1} % more gain than the file says, with transformer '{}': beyond that the run \
-             is unstable, joint '{joint}' first",
+            "{} tolerate only {:.1} % more gain than nominal, with transformer '{}': beyond that the run is unstable, \
+             joint '{joint}' first",
             self.servo_loop.name(),
             100.0 * excess,
             self.transformer,
@@ -169,20 +165,25 @@ impl GainMargin {
         let relief = match self.servo_loop {
             ServoLoop::Position => {
                 let kv = experiment.servo_gains().ok()?[robot.model.joint(joint).ok()?].damping;
-                format!("damp joint '{joint}' by {} Nms/rad more", short((LEAST_EXCESS - excess) * kv))
+                format!(
+                    "increase the damping of joint '{joint}' by {} Nms/rad",
+                    short((LEAST_EXCESS - excess) * kv)
+                )
             }
-            ServoLoop::Velocity => format!("compensate less of the friction of joint '{joint}' or damp it"),
+            ServoLoop::Velocity => {
+                format!("compensate less of the friction of joint '{joint}' or add damping to it")
+            }
         };
         let measured = robot.file.interface.measured.contains(&Measured::MotorCurrent);
         let name = if self.transformer.starts_with("paper") { "emulation" } else { &self.transformer };
         let current = match self.transformer.ends_with("+current") || !measured {
             true => String::new(),
             false => {
-                format!("take '{name}+current', which sees in the motors' current that a gain is wrong, or ")
+                format!("use '{name}+current', which corrects wrong gains by measured motor current, or ")
             }
         };
         let help = format!(
-            "{current}{relief}, or believe the gains to be higher than they are: that only makes the arm sluggish",
+            "{current}{relief}, or raise the nominal gains: overestimated gains only make the response slower",
         );
         Some(Diagnostic::new(&["profile", profile, "transformer"], message, help).of_robot())
     }

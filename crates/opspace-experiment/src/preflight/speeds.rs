@@ -29,12 +29,12 @@ pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<
         format!("{} rad/s", short(limit))
     };
     let message = format!(
-        "at {} s the references ask joint '{}' for {} rad/s; it may do {allowed}",
+        "at {} s the references move joint '{}' at {} rad/s; allowed: {allowed}",
         short(instant.time_s),
         case.joint(joint),
         short(instant.dq[joint].abs()),
     );
-    let help = format!("give the motion {} times as long, or make it smaller", short(most));
+    let help = format!("make the motion {} times as long, or smaller", short(most));
     Some(Diagnostic::new(&key, message, help))
 }
 
@@ -71,16 +71,14 @@ pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diag
                     continue;
                 };
                 let message = format!(
-                    "task '{}': at {} s its reference moves at {} {unit}, and {key} is {}: it will lag behind",
+                    "task '{}': at {} s its reference moves at {} {unit}, but {key} is {}: the task will lag behind",
                     task.name(),
                     short(time_s),
                     short(asked),
                     short(limit),
                 );
-                let help = format!(
-                    "give the motion {} times as long, or the task a higher limit",
-                    short(asked / limit)
-                );
+                let help =
+                    format!("make the motion {} times as long, or raise the limit", short(asked / limit));
                 let kind = stack.task.get(task.name()).map_or("", kind);
                 let key = case.key(number, task.name(), &[kind, key]);
                 // The same task after an event that leaves it as it was.

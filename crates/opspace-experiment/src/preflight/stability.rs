@@ -76,17 +76,20 @@ fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diag
     let how = if margin.degrees < 0.0 {
         format!("would be unstable on this robot: the phase margin is {:.0}°", margin.degrees)
     } else {
-        format!("would ring on this robot: only {:.0}° of phase margin are left", margin.degrees)
+        format!("would oscillate on this robot: the phase margin is only {:.0}°", margin.degrees)
     };
     let message = format!(
-        "task '{name}': {of} {how} at {} Hz, on joint '{joint}', with {} ms from measurement to torque{}",
+        "task '{name}': {of} {how} at {} Hz, on joint '{joint}', with a delay of {} ms from measurement to torque{}",
         short(margin.crossover_rad_per_s / TAU),
         short(1e3 * plant.delay_s()),
-        if plant.servo.is_some() { " beside the servo's lag" } else { "" },
+        if plant.servo.is_some() { " in addition to the servo's lag" } else { "" },
     );
     let help = match plant.highest_scale(law) {
-        Some(scale) => format!("{quantity} = {} has {GOOD_MARGIN_DEG:.0}°", rounded_down(scale * value)),
-        None => "raise damping_ratio: no stiffness has enough margin with this one".to_owned(),
+        Some(scale) => format!(
+            "{quantity} = {} gives a phase margin of {GOOD_MARGIN_DEG:.0}°",
+            rounded_down(scale * value)
+        ),
+        None => "raise damping_ratio: with this one no stiffness has enough margin".to_owned(),
     };
     Some(Diagnostic::new(&case.key(stack, name, key), message, help))
 }
@@ -125,12 +128,12 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
         });
         for (name, unknown) in rows.chain(joints).filter(|(_, unknown)| !unknown.is_empty()) {
             let message = format!(
-                "task '{name}': the gains of {} are not known before the run: whether they suit the robot's rate and \
-                 delay is not checked",
+                "task '{name}': the gains of {} are not known before the run: their stability with the rate and delay of \
+                 this robot is not checked",
                 unknown.join(", ")
             );
             let finding =
-                Diagnostic::new(&case.key(number, name, &[]), message, "try it in simulation".to_owned());
+                Diagnostic::new(&case.key(number, name, &[]), message, "test it in simulation".to_owned());
             if !found.contains(&finding) {
                 found.push(finding);
             }

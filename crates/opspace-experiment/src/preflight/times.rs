@@ -25,11 +25,11 @@ fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let late = events.filter(|(_, event)| event.time_s >= duration_s);
     late.map(|(number, event)| {
         let message = format!(
-            "the event at {} s never comes: the run lasts {} s",
+            "the event at {} s does not occur: the run ends at {} s",
             short(event.time_s),
             short(duration_s)
         );
-        let help = format!("give it a time below {} s, or the run a longer duration_s", short(duration_s));
+        let help = format!("set its time below {} s, or increase duration_s", short(duration_s));
         Diagnostic::new(&["event", &number.to_string(), "time_s"], message, help)
     })
     .collect()
@@ -43,7 +43,7 @@ fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         return None;
     }
     let message = format!(
-        "statistics count from {} s on, while the torque comes in over the first {} s",
+        "statistics start at {} s, but the torque ramps in over the first {} s",
         short(settle_s),
         short(ramp_s)
     );
@@ -63,7 +63,7 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
         let begin_s = case.begin_s(last, same);
         let message = match length_s(task)? {
             Length::Known(length_s) if begin_s + length_s > duration_s + ROUNDING_S => format!(
-                "task '{name}': its reference arrives at {} s, and the run ends at {} s",
+                "task '{name}': its reference arrives at {} s, but the run ends at {} s",
                 short(begin_s + length_s),
                 short(duration_s)
             ),
@@ -71,15 +71,15 @@ fn unfinished(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
             Length::AsFastAsItCan => {
                 let (speed, unit) = speed_at_end(stack, followed, name)?;
                 format!(
-                    "task '{name}': its reference hasn't arrived when the run ends at {} s, it moves at {} {unit}",
+                    "task '{name}': its reference has not arrived when the run ends at {} s: it still moves at {} {unit}",
                     short(duration_s),
                     short(speed)
                 )
             }
         };
         let help = match length_s(task)? {
-            Length::Known(length_s) => format!("duration_s = {}, or a faster motion", short(begin_s + length_s)),
-            Length::AsFastAsItCan => "a longer duration_s, or higher limits of the goal's motion".to_owned(),
+            Length::Known(length_s) => format!("duration_s = {}, or make the motion faster", short(begin_s + length_s)),
+            Length::AsFastAsItCan => "increase duration_s, or the limits of the goal's motion".to_owned(),
         };
         Some(Diagnostic::new(&["duration_s"], message, help))
     });

@@ -34,10 +34,10 @@ impl RunSection {
     pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
         let mut warnings = Vec::new();
         if let Some(damage) = &recording.damage {
-            warnings.push(format!("The log is damaged; what is shown was read before. {damage}"));
+            warnings.push(format!("The log is damaged; only the readable part is shown. {damage}"));
         }
         if recording.dropped() > 0 {
-            warnings.push(format!("{} rows were lost on the way to the log.", recording.dropped()));
+            warnings.push(format!("{} rows were dropped and are not in the log.", recording.dropped()));
         }
         if let Some(fault) = &summary.faulted {
             let time = summary.fault_time_s.unwrap_or(f64::NAN);
@@ -64,7 +64,7 @@ pub fn page(
     shown: &[RunSection],
 ) -> String {
     let mut page = Page::new(title).lead(lead).section("Results").table(
-        "Medians over the runs of each row, counted from the end of settling",
+        "Medians over the runs of each row, computed after settling",
         &table(summaries, measures),
         &notes(summaries),
     );
@@ -118,8 +118,8 @@ pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
 /// Desired and motor torque of each joint: at servo rate where the log has it.
 fn torques(recording: &Recording, tick: &ChannelData) -> Option<Figure> {
     let (channel, caption) = match recording.channel("servo") {
-        Some(servo) => (servo, "True motor torque, mean over each servo period, and the torque asked for."),
-        None => (tick, "Motor torque as measured by current, and the torque asked for."),
+        Some(servo) => (servo, "True motor torque, mean over each servo period, and desired torque."),
+        None => (tick, "Motor torque measured by current, and desired torque."),
     };
     let motor = channel.signal(MOTOR_TORQUE)?;
     let desired = channel.signal(TORQUE_DESIRED);
@@ -179,7 +179,8 @@ fn positions(
         .collect();
     Some(Figure {
         title: format!("Position of '{frame_name}'"),
-        caption: "World axes. On a compliant axis the reference is where the frame started.".to_owned(),
+        caption: "World axes. On a compliant axis the reference is the initial position of the frame."
+            .to_owned(),
         panels,
         columns: None,
     })
@@ -197,8 +198,8 @@ fn forces(tick: &ChannelData, task: &str, sensor: Option<&str>) -> Option<Figure
         })
         .collect();
     Some(Figure {
-        title: format!("Contact force sensed by task '{task}'"),
-        caption: "World axes, on the robot, tared at the start.".to_owned(),
+        title: format!("Contact force measured by task '{task}'"),
+        caption: "Force on the robot in world axes, tared at the start.".to_owned(),
         panels,
         columns: None,
     })
@@ -208,7 +209,7 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
     let reference = tick.signal(&signal_names::of(task, REFERENCE))?;
     joint_figure(
         "Joint positions",
-        "True positions and their references.",
+        "True positions and references.",
         "position",
         (truth, Q, "true"),
         (tick, &reference),
@@ -234,7 +235,7 @@ fn setpoint_figure(tick: &ChannelData) -> Option<Figure> {
     if let Some(velocities) = tick.signal(DQ_DESIRED) {
         return joint_figure(
             "Setpoints",
-            "The velocities that the robot was given, and those that were measured or estimated.",
+            "Velocity setpoints (commands of the velocity servos), and measured or estimated velocities.",
             "velocity",
             (tick, DQ, "measured"),
             (tick, &velocities),
@@ -243,7 +244,7 @@ fn setpoint_figure(tick: &ChannelData) -> Option<Figure> {
     let positions = tick.signal(Q_DESIRED)?;
     joint_figure(
         "Setpoints",
-        "The positions that the robot was given, and where its joints were measured.",
+        "Position setpoints (commands of the position servos), and measured positions.",
         "position",
         (tick, Q, "measured"),
         (tick, &positions),
@@ -294,16 +295,18 @@ fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, styl
     any.then(|| Series::new(label, time_s.to_vec(), y).style(style))
 }
 
-/// Draws each quantity on one scale: a row for each task and profile, a colour for each way of controlling.
+/// Draws each quantity on one scale: a row per task and profile, a colour per kind of robot and controller.
 fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
     type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
     let quantities: [Quantity; 4] = [
         ("Tracking", "position error, rms (mm)", Scale::Log, |s| s.metrics.position_rms_m.map(|v| 1e3 * v)),
-        ("Hand force", "force of the hand, rms (N)", Scale::Linear, |s| s.metrics.hand_force_rms_n),
-        ("Hand motion", "motion that the hand achieved, rms (mm)", Scale::Log, |s| {
+        ("Hand force", "force of the operator's hand, rms (N)", Scale::Linear, |s| {
+            s.metrics.hand_force_rms_n
+        }),
+        ("Hand motion", "motion of the operator's hand, rms (mm)", Scale::Log, |s| {
             s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
         }),
-        ("Torque error", "on interval means (%)", Scale::Log, |s| {
+        ("Torque error", "rms of interval means (%)", Scale::Log, |s| {
             s.metrics.torque_error_interval.map(|v| 1e2 * v)
         }),
     ];
@@ -311,7 +314,7 @@ fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
     quantities
         .into_iter()
         .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
-        // One way of controlling is nothing to compare.
+        // A single kind of robot and controller leaves nothing to compare.
         .filter(|comparison| comparison.series.len() > 1)
         .collect()
 }

@@ -59,7 +59,7 @@ impl Experiment {
 
     fn contradiction(&self, key: &str, what: &str, stated: &dyn Debug, declared: &dyn Debug) -> FileError {
         let message = format!("{what}: robot.toml states {stated:?}, the robot declares {declared:?}");
-        let help = Some("correct robot.toml, or the driver".to_owned());
+        let help = Some("correct robot.toml or the driver".to_owned());
         FileError::at_key(&self.robot().source, key, message, help)
     }
 }

@@ -18,13 +18,15 @@ pub enum RunError {
     #[error(transparent)]
     Log(#[from] LogError),
     /// A log that opspace didn't write, or whose beginning is incomplete.
-    #[error("this log lacks {what}, without which its run can't be put together again")]
+    #[error("this log lacks {what}, which is needed to reconstruct its run")]
     Incomplete {
         /// Description of the part that is missing or unreadable.
         what: String,
     },
     /// A log of another version.
-    #[error("this log was written by opspace {written}; opspace {written} reads it, this is {own}")]
+    #[error(
+        "this log was written by opspace {written}; read it with opspace {written}, this is opspace {own}"
+    )]
     Version {
         /// The version that wrote it.
         written: String,
@@ -32,14 +34,14 @@ pub enum RunError {
         own: &'static str,
     },
     /// A real robot that can't be read before the run.
-    #[error("the robot can't be read: {fault}")]
+    #[error("the robot cannot be read: {fault}")]
     Unreadable {
         /// Fault reported by the robot.
         fault: DeviceFault,
     },
     /// A real robot that is not where the task starts.
     #[error(
-        "joint '{joint}' is at {q_rad:.3} rad (m), and the task starts at {start_rad:.3}; --move-to-start moves the robot there slowly, or change start_rad"
+        "joint '{joint}' is at {q_rad:.3} rad (m), but the task starts at {start_rad:.3}; use --move-to-start to move the robot there slowly, or change start_rad"
     )]
     AwayFromStart {
         /// Name of the first joint from the base that is away from the start.
@@ -50,7 +52,7 @@ pub enum RunError {
         start_rad: f64,
     },
     /// A file that can't be written.
-    #[error("{}: can't be written: {source}", path.display())]
+    #[error("{}: cannot be written: {source}", path.display())]
     Write {
         /// Path of the file or its folder.
         path: PathBuf,

@@ -342,7 +342,7 @@ impl Experiment {
     pub fn arm_config(&self) -> Result<ArmConfig, FileError> {
         let Some(simulated) = self.robot.file.simulated.clone() else {
             let help = "add [simulated]; `opspace schema robot` lists its keys".to_owned();
-            let message = "this robot has no [simulated] section, so it can't be simulated";
+            let message = "this robot has no [simulated] section, so it cannot be simulated";
             return Err(FileError::of_file(self.robot.source.name(), message, Some(help)));
         };
         Ok(ArmConfig {
@@ -419,7 +419,7 @@ impl Experiment {
         let (backend, controller) = (self.options.backend, self.options.controller);
         if backend != BackendKind::Position && controller != ControllerKind::Osc {
             let message = format!(
-                "controller '{}' commands positions, which a {} robot doesn't take",
+                "controller '{}' commands positions, which a {} robot does not accept",
                 controller.name(),
                 backend.name()
             );
@@ -427,16 +427,18 @@ impl Experiment {
             return Err(FileError::of_file(self.task.source.name(), message, help));
         }
         if backend != BackendKind::Torque && self.robot.file.interface.command == CommandParameter::Torque {
-            let message = format!("this robot takes torques, but a {} robot is asked for", backend.name());
+            let message = format!("this robot accepts torques, but a {} robot is requested", backend.name());
             let help = Some("use --backend torque".to_owned());
             return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
         }
         let interface = &self.robot.file.interface;
         let honoured = MissedCycle::of(interface.command.kind());
         if interface.on_missed_cycle.is_some_and(|stated| stated != honoured) {
-            let message =
-                format!("a {} robot doesn't do this on a missed cycle", interface.command.kind().name());
-            let help = Some(format!("leave it out, or use \"{}\"", missed_cycle_name(honoured)));
+            let message = format!(
+                "a {} robot does not have this behaviour on a missed cycle",
+                interface.command.kind().name()
+            );
+            let help = Some(format!("omit it, or use \"{}\"", missed_cycle_name(honoured)));
             return Err(FileError::at_key(&self.robot.source, "interface.on_missed_cycle", message, help));
         }
         self.servos()?;
@@ -446,7 +448,7 @@ impl Experiment {
         let counted_s = self.duration_s() - self.task.file.settle_s.get();
         if counted_s > 0.0 && counted_s < self.profile.period_s() {
             let message = format!(
-                "{} s of control after settling is less than one tick of {} s",
+                "{} s of control after settling is shorter than one cycle of {} s",
                 counted_s,
                 self.profile.period_s()
             );
@@ -454,11 +456,11 @@ impl Experiment {
         }
         if counted_s <= 0.0 {
             let message = format!(
-                "settle_s = {} leaves nothing of a run of {} s",
+                "settle_s = {} is not shorter than the run of {} s",
                 self.task.file.settle_s.get(),
                 self.duration_s()
             );
-            let help = Some("make it last longer, or settle_s shorter".to_owned());
+            let help = Some("increase the duration, or reduce settle_s".to_owned());
             return Err(FileError::at_key(&self.task.source, "settle_s", message, help));
         }
         Ok(())
@@ -478,14 +480,20 @@ impl Experiment {
             let limits = &model.joints()[joint].limits;
             if value < limits.lower || value > limits.upper {
                 let message = format!("{value} is outside the joint's limits");
-                return Err(at(message, Some(format!("from {} to {}", limits.lower, limits.upper))));
+                return Err(at(
+                    message,
+                    Some(format!("give a value from {} to {}", limits.lower, limits.upper)),
+                ));
             }
             start[joint] = value;
         }
         for (joint, &value) in model.joints().iter().zip(&start) {
             if value < joint.limits.lower || value > joint.limits.upper {
                 let (lower, upper) = (joint.limits.lower, joint.limits.upper);
-                let message = format!("joint '{}' would start at 0, which is outside its limits", joint.name);
+                let message = format!(
+                    "joint '{}' has no start position, and the default of 0 is outside its limits",
+                    joint.name
+                );
                 let help = Some(format!("add `{} = ...`, from {lower} to {upper}", joint.name));
                 return Err(FileError::at_key(&self.task.source, "start_rad", message, help));
             }

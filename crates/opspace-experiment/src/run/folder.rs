@@ -47,7 +47,7 @@ impl Experiment {
         let recording = Recording::read(&log)?;
         let summary = self.summary(&recording, &result.record, Some(result.realtime_factor));
         let shown = RunSection::new(self, &recording, summary.clone());
-        let lead = "One run, with what the robot was asked and what it did.";
+        let lead = "Desired and actual behaviour of the robot in one run.";
         let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), MEASURES, &[shown]);
         let json =
             serde_json::to_string_pretty(&summary).map_err(|e| failed(&folder.join(SUMMARY), e.into()))?;

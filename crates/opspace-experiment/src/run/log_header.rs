@@ -107,7 +107,7 @@ impl Experiment {
             attached(recording, TASK_FILE, entry("task")?)?,
             |named| attached(recording, &recording_file(named.file), &named.path.display().to_string()),
         )?;
-        let unknown = |key: &str| RunError::Incomplete { what: format!("a '{key}' that is known") };
+        let unknown = |key: &str| RunError::Incomplete { what: format!("a known '{key}'") };
         let transformer =
             TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
         let options = RunOptions {

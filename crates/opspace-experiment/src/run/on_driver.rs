@@ -50,7 +50,7 @@ impl Experiment {
         };
         driver.with(&self.driver_settings(), &mut run).map_err(|error| self.driver_error(&error))?;
         result.unwrap_or_else(|| {
-            let error = DriverError::new("it opened the robot and did not run it");
+            let error = DriverError::new("the driver opened the robot but did not run it");
             Err(self.driver_error(&error).into())
         })
     }
@@ -58,8 +58,8 @@ impl Experiment {
     fn driver<'a>(&self, extensions: &'a Extensions) -> Result<&'a dyn Driver, FileError> {
         let source = &self.robot.source;
         if !self.has_driver() {
-            let message = "this robot has no [driver], so there is only its simulation";
-            let help = "a simulated robot needs no --move-to-start; a real one needs a [driver]".to_owned();
+            let message = "this robot has no [driver], so it can only be simulated";
+            let help = "a simulated robot needs no --move-to-start; a real robot needs a [driver]".to_owned();
             return Err(FileError::of_file(source.name(), message, Some(help)));
         }
         let Some(Setting::Text(name)) = self.robot.file.driver.as_ref().and_then(|keys| keys.get(NAME))

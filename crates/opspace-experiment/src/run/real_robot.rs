@@ -45,10 +45,10 @@ impl Experiment {
             kind.filter(|k| matches!(k.method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop))
         {
             let message = format!(
-                "transformer '{}' is for comparison in simulation, not for a real robot",
+                "transformer '{}' is only for comparisons in simulation, not for a real robot",
                 kind.name()
             );
-            let help = Some("use 'identified', or 'emulation'".to_owned());
+            let help = Some("use 'identified' or 'emulation'".to_owned());
             return Err(FileError::at_key(
                 &self.robot.source,
                 ["profile", &self.profile_name],
@@ -60,10 +60,9 @@ impl Experiment {
         for (name, task) in std::iter::once(&self.task.file.task).chain(events).flatten() {
             let TaskParameters::Cartesian(task) = task else { continue };
             if task.singularities != SingularityHandling::Damped {
-                let message =
-                    "this handling of singularities is for comparison in simulation, not for a real robot";
+                let message = "this handling of singularities is only for comparisons in simulation, not for a real robot";
                 let key = ["task", name, "cartesian", "singularities"];
-                let help = Some("leave it out, or use \"damped\"".to_owned());
+                let help = Some("omit it, or use \"damped\"".to_owned());
                 return Err(FileError::at_key(&self.task.source, key, message, help));
             }
         }
@@ -126,7 +125,11 @@ impl Experiment {
         let file = &self.task.file;
         let frequency_rad_per_s = FREQUENCY_RAD_PER_S.min(FREQUENCY_SHARE / self.profile.period_s());
         let mut text = String::new();
-        let _ = writeln!(text, "# Moves the robot from where it was to where {} starts.", self.task.name());
+        let _ = writeln!(
+            text,
+            "# Moves the robot from its present position to the start of {}.",
+            self.task.name()
+        );
         let _ = writeln!(text, "robot = {:?}", file.robot.display().to_string());
         let _ = writeln!(text, "duration_s = {:?}", motion_s + SETTLE_S);
         let _ = writeln!(text, "priority = [\"joints\"]");

@@ -32,10 +32,10 @@ impl Experiment {
 
     pub(crate) fn chosen_transformer(&self) -> (TransformerKind, String) {
         if let Some(kind) = self.options.transformer {
-            return (kind, "asked for".to_owned());
+            return (kind, "requested".to_owned());
         }
         if let Some(kind) = self.profile.transformer {
-            return (kind, format!("the one of profile '{}'", self.profile_name));
+            return (kind, format!("set in profile '{}'", self.profile_name));
         }
         let setpoints = self.robot.file.interface.setpoints;
         TransformerKind::best(setpoints, self.profile.delay_servo_ticks, self.measures_current())
@@ -101,7 +101,7 @@ impl Experiment {
     /// Error at a joint's entry in a table of the profile.
     fn joint_error(&self, table: &str, joint: usize, error: &dyn std::error::Error) -> FileError {
         let name = self.robot.model.joints()[joint].name.as_str();
-        let help = "transformer = \"paper\" takes any servo for what it amounts to".to_owned();
+        let help = "transformer = \"paper\" supports any servo, by its equivalent gains".to_owned();
         let key = ["profile", &self.profile_name, table, name];
         FileError::at_key(&self.robot.source, key, error.to_string(), Some(help))
     }
@@ -137,7 +137,7 @@ impl Experiment {
         let n = model.n();
         let mut inverse = DMatrix::identity(n, n);
         if !update(model, &mut data, &q, &vec![0.0; n]) {
-            let message = "the mass matrix isn't positive definite where the task starts";
+            let message = "the mass matrix is not positive definite at the start of the task";
             return Err(FileError::of_file(self.robot.urdf.name(), message, None));
         }
         data.mass_matrix_factor.solve_matrix(&mut inverse);
@@ -187,20 +187,16 @@ impl Experiment {
         }
         if self.profile.adapt_gains.is_some() {
             let message =
-                format!("gains of velocity servos can't be adapted, whatever transformer: '{name}'");
-            return wrong(
-                &["adapt_gains"],
-                message,
-                "leave adapt_gains out; '+current' makes up for a wrong gain",
-            );
+                format!("gains of velocity servos cannot be adapted, with transformer '{name}' or any other");
+            return wrong(&["adapt_gains"], message, "omit adapt_gains; '+current' corrects wrong gains");
         }
         match self.joint_with_velocity_integral() {
             Some(joint) if method == Method::Paper => {
                 let message = format!(
-                    "transformer '{name}' inverts kv alone; the integral in the velocity servo of '{joint}' would add \
-                     its torque to every desired one"
+                    "transformer '{name}' inverts only kv; the integral of the velocity servo of joint '{joint}' would \
+                     add to every desired torque"
                 );
-                let help = "use 'emulation' or 'interpolating', which know the integral";
+                let help = "use 'emulation' or 'interpolating', which model the integral";
                 wrong(&["velocity_servo", joint], message, help)
             }
             _ => Ok(()),
@@ -223,43 +219,45 @@ impl Experiment {
         }
         if kind.needs_current() && !self.measures_current() {
             let message =
-                format!("transformer '{name}' needs the motors' current, which this robot doesn't measure");
+                format!("transformer '{name}' needs motor current, which this robot does not measure");
             let without = name.trim_end_matches("+current");
-            let help = format!("use '{without}', or add \"motor-current\" if the robot does");
+            let help = format!("use '{without}', or add \"motor-current\" if the robot measures it");
             return wrong(interface("measured"), message, help);
         }
         if method == Method::Interpolating && robot.file.interface.setpoints == Setpoints::Held {
-            let message =
-                format!("transformer '{name}' is for drives that interpolate setpoints; these hold them");
-            let help = "use 'emulation', or setpoints = \"interpolated\" if the drives do".to_owned();
+            let message = format!(
+                "transformer '{name}' is for drives that interpolate setpoints, but these drives hold them"
+            );
+            let help =
+                "use 'emulation', or set setpoints = \"interpolated\" if the drives interpolate".to_owned();
             return wrong(interface("setpoints"), message, help);
         }
         if method.needs_identification() && self.profile.identified.is_empty() {
-            let message =
-                format!("transformer '{name}' needs what `opspace identify` measures of each joint");
+            let message = format!(
+                "transformer '{name}' needs the closed loop of each joint, which `opspace identify` measures"
+            );
             let help = format!("add [profile.{}.identified.JOINT] for each joint", self.profile_name);
             return wrong(profile(&[]), message, help);
         }
         let literal = matches!(method, Method::IdentifiedLiteral | Method::IdentifiedOpenLoop);
         if literal && robot.model.n() > 1 {
             let message = format!(
-                "transformer '{name}' takes a torque for all that moves its joint, which is so for one joint alone; \
-                 this robot has {}",
+                "transformer '{name}' assumes that only the motor moves the joint, which holds for a single joint; this \
+                 robot has {} joints",
                 robot.model.n()
             );
             let help = "use 'identified', which measures the velocity instead of predicting it".to_owned();
             return wrong(profile(&[]), message, help);
         }
         if self.profile.adapt_gains.is_some() && !(method.needs_delay() && kind.needs_current()) {
-            let message = format!("gains can't be adapted with transformer '{name}'");
-            let help =
-                "take 'emulation+current' or 'interpolating+current', or leave adapt_gains out".to_owned();
+            let message = format!("gains cannot be adapted with transformer '{name}'");
+            let help = "use 'emulation+current' or 'interpolating+current', or omit adapt_gains".to_owned();
             return wrong(profile(&["adapt_gains"]), message, help);
         }
         if self.profile.delay_servo_ticks.is_none() && (method.needs_delay() || kind.needs_current()) {
             let message =
-                format!("transformer '{name}' needs delay_servo_ticks, which this profile leaves out");
-            let help = "measure it, or use 'paper', which bears any".to_owned();
+                format!("transformer '{name}' needs delay_servo_ticks, which this profile does not give");
+            let help = "measure it, or use 'paper', which works with any delay".to_owned();
             return wrong(profile(&[]), message, help);
         }
         self.transformer().map(|_| ())

@@ -98,11 +98,11 @@ fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
 
 /// Files of the project that provoke findings on purpose, with words of the findings.
 const MADE_TO_GO_WRONG: [(&str, &str); 4] = [
-    ("panda-out-of-reach", "can't be reached"),
-    ("ur5e-out-of-reach", "can't be reached"),
-    ("panda-too-fast", "the references ask joint"),
+    ("panda-out-of-reach", "cannot be reached"),
+    ("ur5e-out-of-reach", "cannot be reached"),
+    ("panda-too-fast", "the references move joint"),
     // The way round a singular posture: fast.
-    ("ur5e-wrist", "the references ask joint"),
+    ("ur5e-wrist", "the references move joint"),
 ];
 
 #[test]
@@ -165,7 +165,7 @@ fn a_goal_beyond_the_arms_reach() {
     assert_says(
         &found,
         key,
-        &["0.7 m from joint 'shoulder_pitch'", "'hand' reaches 0.51 m", "0.19 m nearer"],
+        &["0.7 m from joint 'shoulder_pitch'", "'hand' reaches only 0.51 m", "0.19 m closer"],
     );
     assert_eq!(line, Some(1 + HAND.lines().position(|line| line.starts_with("reference")).unwrap()));
 
@@ -189,11 +189,11 @@ fn a_goal_that_the_elbow_cant_bend_to() {
     let (upper, lower, bend) = (0.235_f64, 0.275_f64, 2.2689280275926285 - 0.01);
     let nearest = (upper * upper + lower * lower + 2.0 * upper * lower * f64::cos(bend)).sqrt();
     let (found, _) = only(HAND, &[(OFFSET, &goal(0.1))], &[]);
-    let missed = format!("misses it by {:.3} m, with joint 'elbow' at its end", nearest - 0.1);
+    let missed = format!("misses it by {:.3} m, with joint 'elbow' at the end of its range", nearest - 0.1);
     assert_says(
         &found,
         "task.hand.cartesian.reference",
-        &["can't be reached within the joints' ranges", &missed],
+        &["cannot be reached within the joint ranges", &missed],
     );
     // A centimetre outside that, and it is reached.
     let inside = experiment(HAND, &[(OFFSET, &goal(nearest + 0.01))], RunOptions::default(), &[]);
@@ -204,11 +204,12 @@ fn a_goal_that_the_elbow_cant_bend_to() {
 #[test]
 fn postures_beyond_the_joints_ends() {
     let (found, _) = only(JOINTS, &[("elbow = -0.35 } }", "elbow = 0.15 } }")], &[]);
-    let words = ["asks joint 'elbow' for 0.15", "kept from -2.26 to -0.01", "ask for -0.01 at most"];
+    let words =
+        ["target for joint 'elbow' is 0.15", "kept between -2.26 and -0.01", "a target of at most -0.01"];
     assert_says(&found, "task.joints.joint-tracking.reference", &words);
     let posture = "[task.rest.joint-posture]\nposture_rad = { elbow = 0.5 }";
     let (found, line) = only(HAND, &[("[task.rest.joint-posture]", posture)], &[]);
-    assert_says(&found, "task.rest.joint-posture.posture_rad.elbow", &["joint 'elbow' for 0.5"]);
+    assert_says(&found, "task.rest.joint-posture.posture_rad.elbow", &["joint 'elbow' is 0.5"]);
     assert_eq!(line, Some(1 + HAND.lines().position(|l| l.contains("joint-posture")).unwrap() + 1));
     // Within the URDF's range, and in the margin only if there is one.
     let changes = [("elbow = -0.35 } }", "elbow = -0.005 } }")];
@@ -224,7 +225,7 @@ fn a_reference_faster_than_the_joints() {
     let faster = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.2")];
     let (found, _) = only(JOINTS, &faster, &[]);
     let words =
-        ["at 0.1 s", "joint 'elbow' for 9.38 rad/s", "7.2 rad/s, 0.9 of its limit of 8", "1.3 times as long"];
+        ["at 0.1 s", "joint 'elbow' at 9.38 rad/s", "7.2 rad/s, 0.9 of its limit of 8", "1.3 times as long"];
     assert_says(&found, "task.joints.joint-tracking.reference", &words);
     let slower = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.27")];
     assert_eq!(diagnostics(&experiment(JOINTS, &slower, RunOptions::default(), &[])), []);
@@ -244,7 +245,7 @@ fn a_frame_faster_than_the_joints() {
     assert_says(
         &found,
         "task.tip.cartesian.reference",
-        &["joint 'shoulder' for 9.", "rad/s; it may do 5.4 rad/s"],
+        &["joint 'shoulder' at 9.", "rad/s; allowed: 5.4 rad/s"],
     );
 }
 
@@ -303,9 +304,10 @@ fn gains_that_are_too_stiff() {
         let stiff = with(unstable);
         let found = diagnostics(&stiff);
         assert_eq!(found.len(), 1, "{case}: {found:#?}");
-        let words = ["would be unstable on this robot: the phase margin is -", "Hz, on joint '", "has 45°"];
+        let words =
+            ["would be unstable on this robot: the phase margin is -", "Hz, on joint '", "margin of 45°"];
         assert_says(&found[0], "task.hand.cartesian.gains.frequency_rad_per_s", &words);
-        let has_servo = found[0].message.contains("beside the servo's lag");
+        let has_servo = found[0].message.contains("in addition to the servo's lag");
         assert_eq!(has_servo, backend != BackendKind::Torque, "{case}: {}", found[0].message);
         let proposed = found[0].help.split(' ').nth(2).unwrap().parse::<f64>().unwrap();
         let soft = with(proposed);
@@ -346,7 +348,7 @@ fn gains_that_are_too_stiff() {
 #[test]
 fn limits_that_contradict_each_other() {
     let (found, _) = only(HAND, &[], &["limits.velocity_fraction=1.5"]);
-    assert_says(&found, "limits.velocity_fraction", &["velocity_fraction is 1.5", "counts as 1"]);
+    assert_says(&found, "limits.velocity_fraction", &["velocity_fraction is 1.5", "1 is used"]);
     let (found, _) = only(HAND, &[], &["limits.torque_fraction=2.0"]);
     assert_says(&found, "limits.torque_fraction", &["torque_fraction is 2"]);
 
@@ -366,13 +368,13 @@ fn limits_that_contradict_each_other() {
     let (found, _) = only(JOINTS, &[("{ elbow = -1.35 }", "{ elbow = -0.004 }")], &[]);
     let words = [
         "joint 'elbow' starts at -0.004",
-        "its end at 0 than position_margin_rad = 0.01",
+        "its limit at 0 than position_margin_rad = 0.01",
         "start it at -0.01",
     ];
     assert_says(&found, "start_rad.elbow", &words);
     // 8 rad/s are braked from at 10 rad/s² over 3.2 rad, of 2.27.
     let (found, _) = only(HAND, &[], &["robot.joint.elbow.acceleration_limit_rad_per_s2=10.0"]);
-    let words = ["highest speed of 8 over 3.2, and its range is 2.27", "14.1 and more"];
+    let words = ["velocity limit of 8 takes a distance of 3.2, but its range is 2.27", "at least 14.1"];
     assert_says(&found, "joint.elbow.acceleration_limit_rad_per_s2", &words);
 }
 
@@ -385,12 +387,12 @@ fn weight_that_a_joint_cant_carry() {
     let share = |of_needed: f64| format!("limits.torque_fraction={}", of_needed * needed / 60.0);
     let (found, _) = only(TIP, &[], &[&share(0.9)]);
     let words = [
-        "joint 'shoulder' needs 11 Nm to hold the start, and may use 9.93 Nm",
-        "torque_fraction at least 0.184",
+        "joint 'shoulder' needs 11 Nm to hold the start posture, but only 9.93 Nm is allowed",
+        "torque_fraction to at least 0.184",
     ];
     assert_says(&found, "limits.torque_fraction", &words);
     let (found, line) = only(TIP, &[], &["robot.joint.shoulder.torque_limit_nm=8.0"]);
-    assert_says(&found, "joint.shoulder.torque_limit_nm", &["needs", "may use 8 Nm"]);
+    assert_says(&found, "joint.shoulder.torque_limit_nm", &["needs", "only 8 Nm is allowed"]);
     assert_eq!(line, None, "told at the setting");
     // As much as it needs.
     let enough = share(1.01);
@@ -405,10 +407,10 @@ fn weight_that_a_joint_cant_carry() {
     assert_says(
         &found,
         "limits.torque_fraction",
-        &["joint 'shoulder' needs", "to hold what is asked for at"],
+        &["joint 'shoulder' needs", "to hold the reference posture at"],
     );
     let (found, _) = only(&stretched, &[], &["robot.joint.shoulder.torque_rate_limit_nm_per_s=2.0"]);
-    let words = ["weight on joint 'shoulder' changes by", "its torque may change by 2 Nm/s"];
+    let words = ["gravity torque of joint 'shoulder'", "its torque rate limit is 2 Nm/s"];
     assert_says(&found, "joint.shoulder.torque_rate_limit_nm_per_s", &words);
 }
 
@@ -417,7 +419,7 @@ fn weight_that_a_joint_cant_carry() {
 fn a_singular_start() {
     let straight =
         |elbow: &str| [("shoulder = 0.6, elbow = 1.2", format!("shoulder = 0.0, elbow = {elbow}"))];
-    for (elbow, lost) in [("0.0", "can't be moved along"), ("0.2", "% left of its force along")] {
+    for (elbow, lost) in [("0.0", "cannot be moved along"), ("0.2", "% of its force along")] {
         let changes = straight(elbow);
         let (found, _) = only(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
         assert_says(&found, "start_rad", &["task 'tip'", lost, "start with joint 'elbow' at "]);
@@ -443,7 +445,7 @@ fn a_singular_start() {
 fn freedom_that_nothing_damps() {
     let rest = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8\n";
     let (found, line) = only(HAND, &[("\"hand\", \"rest\"", "\"hand\""), (rest, "")], &[]);
-    assert_says(&found, "priority", &["1 of the 4 joints' freedoms", "[task.rest.joint-damping]"]);
+    assert_says(&found, "priority", &["1 of the 4 degrees of freedom", "[task.rest.joint-damping]"]);
     assert_eq!(line, Some(5));
     // Damping of zero is a choice.
     let zero = experiment(
@@ -461,7 +463,7 @@ fn a_run_that_is_too_short() {
         format!("{HAND}[[event]]\ntime_s = {time_s}\nset = [\"task.hand.cartesian.axes.x=compliant\"]\n")
     };
     let (found, _) = only(&event("2.0"), &[], &[]);
-    assert_says(&found, "event.0.time_s", &["the event at 2 s never comes: the run lasts 2 s"]);
+    assert_says(&found, "event.0.time_s", &["the event at 2 s does not occur: the run ends at 2 s"]);
     assert_eq!(diagnostics(&experiment(&event("1.9"), &[], RunOptions::default(), &[])), []);
 
     let longer = [("0.05] }, duration_s = 1.0", "0.05] }, duration_s = 2.5")];
@@ -469,7 +471,7 @@ fn a_run_that_is_too_short() {
     assert_says(
         &found,
         "duration_s",
-        &["'hand': its reference arrives at 2.5 s, and the run ends at 2 s", "duration_s = 2.5"],
+        &["'hand': its reference arrives at 2.5 s, but the run ends at 2 s", "duration_s = 2.5"],
     );
     assert_eq!(line, Some(3));
     let goal = "reference.goal = { position = { offset_m = [0.05, 0.0, 0.05] }, velocity_m_per_s = 0.02, \
@@ -477,10 +479,14 @@ fn a_run_that_is_too_short() {
     let before =
         "reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }";
     let (found, _) = only(HAND, &[(before, goal)], &[]);
-    assert_says(&found, "duration_s", &["hasn't arrived when the run ends at 2 s, it moves at 0.02 m/s"]);
+    assert_says(
+        &found,
+        "duration_s",
+        &["has not arrived when the run ends at 2 s: it still moves at 0.02 m/s"],
+    );
     let faster = goal.replace("velocity_m_per_s = 0.02", "velocity_m_per_s = 0.2");
     assert_eq!(diagnostics(&experiment(HAND, &[(before, &faster)], RunOptions::default(), &[])), []);
 
     let (found, _) = only(HAND, &[("settle_s = 0.5", "settle_s = 0.1")], &[]);
-    assert_says(&found, "settle_s", &["count from 0.1 s on", "over the first 0.2 s", "settle_s = 0.2"]);
+    assert_says(&found, "settle_s", &["start at 0.1 s", "over the first 0.2 s", "settle_s = 0.2"]);
 }

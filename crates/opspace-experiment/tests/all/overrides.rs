@@ -189,7 +189,7 @@ fn an_error_in_a_setting_names_the_setting() {
         ("task.rest.damping_ratio=high", "expected a number, got the text \"high\""),
         (
             "task.rest.frequency_hz=1",
-            "`task.rest` holds `joint-posture`, `frequency_hz`; it takes exactly one kind",
+            "`task.rest` has `joint-posture`, `frequency_hz`; it must have exactly one kind",
         ),
         ("task.hand.gains=3", "expected a table, got 3"),
         (
@@ -197,14 +197,14 @@ fn an_error_in_a_setting_names_the_setting() {
             "missing key `frequency_rad_per_s` in `task.hand.cartesian.gains`",
         ),
         ("seed.x=1", "`seed` is of type integer: it has no key `x`"),
-        ("via.2.time_s=1", "`via` has elements 0 to 1, no `2`"),
+        ("via.2.time_s=1", "`via` has elements 0 to 1, but no element `2`"),
         ("via.1=3", "`via.1` is one of several tables: set its keys"),
-        ("seed", "a setting needs a `=`"),
+        ("seed", "a setting needs an `=`"),
         ("=3", "`` is not a key"),
         ("a b=3", "`a b` is not a key"),
         ("seed=", "a value is missing after `=`"),
-        ("task.rest.damping_ratio=400 N/m", "`400 N/m` is neither a TOML value nor a bare word"),
-        ("robot=[1", "`[1` is neither a TOML value nor a bare word"),
+        ("task.rest.damping_ratio=400 N/m", "`400 N/m` is neither a TOML value nor a single word"),
+        ("robot=[1", "`[1` is neither a TOML value nor a single word"),
     ];
     for (setting, message) in cases {
         let error = refusal(&[setting]);
@@ -217,10 +217,7 @@ fn a_misspelt_table_is_recognised() {
     let error = refusal(&["task.hnad.gains.damping_ratio=0.7"]);
     assert!(error.to_string().starts_with("--set task.hnad.gains.damping_ratio=0.7: "), "{error}");
     let help = error.help().expect("a help");
-    assert!(
-        help.ends_with("`task` has no `hnad` yet; it has `hand`, `rest`: did you mean `hand`?"),
-        "{help}"
-    );
+    assert!(help.ends_with("`task` has no `hnad`; it has `hand`, `rest`: did you mean `hand`?"), "{help}");
 }
 
 #[test]
@@ -264,5 +261,5 @@ fn settings_of_another_file_are_parted_and_keep_their_spelling() {
 #[test]
 fn depth_is_bounded() {
     let deep = format!("{}=1", vec!["a"; 60].join("."));
-    assert!(set(&[&deep]).expect_err("refused").message().contains("too deep"));
+    assert!(set(&[&deep]).expect_err("refused").message().contains("nested too deeply"));
 }

@@ -93,7 +93,7 @@ fn the_margin_of_a_velocity_robot_is_the_formulas() {
         let words = finding.map(|finding| format!("{} {}", finding.message, finding.help));
         assert_eq!(words.is_some(), formula < 0.05, "{case}: {words:?}");
         assert!(words.is_none_or(|words| {
-            words.contains("velocity loops may have only 2") && words.contains("compensate less")
+            words.contains("velocity loops tolerate only 2") && words.contains("compensate less")
         }));
     }
 }

@@ -200,7 +200,7 @@ fn a_wrong_type_says_what_was_expected_and_found() {
     says(
         &unit,
         "tasks/x.toml:7: expected a number, got the text \"400 N/m\"",
-        "the unit belongs to the key's name: write a number, `stiffness_n_per_m = 400`",
+        "the unit is part of the key's name: write only the number, `stiffness_n_per_m = 400`",
     );
     assert_eq!(underlined(&unit), "\"400 N/m\"");
     says(
@@ -228,12 +228,12 @@ fn a_wrong_type_says_what_was_expected_and_found() {
 fn two_kinds_or_none_are_refused_by_name() {
     says(
         &error("[[via]]", "[task.rest.cartesian]\nframe = \"hand\"\n[[via]]"),
-        "tasks/x.toml:8: `task.rest` holds `joint-posture`, `cartesian`; it takes exactly one kind",
+        "tasks/x.toml:8: `task.rest` has `joint-posture`, `cartesian`; it must have exactly one kind",
         "a key of `joint-posture` is `task.rest.joint-posture.<key>`",
     );
     says(
         &error("[[via]]", "[task.third]\n[[via]]"),
-        "tasks/x.toml:11: `task.third` is empty; it takes exactly one kind",
+        "tasks/x.toml:11: `task.third` is empty; it must have exactly one kind",
         "",
     );
     let number = error("[task.hand.cartesian]", "task.third = 3\n[task.hand.cartesian]");
@@ -268,7 +268,7 @@ fn text_that_is_not_toml_is_refused_at_its_place() {
     says(
         &error("400.0", "400 N/m"),
         "tasks/x.toml:7: `400 N/m` is not a TOML value",
-        "the unit belongs to the key's name: write a number, `400`",
+        "the unit is part of the key's name: write only the number, `400`",
     );
     says(
         &error("\"hand\"", "hand"),
@@ -283,7 +283,7 @@ fn text_that_is_not_toml_is_refused_at_its_place() {
     says(&error("400.0", ""), "tasks/x.toml:7: a value is missing after `=`", "");
     says(
         &error("duration_s = 8", "duration_s = 8\nduration_s = 9"),
-        "tasks/x.toml:3: `duration_s` stands twice in this table",
+        "tasks/x.toml:3: `duration_s` is defined twice in this table",
         "remove one of the two",
     );
     assert_eq!(error("[[via]]", "[[via").line(), Some(11));
@@ -361,18 +361,18 @@ fn files_that_cannot_be_read_say_why() {
         let near = at("compliant-x.toml");
         assert_eq!(missing.help(), Some(format!("did you mean `{}`?", near.display()).as_str()));
     }
-    let listed = format!("`{}` holds `compliant-x.toml`, `latin.toml`", folder.path().display());
+    let listed = format!("`{}` contains `compliant-x.toml`, `latin.toml`", folder.path().display());
     assert_eq!(message("zzz").help(), Some(listed.as_str()));
     let nowhere = at("no-such").join("x.toml");
     let no_folder = Source::read(&nowhere).expect_err("refused");
-    assert!(no_folder.message().contains("nor a folder"), "{no_folder}");
+    assert!(no_folder.message().contains("no folder"), "{no_folder}");
     let directory = Source::read(folder.path()).expect_err("refused");
     assert_eq!(
         (directory.message(), directory.help()),
-        ("is a folder; a file is meant here", Some(listed.as_str()))
+        ("is a folder; a file is expected here", Some(listed.as_str()))
     );
     assert_eq!(message("latin.toml").message(), "is not UTF-8 (line 2)");
-    assert_eq!(message("log.mcap").message(), "is larger than 4 MiB: is it the file you meant?");
+    assert_eq!(message("log.mcap").message(), "is larger than 4 MiB: is it the intended file?");
 }
 
 #[test]

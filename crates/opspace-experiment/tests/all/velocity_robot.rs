@@ -92,11 +92,11 @@ fn transformers_that_need_a_position_loop_are_refused() {
     }
     let integral = "profile.a-med.velocity_servo.elbow.ki_nm_per_rad=500.0";
     let error = experiment(Some("paper+current"), &[integral]).unwrap_err();
-    assert!(error.message().contains("the integral in the velocity servo of 'elbow'"), "{error}");
+    assert!(error.message().contains("the integral of the velocity servo of joint 'elbow'"), "{error}");
     assert!(experiment(Some("emulation"), &[integral]).is_ok());
     let refined = "profile.a-med.adapt_gains={time_s=1.0,max_relative_change=0.3}";
     let error = experiment(None, &[refined]).unwrap_err();
-    assert!(error.message().contains("velocity servos can't be adapted"), "{error}");
+    assert!(error.message().contains("velocity servos cannot be adapted"), "{error}");
 }
 
 /// Velocity servos of the file, and the inner loops of its cascades.
@@ -149,7 +149,7 @@ fn missing_servos_are_named() {
         "elbow = { cascaded = { kp_per_s = 50.265, kv_nms_per_rad = 30.3, velocity_filter_hz = 600.0 } }";
     let misplaced = "elbow = { velocity = { kv_nms_per_rad = 30.3, velocity_filter_hz = 600.0 } }";
     let error = edited(cascaded, misplaced).unwrap_err();
-    assert!(error.message().contains("'elbow' takes velocities"), "{error}");
+    assert!(error.message().contains("'elbow' is a velocity servo"), "{error}");
     assert!(error.help().unwrap().contains("[profile.a-med.velocity_servo.elbow]"), "{error}");
 }
 

@@ -165,7 +165,7 @@ fn viewers_find_the_joints_and_the_links() {
 fn what_does_not_fit_is_refused() {
     let twice = vec![channels().remove(0), channels().remove(0)];
     let error = record(Cursor::new(Vec::new()), Header::default(), twice, Pace::Simulated).unwrap_err();
-    assert_eq!(error.to_string(), "two channels are called 'tick'; each needs a name of its own");
+    assert_eq!(error.to_string(), "two channels have the name 'tick'; names must be unique");
 
     let model = Some(Arc::new(Model::from_urdf(ARM).unwrap().model));
     let mut three = channels().remove(0);

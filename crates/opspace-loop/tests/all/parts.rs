@@ -20,7 +20,7 @@ fn torque_robot_refuses_positions_by_name() {
     assert_eq!(error, LoopError::Kind { part: "controller", gives, takes });
     assert_eq!(
         error.to_string(),
-        "the controller gives position commands, and the robot takes torque commands"
+        "the controller returns position commands, but the robot accepts torque commands"
     );
 }
 

@@ -114,7 +114,7 @@ pub enum UrdfErrorKind {
         element: &'static str,
     },
     /// Two elements of one name.
-    #[error("{element} is there already{}: names must be unique", on_line(*first_line))]
+    #[error("{element} is already defined{}: names must be unique", on_line(*first_line))]
     DuplicateName {
         /// Second of the two.
         element: String,
@@ -122,7 +122,7 @@ pub enum UrdfErrorKind {
         first_line: Option<u32>,
     },
     /// Child element that is allowed once and given twice.
-    #[error("{element} has more than one <{child}>: leave one")]
+    #[error("{element} has more than one <{child}>: keep one")]
     DuplicateElement {
         /// Element that the child belongs to.
         element: String,
@@ -168,7 +168,10 @@ pub enum UrdfErrorKind {
         found: String,
     },
     /// Mimic joint of a joint that doesn't exist, or that doesn't move.
-    #[error("joint '{joint}' mimics '{leader}', which is no moving joint; those are: {}", listed(known))]
+    #[error(
+        "joint '{joint}' mimics '{leader}', which is not a moving joint; the moving joints are: {}",
+        listed(known)
+    )]
     UnknownLeader {
         /// Name of the mimic joint.
         joint: String,
@@ -178,7 +181,7 @@ pub enum UrdfErrorKind {
         known: Vec<String>,
     },
     /// Mimic joints that follow each other in a circle.
-    #[error("joint '{joint}' mimics itself, by way of other joints or at once")]
+    #[error("joint '{joint}' mimics itself, directly or through other joints")]
     MimicsItself {
         /// Name of one of them.
         joint: String,
@@ -190,13 +193,13 @@ pub enum UrdfErrorKind {
         joint: String,
     },
     /// Floating robot without mass.
-    #[error("nothing on the floating base '{link}' has mass; give its links <inertial>")]
+    #[error("no body on the floating base '{link}' has mass; give its links <inertial>")]
     WeightlessBase {
         /// Name of the root link.
         link: String,
     },
     /// Attribute that would change the robot and that isn't read.
-    #[error("{element}: {attribute} is not read; {remedy}")]
+    #[error("{element}: {attribute} is not supported; {remedy}")]
     Unsupported {
         /// Element that the attribute belongs to.
         element: String,
@@ -216,7 +219,7 @@ pub enum UrdfErrorKind {
         upper: f64,
     },
     /// Negative limit of speed or effort.
-    #[error("{element}: {limit} limit {value} is negative; give its magnitude, or leave it out for none")]
+    #[error("{element}: {limit} limit {value} is negative; give its magnitude, or omit it for no limit")]
     NegativeLimit {
         /// Element that the limit belongs to.
         element: String,
@@ -226,7 +229,7 @@ pub enum UrdfErrorKind {
         value: f64,
     },
     /// Mass below zero.
-    #[error("{element}: mass is {mass} kg; it can't be negative")]
+    #[error("{element}: mass is {mass} kg; it must not be negative")]
     NegativeMass {
         /// Element that the mass belongs to.
         element: String,
@@ -246,7 +249,7 @@ pub enum UrdfErrorKind {
     },
     /// Joint that moves nothing with mass.
     #[error(
-        "joint '{joint}' moves link '{link}', which has no mass, nor has anything fixed to it: \
+        "joint '{joint}' moves link '{link}', which has no mass, and neither has any link fixed to it: \
          give it an <inertial>, or make the joint fixed"
     )]
     Massless {
@@ -256,7 +259,7 @@ pub enum UrdfErrorKind {
         link: String,
     },
     /// Numbers too large to be multiplied.
-    #[error("{element}: its place or inertia overflows; check the magnitudes, SI units")]
+    #[error("{element}: its pose or inertia overflows; check the magnitudes (SI units)")]
     Overflow {
         /// Joint with its body, or link.
         element: String,
@@ -288,7 +291,7 @@ pub enum UrdfErrorKind {
     },
     /// More than one root link.
     #[error(
-        "the links {} are no joint's child: a robot has one root; join the others to it, if only by fixed joints",
+        "the links {} are not the child of any joint: a robot has one root; connect the others to it, e.g. by fixed joints",
         listed(links)
     )]
     SeveralRoots {
@@ -341,7 +344,7 @@ pub enum UrdfWarningKind {
     /// Principal moments that no distribution of mass has.
     #[error(
         "link '{link}': principal moments {:.3e}, {:.3e}, {:.3e} kg m² violate the triangle inequality; \
-         no body has them",
+         no physical body has such moments",
         moments[0], moments[1], moments[2]
     )]
     ImpossibleInertia {
@@ -351,7 +354,7 @@ pub enum UrdfWarningKind {
         moments: [f64; 3],
     },
     /// Joint that can't move: its position limits are equal.
-    #[error("joint '{joint}': lower and upper limit are both {value}: it can't move; is it a fixed joint?")]
+    #[error("joint '{joint}': lower and upper limits are both {value}: it cannot move; is it a fixed joint?")]
     EqualLimits {
         /// Name of the joint.
         joint: String,
@@ -359,7 +362,7 @@ pub enum UrdfWarningKind {
         value: f64,
     },
     /// Joint whose limit of speed or effort is zero.
-    #[error("joint '{joint}': {limit} limit is 0: it may not be used; leave the attribute out for no limit")]
+    #[error("joint '{joint}': {limit} limit is 0: no {limit} is allowed; omit the attribute for no limit")]
     ZeroLimit {
         /// Name of the joint.
         joint: String,
@@ -367,7 +370,7 @@ pub enum UrdfWarningKind {
         limit: &'static str,
     },
     /// Mimic joint, whose coupling the model leaves out.
-    #[error("joint '{joint}' mimics '{of}': the coupling is ignored, it is a joint of its own here")]
+    #[error("joint '{joint}' mimics '{of}': the coupling is ignored and the joint moves independently")]
     Mimic {
         /// Name of the joint.
         joint: String,

@@ -356,7 +356,7 @@ fn a_floating_urdf_without_mass_is_refused() {
     assert_eq!(error.kind(), &UrdfErrorKind::WeightlessBase { link: "spirit".into() });
     assert_eq!(
         error.to_string(),
-        "line 2: nothing on the floating base 'spirit' has mass; give its links <inertial>"
+        "line 2: no body on the floating base 'spirit' has mass; give its links <inertial>"
     );
 }
 
@@ -391,7 +391,7 @@ fn a_floating_base_leads_no_mimic_joint_and_keeps_its_names() {
     let options = UrdfOptions { enforce_mimic: true, ..FLOATING };
     assert_eq!(
         Model::from_urdf_with(&follows, options).unwrap_err().to_string(),
-        "line 4: joint 'axle' mimics 'base.linear.x', which is no moving joint; those are: axle"
+        "line 4: joint 'axle' mimics 'base.linear.x', which is not a moving joint; the moving joints are: axle"
     );
     let named = WHEEL.replace("axle", "base.angular.z");
     assert_eq!(

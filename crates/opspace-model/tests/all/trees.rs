@@ -419,7 +419,7 @@ proptest! {
             prop_assert!(error.to_string().contains(words), "'{}' doesn't say '{}'", error, words);
             Ok(error)
         };
-        let count = format!("there are {n}, numbered from 0");
+        let count = format!("the model has {n} joints, numbered from 0");
         refused(model.with_locked_joints(&[(n, 0.0)]).unwrap_err(), &count)?;
         if model.is_floating() {
             let base = refused(model.with_locked_joints(&[(4, 0.0)]).unwrap_err(), "base.angular.y")?;
@@ -679,7 +679,7 @@ fn impossible_mimics_are_named() {
     assert_eq!((error.line(), line_of(&text, "conter")), (Some(21), 21));
     assert_eq!(
         error.to_string(),
-        "line 21: joint 'close' mimics 'conter', which is no moving joint; those are: bend, counter, close, grasp"
+        "line 21: joint 'close' mimics 'conter', which is not a moving joint; the moving joints are: bend, counter, close, grasp"
     );
     assert!(matches!(error.kind(), UrdfErrorKind::UnknownLeader { .. }));
 

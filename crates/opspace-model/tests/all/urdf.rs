@@ -395,7 +395,7 @@ fn warns_of_equal_limits() {
     let said = warnings(&arm_with(ELBOW_LIMIT, r#"<limit lower="0.5" upper="0.5"/>"#));
     assert_eq!(
         said,
-        ["line 30: joint 'elbow': lower and upper limit are both 0.5: it can't move; is it a fixed joint?"]
+        ["line 30: joint 'elbow': lower and upper limits are both 0.5: it cannot move; is it a fixed joint?"]
     );
 }
 
@@ -413,7 +413,7 @@ fn a_mimic_joint_is_independent_and_warned_of() {
     assert_eq!(loaded.model.n(), 2);
     assert_eq!(
         loaded.warnings[0].to_string(),
-        "line 29: joint 'elbow' mimics 'shoulder': the coupling is ignored, it is a joint of its own here"
+        "line 29: joint 'elbow' mimics 'shoulder': the coupling is ignored and the joint moves independently"
     );
 }
 

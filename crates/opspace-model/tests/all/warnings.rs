@@ -72,7 +72,7 @@ fn the_known_slips_in_published_robots_are_found() {
         };
         model_warnings(model).into_iter().map(part).collect()
     };
-    let fixed = "with what is fixed to it";
+    let fixed = "with the links fixed to it";
     let wrists = ["link 'wrist_1_link'", "link 'wrist_2_link'", &format!("link 'wrist_3_link' {fixed}")];
     assert_eq!(parts(&oracle("ur5")), wrists);
     let palms = ["l", "r"].map(|side| format!("link '{side}_wrist_roll_link' {fixed}"));
@@ -164,7 +164,7 @@ fn a_body_is_no_denser_than_osmium() {
     let said = texts(&body(point));
     assert_eq!(said.len(), 1);
     assert!(
-        said[0].contains("moment is 0 kg m²; even a ball of osmium of its 2.00 kg has 0.000612:"),
+        said[0].contains("moment is 0 kg m²; a solid osmium sphere of its mass, 2.00 kg, has 0.000612:"),
         "{said:?}"
     );
 }
@@ -209,7 +209,7 @@ fn neighbours_weigh_alike_within_a_thousand() {
         assert_eq!(texts(&pair(990.0, light_first)), [""; 0]);
         let said = texts(&pair(1010.0, light_first));
         assert_eq!(said.len(), 1);
-        let words = format!("link '{heavy}' has 11.3 kg and link '{light}' next to it 0.0112 kg");
+        let words = format!("link '{heavy}' has 11.3 kg and the adjacent link '{light}' 0.0112 kg");
         assert!(said[0].contains(&words), "{said:?}");
     }
 }

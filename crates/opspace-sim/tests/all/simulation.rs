@@ -262,7 +262,7 @@ fn coupling_pulls_two_arms_against_each_other() {
     let names: Vec<String> =
         arms[1].layouts().truth.signals.iter().map(|signal| signal.name.clone()).collect();
     assert_eq!(names, ["q", "dq", "bar.force"]);
-    for (second, reason) in [(2, "there is no arm 2"), (0, "both of its frames are on one arm")] {
+    for (second, reason) in [(2, "no arm 2"), (0, "both frames are on the same arm")] {
         let wrong = CouplingConfig { second: (second, "hand".to_owned()), ..coupling.clone() };
         let error = Simulation::new(config(wrong)).err().expect("refused");
         assert_eq!(error.to_string(), format!("coupling 'bar': {reason}"));

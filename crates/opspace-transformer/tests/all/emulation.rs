@@ -147,7 +147,7 @@ fn setup(case: Case) -> EmulationSetup {
         gravity_compensated_by: GravityCompensation::Controller,
         has_brakes: case.has_brakes,
         current: case.current,
-        adapt_gains: case.refined.then(|| toml::from_str("time_s = 1.0\nwithin = 0.4").unwrap()),
+        adapt_gains: case.refined.then(|| toml::from_str("time_s = 1.0\nmax_relative_change = 0.4").unwrap()),
     }
 }
 
