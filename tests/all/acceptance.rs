@@ -106,7 +106,7 @@ fn every_experiment_ran_on_every_robot_and_controller() {
 }
 
 #[test]
-fn nothing_faulted_and_every_row_is_whole() {
+fn no_run_faulted_and_every_row_is_complete() {
     let Some(bench) = Bench::read() else { return };
     for row in &bench.rows {
         let keys = row.as_object().expect("a row is a table");
@@ -126,7 +126,7 @@ fn nothing_faulted_and_every_row_is_whole() {
 }
 
 #[test]
-fn the_paper_transformer_errs_as_published() {
+fn paper_transformer_errors_match_publication() {
     const BAND: f64 = 0.25;
     let Some(bench) = Bench::read() else { return };
     let published = [
@@ -148,7 +148,7 @@ fn the_paper_transformer_errs_as_published() {
 }
 
 #[test]
-fn torque_robots_and_kinematics_with_lead_track_to_millimetres() {
+fn torque_robots_and_leading_kinematics_track_to_millimetres() {
     const BOUND_M: f64 = 1.5e-3;
     let Some(bench) = Bench::read() else { return };
     let groups = [
@@ -163,7 +163,7 @@ fn torque_robots_and_kinematics_with_lead_track_to_millimetres() {
 }
 
 #[test]
-fn the_hand_moves_a_compliant_arm_and_not_a_stiff_one() {
+fn operator_moves_compliant_arm_but_not_stiff_arm() {
     let Some(bench) = Bench::read() else { return };
     for profile in PROFILES {
         let soft = Group::paper("compliant-x", profile);
@@ -183,7 +183,7 @@ fn the_hand_moves_a_compliant_arm_and_not_a_stiff_one() {
 /// (tasks/suites/stiffness.toml, run into the file that `OPSPACE_STIFFNESS_JSON` names), and 50 mm, within 1 % on the
 /// torque robot and 10 % on the position robot.
 #[test]
-fn a_stiffness_is_what_was_asked_for() {
+fn stiffness_matches_requested_value() {
     let Some(bench) = Bench::read_from("OPSPACE_STIFFNESS_JSON") else { return };
     for (backend, tolerance) in [("torque", 0.01), ("position", 0.10)] {
         let rows: Vec<&Value> = bench.rows.iter().filter(|row| row["backend"] == backend).collect();
@@ -285,7 +285,7 @@ fn velocity(transformer: &str) -> [&str; 3] {
 /// Compared: torque errors of the velocity rows of the paper's suite, and fixed bounds; those through `paper` and those
 /// through `emulation+current`.
 #[test]
-fn velocity_robots_get_the_torques() {
+fn velocity_robots_produce_desired_torques() {
     let Some(bench) = Bench::read() else { return };
     let rows = Rows(bench);
     let emulation = velocity("emulation+current");
@@ -302,7 +302,7 @@ fn velocity_robots_get_the_torques() {
 /// Compared: tracking, the operator's force and motion, and the motion across it, of the velocity robot through
 /// `emulation+current` and of the torque robot, seed by seed: medians over ten seeds (three of joint tracking).
 #[test]
-fn velocity_robots_track_and_comply_as_torque_robots_do() {
+fn velocity_robots_track_and_comply_like_torque_robots() {
     let Some(bench) = Bench::read() else { return };
     let rows = Rows(bench);
     let emulation = velocity("emulation+current");
@@ -326,7 +326,7 @@ fn velocity_robots_track_and_comply_as_torque_robots_do() {
 /// Compared: torque errors and tracking of each transformer on the experiments of the paper, in the file that
 /// `OPSPACE_TRANSFORMER_JSON` names, and fixed bounds, the torque robot and inverse kinematics.
 #[test]
-fn emulating_the_servo_gives_the_torques() {
+fn servo_emulation_produces_desired_torques() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
     let rows = Rows(bench);
     let held = [("emulation", ""), ("emulation+current", "")];
@@ -368,7 +368,7 @@ fn emulating_the_servo_gives_the_torques() {
 /// Compliant-x on the stiff drives is left out: it moves so slowly that the encoder counts in the servo's own velocity
 /// have an effect as large.
 #[test]
-fn what_is_left_is_the_ripple_of_a_held_setpoint() {
+fn remaining_error_is_held_setpoint_ripple() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
     let rows = Rows(bench);
     for transformer in ["emulation", "emulation+current"] {
@@ -387,7 +387,7 @@ fn what_is_left_is_the_ripple_of_a_held_setpoint() {
 /// Compared: torque errors in the same suite and fixed bounds, with known delays, other ratios, wrong gains without and
 /// with their refinement, other servos, and other robots.
 #[test]
-fn torques_come_whatever_the_drives_are() {
+fn desired_torques_are_produced_by_all_drives() {
     let Some(bench) = Bench::read_from("OPSPACE_TRANSFORMER_JSON") else { return };
     let rows = Rows(bench);
     let task = "cartesian-tracking";
@@ -423,7 +423,7 @@ fn torques_come_whatever_the_drives_are() {
 /// run ends, the hand within 15 mm of its path unless the bus was dead or the motors too weak; without it a position
 /// loop that is 30 % too stiff is stopped, and the cause is named.
 #[test]
-fn one_thing_that_is_not_as_it_should_be_is_borne() {
+fn single_deviations_are_tolerated() {
     let Some(bench) = Bench::read_from("OPSPACE_ROBUSTNESS_JSON") else { return };
     const NEAR_M: f64 = 0.015;
     const INTERRUPTED_M: f64 = 0.05;

@@ -78,7 +78,7 @@ fn count_on(
 }
 
 /// Builds the experiment's own controller.
-fn own_controller(experiment: &Experiment) -> Box<dyn Controller> {
+fn experiment_controller(experiment: &Experiment) -> Box<dyn Controller> {
     experiment.controller().unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -102,7 +102,7 @@ fn short(experiment: &Experiment, duration_s: f64) -> Experiment {
 }
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
@@ -124,44 +124,44 @@ fn no_cycle_allocates_in(suite: &str) -> usize {
         let last_event_s = experiment.task().events.last().map_or(0.0, |event| event.time_s);
         let counted_s = SHORT_S.max(CYCLES * experiment.profile().1.period_s());
         let experiment = short(experiment, last_event_s + counted_s);
-        let (counts, _) = count(&experiment, own_controller(&experiment), None);
+        let (counts, _) = count(&experiment, experiment_controller(&experiment), None);
         check(&counts, &name);
     }
     seen.len()
 }
 
 #[test]
-fn no_cycle_of_the_paper_suite_allocates() {
+fn no_cycle_of_paper_suite_allocates() {
     assert!(no_cycle_allocates_in("paper") >= 25);
 }
 
 #[test]
-fn no_cycle_of_the_features_suite_allocates() {
+fn no_cycle_of_features_suite_allocates() {
     assert!(no_cycle_allocates_in("features") >= 10);
 }
 
 #[test]
-fn no_cycle_of_the_limits_suite_allocates() {
+fn no_cycle_of_limits_suite_allocates() {
     assert!(no_cycle_allocates_in("limits") >= 5);
 }
 
 #[test]
-fn no_cycle_of_the_singularity_suite_allocates() {
+fn no_cycle_of_singularity_suite_allocates() {
     assert!(no_cycle_allocates_in("singularity") >= 5);
 }
 
 #[test]
-fn no_cycle_of_the_stiffness_suite_allocates() {
+fn no_cycle_of_stiffness_suite_allocates() {
     assert!(no_cycle_allocates_in("stiffness") >= 10);
 }
 
 #[test]
-fn no_cycle_of_the_transformer_suite_allocates() {
+fn no_cycle_of_transformer_suite_allocates() {
     assert!(no_cycle_allocates_in("transformer") >= 50);
 }
 
 #[test]
-fn no_cycle_of_the_robustness_suite_allocates() {
+fn no_cycle_of_robustness_suite_allocates() {
     assert!(no_cycle_allocates_in("robustness") >= 50);
 }
 
@@ -195,7 +195,7 @@ impl Coordinate for Sum {
 /// A user's task above a hand whose targets come from another thread, with pauses in which they become stale, on all
 /// three kinds of robot; the device fails when it is read, or when it is written to.
 #[test]
-fn no_cycle_with_a_users_task_streamed_targets_and_device_faults_allocates() {
+fn no_cycle_with_user_task_and_streamed_targets_allocates() {
     const TASK: &str = r#"
         robot = "asimo-arm"
         duration_s = 1.5
@@ -231,7 +231,7 @@ fn no_cycle_with_a_users_task_streamed_targets_and_device_faults_allocates() {
             let arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
             let mut robot = Failing { arm, reads, writes };
             let mut sending = None;
-            let controller = own_controller(&experiment);
+            let controller = experiment_controller(&experiment);
             let (counts, ending) = count_on(&mut robot, &experiment, controller, None, |run| {
                 let (sender, receiver) = target_stream(run.targets());
                 run.set_target_stream(receiver);
@@ -292,7 +292,7 @@ impl Backend for Failing {
 
 /// Stops and interruptions: the cycles of the stop and after it don't allocate either.
 #[test]
-fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
+fn no_cycle_of_faulting_or_interrupted_run_allocates() {
     for options in [osc("a-med"), torque("a-med")] {
         let experiment = short(&load("compliant-x", options, &[]), 1.0);
         let nan = Box::new(torques(|data, measurement, tau| {
@@ -304,7 +304,7 @@ fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
         check(&counts, "a fault");
         assert!(counts.last().is_some_and(|(phase, _)| *phase == 2.0), "the stop was seen");
 
-        let controller = own_controller(&experiment);
+        let controller = experiment_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, Some(500));
         assert!(matches!(ending, RunOutcome::Interrupted { .. }), "{ending:?}");
         check(&counts, "an interrupt");
@@ -320,9 +320,9 @@ fn no_tick_of_a_faulting_or_interrupted_run_allocates() {
     check(&counts, "a jump");
 }
 
-/// Missed cycles that are bridged, a dropout from which the run resumes, and one that is too long.
+/// Missed cycles that are tolerated, a dropout from which the run resumes, and one that is too long.
 #[test]
-fn no_tick_of_a_run_with_missed_cycles_allocates() {
+fn no_cycle_of_run_with_missed_cycles_allocates() {
     let dropouts =
         "robot.simulated.bus.dropouts=[{ at_s = 0.2, duration_s = 0.1 }, { at_s = 1.0, duration_s = 1.5 }]";
     let settings = [dropouts, "robot.simulated.bus.lost_cycles_share=0.05"];
@@ -333,7 +333,7 @@ fn no_tick_of_a_run_with_missed_cycles_allocates() {
         ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
     ] {
         let experiment = short(&load(task, options, &settings), 3.0);
-        let controller = own_controller(&experiment);
+        let controller = experiment_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, None);
         assert!(matches!(ending, RunOutcome::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
         let phase = |phase: Phase| counts.iter().filter(|(p, _)| *p == phase.code()).count();
@@ -346,9 +346,9 @@ fn no_tick_of_a_run_with_missed_cycles_allocates() {
     }
 }
 
-/// Every transformer that an arm can have; the literal ones are for a single joint, and refused.
+/// Every transformer that an arm can have; the literal ones are for a single joint, and refused on an arm.
 #[test]
-fn no_tick_of_any_transformer_allocates() {
+fn no_cycle_of_any_transformer_allocates() {
     let closed_loop = "closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]}";
     let joint = format!(
         "{{{closed_loop},open_loop={{numerator=[1.0],denominator=[0.0,2.0,0.3]}},from_hz=0.5,to_hz=50.0}}"
@@ -375,7 +375,7 @@ fn no_tick_of_any_transformer_allocates() {
             continue;
         }
         let experiment = short(&experiment.unwrap_or_else(|e| panic!("{e}")), 0.5);
-        let controller = own_controller(&experiment);
+        let controller = experiment_controller(&experiment);
         let (counts, ending) = count(&experiment, controller, None);
         assert_eq!(ending, RunOutcome::Completed, "{transformer:?}");
         check(&counts, transformer.name());

@@ -59,7 +59,7 @@ fn task(name: &str) -> String {
 }
 
 #[test]
-fn every_command_has_its_help_within_a_terminals_width() {
+fn help_of_every_command_fits_the_terminal() {
     let folder = scratch();
     let top = opspace(folder.path(), &["--help"]).exits(0).stdout;
     for name in COMMANDS {
@@ -75,7 +75,7 @@ fn every_command_has_its_help_within_a_terminals_width() {
 }
 
 #[test]
-fn bad_arguments_end_with_2_and_a_tip() {
+fn invalid_arguments_exit_with_2_and_a_tip() {
     let folder = scratch();
     let task = task("compliant-x");
     opspace(folder.path(), &[]).exits(2);
@@ -101,7 +101,7 @@ fn bad_arguments_end_with_2_and_a_tip() {
 }
 
 #[test]
-fn a_run_leaves_log_report_and_summary_and_prints_the_table() {
+fn run_writes_log_report_summary_and_prints_table() {
     let folder = scratch();
     let ran = opspace(folder.path(), &["run", &task("compliant-x"), "--duration-s", "2"]).exits(0);
     let out = folder.path().join("runs/compliant-x-position");
@@ -122,7 +122,7 @@ fn a_run_leaves_log_report_and_summary_and_prints_the_table() {
 }
 
 #[test]
-fn what_is_chosen_stands_in_the_summary() {
+fn summary_states_selected_options() {
     let folder = scratch();
     let set = "task.hand.gains.damping_ratio=0.7";
     let options = ["--backend", "torque", "--profile", "b-soft", "--seed", "9", "--set", set];
@@ -144,7 +144,7 @@ fn what_is_chosen_stands_in_the_summary() {
 /// Runs of the same file, seed and binary: the same bits in every signal but the wall clock's. Another seed: other
 /// bits.
 #[test]
-fn a_run_can_be_had_again() {
+fn run_is_reproducible() {
     let folder = scratch();
     let recording = |name: &str, options: &[&str]| {
         Recording::read(run(folder.path(), name, "compliant-x", options)).unwrap()
@@ -166,7 +166,7 @@ fn a_run_can_be_had_again() {
 }
 
 #[test]
-fn json_goes_to_a_file_or_takes_the_tables_place() {
+fn json_goes_to_file_or_replaces_table() {
     let folder = scratch();
     let task = task("joint-tracking");
     let run = ["run", &task, "--duration-s", "2", "--json"];
@@ -183,7 +183,7 @@ fn json_goes_to_a_file_or_takes_the_tables_place() {
 }
 
 #[test]
-fn the_run_before_is_moved_aside_and_said_so() {
+fn previous_run_is_moved_aside_with_notice() {
     let folder = scratch();
     let run = |seed: &str| {
         let task = task("gravity-compensation");
@@ -200,7 +200,7 @@ fn the_run_before_is_moved_aside_and_said_so() {
 }
 
 #[test]
-fn a_folder_that_was_asked_for_is_only_replaced_by_force() {
+fn requested_folder_is_replaced_only_by_force() {
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let before = fs::read(&log).unwrap();
@@ -217,7 +217,7 @@ fn a_folder_that_was_asked_for_is_only_replaced_by_force() {
 }
 
 #[test]
-fn quiet_says_nothing_but_results() {
+fn quiet_prints_only_results() {
     let folder = scratch();
     let arguments = ["run", &task("compliant-x"), "--duration-s", "2", "-q"];
     let ran = opspace(folder.path(), &arguments).exits(0);
@@ -225,9 +225,9 @@ fn quiet_says_nothing_but_results() {
     assert!(ran.stdout.contains("compliant-x") && !ran.stdout.contains("simulation"), "{}", ran.stdout);
 }
 
-/// A reader that closes its pipe: the program ends quietly, and the results are on the disk.
+/// A reader that closes its pipe: the program ends without a message, and the results are on the disk.
 #[test]
-fn a_closed_pipe_ends_quietly() {
+fn closed_pipe_ends_quietly() {
     let folder = scratch();
     let task = task("compliant-x");
     let cases: [&[&str]; 6] = [
@@ -265,7 +265,7 @@ fn long_run(folder: &Path) -> (Child, PathBuf) {
 
 #[cfg(unix)]
 #[test]
-fn an_interrupt_stops_the_run_and_closes_its_log() {
+fn interrupt_stops_run_and_closes_log() {
     let folder = scratch();
     let (child, log) = long_run(folder.path());
     let interrupt = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
@@ -283,7 +283,7 @@ fn an_interrupt_stops_the_run_and_closes_its_log() {
 
 /// A process killed during the run: the file holds the beginning of the run, to the bit.
 #[test]
-fn a_killed_run_leaves_a_log_that_is_good_so_far() {
+fn killed_run_leaves_readable_log() {
     let folder = scratch();
     let (mut child, log) = long_run(folder.path());
     child.kill().unwrap();
@@ -305,7 +305,7 @@ fn a_killed_run_leaves_a_log_that_is_good_so_far() {
 
 /// Exit codes of a suite's runs: a fault outranks success.
 #[test]
-fn a_fault_ends_with_1_and_its_cause() {
+fn fault_exits_with_1_and_its_cause() {
     let folder = scratch();
     let rms = "environment.operator.spring.motion.random.rms_m=2.0";
     let stiffness = "environment.operator.spring.stiffness_n_per_m=3000";
@@ -343,7 +343,7 @@ override = ["duration_s=1.6"]
 "#;
 
 #[test]
-fn a_suite_is_one_table_whatever_the_number_of_jobs() {
+fn suite_table_is_independent_of_job_count() {
     let folder = scratch();
     fs::write(folder.path().join("short.toml"), SUITE.replace("TASKS", &project("tasks"))).unwrap();
     let ran = opspace(folder.path(), &["bench", "short.toml", "--json", "rows.json", "--jobs", "2"]).exits(0);
@@ -369,7 +369,7 @@ fn a_suite_is_one_table_whatever_the_number_of_jobs() {
 }
 
 #[test]
-fn a_suite_with_a_fault_ends_with_1_and_all_its_rows() {
+fn suite_with_fault_exits_with_1_and_all_rows() {
     let folder = scratch();
     let faulty = format!(
         "{SUITE}\n[[run]]\ntasks = [\"TASKS/compliant-x.toml\"]\nbackend = \"position\"\ncontroller = \"osc\"\n\
@@ -384,7 +384,7 @@ fn a_suite_with_a_fault_ends_with_1_and_all_its_rows() {
 }
 
 #[test]
-fn a_report_is_made_of_logs_and_folders() {
+fn report_accepts_logs_and_folders() {
     let folder = scratch();
     run(folder.path(), "a", "compliant-x", &[]);
     let log = run(folder.path(), "b", "compliant-x", &["--backend", "torque"]);
@@ -404,7 +404,7 @@ fn a_report_is_made_of_logs_and_folders() {
 }
 
 #[test]
-fn a_robot_is_a_table_or_json() {
+fn robot_is_printed_as_table_or_json() {
     let folder = scratch();
     let table = opspace(folder.path(), &["model", ROOT_ROBOT]).exits(0).stdout;
     let toml = format!("{ROOT_ROBOT}/robot.toml");
@@ -431,7 +431,7 @@ fn numbers(list: &Value) -> Vec<f64> {
 
 /// Compared: masses, centres and offsets, and the text of the file.
 #[test]
-fn the_table_of_a_robot_says_what_its_file_says() {
+fn robot_table_matches_its_file() {
     let folder = scratch();
     let urdf = project("tests/oracles/pinocchio/urdf/panda_arm7.urdf");
     let shown = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0).json();
@@ -471,7 +471,7 @@ fn the_table_of_a_robot_says_what_its_file_says() {
 
 /// Warnings of the reader, and of the model as a whole: on stderr with the file, and as JSON.
 #[test]
-fn what_looks_wrong_with_a_robot_is_said() {
+fn robot_warnings_are_printed() {
     let folder = scratch();
     for (name, count, words) in [
         ("ur5", 3, &["link 'wrist_1_link'", "a solid of 8.35 kg/m³"][..]),
@@ -494,7 +494,7 @@ fn what_looks_wrong_with_a_robot_is_said() {
 }
 
 #[test]
-fn a_urdf_can_float_and_fold_its_mimic_joints() {
+fn urdf_can_float_and_enforce_mimic_joints() {
     let folder = scratch();
     let urdf = project("tests/oracles/pinocchio/urdf/panda.urdf");
     let shown = |options: &[&str]| {
@@ -556,7 +556,7 @@ const SCHEMAS: [(&str, &str); 3] = [
 
 /// Compared: the schemas beside the files, which editors read, and the program's present output.
 #[test]
-fn the_schemas_in_the_project_are_those_of_the_program() {
+fn committed_schemas_match_the_program() {
     let folder = scratch();
     for (kind, path) in SCHEMAS {
         let schema = opspace(folder.path(), &["schema", kind]).exits(0);
@@ -633,7 +633,7 @@ fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<Stri
 /// Validation of the project's files by the schemas; with an additional key, or without a required one, they are
 /// refused.
 #[test]
-fn the_schemas_accept_the_projects_files_and_no_others() {
+fn schemas_accept_project_files_and_refuse_invalid_ones() {
     let files = [
         ("robots/robot.schema.json", "robots/asimo-arm/robot.toml", "urdf"),
         ("tasks/task.schema.json", "tasks/compliant-x.toml", "priority"),
@@ -661,7 +661,7 @@ fn the_schemas_accept_the_projects_files_and_no_others() {
 }
 
 #[test]
-fn every_shell_gets_its_completion() {
+fn every_shell_has_a_completion() {
     let folder = scratch();
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = opspace(folder.path(), &["completion", shell]).exits(0).stdout;
@@ -672,7 +672,7 @@ fn every_shell_gets_its_completion() {
 
 /// The gain margin that is reported for a task, for the kind of robot that its robot file states.
 #[test]
-fn check_is_for_the_robot_of_the_file() {
+fn check_uses_robot_kind_of_the_file() {
     let folder = scratch();
     let (robot, tasks) = (folder.path().join("robots/asimo-arm"), folder.path().join("tasks"));
     fs::create_dir_all(&robot).unwrap();
@@ -701,7 +701,7 @@ fn check_is_for_the_robot_of_the_file() {
 }
 
 #[test]
-fn check_knows_what_a_file_is() {
+fn check_recognises_file_kinds() {
     let folder = scratch();
     let at = |path: &str| opspace(Path::new(ROOT), &["check", path]).exits(0).stdout;
     assert_eq!(at("robots/asimo-arm"), "robots/asimo-arm: a robot of 4 joints\n");
@@ -735,7 +735,7 @@ fn check_knows_what_a_file_is() {
 }
 
 #[test]
-fn a_file_of_another_kind_is_told_apart() {
+fn file_of_wrong_kind_is_refused() {
     let folder = scratch();
     let task = task("compliant-x");
     let robot = format!("{ROOT_ROBOT}/robot.toml");
@@ -751,7 +751,7 @@ fn a_file_of_another_kind_is_told_apart() {
 
 /// Writing of results: a file is written only if all states are valid; the samples are never overwritten.
 #[test]
-fn samples_write_no_file_that_they_should_not() {
+fn invalid_samples_write_no_file() {
     let folder = scratch();
     let urdf = project("robots/planar-2-link/planar-2-link.urdf");
     let line = r#"{"q":[0.1,0.2],"dq":[0,0],"ddq":[0,0],"tau_in":[0,0],"f_tip":[0,0,0,0,0,0]}"#;
@@ -771,18 +771,18 @@ fn samples_write_no_file_that_they_should_not() {
     assert!(read(path("new.jsonl")).contains("tau_rnea"));
 }
 
-/// A robot without moving joints has a table too.
+/// The table of a robot without moving joints.
 #[test]
-fn a_robot_without_joints_has_a_table() {
+fn robot_without_joints_has_a_table() {
     let folder = scratch();
     fs::write(folder.path().join("table.urdf"), r#"<robot name="t"><link name="table"/></robot>"#).unwrap();
     let ran = opspace(folder.path(), &["model", "table.urdf"]).exits(0);
     assert!(ran.stdout.contains("0 moving joints on a fixed base"), "{}", ran.stdout);
 }
 
-/// A task with an impedance, whose gains depend on the arm's inertia.
+/// Output for a task with an impedance, whose gains depend on the arm's inertia.
 #[test]
-fn check_says_what_it_could_not_check() {
+fn check_lists_unchecked_tasks() {
     let arguments = ["check", "tasks/panda-impedance.toml"];
     let said = opspace(Path::new(ROOT), &arguments).exits(0).stdout;
     assert!(said.contains("not checked: tasks/panda-impedance.toml"), "{said}");
@@ -794,9 +794,9 @@ fn check_says_what_it_could_not_check() {
     );
 }
 
-/// Compared: the kind of robot in the summary, and the one that robot.toml states, or that is asked for.
+/// Compared: the kind of robot in the summary, and the one that robot.toml states, or that an option requests.
 #[test]
-fn run_is_on_the_kind_of_robot_that_robot_toml_states() {
+fn run_uses_robot_kind_of_robot_toml() {
     let folder = scratch();
     let task = project("tasks/gravity-compensation.toml");
     let command = "robot.interface.command=velocity";

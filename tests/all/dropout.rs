@@ -51,7 +51,7 @@ fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> 
 /// Dropout of 0.3 s at the fastest instant of the stroke. Compared besides: the distance that each joint continues, and
 /// the distance of its last setpoint, (τ/kv + q̇)/kp: 40 mrad of the stiff servo and 80 mrad of the soft one.
 #[test]
-fn a_dropout_is_held_and_left_without_a_jump() {
+fn dropout_is_held_and_resumed_without_jump() {
     for profile in ["a-med", "b-soft"] {
         let good = run(&tracking(osc(profile), "emulation+current", &[]));
         let experiment = tracking(osc(profile), "emulation+current", &[DROPOUT]);
@@ -106,7 +106,7 @@ fn a_dropout_is_held_and_left_without_a_jump() {
 
 /// Resumption of inverse kinematics from the setpoints that held the arm, and of joint references likewise.
 #[test]
-fn other_controllers_go_on_without_a_jump_too() {
+fn other_controllers_resume_without_jump() {
     for (task, options) in [
         ("cartesian-tracking", ik("a-med", ControllerKind::Ik)),
         ("cartesian-tracking", ik("b-soft", ControllerKind::IkLead)),
@@ -132,7 +132,7 @@ fn other_controllers_go_on_without_a_jump_too() {
 
 /// Dropout of a torque robot: the drives hold the last torque, the arm moves on, and its brakes stop it.
 #[test]
-fn a_torque_robot_is_braked_before_it_goes_on() {
+fn torque_robot_is_braked_before_resuming() {
     let experiment = load(
         "cartesian-tracking",
         RunOptions { duration_s: Some(6.0), ..torque("a-med") },
@@ -146,9 +146,9 @@ fn a_torque_robot_is_braked_before_it_goes_on() {
     assert!(after < 2e-3, "{after} m");
 }
 
-/// Compared: tracking with occasionally lost cycles, all of them bridged, and without.
+/// Compared: tracking with occasionally lost cycles, all of them tolerated, and without.
 #[test]
-fn lost_cycles_are_bridged() {
+fn lost_cycles_are_tolerated() {
     for profile in ["a-med", "b-soft"] {
         let lost = "robot.simulated.bus.lost_cycles_share=0.01";
         let experiment = tracking(osc(profile), "emulation+current", &[lost]);
@@ -164,7 +164,7 @@ fn lost_cycles_are_bridged() {
 
 /// Dropout longer than the longest tolerated one: the run is stopped where the arm was held.
 #[test]
-fn a_bus_that_is_dead_for_too_long_stops_the_run() {
+fn too_long_dropout_stops_the_run() {
     let dead = "robot.simulated.bus.dropouts=[{ at_s = 2.0, duration_s = 1.2 }]";
     let run = run(&tracking(osc("a-med"), "emulation+current", &[dead]));
     let RunOutcome::Faulted { fault: Fault::Dropout { silent_s, .. }, .. } = &run.ending else {
@@ -180,7 +180,7 @@ fn a_bus_that_is_dead_for_too_long_stops_the_run() {
 /// A servo whose kp is 30 % higher than the paper's transformer assumes is unstable: the power of its motors reveals it
 /// before it is too fast.
 #[test]
-fn a_servo_that_runs_away_is_caught_by_its_power() {
+fn unstable_servo_faults_by_excess_power() {
     for profile in ["a-med", "b-soft"] {
         let run = run(&tracking(osc(profile), "paper", &["robot.simulated.true_over_nominal.kp=1.3"]));
         let RunOutcome::Faulted { fault, time_s } = &run.ending else { panic!("{:?}", run.ending) };

@@ -43,7 +43,7 @@ fn largest_error(run: &Run) -> f64 {
 /// Compared: torques that the simulated servos produced from positions, and torques asked for before any
 /// transformer. Nothing joins them but equation (K10) and the simulated servo's own code.
 #[test]
-fn setpoints_at_servo_rate_give_the_desired_torques_to_rounding() {
+fn servo_rate_setpoints_give_exact_torques() {
     for (profile, duration_s) in [("a-med", 2.5), ("b-soft", 8.0)] {
         let run =
             run(&exact(profile, duration_s, &[format!("robot.profile.{profile}.servo_ticks_per_cycle=1")]));
@@ -58,7 +58,7 @@ fn setpoints_at_servo_rate_give_the_desired_torques_to_rounding() {
 
 /// Compared: the same two torques, each time with one of the conditions violated; the test above would fail.
 #[test]
-fn each_condition_of_exactness_counts() {
+fn each_exactness_condition_is_necessary() {
     let ratio = "robot.profile.b-soft.servo_ticks_per_cycle=1".to_owned();
     let held = run(&exact("b-soft", 2.0, &["robot.profile.b-soft.servo_ticks_per_cycle=2".to_owned()]));
     let delayed =
@@ -137,7 +137,7 @@ fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f
 /// Compared: a regression over simulated motion, and the formulas above, which know nothing of the simulator
 /// but its timing. Without encoder counts and current loop, which the formulas leave out.
 #[test]
-fn the_held_setpoint_is_the_damping_and_inertia_that_timing_predicts() {
+fn held_setpoint_adds_predicted_damping_and_inertia() {
     // Terms of higher order in a period, and friction's jumps at reversals.
     const DAMPING: f64 = 0.03;
     const INERTIA: f64 = 0.05;

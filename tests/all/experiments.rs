@@ -11,15 +11,15 @@ fn seeded(options: RunOptions, seed: u64) -> RunOptions {
     RunOptions { seed: Some(seed), ..options }
 }
 
-fn of(value: Option<f64>) -> f64 {
+fn present(value: Option<f64>) -> f64 {
     value.expect("the metric has a meaning for this run")
 }
 
 /// Compared: the true path of the hand, and the reference of the file.
 #[test]
-fn torque_control_and_kinematics_with_lead_track_to_millimetres() {
+fn torque_control_and_leading_kinematics_track_to_millimetres() {
     const BOUND_M: f64 = 1.5e-3;
-    let tracking = |options| of(measure(&load("cartesian-tracking", options, &[])).position_rms_m);
+    let tracking = |options| present(measure(&load("cartesian-tracking", options, &[])).position_rms_m);
     for profile in ["a-med", "b-soft"] {
         let error = tracking(torque(profile));
         assert!(error < BOUND_M, "torque robot, {profile}: {error} m");
@@ -31,12 +31,12 @@ fn torque_control_and_kinematics_with_lead_track_to_millimetres() {
 }
 
 fn interval_error(task: &str, profile: &str, seed: u64) -> f64 {
-    of(measure(&load(task, seeded(osc(profile), seed), &[])).torque_error_interval)
+    present(measure(&load(task, seeded(osc(profile), seed), &[])).torque_error_interval)
 }
 
 /// Compared: the torque error of this simulation, and that of an independent one (25 % about its figures).
 #[test]
-fn the_paper_transformer_errs_on_a_path_as_published() {
+fn paper_transformer_path_error_matches_publication() {
     for (profile, published) in [("a-med", 0.25), ("b-soft", 0.30)] {
         let error = interval_error("cartesian-tracking", profile, 1);
         assert!((error / published - 1.0).abs() < 0.25, "{profile}: {error} for {published}");
@@ -46,7 +46,7 @@ fn the_paper_transformer_errs_on_a_path_as_published() {
 /// Compared: the same two, where each seed is another hand: over the published range of ten hands, widened by
 /// a tenth as the hands here are others.
 #[test]
-fn the_paper_transformer_errs_under_a_hand_as_published() {
+fn paper_transformer_operator_error_matches_publication() {
     const OTHER_HANDS: f64 = 0.10;
     let published = [
         ("gravity-compensation", "a-med", 0.118, 0.172),
@@ -63,30 +63,30 @@ fn the_paper_transformer_errs_under_a_hand_as_published() {
 
 /// Compared: setpoints once in five servo ticks and at every one, on the same arm.
 #[test]
-fn setpoints_at_servo_rate_all_but_remove_the_error() {
+fn servo_rate_setpoints_nearly_remove_the_error() {
     let settings = ["robot.profile.b-soft.servo_ticks_per_cycle=1"];
     let metrics = measure(&load("cartesian-tracking", osc("b-soft"), &settings));
-    let error = of(metrics.torque_error_interval);
+    let error = present(metrics.torque_error_interval);
     assert!(error < 0.07, "{error}");
     assert_eq!(metrics.torque_error_servo, metrics.torque_error_interval, "an interval is a servo tick");
 }
 
 /// Compared: the same hand, spring and path for three controllers on one arm, and for two kinds of robot.
 #[test]
-fn the_hand_moves_a_compliant_arm_and_not_a_stiff_one() {
+fn operator_moves_compliant_arm_but_not_stiff_arm() {
     let compliant = |options| measure(&load("compliant-x", seeded(options, 2), &[]));
     let position = compliant(osc("a-med"));
     let direct = compliant(torque("a-med"));
     for controller in [ControllerKind::Ik, ControllerKind::IkLead] {
         let stiff = compliant(ik("a-med", controller));
-        let motion = |m: &Metrics| of(m.hand_motion_rms_m);
-        let force = |m: &Metrics| of(m.hand_force_rms_n);
+        let motion = |m: &Metrics| present(m.hand_motion_rms_m);
+        let force = |m: &Metrics| present(m.hand_force_rms_n);
         for soft in [&position, &direct] {
             assert!(motion(soft) > 5.0 * motion(&stiff), "{soft:?} {stiff:?}");
             assert!(force(soft) < force(&stiff), "{soft:?} {stiff:?}");
         }
     }
-    let (through, without) = (of(position.hand_force_rms_n), of(direct.hand_force_rms_n));
+    let (through, without) = (present(position.hand_force_rms_n), present(direct.hand_force_rms_n));
     assert!(through > without, "the transformer's damping is felt: {through} N for {without} N");
 }
 
@@ -118,7 +118,7 @@ fn short(task: &str, options: RunOptions, seed: u64) -> Experiment {
 
 /// Compared: every bit of two runs, put together anew from the same files.
 #[test]
-fn the_same_seed_gives_the_same_bits() {
+fn same_seed_gives_same_bits() {
     for options in [osc("a-med"), torque("b-soft"), ik("b-soft", ControllerKind::IkLead)] {
         let twice = [0, 1].map(|_| run(&short("compliant-x", options.clone(), 7)).recording);
         assert!(twice[0].channels.iter().all(|c| c.len() >= 400), "two seconds are there");
@@ -128,7 +128,7 @@ fn the_same_seed_gives_the_same_bits() {
 
 /// Compared: two seeds; what is random must follow them, and what is not must not.
 #[test]
-fn another_seed_gives_another_hand_but_the_same_start() {
+fn seed_changes_operator_but_not_start() {
     let [one, other] = [7, 8].map(|seed| run(&short("compliant-x", osc("a-med"), seed)));
     assert!(difference(&one.recording, &other.recording).is_some());
     for signal in ["operator.force", "dq"] {

@@ -54,77 +54,77 @@ macro_rules! refused {
 }
 
 refused! {
-    a_mistyped_key: "task.toml", "settle_s = " => "setle_s = ", Some("setle_s"),
+    mistyped_key_is_refused: "task.toml", "settle_s = " => "setle_s = ", Some("setle_s"),
         ["unknown key `setle_s`", "did you mean `settle_s`?", "allowed here"];
-    a_mistyped_key_of_a_task: "task.toml", "damping_ratio = 1.0" => "damping_rato = 1.0", Some("damping_rato"),
+    mistyped_task_key_is_refused: "task.toml", "damping_ratio = 1.0" => "damping_rato = 1.0", Some("damping_rato"),
         ["unknown key `damping_rato`", "did you mean `damping_ratio`?"];
-    a_mistyped_kind: "task.toml", "[task.hand.cartesian]" => "[task.hand.cartesan]", Some("cartesan"),
+    mistyped_kind_is_refused: "task.toml", "[task.hand.cartesian]" => "[task.hand.cartesan]", Some("cartesan"),
         ["`cartesan`", "did you mean `cartesian`?"];
-    a_wrong_unit_in_a_key: "task.toml", "duration_s = 8.0" => "duration_ms = 8000.0", Some("duration_ms"),
+    wrong_unit_in_key_is_refused: "task.toml", "duration_s = 8.0" => "duration_ms = 8000.0", Some("duration_ms"),
         ["unknown key `duration_ms`", "`duration_s`"];
-    a_unit_in_a_value: "task.toml", "duration_s = 8.0" => "duration_s = \"8 s\"", Some("duration_s"),
+    unit_in_value_is_refused: "task.toml", "duration_s = 8.0" => "duration_s = \"8 s\"", Some("duration_s"),
         ["expected a number", "\"8 s\""];
-    not_a_number: "task.toml", "settle_s = 1.5" => "settle_s = nan", Some("settle_s"), ["finite", "nan"];
-    an_infinite_number: "robot.toml", "servo_hz = 5000.0" => "servo_hz = inf", Some("servo_hz"), ["finite", "inf"];
-    a_number_that_overflows: "robot.toml", "servo_hz = 5000.0" => "servo_hz = 1e999", Some("servo_hz"), ["finite"];
-    a_negative_duration: "task.toml", "duration_s = 8.0" => "duration_s = -8.0", Some("duration_s"), ["above 0"];
-    an_unknown_frame: "task.toml", "frame = \"hand\"" => "frame = \"hnad\"", Some("frame = \"hnad\""),
+    nan_is_refused: "task.toml", "settle_s = 1.5" => "settle_s = nan", Some("settle_s"), ["finite", "nan"];
+    infinite_number_is_refused: "robot.toml", "servo_hz = 5000.0" => "servo_hz = inf", Some("servo_hz"), ["finite", "inf"];
+    overflowing_number_is_refused: "robot.toml", "servo_hz = 5000.0" => "servo_hz = 1e999", Some("servo_hz"), ["finite"];
+    negative_duration_is_refused: "task.toml", "duration_s = 8.0" => "duration_s = -8.0", Some("duration_s"), ["above 0"];
+    unknown_frame_is_refused: "task.toml", "frame = \"hand\"" => "frame = \"hnad\"", Some("frame = \"hnad\""),
         ["no frame 'hnad'", "did you mean 'hand'?", "forearm"];
-    an_unknown_frame_of_the_environment: "task.toml",
+    unknown_environment_frame_is_refused: "task.toml",
         "[environment.operator.spring]\nframe = \"hand\"" => "[environment.operator.spring]\nframe = \"fist\"",
         Some("\"fist\""), ["no frame 'fist'", "forearm"];
-    too_few_gains: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1.0, 0.15]", Some("gain = ["), ["3", "2"];
-    too_many_gains: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1, 1, 1, 1]", Some("gain = ["), ["3", "4"];
-    a_gain_for_an_axis_that_is_none: "task.toml",
+    too_few_gains_are_refused: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1.0, 0.15]", Some("gain = ["), ["3", "2"];
+    too_many_gains_are_refused: "task.toml", "gain = [1.0, 0.15, 0.15]" => "gain = [1, 1, 1, 1]", Some("gain = ["), ["3", "4"];
+    gain_of_unknown_axis_is_refused: "task.toml",
         "gains = { frequency_rad_per_s = 14.142" => "gains = { frequency_rad_per_s = { w = 1.0 }",
         Some("{ w = 1.0 }"), ["`w`"];
-    an_orientation_that_four_joints_cannot_hold: "task.toml",
+    pose_task_on_four_joints_is_refused: "task.toml",
         "z = \"motion\" }" => "z = \"motion\", rx = \"motion\", ry = \"motion\", rz = \"motion\" }",
         Some("axes"), ["4"];
-    an_unknown_sensor: "task.toml", "sensor = \"wrist\"" => "sensor = \"ankle\"", Some("ankle"),
+    unknown_sensor_is_refused: "task.toml", "sensor = \"wrist\"" => "sensor = \"ankle\"", Some("ankle"),
         ["no force sensor 'ankle'", "wrist"];
-    a_priority_that_is_no_task: "task.toml", "priority = [\"hand\", \"rest\"]" => "priority = [\"hand\", \"rst\"]",
+    unknown_task_in_priority_is_refused: "task.toml", "priority = [\"hand\", \"rest\"]" => "priority = [\"hand\", \"rst\"]",
         Some("priority"), ["'rst'", "did you mean 'rest'?"];
-    a_task_without_priority: "task.toml", "priority = [\"hand\", \"rest\"]" => "priority = [\"hand\"]",
+    task_without_priority_is_refused: "task.toml", "priority = [\"hand\", \"rest\"]" => "priority = [\"hand\"]",
         Some("[task.rest.joint-posture]"), ["rest", "priority"];
-    a_task_twice_in_the_priority: "task.toml", "priority = [\"hand\"," => "priority = [\"hand\", \"hand\",",
+    repeated_task_in_priority_is_refused: "task.toml", "priority = [\"hand\"," => "priority = [\"hand\", \"hand\",",
         Some("priority"), ["hand"];
-    a_start_of_an_unknown_joint: "task.toml", "elbow = -1.35" => "elbo = -1.35", Some("elbo ="),
+    start_of_unknown_joint_is_refused: "task.toml", "elbow = -1.35" => "elbo = -1.35", Some("elbo ="),
         ["no joint 'elbo'", "did you mean 'elbow'?", "shoulder_yaw"];
-    a_start_outside_the_limits: "task.toml", "elbow = -1.35" => "elbow = 1.35", Some("elbow = 1.35"),
+    start_outside_limits_is_refused: "task.toml", "elbow = -1.35" => "elbow = 1.35", Some("elbow = 1.35"),
         ["1.35 is outside", "from -2.26", "to 0"];
-    a_start_that_settles_never: "task.toml", "settle_s = 1.5" => "settle_s = 9", Some("settle_s"), ["8 s"];
-    an_unknown_reference: "task.toml", "reference = \"hold\"" => "reference = \"hodl\"", Some("hodl"), ["`hold`"];
-    a_value_of_the_wrong_type: "task.toml", "seed = 1" => "seed = \"one\"", Some("seed"), ["\"one\""];
-    a_missing_robot: "task.toml", "robot = \".\"" => "robot = \"robto.toml\"", Some("robto.toml"),
+    settling_beyond_the_run_is_refused: "task.toml", "settle_s = 1.5" => "settle_s = 9", Some("settle_s"), ["8 s"];
+    unknown_reference_is_refused: "task.toml", "reference = \"hold\"" => "reference = \"hodl\"", Some("hodl"), ["`hold`"];
+    value_of_wrong_type_is_refused: "task.toml", "seed = 1" => "seed = \"one\"", Some("seed"), ["\"one\""];
+    missing_robot_is_refused: "task.toml", "robot = \".\"" => "robot = \"robto.toml\"", Some("robto.toml"),
         ["`robto.toml`: there is no such file", "did you mean `robot.toml`?"];
-    no_toml: "task.toml", "seed = 1" => "seed 1", Some("seed 1"), ["not TOML"];
-    a_key_twice: "task.toml", "seed = 1" => "seed = 1\nseed = 2", Some("seed = 2"), ["seed"];
-    a_ratio_of_nothing: "robot.toml", "ratio = 5" => "ratio = 0", Some("ratio = 0"), ["above 0"];
-    half_a_ratio: "robot.toml", "ratio = 5" => "ratio = 2.5", Some("ratio = 2.5"), ["2.5"];
-    a_delay_longer_than_a_period: "robot.toml", "delay_servo_ticks = 0" => "delay_servo_ticks = 6",
+    invalid_toml_is_refused: "task.toml", "seed = 1" => "seed 1", Some("seed 1"), ["not TOML"];
+    repeated_key_is_refused: "task.toml", "seed = 1" => "seed = 1\nseed = 2", Some("seed = 2"), ["seed"];
+    zero_ratio_is_refused: "robot.toml", "ratio = 5" => "ratio = 0", Some("ratio = 0"), ["above 0"];
+    fractional_ratio_is_refused: "robot.toml", "ratio = 5" => "ratio = 2.5", Some("ratio = 2.5"), ["2.5"];
+    delay_longer_than_period_is_refused: "robot.toml", "delay_servo_ticks = 0" => "delay_servo_ticks = 6",
         Some("delay_servo_ticks = 6"), ["6 servo ticks", "5"];
-    a_plant_out_of_step: "robot.toml", "physics_hz = 20000.0" => "physics_hz = 12000.0", Some("physics_hz"),
+    non_multiple_physics_rate_is_refused: "robot.toml", "physics_hz = 20000.0" => "physics_hz = 12000.0", Some("physics_hz"),
         ["multiple", "5000"];
-    an_unknown_profile: "robot.toml", "default_profile = \"a-med\"" => "default_profile = \"a-mad\"",
+    unknown_profile_is_refused: "robot.toml", "default_profile = \"a-med\"" => "default_profile = \"a-mad\"",
         Some("default_profile"), ["no profile 'a-mad'", "did you mean 'a-med'?", "b-soft"];
-    a_joint_without_a_drive: "robot.toml", "[joint.elbow]" => "[joint.elbov]", Some("[joint.elbov]"),
+    drive_of_unknown_joint_is_refused: "robot.toml", "[joint.elbow]" => "[joint.elbov]", Some("[joint.elbov]"),
         ["no moving joint 'elbov'", "did you mean 'elbow'?"];
-    a_joint_without_a_servo: "robot.toml", "elbow = { cascaded" => "# elbow = { cascaded",
+    joint_without_servo_is_refused: "robot.toml", "elbow = { cascaded" => "# elbow = { cascaded",
         Some("[profile.a-med.servo]"), ["joint 'elbow'", "missing"];
-    a_missing_key: "robot.toml", "torque_limit_nm = 40.0" => "", Some("[joint.shoulder_pitch]"),
+    missing_key_is_refused: "robot.toml", "torque_limit_nm = 40.0" => "", Some("[joint.shoulder_pitch]"),
         ["missing key `torque_limit_nm`", "N·m"];
-    a_sensor_on_an_unknown_link: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
+    sensor_on_unknown_link_is_refused: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
         ["no link 'palm'", "hand"];
-    an_unknown_transformer: "robot.toml", "ratio = 5" => "ratio = 5\ntransformer = \"peper\"", Some("peper"),
+    unknown_transformer_is_refused: "robot.toml", "ratio = 5" => "ratio = 5\ntransformer = \"peper\"", Some("peper"),
         ["`paper`"];
-    a_missing_urdf: "robot.toml", "asimo-arm.urdf" => "asimo-arn.urdf", Some("asimo-arn.urdf"),
+    missing_urdf_is_refused: "robot.toml", "asimo-arm.urdf" => "asimo-arn.urdf", Some("asimo-arn.urdf"),
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
 }
 
 /// Names of files near the missing one, and their folder.
 #[test]
-fn a_missing_file_is_told_with_what_there_is() {
+fn missing_file_error_names_similar_files() {
     let folder = arm();
     opspace(folder.path(), &["run", "tsk.toml"])
         .exits(2)
@@ -141,7 +141,7 @@ fn a_missing_file_is_told_with_what_there_is() {
 }
 
 #[test]
-fn a_setting_errs_as_a_file_does() {
+fn setting_errors_match_file_errors() {
     let folder = arm();
     let set = |setting: &str, words: &[&str]| {
         opspace(folder.path(), &["run", "task.toml", "--set", setting]).exits(2).says(words);
@@ -166,7 +166,7 @@ fn a_setting_errs_as_a_file_does() {
 
 /// Requirements of each transformer on the robot.
 #[test]
-fn a_transformer_that_the_robot_cannot_have_is_refused() {
+fn unsupported_transformer_is_refused() {
     let folder = arm();
     let refused = |transformer: &str, settings: &[&str], words: &[&str]| {
         let mut arguments = vec!["run", "task.toml", "--transformer", transformer];
@@ -234,7 +234,7 @@ fn joints(joints: &[String], line: u32, words: &[&str]) {
 }
 
 #[test]
-fn a_urdf_whose_links_are_no_tree() {
+fn urdf_without_tree_structure_is_refused() {
     let (ab, bc) = (joint("j", "a", "b"), joint("k", "b", "c"));
     let right = LINKS.replace("JOINTS\n", &[ab.clone(), bc.clone()].concat());
     let folder = scratch();
@@ -258,7 +258,7 @@ fn a_urdf_whose_links_are_no_tree() {
 }
 
 #[test]
-fn a_urdf_whose_numbers_are_impossible() {
+fn urdf_with_impossible_numbers_is_refused() {
     let text = read(project("robots/asimo-arm/asimo-arm.urdf"));
     // The first of its kind, whatever the robot.
     let first = |tag: &str| {
@@ -293,7 +293,7 @@ fn a_urdf_whose_numbers_are_impossible() {
 }
 
 #[test]
-fn a_moving_link_without_mass_is_named() {
+fn moving_link_without_mass_is_named() {
     let massless = LINKS.replacen("<link name=\"b\">", "<link name=\"x\"/><link name=\"y\">", 1);
     let text = massless
         .replace("JOINTS\n", &[joint("j", "a", "x"), joint("k", "a", "y"), joint("l", "y", "c")].concat());
@@ -301,7 +301,7 @@ fn a_moving_link_without_mass_is_named() {
 }
 
 #[test]
-fn what_is_no_urdf_is_told_from_one() {
+fn non_urdf_files_are_refused() {
     whole_urdf("", &["empty", "<robot>"]);
     whole_urdf("solid cube\nfacet", &["not XML"]);
     whole_urdf("<robot name=\"r\">\n<link name=\"a\">", &["truncated"]);
@@ -324,7 +324,7 @@ fn what_is_no_urdf_is_told_from_one() {
 /// Files that are cut off, with bytes changed, and with lines removed, as an editor or a disk may leave them. They are
 /// accepted or refused with a message; `opspace` itself checks for panics.
 #[test]
-fn a_spoilt_file_never_makes_a_panic() {
+fn corrupted_file_never_panics() {
     let folder = arm();
     for file in ["robot.toml", "task.toml", "asimo-arm.urdf"] {
         let path = folder.path().join(file);
@@ -454,17 +454,17 @@ fn fill(lines: &mut [String]) {
 }
 
 #[test]
-fn a_new_robot_with_rotary_joints_is_filled_in_and_runs() {
+fn new_robot_with_revolute_joints_runs() {
     new_filled_and_run("ur5");
 }
 
 #[test]
-fn a_new_robot_with_sliding_fingers_is_filled_in_and_runs() {
+fn new_robot_with_prismatic_fingers_runs() {
     new_filled_and_run("panda");
 }
 
 #[test]
-fn a_new_robot_doesnt_touch_what_is_there() {
+fn new_robot_keeps_existing_files() {
     let folder = scratch();
     let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
     let new = |dir: &str, urdf: &str| opspace(folder.path(), &["new", dir, "--urdf", urdf]);
@@ -486,7 +486,7 @@ fn a_new_robot_doesnt_touch_what_is_there() {
 
 /// Values that a run needs and a URDF may lack: reported at once, by joint.
 #[test]
-fn a_new_robot_is_told_what_its_urdf_lacks() {
+fn new_robot_lists_values_missing_from_urdf() {
     let folder = scratch();
     let urdf = project("tests/oracles/pinocchio/urdf/double_pendulum.urdf");
     opspace(folder.path(), &["new", "mine", "--urdf", &urdf])
@@ -496,12 +496,14 @@ fn a_new_robot_is_told_what_its_urdf_lacks() {
     let mut lines: Vec<String> = read(&path).lines().map(str::to_owned).collect();
     fill(&mut lines);
     fs::write(&path, lines.join("\n")).unwrap();
-    opspace(folder.path(), &["check", "mine"]).exits(2).says(&["joint 'joint1' has no velocity limit", "velocity="]);
+    opspace(folder.path(), &["check", "mine"])
+        .exits(2)
+        .says(&["joint 'joint1' has no velocity limit", "velocity="]);
 }
 
 /// Names that TOML must quote.
 #[test]
-fn a_new_robot_may_have_any_names() {
+fn new_robot_accepts_any_names() {
     let folder = scratch();
     let odd = "j &quot;1&quot;.\\x";
     let text = LINKS.replace("JOINTS\n", &[joint(odd, "a", "b"), joint("k", "b", "c")].concat());

@@ -8,7 +8,7 @@ use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm";
 
-fn identified_of(robot: Robot, request: Request) -> IdentificationResults {
+fn identify(robot: Robot, request: Request) -> IdentificationResults {
     let identifying = IdentificationJob::new(robot, request).unwrap_or_else(|e| panic!("{e}"));
     let mut arm = identifying.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
     identifying.run(&mut arm, &Progress::default(), |_| {}).unwrap_or_else(|e| panic!("{e}"))
@@ -44,7 +44,7 @@ fn assert_identified(
     truth: [f64; 2],
     bar: &Bar,
 ) -> IdentificationResults {
-    let found = identified_of(robot(settings), short(profile));
+    let found = identify(robot(settings), short(profile));
     let joint = &found.joints[0];
     assert_eq!(joint.no_torque_mode, None);
     let servo = joint.found.servo.as_ref().expect("a servo");
@@ -56,7 +56,7 @@ fn assert_identified(
 }
 
 #[test]
-fn a_fast_servo_is_found() {
+fn fast_servo_is_identified() {
     let bar = Bar { kp: 0.03, kv: 0.03 };
     let found = assert_identified("a-med", &[], 0, [50.265, 30.3], &bar);
     let joint = &found.joints[0].found;
@@ -72,7 +72,7 @@ fn a_fast_servo_is_found() {
 }
 
 #[test]
-fn a_slow_servo_with_a_delay_is_found_though_the_file_believes_another() {
+fn slow_servo_with_wrong_nominal_delay_is_identified() {
     let bar = Bar { kp: 0.05, kv: 0.08 };
     let settings = [
         "robot.simulated.true_over_nominal.kp=1.3",
@@ -83,7 +83,7 @@ fn a_slow_servo_with_a_delay_is_found_though_the_file_believes_another() {
 }
 
 #[test]
-fn a_drive_that_interpolates_setpoints_is_found() {
+fn interpolating_drive_is_identified() {
     let bar = Bar { kp: 0.03, kv: 0.03 };
     let settings = [
         "robot.interface.setpoints=\"interpolated\"",
@@ -96,11 +96,11 @@ fn a_drive_that_interpolates_setpoints_is_found() {
 
 /// Identification without current: the scale comes from the inertia, here the true one; viscous friction is within kv.
 #[test]
-fn without_current_the_scale_comes_from_the_inertia() {
+fn scale_comes_from_inertia_without_current() {
     const KP: f64 = 0.10;
     const KV: f64 = 0.15;
     let settings = ["robot.interface.measured=[\"position\"]"];
-    let found = identified_of(robot(&settings), short("a-med"));
+    let found = identify(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     let servo = joint.found.servo.as_ref().expect("a servo");
     assert_eq!(joint.found.scale, TorqueScale::Urdf);
@@ -110,9 +110,9 @@ fn without_current_the_scale_comes_from_the_inertia() {
 }
 
 #[test]
-fn without_current_and_rotor_only_ratios_are_written() {
+fn only_ratios_are_written_without_current_and_rotor() {
     let settings = ["robot.interface.measured=[\"position\"]", "robot.joint.elbow.rotor.inertia_kg_m2=0.0"];
-    let found = identified_of(robot(&settings), short("a-med"));
+    let found = identify(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     assert_eq!(joint.found.scale, TorqueScale::Unknown);
     assert!(joint.no_torque_mode.as_ref().is_some_and(|r| r.contains("only ratios")));
@@ -123,32 +123,33 @@ fn without_current_and_rotor_only_ratios_are_written() {
 }
 
 #[test]
-fn a_joint_that_does_not_move_is_refused_with_the_reason() {
+fn immobile_joint_is_refused_with_reason() {
     // It sticks with more than its motor gives.
     let settings = ["robot.simulated.true_over_nominal.friction=40.0"];
-    let found = identified_of(robot(&settings), short("a-med"));
+    let found = identify(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
     let reason = joint.no_torque_mode.as_ref().expect("it is refused");
     assert!(reason.contains("does not follow") || reason.contains("within the limits"), "{reason}");
     assert_eq!(found.robot_toml("arm.urdf").expect("it can be edited"), None);
 }
 
-/// A servo whose stated structure is a cascade of gains while its velocity loop integrates is refused.
+/// Refusal of a servo that is declared as a cascade of gains while its velocity loop integrates.
 #[test]
-fn a_servo_that_is_not_what_it_is_said_to_be_is_refused() {
+fn wrongly_declared_servo_is_refused() {
     let settings = [
         "robot.simulated.servo.elbow={cascaded={kp_per_s=50.0,kv_nms_per_rad=30.0,velocity_filter_hz=600.0,velocity_integral_time_s=0.03}}",
     ];
-    let found = identified_of(robot(&settings), short("a-med"));
+    let found = identify(robot(&settings), short("a-med"));
     let reason = found.joints[0].no_torque_mode.as_ref().expect("it is refused");
     assert!(reason.contains("no cascaded servo fits"), "{reason}");
 }
 
-/// The written robot file: its plant is the identified one, and its nominal parameters are the identified ones.
+/// The written robot file: its plant is that of the original file, and its nominal parameters are the identified
+/// ones.
 #[test]
-fn the_written_robot_has_the_same_plant_and_the_identified_belief() {
+fn written_robot_keeps_plant_and_identified_parameters() {
     const ROUNDING: f64 = 1e-3;
-    let found = identified_of(robot(&[]), short("a-med"));
+    let found = identify(robot(&[]), short("a-med"));
     let text = found.robot_toml(&found.urdf_name()).expect("it can be edited").expect("it is complete");
     let urdf = Source::new(found.urdf_name(), found.urdf());
     let written =
@@ -171,7 +172,7 @@ fn the_written_robot_has_the_same_plant_and_the_identified_belief() {
 }
 
 #[test]
-fn a_servo_of_another_structure_is_refused_at_its_line() {
+fn unsupported_servo_structure_is_refused_at_its_line() {
     let settings = ["robot.profile.a-med.servo.elbow.cascaded.velocity_integral_time_s=0.1"];
     let error =
         IdentificationJob::new(robot(&settings), Request::default()).map(|_| ()).expect_err("an integral");

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 const FOLDER: &str = "OPSPACE_IDENTIFIED";
 
 /// Bounds of a profile: relative errors of kp and kv.
-fn bars(profile: &str) -> [f64; 2] {
+fn tolerances(profile: &str) -> [f64; 2] {
     match profile {
         "a-med" => [0.03, 0.03],
         "b-soft" => [0.05, 0.08],
@@ -32,16 +32,16 @@ fn identified() -> Option<(PathBuf, Value)> {
     Some((folder, identification))
 }
 
-fn truth() -> toml::Table {
+fn true_parameters() -> toml::Table {
     read(project("robots/asimo-arm/robot.toml")).parse().expect("TOML")
 }
 
 #[test]
-fn every_joint_is_found_within_its_bars() {
+fn every_joint_is_identified_within_tolerance() {
     let Some((_, identification)) = identified() else { return };
     let profile = identification["profile"].as_str().expect("a profile");
-    let [kp_bar, kv_bar] = bars(profile);
-    let truth = truth();
+    let [kp_bar, kv_bar] = tolerances(profile);
+    let truth = true_parameters();
     let believed = truth["profile"][profile].as_table().expect("the profile");
     let delay = believed["delay_servo_ticks"].as_integer().expect("ticks");
     let servos = believed["servo"].as_table().expect("servos");
@@ -75,7 +75,7 @@ fn torque_error(profile: &str, robot: &str, transformer: &str) -> f64 {
 /// Compared: torque errors with identified and with true nominal parameters, of the emulated servo, and of equation
 /// (K10) with gains split from the fitted closed loop alone, beside the true ones.
 #[test]
-fn control_with_what_was_found_is_as_good_as_with_the_truth() {
+fn identified_parameters_control_like_true_ones() {
     let Some((folder, identification)) = identified() else { return };
     let profile = identification["profile"].as_str().expect("a profile");
     let (identified, truth) = (folder.display().to_string(), project("robots/asimo-arm"));

@@ -89,9 +89,9 @@ fn from_stdin(folder: &Path, arguments: &[&str], input: &str) -> Ran {
     Ran { code: output.status.code().unwrap(), stdout: text(output.stdout), stderr: text(output.stderr) }
 }
 
-/// States from a file, from standard input, and with results into a file: the same lines.
+/// Equal lines for states from a file, from standard input, and with results into a file.
 #[test]
-fn states_come_from_a_file_or_from_standard_input() {
+fn states_come_from_file_or_stdin() {
     let States { urdf, tip, lines, .. } = states("ur5");
     let folder = scratch();
     fs::write(folder.path().join("states.jsonl"), &lines).unwrap();
@@ -105,7 +105,7 @@ fn states_come_from_a_file_or_from_standard_input() {
 }
 
 #[test]
-fn a_bad_line_is_named_and_the_lines_before_it_are_answered() {
+fn bad_line_is_named_after_earlier_results() {
     let States { urdf, tip, lines, samples } = states("double_pendulum");
     let first = lines.lines().next().unwrap();
     let zero = json!([0.0, 0.0]);
@@ -135,7 +135,7 @@ fn a_bad_line_is_named_and_the_lines_before_it_are_answered() {
 }
 
 #[test]
-fn a_frame_or_a_file_that_is_not_there_is_named() {
+fn missing_frame_or_file_is_named() {
     let States { urdf, .. } = states("ur5");
     let folder = scratch();
     let at = |arguments: &[&str]| opspace(folder.path(), arguments).exits(2);

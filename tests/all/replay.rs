@@ -15,7 +15,7 @@ fn replay(log: &Path) -> Ran {
 
 /// Every command, recomputed from the log's measurements, against the log.
 #[track_caller]
-fn comes_out_again(task: &str, options: &[&str]) {
+fn check_replay(task: &str, options: &[&str]) {
     let folder = scratch();
     let log = run(folder.path(), "out", task, options);
     let said = replay(&log).exits(0).stdout;
@@ -25,52 +25,52 @@ fn comes_out_again(task: &str, options: &[&str]) {
 }
 
 #[test]
-fn a_position_robot_under_torque_control_comes_out_again() {
-    comes_out_again("compliant-x", &[]);
+fn position_robot_under_torque_control_replays() {
+    check_replay("compliant-x", &[]);
 }
 
 #[test]
-fn a_torque_robot_comes_out_again() {
-    comes_out_again("cartesian-tracking", &["--backend", "torque"]);
+fn torque_robot_replays() {
+    check_replay("cartesian-tracking", &["--backend", "torque"]);
 }
 
 #[test]
-fn inverse_kinematics_comes_out_again() {
-    comes_out_again("cartesian-tracking", &["--controller", "ik"]);
+fn inverse_kinematics_replays() {
+    check_replay("cartesian-tracking", &["--controller", "ik"]);
 }
 
 #[test]
-fn inverse_kinematics_with_lead_comes_out_again() {
-    comes_out_again("joint-tracking", &["--controller", "ik-lead", "--profile", "b-soft"]);
+fn inverse_kinematics_with_lead_replays() {
+    check_replay("joint-tracking", &["--controller", "ik-lead", "--profile", "b-soft"]);
 }
 
 #[test]
-fn a_run_with_other_settings_comes_out_again() {
+fn run_with_overrides_replays() {
     let set = "task.hand.gains.damping_ratio=0.7";
-    comes_out_again(
+    check_replay(
         "compliant-x",
         &["--seed", "7", "--set", set, "--set", "robot.simulated.true_over_nominal.kp=1.02"],
     );
 }
 
 #[test]
-fn a_run_with_missed_cycles_comes_out_again() {
+fn run_with_missed_cycles_replays() {
     let dead = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
     let lost = "robot.simulated.bus.lost_cycles_share=0.02";
     let options = ["--set", dead, "--set", lost, "--transformer", "emulation+current"];
-    comes_out_again("cartesian-tracking", &options);
-    comes_out_again("cartesian-tracking", &["--set", lost, "--backend", "torque"]);
-    comes_out_again("joint-tracking", &["--set", dead, "--controller", "ik-lead"]);
+    check_replay("cartesian-tracking", &options);
+    check_replay("cartesian-tracking", &["--set", lost, "--backend", "torque"]);
+    check_replay("joint-tracking", &["--set", dead, "--controller", "ik-lead"]);
 }
 
-/// Settings of a push that the arm can't withstand.
+/// Settings of a push that exceeds the arm's torques.
 const PUSH: [&str; 2] = [
     "environment.operator.spring.motion.random.rms_m=2.0",
     "environment.operator.spring.stiffness_n_per_m=3000",
 ];
 
 #[test]
-fn a_run_that_faulted_comes_out_again_with_its_fault() {
+fn faulted_run_replays_with_its_fault() {
     for backend in ["position", "torque"] {
         let folder = scratch();
         let task = project("tasks/compliant-x.toml");
@@ -82,7 +82,7 @@ fn a_run_that_faulted_comes_out_again_with_its_fault() {
 }
 
 /// Records a recording again as a log, with its rows changed by `change`.
-fn recorded_again(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelData)) -> PathBuf {
+fn rewritten(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelData)) -> PathBuf {
     let own = |name: &str| name != LOG && name != GAPS;
     let header = Header {
         metadata: recording.metadata.iter().filter(|(name, _)| own(name)).cloned().collect(),
@@ -130,16 +130,16 @@ fn value(recording: &Recording, tick: usize, signal: &str, element: &str) -> f64
 }
 
 #[test]
-fn one_changed_command_is_found_to_the_number() {
+fn changed_command_is_reported_exactly() {
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let whole = Recording::read(&log).unwrap();
-    let same = recorded_again(&whole, folder.path().join("same.mcap"), |_| ());
+    let same = rewritten(&whole, folder.path().join("same.mcap"), |_| ());
     replay(&same).exits(0);
 
     let (tick, by) = (1234, 1e-12);
     let changed = folder.path().join("changed.mcap");
-    let changed = recorded_again(&whole, changed, nudge(tick, "torque_desired", "elbow", by));
+    let changed = rewritten(&whole, changed, nudge(tick, "torque_desired", "elbow", by));
     let (is, was) = (value(&whole, tick, "torque_desired", "elbow"), {
         value(&Recording::read(&changed).unwrap(), tick, "torque_desired", "elbow")
     });
@@ -159,36 +159,36 @@ fn one_changed_command_is_found_to_the_number() {
 
 /// A changed measurement: all values computed from it differ in the replay.
 #[test]
-fn one_changed_measurement_is_found_at_its_tick_and_joint() {
+fn changed_measurement_is_located_by_cycle_and_joint() {
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let whole = Recording::read(&log).unwrap();
     for joint in ["shoulder_roll", "elbow"] {
         let changed = folder.path().join(format!("{joint}.mcap"));
-        let changed = recorded_again(&whole, changed, nudge(900, "q", joint, 1e-9));
+        let changed = rewritten(&whole, changed, nudge(900, "q", joint, 1e-9));
         let said = replay(&changed).exits(1).stdout;
         let wanted = [" ticks, first at tick 900 ", &format!(" of '{joint}' was "), ", is "];
         assert!(wanted.iter().all(|w| said.contains(w)), "{said}");
     }
 }
 
-/// A log that differs and is damaged: the difference outranks the damage.
+/// A log that differs and is corrupted: the difference outranks the corruption.
 #[test]
-fn a_log_that_differs_and_is_cut_fails() {
+fn differing_truncated_log_fails() {
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let whole = Recording::read(&log).unwrap();
     let changed = folder.path().join("changed.mcap");
-    let changed = recorded_again(&whole, changed, nudge(700, "torque_desired", "elbow", 1.0));
+    let changed = rewritten(&whole, changed, nudge(700, "torque_desired", "elbow", 1.0));
     let bytes = fs::read(&changed).unwrap();
     fs::write(&changed, &bytes[..bytes.len() - 100]).unwrap();
     replay(&changed).exits(1).says(&["damaged"]);
 }
 
-/// A byte changed anywhere, or the end missing: the log never counts as a whole one. Its undamaged part is compared,
-/// and is equal.
+/// A byte changed anywhere, or the end missing: the log never counts as complete. Its intact part is compared, and is
+/// equal.
 #[test]
-fn damage_is_told_and_what_is_good_is_compared() {
+fn corruption_is_reported_and_intact_part_compared() {
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let bytes = fs::read(&log).unwrap();
@@ -213,7 +213,7 @@ fn damage_is_told_and_what_is_good_is_compared() {
 }
 
 #[test]
-fn another_task_is_what_if_and_says_so() {
+fn replay_of_another_task_is_marked_what_if() {
     let folder = scratch();
     run(folder.path(), "out", "compliant-x", &[]);
     let other = project("tasks/cartesian-tracking.toml");
@@ -234,7 +234,7 @@ fn another_task_is_what_if_and_says_so() {
 }
 
 #[test]
-fn what_is_no_log_is_refused_by_name() {
+fn non_log_file_is_refused_by_name() {
     let folder = scratch();
     fs::write(folder.path().join("a.mcap"), "").unwrap();
     fs::write(folder.path().join("run.toml"), "a = 1").unwrap();
@@ -250,7 +250,7 @@ fn what_is_no_log_is_refused_by_name() {
 
 /// A log written by opspace 0.1.0: the message names the version that reads it, and the log is unchanged.
 #[test]
-fn a_log_of_the_version_before_is_refused_with_the_version_that_reads_it() {
+fn old_log_error_names_version_that_reads_it() {
     let folder = scratch();
     let log = folder.path().join("run.mcap");
     fs::copy(project("tests/logs/opspace-0.1.0.mcap"), &log).unwrap();

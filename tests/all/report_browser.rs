@@ -101,7 +101,7 @@ fn texts<'a>(probe: &'a Value, word: &str) -> Vec<&'a str> {
 const JOINTS: [&str; 4] = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
 
 #[test]
-fn the_report_of_a_run_is_drawn() {
+fn run_report_is_drawn() {
     let Some(browser) = browser() else { return };
     let folder = scratch();
     let log = run(folder.path(), "out", "compliant-x", &[]);
@@ -119,7 +119,7 @@ fn the_report_of_a_run_is_drawn() {
 }
 
 #[test]
-fn the_report_of_a_suite_is_drawn() {
+fn suite_report_is_drawn() {
     let Some(browser) = browser() else { return };
     let folder = scratch();
     let suite = format!(

@@ -43,7 +43,7 @@ fn first_task(robot: &str) -> PathBuf {
 
 /// Checks by `opspace check`: no finding on a robot, its URDF and a task for it.
 #[test]
-fn every_robot_is_right() {
+fn every_robot_passes_check() {
     let names = robots();
     assert!(
         ["asimo-arm", "panda", "planar-2-link", "ur5e"].iter().all(|name| names.iter().any(|n| n == name))
@@ -61,7 +61,7 @@ fn every_robot_is_right() {
 /// Compared: the true path of the hand and the reference of the task, which moves by more than a decimetre. The error
 /// of the transformer through held setpoints shows on the position robot, that of friction on both.
 #[test]
-fn every_robot_does_its_task_on_both_backends() {
+fn every_robot_tracks_its_task_on_both_backends() {
     const POSITION_ROBOT_M: f64 = 0.015;
     const TORQUE_ROBOT_M: f64 = 0.005;
     for name in robots() {
@@ -119,7 +119,7 @@ fn close<'a>(
 
 /// Compared: the composite-body algorithm and gravity on the URDF, and the textbooks' closed form.
 #[test]
-fn the_planar_arm_is_the_textbooks() {
+fn planar_arm_matches_textbook() {
     let model = urdf("planar-2-link");
     let g = model.gravity().norm();
     for q in states(2) {
@@ -139,7 +139,7 @@ fn the_planar_arm_is_the_textbooks() {
 /// Compared: our URDF, from the published tables, and the one in wide use, without its hand. Poses, masses, centres and
 /// inertias all count in M and g; only link 1's z doesn't, and there the two do differ.
 #[test]
-fn the_panda_is_the_one_in_wide_use() {
+fn panda_matches_widely_used_urdf() {
     let foreign = read(project("tests/oracles/pinocchio/urdf/panda_arm7.urdf"));
     let (arm, _hand) = foreign.split_once("<joint name=\"panda_hand_joint\"").expect("it has a hand");
     let foreign = model(&(arm.to_owned() + "</robot>"));
@@ -172,7 +172,7 @@ const UR5E: [Row; 6] = [
 ];
 
 /// The flange by the table, and the sum of the links' masses times their centres, kg m.
-fn by_the_table(q: &[f64]) -> (Isometry3<f64>, Vector3<f64>) {
+fn from_manufacturer_table(q: &[f64]) -> (Isometry3<f64>, Vector3<f64>) {
     let mut frame = Isometry3::identity();
     let mut moment = Vector3::zeros();
     for (&(a, d, alpha, mass, centre), &angle) in UR5E.iter().zip(q) {
@@ -184,11 +184,11 @@ fn by_the_table(q: &[f64]) -> (Isometry3<f64>, Vector3<f64>) {
     (frame, moment)
 }
 
-/// Compared: our URDF, whose links stand at their own joints, and the maker's table, whose frames stand at the next
-/// ones: the flange's pose, and gravity as the slope of the table's potential energy. The arm hangs askew, since
-/// upright no torque tells where along its vertical and level axes the masses are.
+/// Compared: our URDF, whose link frames lie at their own joints, and the manufacturer's table, whose frames lie at
+/// the next ones: the flange's pose, and gravity as the slope of the table's potential energy. The arm is mounted at
+/// an angle, since upright no torque depends on the positions of the masses along its vertical and level axes.
 #[test]
-fn the_ur5e_is_its_makers() {
+fn ur5e_matches_manufacturer_table() {
     const STEP_RAD: f64 = 1e-4;
     /// A central difference errs by a sixth of step² times a third derivative, which is about the torque itself.
     const DIFFERENCE: f64 = STEP_RAD * STEP_RAD;
@@ -196,7 +196,7 @@ fn the_ur5e_is_its_makers() {
     let model = urdf("ur5e").with_gravity(down);
     for q in states(6) {
         let data = at(&model, &q);
-        let (flange, table) = (pose(&model, &data, "flange"), by_the_table(&q).0);
+        let (flange, table) = (pose(&model, &data, "flange"), from_manufacturer_table(&q).0);
         close(flange.translation.iter(), table.translation.vector.iter(), ROUNDING, "position");
         close(
             flange.rotation.iter(),
@@ -208,7 +208,7 @@ fn the_ur5e_is_its_makers() {
             let energy = |step: f64| {
                 let mut q = q.clone();
                 q[joint] += step;
-                -down.dot(&by_the_table(&q).1)
+                -down.dot(&from_manufacturer_table(&q).1)
             };
             (energy(STEP_RAD) - energy(-STEP_RAD)) / (2.0 * STEP_RAD)
         });
@@ -229,7 +229,7 @@ fn planar_with(lines: &str) -> Result<Robot, String> {
 /// A tool of mass m, its centre 0.1 m beyond the tip and moments of its own, against the closed form of a body there:
 /// M grows by m Jᵀ J of its centre and by I about y, g by m g times the centre's rise.
 #[test]
-fn a_tool_weighs_and_has_a_frame() {
+fn tool_adds_inertia_and_frame() {
     let (mass, out, about_y) = (0.7, 1.1, 0.02);
     let robot = planar_with(
         "\n[tool.torch]\non = \"link_2\"\nxyz_m = [1.2, 0.0, 0.3]\nrpy_rad = [0.0, 0.5, 0.0]\nmass_kg = 0.7\n\
@@ -255,7 +255,7 @@ fn a_tool_weighs_and_has_a_frame() {
 }
 
 #[test]
-fn a_tool_that_cannot_be_is_refused_with_its_line() {
+fn invalid_tool_is_refused_with_its_line() {
     let refused = |lines: &str| planar_with(lines).map(|_| ()).unwrap_err();
     let last = read(project("robots/planar-2-link/robot.toml")).lines().count();
     for (lines, line, message) in [

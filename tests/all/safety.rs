@@ -1,7 +1,7 @@
 //! Starts and stops of the simulated arm: no jump at the start, and a stop at rest, whatever the cause.
 //!
-//! Compared throughout: the arm's true motion in the log, and the bounds that a safe start and stop keep. A
-//! scripted robot, for faults that a simulation doesn't have, is in the tests of opspace-backend.
+//! Compared throughout: the arm's true motion in the log, and the bounds that a safe start and stop keep. A scripted
+//! robot, for faults that a simulation doesn't have, is in the tests of opspace-loop.
 
 use crate::common::{Run, experiment, ik, load, osc, positions, robot, run, run_with, task, torque, torques};
 use nalgebra::DVector;
@@ -16,12 +16,12 @@ const START: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
 const STOPPED: f64 = 2.0;
 
 /// An experiment of one second without friction compensation, on the arm with its own parameters.
-fn still(options: RunOptions) -> Experiment {
+fn holding_experiment(options: RunOptions) -> Experiment {
     let options = RunOptions { duration_s: Some(1.0), ..options };
     load("gravity-compensation", options, &["settle_s=0", "friction_compensation.gain=0"])
 }
 
-fn lasting(duration_s: f64, from: &Experiment) -> Experiment {
+fn with_duration(duration_s: f64, from: &Experiment) -> Experiment {
     let options = RunOptions { duration_s: Some(duration_s), ..from.options().clone() };
     experiment(from.robot().clone(), from.task().clone(), options)
 }
@@ -51,7 +51,7 @@ fn first(run: &Run) -> usize {
 /// Compared: the first setpoint, and the one at which the servos hold the weight by potential energy; the true speed
 /// over the start, and a person's slowest.
 #[test]
-fn a_start_is_from_holding_still_without_a_jump() {
+fn start_from_hold_has_no_jump() {
     for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
         let experiment = load("cartesian-tracking", RunOptions { duration_s: Some(2.0), ..options }, &[]);
         let run = run(&experiment);
@@ -84,9 +84,9 @@ fn a_start_is_from_holding_still_without_a_jump() {
 /// Compared: the logged desired torque of a controller that demands 5 Nm more from the first cycle on, and the straight
 /// line from the weight to it over 0.2 s.
 #[test]
-fn torque_comes_in_over_the_ramp() {
+fn torque_ramps_in_linearly() {
     for options in [osc("a-med"), torque("a-med")] {
-        let experiment = lasting(0.25, &still(options));
+        let experiment = with_duration(0.25, &holding_experiment(options));
         let controller = Box::new(torques(|data, _, tau| {
             tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + 5.0);
         }));
@@ -118,7 +118,7 @@ fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
     assert!((logged_s - *time_s).abs() < 2e-3, "{name}: at {time_s} s, logged at {logged_s} s");
     assert!((found..code.len()).all(|k| code.row(k)[0] == f64::from(fault.code())), "{name}: latched");
     assert!((found + 1..phase.len()).all(|k| phase.row(k)[0] == STOPPED), "{name}: stopped");
-    at_rest(experiment, run, name);
+    check_at_rest(experiment, run, name);
     let text = fault.describe(&experiment.robot().model);
     assert!(!text.contains("joint 0") && !text.contains("joint 3"), "named by name: {text}");
     fault.clone()
@@ -126,7 +126,7 @@ fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
 
 /// Checks that the log continues for 0.2 s after the stop, at the end of which nothing moves any more, and that the arm
 /// is held: it has not moved on from where it came to rest.
-fn at_rest(experiment: &Experiment, run: &Run, name: &str) {
+fn check_at_rest(experiment: &Experiment, run: &Run, name: &str) {
     /// Largest remaining speed of a joint, rad/s.
     const STILL: f64 = 0.03;
     /// Largest braking distance from 1 to 2 rad/s: a position servo of kp = 25/s stops within 1/kp of the speed.
@@ -145,11 +145,11 @@ fn at_rest(experiment: &Experiment, run: &Run, name: &str) {
 }
 
 #[test]
-fn a_joint_limit_stops_the_arm() {
+fn joint_limit_stops_the_arm() {
     for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
         let mut robot = robot(&[]);
         robot.file.safety.limit_margin_rad = NonNegative::default();
-        let still = lasting(3.0, &still(options));
+        let still = with_duration(3.0, &holding_experiment(options));
         let experiment = experiment(robot, still.task().clone(), still.options().clone());
         // Opens the elbow, damped to 1.5 rad/s, until it meets its limit of 0.
         let controller = Box::new(torques(|data, measurement, tau| {
@@ -171,9 +171,9 @@ fn slow_robot(limit: f64) -> Robot {
 }
 
 #[test]
-fn too_much_speed_stops_the_arm() {
+fn excess_speed_stops_the_arm() {
     for options in [osc("a-med"), osc("b-soft"), torque("a-med"), torque("b-soft")] {
-        let still = still(options);
+        let still = holding_experiment(options);
         let experiment = experiment(slow_robot(1.0), still.task().clone(), still.options().clone());
         let controller = Box::new(torques(|data, _, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
@@ -187,8 +187,8 @@ fn too_much_speed_stops_the_arm() {
 }
 
 #[test]
-fn a_setpoint_that_jumps_is_refused() {
-    let experiment = still(osc("a-med"));
+fn setpoint_jump_is_refused() {
+    let experiment = holding_experiment(osc("a-med"));
     let controller = Box::new(positions(|_, measurement, q| {
         q.copy_from_slice(&START);
         q[3] += if measurement.time_s > 0.3 { 1.0 } else { 0.0 };
@@ -201,8 +201,8 @@ fn a_setpoint_that_jumps_is_refused() {
 }
 
 #[test]
-fn an_arm_that_something_blocks_is_stopped() {
-    let still = still(osc("a-med"));
+fn blocked_arm_is_stopped() {
+    let still = holding_experiment(osc("a-med"));
     let mut task = task("gravity-compensation", &["settle_s=0"]);
     task.file.environment.clear();
     // The hand stands at z = -0.157 m; the shoulder swings it up against a ceiling.
@@ -212,7 +212,7 @@ fn an_arm_that_something_blocks_is_stopped() {
     )
     .expect("a wall");
     task.file.environment.insert("wall".to_owned(), wall);
-    let still = lasting(3.0, &still);
+    let still = with_duration(3.0, &still);
     let experiment = experiment(still.robot().clone(), task, still.options().clone());
     let controller = Box::new(positions(|_, measurement, q| {
         q.copy_from_slice(&START);
@@ -227,9 +227,9 @@ fn an_arm_that_something_blocks_is_stopped() {
 }
 
 #[test]
-fn a_command_that_is_no_number_stops_a_moving_arm() {
+fn nan_command_stops_a_moving_arm() {
     for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
-        let experiment = still(options);
+        let experiment = holding_experiment(options);
         let controller = Box::new(torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[0] -= 12.0;
@@ -249,8 +249,8 @@ fn a_command_that_is_no_number_stops_a_moving_arm() {
 }
 
 #[test]
-fn a_torque_robot_refuses_positions_by_name() {
-    let experiment = still(torque("a-med"));
+fn torque_robot_refuses_position_commands() {
+    let experiment = holding_experiment(torque("a-med"));
     let controller = Box::new(positions(|_, _, q| q.copy_from_slice(&START)));
     let config = experiment.loop_config().unwrap_or_else(|e| panic!("{e}"));
     let refused = ControlLoop::new(LoopConfig { controller, ..config }).err();
@@ -268,7 +268,7 @@ fn a_torque_robot_refuses_positions_by_name() {
 }
 
 #[test]
-fn an_interrupt_stops_a_moving_arm() {
+fn interrupt_stops_a_moving_arm() {
     for (options, extra) in [
         (osc("a-med"), 0),
         (osc("a-med"), 1),
@@ -291,6 +291,6 @@ fn an_interrupt_stops_a_moving_arm() {
         // The last command of all is the stop, which asks for no torque.
         let asked = run.signal("servo", "torque_desired");
         assert!(asked.row(asked.len() - 1)[0].is_nan(), "the stop was overtaken by the command before it");
-        at_rest(&experiment, &run, "interrupt");
+        check_at_rest(&experiment, &run, "interrupt");
     }
 }

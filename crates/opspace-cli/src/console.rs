@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_that_dont_fit_go_on_below_beside_the_first_again() {
+    fn wide_tables_continue_below_with_first_column() {
         assert_eq!(blocks(&[10, 5, 5, 5], None), [vec![0, 1, 2, 3]]);
         assert_eq!(blocks(&[10, 5, 5, 5], Some(25)), [vec![0, 1, 2, 3]]);
         assert_eq!(blocks(&[10, 5, 5, 5], Some(24)), [vec![0, 1, 2], vec![0, 3]]);

@@ -118,9 +118,9 @@ mod tests {
         Vector3::new(0.48, -0.6, 0.64)
     }
 
-    /// log against the vector from which nalgebra's exponential (Rodrigues' formula) built the matrix.
+    /// Logarithm against the vector from which nalgebra's exponential (Rodrigues' formula) built the matrix.
     #[test]
-    fn log_undoes_rodrigues_from_zero_to_pi() {
+    fn log_inverts_rodrigues_from_zero_to_pi() {
         for angle in [0.0, 1e-200, 1e-12, 1e-7, 1e-3, 0.5, 2.0, 3.0, PI - 1e-3, PI - 1e-7, PI - 1e-9] {
             let vector = axis() * angle;
             let rotation = *Rotation3::new(vector).matrix();
@@ -129,9 +129,9 @@ mod tests {
         }
     }
 
-    /// At π either sign of the axis is right: the length and the line are compared.
+    /// Logarithm at π, where either sign of the axis is right: its length and its line.
     #[test]
-    fn log_of_half_a_turn_is_pi_about_the_axis() {
+    fn log_of_half_turn_has_length_pi() {
         for axis in [axis(), Vector3::x(), Vector3::y(), Vector3::z()] {
             let rotation = axis * axis.transpose() * 2.0 - Matrix3::identity();
             let vector = log(&rotation);
@@ -140,10 +140,10 @@ mod tests {
         }
     }
 
-    /// Swing and turn, put together again, against the rotation they were split from; and the swing of
-    /// the same rotation after a further turn of the frame about the axis that doesn't count.
+    /// Swing and twist, composed again, against the rotation from which they were split; and the swing of the same
+    /// rotation after a further rotation of the frame about the free axis.
     #[test]
-    fn an_error_ignores_the_turn_about_an_axis_that_does_not_count() {
+    fn error_ignores_rotation_about_free_axis() {
         let rotation = exp(&Vector3::new(0.7, -0.4, 1.1));
         for free in 0..3 {
             let mut counted = [true; 3];
@@ -165,7 +165,7 @@ mod tests {
 
     /// ω and ω̇ against central differences of the matrix exp(φ(t)), on both sides of the series' end.
     #[test]
-    fn rates_of_a_rotation_vector_match_differences_of_its_exponential() {
+    fn rotation_vector_rates_match_exponential_differences() {
         let path = |size: f64, t: f64| {
             [
                 Vector3::new((1.3 * t).sin(), (0.7 * t).cos(), 0.4 * t * t) * size,
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn series_and_closed_forms_meet() {
+    fn series_and_closed_form_agree() {
         let below = left_jacobian_coefficients(0.2 - 1e-13);
         let above = left_jacobian_coefficients(0.2);
         for (b, a) in below.iter().zip(above) {

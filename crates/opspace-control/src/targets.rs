@@ -474,7 +474,7 @@ mod tests {
 
     /// Compared: names and widths of the layout, and the inputs as they were given.
     #[test]
-    fn layout_lists_stamps_and_inputs_of_tasks_that_have_some() {
+    fn layout_lists_stamps_and_inputs() {
         let names: Vec<String> = targets().layout().signals.iter().map(|s| s.name.clone()).collect();
         assert_eq!(
             names,

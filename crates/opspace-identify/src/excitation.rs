@@ -105,7 +105,7 @@ mod tests {
 
     /// Compares the discrete Fourier sum of the samples at every line with the requested one.
     #[test]
-    fn only_the_asked_odd_lines_are_excited_by_one_over_frequency() {
+    fn only_requested_odd_lines_are_excited() {
         const TOLERANCE: f64 = 1e-9;
         let multisine = excitation(3);
         assert!(multisine.lines.iter().all(|l| l % 2 == 1));
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn realisations_differ_in_their_phases_and_not_in_their_lines() {
+    fn realisations_differ_only_in_phases() {
         let (one, other) = (excitation(1), excitation(2));
         assert_eq!(one.lines, other.lines);
         assert_ne!(one.samples, other.samples);
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_spread_evenly_over_decades_with_some_left_out() {
+    fn lines_are_spread_evenly_over_decades() {
         let lines = odd_lines(1, 799, 12.0);
         assert!(lines.windows(2).all(|w| w[0] < w[1]) && lines.iter().all(|l| l % 2 == 1 && *l <= 799));
         let within = |from, to| lines.iter().filter(|&&l| l >= from && l < to).count();

@@ -108,7 +108,7 @@ mod tests {
 
     /// Compares the fitted curve with the one on which the runs lie.
     #[test]
-    fn a_stribeck_curve_comes_back() {
+    fn stribeck_curve_is_recovered() {
         const TOLERANCE: f64 = 0.03;
         let truth =
             Friction { coulomb: 1.8, static_friction: 2.34, stribeck: 0.06, viscous: 2.0, residual: 0.0 };
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn friction_without_a_peak_has_none() {
+    fn friction_without_peak_has_no_stribeck_term() {
         const TOLERANCE: f64 = 1e-6;
         let truth =
             Friction { coulomb: 0.4, static_friction: 0.4, stribeck: 0.05, viscous: 0.0, residual: 0.0 };

@@ -242,7 +242,7 @@ mod tests {
 
     /// Compares the frequency response with the steady state of the same recursion run in time under a sine.
     #[test]
-    fn the_responses_are_what_a_sine_settles_to() {
+    fn responses_match_steady_state_sine() {
         const TOLERANCE: f64 = 1e-6;
         let tick = Tick::new(&drive(), RATES.servo_period_s);
         let interval = Interval::new(&drive(), RATES);
@@ -270,7 +270,7 @@ mod tests {
 
     /// Compares the torque from setpoint and position with that of the same drive with other forces on its joint.
     #[test]
-    fn the_torque_follows_from_setpoint_and_position_whatever_else_acts_on_the_joint() {
+    fn torque_estimate_is_independent_of_other_forces() {
         const TOLERANCE: f64 = 1e-9;
         let interval = Interval::new(&drive(), RATES);
         for hz in [0.5, 7.0, 60.0] {
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_without_lag_is_the_limit_of_a_fast_one() {
+    fn lag_free_motor_is_limit_of_fast_motor() {
         const TOLERANCE: f64 = 1e-4;
         let at = |current_loop_hz| Interval::new(&Drive { current_loop_hz, ..drive() }, RATES).responses(9.0);
         let (fast, none) = (at(1e7).expect("no pole there"), at(f64::INFINITY).expect("no pole there"));

@@ -80,7 +80,7 @@ mod tests {
 
     /// Compares the minimum with the parameters from which exact samples of a decaying exponential were computed.
     #[test]
-    fn parameters_of_an_exponential_come_back() {
+    fn exponential_parameters_are_recovered() {
         const TOLERANCE: f64 = 1e-6;
         let model = |x: &[f64], t: f64| x[0] * (-x[1] * t).exp();
         let truth = [3.0, 0.7];

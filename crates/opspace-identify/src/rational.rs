@@ -141,7 +141,7 @@ mod tests {
 
     /// Compares the fitted coefficients with those from which the response was computed.
     #[test]
-    fn a_rational_function_behind_hold_and_delay_comes_back() {
+    fn rational_function_with_hold_and_delay_is_recovered() {
         const TOLERANCE: f64 = 1e-6;
         let truth = Rational {
             numerator: vec![1.0, 2e-3],
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn stability_and_phase_are_told_from_the_roots() {
+    fn roots_determine_stability_and_phase() {
         let with = |numerator: &[f64], denominator: &[f64]| Rational {
             numerator: numerator.to_vec(),
             denominator: denominator.to_vec(),

@@ -155,7 +155,7 @@ mod tests {
 
     /// Compares the estimate with the filter's transfer function (1 − p) z⁻¹ / (1 − p z⁻¹).
     #[test]
-    fn a_filter_is_found_as_its_transfer_function() {
+    fn filter_transfer_function_is_estimated() {
         const TOLERANCE: f64 = 1e-9;
         let (lines, one) = filtered(1, 0.0);
         let points = frequency_response(&[one, filtered(2, 0.0).1], &lines, PERIOD_S);
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cubic_is_seen_at_odd_lines_that_were_left_out_and_lowers_coherence() {
+    fn cubic_distortion_appears_at_unexcited_odd_lines() {
         // What rounding leaves of nothing, and what a cubic of 2 % can't stay below.
         const NOTHING: f64 = 1e-6;
         const SEEN: f64 = 1e-3;

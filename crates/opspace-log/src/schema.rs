@@ -175,7 +175,7 @@ mod tests {
 
     /// Checks the field names against protobuf's rules: identifiers, unique also as lowerCamelCase.
     #[test]
-    fn every_signal_gets_a_legal_and_unique_field() {
+    fn signals_get_legal_unique_field_names() {
         let (message, bytes) = definition(&awkward());
         assert_eq!(message, "opspace.ServoLeftArm");
         let set = FileDescriptorSet::decode(bytes.as_slice()).unwrap();
@@ -220,7 +220,7 @@ mod tests {
 
     /// Compares the layout before and after the metadata.
     #[test]
-    fn the_layout_survives_its_metadata() {
+    fn layout_round_trips_through_metadata() {
         assert_eq!(layout(&channel_metadata(&awkward())).unwrap().unwrap(), awkward());
         assert!(layout(&BTreeMap::new()).is_none());
         let broken = BTreeMap::from([(LAYOUT.to_owned(), "{\"channel\": 1}".to_owned())]);
@@ -229,7 +229,7 @@ mod tests {
 
     /// Checks that a message with anything missing, added or of another layout is refused, and leaves nothing behind.
     #[test]
-    fn a_message_of_another_layout_is_refused() {
+    fn message_of_another_layout_is_refused() {
         let mut message = Vec::new();
         encode(&[2, 0, 1], 0.5, &[1.0, 2.0, 3.0], &mut message);
         let mut rows = vec![9.0];

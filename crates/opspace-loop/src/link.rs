@@ -230,7 +230,7 @@ mod tests {
 
     /// Compared: arrivals, and sending times plus the delay.
     #[test]
-    fn a_constant_delay_shifts_every_packet() {
+    fn constant_delay_shifts_every_packet() {
         let arrived = arrivals(channel(ChannelParameters { delay_s: 0.02, ..Default::default() }));
         let expected: Vec<(u64, f64)> = (0..1000).map(|tick| (tick + 20, tick as f64)).collect();
         assert_eq!(arrived, expected);
@@ -238,7 +238,7 @@ mod tests {
 
     /// Compared: the order of arrival with and without reordering, and the order of sending.
     #[test]
-    fn jitter_reorders_only_where_reordering_is_allowed() {
+    fn jitter_reorders_only_if_allowed() {
         for reordering in [false, true] {
             let parameters =
                 ChannelParameters { delay_s: 0.005, jitter_s: 0.01, reordering, ..Default::default() };

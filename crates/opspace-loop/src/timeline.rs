@@ -103,7 +103,7 @@ mod tests {
 
     /// Compared: the order of two seconds of cycles at 1000, 500 and 300 Hz, and their times sorted as fractions.
     #[test]
-    fn cycles_come_in_the_order_of_time_then_number() {
+    fn cycles_are_ordered_by_time_then_number() {
         let rates = [1000, 500, 300];
         let mut timeline = Timeline::new(&rates).expect("a good clock");
         assert_eq!(timeline.ticks_per_s(), 3000);
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_without_a_common_clock_are_refused() {
+    fn rates_without_common_clock_are_refused() {
         assert_eq!(Timeline::new(&[]).expect_err("refused"), TimelineError::Rate);
         assert_eq!(Timeline::new(&[1000, 0]).expect_err("refused"), TimelineError::Rate);
         assert_eq!(Timeline::new(&[65_521, 65_519, 65_497]).expect_err("refused"), TimelineError::TooFine);

@@ -83,7 +83,7 @@ mod tests {
 
     /// Compares with the mathematics library's, all round the circle and some thousand turns away.
     #[test]
-    fn sine_and_cosine_are_right_to_the_last_places() {
+    fn sine_and_cosine_are_accurate_to_last_places() {
         let angles = (-200_000..200_000).map(|i| f64::from(i) * 1.234_567e-4);
         let far = (-2_000..2_000).map(|i| f64::from(i) * 499.9);
         for angle in angles.chain(far) {

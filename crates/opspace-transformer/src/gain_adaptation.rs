@@ -110,7 +110,7 @@ mod tests {
 
     /// Checks the scales estimated from torques of a servo with other gains than the nominal ones.
     #[test]
-    fn gains_are_found_from_torques() {
+    fn gains_are_estimated_from_torques() {
         let mut adaptation = adaptation(0.5);
         let mut found = [0.0; 2];
         for k in 0..5000 {
@@ -123,7 +123,7 @@ mod tests {
 
     /// Checks the scales of a servo that is further off than allowed, and of one that is not excited.
     #[test]
-    fn scales_are_bounded_and_stay_at_rest() {
+    fn gain_scales_are_bounded_and_constant_at_rest() {
         let mut bounded = adaptation(0.3);
         let found = (0..5000).map(|k| {
             let x = 30.0 * (3e-3 * f64::from(k)).sin();

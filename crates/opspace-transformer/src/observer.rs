@@ -160,7 +160,7 @@ mod tests {
     /// circle: drives of 500 Hz to 5 kHz, read at each of their ticks to each tenth, with other inertias than the gain
     /// is computed for.
     #[test]
-    fn the_observer_is_stable() {
+    fn observer_is_stable() {
         for servo_hz in [500.0, 1000.0, 5000.0] {
             let velocity_loop = std::f64::consts::TAU * (0.02 * servo_hz);
             let servo = format!(
@@ -192,7 +192,7 @@ mod tests {
     /// An integral adds one unobservable mode, a torque in the integral against the unknown acceleration, with the
     /// eigenvalue 1; the others must lie within the unit circle.
     #[test]
-    fn the_observer_is_stable_with_a_velocity_drive() {
+    fn observer_is_stable_with_velocity_drive() {
         /// Rounding of an eigenvalue of 1.
         const UNSEEN: f64 = 1e-6;
         for servo_hz in [500.0, 1000.0, 5000.0] {

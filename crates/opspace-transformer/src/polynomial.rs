@@ -46,7 +46,7 @@ mod tests {
 
     /// Checks the value of a product at each of its roots, and the roots of its factors.
     #[test]
-    fn a_product_has_the_roots_of_both() {
+    fn product_has_roots_of_both_factors() {
         let (a, b) = ([6.0, 5.0, 1.0], [4.0, 0.0, 1.0]);
         let both = product(&a, &b);
         assert_eq!(both, [24.0, 20.0, 10.0, 5.0, 1.0]);

@@ -182,7 +182,7 @@ mod tests {
     /// J N against zero for every task so far, after each of three; and N M⁻¹ against its transpose, which
     /// is what makes Nᵀ project torques. Entries of J and N are of the order of 1.
     #[test]
-    fn the_nullspace_moves_no_task_above_it() {
+    fn nullspace_moves_no_higher_task() {
         let (n, tolerance) = (8, 1e-11);
         let model = chain(n);
         let mut data = Data::new(&model);

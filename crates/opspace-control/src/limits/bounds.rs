@@ -217,10 +217,10 @@ mod tests {
         measurement
     }
 
-    /// One joint pushed as hard as its bounds allow, at 1 kHz: its position against its end, its speed against its
-    /// limit and its acceleration against the one with which it can brake.
+    /// One joint pushed as hard as its bounds allow, at 1 kHz: its position, speed and braking acceleration against
+    /// their limits.
     #[test]
-    fn a_joint_that_is_pushed_stays_viable() {
+    fn pushed_joint_stays_viable() {
         for (velocity, acceleration) in [(2.0, 5.0), (8.0, 30.0), (1.0, 100.0), (3.0, 1.0)] {
             let (end, period) = (1.0, 1e-3);
             let limits = JointLimits {
@@ -250,9 +250,9 @@ mod tests {
         }
     }
 
-    /// A joint that starts beyond its end, moving outward: it comes back, and stays.
+    /// A joint that starts beyond its position limit, moving outward: it returns, and stays within.
     #[test]
-    fn a_joint_beyond_its_end_comes_back() {
+    fn joint_beyond_its_limit_returns() {
         let limits = JointLimits {
             upper: vec![1.0],
             velocity: vec![2.0],
@@ -271,10 +271,10 @@ mod tests {
         assert!(q <= 1.0 + 1e-6 && q > 0.99, "{q}");
     }
 
-    /// Accelerations and torques that pass the fast test are within the bounds, and the other way round unless bounds
-    /// contradict each other: they don't here, for joints that start within their ends and slowly enough to stop.
+    /// Accelerations and torques that pass the fast test against the bounds, and the converse unless bounds
+    /// contradict each other: they don't here, for joints that start within their limits and slowly enough to stop.
     #[test]
-    fn is_strictly_feasibleed_is_within_the_bounds() {
+    fn strictly_feasible_commands_are_within_bounds() {
         let limits = JointLimits {
             lower: vec![-1.0],
             upper: vec![1.0],
@@ -306,7 +306,7 @@ mod tests {
         assert!(allowed > 1000 && refused > 1000, "{allowed} {refused}");
     }
 
-    /// Every interval holds a number, whatever the state: proportion of lower to upper.
+    /// Ratio of the lower to the upper bound of every interval, in any state: none is empty.
     #[test]
     fn no_interval_is_empty() {
         let limits = JointLimits {

@@ -48,7 +48,7 @@ mod tests {
 
     /// The step response after k periods against 1 − exp(−2π f k T), the continuous filter's.
     #[test]
-    fn a_step_rises_like_the_continuous_filter() {
+    fn step_response_matches_continuous_filter() {
         let (cutoff_hz, period_s) = (100.0, 1e-3);
         let mut filter = LowPass::<1>::new(cutoff_hz, period_s);
         for k in 1..=20 {
@@ -61,7 +61,7 @@ mod tests {
     /// Compared: outputs after a reading that isn't finite, first or later, and those of a filter that never received
     /// it.
     #[test]
-    fn what_is_not_finite_is_passed_on_and_forgotten() {
+    fn non_finite_input_is_passed_on_and_forgotten() {
         for broken in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let (mut filter, mut other) = (LowPass::<2>::new(100.0, 1e-3), LowPass::<1>::new(100.0, 1e-3));
             filter.reset(&[broken, broken]);

@@ -340,10 +340,10 @@ mod tests {
     const GOAL: &str = "reference.goal = { posture = { offset_rad = { elbow = 0.5 } }, velocity_rad_per_s = 1.0, \
         acceleration_rad_per_s2 = { shoulder = 2.0, elbow = 4.0 }, jerk_rad_per_s3 = 20.0 }";
 
-    /// The state at the start against the one taken over, bit for bit; the limits of each joint at 500 instants;
-    /// the end against home and goal. The shoulder, which isn't named, comes back to where it was.
+    /// The state at the start against the one taken over, bit for bit; the limits of each joint at 500 instants; the
+    /// end against home and goal. The shoulder, which isn't named, returns to its initial position.
     #[test]
-    fn a_goal_takes_over_each_joints_motion() {
+    fn goal_takes_over_joint_motion() {
         let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];
         let goal = begun(GOAL, &[0.1, 0.2], from);
         for (joint, acceleration) in [2.0, 4.0].into_iter().enumerate() {
@@ -362,7 +362,7 @@ mod tests {
         assert_eq!(goal.reference_at(1, 9.0), [0.2 + 0.5, 0.0, 0.0]);
     }
 
-    /// References begun away from home: they begin where they are, and offsets count from home.
+    /// References started away from home: they start at the present position, and offsets count from home.
     #[test]
     fn offsets_count_from_home() {
         let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];

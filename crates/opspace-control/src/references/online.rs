@@ -399,10 +399,10 @@ mod tests {
     }
 
     proptest! {
-        /// From any state that need not leave the limits: the start's state, the limits at 200 instants, the
+        /// Motions from any state that need not leave the limits: the start's state, the limits at 200 instants, the
         /// goal at rest; the jerk as the difference of accelerations.
         #[test]
-        fn limits_hold_all_the_way(
+        fn limits_hold_throughout_the_motion(
             limit in any_limits(),
             [x, way] in [-2.0..2.0, -3.0..3.0f64],
             [v, a] in [-1.0..1.0, -1.0..1.0f64],
@@ -428,9 +428,9 @@ mod tests {
             check_smooth(&motion, j_max);
         }
 
-        /// From beyond the limits: back within them, the jerk never beyond its own.
+        /// Motions from beyond the limits: back within them, with the jerk always within its own.
         #[test]
-        fn a_start_beyond_the_limits_is_braked(
+        fn start_beyond_limits_is_braked(
             limit in any_limits(),
             [v, a, way] in [-3.0..3.0, -3.0..3.0, -3.0..3.0f64],
         ) {
@@ -451,9 +451,9 @@ mod tests {
             check_smooth(&motion, j_max);
         }
 
-        /// Whatever the magnitudes: it begins where it is asked to, arrives, and is a number in between.
+        /// Motions of any magnitude: they start at the given state, arrive, and are finite in between.
         #[test]
-        fn no_magnitude_makes_it_jump(
+        fn extreme_magnitudes_cause_no_jump(
             decades in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
             start in [-5.0..5.0, -5.0..5.0, -5.0..5.0f64],
             signs in [-1.0..1.0, -1.0..1.0, -1.0..1.0f64],
@@ -468,9 +468,9 @@ mod tests {
             }
         }
 
-        /// The polynomial at its ends against what it is to join, and its derivatives against differences.
+        /// The polynomial at its ends against the states that it joins, and its derivatives against differences.
         #[test]
-        fn the_motion_in_place_of_a_generated_one_is_smooth(
+        fn fallback_motion_is_smooth(
             [x, v, a, goal] in [-2.0..2.0, -2.0..2.0, -2.0..2.0, -2.0..2.0f64],
             duration_s in 0.1..5.0f64,
         ) {
@@ -486,9 +486,9 @@ mod tests {
         }
     }
 
-    /// The fallback's duration: long enough for its peaks to keep to limits from rest.
+    /// The fallback's duration: long enough for its peaks to stay within the limits from rest.
     #[test]
-    fn an_unhurried_motion_from_rest_keeps_to_the_limits() {
+    fn fallback_motion_from_rest_keeps_limits() {
         for limit in [[0.5, 2.0, 20.0], [5.0, 1.0, 100.0], [5.0, 20.0, 1.0]] {
             let from = [0.0; 3];
             let motion = OnlineMotion::quintic(from, 1.0, unhurried_s(from, 1.0, &limits(limit)));
@@ -519,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_are_orthonormal_and_the_first_is_along_the_way() {
+    fn directions_are_orthonormal_along_the_path() {
         let along = Vector3::new(0.3, -0.4, 1.2);
         let nothing = Vector3::zeros();
         for (first, second, third) in [

@@ -1,7 +1,7 @@
-//! No update allocates: every kind of task, reference and axis mode, regular and singular poses, both
-//! controllers.
+//! Allocations of every update: none, with every kind of task, reference and axis mode, in regular and singular
+//! poses, by both controllers.
 
-use crate::common::{self, File, Q0, at_state, facts, four_joints, seven_joints};
+use crate::common::{self, File, Q0, at_state, control_context, four_joints, seven_joints};
 use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, ServoLead};
 use opspace_model::Model;
 use opspace_testing::allocation::allocations;
@@ -27,19 +27,19 @@ fn check(model: &Model, controller: &mut dyn Controller, start: &[f64], singular
 }
 
 fn check_both(model: &Model, text: &str, start: &[f64], singular: &[f64]) {
-    let (file, robot) = (File::read(text), facts(model, "hand"));
+    let (file, robot) = (File::read(text), control_context(model, "hand"));
     let mut torque =
-        OperationalSpaceController::new(model, &file.stack(), &robot).unwrap_or_else(|e| panic!("{e}"));
+        OperationalSpaceController::new(model, &file.task_set(), &robot).unwrap_or_else(|e| panic!("{e}"));
     check(model, &mut torque, start, singular);
     let n = model.n();
     let lead = ServoLead { kp_per_s: vec![50.0; n], stiffness_nm_per_rad: vec![1e3; n] };
-    if let Ok(mut position) = InverseKinematicsController::new(model, &file.stack(), &robot, Some(lead)) {
+    if let Ok(mut position) = InverseKinematicsController::new(model, &file.task_set(), &robot, Some(lead)) {
         check(model, &mut position, start, singular);
     }
 }
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     assert!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))) == 1);
 }
 

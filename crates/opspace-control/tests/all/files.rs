@@ -1,6 +1,6 @@
-//! Task files that are wrong: the text of every error and the key that it points at.
+//! Task files with errors: the text of every error and the key that it points at.
 
-use crate::common::{File, build_error, facts, four_joints, seven_joints};
+use crate::common::{File, build_error, control_context, four_joints, seven_joints};
 use opspace_control::{InverseKinematicsController, OperationalSpaceController, ServoLead, TaskParameters};
 use schemars::schema_for;
 use std::collections::BTreeMap;
@@ -20,9 +20,9 @@ damping_ratio = 0.8
 
 const AXES: &str = r#"axes = { x = "compliant", y = "motion", z = "motion" }"#;
 
-/// Each change to a good file against the key and the message of the error it makes.
+/// Each change to a valid file against the key and the message of its error.
 #[test]
-fn errors_name_the_value_and_the_choices() {
+fn errors_name_value_and_choices() {
     let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
     let cases = [
         (
@@ -135,17 +135,18 @@ fn errors_name_the_value_and_the_choices() {
     }
 }
 
-/// Lists of joints that name none, one twice, one that isn't there and too many, against their error; a list that is
-/// left out means all joints.
+/// Lists of joints that are empty, repeat a joint, name a missing one or are too long, against their errors; an
+/// omitted list means all joints.
 #[test]
-fn a_task_of_some_joints_names_them() {
+fn invalid_joint_lists_are_refused() {
     let build = |joints: &str| {
         let text = format!(
             "priority = [\"all\"]\n[task.all.joint-tracking]\n{joints}\nreference = \"hold\"\n\
              gains = {{ frequency_rad_per_s = 6.0, damping_ratio = 1.0 }}"
         );
         let (model, file) = (seven_joints(), File::read(&text));
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).map(|_| ())
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .map(|_| ())
     };
     let listed =
         "`joints` must name at least one joint, and each only once: omit it for a task of all joints";
@@ -165,9 +166,9 @@ fn a_task_of_some_joints_names_them() {
     assert_eq!(build(r#"joints = ["j4", "j2"]"#), Ok(()));
 }
 
-/// Each slip against the start of serde's message.
+/// Each typo against the start of serde's message.
 #[test]
-fn slips_are_refused_by_the_parser() {
+fn typos_are_refused_by_the_parser() {
     let cases = [
         (
             AXES,
@@ -211,9 +212,9 @@ fn slips_are_refused_by_the_parser() {
     }
 }
 
-/// A force axis needs a sensor.
+/// Error of a force axis without a force sensor.
 #[test]
-fn a_force_axis_without_a_sensor_is_refused() {
+fn force_axis_without_sensor_is_refused() {
     let text =
         HAND.replace("x = \"compliant\"", "x = \"force\"").replace("force = { sensor = \"wrist\" }\n", "");
     let error = build_error(&four_joints(), &text);
@@ -221,9 +222,9 @@ fn a_force_axis_without_a_sensor_is_refused() {
     assert!(error.to_string().contains("a `force` axis needs a sensor and a target"), "{error}");
 }
 
-/// A second task beside a first: axes that the two can't have at once, by number and by rank.
+/// A second task below a first: axes that the arm can't have together, by number and by rank.
 #[test]
-fn a_stack_that_can_not_be_filled_is_refused() {
+fn infeasible_task_axes_are_refused() {
     let second = |frame: &str, axes: &str| {
         let text = HAND.replace(r#""rest"]"#, r#""second", "rest"]"#);
         format!(
@@ -245,25 +246,28 @@ fn a_stack_that_can_not_be_filled_is_refused() {
     );
     let model = four_joints();
     let file = File::read(&second("elbow", r#"{ y = "motion" }"#));
-    assert!(OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).is_ok());
+    assert!(
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand")).is_ok()
+    );
 }
 
 #[test]
-fn inverse_kinematics_needs_a_motion_and_a_lead_for_every_joint() {
+fn inverse_kinematics_needs_motion_and_full_lead() {
     let model = four_joints();
-    let robot = facts(&model, "hand");
+    let robot = control_context(&model, "hand");
     let file = File::read("priority = [\"all\"]\n[task.all.joint-damping]\ndamping_nms_per_rad = 0.0");
-    let error = InverseKinematicsController::new(&model, &file.stack(), &robot, None).expect_err("no motion");
+    let error =
+        InverseKinematicsController::new(&model, &file.task_set(), &robot, None).expect_err("no motion");
     assert!(error.to_string().starts_with("priority: no task of this set has a reference motion"));
     let file = File::read(HAND);
     let lead = ServoLead { kp_per_s: vec![50.0; 4], stiffness_nm_per_rad: vec![1e3; 3] };
-    let error = InverseKinematicsController::new(&model, &file.stack(), &robot, Some(lead))
+    let error = InverseKinematicsController::new(&model, &file.task_set(), &robot, Some(lead))
         .expect_err("three numbers");
     assert_eq!(error.to_string(), "stiffness_nm_per_rad: 3 numbers for 4 joints");
 }
 
 #[test]
-fn every_key_of_the_schema_is_described() {
+fn every_schema_key_is_described() {
     fn visit(value: &serde_json::Value, undescribed: &mut Vec<String>) {
         let properties = value.get("properties").and_then(|p| p.as_object());
         for (name, property) in properties.into_iter().flatten() {

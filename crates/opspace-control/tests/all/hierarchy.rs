@@ -1,7 +1,9 @@
 //! Random task sets on random arms: the effects of each level on itself and on the others, by forward dynamics (the
 //! articulated-body algorithm) and by formulas written out here.
 
-use crate::common::{self, File, Numbers, accelerations, any_arm, at_state, facts, jacobian, sampled, six};
+use crate::common::{
+    self, File, Numbers, accelerations, any_arm, at_state, control_context, jacobian, sampled, six,
+};
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3, Vector6};
 use opspace_control::{Controller, OperationalSpaceController, Reason};
 use opspace_model::{
@@ -334,8 +336,8 @@ impl Rest {
         }
     }
 
-    /// Joint accelerations that it asks for if nothing stands above it, rad/s².
-    fn wanted(self, start: &Data, data: &Data) -> DVector<f64> {
+    /// Joint accelerations that it desires without tasks above it, rad/s².
+    fn desired_acceleration(self, start: &Data, data: &Data) -> DVector<f64> {
         match self {
             Self::Nothing => DVector::zeros(data.q.len()),
             Self::Damping(d) => {
@@ -436,8 +438,8 @@ impl Case {
         }
         self.tasks[..levels].iter().for_each(|task| text.push_str(&task.text()));
         let file = File::read(&text);
-        let robot = facts(&self.model, "hand");
-        let mut controller = match OperationalSpaceController::new(&self.model, &file.stack(), &robot) {
+        let robot = control_context(&self.model, "hand");
+        let mut controller = match OperationalSpaceController::new(&self.model, &file.task_set(), &robot) {
             Ok(controller) => controller,
             Err(error) => {
                 let known = matches!(
@@ -451,11 +453,11 @@ impl Case {
         let n = self.model.n();
         let (data, measurement) = at_state(&self.model, self.start.q.as_slice(), &vec![0.0; n], 0.0);
         controller.start(&common::input(&self.model, &data, &measurement));
-        Some(self.ask(controller, &self.data))
+        Some(self.evaluate(controller, &self.data))
     }
 
     /// The torques in a state.
-    fn ask(&self, mut controller: OperationalSpaceController, data: &Data) -> Ran {
+    fn evaluate(&self, mut controller: OperationalSpaceController, data: &Data) -> Ran {
         let (data, measurement) = at_state(&self.model, data.q.as_slice(), data.dq.as_slice(), TIME_S);
         let mut tau = vec![0.0; self.model.n()];
         controller.update(&common::input(&self.model, &data, &measurement), &mut tau);
@@ -464,7 +466,7 @@ impl Case {
     }
 
     /// The acceleration of a task's rows.
-    fn moved(&self, level: usize, ran: &Ran) -> DVector<f64> {
+    fn task_acceleration(&self, level: usize, ran: &Ran) -> DVector<f64> {
         let (jacobian, bias, _) = &self.laws[level];
         jacobian * &ran.ddq + bias
     }
@@ -484,7 +486,7 @@ fn cases(seed: u64, count: usize) -> impl Iterator<Item = (usize, Case)> {
 
 /// Counts the cases that the other tests are run on: every kind of task and of axes, at the top and below.
 #[test]
-fn the_stacks_are_of_every_kind() {
+fn random_task_sets_cover_every_kind() {
     let mut kinds = std::collections::BTreeMap::new();
     for (_, case) in cases(10, COUNT) {
         let mut saw = |kind: String| *kinds.entry(kind).or_insert(0) += 1;
@@ -508,14 +510,15 @@ fn the_stacks_are_of_every_kind() {
 
 /// The accelerations of each task under its task set as far as the task, against those under all of the task set.
 #[test]
-fn no_level_accelerates_one_above_it() {
+fn lower_levels_do_not_accelerate_higher_levels() {
     let (mut seen, mut moved) = (0, 0);
     for (i, case) in cases(11, COUNT) {
         let whole = case.run(case.tasks.len(), true).expect("a stack that was possible");
         for level in 0..case.tasks.len() {
             let alone = case.run(level + 1, false).expect("a stack that was possible");
             let size = whole.ddq.amax().max(alone.ddq.amax()).max(1.0);
-            let off = (case.moved(level, &whole) - case.moved(level, &alone)).amax() / size;
+            let off =
+                (case.task_acceleration(level, &whole) - case.task_acceleration(level, &alone)).amax() / size;
             assert!(off < ROUNDING, "case {i}, level {level}: {off} of {size} rad/s²\n{:?}", case.tasks);
             seen += 1;
             moved += usize::from((&whole.ddq - &alone.ddq).amax() > EFFECT * size);
@@ -527,16 +530,16 @@ fn no_level_accelerates_one_above_it() {
     );
 }
 
-/// The acceleration of every task against the a* of its law, the effects of all other levels on it made up for: were
-/// its own torque left out, it would be another.
+/// The acceleration of every task against the a* of its law, the effects of all other levels on it compensated;
+/// without its own torque it would differ.
 #[test]
-fn every_level_moves_as_its_law_asks() {
+fn every_level_follows_its_control_law() {
     let (mut lower, mut disturbed) = (0, 0);
     for (i, case) in cases(12, COUNT) {
         let whole = case.run(case.tasks.len(), true).expect("a stack that was possible");
         for (level, (.., wanted)) in case.laws.iter().enumerate() {
             let size = whole.ddq.amax().max(wanted.amax()).max(1.0);
-            let off = (case.moved(level, &whole) - wanted).amax() / size;
+            let off = (case.task_acceleration(level, &whole) - wanted).amax() / size;
             assert!(off < ROUNDING, "case {i}, level {level}: {off} of {size}\n{:?}", case.tasks);
             if level > 0 {
                 let above = case.run(level, false).expect("a stack that was possible");
@@ -549,10 +552,10 @@ fn every_level_moves_as_its_law_asks() {
     assert!(lower > 80 && 2 * disturbed > lower, "{disturbed} of {lower} levels were disturbed from above");
 }
 
-/// The torques of a task set against Gauss' principle of least constraint: the joints' accelerations are those nearest
-/// to what the lowest task wants, in the metric of M, of all that give every row above it its a*.
+/// The torques of a task set against Gauss' principle of least constraint: the joint accelerations are, in the metric
+/// of M, the nearest to those desired by the lowest task among all that give every row above it its a*.
 #[test]
-fn a_feasible_stack_constrains_as_little_as_possible() {
+fn feasible_task_set_satisfies_gauss_principle() {
     for (i, case) in cases(13, COUNT) {
         let (n, m) = (case.model.n(), &case.data.mass_matrix);
         let rows: usize = case.laws.iter().map(|(j, ..)| j.nrows()).sum();
@@ -560,7 +563,7 @@ fn a_feasible_stack_constrains_as_little_as_possible() {
         let mut system = DMatrix::zeros(n + rows, n + rows);
         let mut right = DVector::zeros(n + rows);
         system.view_mut((0, 0), (n, n)).copy_from(m);
-        right.rows_mut(0, n).copy_from(&(m * case.rest.wanted(&case.start, &case.data)));
+        right.rows_mut(0, n).copy_from(&(m * case.rest.desired_acceleration(&case.start, &case.data)));
         let mut first = n;
         for (jacobian, bias, wanted) in &case.laws {
             system.view_mut((first, 0), (jacobian.nrows(), n)).copy_from(jacobian);
@@ -579,7 +582,7 @@ fn a_feasible_stack_constrains_as_little_as_possible() {
 /// The power of what a level adds to the torques, in a motion that leaves the levels above it still, against that of
 /// its force on the motion of its axes.
 #[test]
-fn the_power_of_a_task_is_that_of_its_force() {
+fn task_torque_power_equals_task_force_power() {
     let (mut seen, mut lower) = (0, 0);
     let mut numbers = Numbers::new(15);
     for (i, case) in cases(14, COUNT) {
@@ -607,7 +610,7 @@ fn the_power_of_a_task_is_that_of_its_force() {
         let (state, _) = at_state(&case.model, case.data.q.as_slice(), dq.as_slice(), TIME_S);
         let run = |levels: usize| {
             let ran = case.run(levels, false).expect("a stack that was possible");
-            case.ask(ran.controller, &state)
+            case.evaluate(ran.controller, &state)
         };
         let with = run(level + 1);
         let added = if level > 0 { &with.tau - run(level).tau } else { &with.tau - &state.bias };

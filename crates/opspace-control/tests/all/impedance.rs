@@ -2,8 +2,8 @@
 //! inertia that is applied; integral action; the speed limit.
 
 use crate::common::{
-    self, File, Numbers, Q0, accelerations, any_arm, at_state, facts, four_joints, jacobian, sampled, six,
-    step,
+    self, File, Numbers, Q0, accelerations, any_arm, at_state, control_context, four_joints, jacobian,
+    sampled, six, step,
 };
 use nalgebra::{DMatrix, DVector, Matrix6, Rotation3, Vector3, Vector6};
 use opspace_control::impedance::designed_damping;
@@ -44,7 +44,7 @@ fn padded(matrix: &DMatrix<f64>) -> Matrix6<f64> {
 /// D symmetric, without a negative eigenvalue, nothing outside the task's rows; and L⁻¹ D L⁻ᵀ with Λ = L Lᵀ squared
 /// against 4ζ² L⁻¹ K L⁻ᵀ: of all D without negative eigenvalues only one does that.
 #[test]
-fn the_designed_damping_is_the_square_root_of_the_stiffness() {
+fn designed_damping_is_square_root_of_stiffness() {
     let mut numbers = Numbers::new(31);
     for case in 0..300 {
         let rows = 1 + numbers.below(6);
@@ -69,9 +69,9 @@ fn the_designed_damping_is_the_square_root_of_the_stiffness() {
     }
 }
 
-/// The poles of Λ ẍ + D ẋ + K x = 0, as eigenvalues of its companion matrix: every one lies at the angle of the ratio.
+/// The poles of Λ ẍ + D ẋ + K x = 0, as eigenvalues of its companion matrix: each lies at the angle of the ratio.
 #[test]
-fn every_mode_has_the_damping_ratio_asked_for() {
+fn every_mode_has_requested_damping_ratio() {
     let mut numbers = Numbers::new(32);
     for case in 0..100 {
         let rows = 1 + numbers.below(6);
@@ -122,8 +122,9 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
         motion.join(", ")
     );
     let file = File::read(&text);
-    let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "wrist"))
-        .unwrap_or_else(|e| panic!("{e}"));
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "wrist"))
+            .unwrap_or_else(|e| panic!("{e}"));
     let start = numbers.vector(n, 1.5);
     let (data, mut measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
     let hand = model.frame_id("hand").expect("hand");
@@ -203,9 +204,9 @@ fn springs(axes: &[usize]) -> DMatrix<f64> {
 }
 
 /// Λ ẍ + D ẋ + K (x − x_d) against the force, with D computed as in
-/// [`the_designed_damping_is_the_square_root_of_the_stiffness`] from Λ by plain inverses, or as given.
+/// [`designed_damping_is_square_root_of_stiffness`] from Λ by plain inverses, or as given.
 #[test]
-fn the_hand_answers_a_force_as_a_spring_and_a_damper_would() {
+fn hand_responds_as_spring_and_damper() {
     let mut numbers = Numbers::new(33);
     let mut seen = 0;
     for case in 0..90 {
@@ -240,10 +241,10 @@ fn the_hand_answers_a_force_as_a_spring_and_a_damper_would() {
     assert!(seen > 50, "{seen} states were regular");
 }
 
-/// A hand at rest, held off its place by the force of its springs alone: it stays at rest, and without the force it
+/// A hand at rest, displaced to where its springs balance a force: it stays at rest, and without the force it
 /// doesn't.
 #[test]
-fn a_hand_that_is_pushed_settles_where_its_springs_balance_the_force() {
+fn pushed_hand_rests_at_spring_equilibrium() {
     let mut numbers = Numbers::new(34);
     let mut seen = 0;
     for case in 0..60 {
@@ -260,10 +261,10 @@ fn a_hand_that_is_pushed_settles_where_its_springs_balance_the_force() {
     assert!(seen > 30, "{seen} states were regular");
 }
 
-/// m ẍ + d ẋ + k (x − x_d) against the force, which is sensed at another point of the hand: whatever the arm's own
-/// inertia, which alone would answer otherwise.
+/// m ẍ + d ẋ + k (x − x_d) against the force, which is sensed at another point of the hand: independent of the arm's
+/// own inertia, which alone would respond differently.
 #[test]
-fn a_shaped_inertia_is_the_one_that_is_felt() {
+fn shaped_inertia_determines_response_to_force() {
     let mut numbers = Numbers::new(35);
     let (mut seen, mut shaped) = (0, 0);
     for case in 0..90 {
@@ -298,9 +299,9 @@ fn a_shaped_inertia_is_the_one_that_is_felt() {
 }
 
 /// Torques with a floor below every joint's inertia against those of full decoupling; and with one above some of them
-/// the task's force against (J (M + what is missing)⁻¹ Jᵀ)⁻¹ (a* − J̇ q̇), written out.
+/// the task's force against (J (M + added inertia)⁻¹ Jᵀ)⁻¹ (a* − J̇ q̇), written out.
 #[test]
-fn bounded_decoupling_is_that_of_an_arm_without_light_joints() {
+fn bounded_decoupling_raises_light_joint_inertias() {
     let mut numbers = Numbers::new(36);
     let (mut seen, mut bounded) = (0, 0);
     for case in 0..60 {
@@ -317,7 +318,7 @@ fn bounded_decoupling_is_that_of_an_arm_without_light_joints() {
                  [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n"
             ));
             let mut controller =
-                OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
+                OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
                     .expect("a good stack");
             let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
             controller.start(&common::input(&model, &data, &measurement));
@@ -373,15 +374,16 @@ fn integrating(integral: &str) -> String {
     )
 }
 
-/// The hand's acceleration in a state that stays, cycle by cycle, against ω² times the error and its sum, bounded.
+/// The hand's acceleration in a constant state, cycle by cycle, against ω² times the error and its sum, bounded.
 #[test]
-fn the_integral_grows_by_the_error_up_to_its_limit() {
+fn integral_accumulates_error_up_to_its_limit() {
     let model = four_joints();
     let (per_s, limit, omega) = (3.0, 1e-3, 20.0);
     let text = integrating(&format!(", integral_per_s = {per_s:e}, integral_limit_m = {limit:e}"));
     let file = File::read(&text);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame_id("hand").expect("hand");
@@ -400,13 +402,14 @@ fn the_integral_grows_by_the_error_up_to_its_limit() {
     assert!(error.amax() * per_s * 0.05 > limit, "the limit is reached");
 }
 
-/// The hand's error (m) after three seconds under torques at the joints that nobody knows of.
-fn left_over(integral: &str) -> f64 {
+/// The hand's error (m) after three seconds under unknown joint torques.
+fn remaining_error(integral: &str) -> f64 {
     const UNKNOWN_NM: [f64; 4] = [1.2, -0.8, 0.5, 0.9];
     let model = four_joints();
     let file = File::read(&integrating(integral));
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let mut tau = [0.0; 4];
@@ -420,12 +423,13 @@ fn left_over(integral: &str) -> f64 {
     Vector3::new(error[0], error[1], error[2]).norm()
 }
 
-/// Remaining error with an integral against that without, and with one that is bounded too tightly: its bound less.
+/// Remaining error with an integral against that without, and with one whose bound is too tight: smaller by the
+/// bound.
 #[test]
-fn the_integral_removes_a_constant_disturbance() {
-    let without = left_over("");
-    let with = left_over(", integral_per_s = 4.0");
-    let tight = left_over(", integral_per_s = 4.0, integral_limit_m = 0.001");
+fn integral_removes_constant_disturbance() {
+    let without = remaining_error("");
+    let with = remaining_error(", integral_per_s = 4.0");
+    let tight = remaining_error(", integral_per_s = 4.0, integral_limit_m = 0.001");
     // Some ten of its time constants of a quarter of a second.
     assert!(without > 4e-3 && with < 1e-3 * without, "{with} m of {without} m are left");
     // The bound holds for each axis.
@@ -436,9 +440,9 @@ fn the_integral_removes_a_constant_disturbance() {
 }
 
 /// The hand's acceleration against 2ζω (ν ẋ* − v), along and about the axes, with ẋ* computed from the error: the
-/// speed asked for, not the acceleration, has the limit's size and the error's direction.
+/// desired speed, not the acceleration, has the limit's size and the error's direction.
 #[test]
-fn the_speed_asked_for_is_bounded_and_keeps_its_direction() {
+fn desired_speed_is_bounded_and_keeps_direction() {
     let mut numbers = Numbers::new(37);
     let (mut seen, mut bounded) = (0, [0; 2]);
     let (omega, zeta, limits) = (8.0, 0.8, [0.15, 0.4]);
@@ -454,8 +458,9 @@ fn the_speed_asked_for_is_bounded_and_keeps_its_direction() {
              [task.rest.joint-damping]\ndamping_nms_per_rad = 1.0\n",
             limits[0], limits[1]
         ));
-        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
-            .expect("a good stack");
+        let mut controller =
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+                .expect("a good stack");
         let hand = model.frame_id("hand").expect("hand");
         let start = numbers.vector(n, 1.5);
         let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
@@ -492,16 +497,18 @@ fn the_speed_asked_for_is_bounded_and_keeps_its_direction() {
     }
 }
 
-/// A hand sent far off, integrated: it speeds up to its limit, not beyond it, on the straight line to its goal.
+/// A hand with a distant goal, integrated: it accelerates to its limit, not beyond it, on the straight line to its
+/// goal.
 #[test]
-fn a_hand_sent_far_off_goes_straight_and_no_faster_than_its_limit() {
+fn distant_goal_is_approached_straight_within_speed_limit() {
     let model = four_joints();
     let limit = 0.2;
     let text = integrating("")
         .replace("reference = \"hold\"", "reference.point-to-point = { position = { offset_m = [0.12, 0.08, 0.15] }, duration_s = 1e-3 }\nspeed_limit_m_per_s = 0.2");
     let file = File::read(&text);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame_id("hand").expect("hand");

@@ -1,7 +1,7 @@
-//! The baseline: where forward kinematics puts the arm at the streamed joint positions, against the
-//! reference; and the lead against its formula.
+//! The inverse kinematics baseline: forward kinematics of the streamed joint positions against the reference, and the
+//! lead against its formula.
 
-use crate::common::{self, File, Q0, at_state, facts, four_joints, seven_joints};
+use crate::common::{self, File, Q0, at_state, control_context, four_joints, seven_joints};
 use nalgebra::Vector3;
 use opspace_backend::{CommandKind, Observable};
 use opspace_control::{Controller, InverseKinematicsController, ServoLead, orientation};
@@ -40,14 +40,15 @@ fn placed(model: &Model, q: &[f64]) -> Data {
 }
 
 #[test]
-fn the_streamed_positions_follow_the_figure_and_lead_by_the_servos_lag() {
+fn streamed_positions_follow_reference_with_servo_lead() {
     let model = four_joints();
     let file = File::read(LISSAJOUS);
-    let robot = facts(&model, "hand");
+    let robot = control_context(&model, "hand");
     let lead =
         ServoLead { kp_per_s: vec![50.3; 4], stiffness_nm_per_rad: vec![4756.0, 4522.0, 1529.0, 1524.0] };
-    let build =
-        |lead| InverseKinematicsController::new(&model, &file.stack(), &robot, lead).expect("a good stack");
+    let build = |lead| {
+        InverseKinematicsController::new(&model, &file.task_set(), &robot, lead).expect("a good stack")
+    };
     let (mut plain, mut led) = (build(None), build(Some(lead.clone())));
     assert_eq!(plain.command_kind(), CommandKind::Position);
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
@@ -83,7 +84,7 @@ fn the_streamed_positions_follow_the_figure_and_lead_by_the_servos_lag() {
 
 /// Orientation and position on seven joints; a robot that compensates gravity gets no lead for it.
 #[test]
-fn a_pose_is_reached() {
+fn pose_is_reached() {
     let model = seven_joints();
     let file = File::read(
         r#"
@@ -98,11 +99,11 @@ fn a_pose_is_reached() {
         damping_ratio = 0.8
         "#,
     );
-    let mut robot = facts(&model, "hand");
+    let mut robot = control_context(&model, "hand");
     robot.gravity_by_robot = true;
     let lead = ServoLead { kp_per_s: vec![50.0; 7], stiffness_nm_per_rad: vec![1e3; 7] };
     let mut controller =
-        InverseKinematicsController::new(&model, &file.stack(), &robot, Some(lead)).expect("a good stack");
+        InverseKinematicsController::new(&model, &file.task_set(), &robot, Some(lead)).expect("a good stack");
     let q = [0.3, 0.7, -0.4, -1.4, 0.2, 1.1, 0.5];
     let (data, mut measurement) = at_state(&model, &q, &[0.0; 7], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
@@ -119,10 +120,10 @@ fn a_pose_is_reached() {
     assert!(orientation::log(&turn).norm() < 1e-6);
 }
 
-/// With the hand held, the elbow swings to where the posture asks for no more motion that the hand allows:
-/// what is left of the way to the posture has no part in the kernel of J.
+/// With the hand held, the elbow moves until the posture desires no more motion that the hand allows: the remaining
+/// difference to the posture has no component in the kernel of J.
 #[test]
-fn the_posture_is_approached_without_the_hand() {
+fn posture_task_does_not_move_the_hand() {
     let model = four_joints();
     let text =
         LISSAJOUS.replace("damping_ratio = 0.8", "damping_ratio = 0.8\nposture_rad = { shoulder_yaw = 0.7 }");
@@ -131,7 +132,7 @@ fn the_posture_is_approached_without_the_hand() {
     let text = text.replace(&text[begin..end], "").replace("gains =", "reference = \"hold\"\ngains =");
     let file = File::read(&text);
     let mut controller =
-        InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+        InverseKinematicsController::new(&model, &file.task_set(), &control_context(&model, "hand"), None)
             .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
@@ -150,9 +151,9 @@ fn the_posture_is_approached_without_the_hand() {
     assert!((kernel * left).norm() < 1e-6, "the posture is as near as it gets");
 }
 
-/// Two tasks that move at once: the second makes up for what the first does to it.
+/// Two tasks that move simultaneously: the second compensates the effect of the first on it.
 #[test]
-fn a_lower_task_follows_too() {
+fn lower_task_follows_its_reference() {
     let model = four_joints();
     let text = LISSAJOUS.replace(r#"["hand", "rest"]"#, r#"["hand", "elbow"]"#);
     let end = text.find("[task.rest").expect("there");
@@ -166,7 +167,7 @@ fn a_lower_task_follows_too() {
     .replace("0.08", "0.02");
     let file = File::read(&text);
     let mut controller =
-        InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
+        InverseKinematicsController::new(&model, &file.task_set(), &control_context(&model, "hand"), None)
             .expect("a good stack");
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
@@ -183,7 +184,7 @@ fn a_lower_task_follows_too() {
 }
 
 #[test]
-fn joint_references_are_streamed_as_they_are() {
+fn joint_references_are_streamed_unchanged() {
     let model = four_joints();
     let file = File::read(
         r#"
@@ -196,9 +197,13 @@ fn joint_references_are_streamed_as_they_are() {
     let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     for lead in [false, true] {
         let servo = lead.then(|| ServoLead { kp_per_s: vec![50.0; 4], stiffness_nm_per_rad: vec![1e3; 4] });
-        let mut controller =
-            InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), servo)
-                .expect("a good stack");
+        let mut controller = InverseKinematicsController::new(
+            &model,
+            &file.task_set(),
+            &control_context(&model, "hand"),
+            servo,
+        )
+        .expect("a good stack");
         measurement.time_s = 0.0;
         controller.start(&common::input(&model, &data, &measurement));
         measurement.time_s = 1.9;

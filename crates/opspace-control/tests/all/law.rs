@@ -2,8 +2,8 @@
 //! forward dynamics (the articulated-body algorithm) makes of its torques.
 
 use crate::common::{
-    self, File, Numbers, Q0, accelerations, at_state, facts, four_joints, frame_acceleration, jacobian,
-    seven_joints,
+    self, File, Numbers, Q0, accelerations, at_state, control_context, four_joints, frame_acceleration,
+    jacobian, seven_joints,
 };
 use nalgebra::{DMatrix, DVector, Rotation3, Vector3};
 use opspace_control::{Controller, OperationalSpaceController};
@@ -73,11 +73,12 @@ fn textbook(
 }
 
 #[test]
-fn tracking_torque_is_the_textbook_formula() {
+fn tracking_torque_matches_textbook_formula() {
     let model = four_joints();
     let file = File::read(TRACKING);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame_id("hand").expect("hand");
@@ -120,11 +121,12 @@ fn tracking_torque_is_the_textbook_formula() {
 }
 
 #[test]
-fn compliant_torque_is_the_textbook_formula() {
+fn compliant_torque_matches_textbook_formula() {
     let model = four_joints();
     let file = File::read(COMPLIANT);
-    let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "wrist"))
-        .expect("a good stack");
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "wrist"))
+            .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame_id("hand").expect("hand");
@@ -155,7 +157,7 @@ fn compliant_torque_is_the_textbook_formula() {
 }
 
 #[test]
-fn joint_tracking_accelerates_as_asked_and_gravity_compensation_is_g() {
+fn joint_tracking_acceleration_and_gravity_compensation_are_exact() {
     let model = four_joints();
     let file = File::read(
         r#"
@@ -166,7 +168,8 @@ fn joint_tracking_accelerates_as_asked_and_gravity_compensation_is_g() {
         "#,
     );
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let (q, dq, t) = ([-0.3, -0.5, 0.1, -1.0], [0.5, -1.0, 1.5, 0.2], 1.7);
@@ -192,10 +195,10 @@ fn joint_tracking_accelerates_as_asked_and_gravity_compensation_is_g() {
         "#,
     );
     for gravity_by_robot in [false, true] {
-        let mut robot = facts(&model, "hand");
+        let mut robot = control_context(&model, "hand");
         robot.gravity_by_robot = gravity_by_robot;
         let mut controller =
-            OperationalSpaceController::new(&model, &file.stack(), &robot).expect("a good stack");
+            OperationalSpaceController::new(&model, &file.task_set(), &robot).expect("a good stack");
         controller.start(&common::input(&model, &data, &measurement));
         controller.update(&common::input(&model, &data, &measurement), &mut tau);
         let expected = if gravity_by_robot { [0.0; 4] } else { [0, 1, 2, 3].map(|i| data.gravity[i]) };
@@ -203,10 +206,10 @@ fn joint_tracking_accelerates_as_asked_and_gravity_compensation_is_g() {
     }
 }
 
-/// The orientation part: the angular acceleration that forward dynamics gives against ω² log + 2ζω ω with
-/// nalgebra's logarithm, in task axes that are turned against the world.
+/// The orientation part: the angular acceleration by forward dynamics against ω² log + 2ζω ω with nalgebra's
+/// logarithm, in task axes that are rotated relative to the world.
 #[test]
-fn a_pose_task_accelerates_the_frame_as_asked() {
+fn pose_task_produces_desired_acceleration() {
     let model = seven_joints();
     let file = File::read(
         r#"
@@ -222,7 +225,8 @@ fn a_pose_task_accelerates_the_frame_as_asked() {
         "#,
     );
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let hand = model.frame_id("hand").expect("hand");
     let mut numbers = Numbers::new(3);
     let axes = *Rotation3::from_euler_angles(0.3, -0.2, 0.9).matrix();
@@ -278,12 +282,12 @@ frequency_rad_per_s = 3.0
 damping_ratio = 0.7
 "#;
 
-/// One state under three task sets: the effects of a level must not show in the accelerations of those above it, and
-/// must show in its own.
+/// One state under three task sets: the effects of a level do not appear in the accelerations of those above it, and
+/// appear in its own.
 #[test]
-fn no_task_accelerates_a_task_above_it() {
+fn lower_tasks_do_not_accelerate_higher_tasks() {
     let model = seven_joints();
-    let robot = facts(&model, "hand");
+    let robot = control_context(&model, "hand");
     let texts = [
         TWO_LEVELS.to_owned(),
         TWO_LEVELS.replace("frequency_rad_per_s = 3.0", "frequency_rad_per_s = 20.0"),
@@ -299,7 +303,7 @@ fn no_task_accelerates_a_task_above_it() {
         let [base, posture, upper] = [0, 1, 2].map(|i| {
             let file = File::read(&texts[i]);
             let mut controller =
-                OperationalSpaceController::new(&model, &file.stack(), &robot).expect("a good stack");
+                OperationalSpaceController::new(&model, &file.task_set(), &robot).expect("a good stack");
             let (data, measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
             controller.start(&common::input(&model, &data, &measurement));
             let (data, measurement) = at_state(&model, &q, &dq, 0.1);
@@ -329,13 +333,14 @@ fn no_task_accelerates_a_task_above_it() {
     assert!(regular > 25, "only {regular} of 50 states were regular");
 }
 
-/// The second level's acceleration against its own law: the first level's effect on it is made up for.
+/// The second level's acceleration against its own law: the first level's effect on it is compensated.
 #[test]
-fn a_lower_task_moves_as_asked_where_it_is_free_to() {
+fn lower_task_follows_its_law_in_nullspace() {
     let model = seven_joints();
     let file = File::read(TWO_LEVELS);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let start = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
     let (data, measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
@@ -357,11 +362,12 @@ fn a_lower_task_moves_as_asked_where_it_is_free_to() {
 
 /// The arm under its own law, integrated: it follows the Lissajous figure, and no direction is damped.
 #[test]
-fn the_arm_follows_its_reference() {
+fn arm_follows_its_reference() {
     let model = four_joints();
     let file = File::read(TRACKING);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let (period_s, mut worst) = (1e-3, 0.0_f64);
@@ -385,9 +391,9 @@ fn the_arm_follows_its_reference() {
     assert!(worst > 0.0);
 }
 
-/// Static force regulation: on a stiff wall the sensed force settles on its target whatever the gain.
+/// Static force regulation: on a stiff wall the sensed force settles on its target for any gain.
 #[test]
-fn a_compliant_axis_with_a_target_balances_it() {
+fn compliant_axis_settles_on_target_force() {
     let model = four_joints();
     for gain in ["0", "2.0"] {
         let force = format!(
@@ -395,8 +401,9 @@ fn a_compliant_axis_with_a_target_balances_it() {
         );
         let text = COMPLIANT.replace("force = { sensor = \"wrist\", filter_hz = 100.0 }", &force);
         let file = File::read(&text);
-        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
-            .expect("a good stack");
+        let mut controller =
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+                .expect("a good stack");
         let (data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
         measurement.wrenches[0].linear.x = -5.0;
         controller.start(&common::input(&model, &data, &measurement));
@@ -422,7 +429,8 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
         .replace("x = \"compliant\"", &format!("x = \"{mode}\""));
     let file = File::read(&text);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (mut data, mut measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let hand = model.frame_id("hand").expect("hand");
@@ -461,19 +469,19 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
 /// noise.
 const SETTLED_N: f64 = 1e-3;
 
-/// Force control against its target, and against what a compliant axis makes of the same disturbance.
+/// Force control against its target, and against the force of a compliant axis under the same disturbance.
 #[test]
-fn a_force_axis_leaves_no_error_where_a_compliant_one_does() {
+fn force_axis_removes_error_of_compliant_axis() {
     let (compliant, _) = pressed_force("compliant", "", true);
     let (force, _) = pressed_force("force", "", true);
     assert!((compliant + 8.0).abs() > 0.2, "the disturbance shows: {compliant} N");
     assert!((force + 8.0).abs() < SETTLED_N, "{force} N");
 }
 
-/// The integral is bounded: a bound too small for the disturbance leaves an error again, and without a wall the hand
-/// drifts no faster than the bound allows.
+/// Bound of the integral: too small for the disturbance it leaves an error again, and without a wall the hand drifts
+/// no faster than it allows.
 #[test]
-fn the_integral_of_a_force_axis_is_bounded() {
+fn force_axis_integral_is_bounded() {
     let (short, _) = pressed_force("force", ", integral_limit = 0.05", true);
     let (compliant, _) = pressed_force("compliant", "", true);
     assert!((short + 8.0).abs() > 0.1 && (short + 8.0).abs() < (compliant + 8.0).abs(), "{short} N");
@@ -490,7 +498,8 @@ fn joint_damping_brakes_every_joint() {
          shoulder_pitch = 1.0\nshoulder_roll = 2.0\nshoulder_yaw = 3.0\nelbow = 4.0",
     );
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let dq = [0.5, -1.0, 1.5, 0.2];
     let (data, measurement) = at_state(&model, &Q0, &dq, 0.0);
     controller.start(&common::input(&model, &data, &measurement));
@@ -501,9 +510,9 @@ fn joint_damping_brakes_every_joint() {
     }
 }
 
-/// Torques and task force that a sensed moment adds, against Jᵀ of the gain times it.
+/// Torques and task force added by a sensed moment, against Jᵀ of the gain times it.
 #[test]
-fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
+fn sensed_moment_is_fed_back_on_compliant_axis() {
     let model = seven_joints();
     let file = File::read(
         r#"
@@ -519,8 +528,9 @@ fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
     );
     let start = [0.3, 0.7, -0.4, -1.4, 0.2, 1.1, 0.5];
     let run = |moment: f64| {
-        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
-            .expect("a good stack");
+        let mut controller =
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+                .expect("a good stack");
         let (data, mut measurement) = at_state(&model, &start, &[0.0; 7], 0.0);
         measurement.wrenches[0].angular.y = moment;
         controller.start(&common::input(&model, &data, &measurement));
@@ -538,12 +548,13 @@ fn a_sensed_moment_is_fed_back_about_a_compliant_axis() {
 /// The power of the sensed wrench on the motion of the task's frame against that of the sensor's own on the
 /// motion of the sensor's frame: both are on one body.
 #[test]
-fn a_wrench_is_carried_from_the_sensor_to_the_task_frame() {
+fn wrench_is_shifted_from_sensor_to_task_frame() {
     let model = four_joints();
     let text = COMPLIANT.replace("reference =", "axes_frame = { rpy_rad = [0.3, -0.2, 0.9] }\nreference =");
     let file = File::read(&text);
-    let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "wrist"))
-        .expect("a good stack");
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "wrist"))
+            .expect("a good stack");
     let mut numbers = Numbers::new(6);
     for _ in 0..10 {
         let q: Vec<f64> = Q0.iter().map(|q| q + 0.2 * numbers.next()).collect();

@@ -1,8 +1,8 @@
-//! Arms that move under limits: they come back within them, stop at their ends, keep to their way, and forget what was
-//! not a number. Against the motion that forward dynamics makes of the commands.
+//! Arms that move under limits: they return within them, stop at position limits, keep their direction, and forget
+//! NaN measurements. Compared with the motion that forward dynamics computes from the commands.
 
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, POSE, without_limits};
-use crate::common::{self, File, Link, Numbers, arm, at_state, facts, sampled, seven_joints};
+use crate::common::{self, File, Link, Numbers, arm, at_state, control_context, sampled, seven_joints};
 use nalgebra::{DVector, Vector3};
 use opspace_control::{ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
@@ -24,10 +24,10 @@ const PERIOD_S: f64 = 1e-3;
 
 impl Run {
     fn new(model: Model, text: &str, limits: &JointLimits, q: &[f64], dq: &[f64]) -> Self {
-        let (file, mut robot) = (File::read(text), facts(&model, "hand"));
+        let (file, mut robot) = (File::read(text), control_context(&model, "hand"));
         robot.limits = limits.clone();
         let mut controller =
-            OperationalSpaceController::new(&model, &file.stack(), &robot).expect("a good stack");
+            OperationalSpaceController::new(&model, &file.task_set(), &robot).expect("a good stack");
         let (data, measurement) = at_state(&model, q, dq, 0.0);
         controller.start(&common::input(&model, &data, &measurement));
         let tau = DVector::zeros(model.n());
@@ -53,8 +53,8 @@ impl Run {
     }
 }
 
-/// Limits that the seven-joint arm can work with.
-fn workable() -> JointLimits {
+/// Limits within which the seven-joint arm can perform its tasks.
+fn moderate_limits() -> JointLimits {
     JointLimits {
         lower: vec![-1.6; 7],
         upper: vec![1.6; 7],
@@ -66,11 +66,11 @@ fn workable() -> JointLimits {
 
 const REACHED: [f64; 7] = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
 
-/// Starts that no robot should be in: beyond the ends of ranges and faster than allowed. What is commanded is always a
-/// number within the torque limits and their rate; after a second everything is inside, and stays there.
+/// Starts that no robot should be in: beyond position limits and faster than allowed. Commands are always finite and
+/// within the torque limits and their rate; after a second everything is within limits, and stays there.
 #[test]
-fn what_starts_beyond_its_limits_is_led_back() {
-    let (limits, mut numbers) = (workable(), Numbers::new(17));
+fn start_beyond_limits_returns_within_them() {
+    let (limits, mut numbers) = (moderate_limits(), Numbers::new(17));
     let mut beyond = 0;
     for text in [POSE, ELBOW, DAMPED] {
         for _ in 0..3 {
@@ -104,9 +104,9 @@ fn what_starts_beyond_its_limits_is_led_back() {
     assert!(beyond > 30, "{beyond} joints start beyond a limit");
 }
 
-/// A robot that was commanded more than it may be: at once within the limit, whatever the rate.
+/// A robot that was commanded beyond its torque limit: immediately within the limit, whatever the rate limit.
 #[test]
-fn a_torque_beyond_its_limit_comes_back_at_once() {
+fn torque_beyond_limit_returns_immediately() {
     let (model, q) = (seven_joints(), [0.3, 1.2, -0.4, 0.9, 0.2, -0.8, 0.5]);
     let gravity = at_state(&model, &q, &[0.0; 7], 0.0).0.gravity;
     let limits = JointLimits {
@@ -127,9 +127,9 @@ fn a_torque_beyond_its_limit_comes_back_at_once() {
     }
 }
 
-/// A hand that is sent to where the arm's joints can't follow: every joint against the end of its range.
+/// A hand whose goal the arm's joints can't reach: every joint against its position limit.
 #[test]
-fn joints_stop_at_the_ends_of_their_ranges() {
+fn joints_stop_at_position_limits() {
     let mut stopped = 0;
     for (text, offset) in
         [(POSE, "[0.5, -0.4, -0.3]"), (ELBOW, "[-0.6, 0.5, 0.2]"), (DAMPED, "[0.4, 0.6, -0.5]")]
@@ -141,7 +141,7 @@ fn joints_stop_at_the_ends_of_their_ranges() {
         let limits = JointLimits {
             lower: REACHED.map(|q| q - 0.25).to_vec(),
             upper: REACHED.map(|q| q + 0.25).to_vec(),
-            ..workable()
+            ..moderate_limits()
         };
         let mut run = Run::new(seven_joints(), &text, &limits, &REACHED, &[0.0; 7]);
         let (mut worst, mut jump, mut before) = (f64::NEG_INFINITY, 0.0_f64, run.tau.clone());
@@ -163,7 +163,7 @@ fn joints_stop_at_the_ends_of_their_ranges() {
 }
 
 /// Displacement of the hand if the joints are displaced by `offset` (rad), m.
-fn way_to(offset: &[f64; 7]) -> Vector3<f64> {
+fn hand_displacement(offset: &[f64; 7]) -> Vector3<f64> {
     let model = seven_joints();
     let hand = |q: &[f64]| {
         let data = at_state(&model, q, &[0.0; 7], 0.0).0;
@@ -175,8 +175,8 @@ fn way_to(offset: &[f64; 7]) -> Vector3<f64> {
 
 /// Motion of a hand that is asked for far more than it may do: the largest speed (m/s), the largest angle (°) between
 /// its velocity and the straight way while it is faster than 0.1 m/s, and the rest of the way after `seconds` (m).
-fn hurried(limits: &JointLimits, more: &str, duration_s: f64, seconds: f64) -> (f64, f64, f64) {
-    let way = way_to(&[0.3, -0.2, 0.1, 0.4, -0.2, 0.3, 0.1]);
+fn hurried_motion(limits: &JointLimits, more: &str, duration_s: f64, seconds: f64) -> (f64, f64, f64) {
+    let way = hand_displacement(&[0.3, -0.2, 0.1, 0.4, -0.2, 0.3, 0.1]);
     let offset = way.as_slice();
     let reference = format!(
         "reference.point-to-point = {{ position = {{ offset_m = {offset:?} }}, duration_s = {duration_s} }}"
@@ -199,45 +199,46 @@ fn hurried(limits: &JointLimits, more: &str, duration_s: f64, seconds: f64) -> (
     (fastest, aside.to_degrees(), (start + way - run.hand().0).norm())
 }
 
-/// Limits that are in the way of a hurry alone.
-fn generous() -> JointLimits {
-    JointLimits { lower: vec![-3.0; 7], upper: vec![3.0; 7], velocity: vec![20.0; 7], ..workable() }
+/// Limits that bind only in fast motions.
+fn generous_limits() -> JointLimits {
+    JointLimits { lower: vec![-3.0; 7], upper: vec![3.0; 7], velocity: vec![20.0; 7], ..moderate_limits() }
 }
 
 /// Largest angle (°) to the straight way under limits that slowing down alone would respect: the weight of errors
 /// across the way is ten times, not infinitely, that of errors along it.
 const ASIDE_DEG: f64 = 10.0;
 
-/// The hand's speed against the limit of its task, and its direction against the straight way.
+/// The hand's speed against the limit of its task, and its direction against the straight line.
 #[test]
-fn a_hand_keeps_its_speed_limit_and_its_direction() {
+fn hand_keeps_speed_limit_and_direction() {
     for duration_s in [0.2, 0.5] {
-        let (fastest, aside, left) = hurried(&generous(), "speed_limit_m_per_s = 0.3", duration_s, 2.5);
+        let (fastest, aside, left) =
+            hurried_motion(&generous_limits(), "speed_limit_m_per_s = 0.3", duration_s, 2.5);
         assert!(fastest < 0.3 * 1.02 && fastest > 0.29, "{fastest} m/s");
         assert!(aside < ASIDE_DEG, "{aside} degrees");
         assert!(left < 1e-4, "{left} m are left");
     }
 }
 
-/// The direction of the hand's velocity against the straight way where joints are too slow, too weak, or must not
-/// accelerate as asked; and that it gets there.
+/// The direction of the hand's velocity against the straight line if joints are too slow, too weak, or must not
+/// accelerate as desired; and that it arrives.
 #[test]
-fn limits_slow_a_hand_down_rather_than_lead_it_aside() {
+fn limits_slow_hand_without_lateral_deviation() {
     for limits in [
-        JointLimits { velocity: vec![0.6; 7], ..generous() },
-        JointLimits { acceleration: vec![4.0; 7], ..generous() },
-        JointLimits { torque: vec![60.0, 60.0, 30.0, 30.0, 5.0, 5.0, 5.0], ..generous() },
+        JointLimits { velocity: vec![0.6; 7], ..generous_limits() },
+        JointLimits { acceleration: vec![4.0; 7], ..generous_limits() },
+        JointLimits { torque: vec![60.0, 60.0, 30.0, 30.0, 5.0, 5.0, 5.0], ..generous_limits() },
     ] {
-        let (_, aside, left) = hurried(&limits, "", 0.2, 2.5);
+        let (_, aside, left) = hurried_motion(&limits, "", 0.2, 2.5);
         assert!(aside < ASIDE_DEG, "{aside} degrees under {limits:?}");
         assert!(left < 1e-4, "{left} m are left under {limits:?}");
     }
 }
 
-/// One arm held at one state for half a second: with a load that saturates a joint meanwhile, its integral stands where
-/// one that has just begun stands; without the load it has grown.
+/// One arm held at one state for half a second: with a load that saturates a joint meanwhile, its integral equals one
+/// that has just started; without the load it has grown.
 #[test]
-fn integrals_stand_still_while_a_limit_is_in_force() {
+fn integrals_freeze_while_limit_is_active() {
     let motion =
         DAMPED.replace("damping_ratio = 1.0 }", "damping_ratio = 1.0, integral_per_s = 5.0 }").replacen(
             "reference = \"hold\"",
@@ -274,16 +275,16 @@ fn integrals_stand_still_while_a_limit_is_in_force() {
     }
 }
 
-/// Measurements that aren't numbers, anywhere: the command isn't one either, for the backend to refuse; there is no
-/// panic, and after another start the command is a number again.
+/// NaN anywhere in the measurements: the command is NaN too, for the backend to refuse; there is no panic, and after
+/// another start the command is finite again.
 #[test]
-fn what_is_not_a_number_gives_no_command() {
+fn nan_measurement_gives_no_command() {
     type Break = fn(&mut Measurement);
     let breaks: [Break; 4] =
         [|m| m.q[2] = f64::NAN, |m| m.dq[5] = f64::NAN, |m| m.dq[0] = f64::INFINITY, |m| m.q.fill(f64::NAN)];
     for text in [POSE, ELBOW, DAMPED, COMPLIANT] {
         for spoil in breaks {
-            let mut run = Run::new(seven_joints(), text, &workable(), &REACHED, &[0.0; 7]);
+            let mut run = Run::new(seven_joints(), text, &moderate_limits(), &REACHED, &[0.0; 7]);
             run.step();
             let good = run.measurement.clone();
             let mut bad = good.clone();
@@ -301,10 +302,13 @@ fn what_is_not_a_number_gives_no_command() {
             run.measurement = good;
             run.step();
             assert!(
-                run.tau.iter().zip(&workable().torque).all(|(t, limit)| t.abs() <= limit * (1.0 + ROUNDING))
+                run.tau
+                    .iter()
+                    .zip(&moderate_limits().torque)
+                    .all(|(t, limit)| t.abs() <= limit * (1.0 + ROUNDING))
             );
         }
-        let mut run = Run::new(seven_joints(), text, &workable(), &REACHED, &[0.0; 7]);
+        let mut run = Run::new(seven_joints(), text, &moderate_limits(), &REACHED, &[0.0; 7]);
         for added in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
             let mut feedforward_torque = [0.0; 7];
             feedforward_torque[3] = added;
@@ -315,11 +319,11 @@ fn what_is_not_a_number_gives_no_command() {
     }
 }
 
-/// Measurements that aren't numbers, without another start: they are over with their cycle, whatever the law remembers
-/// of what it senses and misses. Without limits, a wrench that is lost for a cycle against a controller that wasn't
-/// asked in that cycle.
+/// NaN measurements without another start: their effect ends with their cycle, whatever the law filters and
+/// integrates. Without limits, a wrench that is lost for a cycle against a controller that was not evaluated in that
+/// cycle.
 #[test]
-fn what_is_not_a_number_is_forgotten() {
+fn nan_measurement_is_forgotten_after_its_cycle() {
     type Break = fn(&mut Measurement);
     const LOST: usize = 0;
     let breaks: [Break; 5] = [
@@ -339,7 +343,7 @@ fn what_is_not_a_number_is_forgotten() {
         "damping_ratio = 1.0 }",
         "damping_ratio = 1.0, integral_per_s = 5.0, integral_limit_m = 0.1 }",
     );
-    for (text, limits) in [(both, Some(workable())), (without_limits(&force), None)] {
+    for (text, limits) in [(both, Some(moderate_limits())), (without_limits(&force), None)] {
         let robot_limits = limits.clone().unwrap_or_else(|| JointLimits::none(7));
         let command = |run: &mut Run, seen: &Measurement| {
             // Whether M can be factored is for the backend to judge.
@@ -372,10 +376,10 @@ fn what_is_not_a_number_is_forgotten() {
     }
 }
 
-/// Ranges of no width: the joints stay where they are, whatever is asked of the hand.
+/// Ranges of zero width: the joints keep their positions, whatever the hand's task.
 #[test]
-fn a_range_of_no_width_holds_its_joint() {
-    let limits = JointLimits { lower: REACHED.to_vec(), upper: REACHED.to_vec(), ..workable() };
+fn zero_width_range_holds_its_joint() {
+    let limits = JointLimits { lower: REACHED.to_vec(), upper: REACHED.to_vec(), ..moderate_limits() };
     let reference =
         "reference.point-to-point = { position = { offset_m = [0.2, 0.1, -0.1] }, duration_s = 0.2 }";
     let text = POSE.replacen("reference = \"hold\"", reference, 1);
@@ -387,9 +391,9 @@ fn a_range_of_no_width_holds_its_joint() {
     assert!(away < 1e-4, "{away} rad from where the range is");
 }
 
-/// Two joints in a plane, pressed for speed, torque and range at once: they stay within all three.
+/// Two joints in a plane at their limits of speed, torque and position together: they stay within all three.
 #[test]
-fn a_planar_arm_keeps_its_limits() {
+fn planar_arm_keeps_its_limits() {
     let link = |name, origin| Link {
         name,
         axis: [0.0, 1.0, 0.0],
@@ -437,14 +441,14 @@ fn a_planar_arm_keeps_its_limits() {
     assert!(limited > 100, "{limited} ticks were limited");
 }
 
-/// A hand faster than its speed limit and joints too weak to brake it as asked: it is braked as hard as they can,
+/// A hand faster than its speed limit and joints too weak to brake it as desired: it is braked as hard as they can,
 /// against the time that its own law alone takes.
 #[test]
-fn a_hand_that_is_too_fast_is_braked_as_hard_as_torques_allow() {
+fn too_fast_hand_is_braked_at_torque_limits() {
     let slow_law = DAMPED.replace("frequency_rad_per_s = 14.0", "frequency_rad_per_s = 0.5");
     let until_slow = |more: &str| {
         let text = slow_law.replacen("reference = \"hold\"", &format!("reference = \"hold\"\n{more}"), 1);
-        let limits = JointLimits { torque: vec![60.0, 70.0, 30.0, 30.0, 8.0, 8.0, 8.0], ..generous() };
+        let limits = JointLimits { torque: vec![60.0, 70.0, 30.0, 30.0, 8.0, 8.0, 8.0], ..generous_limits() };
         let mut run =
             Run::new(seven_joints(), &text, &limits, &REACHED, &[1.5, 1.5, 1.5, -1.5, 0.0, 0.0, 0.0]);
         let first = run.hand().1.norm();
@@ -460,10 +464,10 @@ fn a_hand_that_is_too_fast_is_braked_as_hard_as_torques_allow() {
     );
 }
 
-/// An arm that can't even hold itself, with noise in its velocities: the changes of the torques from cycle to cycle,
+/// An arm too weak to hold itself, with noise in its velocities: the changes of the torques from cycle to cycle,
 /// against the size of the noise.
 #[test]
-fn noise_in_the_velocity_is_no_direction() {
+fn velocity_noise_does_not_shake_saturated_torques() {
     let jump = |text: &str, noise: f64| {
         let gravity = at_state(&seven_joints(), &REACHED, &[0.0; 7], 0.0).0.gravity;
         let limits = JointLimits {

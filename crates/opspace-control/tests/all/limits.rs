@@ -1,9 +1,10 @@
-//! Commands within the robot's limits, against the tasks' own torques where no limit is in the way, against an
-//! independent cascade of least squares where one is.
+//! Commands within the robot's limits, against the tasks' own torques if no limit is active, against an independent
+//! hierarchy of least-squares problems otherwise.
 
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, LENGTH_M, POSE, without_limits};
 use crate::common::{
-    self, File, Numbers, accelerations, at_state, facts, frame_acceleration, jacobian, random_arm, sampled,
+    self, File, Numbers, accelerations, at_state, control_context, frame_acceleration, jacobian, random_arm,
+    sampled,
 };
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::Observable;
@@ -63,7 +64,7 @@ impl Scene {
     }
 
     fn robot(&self) -> ControlContext {
-        facts(&self.model, "hand")
+        control_context(&self.model, "hand")
     }
 
     /// A controller that was started where the scene was.
@@ -71,7 +72,7 @@ impl Scene {
         let (file, mut robot) = (File::read(text), self.robot());
         robot.limits = limits.clone();
         let mut controller =
-            OperationalSpaceController::new(&self.model, &file.stack(), &robot).expect("a good stack");
+            OperationalSpaceController::new(&self.model, &file.task_set(), &robot).expect("a good stack");
         let (data, mut measurement) = at_state(&self.model, &self.start, &vec![0.0; self.model.n()], 0.0);
         measurement.wrenches.clone_from(&self.measurement.wrenches);
         controller.start(&common::input(&self.model, &data, &measurement));
@@ -97,7 +98,7 @@ impl Scene {
 /// The torques of a task set without limits against those of the whole cascade with limits that are never reached, also
 /// where the tasks damp directions near a singularity.
 #[test]
-fn limits_out_of_reach_change_nothing() {
+fn unreached_limits_change_nothing() {
     let mut numbers = Numbers::new(11);
     let mut damped = 0;
     for case in &CASES {
@@ -372,11 +373,11 @@ fn on_bound_scenes(
     }
 }
 
-/// The gradient of each level's documented residual against what the bounds and the levels above hold back of it:
-/// nothing is left by which it could fall. Of the last level, whose metric is M, what is left bounds the distance to
-/// the optimum.
+/// The gradient of each level's documented residual against its part that the bounds and the levels above balance: no
+/// remainder by which the residual could fall. For the last level, whose metric is M, the remainder bounds the
+/// distance to the optimum.
 #[test]
-fn each_level_is_as_near_as_the_limits_and_the_levels_above_allow() {
+fn each_level_is_optimal_within_limits_and_priorities() {
     let mut missed = [0; 3];
     on_bound_scenes(12, 12, |scene, case, limits, unlimited, controller, tau| {
         assert_eq!(sampled(controller, "limits_solver"), [1.0], "the active set");
@@ -403,7 +404,7 @@ fn first_level(text: &str) -> String {
 
 /// The acceleration of the first level's rows with the other levels below it, and without them.
 #[test]
-fn no_level_takes_from_one_above_it_where_limits_bind() {
+fn lower_levels_do_not_affect_higher_at_limits() {
     let mut moved = 0;
     on_bound_scenes(13, 10, |scene, case, limits, _, _, tau| {
         let alone = scene.torque(&mut scene.controller(&first_level(case.text), limits));
@@ -419,9 +420,9 @@ fn no_level_takes_from_one_above_it_where_limits_bind() {
     assert!(moved > 15, "the levels below do something: {moved}");
 }
 
-/// The logged signals against the bounds at which the command stands, each bound seen from both sides of its tolerance.
+/// The logged signals against the bounds at which the command is, each bound from both sides of its tolerance.
 #[test]
-fn what_limits_a_joint_is_a_signal() {
+fn active_limit_is_logged_per_joint() {
     let mut seen = [0; 4];
     on_bound_scenes(14, 8, |scene, _, limits, _, controller, tau| {
         assert_eq!(sampled(controller, "limits_solver"), [1.0], "the active set");
@@ -454,9 +455,9 @@ fn what_limits_a_joint_is_a_signal() {
     assert!(without.signals().iter().all(|signal| !signal.name.starts_with("limit")));
 }
 
-/// Tasks that leave nothing free: limits that bind against the first levels' acceleration without the posture.
+/// Tasks that leave no freedom: limits that bind against the first levels' acceleration without the posture.
 #[test]
-fn a_level_without_freedom_changes_nothing() {
+fn level_without_freedom_changes_nothing() {
     let full = ELBOW.replace("z = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0", 
         "z = \"motion\", rx = \"motion\", ry = \"motion\", rz = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0");
     let mut numbers = Numbers::new(16);

@@ -1,7 +1,7 @@
 //! No control cycle allocates that has to bring its command within limits: limits that bind, bounds that must be
 //! widened, poses from regular to singular and back. The active set solves them all.
 
-use crate::common::{self, File, at_state, facts, sampled, seven_joints};
+use crate::common::{self, File, at_state, control_context, sampled, seven_joints};
 use opspace_backend::Observable;
 use opspace_control::{ControlInput, Controller, JointLimits, OperationalSpaceController};
 use opspace_model::update;
@@ -28,12 +28,12 @@ frequency_rad_per_s = 8.0
 damping_ratio = 0.8
 "#;
 
-/// Allocations in each of 3000 cycles against none, along a way from one pose through the stretched arm, where the
-/// hand's rows are dependent, to beyond the ends of the joints' ranges.
+/// Allocations in each of 3000 cycles against none, along a path from one pose through the stretched arm, where the
+/// hand's rows are dependent, to beyond the joints' position limits.
 #[test]
-fn no_limited_tick_allocates() {
+fn no_limited_cycle_allocates() {
     let (model, file) = (seven_joints(), File::read(STACK));
-    let mut robot = facts(&model, "hand");
+    let mut robot = control_context(&model, "hand");
     robot.limits = JointLimits {
         lower: vec![-1.1; 7],
         upper: vec![1.1; 7],
@@ -43,7 +43,7 @@ fn no_limited_tick_allocates() {
         torque_rate: vec![f64::INFINITY; 7],
     };
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &robot).unwrap_or_else(|e| panic!("{e}"));
+        OperationalSpaceController::new(&model, &file.task_set(), &robot).unwrap_or_else(|e| panic!("{e}"));
     let pose = |u: f64| [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5].map(|q| 1.3 * q * u);
     let (mut data, mut measurement) = at_state(&model, &pose(0.6), &[0.0; 7], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
@@ -80,6 +80,6 @@ fn no_limited_tick_allocates() {
 }
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }

@@ -114,7 +114,7 @@ fn set_row(program: &mut QuadraticProgram, i: usize, case: &RowCase, feasible: &
 }
 
 /// `program` with three rows more, a + 2 b contradicting a and b.
-fn contradicted(program: &QuadraticProgram, a: &[f64], b: &[f64], gap: f64) -> QuadraticProgram {
+fn with_contradiction(program: &QuadraticProgram, a: &[f64], b: &[f64], gap: f64) -> QuadraticProgram {
     let (n, m) = (program.variables(), program.constraints());
     let mut worse = QuadraticProgram::new(n, m + 3);
     worse.hessian.copy_from(&program.hessian);
@@ -180,7 +180,7 @@ proptest! {
     #![proptest_config(config(1024))]
 
     #[test]
-    fn the_active_set_meets_the_conditions_of_a_minimum(program in programme(false)) {
+    fn active_set_meets_optimality_conditions(program in programme(false)) {
         let (result, solver) = active_set(&program);
         prop_assert_eq!(result, Ok(()));
         let worst = violation_of_conditions(&program, &solver);
@@ -189,7 +189,7 @@ proptest! {
 
     /// A solver that has just solved another programme starts with that one's active rows.
     #[test]
-    fn what_was_solved_before_changes_nothing(program in programme(false), change in prop::collection::vec(-0.3..0.3, 10)) {
+    fn warm_start_does_not_change_the_solution(program in programme(false), change in prop::collection::vec(-0.3..0.3, 10)) {
         let (_, mut solver) = active_set(&program);
         let mut changed = program;
         changed.gradient.iter_mut().zip(&change).for_each(|(g, c)| *g += c);
@@ -207,7 +207,7 @@ proptest! {
     #![proptest_config(config(20_000))]
 
     #[test]
-    fn rows_that_all_meet_in_one_point_are_no_contradiction(program in programme(true)) {
+    fn degenerate_vertex_is_feasible(program in programme(true)) {
         let (result, solver) = active_set(&program);
         prop_assert_eq!(result, Ok(()));
         let worst = violation_of_conditions(&program, &solver);
@@ -228,13 +228,13 @@ proptest! {
     }
 
     #[test]
-    fn both_see_a_contradiction(
+    fn both_solvers_detect_infeasibility(
         program in programme(false),
         a in prop::collection::vec(-1.0..1.0, 10),
         b in prop::collection::vec(-1.0..1.0, 10),
         gap in 0.01..1.0,
     ) {
-        let program = contradicted(&program, &a, &b, gap);
+        let program = with_contradiction(&program, &a, &b, gap);
         let m = program.constraints();
         let named = |result| matches!(result, Err(QpError::Infeasible { row }) if row < m);
         let (first, second) = (active_set(&program).0, interior_point(&program).0);
@@ -242,9 +242,9 @@ proptest! {
         prop_assert!(named(second), "interior point: {:?}", second);
     }
 
-    /// One number that is none, anywhere; and the next programme is solved as if nothing had been.
+    /// One NaN anywhere; the next programme is solved as if there had been none.
     #[test]
-    fn both_refuse_what_is_no_number(
+    fn both_solvers_refuse_nan(
         program in programme(false),
         place in 0..5_usize,
         (i, j) in any::<(Index, Index)>(),
@@ -268,9 +268,9 @@ proptest! {
         prop_assert_eq!((a.x(), b.x()), (fresh_a.x(), fresh_b.x()));
     }
 
-    /// In the leading block of larger arrays, full of what is no number elsewhere, in a larger solver.
+    /// The leading block of larger arrays, NaN elsewhere, in a larger solver.
     #[test]
-    fn only_the_leading_block_counts(program in programme(false)) {
+    fn only_leading_block_is_read(program in programme(false)) {
         let (n, m) = (program.variables(), program.constraints());
         let mut large = QuadraticProgram::new(n + 3, m + 5);
         large.hessian.fill(f64::NAN);
@@ -312,9 +312,9 @@ fn nearest(rows: &[([f64; 2], f64, f64)]) -> QuadraticProgram {
     program
 }
 
-/// Against minima and multipliers computed by hand, with the signs of the latter.
+/// Minima and multipliers against those computed by hand, including the signs of the latter.
 #[test]
-fn the_point_nearest_to_one_two() {
+fn nearest_point_matches_hand_computed_minima() {
     let free = f64::INFINITY;
     type Rows<'a> = &'a [([f64; 2], f64, f64)];
     let cases: [(Rows, [f64; 2], &[f64]); 6] = [
@@ -342,9 +342,9 @@ fn the_point_nearest_to_one_two() {
     }
 }
 
-/// The row that is named against the rows that contradict each other, among others that don't.
+/// The row in the error against the rows that contradict each other, among others that don't.
 #[test]
-fn a_contradiction_is_named_by_its_row() {
+fn infeasible_row_is_named() {
     let free = f64::INFINITY;
     let beside = [([1.0, 0.0], -9.0, 9.0), ([0.0, 1.0], -9.0, 9.0)];
     for contradiction in [
@@ -366,7 +366,7 @@ fn a_contradiction_is_named_by_its_row() {
 }
 
 #[test]
-fn both_refuse_a_hessian_that_is_not_positive_definite() {
+fn both_solvers_refuse_indefinite_hessian() {
     for (a, b) in [(1.0, 0.0), (1.0, -1.0), (-1.0, -1.0), (0.0, 0.0)] {
         let mut program = nearest(&[([1.0, 0.0], -1.0, 1.0)]);
         program.hessian = hessian(&[0.3, 0.7, -0.2, 0.9], 2, 0.0);
@@ -377,9 +377,9 @@ fn both_refuse_a_hessian_that_is_not_positive_definite() {
     }
 }
 
-/// Finite numbers whose products are not, in the cost and in the rows.
+/// Finite numbers whose products overflow, in the cost and in the rows.
 #[test]
-fn an_overflow_is_no_answer() {
+fn overflow_is_an_error() {
     for (cost, row) in [(1e200, 1.0), (1e200, 1e200), (1e150, 1e160), (1e308, 1e308), (-2.0, 1e308)] {
         let mut program = nearest(&[([row, row], -1.0, 1.0)]);
         program.gradient.fill(cost);
@@ -389,7 +389,7 @@ fn an_overflow_is_no_answer() {
 }
 
 #[test]
-fn sizes_from_nothing_to_too_much() {
+fn empty_programs_solve_and_oversized_ones_fail() {
     let (result, solver) = active_set(&QuadraticProgram::new(0, 0));
     assert_eq!((result, solver.x()), (Ok(()), [].as_slice()));
     let (mut a, mut b) = (ActiveSet::new(1, 9), InteriorPoint::new(1, 9).unwrap());
@@ -403,9 +403,9 @@ fn sizes_from_nothing_to_too_much() {
 }
 
 /// Steps with the last active rows tried first, against steps from scratch, along a programme that changes slowly:
-/// the box around the nearest point turns.
+/// the box around the nearest point rotates.
 #[test]
-fn the_last_active_rows_save_steps() {
+fn warm_start_saves_steps() {
     let n = 7;
     let mut program = QuadraticProgram::new(n, 2 * n);
     program.hessian = hessian(&(0..n * n).map(|i| (1.7 * i as f64).sin()).collect::<Vec<_>>(), n, 3.0);

@@ -22,9 +22,9 @@ fn programme(n: usize, tick: usize) -> QuadraticProgram {
     program
 }
 
-/// Among programmes of several sizes and changing active rows, and after each way to fail.
+/// Allocations over programmes of several sizes and changing active rows, and after each kind of failure.
 #[test]
-fn the_active_set_allocates_nothing() {
+fn active_set_allocates_nothing() {
     let mut solver = ActiveSet::new(12, 24);
     let mut steps = 0;
     for tick in 0..40 {
@@ -58,7 +58,7 @@ fn the_active_set_allocates_nothing() {
 }
 
 #[test]
-fn the_interior_point_allocates_once_a_call() {
+fn interior_point_allocates_once_per_call() {
     let mut solver = InteriorPoint::new(12, 24).expect("the sizes are possible");
     assert_eq!(solver.solve(&programme(12, 0)), Ok(()));
     for tick in 1..10 {

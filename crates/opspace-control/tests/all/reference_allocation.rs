@@ -1,6 +1,7 @@
-//! No reference allocates when it begins anew or is evaluated: a task may change within the control loop.
+//! Allocations of references when they start anew or are evaluated: none, since a task may change within the control
+//! loop.
 
-use crate::common::{self, File, Q0, at_state, facts, four_joints};
+use crate::common::{self, File, Q0, at_state, control_context, four_joints};
 use nalgebra::Vector3;
 use opspace_control::{
     CartesianReference, Controller, OperationalSpaceController, Target, Trajectory, recorded,
@@ -10,7 +11,7 @@ use opspace_testing::allocation::allocations;
 use serde::Deserialize;
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     assert!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))) == 1);
 }
 
@@ -22,7 +23,7 @@ struct Only {
 const LIMITS: &str = "velocity_m_per_s = 0.5, acceleration_m_per_s2 = 2.0, jerk_m_per_s3 = 20.0";
 
 #[test]
-fn cartesian_references_begin_and_go_on_without_allocating() {
+fn cartesian_references_do_not_allocate() {
     let references = [
         r#""hold""#.to_owned(),
         "{ point-to-point = { position = { offset_m = [0.1, 0.0, 0.0] }, duration_s = 1.0 } }".to_owned(),
@@ -64,9 +65,9 @@ fn cartesian_references_begin_and_go_on_without_allocating() {
     }
 }
 
-/// Seen through their task: a controller begins anew.
+/// Allocations of joint references through their task: a controller starts anew.
 #[test]
-fn joint_references_begin_without_allocating() {
+fn joint_reference_start_does_not_allocate() {
     let model = four_joints();
     for reference in [
         r#""hold""#,
@@ -82,8 +83,9 @@ fn joint_references_begin_without_allocating() {
              gains = {{ frequency_rad_per_s = 6.0, damping_ratio = 1.0 }}"
         );
         let file = File::read(&text);
-        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
-            .unwrap_or_else(|e| panic!("{e}"));
+        let mut controller =
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+                .unwrap_or_else(|e| panic!("{e}"));
         let (data, measurement) = at_state(&model, &Q0, &[0.3; 4], 0.0);
         let input = common::input(&model, &data, &measurement);
         let count = allocations(|| controller.start(&input));

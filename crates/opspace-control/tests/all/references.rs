@@ -1,7 +1,7 @@
 //! References: velocities and accelerations against central differences of the poses and velocities, and
 //! poses against the shapes that the file asks for.
 
-use crate::common::{self, File, Q0, at_state, facts, four_joints};
+use crate::common::{self, File, Q0, at_state, control_context, four_joints};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use opspace_backend::Observable;
 use opspace_control::ramp::minimum_jerk;
@@ -127,8 +127,8 @@ fn velocities_and_accelerations_are_derivatives() {
     }
 }
 
-/// No two targets a millisecond apart differ by more than a bounded jerk allows: against jumps, of the
-/// accelerations too, that the instants of the derivatives' test miss.
+/// Differences of targets a millisecond apart against those that a bounded jerk allows: jumps, of the accelerations
+/// too, between the instants of the derivatives' test.
 #[test]
 fn accelerations_are_continuous() {
     // The largest jerk: of the recorded path within its short intervals and of the waypoints' ramps.
@@ -150,11 +150,10 @@ fn difference(a: &Motion, b: &Motion) -> f64 {
     (a.linear - b.linear).norm().max((a.angular - b.angular).norm())
 }
 
-/// Pose, velocity and acceleration at time 0 against the start's, at rest.
-/// Compared: the target of a trajectory that is joined, at that instant with where it is joined from, and a second
-/// later with the reference itself; in between, its derivatives with differences.
+/// Compared: the target of a blended trajectory, at the start of the blend with the state that it starts from, and a
+/// second later with the reference itself; in between, its derivatives with differences.
 #[test]
-fn a_reference_is_joined_from_anywhere_without_a_jump() {
+fn reference_blend_has_no_jump() {
     /// Before the first instant at which derivatives are looked at.
     const JOINED_S: f64 = 0.05;
     for text in REFERENCES {
@@ -177,8 +176,9 @@ fn a_reference_is_joined_from_anywhere_without_a_jump() {
     }
 }
 
+/// Pose, velocity and acceleration at time 0 against the start's, at rest.
 #[test]
-fn every_reference_begins_at_the_start_pose_at_rest() {
+fn every_reference_starts_at_rest_at_start_pose() {
     for text in REFERENCES {
         let target = trajectory(text).at(0.0);
         assert!((target.placement.translation - start().translation).norm() < 1e-15, "{text}");
@@ -209,10 +209,10 @@ fn goals_are_reached_on_time() {
     assert!((third.rotation - start().rotation).norm() < 1e-14);
 }
 
-/// Offsets count from the pose at the start of the run, absolute goals from the world, and what has no goal
-/// stays where it is; begun in mid-motion from elsewhere.
+/// Offsets count from the pose at the start of the run, absolute goals from the world, and axes without a goal keep
+/// their pose; started in motion, away from the start pose.
 #[test]
-fn goals_begun_in_mid_motion_count_from_home() {
+fn goals_started_in_motion_count_from_home() {
     let from = moving();
     let begun = |text: &str| {
         let mut trajectory = read(text);
@@ -241,10 +241,10 @@ fn goals_begun_in_mid_motion_count_from_home() {
     }
 }
 
-/// From rest: straight to the goal and about one axis, no faster than the limits, and arrived: against the line and
-/// axis that join the poses.
+/// A goal started at rest: straight to it and about one axis, no faster than the limits, and arrived; against the
+/// line and axis that join the poses.
 #[test]
-fn an_online_goal_goes_straight_within_its_limits() {
+fn online_goal_moves_straight_within_limits() {
     let goal = trajectory(GOAL);
     let (begin, end) = (goal.at(0.0).placement, goal.at(20.0).placement);
     let line = (end.translation - begin.translation).normalize();
@@ -271,10 +271,10 @@ fn an_online_goal_goes_straight_within_its_limits() {
 }
 
 proptest! {
-    /// A goal begun at any state of motion, and at any instant of any other reference: no jump in pose, velocity or
-    /// acceleration; the limits along and across the way; the goal at the end.
+    /// A goal started at any state of motion, and at any instant of any other reference: no jump in pose, velocity or
+    /// acceleration; the limits along and across the path; the goal at the end.
     #[test]
-    fn an_online_goal_takes_over_any_motion(
+    fn online_goal_takes_over_any_motion(
         reference in 0..REFERENCES.len(),
         after_s in 0.0..2.5,
         turn in [-2.0..2.0, -2.0..2.0, -2.0..2.0f64],
@@ -334,9 +334,9 @@ proptest! {
     }
 }
 
-/// Keys that a goal's table lacks or has too many of.
+/// Keys that a goal's table lacks or has in excess.
 #[test]
-fn a_goal_and_its_limits_come_together() {
+fn goal_requires_its_limits() {
     let linear = "velocity_m_per_s = 0.5\nacceleration_m_per_s2 = 2.0\njerk_m_per_s3 = 20.0";
     let position = "position = { absolute_m = [0.1, -0.2, 1.4] }";
     for (text, said) in [
@@ -355,10 +355,10 @@ fn a_goal_and_its_limits_come_together() {
     }
 }
 
-/// The path at its samples' times against the samples: laid on the start pose about the task's axes, and, once the
-/// way to it has faded, as they stand.
+/// The path at its samples' times against the samples: placed on the start pose in the task's axes, and, once the
+/// approach has faded, as recorded.
 #[test]
-fn a_recorded_path_goes_through_its_samples() {
+fn recorded_path_passes_through_its_samples() {
     let samples = recorded::parse(RECORDED).unwrap_or_else(|e| panic!("{e}"));
     let pose = |k: usize| {
         let sample = samples[k];
@@ -388,10 +388,10 @@ fn a_recorded_path_goes_through_its_samples() {
     }
 }
 
-/// Samples of a known motion from rest to rest, a straight line and a turn by two revolutions about a slanted
+/// Samples of a known motion from rest to rest, a straight line and a rotation by two revolutions about a slanted
 /// axis: the spline against the motion, velocities too.
 #[test]
-fn a_recorded_path_is_close_to_what_was_recorded() {
+fn recorded_path_approximates_recorded_motion() {
     let (line, axis) = (Vector3::new(0.3, -0.2, 0.5), Vector3::new(0.48, -0.6, 0.64));
     let angle = 4.0 * std::f64::consts::PI;
     let (duration_s, count) = (2.0, 100);
@@ -422,7 +422,7 @@ fn a_recorded_path_is_close_to_what_was_recorded() {
     }
 }
 
-/// Two samples are enough: rest to rest.
+/// A path from two samples: rest to rest.
 #[test]
 fn two_samples_make_a_path() {
     let mut file: Only = toml::from_str(REFERENCES[5]).unwrap_or_else(|e| panic!("{e}"));
@@ -443,7 +443,7 @@ fn two_samples_make_a_path() {
 }
 
 #[test]
-fn what_is_wrong_in_a_recorded_path_is_named_with_its_line() {
+fn recorded_path_errors_name_the_line() {
     let head = "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n";
     let turn = |q: &str| format!("{head}0,0,0,0,1,0,0,0\n\r\n1,0,0,0,{q}\n");
     for (text, line, said) in [
@@ -475,7 +475,7 @@ fn what_is_wrong_in_a_recorded_path_is_named_with_its_line() {
 
 /// The ramp against central differences and its ends.
 #[test]
-fn the_ramp_is_smooth() {
+fn ramp_is_smooth() {
     let h = 1e-5;
     for k in 1..20 {
         let t = 0.1 * f64::from(k);
@@ -487,10 +487,10 @@ fn the_ramp_is_smooth() {
     assert!((minimum_jerk(1.0, 2.0)[0] - 0.5).abs() < 1e-15);
 }
 
-/// The joint references, seen through the signals of their task: reference velocity against central
-/// differences, and the goals.
+/// The joint references, observed through the signals of their task: reference velocity against central differences,
+/// and the goals.
 #[test]
-fn joint_references_move_and_arrive() {
+fn joint_references_reach_their_goals() {
     let references = [
         ("\"hold\"", Q0),
         (
@@ -513,8 +513,9 @@ fn joint_references_move_and_arrive() {
         );
         let model = four_joints();
         let file = File::read(&text);
-        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
-            .unwrap_or_else(|e| panic!("{e}"));
+        let mut controller =
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+                .unwrap_or_else(|e| panic!("{e}"));
         let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
         controller.start(&common::input(&model, &data, &measurement));
         let mut at = |time_s: f64| {

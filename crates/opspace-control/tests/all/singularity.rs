@@ -1,6 +1,8 @@
-//! Near singular poses: bounded, continuous, exact elsewhere, and the same in any unit of length.
+//! Torques near singular poses: bounded, continuous, exact elsewhere, and independent of the unit of length.
 
-use crate::common::{self, File, Numbers, Q0, at_state, facts, four_joints, four_joints_in, seven_joints_in};
+use crate::common::{
+    self, File, Numbers, Q0, at_state, control_context, four_joints, four_joints_in, seven_joints_in,
+};
 use opspace_control::{Controller, OperationalSpaceController};
 use opspace_model::Model;
 
@@ -19,11 +21,12 @@ damping_ratio = 0.8
 
 /// Torques on the way of the elbow from `from` to `to` (rad) in `steps`, and the largest change between
 /// two steps (Nm).
-fn through(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
+fn elbow_sweep(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
     let model = four_joints();
     let file = File::read(text);
     let mut controller =
-        OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+            .expect("a good stack");
     let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
     controller.start(&common::input(&model, &data, &measurement));
     let (mut largest, mut jump) = (0.0_f64, 0.0_f64);
@@ -45,11 +48,11 @@ fn through(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
 /// The torques through a straight elbow against those of the same law without damping, and steps of one
 /// size against steps of half: a jump would not shrink with them.
 #[test]
-fn torques_stay_bounded_and_continuous_through_a_straight_elbow() {
-    let (largest, coarse) = through(POSITION, -0.3, 0.3, 40_000);
-    let (_, fine) = through(POSITION, -0.3, 0.3, 80_000);
+fn torques_are_bounded_and_continuous_through_singularity() {
+    let (largest, coarse) = elbow_sweep(POSITION, -0.3, 0.3, 40_000);
+    let (_, fine) = elbow_sweep(POSITION, -0.3, 0.3, 80_000);
     let undamped = POSITION.replace("singularity_threshold = 0.03", "singularity_threshold = 1e-30");
-    let (exploding, _) = through(&undamped, -0.3, 0.3, 40_001);
+    let (exploding, _) = elbow_sweep(&undamped, -0.3, 0.3, 40_001);
     // √λ_max(M) |a| / √(threshold λ_max(Λ⁻¹)), with |a| up to 70 m/s² on this way.
     assert!(largest < 2000.0, "{largest} Nm");
     assert!(exploding > 1e3 * largest, "without damping only {exploding} Nm: the test shows nothing");
@@ -59,13 +62,14 @@ fn torques_stay_bounded_and_continuous_through_a_straight_elbow() {
 
 /// Bits of the torque at a pose above the threshold against those with hardly any threshold.
 #[test]
-fn above_the_threshold_nothing_is_damped() {
+fn no_damping_above_singularity_threshold() {
     let model = four_joints();
     let undamped = POSITION.replace("singularity_threshold = 0.03", "singularity_threshold = 1e-300");
     let [damped, undamped] = [POSITION, undamped.as_str()].map(|text| {
         let file = File::read(text);
-        let mut controller = OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
-            .expect("a good stack");
+        let mut controller =
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
+                .expect("a good stack");
         let (data, measurement) = at_state(&model, &Q0, &[0.0; 4], 0.0);
         controller.start(&common::input(&model, &data, &measurement));
         let (data, measurement) = at_state(&model, &[-0.4, -0.3, 0.3, -1.2], &[0.5; 4], 0.4);
@@ -80,7 +84,8 @@ fn above_the_threshold_nothing_is_damped() {
 fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f64>)]) -> Vec<Vec<f64>> {
     let file = File::read(text);
     let mut controller =
-        OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand")).expect("a good stack");
+        OperationalSpaceController::new(model, &file.task_set(), &control_context(model, "hand"))
+            .expect("a good stack");
     let (data, measurement) = at_state(model, start, &vec![0.0; start.len()], 0.0);
     controller.start(&common::input(model, &data, &measurement));
     (states.iter())
@@ -96,7 +101,7 @@ fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f6
 /// A pose task on an arm given in metres against the same arm given in millimetres, at random poses and
 /// at one with a straight elbow: torques in kg mm²/s² are a million times those in Nm.
 #[test]
-fn the_unit_of_length_does_not_matter() {
+fn torques_are_independent_of_length_unit() {
     let text = r#"
     priority = ["hand", "rest"]
     [task.hand.cartesian]
@@ -130,9 +135,9 @@ fn the_unit_of_length_does_not_matter() {
     assert!(metres.iter().zip(&millimetres).any(differ));
 }
 
-/// The reach against the lengths of the links: it does not count where the base stands.
+/// The reach against the lengths of the links: independent of the base's placement.
 #[test]
-fn the_reach_is_the_arms_length() {
+fn reach_is_sum_of_link_lengths() {
     let model = four_joints();
     for (frame, expected) in [("hand", 0.235 + 0.275), ("elbow", 0.235), ("shoulder_roll", 1.0)] {
         let reach = opspace_control::rank::reach(&model, model.frame_id(frame).expect("frame"));
@@ -140,10 +145,10 @@ fn the_reach_is_the_arms_length() {
     }
 }
 
-/// A second level whose only axis the first has taken: with the arm in the x-z plane the elbow can swing
-/// in y alone. Torques there and beside it against those of the first level and the posture's size.
+/// A second level whose only axis the first has taken: with the arm in the x-z plane the elbow can move in y alone.
+/// Torques at that pose and beside it against those of the first level and the posture's size.
 #[test]
-fn a_task_without_any_freedom_left_asks_for_no_torque() {
+fn task_without_freedom_commands_no_torque() {
     let model = four_joints_in(1.0);
     let text = r#"
     priority = ["hand", "swing"]
@@ -167,10 +172,10 @@ fn a_task_without_any_freedom_left_asks_for_no_torque() {
     }
 }
 
-/// Share that a nullspace lets through to the task above it, along each eigenvector of Λ⁻¹: one less the damping's
-/// share λ g(λ), by the formula of the spectrum, below the threshold; nothing above it.
+/// Fraction that a nullspace transmits to the task above it, along each eigenvector of Λ⁻¹: one less the damping's λ
+/// g(λ), by the formula of the spectrum, below the threshold; nothing above it.
 #[test]
-fn the_leak_is_what_damping_takes_and_nothing_else() {
+fn nullspace_leak_equals_damping_fraction() {
     let (model, threshold, tolerance) = (seven_joints_in(1.0), 0.2, 1e-10);
     let hand = model.frame_id("hand").expect("hand");
     let mut numbers = Numbers::new(11);

@@ -1,6 +1,6 @@
-//! Streamed targets: what tasks make of them, between them and without them; task sets by number.
+//! Streamed targets: the motion of tasks with, between and without targets; task sets by number.
 
-use crate::common::{self, File, Numbers, at_state, facts, sampled, seven_joints};
+use crate::common::{self, File, Numbers, at_state, control_context, sampled, seven_joints};
 use nalgebra::Vector3;
 use opspace_backend::Observable;
 use opspace_control::{
@@ -47,11 +47,11 @@ fn joints(reference: &str) -> String {
 }
 
 fn controller(model: &Model, text: &str) -> OperationalSpaceController {
-    OperationalSpaceController::new(model, &File::read(text).stack(), &facts(model, "hand"))
+    OperationalSpaceController::new(model, &File::read(text).task_set(), &control_context(model, "hand"))
         .unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// A controller on an arm that stands still.
+/// A controller on an arm at rest.
 struct Bench {
     model: Model,
     data: Data,
@@ -71,10 +71,10 @@ impl Bench {
     fn new(text: &str) -> Self {
         let model = seven_joints();
         let controller = controller(&model, text);
-        Self::of(model, controller)
+        Self::with_controller(model, controller)
     }
 
-    fn of(model: Model, mut controller: OperationalSpaceController) -> Self {
+    fn with_controller(model: Model, mut controller: OperationalSpaceController) -> Self {
         let (data, measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
         let targets = controller.targets();
         let (base, row) = (common::input(&model, &data, &measurement), row(&controller));
@@ -164,7 +164,7 @@ const SINUSOID: &str = "sinusoid = { ramp_s = 0.5, x = [{ amplitude_m = 0.05, fr
 /// twists and accelerations are streamed in every cycle. Extrapolation doesn't know the jerk, so they differ by what
 /// the largest jerk changes in a few periods, and by half of that in periods of half the length.
 #[test]
-fn streamed_motion_gives_the_acceleration_of_the_same_reference_in_a_file() {
+fn streamed_motion_matches_file_reference_acceleration() {
     /// Difference over the change of acceleration in a period.
     const PERIODS: f64 = 2.0;
     /// Difference with half the period over that with the whole: 0.5 for a difference of first order.
@@ -214,7 +214,7 @@ fn reference(bench: &Bench) -> [Vector3<f64>; 2] {
 /// Compared: changes of the reference and of its velocity from cycle to cycle under random targets, pauses and returns,
 /// and a bound: limits of the generator, or 60 d/T³ and 5.8 d/T² of a difference d that fades within T.
 #[test]
-fn reference_never_jumps_under_random_targets_pauses_and_returns() {
+fn reference_never_jumps_under_random_targets() {
     // Targets lie within 0.1 m of the start in each direction, 0.35 m of each other.
     let (away, blend_s) = (0.35, 0.1);
     let peak_acceleration = 2.0 * 5.8 * away / (blend_s * blend_s);
@@ -254,10 +254,10 @@ fn reference_never_jumps_under_random_targets_pauses_and_returns() {
     }
 }
 
-/// Compared: position and velocity of the reference of a stale target after the documented time, and rest; its way, and
-/// half the speed times that time; then the reference some time after the return, and the target.
+/// Compared: position and velocity of the reference of a stale target after the documented time, and rest; its
+/// displacement, and half the speed times that time; then the reference some time after the return, and the target.
 #[test]
-fn stale_target_brings_the_reference_to_rest_and_is_joined_again() {
+fn stale_target_stops_reference_until_renewed() {
     let mut bench = Bench::new(&streamed(ALL, "timeout_s = 0.05"));
     let (home, mut target) = (bench.placement(), bench.hand());
     let speed = Vector3::new(0.2, 0.0, -0.1);
@@ -306,7 +306,7 @@ fn stale_target_brings_the_reference_to_rest_and_is_joined_again() {
 
 /// Compared: the task and age reported, and the place of the task and the time since its stamp.
 #[test]
-fn stale_target_that_asks_for_a_stop_is_reported() {
+fn stale_target_stop_request_is_reported() {
     let mut bench = Bench::new(&streamed(ALL, "timeout_s = 0.05, on_timeout = 'stop'"));
     let (home, mut target) = (bench.placement(), bench.hand());
     for _ in 0..200 {
@@ -327,7 +327,7 @@ fn stale_target_that_asks_for_a_stop_is_reported() {
 
 /// Compared: the reference without a target, with a target during a hold, and right after it, and the hand's position.
 #[test]
-fn reference_holds_before_the_first_target_and_starts_from_the_hand_after_a_hold() {
+fn reference_holds_before_target_and_resumes_at_hand() {
     let mut bench = Bench::new(&streamed(ALL, ""));
     let (home, mut target) = (bench.placement(), bench.hand());
     for _ in 0..50 {
@@ -353,7 +353,7 @@ fn reference_holds_before_the_first_target_and_starts_from_the_hand_after_a_hold
 /// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force, and of a
 /// controller whose file has these.
 #[test]
-fn modes_gains_and_forces_change_at_a_step() {
+fn streamed_modes_gains_and_forces_apply_immediately() {
     const SENSOR: &str =
         "force = { sensor = 'wrist', target_n = { x = 0.0 }, integral_per_s = { x = 0.0, z = 0.0 } }";
     let axes = r#"{ x = "force", y = "motion", z = "motion" }"#;
@@ -397,10 +397,10 @@ fn modes_gains_and_forces_change_at_a_step() {
     assert_eq!(bench.signal("hand.modes"), [2.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
 }
 
-/// Compared: the reference in the cycle in which a compliant axis comes into motion, far from where it held, and the
-/// hand.
+/// Compared: the reference in the cycle in which a compliant axis is switched to motion, far from its earlier
+/// reference, and the hand.
 #[test]
-fn axis_that_comes_into_motion_starts_where_the_hand_is() {
+fn axis_switched_to_motion_starts_at_hand() {
     let axes = r#"{ x = "compliant", y = "motion", z = "motion" }"#;
     let mut bench = Bench::new(&streamed(axes, ""));
     let mut target = bench.hand();
@@ -417,7 +417,7 @@ fn axis_that_comes_into_motion_starts_where_the_hand_is() {
 }
 
 #[test]
-fn refused_inputs_name_what_is_allowed() {
+fn refused_inputs_name_allowed_values() {
     let bench = Bench::new(&streamed(r#"{ x = "compliant", z = "motion" }"#, ""));
     let mut target = bench.hand();
     let refused = |result: Result<&mut CartesianTarget, TargetError>, words: &[&str]| {
@@ -447,7 +447,7 @@ fn refused_inputs_name_what_is_allowed() {
 
 /// Compared: the reference under values that no setter lets pass, and the start: they are ignored.
 #[test]
-fn raw_values_that_are_no_target_are_ignored() {
+fn invalid_raw_targets_are_ignored() {
     let mut bench = Bench::new(&streamed(XYZ, ""));
     let home = bench.placement().translation;
     let task = bench.targets.task("hand").expect("a task");
@@ -471,7 +471,7 @@ fn raw_values_that_are_no_target_are_ignored() {
 
 /// Compared: joint references that are streamed in every cycle, and the motion itself; then rest after the last target.
 #[test]
-fn streamed_joints_follow_and_come_to_rest() {
+fn streamed_joint_references_follow_and_stop() {
     const TOLERANCE: f64 = 1e-4;
     let some = "priority = [\"all\"]\n[task.all.joint-tracking]\njoints = [\"j4\", \"j2\"]\nreference.streamed = {}\n\
                 gains = { frequency_rad_per_s = 15.0, damping_ratio = 1.0 }\n";
@@ -518,8 +518,9 @@ fn streamed_joints_follow_and_come_to_rest() {
 fn position_controller_follows_streamed_poses() {
     let model = seven_joints();
     let file = File::read(&streamed(ALL, LIMITS));
-    let mut ik = InverseKinematicsController::new(&model, &file.stack(), &facts(&model, "hand"), None)
-        .unwrap_or_else(|e| panic!("{e}"));
+    let mut ik =
+        InverseKinematicsController::new(&model, &file.task_set(), &control_context(&model, "hand"), None)
+            .unwrap_or_else(|e| panic!("{e}"));
     let (data, mut measurement) = at_state(&model, &Q, &[0.0; 7], 0.0);
     let mut targets = ik.targets();
     ik.start(&common::input(&model, &data, &measurement));
@@ -540,21 +541,21 @@ fn position_controller_follows_streamed_poses() {
     assert!((reached.translation - goal.translation).norm() < 1e-6, "{reached:?}");
 }
 
-/// Compared: numbers in force and the tasks' references, and the numbers asked for.
+/// Compared: active numbers and the tasks' references, and the requested numbers.
 #[test]
-fn task_sets_are_chosen_by_number() {
+fn task_sets_are_selected_by_number() {
     let model = seven_joints();
     let mut controller = controller(&model, &streamed(XYZ, ""));
     let soft = File::read(&streamed(r#"{ x = "compliant", y = "motion" }"#, ""));
     let rigid =
         File::read(&hand(XYZ, "hold = []", "").replace("reference.hold = []", "reference = \"hold\""));
     for (file, number) in [(&soft, 1), (&rigid, 2)] {
-        let prepared = controller.prepare(&model, &file.stack()).unwrap_or_else(|e| panic!("{e}"));
+        let prepared = controller.prepare(&model, &file.task_set()).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(controller.add_task_set(prepared), Ok(number));
     }
-    let scheduled = controller.prepare(&model, &soft.stack()).unwrap_or_else(|e| panic!("{e}"));
+    let scheduled = controller.prepare(&model, &soft.task_set()).unwrap_or_else(|e| panic!("{e}"));
     controller.schedule(0.02, scheduled);
-    let mut bench = Bench::of(model, controller);
+    let mut bench = Bench::with_controller(model, controller);
     let in_force = |bench: &Bench| (bench.controller.task_set(), bench.signal("task_set"));
     bench.cycle();
     assert_eq!(in_force(&bench), (0, vec![0.0]));
@@ -577,16 +578,17 @@ fn task_sets_are_chosen_by_number() {
 
 /// Compared: torque steps at a switch by number, and the robot's torque rate.
 #[test]
-fn torque_moves_no_faster_than_the_robots_limit_at_a_switch_by_number() {
+fn torque_rate_is_limited_at_task_set_switch() {
     const RATE: f64 = 200.0;
     let model = seven_joints();
-    let mut context = facts(&model, "hand");
+    let mut context = control_context(&model, "hand");
     context.limits.torque_rate = vec![RATE; 7];
     let files = ["15.0", "60.0"].map(|gain| File::read(&streamed(XYZ, "").replace("15.0", gain)));
-    let mut controller = OperationalSpaceController::new(&model, &files[0].stack(), &context).expect("good");
-    let prepared = controller.prepare(&model, &files[1].stack()).expect("good");
+    let mut controller =
+        OperationalSpaceController::new(&model, &files[0].task_set(), &context).expect("good");
+    let prepared = controller.prepare(&model, &files[1].task_set()).expect("good");
     controller.add_task_set(prepared).expect("the same inputs");
-    let mut bench = Bench::of(model, controller);
+    let mut bench = Bench::with_controller(model, controller);
     let (data, _) = at_state(&bench.model, &Q.map(|q| q + 0.05), &[0.0; 7], 0.0);
     bench.data = data;
     for _ in 0..200 {
@@ -606,7 +608,7 @@ fn torque_moves_no_faster_than_the_robots_limit_at_a_switch_by_number() {
 
 /// A task of one name with other inputs in another set is an error; one without inputs is not.
 #[test]
-fn tasks_of_one_name_have_the_same_inputs_in_all_sets() {
+fn equally_named_tasks_need_equal_inputs() {
     let model = seven_joints();
     let of = |joints: &str| {
         let text = "priority = [\"some\"]\n[task.some.joint-tracking]\nreference.streamed = {}\n\
@@ -614,9 +616,9 @@ fn tasks_of_one_name_have_the_same_inputs_in_all_sets() {
         File::read(&format!("{text}joints = [{joints}]\n"))
     };
     let mut controller = controller(&model, &streamed(XYZ, ""));
-    let one = controller.prepare(&model, &of("\"j1\"").stack()).expect("a good set");
+    let one = controller.prepare(&model, &of("\"j1\"").task_set()).expect("a good set");
     controller.add_task_set(one).expect("a new task");
-    let error = controller.prepare(&model, &of("\"j1\", \"j2\"").stack()).expect_err("other inputs");
+    let error = controller.prepare(&model, &of("\"j1\", \"j2\"").task_set()).expect_err("other inputs");
     assert_eq!(
         (error.key(), error.reason()),
         ("task.some", &Reason::InputsChanged { name: "some".to_owned() })
@@ -625,7 +627,7 @@ fn tasks_of_one_name_have_the_same_inputs_in_all_sets() {
 
 /// Compared: torques of a run, and of a second one whose targets are the rows of the first; bit by bit.
 #[test]
-fn replayed_rows_of_targets_reproduce_the_torques() {
+fn replayed_target_rows_reproduce_torques() {
     let text = streamed(XYZ, "");
     let run = |rows: Option<&[Vec<f64>]>| {
         let mut bench = Bench::new(&text);
@@ -655,7 +657,7 @@ fn replayed_rows_of_targets_reproduce_the_torques() {
 }
 
 #[test]
-fn counter_counts() {
+fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
@@ -672,12 +674,15 @@ fn streamed_targets_allocate_nothing() {
             let damped = text.find("[task.rest").expect("there is one");
             File::read(&format!("{}{rest}", text[..damped].replace("15.0", more)))
         };
-        let mut controller =
-            OperationalSpaceController::new(&model, &tracked("15.0").stack(), &facts(&model, "hand"))
-                .unwrap_or_else(|e| panic!("{e}"));
-        let other = controller.prepare(&model, &tracked("25.0").stack()).unwrap_or_else(|e| panic!("{e}"));
+        let mut controller = OperationalSpaceController::new(
+            &model,
+            &tracked("15.0").task_set(),
+            &control_context(&model, "hand"),
+        )
+        .unwrap_or_else(|e| panic!("{e}"));
+        let other = controller.prepare(&model, &tracked("25.0").task_set()).unwrap_or_else(|e| panic!("{e}"));
         controller.add_task_set(other).expect("the same inputs");
-        let mut bench = Bench::of(model, controller);
+        let mut bench = Bench::with_controller(model, controller);
         let (home, mut target, mut numbers) = (bench.placement(), bench.hand(), Numbers::new(5));
         let mut rest = JointTarget::of(&bench.targets, "rest").expect("a task");
         for k in 0..900_u32 {

@@ -1,7 +1,7 @@
 //! Controlled frames: velocities, accelerations and Jacobians against differences of poses along random motions and
-//! against the model's own functions; and axes that turn with the robot.
+//! against the model's own functions; and axes that rotate with the robot.
 
-use crate::common::{self, File, Numbers, accelerations, any_arm, at_state, facts, sampled, six};
+use crate::common::{self, File, Numbers, accelerations, any_arm, at_state, control_context, sampled, six};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Matrix6xX, Rotation3, Vector6};
 use opspace_control::{AXIS_NAMES, ControlledFrame, Controller, OperationalSpaceController};
 use opspace_model::{
@@ -49,7 +49,7 @@ impl Motion {
     }
 }
 
-fn subjects(model: &Model) -> [ControlledFrame; 6] {
+fn controlled_frames(model: &Model) -> [ControlledFrame; 6] {
     let id = |name: &str| model.frame_id(name).expect("frame");
     [
         ControlledFrame::Frame(id("hand")),
@@ -61,7 +61,7 @@ fn subjects(model: &Model) -> [ControlledFrame; 6] {
     ]
 }
 
-/// J of a subject.
+/// Jacobian of a controlled frame.
 fn jacobian(subject: ControlledFrame, model: &Model, data: &Data) -> Matrix6xX<f64> {
     let mut rows = Matrix6xX::zeros(model.n());
     subject.jacobian(model, data, &mut rows);
@@ -83,12 +83,12 @@ where
 /// Velocity against the differences of poses, J q̇ against velocity, and J q̈ + J̇ q̇ against the differences of
 /// velocities; of frames as well, which shows that the comparison is right.
 #[test]
-fn velocities_and_accelerations_are_rates() {
+fn velocities_and_accelerations_match_differences() {
     let mut numbers = Numbers::new(21);
     for case in 0..60 {
         let motion = Motion::random(&mut numbers);
         let (model, data) = (&motion.model, motion.at(0.0));
-        for subject in subjects(model) {
+        for subject in controlled_frames(model) {
             let velocity = six(&subject.velocity(model, &data));
             let place = |time_s: f64| subject.placement(model, &motion.at(time_s));
             let linear = motion.rate(|data| subject.placement(model, data).translation);
@@ -110,10 +110,10 @@ fn velocities_and_accelerations_are_rates() {
     }
 }
 
-/// A frame seen from another against the placements' product and the model's relative Jacobian; seen from the base
-/// against the frame in the world, turned; seen from itself against nothing.
+/// A frame relative to another against the placements' product and the model's relative Jacobian; relative to the
+/// base against the frame in the world, rotated; relative to itself against zero.
 #[test]
-fn a_frame_seen_from_another_is_what_the_model_says() {
+fn relative_frame_matches_model() {
     let mut numbers = Numbers::new(22);
     for case in 0..60 {
         let motion = Motion::random(&mut numbers);
@@ -154,7 +154,7 @@ fn a_frame_seen_from_another_is_what_the_model_says() {
 
 /// The centre of mass against the momentum of the whole arm, and its Jacobian against the model's two.
 #[test]
-fn the_centre_of_mass_moves_as_the_momentum_does() {
+fn com_motion_matches_momentum() {
     let mut numbers = Numbers::new(23);
     for case in 0..60 {
         let motion = Motion::random(&mut numbers);
@@ -177,11 +177,11 @@ fn the_centre_of_mass_moves_as_the_momentum_does() {
     }
 }
 
-/// Acceleration of a task whose axes turn with the robot, along its axes as they lie at the instant: differenced from
-/// velocities that result from forward dynamics, against a* computed from pose and velocity. The axes turn, so that the
-/// rate of the velocity *in* them is another.
+/// Acceleration of a task whose axes rotate with the robot, along its axes at that instant: differenced from
+/// velocities that result from forward dynamics, against a* computed from pose and velocity. The axes rotate, so that
+/// the rate of the velocity *in* them is another.
 #[test]
-fn axes_that_turn_are_followed_as_they_lie() {
+fn rotating_axes_are_used_at_current_orientation() {
     let mut numbers = Numbers::new(24);
     let (mut seen, mut turning) = (0, 0);
     for case in 0..400 {
@@ -207,14 +207,14 @@ fn axes_that_turn_are_followed_as_they_lie() {
         );
         let file = File::read(&text);
         let Ok(mut controller) =
-            OperationalSpaceController::new(&model, &file.stack(), &facts(&model, "hand"))
+            OperationalSpaceController::new(&model, &file.task_set(), &control_context(&model, "hand"))
         else {
             continue;
         };
         let start = numbers.vector(n, 1.5);
         let (data, measurement) = at_state(&model, &start, &vec![0.0; n], 0.0);
         controller.start(&common::input(&model, &data, &measurement));
-        let subject = subject(&model, relative);
+        let subject = controlled_frame(&model, relative);
         let home = subject.placement(&model, &data);
         let q: Vec<f64> = start.iter().map(|q| q + 0.15 * numbers.next()).collect();
         let (data, measurement) = at_state(&model, &q, &numbers.vector(n, 1.0), 0.4);
@@ -258,12 +258,12 @@ fn axes_that_turn_are_followed_as_they_lie() {
     assert!(seen > 100 && 2 * turning > seen, "{turning} of {seen} turned");
 }
 
-fn subject(model: &Model, relative: bool) -> ControlledFrame {
+fn controlled_frame(model: &Model, relative: bool) -> ControlledFrame {
     let [hand, j1] = ["hand", "j1"].map(|name| model.frame_id(name).expect("frame"));
     if relative { ControlledFrame::Relative { frame: hand, from: j1 } } else { ControlledFrame::Frame(hand) }
 }
 
-/// The axes of a frame in the coordinates of a subject.
+/// The axes of a frame in the coordinates of a controlled frame.
 fn axes_of(model: &Model, data: &Data, subject: ControlledFrame, frame: &str) -> Matrix3<f64> {
     let rotation = frame_placement(model, data, model.frame_id(frame).expect("frame")).rotation;
     match subject {

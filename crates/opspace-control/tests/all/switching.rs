@@ -1,8 +1,9 @@
-//! Task sets that change while the robot moves: the steps of the torques, what goes on and what begins anew, the
-//! contents of the log; and that nothing is allocated.
+//! Task sets that change while the robot moves: steps of the torques, references that continue or start anew,
+//! contents of the log, and allocations.
 
 use crate::common::{
-    self, File, Numbers, accelerations, at_state, facts, frame_acceleration, sampled, seven_joints, step,
+    self, File, Numbers, accelerations, at_state, control_context, frame_acceleration, sampled, seven_joints,
+    step,
 };
 use nalgebra::{DVector, Rotation3, Vector3};
 use opspace_backend::{Observable, Signal};
@@ -11,7 +12,7 @@ use opspace_model::{Model, frame_placement};
 use opspace_testing::allocation::{allocations, counted};
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
@@ -52,7 +53,7 @@ fn goal(offset: [f64; 3]) -> String {
 }
 
 /// Task sets that differ in gains, goals, axis modes, laws, tasks and their order.
-fn stacks() -> Vec<String> {
+fn task_sets() -> Vec<String> {
     let joints = "joint-tracking = { reference.sinusoid.joints.j4 = [{ amplitude_rad = 0.3, frequency_hz = 1.0 }], gains = { frequency_rad_per_s = 12.0, damping_ratio = 1.0 } }";
     let force = "force = { sensor = \"wrist\", target_n = { x = 8.0 } }";
     vec![
@@ -85,7 +86,7 @@ fn robot(model: &Model, torque_rate: f64) -> ControlContext {
     } else {
         JointLimits::none(7)
     };
-    ControlContext { limits, ..facts(model, "hand") }
+    ControlContext { limits, ..control_context(model, "hand") }
 }
 
 /// A change to another task set: its cycle, the number of the set, and true if it comes by schedule.
@@ -99,12 +100,12 @@ struct Change {
 /// The arm under one task set after the other, integrated: the largest step of a torque (Nm) at the `changes`, and in
 /// any cycle. Nothing allocates in an update or a switch.
 fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks: usize) -> [f64; 2] {
-    let files: Vec<File> = stacks().iter().map(|text| File::read(text)).collect();
+    let files: Vec<File> = task_sets().iter().map(|text| File::read(text)).collect();
     let robot = robot(model, torque_rate);
     let mut controller =
-        OperationalSpaceController::new(model, &files[first].stack(), &robot).expect("a good stack");
+        OperationalSpaceController::new(model, &files[first].task_set(), &robot).expect("a good stack");
     let mut prepared: Vec<Option<TaskSet>> = (changes.iter())
-        .map(|change| Some(controller.prepare(model, &files[change.stack].stack()).expect("a good stack")))
+        .map(|change| Some(controller.prepare(model, &files[change.stack].task_set()).expect("a good stack")))
         .collect();
     for (change, stack) in changes.iter().zip(&mut prepared).filter(|(change, _)| change.scheduled) {
         controller.schedule(change.tick as f64 * PERIOD_S, stack.take().expect("prepared"));
@@ -138,13 +139,13 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     steps
 }
 
-/// The step of each torque from cycle to cycle against the rate, whatever changes into whatever at any moment. Without
-/// the rate's limit the same changes step further.
+/// The step of each torque from cycle to cycle against the rate limit, for any change at any moment. Without the
+/// limit the same changes step further.
 #[test]
-fn no_change_moves_a_torque_faster_than_its_rate() {
+fn task_set_changes_respect_torque_rate() {
     let model = seven_joints();
     let mut numbers = Numbers::new(41);
-    let count = stacks().len();
+    let count = task_sets().len();
     let mut jumped = 0;
     for case in 0..30 {
         let rate = numbers.between(100.0, 1000.0);
@@ -166,10 +167,11 @@ fn no_change_moves_a_torque_faster_than_its_rate() {
 }
 
 /// A controller at its start, and the state it started in.
-fn started(model: &Model, text: &str) -> OperationalSpaceController {
+fn started_controller(model: &Model, text: &str) -> OperationalSpaceController {
     let file = File::read(text);
-    let mut controller = OperationalSpaceController::new(model, &file.stack(), &robot(model, f64::INFINITY))
-        .unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let mut controller =
+        OperationalSpaceController::new(model, &file.task_set(), &robot(model, f64::INFINITY))
+            .unwrap_or_else(|e| panic!("{e}\n{text}"));
     let (data, measurement) = at_state(model, &START, &[0.0; 7], 0.0);
     controller.start(&common::input(model, &data, &measurement));
     controller
@@ -186,7 +188,7 @@ fn tick(controller: &mut OperationalSpaceController, model: &Model, time_s: f64)
 fn switch(controller: &mut OperationalSpaceController, model: &Model, text: &str, time_s: f64) {
     let (data, measurement) = at_state(model, &START.map(|q| q + 0.02), &[0.1; 7], time_s);
     let stack =
-        controller.prepare(model, &File::read(text).stack()).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        controller.prepare(model, &File::read(text).task_set()).unwrap_or_else(|e| panic!("{e}\n{text}"));
     controller.switch(stack, &common::input(model, &data, &measurement));
 }
 
@@ -207,17 +209,17 @@ reference.sinusoid.joints.j1 = [{ amplitude_rad = 0.2, frequency_hz = 0.9 }]
 gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
 "#;
 
-/// Bits of all references under gains that change twice, then with a compliant axis, against those of a run in which
-/// nothing changes.
+/// Bits of all references under gains that change twice, then with a compliant axis, against those of a run without a
+/// change.
 #[test]
-fn references_go_on_when_only_gains_change() {
+fn gain_changes_do_not_affect_references() {
     let model = seven_joints();
     let other = SWINGING.replace("rad_per_s = 1", "rad_per_s = 2");
     let changes =
         [other.clone(), SWINGING.to_owned(), other.replace("x = \"motion\", z", "x = \"compliant\", z")];
     let mut numbers = Numbers::new(42);
     for case in 0..10 {
-        let [mut changing, mut still] = [0; 2].map(|_| started(&model, SWINGING));
+        let [mut changing, mut still] = [0; 2].map(|_| started_controller(&model, SWINGING));
         let (mut time_s, mut differ) = (0.0, 0);
         for text in &changes {
             time_s += numbers.between(0.001, 0.5);
@@ -249,7 +251,7 @@ fn references_go_on_when_only_gains_change() {
 /// its acceleration by differences on both sides (m, s).
 fn steps(model: &Model, before: &str, after: &str, task: &str, time_s: f64) -> [f64; 3] {
     const SIDE_S: f64 = 1e-5;
-    let mut controller = started(model, before);
+    let mut controller = started_controller(model, before);
     let mut at = |time_s: f64, change: Option<&str>| {
         if let Some(text) = change {
             switch(&mut controller, model, text, time_s);
@@ -270,7 +272,7 @@ fn steps(model: &Model, before: &str, after: &str, task: &str, time_s: f64) -> [
 /// rounding, its acceleration to what the jerks (up to 50 m/s³ or rad/s³ on either side) make of two hundredths of a
 /// millisecond. A point-to-point motion in its place sets out from rest: the test can fail.
 #[test]
-fn a_new_goal_takes_over_the_motion() {
+fn new_goal_takes_over_the_motion() {
     let model = seven_joints();
     let of_hand = |reference: &str| hand(XYZ, reference, STEADY, POSTURE);
     let of_joints = |reference: &str| {
@@ -317,10 +319,10 @@ fn a_new_goal_takes_over_the_motion() {
     assert!(moving > 30, "{moving} of 40 changes were in mid-motion");
 }
 
-/// The hand drifts along a compliant axis, and about one; then both follow again: their reference begins where the hand
-/// is, at rest. The others' goes on where it was, though the hand isn't there.
+/// The hand drifts along a compliant axis, and about one; then both are switched to motion again: their reference
+/// starts at the hand, at rest. The others' continues from its value, though the hand isn't there.
 #[test]
-fn an_axis_that_follows_again_begins_where_the_hand_is() {
+fn reactivated_axis_starts_at_hand() {
     let model = seven_joints();
     let text = |x: &str, rx: &str| {
         format!(
@@ -338,8 +340,8 @@ fn an_axis_that_follows_again_begins_where_the_hand_is() {
         let (soft, stiff) =
             (File::read(&text("compliant", "compliant")), File::read(&text("motion", "motion")));
         let mut controller =
-            OperationalSpaceController::new(&model, &soft.stack(), &robot).expect("a good stack");
-        let stack = controller.prepare(&model, &stiff.stack()).expect("a good stack");
+            OperationalSpaceController::new(&model, &soft.task_set(), &robot).expect("a good stack");
+        let stack = controller.prepare(&model, &stiff.task_set()).expect("a good stack");
         let (mut data, mut measurement) = at_state(&model, &START, &[0.0; 7], 0.0);
         controller.start(&common::input(&model, &data, &measurement));
         let home = frame_placement(&model, &data, hand);
@@ -392,18 +394,18 @@ fn row(controller: &OperationalSpaceController) -> Vec<(String, Vec<f64>)> {
 }
 
 /// The layout of the log before, between and after scheduled task sets; and which of its values are numbers: those of
-/// the tasks in force, and no others.
+/// the active tasks, and no others.
 #[test]
-fn the_log_keeps_its_layout_and_leaves_out_what_is_not_in_force() {
+fn log_layout_is_fixed_and_inactive_tasks_are_nan() {
     let model = seven_joints();
-    let stacks = stacks();
+    let stacks = task_sets();
     let order = [0, 7, 8, 4, 6];
     let files: Vec<File> = order.iter().map(|&stack| File::read(&stacks[stack])).collect();
-    let mut controller = OperationalSpaceController::new(&model, &files[0].stack(), &robot(&model, 500.0))
+    let mut controller = OperationalSpaceController::new(&model, &files[0].task_set(), &robot(&model, 500.0))
         .expect("a good stack");
     // Not in the order of time.
     for k in [2, 1, 4, 3] {
-        let stack = controller.prepare(&model, &files[k].stack()).expect("a good stack");
+        let stack = controller.prepare(&model, &files[k].task_set()).expect("a good stack");
         controller.schedule(k as f64, stack);
     }
     let (data, measurement) = at_state(&model, &START, &[0.0; 7], 0.0);

@@ -1,6 +1,6 @@
 //! The swivel angle: its derivatives, its singularities, and a task that follows a reference in it.
 
-use crate::common::{self, Link, Numbers, arm, at_state, facts, sampled, seven_joints};
+use crate::common::{self, Link, Numbers, arm, at_state, control_context, sampled, seven_joints};
 use nalgebra::{Matrix6xX, Vector3};
 use opspace_control::tasks::swivel::FADE;
 use opspace_control::{
@@ -102,7 +102,7 @@ fn jacobian_and_bias_equal_central_differences() {
 /// The angle against the rotation of the elbow about the line from shoulder to wrist, by Rodrigues' formula: the part
 /// of the direction that is perpendicular to the line, rotated by the angle, points to the elbow.
 #[test]
-fn the_angle_rotates_the_direction_to_the_elbow() {
+fn angle_rotates_reference_direction_to_elbow() {
     let model = panda();
     let angle = angle(&model);
     let mut numbers = Numbers::new(11);
@@ -136,15 +136,15 @@ fn straight_arm() -> Model {
     arm(&links, &[("wrist", 3, [0.0, 0.0, 0.35])], 1.0)
 }
 
-/// Bends of the elbow down to none against what the task does there: value, Jacobian and bias are finite, the Jacobian
-/// is zero with the arm straight, and the torque of a task far from its reference is finite and vanishes with the bend.
+/// Bends of the elbow down to zero: value, Jacobian and bias are finite, the Jacobian is zero with the arm straight,
+/// and the torque of a task far from its reference is finite and vanishes with the bend.
 #[test]
-fn a_straight_arm_is_safe() {
+fn straight_arm_gives_finite_torque() {
     const TORQUE_OF_NOTHING_NM: f64 = 1e-9;
     // With forearm 0.35 m and upper arm 0.4 m, |p|/|a| is then half of what it fades below.
     const UNDEFINED_RAD: f64 = 0.5 * FADE * 0.75 / 0.35;
     let model = straight_arm();
-    let context = facts(&model, "wrist");
+    let context = control_context(&model, "wrist");
     let frames = ["upper", "lower", "wrist"];
     let angle = SwivelAngle::new(&model, frames, Vector3::x()).expect("the frames exist");
     let mut jacobian = Matrix6xX::zeros(model.n());
@@ -184,7 +184,7 @@ fn a_straight_arm_is_safe() {
 /// The three vectors of the angle made parallel: the elbow on the line, the direction along it, the wrist at the
 /// shoulder.
 #[test]
-fn the_jacobian_is_zero_where_the_angle_is_undefined() {
+fn jacobian_is_zero_if_angle_is_undefined() {
     let model = seven_joints();
     let mut jacobian = Matrix6xX::zeros(model.n());
     // A frame taken twice is on the line, and at its end.
@@ -201,10 +201,10 @@ fn the_jacobian_is_zero_where_the_angle_is_undefined() {
 /// The angle two seconds after a motion of half a radian began, by the controller's signal and by the coordinate
 /// itself, against the goal; and the hand's pose above it in the priority against that at the start.
 #[test]
-fn the_elbow_goes_to_its_angle_while_the_hand_stays() {
+fn swivel_task_moves_elbow_but_not_hand() {
     const SETTLED: f64 = 2e-3;
     let model = panda();
-    let context = facts(&model, "link7");
+    let context = control_context(&model, "link7");
     let gains = AxisGains::new(20.0, 1.0).expect("good gains");
     let hand = CartesianParameters::new("link7", Axes::pose(AxisMode::Motion), gains);
     let hand = CartesianTask::new("hand", &hand, &model, &context).expect("a good task");

@@ -1,6 +1,6 @@
 //! Tasks built in code: the same torques as from a file, and a user's own task beside the built-in ones.
 
-use crate::common::{self, File, at_state, facts, sampled, seven_joints};
+use crate::common::{self, File, at_state, control_context, sampled, seven_joints};
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{
     Axes, AxisGains, AxisMode, CartesianParameters, CartesianTask, Compensation, ControlContext,
@@ -46,11 +46,11 @@ fn torques(model: &Model, mut controller: OperationalSpaceController) -> Vec<f64
 
 /// Torques of tasks built in code against those of the same tasks in a file, bit by bit.
 #[test]
-fn tasks_in_code_equal_those_of_a_file() {
+fn tasks_in_code_equal_tasks_from_file() {
     let model = seven_joints();
-    let context = facts(&model, "hand");
+    let context = control_context(&model, "hand");
     let file = File::read(FROM_FILE);
-    let of_file = OperationalSpaceController::new(&model, &file.stack(), &context).expect("a good file");
+    let of_file = OperationalSpaceController::new(&model, &file.task_set(), &context).expect("a good file");
     let rest = JointPostureParameters::new(JointGains::new(6.0, 0.8).expect("good gains"));
     let tasks = TaskSet::builder(&model, &context)
         .from_parameters("hand", &TaskParameters::Cartesian(Box::new(hand())))
@@ -114,13 +114,13 @@ impl Task for JointSum {
     }
 }
 
-/// The sum of two joints after two seconds against the value asked for, and the position of the hand above it in the
+/// The sum of two joints after two seconds against its reference, and the position of the hand above it in the
 /// priority, by forward kinematics, against that at the start.
 #[test]
-fn a_users_task_is_carried_out_below_a_built_in_one() {
+fn user_task_runs_below_built_in_task() {
     const SETTLED: f64 = 1e-4;
     let model = seven_joints();
-    let context = facts(&model, "hand");
+    let context = control_context(&model, "hand");
     let (value, hand_task) = (-1.7, CartesianTask::new("hand", &hand(), &model, &context));
     let damping = JointDampingParameters::new(5.0).expect("good damping");
     let tasks = TaskSet::builder(&model, &context)
@@ -150,11 +150,12 @@ fn a_users_task_is_carried_out_below_a_built_in_one() {
     assert_eq!(sampled(&controller, "sum.force").len(), 1, "its force is in the log");
 }
 
-/// Refused: a name twice, a task below one of all joints, a frequency of zero. The task trait is object-safe.
+/// Refusal of a repeated name, a task below one of all joints, and a frequency of zero. The task trait is
+/// object-safe.
 #[test]
 fn names_and_priority_are_checked() {
     let model = seven_joints();
-    let context = facts(&model, "hand");
+    let context = control_context(&model, "hand");
     let sum = || Box::new(JointSum { value: 0.0, error: 0.0, rate: 0.0 });
     let one = TaskSet::builder(&model, &context).task(sum()).expect("one is good");
     let error = one.task(sum()).err().expect("the name is taken");

@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_of_one_kind_are_one_row_with_the_median_and_tasks_stand_together() {
+    fn runs_are_grouped_into_rows_with_medians() {
         let runs = [
             summary("a", "p", 1, 0.1),
             summary("b", "p", 1, 1.0),
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quantity_that_no_run_has_is_no_column() {
+    fn missing_quantity_has_no_column() {
         let titles: Vec<String> =
             table(&[summary("a", "p", 1, 0.1)], MEASURES).columns.into_iter().map(|c| c.title).collect();
         assert!(titles.contains(&"position rms".to_owned()));
@@ -316,7 +316,7 @@ mod tests {
 
     /// The rows against rows written by hand: the task above its rows, the median in its column.
     #[test]
-    fn a_task_stands_above_its_rows() {
+    fn task_heading_precedes_its_rows() {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
         let texts = table(&runs, MEASURES).texts();
         let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();

@@ -160,7 +160,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn paths_in_a_file_count_from_its_folder() {
+    fn paths_are_relative_to_their_file() {
         let from = |file: &str, relative: &str| beside(Path::new(file), Path::new(relative));
         assert_eq!(from("tasks/a.toml", "../robots/r"), Path::new("robots/r"));
         assert_eq!(from("a.toml", "../robots/r"), Path::new("../robots/r"));
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_is_shows_in_its_own_keys() {
+    fn file_kind_is_detected_from_keys() {
         for (path, text) in EMBEDDED.iter().filter(|(path, _)| path.ends_with(".toml")) {
             let kind = match path {
                 _ if path.contains("suites") => Kind::Suite,

@@ -60,7 +60,7 @@ mod tests {
     ];
 
     #[test]
-    fn old_key_is_refused_with_the_new_one_named() {
+    fn old_key_error_names_new_key() {
         for &(old, new) in RENAMED {
             let (kind, _, text) = OLD_FILES.iter().find(|(_, key, _)| *key == old).expect("an old file");
             let source = Source::new("old.toml", *text);

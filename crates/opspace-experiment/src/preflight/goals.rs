@@ -350,7 +350,7 @@ mod tests {
     /// two joints at an end of theirs, and the postures that the search yields: every pose that has a posture must get
     /// one.
     #[test]
-    fn a_posture_is_found_for_every_pose_that_has_one() {
+    fn every_reachable_pose_gets_a_posture() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-reach.toml");
         let experiment =
             Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");

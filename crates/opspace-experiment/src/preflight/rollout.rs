@@ -312,7 +312,7 @@ mod tests {
     /// Compared: joint positions by forward kinematics, and the reference, all along a way out and back. Joints that
     /// follow velocities without feedback miss it by 1.4 mm.
     #[test]
-    fn the_joints_follow_the_reference() {
+    fn joints_follow_the_reference() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/ur5e-reach.toml");
         let experiment =
             Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");

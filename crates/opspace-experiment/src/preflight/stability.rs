@@ -565,7 +565,7 @@ mod tests {
     /// Compared: the sign of the margin of the closed form, and the behaviour of the sampled loop. Between 0° and 10°
     /// the formula needn't be right: it ignores all dynamics beyond half the sampling rate.
     #[test]
-    fn the_margin_tells_which_loops_are_stable() {
+    fn phase_margin_predicts_loop_stability() {
         // Of torque, position and velocity robots.
         let (mut stable, mut unstable) = ([0; 3], [0; 3]);
         for (plant, law) in grid() {
@@ -587,7 +587,7 @@ mod tests {
 
     /// Compared: the margin of a loop without delay, and the textbook's tan φ = 2ζ w/ω at the crossover w.
     #[test]
-    fn without_delay_the_margin_is_the_textbooks() {
+    fn phase_margin_without_delay_matches_textbook() {
         for zeta in [0.2, 0.7, 1.0] {
             let law = AxisFeedback::of(30.0, zeta, 0.0);
             let margin = Plant::ideal().margin(&law).expect("a law");
@@ -601,7 +601,7 @@ mod tests {
 
     /// Compared: the margin at the proposed frequency and a little above it, and the promised one.
     #[test]
-    fn the_proposed_frequency_has_the_margin() {
+    fn proposed_frequency_has_promised_margin() {
         let plant = plant(1000.0, 5, 0, 80.0, None);
         let law = AxisFeedback::of(200.0, 1.0, 0.0);
         let scale = plant.highest_scale(&law).expect("some frequency");

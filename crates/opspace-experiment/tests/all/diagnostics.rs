@@ -78,7 +78,7 @@ fn experiment(task: &str, changes: &[(&str, &str)], options: RunOptions, setting
 }
 
 /// Returns the only finding that a change provokes, and the line of its place.
-fn only(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Diagnostic, Option<usize>) {
+fn only_diagnostic(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Diagnostic, Option<usize>) {
     let experiment = experiment(task, changes, RunOptions::default(), settings);
     let mut found = diagnostics(&experiment);
     assert_eq!(found.len(), 1, "{found:#?}");
@@ -106,7 +106,7 @@ const MADE_TO_GO_WRONG: [(&str, &str); 4] = [
 ];
 
 #[test]
-fn nothing_is_found_in_good_files() {
+fn project_files_have_no_diagnostics() {
     for task in [HAND, JOINTS, TIP] {
         assert_eq!(diagnostics(&experiment(task, &[], RunOptions::default(), &[])), []);
     }
@@ -159,8 +159,8 @@ const OFFSET: &str = "position = { offset_m = [0.05, 0.0, 0.05] }";
 /// Compared: the reported distance and the demanded one; the reported reach and the links' lengths of 0.235 and 0.275
 /// m.
 #[test]
-fn a_goal_beyond_the_arms_reach() {
-    let (found, line) = only(HAND, &[(OFFSET, &goal(0.7))], &[]);
+fn goal_beyond_reach_is_reported() {
+    let (found, line) = only_diagnostic(HAND, &[(OFFSET, &goal(0.7))], &[]);
     let key = "task.hand.cartesian.reference";
     assert_says(
         &found,
@@ -173,7 +173,7 @@ fn a_goal_beyond_the_arms_reach() {
                  GOAL, duration_s = 1.0 } }\"]\n";
     let text =
         format!("{HAND}{}", event.trim_start_matches("duration_s = 2.0\n").replace("GOAL", &goal(0.7)));
-    let (found, _) = only(&text, &[], &[]);
+    let (found, _) = only_diagnostic(&text, &[], &[]);
     assert_says(&found, "event.0.set", &["at 1.5 s its reference is 0.7 m from joint 'shoulder_pitch'"]);
 
     let experiment = experiment(HAND, &[], RunOptions::default(), &[]);
@@ -185,10 +185,10 @@ fn a_goal_beyond_the_arms_reach() {
 /// Compared: the error at a goal near the shoulder, and the triangle of the two links at the elbow's end, 0.01 rad
 /// before -130°.
 #[test]
-fn a_goal_that_the_elbow_cant_bend_to() {
+fn goal_beyond_elbow_limit_is_reported() {
     let (upper, lower, bend) = (0.235_f64, 0.275_f64, 2.2689280275926285 - 0.01);
     let nearest = (upper * upper + lower * lower + 2.0 * upper * lower * f64::cos(bend)).sqrt();
-    let (found, _) = only(HAND, &[(OFFSET, &goal(0.1))], &[]);
+    let (found, _) = only_diagnostic(HAND, &[(OFFSET, &goal(0.1))], &[]);
     let missed = format!("misses it by {:.3} m, with joint 'elbow' at the end of its range", nearest - 0.1);
     assert_says(
         &found,
@@ -202,18 +202,18 @@ fn a_goal_that_the_elbow_cant_bend_to() {
 
 /// Compared: goals of joints and postures, and the URDF's elbow, which ends at 0, with the margin of 0.01.
 #[test]
-fn postures_beyond_the_joints_ends() {
-    let (found, _) = only(JOINTS, &[("elbow = -0.35 } }", "elbow = 0.15 } }")], &[]);
+fn postures_beyond_joint_limits_are_reported() {
+    let (found, _) = only_diagnostic(JOINTS, &[("elbow = -0.35 } }", "elbow = 0.15 } }")], &[]);
     let words =
         ["target for joint 'elbow' is 0.15", "kept between -2.26 and -0.01", "a target of at most -0.01"];
     assert_says(&found, "task.joints.joint-tracking.reference", &words);
     let posture = "[task.rest.joint-posture]\nposture_rad = { elbow = 0.5 }";
-    let (found, line) = only(HAND, &[("[task.rest.joint-posture]", posture)], &[]);
+    let (found, line) = only_diagnostic(HAND, &[("[task.rest.joint-posture]", posture)], &[]);
     assert_says(&found, "task.rest.joint-posture.posture_rad.elbow", &["joint 'elbow' is 0.5"]);
     assert_eq!(line, Some(1 + HAND.lines().position(|l| l.contains("joint-posture")).unwrap() + 1));
     // Within the URDF's range, and in the margin only if there is one.
     let changes = [("elbow = -0.35 } }", "elbow = -0.005 } }")];
-    only(JOINTS, &changes, &[]);
+    only_diagnostic(JOINTS, &changes, &[]);
     let without = experiment(JOINTS, &changes, RunOptions::default(), &["limits.enforce=false"]);
     assert_eq!(diagnostics(&without), []);
 }
@@ -221,9 +221,9 @@ fn postures_beyond_the_joints_ends() {
 /// Compared: the reported speed, and the peak of a minimum-jerk motion, 1.875 times the mean: 1 rad in 0.2 s, with 0.9
 /// of 8 rad/s allowed.
 #[test]
-fn a_reference_faster_than_the_joints() {
+fn reference_beyond_joint_speeds_is_reported() {
     let faster = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.2")];
-    let (found, _) = only(JOINTS, &faster, &[]);
+    let (found, _) = only_diagnostic(JOINTS, &faster, &[]);
     let words =
         ["at 0.1 s", "joint 'elbow' at 9.38 rad/s", "7.2 rad/s, 0.9 of its limit of 8", "1.3 times as long"];
     assert_says(&found, "task.joints.joint-tracking.reference", &words);
@@ -234,13 +234,13 @@ fn a_reference_faster_than_the_joints() {
 /// Compared: the joints' speed for a motion of the tip, and the closed form of two links of 1 m: with both at right
 /// angles the shoulder alone moves the tip along z at 1 rad/s for 1 m/s.
 #[test]
-fn a_frame_faster_than_the_joints() {
+fn frame_motion_beyond_joint_speeds_is_reported() {
     let text = TIP.replace(
         "reference = \"hold\"",
         "reference.point-to-point = { position = { offset_m = [0.0, 0.0, 0.01] }, duration_s = 0.002 }",
     );
     let text = text.replace("shoulder = 0.6, elbow = 1.2", "shoulder = 0.0, elbow = 1.5707963267948966");
-    let (found, _) = only(&text, &[], &[]);
+    let (found, _) = only_diagnostic(&text, &[], &[]);
     // 1.875 times 0.01 m in 0.002 s: to within what the arm turns meanwhile.
     assert_says(
         &found,
@@ -251,11 +251,11 @@ fn a_frame_faster_than_the_joints() {
 
 /// Compared: speeds and the task's own limit; the peak of 0.0707 m in 1 s is 0.133 m/s.
 #[test]
-fn a_reference_faster_than_its_tasks_limit() {
+fn reference_beyond_task_speed_limit_is_reported() {
     let limited =
         |limit: &str| [("frame = \"hand\"", format!("frame = \"hand\"\nspeed_limit_m_per_s = {limit}"))];
     let changes = limited("0.1");
-    let (found, _) = only(HAND, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
+    let (found, _) = only_diagnostic(HAND, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
     let words = ["moves at 0.133 m/s", "speed_limit_m_per_s is 0.1", "1.33 times"];
     assert_says(&found, "task.hand.cartesian.speed_limit_m_per_s", &words);
     let changes = limited("0.14");
@@ -277,7 +277,7 @@ fn tracking(experiment: &Experiment) -> f64 {
 /// Compared: findings and simulated runs, on each kind of robot and at 1 kHz and 200 Hz. At gains that are reported as
 /// unstable the hand shakes; at the proposed ones it follows, and nothing is reported.
 #[test]
-fn gains_that_are_too_stiff() {
+fn unstable_gains_are_reported() {
     for (backend, profile, unstable) in [
         (BackendKind::Torque, "a-med", 800.0),
         (BackendKind::Position, "a-med", 1000.0),
@@ -320,13 +320,13 @@ fn gains_that_are_too_stiff() {
     }
     // Other tasks' gains, each by its own key.
     let posture = [("rad_per_s = 6.0", "rad_per_s = 2000.0")];
-    let (found, _) = only(HAND, &posture, &[]);
+    let (found, _) = only_diagnostic(HAND, &posture, &[]);
     assert_says(&found, "task.rest.joint-posture.frequency_rad_per_s", &["unstable"]);
-    let (found, _) = only(JOINTS, &[("rad_per_s = 14.0", "rad_per_s = 2000.0")], &[]);
+    let (found, _) = only_diagnostic(JOINTS, &[("rad_per_s = 14.0", "rad_per_s = 2000.0")], &[]);
     assert_says(&found, "task.joints.joint-tracking.gains.frequency_rad_per_s", &["unstable"]);
     let posture = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8";
     let damping = "[task.rest.joint-damping]\ndamping_nms_per_rad = 500.0";
-    let (found, _) = only(HAND, &[(posture, damping)], &[]);
+    let (found, _) = only_diagnostic(HAND, &[(posture, damping)], &[]);
     assert_says(
         &found,
         "task.rest.joint-damping.damping_nms_per_rad",
@@ -336,7 +336,7 @@ fn gains_that_are_too_stiff() {
         ("x = \"motion\"", "x = \"compliant\""),
         ("frame = \"hand\"", "frame = \"hand\"\ncompliant_damping_per_s = 3000.0"),
     ];
-    let (found, _) = only(HAND, &compliant, &[]);
+    let (found, _) = only_diagnostic(HAND, &compliant, &[]);
     assert_says(
         &found,
         "task.hand.cartesian.compliant_damping_per_s",
@@ -346,10 +346,10 @@ fn gains_that_are_too_stiff() {
 
 /// Compared: limits with each other and with the start.
 #[test]
-fn limits_that_contradict_each_other() {
-    let (found, _) = only(HAND, &[], &["limits.velocity_fraction=1.5"]);
+fn contradictory_limits_are_reported() {
+    let (found, _) = only_diagnostic(HAND, &[], &["limits.velocity_fraction=1.5"]);
     assert_says(&found, "limits.velocity_fraction", &["velocity_fraction is 1.5", "1 is used"]);
-    let (found, _) = only(HAND, &[], &["limits.torque_fraction=2.0"]);
+    let (found, _) = only_diagnostic(HAND, &[], &["limits.torque_fraction=2.0"]);
     assert_says(&found, "limits.torque_fraction", &["torque_fraction is 2"]);
 
     // The elbow's range of 2.27 rad, from its middle; the shoulders' are wider.
@@ -365,7 +365,7 @@ fn limits_that_contradict_each_other() {
     );
     assert!(found.iter().all(|f| !f.message.contains("both ends of joint 'shoulder_pitch'")), "{found:#?}");
 
-    let (found, _) = only(JOINTS, &[("{ elbow = -1.35 }", "{ elbow = -0.004 }")], &[]);
+    let (found, _) = only_diagnostic(JOINTS, &[("{ elbow = -1.35 }", "{ elbow = -0.004 }")], &[]);
     let words = [
         "joint 'elbow' starts at -0.004",
         "its limit at 0 than position_margin_rad = 0.01",
@@ -373,7 +373,7 @@ fn limits_that_contradict_each_other() {
     ];
     assert_says(&found, "start_rad.elbow", &words);
     // 8 rad/s are braked from at 10 rad/s² over 3.2 rad, of 2.27.
-    let (found, _) = only(HAND, &[], &["robot.joint.elbow.acceleration_limit_rad_per_s2=10.0"]);
+    let (found, _) = only_diagnostic(HAND, &[], &["robot.joint.elbow.acceleration_limit_rad_per_s2=10.0"]);
     let words = ["velocity limit of 8 takes a distance of 3.2, but its range is 2.27", "at least 14.1"];
     assert_says(&found, "joint.elbow.acceleration_limit_rad_per_s2", &words);
 }
@@ -381,17 +381,17 @@ fn limits_that_contradict_each_other() {
 /// Compared: torques and the arm's weight in closed form. Two links of 1 m and 1 kg, their centres in the middle, the
 /// shoulder 0.6 rad above the horizontal and the elbow bent by 1.2 rad.
 #[test]
-fn weight_that_a_joint_cant_carry() {
+fn weight_beyond_torque_limit_is_reported() {
     let needed = 9.81 * (1.5 * f64::cos(0.6) + 0.5 * f64::cos(1.8));
     assert!((needed - 11.03).abs() < 5e-3);
     let share = |of_needed: f64| format!("limits.torque_fraction={}", of_needed * needed / 60.0);
-    let (found, _) = only(TIP, &[], &[&share(0.9)]);
+    let (found, _) = only_diagnostic(TIP, &[], &[&share(0.9)]);
     let words = [
         "joint 'shoulder' needs 11 Nm to hold the start posture, but only 9.93 Nm is allowed",
         "torque_fraction to at least 0.184",
     ];
     assert_says(&found, "limits.torque_fraction", &words);
-    let (found, line) = only(TIP, &[], &["robot.joint.shoulder.torque_limit_nm=8.0"]);
+    let (found, line) = only_diagnostic(TIP, &[], &["robot.joint.shoulder.torque_limit_nm=8.0"]);
     assert_says(&found, "joint.shoulder.torque_limit_nm", &["needs", "only 8 Nm is allowed"]);
     assert_eq!(line, None, "told at the setting");
     // As much as it needs.
@@ -403,25 +403,27 @@ fn weight_that_a_joint_cant_carry() {
         "reference = \"hold\"",
         "reference.point-to-point = { position = { offset_m = [0.6, 0.0, 0.0] }, duration_s = 1.5 }",
     );
-    let (found, _) = only(&stretched, &[], &[&enough]);
+    let (found, _) = only_diagnostic(&stretched, &[], &[&enough]);
     assert_says(
         &found,
         "limits.torque_fraction",
         &["joint 'shoulder' needs", "to hold the reference posture at"],
     );
-    let (found, _) = only(&stretched, &[], &["robot.joint.shoulder.torque_rate_limit_nm_per_s=2.0"]);
+    let (found, _) =
+        only_diagnostic(&stretched, &[], &["robot.joint.shoulder.torque_rate_limit_nm_per_s=2.0"]);
     let words = ["gravity torque of joint 'shoulder'", "its torque rate limit is 2 Nm/s"];
     assert_says(&found, "joint.shoulder.torque_rate_limit_nm_per_s", &words);
 }
 
 /// Compared: the lost direction and the geometry; the straight arm can't move its tip along itself.
 #[test]
-fn a_singular_start() {
+fn singular_start_is_reported() {
     let straight =
         |elbow: &str| [("shoulder = 0.6, elbow = 1.2", format!("shoulder = 0.0, elbow = {elbow}"))];
     for (elbow, lost) in [("0.0", "cannot be moved along"), ("0.2", "% of its force along")] {
         let changes = straight(elbow);
-        let (found, _) = only(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
+        let (found, _) =
+            only_diagnostic(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
         assert_says(&found, "start_rad", &["task 'tip'", lost, "start with joint 'elbow' at "]);
         let along = found.message.split("along ").nth(1).unwrap();
         assert!(
@@ -442,9 +444,9 @@ fn a_singular_start() {
 }
 
 #[test]
-fn freedom_that_nothing_damps() {
+fn undamped_freedom_is_reported() {
     let rest = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8\n";
-    let (found, line) = only(HAND, &[("\"hand\", \"rest\"", "\"hand\""), (rest, "")], &[]);
+    let (found, line) = only_diagnostic(HAND, &[("\"hand\", \"rest\"", "\"hand\""), (rest, "")], &[]);
     assert_says(&found, "priority", &["1 of the 4 degrees of freedom", "[task.rest.joint-damping]"]);
     assert_eq!(line, Some(5));
     // Damping of zero is a choice.
@@ -458,16 +460,16 @@ fn freedom_that_nothing_damps() {
 }
 
 #[test]
-fn a_run_that_is_too_short() {
+fn too_short_run_is_reported() {
     let event = |time_s: &str| {
         format!("{HAND}[[event]]\ntime_s = {time_s}\nset = [\"task.hand.cartesian.axes.x=compliant\"]\n")
     };
-    let (found, _) = only(&event("2.0"), &[], &[]);
+    let (found, _) = only_diagnostic(&event("2.0"), &[], &[]);
     assert_says(&found, "event.0.time_s", &["the event at 2 s does not occur: the run ends at 2 s"]);
     assert_eq!(diagnostics(&experiment(&event("1.9"), &[], RunOptions::default(), &[])), []);
 
     let longer = [("0.05] }, duration_s = 1.0", "0.05] }, duration_s = 2.5")];
-    let (found, line) = only(HAND, &longer, &[]);
+    let (found, line) = only_diagnostic(HAND, &longer, &[]);
     assert_says(
         &found,
         "duration_s",
@@ -478,7 +480,7 @@ fn a_run_that_is_too_short() {
                 acceleration_m_per_s2 = 1.0, jerk_m_per_s3 = 10.0 }";
     let before =
         "reference.point-to-point = { position = { offset_m = [0.05, 0.0, 0.05] }, duration_s = 1.0 }";
-    let (found, _) = only(HAND, &[(before, goal)], &[]);
+    let (found, _) = only_diagnostic(HAND, &[(before, goal)], &[]);
     assert_says(
         &found,
         "duration_s",
@@ -487,6 +489,6 @@ fn a_run_that_is_too_short() {
     let faster = goal.replace("velocity_m_per_s = 0.02", "velocity_m_per_s = 0.2");
     assert_eq!(diagnostics(&experiment(HAND, &[(before, &faster)], RunOptions::default(), &[])), []);
 
-    let (found, _) = only(HAND, &[("settle_s = 0.5", "settle_s = 0.1")], &[]);
+    let (found, _) = only_diagnostic(HAND, &[("settle_s = 0.5", "settle_s = 0.1")], &[]);
     assert_says(&found, "settle_s", &["start at 0.1 s", "over the first 0.2 s", "settle_s = 0.2"]);
 }

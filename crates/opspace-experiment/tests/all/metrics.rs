@@ -94,7 +94,7 @@ fn near(a: Option<f64>, b: f64) -> bool {
 /// Compared: the error over y and z alone (x is compliant), true position against reference, and a square wave of known
 /// height. Rows before the end of settling don't count.
 #[test]
-fn position_errors_count_motion_axes_of_the_true_position_after_settling() {
+fn position_error_counts_motion_axes_after_settling() {
     let experiment = experiment("compliant-x");
     let home = hand(&experiment, &Q);
     let tick = |k: usize| {
@@ -117,7 +117,7 @@ fn position_errors_count_motion_axes_of_the_true_position_after_settling() {
 
 /// Compared: the hand's motion, and the displacement from the start in x of two postures.
 #[test]
-fn hand_motion_is_the_displacement_from_the_start_over_the_reported_axes() {
+fn hand_motion_is_displacement_from_start() {
     let experiment = experiment("compliant-x");
     let other = [-0.40, -0.35, 0.25, -1.30];
     let moved = (hand(&experiment, &other) - hand(&experiment, &Q)).x.abs();
@@ -134,7 +134,7 @@ fn hand_motion_is_the_displacement_from_the_start_over_the_reported_axes() {
 /// Compared: the three torque errors, and those of a pattern that repeats every interval: its rms, its mean and its
 /// first value, relative to the desired torque, pooled over joints of different size.
 #[test]
-fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
+fn torque_errors_match_a_known_pattern() {
     let experiment = experiment("cartesian-tracking");
     let pattern = [0.1, 0.2, 0.3, -0.1, 0.5];
     let desired = [2.0, 1.0, 0.5, 0.0];
@@ -155,7 +155,7 @@ fn torque_errors_are_pooled_at_servo_rate_over_intervals_and_at_the_tick() {
 /// Compared: the hold ripple beside a constant error, and a sawtooth 1.2 times as high as constant speeds produce
 /// without a current loop.
 #[test]
-fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_setpoint_leaves() {
+fn hold_ripple_is_relative_to_predicted_ripple() {
     let hold_ripple = |options: RunOptions, settings: &[&str]| {
         let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
         let path = Path::new("tasks/cartesian-tracking.toml");
@@ -184,7 +184,7 @@ fn hold_ripple_is_what_swings_within_an_interval_over_what_a_held_setpoint_leave
 
 /// A run without desired torque has no torque error, rather than a meaningless number.
 #[test]
-fn without_desired_torque_there_is_no_torque_error() {
+fn missing_desired_torque_gives_no_torque_error() {
     let experiment = experiment("cartesian-tracking");
     let recording =
         log(&experiment, |_| vec![1.0; 5], |_| vec![0.0; 7], |_| [[f64::NAN; 4], [1.0; 4]].concat());
@@ -197,7 +197,7 @@ fn without_desired_torque_there_is_no_torque_error() {
 
 /// Compared: quantiles of computing times, and those of the numbers 1 to 8000; cycles at rest don't count.
 #[test]
-fn computing_times_count_controlled_ticks() {
+fn computing_times_count_controlled_cycles() {
     let experiment = experiment("cartesian-tracking");
     let tick = |k: usize| {
         let resting = k < 100;

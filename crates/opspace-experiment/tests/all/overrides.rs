@@ -102,7 +102,7 @@ fn table(text: &str) -> toml::Table {
 
 /// Compares a file with a setting to the file edited by hand, and checks that both are accepted.
 #[track_caller]
-fn equals_by_hand(setting: &str, from: &str, to: &str) {
+fn check_equals_edited_file(setting: &str, from: &str, to: &str) {
     let applied = set(&[setting]).expect("applied");
     assert!(FILE.contains(from), "{from:?} is not in the file");
     assert_eq!(table(applied.text()), table(&FILE.replacen(from, to, 1)), "{setting}\n{}", applied.text());
@@ -119,42 +119,50 @@ fn refusal(settings: &[&str]) -> FileError {
 
 #[test]
 fn values_in_every_kind_of_table_are_replaced() {
-    equals_by_hand("seed=7", "seed = 1", "seed = 7");
-    equals_by_hand(
+    check_equals_edited_file("seed=7", "seed = 1", "seed = 7");
+    check_equals_edited_file(
         "task.hand.cartesian.gains.damping_ratio=0.7",
         "damping_ratio = 1.0",
         "damping_ratio = 0.7",
     );
-    equals_by_hand("task.hand.cartesian.motion.random.rms_m = 1e-3", "0.025", "1e-3");
-    equals_by_hand("task.rest.joint-posture.damping_ratio=1", "0.79", "1");
-    equals_by_hand("via.1.time_s=3.5", "2.0", "3.5");
-    equals_by_hand("task.\"hand\".'cartesian'.frame=wrist", "\"hand\"", "\"wrist\"");
-    equals_by_hand("robot=../robots/other_arm-2", "../robots/asimo-arm", "../robots/other_arm-2");
+    check_equals_edited_file("task.hand.cartesian.motion.random.rms_m = 1e-3", "0.025", "1e-3");
+    check_equals_edited_file("task.rest.joint-posture.damping_ratio=1", "0.79", "1");
+    check_equals_edited_file("via.1.time_s=3.5", "2.0", "3.5");
+    check_equals_edited_file("task.\"hand\".'cartesian'.frame=wrist", "\"hand\"", "\"wrist\"");
+    check_equals_edited_file("robot=../robots/other_arm-2", "../robots/asimo-arm", "../robots/other_arm-2");
 }
 
 #[test]
-fn tags_may_be_left_out() {
-    equals_by_hand("task.hand.gains.damping_ratio=0.7", "damping_ratio = 1.0", "damping_ratio = 0.7");
-    equals_by_hand("task.hand.frame=wrist", "\"hand\"", "\"wrist\"");
-    equals_by_hand("task.hand.motion.rms_m=0.5", "0.025", "0.5");
-    equals_by_hand("task.rest.damping_ratio=1", "0.79", "1");
-    equals_by_hand("task.hand.force.target_n=2", "motion.random", "force.target_n = 2\nmotion.random");
+fn kind_tags_may_be_omitted() {
+    check_equals_edited_file(
+        "task.hand.gains.damping_ratio=0.7",
+        "damping_ratio = 1.0",
+        "damping_ratio = 0.7",
+    );
+    check_equals_edited_file("task.hand.frame=wrist", "\"hand\"", "\"wrist\"");
+    check_equals_edited_file("task.hand.motion.rms_m=0.5", "0.025", "0.5");
+    check_equals_edited_file("task.rest.damping_ratio=1", "0.79", "1");
+    check_equals_edited_file(
+        "task.hand.force.target_n=2",
+        "motion.random",
+        "force.target_n = 2\nmotion.random",
+    );
 }
 
 #[test]
-fn whole_tables_and_new_keys_are_set() {
-    equals_by_hand("duration_s=8", "seed = 1", "seed = 1\nduration_s = 8");
-    equals_by_hand(
+fn tables_and_new_keys_are_set() {
+    check_equals_edited_file("duration_s=8", "seed = 1", "seed = 1\nduration_s = 8");
+    check_equals_edited_file(
         "simulated.true_over_nominal.kp=1.2",
         "[[via]]",
         "[simulated.true_over_nominal]\nkp = 1.2\n[[via]]",
     );
-    equals_by_hand(
+    check_equals_edited_file(
         "task.hand.gains={frequency_rad_per_s=1, damping_ratio=2}",
         "{ frequency_rad_per_s = 14.142, damping_ratio = 1.0 }",
         "{ frequency_rad_per_s = 1, damping_ratio = 2 }",
     );
-    equals_by_hand(
+    check_equals_edited_file(
         "task.third={joint-posture={frequency_rad_per_s=1, damping_ratio=2}}",
         "[task.rest",
         "[task.third.joint-posture]\nfrequency_rad_per_s = 1\ndamping_ratio = 2\n[task.rest",
@@ -166,7 +174,7 @@ fn whole_tables_and_new_keys_are_set() {
 }
 
 #[test]
-fn the_last_setting_wins_and_comments_stay() {
+fn last_setting_wins_and_comments_stay() {
     let applied = set(&["seed=2", "task.hand.frame=wrist", "seed=3"]).expect("applied");
     assert_eq!(table(applied.text())["seed"].as_integer(), Some(3));
     assert!(applied.text().contains("frame = \"wrist\" # the frame"), "{}", applied.text());
@@ -174,7 +182,7 @@ fn the_last_setting_wins_and_comments_stay() {
 }
 
 #[test]
-fn an_error_in_a_setting_names_the_setting() {
+fn setting_error_names_the_setting() {
     let misspelt = refusal(&["seed=2", "task.hand.gains.dampng_ratio=0.7"]);
     assert_eq!(misspelt.to_string(), "--set task.hand.gains.dampng_ratio=0.7: unknown key `dampng_ratio`");
     assert_eq!(
@@ -213,7 +221,7 @@ fn an_error_in_a_setting_names_the_setting() {
 }
 
 #[test]
-fn a_misspelt_table_is_recognised() {
+fn misspelt_table_is_recognised() {
     let error = refusal(&["task.hnad.gains.damping_ratio=0.7"]);
     assert!(error.to_string().starts_with("--set task.hnad.gains.damping_ratio=0.7: "), "{error}");
     let help = error.help().expect("a help");
@@ -221,7 +229,7 @@ fn a_misspelt_table_is_recognised() {
 }
 
 #[test]
-fn errors_of_the_file_keep_their_lines() {
+fn file_errors_keep_their_lines() {
     // The settings add lines above the error.
     let text = FILE.replace("time_s = 2.0", "time = 2.0");
     let settings = ["duration_s=8".to_owned(), "simulated={scale={kp=1}}".to_owned()];
@@ -233,7 +241,7 @@ fn errors_of_the_file_keep_their_lines() {
 }
 
 #[test]
-fn a_later_error_names_the_setting_that_caused_it() {
+fn later_error_names_its_setting() {
     let source = set(&["task.hand.frame=wrst", "duration_s=1"]).expect("applied");
     let frame = FileError::at_key(&source, "task.hand.cartesian.frame", "unknown frame `wrst`", None);
     assert_eq!(frame.to_string(), "--set task.hand.frame=wrst: unknown frame `wrst`");
@@ -245,7 +253,7 @@ fn a_later_error_names_the_setting_that_caused_it() {
 }
 
 #[test]
-fn settings_of_another_file_are_parted_and_keep_their_spelling() {
+fn settings_of_another_file_are_split_off() {
     let settings = ["robot.profile.a-med.servo_ticks_per_cycle=1", "robot=../x", "seed=2"].map(str::to_owned);
     let (robot, task) = split(&settings, "robot");
     assert_eq!((robot.as_slice(), task.as_slice()), (&settings[..1], &settings[1..]));
@@ -259,7 +267,7 @@ fn settings_of_another_file_are_parted_and_keep_their_spelling() {
 }
 
 #[test]
-fn depth_is_bounded() {
+fn nesting_depth_is_bounded() {
     let deep = format!("{}=1", vec!["a"; 60].join("."));
     assert!(set(&[&deep]).expect_err("refused").message().contains("nested too deeply"));
 }

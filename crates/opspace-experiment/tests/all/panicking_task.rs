@@ -78,7 +78,7 @@ fn experiment() -> Experiment {
 /// Compared: the logged positions and the position of the panic, the outcome in the log and that of the run, and the
 /// rows of the log and of its replay.
 #[test]
-fn log_of_a_panic_ends_before_it_and_replays() {
+fn log_ends_before_panic_and_replays() {
     let experiment = experiment();
     let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).expect("it is recorded");
     let RunOutcome::Faulted { fault: Fault::Panicked, time_s } = result.outcome else {

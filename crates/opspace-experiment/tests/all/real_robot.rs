@@ -112,7 +112,7 @@ fn measured(experiment: &Experiment, clock_start_s: f64) -> (Metrics, u64) {
 /// Compared: every metric of runs on clocks that start at 1000 s and at -5 s, and those of the same run on a clock that
 /// starts at 0. They differ by the rounding of time stamps at most, with lost cycles and without.
 #[test]
-fn start_of_the_robots_clock_changes_no_metric() {
+fn clock_start_changes_no_metric() {
     /// Rounding of a time stamp of 1000 s over a period of 1 ms is 1e-10; the motion amplifies it.
     const RELATIVE: f64 = 1e-6;
     let lossy = "robot.simulated.bus.lost_cycles_share=0.01";
@@ -143,8 +143,8 @@ fn start_of_the_robots_clock_changes_no_metric() {
     }
 }
 
-/// An arm that stands this far from where the task starts, behind a driver, rad.
-fn away(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<Disguised>>, Extensions) {
+/// An arm at this distance from the start of the task, behind a driver, rad.
+fn arm_away_from_start(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<Disguised>>, Extensions) {
     let mut config = experiment.arm_config().unwrap();
     config.start.iter_mut().for_each(|q| *q += offset_rad);
     let arm = Rc::new(RefCell::new(Disguised::new(SimulatedArm::new(config).unwrap(), World::Real, 30.0)));
@@ -155,7 +155,7 @@ fn away(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<Disguised>>, Ex
 /// Refusal of an arm that is away from the start, the distance left after the motion, its highest speed against the
 /// stated one, and the run afterwards.
 #[test]
-fn real_robot_is_moved_to_the_start_slowly_before_it_is_run() {
+fn real_robot_moves_slowly_to_start_first() {
     /// The reference's limit is 0.2 rad/s; a joint that friction held at first catches up with it.
     const SPEED_RAD_PER_S: f64 = 1.5 * 0.2;
     /// Rows over which a speed is taken, long beside the encoders' noise.
@@ -165,7 +165,7 @@ fn real_robot_is_moved_to_the_start_slowly_before_it_is_run() {
     for backend in BACKENDS {
         let experiment = experiment("tasks/joint-tracking.toml", backend, &["robot.driver.name=one-arm"]);
         let start = experiment.arm_config().unwrap().start;
-        let (arm, extensions) = away(&experiment, 0.3);
+        let (arm, extensions) = arm_away_from_start(&experiment, 0.3);
         let progress = Progress::default();
         let run = || experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress);
 
@@ -191,12 +191,12 @@ fn real_robot_is_moved_to_the_start_slowly_before_it_is_run() {
 
 /// Refusals, each with its key, of what is allowed in simulation.
 #[test]
-fn options_for_comparison_are_refused_on_a_real_robot() {
+fn comparison_options_are_refused_on_real_robot() {
     for singularities in ["plain", "least-squares", "clamped"] {
         let setting = format!("task.hand.cartesian.singularities={singularities}");
         let settings = [setting.as_str(), "robot.driver.name=one-arm"];
         let experiment = experiment("tasks/cartesian-tracking.toml", BackendKind::Position, &settings);
-        let (_, extensions) = away(&experiment, 0.0);
+        let (_, extensions) = arm_away_from_start(&experiment, 0.0);
         let progress = Progress::default();
         let refused = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress);
         let words = refused.map(|_| ()).unwrap_err().to_string();
@@ -207,7 +207,7 @@ fn options_for_comparison_are_refused_on_a_real_robot() {
 
 /// Words for a robot without a driver.
 #[test]
-fn robot_without_a_driver_can_not_be_moved_to_the_start() {
+fn robot_without_driver_cannot_move_to_start() {
     let experiment = experiment("tasks/joint-tracking.toml", BackendKind::Position, &[]);
     let folder = tempfile::tempdir().unwrap();
     let refused = experiment.move_to_start(&Extensions::default(), folder.path(), &Progress::default());

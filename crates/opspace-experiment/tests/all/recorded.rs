@@ -59,7 +59,7 @@ fn run(experiment: &Experiment) -> Recording {
 /// Compared: the logged reference at the samples' times, and the samples relative to the start; every number of the
 /// log, and the run recomputed from the log after the files are removed.
 #[test]
-fn a_run_on_a_recorded_path_comes_out_again() {
+fn recorded_path_run_replays() {
     let files = folder(PATH);
     let recording = run(&load(&files).unwrap());
     drop(files);
@@ -86,7 +86,7 @@ fn a_run_on_a_recorded_path_comes_out_again() {
 
 /// Compared: a log and its replay with another path; the path is part of the run.
 #[test]
-fn a_log_with_another_path_differs() {
+fn replay_with_another_path_differs() {
     let mut recording = run(&load(&folder(PATH)).unwrap());
     let path = recording.attachments.iter_mut().find(|a| a.name == "recorded/paths/hand.csv").unwrap();
     path.data = PATH.replace("0.15", "0.151").into_bytes();
@@ -99,7 +99,7 @@ fn a_log_with_another_path_differs() {
 
 /// A mistake in the path is reported at its line, and an unreadable path at the line of the task file.
 #[test]
-fn what_is_wrong_with_a_recorded_path_is_told_at_its_place() {
+fn recorded_path_errors_name_their_line() {
     let line = 1 + TASK.lines().position(|line| line.contains("hand.csv")).unwrap();
     for (path, file, at, said) in [
         (PATH.replace("0.51,", "0.5l,"), "hand.csv", Some(4), "`x_m`: expected a finite number, got '0.5l'"),

@@ -118,7 +118,7 @@ fn four_joints_make_four_panels_with_one_legend() {
 
 /// Points of a measured response: a dot for each that has logarithms, and decades of equal width.
 #[test]
-fn decades_are_of_one_width_and_points_are_dots() {
+fn decades_have_equal_width_and_points_are_dots() {
     const TOLERANCE: f64 = 1.0;
     let x = vec![1.0, 10.0, 100.0, 1000.0, 0.0];
     let y = vec![1.0, 0.1, 0.01, 0.001, 5.0];
@@ -147,7 +147,7 @@ fn decades_are_of_one_width_and_points_are_dots() {
 
 /// Every drawn point lies within the picture, and panels do not overlap.
 #[test]
-fn points_stay_within_the_picture() {
+fn points_stay_within_the_figure() {
     let svg = joints(2_000).svg();
     let document = xml(&svg);
     let size: Vec<f64> = document
@@ -209,7 +209,7 @@ fn decimation_keeps_every_extreme_and_gap() {
 
 /// Compared: the height of a line in the picture, and the share of the axis that the value has.
 #[test]
-fn a_line_is_drawn_to_scale() {
+fn line_is_drawn_to_scale() {
     let series = Series::new("a", vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 10.0, 5.0, 10.0]);
     let svg = figure(vec![panel("p", vec![series])]).svg();
     let document = xml(&svg);
@@ -228,7 +228,7 @@ fn a_line_is_drawn_to_scale() {
 
 /// Compared: one sample among many and its place in the picture; peaks and gaps survive the reduction.
 #[test]
-fn peaks_and_gaps_reach_the_picture() {
+fn peaks_and_gaps_are_drawn() {
     let x: Vec<f64> = (0..40_000).map(|k| f64::from(k) * 2e-4).collect();
     let mut y = vec![0.0; 40_000];
     (y[12_345], y[23_456]) = (50.0, -25.0);
@@ -275,7 +275,7 @@ fn figures_without_data_say_so() {
 
 /// Arbitrary numbers: the result is XML, without a coordinate that is not a number.
 #[test]
-fn odd_numbers_make_sound_figures() {
+fn arbitrary_numbers_make_valid_figures() {
     let tiny = f64::MIN_POSITIVE;
     let columns = [
         vec![f64::MAX, f64::MIN, 0.0],
@@ -321,7 +321,7 @@ fn comparison() -> Comparison {
 }
 
 #[test]
-fn a_comparison_places_larger_values_further_right() {
+fn comparison_places_larger_values_further_right() {
     for scale in [Scale::Log, Scale::Linear] {
         let svg = Comparison { scale, ..comparison() }.svg();
         let document = xml(&svg);
@@ -342,7 +342,7 @@ fn a_comparison_places_larger_values_further_right() {
 }
 
 #[test]
-fn odd_comparisons_say_what_is_missing() {
+fn incomplete_comparisons_name_missing_values() {
     xml(&Comparison::default().svg());
     let with = |scale, values: Vec<Option<f64>>| {
         let row = ComparisonRow { label: "r".to_owned(), values };
@@ -381,7 +381,7 @@ fn numbers_have_four_digits() {
 
 /// Compared: texts of a column and decimals counted by hand.
 #[test]
-fn a_column_shares_its_decimals() {
+fn column_shares_its_decimals() {
     let column = |numbers: &[f64]| {
         let mut table = Table::new(&[("a", "m")]);
         numbers.iter().for_each(|&number| table.push(vec![number.into()]));
@@ -471,7 +471,7 @@ fn sample_page(samples: usize) -> Page {
 }
 
 #[test]
-fn a_page_stands_alone() {
+fn page_is_self_contained() {
     let html = sample_page(40_000).render();
     let document = xml(&html);
     assert!(html.len() < 2_000_000, "{} bytes", html.len());
@@ -500,7 +500,7 @@ fn a_page_stands_alone() {
 
 /// Text with markup in every place where a page takes text: it is read back as text, and adds no element.
 #[test]
-fn everything_is_escaped() {
+fn all_text_is_escaped() {
     let page = |text: &str| {
         let mut table = Table::new(&[(text, text)]);
         table.push(vec![text.into()]);
@@ -526,7 +526,7 @@ fn everything_is_escaped() {
 }
 
 #[test]
-fn tables_with_ragged_or_no_rows_are_sound() {
+fn ragged_and_empty_tables_are_valid() {
     let mut table = Table::new(&[("a", ""), ("b", "m")]);
     let empty = Page::new("t").table("c", &table, &[]).render();
     assert!(empty.contains("no rows"));
@@ -547,7 +547,7 @@ fn chromium() -> Option<PathBuf> {
 
 /// A page opened in a browser: no message on the console, and every figure is within the window.
 #[test]
-fn a_browser_lays_out_every_figure() {
+fn browser_lays_out_every_figure() {
     let Some(chromium) = chromium() else {
         #[expect(clippy::print_stderr, reason = "the reader of a test run must see what was not tested")]
         {

@@ -37,7 +37,7 @@ fn excess(experiment: &Experiment) -> Option<f64> {
 /// Compared: the margin of gravity compensation, where all but the joints' own damping is known, and the formula ε <
 /// ((1 − gain) b + d)/kv + (1 + ε) kp t̄ of the worst joint, with and without the hold's t̄ = (R−1)/2 Ts.
 #[test]
-fn the_margin_is_the_formulas() {
+fn gain_margin_matches_formula() {
     // 0.1 % of bisection, and what the formula leaves out: it knows neither the observer nor the filters.
     const TOLERANCE: f64 = 0.004;
     for (profile, kp, kv, hold_s) in [("a-med", 50.265, 94.6, 4e-4), ("b-soft", 25.133, 47.3, 2e-3)] {
@@ -67,7 +67,7 @@ fn the_margin_is_the_formulas() {
 /// Compared: the margin of a velocity robot's gravity compensation, whose torques an excess gain scales, and the
 /// formula (1 + ε) (gain b − d) < b of the joint with the most friction.
 #[test]
-fn the_margin_of_a_velocity_robot_is_the_formulas() {
+fn velocity_robot_gain_margin_matches_formula() {
     // As above.
     const TOLERANCE: f64 = 0.004;
     const FRICTION_NMS_PER_RAD: f64 = 2.0;
@@ -101,7 +101,7 @@ fn the_margin_of_a_velocity_robot_is_the_formulas() {
 /// Compared: the margins with and without measurement of the motors' current, which reveals a wrong gain; the first is
 /// more than 50 % and ten times the second.
 #[test]
-fn the_motors_current_lifts_the_margin() {
+fn motor_current_raises_gain_margin() {
     for profile in ["a-med", "b-soft"] {
         let of = |transformer| excess(&experiment("gravity-compensation", profile, transformer, &[]));
         let (without, with) = (of(EMULATION).unwrap(), of(EMULATION_CURRENT));
@@ -126,7 +126,7 @@ fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) 
 /// Compared: the margin, and the simulated robot with all its friction, weight and noise. Within the margin the arm
 /// moves on, slower than its speed limit; clearly beyond it the run ends in a fault.
 #[test]
-fn the_simulated_robot_is_stable_within_the_margin_and_not_beyond() {
+fn simulated_robot_is_stable_only_within_margin() {
     const WITHIN: f64 = 0.8;
     const BEYOND: f64 = 0.04;
     const FAST_RAD_PER_S: f64 = 4.0;
@@ -154,7 +154,7 @@ fn the_simulated_robot_is_stable_within_the_margin_and_not_beyond() {
 /// A small margin is reported with its number and a remedy; a large one isn't; where torques pass without a
 /// transformer, there is none.
 #[test]
-fn a_small_margin_is_a_finding() {
+fn small_gain_margin_is_reported() {
     let small = experiment("gravity-compensation", "a-med", EMULATION, &[]);
     let finding = gain_margin(&small).unwrap().finding(&small).unwrap();
     let told = format!("{} {} {}", finding.key, finding.message, finding.help);

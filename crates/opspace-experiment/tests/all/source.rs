@@ -99,7 +99,7 @@ fn error(from: &str, to: &str) -> FileError {
 
 /// Compares the display (place and message) and the help with the expected texts.
 #[track_caller]
-fn says(error: &FileError, display: &str, help: &str) {
+fn check_error(error: &FileError, display: &str, help: &str) {
     assert_eq!(error.to_string(), display);
     assert_eq!(error.help().unwrap_or(""), help);
 }
@@ -111,23 +111,23 @@ fn underlined(error: &FileError) -> String {
 }
 
 #[test]
-fn a_good_file_is_read() {
+fn valid_file_is_read() {
     let file: TaskFile = parse(&Source::new("x", GOOD)).expect("the file is right");
     assert_eq!(file.duration_s, 8.0);
     assert_eq!(file.task.len(), 2);
 }
 
 #[test]
-fn an_unknown_key_names_the_nearest_and_the_allowed() {
+fn unknown_key_error_names_nearest_and_allowed() {
     let misspelt = error("stiffness_n_per_m", "stifness_n_per_m");
-    says(
+    check_error(
         &misspelt,
         "tasks/x.toml:7: unknown key `stifness_n_per_m`",
         "did you mean `stiffness_n_per_m`?\nallowed here: `frame`, `axes`, `gains`, `stiffness_n_per_m`, `motion`",
     );
     assert_eq!(underlined(&misspelt), "stifness_n_per_m");
     assert_eq!((misspelt.path(), misspelt.line()), ("tasks/x.toml", Some(7)));
-    says(
+    check_error(
         &error("frame = ", "zzz = "),
         "tasks/x.toml:4: unknown key `zzz`",
         "allowed here: `frame`, `axes`, `gains`, `stiffness_n_per_m`, `motion`",
@@ -135,14 +135,14 @@ fn an_unknown_key_names_the_nearest_and_the_allowed() {
 }
 
 #[test]
-fn a_key_in_another_unit_names_the_right_one_and_the_factor() {
+fn wrong_unit_error_names_key_and_factor() {
     let allowed = "\nallowed here: `frequency_rad_per_s`, `damping_ratio`, `offset_m`";
-    says(
+    check_error(
         &error("{ frequency_rad_per_s", "{ frequency_hz"),
         "tasks/x.toml:6: unknown key `frequency_hz`",
         &format!("did you mean `frequency_rad_per_s`? The units differ: 1 Hz is 6.28319 rad/s.{allowed}"),
     );
-    says(
+    check_error(
         &error("{ frequency_rad_per_s", "{ frequency"),
         "tasks/x.toml:6: unknown key `frequency`",
         &format!("did you mean `frequency_rad_per_s`? The unit, rad/s, is part of the name.{allowed}"),
@@ -156,15 +156,15 @@ fn a_key_in_another_unit_names_the_right_one_and_the_factor() {
 }
 
 #[test]
-fn an_unknown_value_or_kind_lists_the_kinds() {
+fn unknown_kind_error_lists_kinds() {
     let axis = error("\"compliant\"", "\"complaint\"");
-    says(
+    check_error(
         &axis,
         "tasks/x.toml:5: unknown value `complaint`",
         "did you mean `compliant`?\nallowed here: `motion`, `compliant`",
     );
     assert_eq!(underlined(&axis), "\"complaint\"");
-    says(
+    check_error(
         &error("hand.cartesian", "hand.cartesan"),
         "tasks/x.toml:3: unknown value `cartesan`",
         "did you mean `cartesian`?\nallowed here: `cartesian`, `joint-posture`",
@@ -172,78 +172,86 @@ fn an_unknown_value_or_kind_lists_the_kinds() {
 }
 
 #[test]
-fn a_missing_key_names_its_table_and_unit() {
-    says(
+fn missing_key_error_names_table_and_unit() {
+    check_error(
         &error("frame = \"hand\"", ""),
         "tasks/x.toml:3: missing key `frame` in `task.hand.cartesian`",
         "add `frame = ...`: it has no default",
     );
     let inline = error("{ frequency_rad_per_s = 14.142, ", "{ ");
-    says(
+    check_error(
         &inline,
         "tasks/x.toml:6: missing key `frequency_rad_per_s` in `task.hand.cartesian.gains`",
         "add `frequency_rad_per_s = ...`: a number in rad/s",
     );
-    says(
+    check_error(
         &error("time_s = 1.0", ""),
         "tasks/x.toml:11: missing key `time_s` in `via.0`",
         "add `time_s = ...`: a number in s",
     );
     let root = error("robot = \"../robots/asimo-arm\"", "");
-    says(&root, "tasks/x.toml: missing key `robot`", "add `robot = ...`: it has no default");
+    check_error(&root, "tasks/x.toml: missing key `robot`", "add `robot = ...`: it has no default");
     assert!(root.excerpt().is_none() && root.line().is_none());
 }
 
 #[test]
-fn a_wrong_type_says_what_was_expected_and_found() {
+fn type_error_names_expected_and_found() {
     let unit = error("400.0", "\"400 N/m\"");
-    says(
+    check_error(
         &unit,
         "tasks/x.toml:7: expected a number, got the text \"400 N/m\"",
         "the unit is part of the key's name: write only the number, `stiffness_n_per_m = 400`",
     );
     assert_eq!(underlined(&unit), "\"400 N/m\"");
-    says(
+    check_error(
         &error("400.0", "\"4e2\""),
         "tasks/x.toml:7: expected a number, got the text \"4e2\"",
         "write the number without quotes: `stiffness_n_per_m = 4e2`",
     );
-    says(&error("400.0", "true"), "tasks/x.toml:7: expected a number, got true", "");
-    says(&error("\"hand\"", "[1]"), "tasks/x.toml:4: expected text in quotes, got an array", "");
-    says(&error("\"hand\"", "2"), "tasks/x.toml:4: expected text in quotes, got 2", "");
+    check_error(&error("400.0", "true"), "tasks/x.toml:7: expected a number, got true", "");
+    check_error(&error("\"hand\"", "[1]"), "tasks/x.toml:4: expected text in quotes, got an array", "");
+    check_error(&error("\"hand\"", "2"), "tasks/x.toml:4: expected text in quotes, got 2", "");
     let seed = "duration_s = 8\nseed = -1";
-    says(&error("duration_s = 8", seed), "tasks/x.toml:3: expected a whole number not below 0, got -1", "");
+    check_error(
+        &error("duration_s = 8", seed),
+        "tasks/x.toml:3: expected a whole number not below 0, got -1",
+        "",
+    );
     let seed = "duration_s = 8\nseed = 1.5";
-    says(&error("duration_s = 8", seed), "tasks/x.toml:3: expected a whole number not below 0, got 1.5", "");
+    check_error(
+        &error("duration_s = 8", seed),
+        "tasks/x.toml:3: expected a whole number not below 0, got 1.5",
+        "",
+    );
     let table = error("{ frequency_rad_per_s = 14.142, damping_ratio = 1.0 }", "3");
-    says(&table, "tasks/x.toml:6: expected a table, got 3", "");
+    check_error(&table, "tasks/x.toml:6: expected a table, got 3", "");
     let short = error("damping_ratio = 1.0 }", "damping_ratio = 1.0, offset_m = [0.1, 0.2] }");
-    says(&short, "tasks/x.toml:6: expected an array of length 3, got 2", "");
+    check_error(&short, "tasks/x.toml:6: expected an array of length 3, got 2", "");
     let element = error("damping_ratio = 1.0 }", "damping_ratio = 1.0, offset_m = [0, \"2 mm\", 0] }");
     assert_eq!(element.message(), "expected a number, got the text \"2 mm\"");
     assert_eq!(underlined(&element), "\"2 mm\"");
 }
 
 #[test]
-fn two_kinds_or_none_are_refused_by_name() {
-    says(
+fn two_kinds_or_none_are_refused() {
+    check_error(
         &error("[[via]]", "[task.rest.cartesian]\nframe = \"hand\"\n[[via]]"),
         "tasks/x.toml:8: `task.rest` has `joint-posture`, `cartesian`; it must have exactly one kind",
         "a key of `joint-posture` is `task.rest.joint-posture.<key>`",
     );
-    says(
+    check_error(
         &error("[[via]]", "[task.third]\n[[via]]"),
         "tasks/x.toml:11: `task.third` is empty; it must have exactly one kind",
         "",
     );
     let number = error("[task.hand.cartesian]", "task.third = 3\n[task.hand.cartesian]");
-    says(&number, "tasks/x.toml:3: expected text or a table, got 3", "");
+    check_error(&number, "tasks/x.toml:3: expected text or a table, got 3", "");
 }
 
 #[test]
-fn unknown_keys_of_a_kind_with_fields_are_refused() {
+fn unknown_fields_of_a_kind_are_refused() {
     let motion = "stiffness_n_per_m = 400.0\nmotion.random = { rms_mm = 3.0 }";
-    says(
+    check_error(
         &error("stiffness_n_per_m = 400.0", motion),
         "tasks/x.toml:8: unknown key `rms_mm`",
         "did you mean `rms_m`? The units differ: 1 mm is 0.001 m.\nallowed here: `rms_m`",
@@ -251,7 +259,7 @@ fn unknown_keys_of_a_kind_with_fields_are_refused() {
 }
 
 #[test]
-fn numbers_that_are_not_finite_are_refused_at_their_place() {
+fn non_finite_numbers_are_refused_at_their_line() {
     for (text, shown) in [("nan", "nan"), ("-inf", "-inf"), ("1e400", "1e400"), ("+inf", "+inf")] {
         let error = error("400.0", text);
         assert_eq!(error.to_string(), format!("tasks/x.toml:7: expected a finite number, got {shown}"));
@@ -264,24 +272,24 @@ fn numbers_that_are_not_finite_are_refused_at_their_place() {
 }
 
 #[test]
-fn text_that_is_not_toml_is_refused_at_its_place() {
-    says(
+fn invalid_toml_is_refused_at_its_line() {
+    check_error(
         &error("400.0", "400 N/m"),
         "tasks/x.toml:7: `400 N/m` is not a TOML value",
         "the unit is part of the key's name: write only the number, `400`",
     );
-    says(
+    check_error(
         &error("\"hand\"", "hand"),
         "tasks/x.toml:4: `hand` is not a TOML value",
         "text needs quotes: \"hand\"",
     );
-    says(
+    check_error(
         &error("\"hand\"", "foo"),
         "tasks/x.toml:4: `foo` is not a TOML value",
         "text needs quotes: \"foo\"",
     );
-    says(&error("400.0", ""), "tasks/x.toml:7: a value is missing after `=`", "");
-    says(
+    check_error(&error("400.0", ""), "tasks/x.toml:7: a value is missing after `=`", "");
+    check_error(
         &error("duration_s = 8", "duration_s = 8\nduration_s = 9"),
         "tasks/x.toml:3: `duration_s` is defined twice in this table",
         "remove one of the two",
@@ -292,7 +300,7 @@ fn text_that_is_not_toml_is_refused_at_its_place() {
 
 /// Line ends of other editors, a byte-order mark and an empty file: read as the plain text, or refused plainly.
 #[test]
-fn line_ends_and_marks_do_not_matter() {
+fn line_endings_and_byte_order_mark_are_accepted() {
     let dos = format!("\u{feff}{}", GOOD.replace('\n', "\r\n"));
     parse::<TaskFile>(&Source::new("x", dos.clone())).expect("the file is right");
     let wrong = Source::new("x", dos.replace("stiffness", "stifness"));
@@ -304,7 +312,7 @@ fn line_ends_and_marks_do_not_matter() {
 
 /// Deep nesting is refused, and does not overflow the call stack.
 #[test]
-fn depth_is_bounded() {
+fn nesting_depth_is_bounded() {
     let dotted = format!("{}=1", vec!["a"; 100_000].join("."));
     let arrays = format!("a={}", "[".repeat(100_000));
     let tables = format!("a={}", "{a=".repeat(100_000));
@@ -315,10 +323,10 @@ fn depth_is_bounded() {
 }
 
 #[test]
-fn a_later_error_points_at_its_key() {
+fn later_error_points_at_its_key() {
     let source = Source::new("tasks/x.toml", GOOD);
     let frame = FileError::at_key(&source, "task.hand.cartesian.frame", "unknown frame `hand`", None);
-    says(&frame, "tasks/x.toml:4: unknown frame `hand`", "");
+    check_error(&frame, "tasks/x.toml:4: unknown frame `hand`", "");
     assert_eq!(underlined(&frame), "\"hand\"");
     let cases = [
         ("task.hand.cartesian.gains.damping_ratio", 6, "1.0"),
@@ -338,7 +346,7 @@ fn a_later_error_points_at_its_key() {
 }
 
 #[test]
-fn keys_with_dots_are_found() {
+fn keys_with_dots_are_located() {
     let source = Source::new("r", "[joint.\"arm.1\"]\nkp = 1.0\n[joint.arm]\n1 = 2\n");
     assert_eq!(FileError::at_key(&source, "joint.\"arm.1\".kp", "m", None).line(), Some(2));
     assert_eq!(FileError::at_key(&source, ["joint", "arm.1", "kp"], "m", None).line(), Some(2));
@@ -346,7 +354,7 @@ fn keys_with_dots_are_found() {
 }
 
 #[test]
-fn files_that_cannot_be_read_say_why() {
+fn unreadable_file_error_names_the_cause() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     std::fs::write(at("compliant-x.toml"), "").expect("written");
@@ -376,7 +384,7 @@ fn files_that_cannot_be_read_say_why() {
 }
 
 #[test]
-fn near_names_are_near_and_far_ones_are_not() {
+fn only_similar_names_are_suggested() {
     let joints = ["shoulder_pitch", "shoulder_roll", "elbow"];
     assert_eq!(nearest("sholder_pitch", joints), Some("shoulder_pitch"));
     assert_eq!(nearest("Shoulder-Roll", joints), Some("shoulder_roll"));
@@ -389,7 +397,7 @@ fn near_names_are_near_and_far_ones_are_not() {
 }
 
 #[test]
-fn units_are_read_from_names() {
+fn units_are_parsed_from_key_names() {
     let cases = [
         ("stiffness_n_per_m", Some("N/m")),
         ("duration_s", Some("s")),

@@ -11,7 +11,7 @@ use std::path::Path;
 /// Counted: cycles in which the target was stale, and cycles from the sample in which its age passed the timeout to the
 /// end, without the ones in which a renewed target was younger.
 #[test]
-fn cycles_with_a_stale_target_are_counted_in_the_summary() {
+fn summary_counts_cycles_with_stale_target() {
     /// Cycles, of 1 ms, at which the target is renewed.
     const RENEWED: [u64; 2] = [300, 700];
     const TIMEOUT_CYCLES: u64 = 100;

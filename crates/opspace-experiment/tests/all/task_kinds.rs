@@ -75,7 +75,7 @@ fn panda() -> Robot {
 
 /// Compared: the signals of an experiment's controller, and the task that the file names by its registered kind.
 #[test]
-fn a_registered_kind_is_built_from_its_table() {
+fn registered_kind_is_built_from_its_table() {
     let task = load(TASK).expect("a good file");
     assert!(matches!(&task.file.task["sum"], TaskParameters::Registered(p) if p.kind() == "joint-sum"));
     let experiment =
@@ -86,7 +86,7 @@ fn a_registered_kind_is_built_from_its_table() {
 
 /// Compared: files with one mistake each, and the line, the message and the help of the error.
 #[test]
-fn mistakes_in_a_registered_kind_are_placed() {
+fn registered_kind_errors_name_their_line() {
     let table = TASK.replace("damping_ratio = 1.0", "damping_ration = 1.0");
     let error = load(&table).expect_err("an unknown key");
     assert_eq!((error.line(), error.message()), (Some(6), "unknown key `damping_ration`"));
@@ -112,7 +112,7 @@ fn mistakes_in_a_registered_kind_are_placed() {
 
 /// A kind under the name of another one is refused.
 #[test]
-fn a_taken_name_is_refused() {
+fn taken_kind_name_is_refused() {
     let build = |p: &JointSumParameters, name: &str, _: &Model, _: &opspace_control::ControlContext| {
         Ok(Box::new(CoordinateTask::new(name, JointSum, p.gains)) as Box<dyn opspace_control::Task>)
     };
@@ -140,7 +140,7 @@ gains = {{ frequency_rad_per_s = 10.0, damping_ratio = 1.0 }}
 
 /// Compared: a swivel task in a file and its signal.
 #[test]
-fn a_swivel_task_is_read_from_a_file() {
+fn swivel_task_is_read_from_file() {
     let text = swivel("0.5");
     let experiment = |text: &str| {
         load(text).and_then(|task| Experiment::new(panda(), task, RunOptions::default(), Vec::new()))
@@ -154,7 +154,7 @@ fn a_swivel_task_is_read_from_a_file() {
 /// Findings of a swivel task whose reference is too fast for the joints, and of one with enough time; both at the key
 /// of the task's own reference.
 #[test]
-fn preflight_follows_every_task() {
+fn preflight_checks_every_task() {
     let experiment = |duration_s: &str| {
         let text = swivel(duration_s);
         let task = load(&text).expect("a good file");
@@ -172,7 +172,7 @@ fn preflight_follows_every_task() {
 
 /// Compared: a task with an impedance, whose gains depend on the arm's inertia, and the list of what is not checked.
 #[test]
-fn unknown_gains_are_reported() {
+fn unchecked_gains_are_reported() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-impedance.toml");
     let experiment = Experiment::load(Files::Disk, &path, None, RunOptions::default(), &[]).expect("a task");
     assert!(!not_checked(&experiment).is_empty());

@@ -47,7 +47,7 @@ fn section(text: &str, heading: &str) -> String {
 
 /// Each transformer by its name on a velocity robot, and the kind of command that the control loop gets from it.
 #[test]
-fn transformers_of_a_velocity_robot_command_velocities() {
+fn velocity_robot_transformers_command_velocities() {
     for (name, setting) in [
         ("paper", "interface.setpoints=held"),
         ("paper+current", "interface.setpoints=held"),
@@ -69,7 +69,7 @@ fn transformers_of_a_velocity_robot_command_velocities() {
 
 /// The default transformer of a velocity robot, and that of a position robot with the same declarations.
 #[test]
-fn default_is_chosen_as_for_positions() {
+fn default_transformer_matches_position_robot() {
     for (settings, method, current) in [
         (vec![], Method::Emulation, true),
         (vec!["interface.measured=[\"position\"]"], Method::Emulation, false),
@@ -84,7 +84,7 @@ fn default_is_chosen_as_for_positions() {
 
 /// Words of the errors for transformers that a velocity robot can't have.
 #[test]
-fn transformers_that_need_a_position_loop_are_refused() {
+fn position_loop_transformers_are_refused() {
     for name in ["identified", "identified+current", "identified-literal", "identified-open-loop"] {
         let error = experiment(Some(name), &[]).unwrap_err();
         assert!(error.message().contains(&format!("'{name}'")), "{error}");
@@ -101,7 +101,7 @@ fn transformers_that_need_a_position_loop_are_refused() {
 
 /// Velocity servos of the file, and the inner loops of its cascades.
 #[test]
-fn velocity_servos_are_the_inner_loops_of_the_cascades() {
+fn velocity_servos_are_cascade_inner_loops() {
     let robot = robot(&[]).unwrap();
     for profile in ["a-med", "b-soft"] {
         let profile = robot.profile(Some(profile)).unwrap().1;
@@ -156,7 +156,7 @@ fn missing_servos_are_named() {
 /// Compared: metrics and page of a short simulated run, and the quantity of a velocity robot's setpoints; its largest
 /// acceleration, and the largest of the recorded signal.
 #[test]
-fn setpoints_of_a_velocity_robot_are_shown_as_velocities() {
+fn report_shows_velocity_setpoints() {
     let options =
         RunOptions { backend: BackendKind::Velocity, duration_s: Some(0.6), ..RunOptions::default() };
     let settings = ["settle_s=0.0".to_owned()];

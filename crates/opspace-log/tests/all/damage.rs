@@ -1,4 +1,5 @@
-//! Damaged logs: cut anywhere, any byte changed, the process killed. Nothing panics, no wrong data is accepted.
+//! Corrupted logs: truncated anywhere, any byte changed, the process killed. Nothing panics, no wrong data are
+//! accepted.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{self, channels, header, is_prefix, log, row};
@@ -16,9 +17,9 @@ fn assert_prefix(part: &Recording, whole: &Recording, case: &str) {
     }
 }
 
-/// A part of the file read against the whole: at most less, never other, and always said.
+/// A part of the file against the whole: fewer rows, never other ones, and always reported.
 #[test]
-fn a_cut_file_gives_what_is_before_the_cut() {
+fn truncated_log_yields_rows_before_the_cut() {
     let (_, bytes) = log(header(), 2500);
     let whole = Recording::from_bytes(&bytes).unwrap();
     let step = bytes.len() / 400 + 1;
@@ -46,10 +47,10 @@ fn a_cut_file_gives_what_is_before_the_cut() {
     assert!(rows > 1000, "{rows} rows before the last cuts");
 }
 
-/// Every byte of a small log changed in turn: it is noticed each time, and what is still given is the
-/// beginning of what was recorded. No length in the file makes the reader allocate more than a chunk may be.
+/// Every byte of a small log changed in turn: the change is always detected, and the rows still read are the
+/// beginning of those recorded. No length in the file makes the reader allocate more than the largest chunk.
 #[test]
-fn a_changed_byte_is_always_noticed() {
+fn any_changed_byte_is_detected() {
     let (_, mut bytes) = log(header(), 40);
     let whole = Recording::from_bytes(&bytes).unwrap();
     for at in 0..bytes.len() {
@@ -67,9 +68,9 @@ fn a_changed_byte_is_always_noticed() {
     assert_eq!(Recording::from_bytes(&bytes).unwrap().damage, None, "all changes are undone");
 }
 
-/// A byte changed within a chunk in the middle: the rows before that chunk are all given, and no other.
+/// A byte changed within a chunk in the middle: all rows before that chunk are read, and no others.
 #[test]
-fn a_bad_chunk_ends_the_good_part() {
+fn corrupt_chunk_ends_the_valid_part() {
     let (_, mut bytes) = log(header(), 5000);
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
@@ -81,10 +82,10 @@ fn a_bad_chunk_ends_the_good_part() {
     assert_eq!(damage.after_s, part.channels[1].time_s.last().copied());
 }
 
-/// A chunk whose kind is changed into an unknown one, which a reader skips: the rows after it are not taken
-/// for the continuation of those before it.
+/// A chunk whose kind is changed into an unknown one, which a reader skips: the rows after it are not read as the
+/// continuation of those before it.
 #[test]
-fn a_chunk_that_is_not_recognised_leaves_no_hole() {
+fn unknown_chunk_kind_leaves_no_gap() {
     let (_, mut bytes) = log(header(), 5000);
     let whole = Recording::from_bytes(&bytes).unwrap();
     // Eight bytes of magic, then records: a byte of kind, eight of length, the body.
@@ -104,7 +105,7 @@ fn a_chunk_that_is_not_recognised_leaves_no_hole() {
 }
 
 #[test]
-fn what_is_no_log_is_said_to_be_none() {
+fn non_log_file_is_refused() {
     assert!(matches!(Recording::from_bytes(b"time,q\n0,1\n"), Err(LogError::NotMcap)));
     assert!(matches!(Recording::from_bytes(b""), Err(LogError::NotMcap)));
     let mut foreign = mcap::Writer::new(std::io::Cursor::new(Vec::new())).unwrap();
@@ -118,7 +119,7 @@ fn what_is_no_log_is_said_to_be_none() {
 /// A process that records is killed (this test starts itself as that process): its log is read up to less
 /// than a second of the robot's clock before its last row.
 #[test]
-fn a_killed_process_leaves_a_readable_log() {
+fn killed_process_leaves_readable_log() {
     const CHILD: &str = "OPSPACE_LOG_TEST_FILE";
     let ticks = 2500;
     let time = |k: usize| k as f64 * 1e-3;
@@ -132,7 +133,7 @@ fn a_killed_process_leaves_a_readable_log() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "damage::a_killed_process_leaves_a_readable_log"])
+        .args(["--exact", "damage::killed_process_leaves_readable_log"])
         .env(CHILD, &path)
         .stdout(std::process::Stdio::null())
         .spawn()

@@ -1,4 +1,4 @@
-//! The ring: what happens when it is full, when the sink fails, and that pushing allocates nothing.
+//! The ring: full rings, failing sinks, and pushing without allocation.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{bits, channels, row};
@@ -42,7 +42,7 @@ impl Sink {
         self.gate.1.notify_all();
     }
 
-    /// Returns once a write stands at the gate.
+    /// Returns once a write waits at the gate.
     fn wait_until_stuck(&self) {
         let stuck = self.gate.1.wait_while(self.gate.0.lock().unwrap(), |gate| !gate.waiting);
         drop(stuck.unwrap());
@@ -72,7 +72,7 @@ impl Write for Sink {
 
 /// A simulated run through a ring of two rows: every row arrives, in order.
 #[test]
-fn a_simulated_run_loses_nothing() {
+fn simulated_run_loses_no_rows() {
     let (mut recorder, writer) =
         record(Cursor::new(Vec::new()), Header::default(), tiny(), Pace::Simulated).unwrap();
     for k in 0..1000 {
@@ -101,7 +101,7 @@ struct Stalled {
 }
 
 impl Stalled {
-    /// A run with a ring of 20 rows, which is empty while the writer stands at the sink's gate.
+    /// A run with a ring of 20 rows, which is empty while the writer waits at the sink's gate.
     fn new() -> Self {
         let sink = Sink::default();
         // Twenty rows: 10 Hz times the two seconds that a ring holds.
@@ -163,9 +163,9 @@ impl Stalled {
     }
 }
 
-/// The ring takes exactly what it holds; the rest is dropped until the disk goes on.
+/// Rows beyond the ring's capacity: dropped and counted until the disk resumes.
 #[test]
-fn a_real_time_run_drops_and_counts() {
+fn full_ring_drops_and_counts_rows() {
     let mut run = Stalled::new();
     let kept: Vec<bool> = (0..25).map(|_| run.push()).collect();
     assert_eq!(kept, [[true; 20].as_slice(), &[false; 5]].concat());
@@ -178,16 +178,16 @@ fn a_real_time_run_drops_and_counts() {
 
 /// Checks that a gap that lasts to the end of the run is reported like any other.
 #[test]
-fn the_last_gap_is_told() {
+fn final_gap_is_reported() {
     let mut run = Stalled::new();
     let kept = (0..27).filter(|_| run.push()).count();
     assert_eq!((kept, run.dropped.len()), (20, 7));
     run.check();
 }
 
-/// A full disk, in both paces: pushing ends, the error is the sink's own, and what fitted can be read.
+/// A full disk, in both paces: pushing ends, the error is the sink's own, and the rows that fitted can be read.
 #[test]
-fn a_full_disk_is_told_at_the_end() {
+fn full_disk_is_reported_at_the_end() {
     for pace in [Pace::Simulated, Pace::RealTime] {
         let sink = Sink { room: Some(100_000), ..Sink::default() };
         let (mut recorder, writer) = record(sink.clone(), Header::default(), tiny(), pace).unwrap();
@@ -207,16 +207,16 @@ fn a_full_disk_is_told_at_the_end() {
     }
 }
 
-/// A sink that takes nothing is known before the run begins.
+/// A sink that accepts nothing: the error is known before the run begins.
 #[test]
-fn an_unwritable_sink_is_told_at_once() {
+fn unwritable_sink_fails_at_start() {
     let sink = Sink { room: Some(10), ..Sink::default() };
     assert!(matches!(record(sink, Header::default(), tiny(), Pace::Simulated), Err(LogError::Write(_))));
 }
 
-/// A log finished before its recorder is dropped holds what was pushed before; later rows hang nothing.
+/// A log finished before its recorder is dropped: it holds the rows pushed before, and later rows block nothing.
 #[test]
-fn rows_after_the_end_are_counted_as_lost() {
+fn rows_after_finish_count_as_lost() {
     let (mut recorder, writer) =
         record(Cursor::new(Vec::new()), Header::default(), tiny(), Pace::Simulated).unwrap();
     recorder.push(0, 0.0, &row(0, 9));
@@ -227,9 +227,9 @@ fn rows_after_the_end_are_counted_as_lost() {
     assert!(recorder.dropped() > 90, "all but what the ring takes");
 }
 
-/// A robot that stands still after ten rows: they reach the sink although no chunk is full and nothing ends.
+/// Ten rows and then none: they reach the sink although no chunk is full and the run continues.
 #[test]
-fn a_real_time_run_that_stands_still_is_written() {
+fn stalled_real_time_run_is_flushed() {
     let sink = Sink::default();
     let (mut recorder, _writer) =
         record(sink.clone(), Header::default(), channels(), Pace::RealTime).unwrap();
@@ -242,9 +242,9 @@ fn a_real_time_run_that_stands_still_is_written() {
     assert_eq!(rows(), 10);
 }
 
-/// Dropping the writer without finishing it, as a panic does, still makes a whole file.
+/// A writer dropped without being finished, as by a panic: the file is complete.
 #[test]
-fn a_dropped_writer_finishes_the_file() {
+fn dropped_writer_finishes_the_file() {
     let sink = Sink::default();
     let (mut recorder, writer) = record(sink.clone(), Header::default(), tiny(), Pace::Simulated).unwrap();
     (0..10).for_each(|k| recorder.push(0, k as f64, &row(k, 9)));
@@ -254,8 +254,8 @@ fn a_dropped_writer_finishes_the_file() {
     assert_eq!((recording.channels[0].len(), recording.damage), (10, None));
 }
 
-/// Allocations on the pushing thread: none, waiting and dropping included. That the counter counts is
-/// checked beside it.
+/// Allocations on the pushing thread: none, including waiting and dropping. A control allocation shows that the
+/// counter works.
 #[test]
 fn pushing_allocates_nothing() {
     let (mut recorder, writer) =

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// Rows read against rows pushed, bit for bit, over several chunks.
 #[test]
-fn values_keep_their_bits() {
+fn values_round_trip_bit_for_bit() {
     let ticks = 4000;
     let (written, bytes) = log(header(), ticks);
     assert_eq!((written.records, written.dropped), (3 * ticks as u64, 0));
@@ -30,7 +30,7 @@ fn values_keep_their_bits() {
 
 /// Layouts, metadata and attachments read against those given; signals looked up by name in the row.
 #[test]
-fn the_layout_and_the_files_come_back() {
+fn layout_and_attachments_round_trip() {
     let (_, bytes) = log(header(), 3);
     let recording = Recording::from_bytes(&bytes).unwrap();
     let read: Vec<_> = recording.channels.iter().map(|c| c.layout.clone()).collect();
@@ -63,9 +63,9 @@ fn equal_rows_make_equal_files() {
     assert!(one == other);
 }
 
-/// A log without rows is a whole log: its layouts are known.
+/// A log without rows: complete, with its layouts.
 #[test]
-fn a_run_without_a_tick_has_its_layouts() {
+fn empty_run_keeps_its_layouts() {
     let (_, bytes) = log(header(), 0);
     let recording = Recording::from_bytes(&bytes).unwrap();
     assert_eq!(recording.damage, None);
@@ -76,7 +76,7 @@ fn a_run_without_a_tick_has_its_layouts() {
 /// The rows as any protobuf reader finds them: the definition in the file, decoded by prost's own types,
 /// names the fields whose values the bytes hold.
 #[test]
-fn a_foreign_reader_finds_the_fields() {
+fn generic_protobuf_reader_finds_the_fields() {
     let (_, bytes) = log(Header::default(), 5);
     let message = MessageStream::new(&bytes).unwrap().map(Result::unwrap);
     let message = message.filter(|m| m.channel.topic == "/opspace/tick").nth(3).unwrap();
@@ -119,7 +119,7 @@ const ARM: &str = r#"<robot name="arm">
 
 /// `/joint_states` against the rows, `/tf` against the model's own kinematics, at no more than 50 Hz.
 #[test]
-fn viewers_find_the_joints_and_the_links() {
+fn viewers_get_joint_states_and_transforms() {
     let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
     let (_, bytes) = log(Header { model: Some(Arc::clone(&model)), ..Header::default() }, 101);
     let messages: Vec<_> = MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
@@ -162,7 +162,7 @@ fn viewers_find_the_joints_and_the_links() {
 
 /// Checks that data that can't be recorded are refused by name.
 #[test]
-fn what_does_not_fit_is_refused() {
+fn mismatched_data_are_refused() {
     let twice = vec![channels().remove(0), channels().remove(0)];
     let error = record(Cursor::new(Vec::new()), Header::default(), twice, Pace::Simulated).unwrap_err();
     assert_eq!(error.to_string(), "two channels have the name 'tick'; names must be unique");

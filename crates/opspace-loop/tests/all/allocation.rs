@@ -3,7 +3,7 @@
 //! Compared: the allocator's own count before and after each call. It counts this thread only.
 
 use crate::common::cases::{Case, DURATION_S, cases};
-use crate::common::{self, KINDS, PERIOD_S, capabilities, config, weight_and};
+use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller};
 use opspace_backend::{CommandKind, DeviceFault, Layout, Sample, Sink, TICK};
 use opspace_loop::{ControlLoop, Phase, Run};
 use opspace_testing::allocation::allocations;
@@ -43,7 +43,8 @@ fn device_fault() -> DeviceFault {
 /// Counts what each cycle of a run allocates.
 fn check(case: &Case, kind: CommandKind) -> Seen {
     let stop_request = AtomicBool::new(false);
-    let control = ControlLoop::new(config(capabilities(kind), weight_and(3.0))).expect("parts that fit");
+    let control =
+        ControlLoop::new(config(capabilities(kind), gravity_controller(3.0))).expect("parts that fit");
     let mut seen = Seen::new(&Run::layouts(&control, None)[TICK]);
     let mut run = Run::new(control, DURATION_S, &mut seen).with_stop_request(&stop_request);
     let mut sample = Sample::new(&capabilities(kind));
@@ -55,7 +56,7 @@ fn check(case: &Case, kind: CommandKind) -> Seen {
             let command = if case.unreadable.contains(&cycle) {
                 run.fail(device_fault())
             } else {
-                case.play(cycle, &mut sample, &stop_request);
+                case.fill_sample(cycle, &mut sample, &stop_request);
                 run.cycle(&sample)
             };
             if command.is_some() && case.refused == Some(cycle) {
@@ -68,7 +69,7 @@ fn check(case: &Case, kind: CommandKind) -> Seen {
 }
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
@@ -93,7 +94,7 @@ fn no_cycle_of_a_run_allocates() {
 fn no_step_of_a_loop_allocates() {
     for kind in KINDS {
         let mut control =
-            ControlLoop::new(config(capabilities(kind), weight_and(3.0))).expect("parts that fit");
+            ControlLoop::new(config(capabilities(kind), gravity_controller(3.0))).expect("parts that fit");
         let targets = control.targets();
         let mut sample = Sample::new(&capabilities(kind));
         let mut phases = [false; 5];

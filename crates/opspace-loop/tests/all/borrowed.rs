@@ -1,7 +1,7 @@
 //! A backend that borrows its handle and belongs to one thread.
 
 use crate::common::{
-    PERIOD_S, Received, START, Scripted, at_rest, capabilities, config, drive_robot, weight_and,
+    PERIOD_S, Received, START, Scripted, at_rest, capabilities, config, drive_robot, gravity_controller,
 };
 use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
 use opspace_loop::{ControlLoop, Run, RunOutcome, drive};
@@ -53,13 +53,14 @@ fn backend_may_borrow_and_belong_to_one_thread() {
     let mut robot =
         Borrowing { capabilities: position.clone(), handle: &mut handle, reads: Rc::clone(&reads) };
     let mut sink = NoRows;
-    let control = ControlLoop::new(config(position.clone(), weight_and(3.0))).expect("parts that fit");
+    let control =
+        ControlLoop::new(config(position.clone(), gravity_controller(3.0))).expect("parts that fit");
     let mut run = Run::new(control, 0.1, &mut sink);
     drive(&mut robot, &mut run);
     assert_eq!(run.finish(), RunOutcome::Completed);
     let scripted = Scripted::new(position.clone(), at_rest);
     let request = AtomicBool::new(false);
-    let record = drive_robot(config(position, weight_and(3.0)), 0.1, &request, scripted);
+    let record = drive_robot(config(position, gravity_controller(3.0)), 0.1, &request, scripted);
     let setpoints = record.commands().iter().flat_map(|received| match received {
         Received::Positions(q) => q.iter().copied(),
         other => panic!("{other:?}"),
@@ -74,6 +75,6 @@ fn loop_is_send() {
     fn sends<T: Send>(value: T) -> T {
         value
     }
-    let control = ControlLoop::new(config(capabilities(CommandKind::Torque), weight_and(0.0)));
+    let control = ControlLoop::new(config(capabilities(CommandKind::Torque), gravity_controller(0.0)));
     assert!(sends(control).is_ok());
 }

@@ -13,7 +13,7 @@ const AFTER: u64 = 100;
 const WRONG: u64 = 250;
 
 /// A robot that sways, with two missed cycles and later a dropout, on a clock that starts at `start_s`.
-fn driven(kind: CommandKind, start_s: f64, faults: bool) -> Record {
+fn run_on_clock(kind: CommandKind, start_s: f64, faults: bool) -> Record {
     let mut capabilities = capabilities(kind);
     capabilities.period_s = PERIOD_S;
     let script = move |cycle: u64, sample: &mut Sample| {
@@ -37,10 +37,10 @@ fn driven(kind: CommandKind, start_s: f64, faults: bool) -> Record {
 /// Compared: rows, commands and outcome with clocks that start at 1000 s, 5 s before zero and one period before zero,
 /// and those with a clock that starts at zero, bit for bit; and the time stamps, less the start.
 #[test]
-fn start_of_the_clock_changes_nothing_but_time_stamps() {
+fn clock_start_shifts_only_time_stamps() {
     for kind in KINDS {
         for faults in [false, true] {
-            let zero = driven(kind, 0.0, faults);
+            let zero = run_on_clock(kind, 0.0, faults);
             let phases = zero.phases();
             let has = |phase: Phase| phases.contains(&phase.code());
             assert!(has(Phase::Held) && has(Phase::Resuming), "{kind:?}: {:?}", zero.outcome);
@@ -49,7 +49,7 @@ fn start_of_the_clock_changes_nothing_but_time_stamps() {
                 _ => assert_eq!(*zero.fault(), Fault::SensorNotFinite { sensor: 0 }),
             }
             for start_s in [1000.0, -5.0, -PERIOD_S] {
-                let shifted = driven(kind, start_s, faults);
+                let shifted = run_on_clock(kind, start_s, faults);
                 let name = format!("{kind:?} from {start_s} s");
                 assert_eq!(shifted.text(), zero.text(), "{name}");
                 assert_eq!(shifted.row_bits(), zero.row_bits(), "{name}");

@@ -1,8 +1,8 @@
 //! Faults that the robot itself reports, when it is read and when it is commanded.
 
 use crate::common::{
-    self, AFTERMATH, KINDS, REST, Record, Scripted, at_rest, capabilities, config, drive_robot, model,
-    weight_and,
+    self, AFTERMATH, KINDS, REST, Record, Scripted, at_rest, capabilities, config, drive_robot,
+    gravity_controller, model,
 };
 use opspace_backend::{CommandKind, DEVICE_FAILED, DeviceFault};
 use opspace_loop::{Fault, Phase, RunOutcome};
@@ -20,14 +20,14 @@ fn reported() -> DeviceFault {
     DeviceFault::new(31, "joint 2: the brake is closed")
 }
 
-fn driven(kind: CommandKind, unreadable: Range<u64>, refused: Option<u64>) -> Record {
+fn run_with_faults(kind: CommandKind, unreadable: Range<u64>, refused: Option<u64>) -> Record {
     let robot = Scripted {
         unreadable,
         refused,
         device_fault: reported(),
         ..Scripted::new(capabilities(kind), at_rest)
     };
-    drive_robot(config(capabilities(kind), weight_and(3.0)), 0.2, &AtomicBool::new(false), robot)
+    drive_robot(config(capabilities(kind), gravity_controller(3.0)), 0.2, &AtomicBool::new(false), robot)
 }
 
 /// Checks outcome and rows: `before` rows without a fault, then one of the device fault, in `phase`.
@@ -49,7 +49,7 @@ fn check(record: &Record, before: u64, phase: Phase, time_s: f64) {
 #[test]
 fn fault_at_read_stops_the_robot() {
     for kind in KINDS {
-        let record = driven(kind, WRONG..WRONG + 1, None);
+        let record = run_with_faults(kind, WRONG..WRONG + 1, None);
         check(&record, WRONG, Phase::Control, (WRONG - 1 - REST) as f64 * common::PERIOD_S);
         assert_eq!(record.check_fault_rows(Phase::Control), WRONG as usize);
         let last = usize::from(kind != CommandKind::Torque);
@@ -59,9 +59,9 @@ fn fault_at_read_stops_the_robot() {
 
 /// Compared: the rows of a robot that can't be read any more, and none after that of the fault.
 #[test]
-fn lasting_fault_at_read_has_no_aftermath() {
+fn lasting_read_fault_records_no_further_rows() {
     for kind in KINDS {
-        let record = driven(kind, WRONG..u64::MAX, None);
+        let record = run_with_faults(kind, WRONG..u64::MAX, None);
         check(&record, WRONG, Phase::Control, (WRONG - 1 - REST) as f64 * common::PERIOD_S);
         assert_eq!(record.rows.len(), WRONG as usize + 1);
     }
@@ -69,9 +69,9 @@ fn lasting_fault_at_read_has_no_aftermath() {
 
 /// Compared: outcome, rows and commands of a run whose first cycle can't be read, and one fault at rest and a stop.
 #[test]
-fn fault_at_the_first_read_stops_the_robot_without_a_command() {
+fn first_read_fault_stops_without_command() {
     for kind in KINDS {
-        let record = driven(kind, 0..1, None);
+        let record = run_with_faults(kind, 0..1, None);
         check(&record, 0, Phase::Rest, 0.0);
         assert_eq!(record.check_fault_rows(Phase::Rest), 0);
         assert_eq!(record.commands(), []);
@@ -83,7 +83,7 @@ fn fault_at_the_first_read_stops_the_robot_without_a_command() {
 #[test]
 fn fault_at_write_stops_the_robot() {
     for kind in KINDS {
-        let record = driven(kind, 0..0, Some(WRONG));
+        let record = run_with_faults(kind, 0..0, Some(WRONG));
         check(&record, WRONG + 1, Phase::Control, (WRONG - REST) as f64 * common::PERIOD_S);
         assert_eq!(record.check_fault_rows(Phase::Control), WRONG as usize + 1);
         assert_eq!(record.rows.len(), WRONG as usize + 2 + AFTERMATH);

@@ -4,7 +4,7 @@
 //! resuming.
 
 use crate::common::{
-    Commanded, KINDS, PERIOD_S, REST, Received, Record, at_rest, model, run, servo_torque, weight_and,
+    Commanded, KINDS, PERIOD_S, REST, Received, Record, at_rest, gravity_controller, model, run, servo_torque,
 };
 use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, Phase, RunOutcome};
@@ -25,16 +25,16 @@ const RAMP: usize = 100;
 /// Far below any torque that is commanded here, Nm.
 const TORQUE: f64 = 1e-9;
 
-/// The clock of a robot of which `missed` cycles are missed before cycle [`AFTER`], s.
-fn late_s(cycle: u64, missed: u64) -> f64 {
+/// Clock of a robot with `missed` missed cycles before cycle [`AFTER`], s.
+fn delayed_clock_s(cycle: u64, missed: u64) -> f64 {
     (cycle + if cycle >= AFTER { missed } else { 0 }) as f64 * PERIOD_S
 }
 
 /// A robot at rest, with that many cycles missed.
-fn silent(missed: u64) -> impl FnMut(u64, &mut Sample) + Copy {
+fn missing_cycles(missed: u64) -> impl FnMut(u64, &mut Sample) + Copy {
     move |cycle, sample| {
         at_rest(cycle, sample);
-        sample.time_s = late_s(cycle, missed);
+        sample.time_s = delayed_clock_s(cycle, missed);
     }
 }
 
@@ -62,7 +62,7 @@ fn few_missed_cycles_are_tolerated() {
         });
         let record = run(CommandKind::Torque, controller, 0.2, move |cycle, sample| {
             at_rest(cycle, sample);
-            sample.time_s = late_s(cycle, missed);
+            sample.time_s = delayed_clock_s(cycle, missed);
             sample.q[0] += SPEED * sample.time_s;
         });
         assert_eq!(record.outcome, RunOutcome::Completed);
@@ -82,10 +82,10 @@ fn few_missed_cycles_are_tolerated() {
 /// Compared: the commands after a dropout of 0.1 s, and first holds, then the weight plus a ramp; the setpoints while
 /// it is held, and the last ones before (zero of a velocity robot); and the phases of the cycles.
 #[test]
-fn robot_is_held_after_a_dropout_and_torques_ramp_in_again() {
+fn robot_is_held_after_dropout_then_torques_ramp_in() {
     const EXTRA: f64 = 6.0;
     for kind in KINDS {
-        let record = run(kind, weight_and(EXTRA), 0.5, silent(100));
+        let record = run(kind, gravity_controller(EXTRA), 0.5, missing_cycles(100));
         assert_eq!(record.outcome, RunOutcome::Completed);
         let commands = record.commands();
         let held = &commands[BEFORE..BEFORE + STILL];
@@ -114,22 +114,22 @@ fn robot_is_held_after_a_dropout_and_torques_ramp_in_again() {
 
 /// Compared: the cycles for which a robot that still moves is held, and multiples of those of one at rest.
 #[test]
-fn moving_robot_is_held_until_it_is_at_rest() {
+fn moving_robot_is_held_until_rest() {
     let moves_on = |until: u64| {
         move |cycle: u64, sample: &mut Sample| {
             at_rest(cycle, sample);
-            sample.time_s = late_s(cycle, 10);
+            sample.time_s = delayed_clock_s(cycle, 10);
             sample.q[1] += 0.1 * PERIOD_S * (cycle.min(until) as f64 - AFTER as f64).max(0.0);
         }
     };
     for kind in KINDS {
-        let record = run(kind, weight_and(0.0), 0.5, moves_on(AFTER + 120));
+        let record = run(kind, gravity_controller(0.0), 0.5, moves_on(AFTER + 120));
         assert_eq!(record.outcome, RunOutcome::Completed);
         let held = record.phases().iter().filter(|p| **p == Phase::Held.code()).count();
         // Tested every 50 ms: the third time it has moved, the fourth not.
         assert_eq!(held, 4 * STILL, "{kind:?}");
 
-        let record = run(kind, weight_and(0.0), 3.0, moves_on(u64::MAX));
+        let record = run(kind, gravity_controller(0.0), 3.0, moves_on(u64::MAX));
         let Fault::HoldFailed { joint: 1, held_s } = *record.fault() else { panic!("{:?}", record.outcome) };
         assert!((1.0..1.06).contains(&held_s), "{held_s} s");
         assert!(record.fault().describe(&model()).contains("joint 'elbow'"));
@@ -140,9 +140,9 @@ fn moving_robot_is_held_until_it_is_at_rest() {
 /// Compared: the last command, and the first, which was made for the weight alone: the setpoint that balances it at
 /// rest.
 #[test]
-fn robot_that_is_silent_for_too_long_is_stopped() {
+fn too_long_dropout_stops_the_robot() {
     for kind in KINDS {
-        let record = run(kind, weight_and(3.0), 3.0, silent(1001));
+        let record = run(kind, gravity_controller(3.0), 3.0, missing_cycles(1001));
         let Fault::Dropout { silent_s, limit_s } = *record.fault() else { panic!("{:?}", record.outcome) };
         assert!((silent_s - 1.001).abs() < ROUNDING && limit_s == 1.0, "{silent_s} s, {limit_s} s");
         let commands = record.commands();
@@ -152,18 +152,21 @@ fn robot_that_is_silent_for_too_long_is_stopped() {
             assert_eq!(commands.len(), BEFORE + 1, "one last setpoint");
             assert_eq!(commands.last(), commands.first(), "held where it is");
         }
-        assert_eq!(run(kind, weight_and(3.0), 3.0, silent(1000)).outcome, RunOutcome::Completed);
+        assert_eq!(
+            run(kind, gravity_controller(3.0), 3.0, missing_cycles(1000)).outcome,
+            RunOutcome::Completed
+        );
     }
 }
 
-/// Compared: the commands after a dropout whose first sample is refused, and none: the state before the dropout is no
-/// place to go back to.
+/// Compared: the commands after a dropout whose first sample is refused, and none: the robot must not return to the
+/// state before the dropout.
 #[test]
-fn unknown_state_after_a_dropout_moves_no_setpoint() {
+fn unknown_state_after_dropout_moves_no_setpoint() {
     for kind in KINDS {
-        let record = run(kind, weight_and(3.0), 0.5, |cycle, sample| {
+        let record = run(kind, gravity_controller(3.0), 0.5, |cycle, sample| {
             at_rest(cycle, sample);
-            sample.time_s = late_s(cycle, 100);
+            sample.time_s = delayed_clock_s(cycle, 100);
             sample.q[0] = if cycle >= AFTER { f64::NAN } else { sample.q[0] };
         });
         assert_eq!(*record.fault(), Fault::MeasurementNotFinite { joint: 0 });
@@ -174,9 +177,9 @@ fn unknown_state_after_a_dropout_moves_no_setpoint() {
 /// Compared: the last command after an encoder's jump by a radian, and the first: the robot is held at the position
 /// before the jump.
 #[test]
-fn position_jump_stops_the_robot_where_it_was_before() {
+fn position_jump_stops_at_previous_position() {
     for kind in KINDS {
-        let record = run(kind, weight_and(0.0), 0.5, |cycle, sample| {
+        let record = run(kind, gravity_controller(0.0), 0.5, |cycle, sample| {
             at_rest(cycle, sample);
             sample.q[0] += if cycle >= AFTER { 1.0 } else { 0.0 };
         });

@@ -1,6 +1,6 @@
 //! Rows of a simulation: each has the torques that were desired with the command in force.
 
-use crate::common::{self, REST, Scripted, at_rest, capabilities, columns, config, weight_and};
+use crate::common::{self, REST, Scripted, at_rest, capabilities, columns, config, gravity_controller};
 use opspace_backend::{
     Backend, Capabilities, Command, CommandKind, DeviceFault, GroundTruth, Layout, SERVO, Sample, Signal,
     Sink, TICK, TRUTH, TruthLayouts, TruthRow,
@@ -72,7 +72,7 @@ impl Sink for All {
 /// Compared: the desired torques in the row of the drives, and those in the row of the cycle before, in which the
 /// command was written; NaN at rest, while held and after the stop.
 #[test]
-fn rows_of_the_drives_have_the_torques_of_their_command() {
+fn servo_rows_have_torques_of_their_command() {
     for kind in common::KINDS {
         let script = |cycle: u64, sample: &mut Sample| {
             at_rest(cycle, sample);
@@ -81,7 +81,8 @@ fn rows_of_the_drives_have_the_torques_of_their_command() {
         };
         let robot = Scripted::new(capabilities(kind), script);
         let mut robot = Simulated { robot, commands: 0, in_force: None, time_s: 0.0 };
-        let control = ControlLoop::new(config(capabilities(kind), weight_and(3.0))).expect("parts that fit");
+        let control =
+            ControlLoop::new(config(capabilities(kind), gravity_controller(3.0))).expect("parts that fit");
         let layouts = Run::layouts(&control, robot.ground_truth().map(GroundTruth::layouts));
         assert_eq!(layouts[SERVO].signals[0].name, "torque_desired");
         let torque = columns(&layouts[TICK], "torque_desired");
@@ -107,11 +108,12 @@ fn rows_of_the_drives_have_the_torques_of_their_command() {
 
 /// Compared: the order of the first rows, and the true state before the cycle that belongs to it.
 #[test]
-fn true_state_comes_before_the_row_of_its_cycle() {
+fn true_state_row_precedes_its_cycle_row() {
     let kind = CommandKind::Torque;
     let robot = Scripted::new(capabilities(kind), at_rest);
     let mut robot = Simulated { robot, commands: 0, in_force: None, time_s: 0.0 };
-    let control = ControlLoop::new(config(capabilities(kind), weight_and(0.0))).expect("parts that fit");
+    let control =
+        ControlLoop::new(config(capabilities(kind), gravity_controller(0.0))).expect("parts that fit");
     let mut all = All::default();
     let mut run = Run::new(control, 0.01, &mut all);
     drive(&mut robot, &mut run);

@@ -1,8 +1,8 @@
 //! From samples to the measurement of a controller: tared force sensors and joint velocities.
 
 use crate::common::{
-    Commanded, KINDS, PERIOD_S, REST, START, Scripted, at_rest, capabilities, config, drive_robot, model,
-    run, servos, weight_and,
+    Commanded, KINDS, PERIOD_S, REST, START, Scripted, at_rest, capabilities, config, drive_robot,
+    gravity_controller, model, run, servos,
 };
 use nalgebra::Vector3;
 use opspace_backend::{CommandKind, Measured, Sample};
@@ -29,7 +29,7 @@ fn force_sensors_are_tared_and_rotated_into_world_axes() {
         sample.wrenches[0][..3].copy_from_slice((bias + extra).as_slice());
         sample.wrenches[0][3..].copy_from_slice((0.1 * bias).as_slice());
     };
-    let record = run(CommandKind::Torque, weight_and(0.0), 0.01, script);
+    let record = run(CommandKind::Torque, gravity_controller(0.0), 0.01, script);
     let model = model();
     let mut data = Data::new(&model);
     assert!(update(&model, &mut data, &START, &[0.0; 2]));
@@ -78,7 +78,7 @@ fn check_velocity(kind: CommandKind, transformer: Option<Box<dyn Transformer>>, 
 
 /// Compared: the velocity that the controller sees, and the measured one, which is not the difference of positions.
 #[test]
-fn measured_velocity_replaces_the_filtered_difference() {
+fn measured_velocity_replaces_filtered_difference() {
     for kind in KINDS {
         check_velocity(kind, None, MEASURED);
     }
@@ -102,20 +102,22 @@ impl Transformer for Knowing {
 
 /// Compared: the velocity that the controller sees, and that of the transformer, which is not the measured one.
 #[test]
-fn velocity_of_the_transformer_replaces_the_measured_one() {
+fn transformer_velocity_replaces_measured_velocity() {
     let known = [0.05, 0.06];
     let transformer = Knowing { dq: known, paper: PaperTransformer::new(servos()) };
     check_velocity(CommandKind::Position, Some(Box::new(transformer)), known);
 }
 
-/// Compared: the velocity in the rows of a held robot, and the measured one: of a robot that it does not command the
-/// transformer knows nothing.
+/// Compared: the velocity in the rows of a held robot, and the measured one: the transformer does not know the motion
+/// of a robot that it does not command.
 #[test]
-fn velocity_of_a_held_robot_is_the_measured_one() {
+fn held_robot_uses_measured_velocity() {
     let transformer = Knowing { dq: [0.05, 0.06], paper: PaperTransformer::new(servos()) };
     let capabilities = capabilities(CommandKind::Position).measuring(&[Measured::Velocity]);
-    let config =
-        LoopConfig { transformer: Box::new(transformer), ..config(capabilities.clone(), weight_and(0.0)) };
+    let config = LoopConfig {
+        transformer: Box::new(transformer),
+        ..config(capabilities.clone(), gravity_controller(0.0))
+    };
     let robot = Scripted::new(capabilities, |cycle, sample| {
         claims_to_move(cycle, sample);
         sample.time_s += if cycle >= 30 { 10.0 * PERIOD_S } else { 0.0 };

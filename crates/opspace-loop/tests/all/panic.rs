@@ -1,7 +1,7 @@
 //! Panics in parts of a run: the robot ends in its safe state.
 
 use crate::common::{
-    Commanded, KINDS, PERIOD_S, REST, Received, Scripted, at_rest, capabilities, config, weight_and,
+    Commanded, KINDS, PERIOD_S, REST, Received, Scripted, at_rest, capabilities, config, gravity_controller,
 };
 use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink};
 use opspace_control::Controller;
@@ -89,13 +89,13 @@ fn panicking_controller() -> impl Controller {
 /// Compared: outcome, calls and rows of a run in which a part panics in one cycle, and a fault, a stop in that cycle
 /// and no cycle after it.
 #[test]
-fn panic_of_any_part_stops_the_robot() {
+fn panic_in_any_part_stops_the_robot() {
     silence();
     for kind in KINDS {
         for part in [Part::Controller, Part::Read, Part::Write, Part::Sink] {
             let config = match part {
                 Part::Controller => config(capabilities(kind), panicking_controller()),
-                _ => config(capabilities(kind), weight_and(0.0)),
+                _ => config(capabilities(kind), gravity_controller(0.0)),
             };
             let script = |cycle, sample: &mut Sample| {
                 assert!(part != Part::Read || cycle < WRONG, "{SCRIPTED}");
@@ -130,7 +130,7 @@ fn panic_of_any_part_stops_the_robot() {
 
 /// Compared: the outcome of a faulted run whose robot panics in its aftermath, and the fault.
 #[test]
-fn panic_after_a_stop_leaves_the_outcome() {
+fn panic_after_stop_keeps_the_outcome() {
     silence();
     let kind = opspace_backend::CommandKind::Position;
     let mut robot = Scripted::new(capabilities(kind), |cycle, sample| {
@@ -139,7 +139,8 @@ fn panic_after_a_stop_leaves_the_outcome() {
         sample.q[0] = if cycle >= WRONG { f64::NAN } else { sample.q[0] };
     });
     let mut counter = Counter { rows: 0, last: None };
-    let control = ControlLoop::new(config(capabilities(kind), weight_and(0.0))).expect("parts that fit");
+    let control =
+        ControlLoop::new(config(capabilities(kind), gravity_controller(0.0))).expect("parts that fit");
     let mut run = Run::new(control, 0.2, &mut counter);
     drive(&mut robot, &mut run);
     let RunOutcome::Faulted { fault, .. } = run.finish() else { panic!("it faults") };

@@ -2,7 +2,7 @@
 //!
 //! Compared throughout: the error, and the contradiction that the test put in.
 
-use crate::common::{KV, VelocityServo, capabilities, config, positions_at, weight_and};
+use crate::common::{KV, VelocityServo, capabilities, config, gravity_controller, position_controller};
 use opspace_backend::{Capabilities, CommandKind};
 use opspace_loop::{ControlLoop, LoopConfig, LoopError};
 
@@ -14,9 +14,9 @@ fn refusal(config: LoopConfig) -> LoopError {
 }
 
 #[test]
-fn torque_robot_refuses_positions_by_name() {
+fn torque_robot_refuses_position_commands() {
     let (gives, takes) = (CommandKind::Position, CommandKind::Torque);
-    let error = refusal(config(capabilities(takes), positions_at(|_| 0.0)));
+    let error = refusal(config(capabilities(takes), position_controller(|_| 0.0)));
     assert_eq!(error, LoopError::Kind { part: "controller", gives, takes });
     assert_eq!(
         error.to_string(),
@@ -25,27 +25,27 @@ fn torque_robot_refuses_positions_by_name() {
 }
 
 #[test]
-fn position_robot_refuses_a_transformer_to_velocities() {
+fn position_robot_refuses_velocity_transformer() {
     let (gives, takes) = (CommandKind::Velocity, CommandKind::Position);
     let config = LoopConfig {
         transformer: Box::new(VelocityServo::new(KV)),
-        ..config(capabilities(takes), weight_and(0.0))
+        ..config(capabilities(takes), gravity_controller(0.0))
     };
     assert_eq!(refusal(config), LoopError::Kind { part: "transformer", gives, takes });
 }
 
 #[test]
-fn other_joints_than_the_models_are_refused() {
+fn joints_in_another_order_are_refused() {
     let robot = Capabilities::new(["elbow", "shoulder"], CommandKind::Torque, 1e-3);
-    let error = refusal(config(robot, weight_and(0.0)));
+    let error = refusal(config(robot, gravity_controller(0.0)));
     let joints = |names: [&str; 2]| names.map(str::to_owned).to_vec();
     let [robot, model] = [joints(["elbow", "shoulder"]), joints(["shoulder", "elbow"])];
     assert_eq!(error, LoopError::Joints { robot, model });
 }
 
 #[test]
-fn arrays_of_another_length_are_refused() {
-    let position = || config(capabilities(CommandKind::Position), weight_and(0.0));
+fn wrong_array_lengths_are_refused() {
+    let position = || config(capabilities(CommandKind::Position), gravity_controller(0.0));
     let limits = LoopConfig { torque_limits: vec![1.0], ..position() };
     assert_eq!(refusal(limits), LoopError::Length { what: "torque_limits", found: 1, joints: 2 });
     let servos = LoopConfig { servo_gains: Vec::new(), ..position() };
@@ -53,9 +53,9 @@ fn arrays_of_another_length_are_refused() {
 }
 
 #[test]
-fn force_sensor_on_an_unknown_frame_is_refused() {
+fn force_sensor_on_unknown_frame_is_refused() {
     let robot = capabilities(CommandKind::Torque).with_force_sensor("foot", "sole");
-    let error = refusal(config(robot, weight_and(0.0)));
+    let error = refusal(config(robot, gravity_controller(0.0)));
     assert!(matches!(error, LoopError::Sensor(_)), "{error:?}");
     assert!(error.to_string().contains("sole"), "{error}");
 }

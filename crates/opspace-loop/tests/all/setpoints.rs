@@ -2,7 +2,7 @@
 
 use crate::common::{
     self, Commanded, KP, KV, LIMITS, PERIOD_S, Received, START, Scripted, at_rest, capabilities, config,
-    drive_robot, holding_setpoint, positions_at, run,
+    drive_robot, holding_setpoint, position_controller, run,
 };
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
@@ -27,9 +27,10 @@ fn reach(joint: usize) -> f64 {
 /// Compared: the error at the fault, for a joint that is held fast while its setpoints go on and for a setpoint that
 /// jumps, and the reach by hand plus the motion in one period.
 #[test]
-fn joint_far_from_its_setpoint_faults() {
+fn excess_following_error_faults() {
     for (speed, jump) in [(3.0, 0.0), (0.0, 0.5)] {
-        let controller = positions_at(move |time_s| speed * time_s + if time_s > 0.1 { jump } else { 0.0 });
+        let controller =
+            position_controller(move |time_s| speed * time_s + if time_s > 0.1 { jump } else { 0.0 });
         let record = run(CommandKind::Position, controller, 0.2, at_rest);
         let Fault::FollowingError { joint, error, limit } = *record.fault() else {
             panic!("{:?}", record.outcome)
@@ -50,7 +51,7 @@ fn joint_far_from_its_setpoint_faults() {
 /// Compared: the setpoints of a transformer for servos a hundred times softer than they are, and the reach by hand
 /// around the measured position.
 #[test]
-fn setpoints_are_clamped_around_the_measured_position() {
+fn setpoints_are_clamped_around_measured_position() {
     let controller = Commanded::torques(|_, _, tau| tau.copy_from_slice(&[1e6, -1e6]));
     let soft = |i: usize| ServoGains { stiffness: KP[i] * KV[i] / 100.0, damping: KV[i] };
     let position = capabilities(CommandKind::Position);

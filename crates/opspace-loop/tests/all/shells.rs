@@ -1,23 +1,25 @@
-//! The shells around the loop: a run that is fed by hand, as by a robot's callback, and one that is driven.
+//! The shells around the loop: a manually fed run, as by a robot's callback, and a driven one.
 
 use crate::common::cases::{Case, DURATION_S, cases};
-use crate::common::{KINDS, REST, Received, Record, Rows, capabilities, config, drive_robot, weight_and};
+use crate::common::{
+    KINDS, REST, Received, Record, Rows, capabilities, config, drive_robot, gravity_controller,
+};
 use opspace_backend::{CommandKind, DeviceFault, Sample, TICK};
 use opspace_loop::{ControlLoop, LoopConfig, Run};
 use std::sync::atomic::AtomicBool;
 
 fn parts(kind: CommandKind) -> LoopConfig {
-    config(capabilities(kind), weight_and(3.0))
+    config(capabilities(kind), gravity_controller(3.0))
 }
 
-fn driven(case: &Case, kind: CommandKind) -> Record {
+fn run_driven(case: &Case, kind: CommandKind) -> Record {
     let stop_request = AtomicBool::new(false);
     let robot = case.robot(kind, &stop_request);
     drive_robot(parts(kind), DURATION_S, &stop_request, robot)
 }
 
-/// Runs the case without a backend, fed by hand.
-fn fed_by_hand(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Record {
+/// Runs the case without a backend, fed manually.
+fn run_fed(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Record {
     let stop_request = AtomicBool::new(false);
     let control = ControlLoop::new(parts(kind)).expect("parts that fit");
     let layout = Run::layouts(&control, None).swap_remove(TICK);
@@ -32,7 +34,7 @@ fn fed_by_hand(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Re
         let command = if case.unreadable.contains(&cycle) {
             run.fail(device_fault.clone())
         } else {
-            case.play(cycle, &mut sample, &stop_request);
+            case.fill_sample(cycle, &mut sample, &stop_request);
             run.cycle(&sample)
         };
         if let Some(command) = command {
@@ -54,15 +56,15 @@ fn without_stops(record: Record) -> Record {
     Record { received, received_in, ..record }
 }
 
-/// Compared: rows, time stamps, commands and outcome of a run that is driven, and of one that is fed with the same
-/// samples by hand, bit for bit.
+/// Compared: rows, time stamps, commands and outcome of a driven run, and of one that is fed manually with the same
+/// samples, bit for bit.
 #[test]
-fn run_fed_by_hand_equals_the_driven_run() {
+fn manually_fed_run_equals_driven_run() {
     for kind in KINDS {
         for case in cases() {
-            let driven = without_stops(driven(&case, kind));
+            let driven = without_stops(run_driven(&case, kind));
             let device_fault = case.robot(kind, &AtomicBool::new(false)).device_fault;
-            let by_hand = fed_by_hand(&case, kind, &device_fault);
+            let by_hand = run_fed(&case, kind, &device_fault);
             let name = format!("{kind:?}, {}", case.name);
             assert_eq!(driven.text(), by_hand.text(), "{name}");
             assert_eq!(format!("{:?}", driven.times_s), format!("{:?}", by_hand.times_s), "{name}");
@@ -85,7 +87,7 @@ fn expected_writes(case: &Case, kind: CommandKind, cycle: u64) -> usize {
 fn robot_gets_at_most_one_command_per_cycle() {
     for kind in KINDS {
         for case in cases() {
-            let record = driven(&case, kind);
+            let record = run_driven(&case, kind);
             let name = format!("{kind:?}, {}", case.name);
             let cycles = record.received_in.last().expect("it is stopped") + 1;
             for cycle in 0..cycles {
@@ -101,10 +103,10 @@ fn robot_gets_at_most_one_command_per_cycle() {
 
 /// Compared: the cycles in which the robot is stopped, and the stopping cycle and the last one.
 #[test]
-fn robot_is_stopped_in_the_stopping_cycle_and_at_the_end() {
+fn robot_is_stopped_in_stop_cycle_and_at_end() {
     for kind in KINDS {
         for case in cases() {
-            let record = driven(&case, kind);
+            let record = run_driven(&case, kind);
             let calls = record.received_in.iter().zip(&record.received);
             let stops: Vec<u64> =
                 calls.filter(|(_, received)| **received == Received::Stop).map(|(at, _)| *at).collect();

@@ -2,7 +2,7 @@
 
 use crate::common::{
     self, AFTERMATH, KINDS, KV, REST, Received, START, Scripted, at_rest, capabilities, config, drive_robot,
-    gravity_at, holding_setpoint, weight_and,
+    gravity_at, gravity_controller, holding_setpoint,
 };
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, GravityCompensation, STOP_REQUESTED};
@@ -29,10 +29,10 @@ fn check_holding(kind: CommandKind, commands: &[Received]) {
 
 /// Compared: commands and rows of a run whose stop is requested from the beginning, and those of a safe stop at rest.
 #[test]
-fn stop_request_before_control_is_a_safe_stop() {
+fn stop_request_before_control_stops_safely() {
     for kind in KINDS {
         let robot = Scripted::new(capabilities(kind), at_rest);
-        let config = config(capabilities(kind), weight_and(0.0));
+        let config = config(capabilities(kind), gravity_controller(0.0));
         let record = drive_robot(config, 0.2, &AtomicBool::new(true), robot);
         assert_eq!(record.outcome, RunOutcome::Interrupted { time_s: 0.0 }, "before control");
         assert!(record.scalar("fault").iter().all(|fault| *fault == 0.0), "no fault");
@@ -57,7 +57,7 @@ fn stop_request_acts_in_its_cycle() {
             at_rest(cycle, sample);
             request.store(cycle >= AT, Ordering::Relaxed);
         });
-        let record = drive_robot(config(capabilities(kind), weight_and(3.0)), 0.2, &request, robot);
+        let record = drive_robot(config(capabilities(kind), gravity_controller(3.0)), 0.2, &request, robot);
         let RunOutcome::Interrupted { time_s } = record.outcome else { panic!("{:?}", record.outcome) };
         assert!((time_s - (AT - REST) as f64 * common::PERIOD_S).abs() < ROUNDING, "{time_s} s");
         let row = record.scalar(STOP_REQUESTED).iter().position(|requested| *requested == 1.0);
@@ -71,11 +71,11 @@ fn stop_request_acts_in_its_cycle() {
 
 /// Compared: rows and commands of a run of 0.05 s, and as many cycles, the last of whose commands is that of the stop.
 #[test]
-fn planned_end_replaces_the_last_command_and_has_no_aftermath() {
+fn planned_end_replaces_last_command() {
     const CYCLES: usize = 50;
     for kind in KINDS {
         let robot = Scripted::new(capabilities(kind), at_rest);
-        let config = config(capabilities(kind), weight_and(3.0));
+        let config = config(capabilities(kind), gravity_controller(3.0));
         let record = drive_robot(config, 0.05, &AtomicBool::new(false), robot);
         assert_eq!(record.outcome, RunOutcome::Completed);
         assert_eq!(record.rows.len(), REST as usize + CYCLES);
@@ -86,11 +86,11 @@ fn planned_end_replaces_the_last_command_and_has_no_aftermath() {
 
 /// Compared: the setpoint at the stop of a robot that compensates gravity itself, and its position.
 #[test]
-fn position_robot_that_compensates_its_gravity_stops_at_its_position() {
+fn gravity_compensating_robot_stops_at_its_position() {
     let capabilities =
         capabilities(CommandKind::Position).with_gravity_compensated_by(GravityCompensation::Robot);
     let robot = Scripted::new(capabilities.clone(), at_rest);
-    let config = config(capabilities, weight_and(0.0));
+    let config = config(capabilities, gravity_controller(0.0));
     let record = drive_robot(config, 0.2, &AtomicBool::new(true), robot);
     assert_eq!(record.commands(), [Received::Positions(DVector::from_column_slice(&START))]);
 }

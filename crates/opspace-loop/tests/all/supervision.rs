@@ -4,8 +4,8 @@
 //! the robot never moves by itself.
 
 use crate::common::{
-    self, Commanded, KINDS, KV, PERIOD_S, REST, Received, Record, START, at_rest, gravity_at, model, run,
-    weight_and,
+    self, Commanded, KINDS, KV, PERIOD_S, REST, Received, Record, START, at_rest, gravity_at,
+    gravity_controller, model, run,
 };
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, Sample};
@@ -21,7 +21,7 @@ const SETPOINT: f64 = 1e-6;
 
 fn assert_fault(script: impl Fn(u64, &mut Sample) + Copy, expected: &Fault) {
     for kind in KINDS {
-        let record = run(kind, weight_and(0.0), DURATION_S, script);
+        let record = run(kind, gravity_controller(0.0), DURATION_S, script);
         // Clock faults hold times; the debug text has all of them, NaN included.
         assert_eq!(format!("{:?}", record.fault()), format!("{expected:?}"), "{kind:?}");
         check_stop(kind, &record);
@@ -49,7 +49,7 @@ fn check_stop(kind: CommandKind, record: &Record) {
 }
 
 #[test]
-fn not_finite_measurement_faults() {
+fn non_finite_measurement_faults() {
     let position = |cycle, sample: &mut Sample| {
         at_rest(cycle, sample);
         if cycle == WRONG {
@@ -71,7 +71,7 @@ fn not_finite_measurement_faults() {
 }
 
 #[test]
-fn clock_that_stands_still_or_goes_back_or_is_nan_faults() {
+fn stalled_backward_or_nan_clock_faults() {
     let before_s = (WRONG - 1) as f64 * PERIOD_S;
     for now_s in [before_s, 0.001, f64::NAN] {
         let script = move |cycle, sample: &mut Sample| {
@@ -84,12 +84,12 @@ fn clock_that_stands_still_or_goes_back_or_is_nan_faults() {
     }
 }
 
-/// Compared: the commands to a robot whose first position is no number, and none: it must not go to a position that was
-/// never measured.
+/// Compared: the commands to a robot whose first position is not finite, and none: it must not go to a position that
+/// was never measured.
 #[test]
-fn robot_that_was_never_read_gets_no_setpoint() {
+fn unread_robot_gets_no_setpoint() {
     for kind in KINDS {
-        let record = run(kind, weight_and(0.0), DURATION_S, |cycle, sample| {
+        let record = run(kind, gravity_controller(0.0), DURATION_S, |cycle, sample| {
             at_rest(cycle, sample);
             sample.q[0] = f64::NAN;
         });
@@ -100,7 +100,7 @@ fn robot_that_was_never_read_gets_no_setpoint() {
 }
 
 #[test]
-fn not_finite_command_never_reaches_the_robot() {
+fn non_finite_command_never_reaches_the_robot() {
     for kind in KINDS {
         let controller = Commanded::torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
@@ -127,9 +127,9 @@ fn not_finite_command_never_reaches_the_robot() {
 
 /// Compared: the position at the fault, and the first of the script's positions beyond the limit and its margin.
 #[test]
-fn joint_beyond_its_limit_faults() {
+fn joint_limit_violation_faults() {
     // Drifts slowly beyond 2 rad and its margin of 0.05.
-    let record = run(CommandKind::Torque, weight_and(0.0), DURATION_S, |cycle, sample| {
+    let record = run(CommandKind::Torque, gravity_controller(0.0), DURATION_S, |cycle, sample| {
         at_rest(cycle, sample);
         sample.q[1] = 1.99 + 1e-3 * cycle as f64;
     });
@@ -142,8 +142,8 @@ fn joint_beyond_its_limit_faults() {
 
 /// Compared: the speed at the fault, and the limit of 5 rad/s and the script's 7 rad/s.
 #[test]
-fn joint_above_its_speed_limit_faults() {
-    let record = run(CommandKind::Torque, weight_and(0.0), DURATION_S, |cycle, sample| {
+fn speed_limit_violation_faults() {
+    let record = run(CommandKind::Torque, gravity_controller(0.0), DURATION_S, |cycle, sample| {
         at_rest(cycle, sample);
         sample.q[0] -= 7.0 * PERIOD_S * cycle.saturating_sub(WRONG) as f64;
     });

@@ -59,7 +59,7 @@ impl Sink for Rows {
 }
 
 /// The rows of an arm alone in its simulation.
-fn alone(arm: usize) -> Vec<u64> {
+fn single_arm_rows(arm: usize) -> Vec<u64> {
     let mut rows = Rows::default();
     let mut run = Run::new(control_loop(arm), DURATION_S, &mut rows);
     let mut robot = SimulatedArm::new(arm_config(arm)).expect("an arm");
@@ -70,7 +70,7 @@ fn alone(arm: usize) -> Vec<u64> {
 
 /// Compared: the rows of two arms in one simulation, whose buses lose cycles, and the rows of each arm alone.
 #[test]
-fn lost_cycles_of_one_arm_cost_the_other_none() {
+fn lost_cycles_do_not_affect_the_other_arm() {
     let config = SimulationConfig { arms: vec![arm_config(0), arm_config(1)], couplings: Vec::new() };
     let mut arms = Simulation::new(config).expect("a simulation").into_arms();
     let [first, second] = &mut arms[..] else { panic!("two arms") };
@@ -88,6 +88,6 @@ fn lost_cycles_of_one_arm_cost_the_other_none() {
         assert_eq!(run.finish(), RunOutcome::Completed);
     }
     for (arm, rows) in rows.iter().enumerate() {
-        assert!(rows.0 == alone(arm), "arm {arm}");
+        assert!(rows.0 == single_arm_rows(arm), "arm {arm}");
     }
 }

@@ -1,7 +1,7 @@
 //! The torques that a robot receives: ramp and limits.
 
 use crate::common::{
-    KINDS, LIMITS, PERIOD_S, Received, START, at_rest, gravity_at, run, servo_torque, weight_and,
+    KINDS, LIMITS, PERIOD_S, Received, START, at_rest, gravity_at, gravity_controller, run, servo_torque,
 };
 use opspace_backend::CommandKind;
 use opspace_loop::RunOutcome;
@@ -11,11 +11,11 @@ const TORQUE: f64 = 1e-6;
 
 /// Compared: the torques of the first 0.15 s, and the weight by hand plus a ramp of 0.1 s.
 #[test]
-fn torques_ramp_in_from_holding_the_weight() {
+fn torques_ramp_in_from_gravity_compensation() {
     const EXTRA: f64 = 6.0;
     let weight = gravity_at(&START);
     for kind in KINDS {
-        let record = run(kind, weight_and(EXTRA), 0.2, at_rest);
+        let record = run(kind, gravity_controller(EXTRA), 0.2, at_rest);
         assert_eq!(record.outcome, RunOutcome::Completed);
         for (k, received) in record.commands().iter().take(150).enumerate() {
             let share = (k as f64 * PERIOD_S / 0.1).min(1.0);
@@ -27,8 +27,8 @@ fn torques_ramp_in_from_holding_the_weight() {
 
 /// Compared: the last torques, where far more is commanded, and the limits.
 #[test]
-fn torques_are_clamped_before_they_reach_the_robot() {
-    let record = run(CommandKind::Torque, weight_and(500.0), 0.2, at_rest);
+fn commanded_torques_are_clamped() {
+    let record = run(CommandKind::Torque, gravity_controller(500.0), 0.2, at_rest);
     let Some(Received::Torques(last)) = record.commands().last() else { panic!("{:?}", record.received) };
     assert_eq!(last.as_slice(), LIMITS);
     assert_eq!(record.values(record.rows.len() - 1, "torque_saturated"), [1.0, 1.0]);

@@ -2,7 +2,7 @@
 
 use crate::common::{
     Commanded, KV, LIMITS, PERIOD_S, REST, Received, Record, START, Scripted, VelocityServo, at_rest,
-    capabilities, config, drive_robot, gravity_at, weight_and,
+    capabilities, config, drive_robot, gravity_at, gravity_controller,
 };
 use nalgebra::DVector;
 use opspace_backend::{Capabilities, CommandKind, Measured, Sample};
@@ -23,7 +23,12 @@ fn robot() -> Capabilities {
 }
 
 /// Runs a controller for 0.2 s at a measured velocity `dq` (rad/s), with setpoints for servos of `damping` (Nms/rad).
-fn driven(controller: impl Controller + 'static, dq: [f64; 2], damping: [f64; 2], missed: u64) -> Record {
+fn run_at_velocity(
+    controller: impl Controller + 'static,
+    dq: [f64; 2],
+    damping: [f64; 2],
+    missed: u64,
+) -> Record {
     let script = move |cycle: u64, sample: &mut Sample| {
         at_rest(cycle, sample);
         sample.time_s = (cycle + if cycle >= 60 { missed } else { 0 }) as f64 * PERIOD_S;
@@ -42,10 +47,10 @@ fn velocities(received: &Received) -> &DVector<f64> {
 /// Compared: setpoints of a transformer for servos ten times softer than they are, and the measured velocity plus and
 /// minus torque limit over kv, by hand.
 #[test]
-fn setpoints_are_clamped_around_the_measured_velocity() {
+fn setpoints_are_clamped_around_measured_velocity() {
     let dq = [0.3, -0.2];
     let controller = Commanded::torques(|_, _, tau| tau.copy_from_slice(&[1e6, -1e6]));
-    let record = driven(controller, dq, KV.map(|kv| kv / 10.0), 0);
+    let record = run_at_velocity(controller, dq, KV.map(|kv| kv / 10.0), 0);
     assert_eq!(record.outcome, RunOutcome::Completed);
     let expected = [dq[0] + LIMITS[0] / KV[0], dq[1] - LIMITS[1] / KV[1]];
     // The torque ramp takes the first 100.
@@ -60,10 +65,10 @@ fn setpoints_are_clamped_around_the_measured_velocity() {
 
 /// Compared: setpoints within reach, and τ/kv + q̇ of the weight by hand plus the commanded torque.
 #[test]
-fn setpoints_within_reach_give_the_desired_torques() {
+fn setpoints_within_reach_give_desired_torques() {
     const EXTRA: f64 = 4.0;
     let dq = [0.3, -0.2];
-    let record = driven(weight_and(EXTRA), dq, KV, 0);
+    let record = run_at_velocity(gravity_controller(EXTRA), dq, KV, 0);
     let torque = gravity_at(&START).add_scalar(EXTRA);
     let expected = DVector::from_fn(2, |i, _| torque[i] / KV[i] + dq[i]);
     for received in &record.commands()[100..199] {
@@ -75,11 +80,11 @@ fn setpoints_within_reach_give_the_desired_torques() {
 /// Compared: the signal of how fast setpoints change, its unit, and differences of the setpoints' own signal over the
 /// period, while the torque ramp raises them.
 #[test]
-fn rate_of_velocity_setpoints_is_an_acceleration() {
+fn velocity_setpoint_rate_is_an_acceleration() {
     /// Rounding of velocities of order 1 rad/s over the period.
     const ROUNDING_RAD_PER_S2: f64 = 1e-9;
     const ROW: usize = 80;
-    let record = driven(weight_and(4.0), [0.3, -0.2], KV, 0);
+    let record = run_at_velocity(gravity_controller(4.0), [0.3, -0.2], KV, 0);
     let unit = |name: &str| {
         let signal = record.layout.signals.iter().find(|signal| signal.name == name);
         signal.map(|signal| signal.unit())
@@ -99,10 +104,10 @@ fn rate_of_velocity_setpoints_is_an_acceleration() {
 /// Compared: the last command of a run, at rest and at a velocity within reach, and the weight by hand over kv: the
 /// servo's damping brakes. A joint that is faster gets the torque limit over kv below its velocity.
 #[test]
-fn stop_brakes_and_carries_the_weight() {
+fn stop_brakes_and_holds_the_weight() {
     let weight = gravity_at(&START);
     for dq in [[0.0, 0.0], [0.2, -0.1], [1.5, -1.2]] {
-        let record = driven(weight_and(0.0), dq, KV, 0);
+        let record = run_at_velocity(gravity_controller(0.0), dq, KV, 0);
         let commands = record.commands();
         let expected = DVector::from_fn(2, |i, _| {
             let reach = LIMITS[i] / KV[i];
@@ -116,10 +121,10 @@ fn stop_brakes_and_carries_the_weight() {
 /// Compared: the commands after a dropout, and holds while the robot is tested for standstill; rows of setpoints that
 /// are zero; then the commands from the weight on, as at the start.
 #[test]
-fn robot_is_held_after_a_dropout() {
+fn robot_is_held_after_dropout() {
     const BEFORE: usize = (60 - REST) as usize;
     const STILL: usize = 50;
-    let record = driven(weight_and(3.0), [0.0, 0.0], KV, 20);
+    let record = run_at_velocity(gravity_controller(3.0), [0.0, 0.0], KV, 20);
     let commands = record.commands();
     assert!(commands[BEFORE..BEFORE + STILL].iter().all(|received| *received == Received::Hold));
     for row in 60..60 + STILL {

@@ -12,7 +12,7 @@ const AFTER: u64 = 60;
 const ROUNDING: f64 = 1e-12;
 
 /// A motor that gives the desired torque and `more` of it (Nm), of a joint that moves at `speed` (rad/s).
-fn pushed(more: f64, speed: f64, weight: Arc<Mutex<DVector<f64>>>) -> impl FnMut(u64, &mut Sample) {
+fn excess_torque(more: f64, speed: f64, weight: Arc<Mutex<DVector<f64>>>) -> impl FnMut(u64, &mut Sample) {
     move |cycle, sample| {
         at_rest(cycle, sample);
         sample.q[1] += speed * PERIOD_S * (cycle as f64 - AFTER as f64).max(0.0);
@@ -22,18 +22,18 @@ fn pushed(more: f64, speed: f64, weight: Arc<Mutex<DVector<f64>>>) -> impl FnMut
     }
 }
 
-fn watched(kind: CommandKind, more: f64, speed: f64) -> Record {
+fn run_with_excess(kind: CommandKind, more: f64, speed: f64) -> Record {
     let weight = Arc::new(Mutex::new(DVector::zeros(2)));
     let commanded = Arc::clone(&weight);
     let controller = Commanded::torques(move |data, _, tau| {
         tau.copy_from_slice(data.gravity.as_slice());
         commanded.lock().expect("one thread").copy_from(&data.gravity);
     });
-    run(kind, controller, 0.3, pushed(more, speed, weight))
+    run(kind, controller, 0.3, excess_torque(more, speed, weight))
 }
 
 /// Time from the first wrong torque to the fault, s.
-fn after_s(record: &Record) -> f64 {
+fn detection_time_s(record: &Record) -> f64 {
     let RunOutcome::Faulted { time_s, .. } = record.outcome else { panic!("{:?}", record.outcome) };
     time_s - (AFTER - REST) as f64 * PERIOD_S
 }
@@ -45,14 +45,18 @@ const SERVOS: [CommandKind; 2] = [CommandKind::Position, CommandKind::Velocity];
 fn wrong_motor_torque_stops_the_robot() {
     for kind in SERVOS {
         // 0.6 of the elbow's 20 Nm: 14 Nm are beyond it after 50 ms times ln(1/(1 - 12/14)).
-        let record = watched(kind, 14.0, 0.0);
+        let record = run_with_excess(kind, 14.0, 0.0);
         let Fault::TorqueDeviation { joint: 1, limit, .. } = *record.fault() else {
             panic!("{:?}", record.outcome)
         };
         assert!((limit - 12.0).abs() < ROUNDING, "{limit}");
         let expected_s = 0.05 * (1.0_f64 / (1.0 - 12.0 / 14.0)).ln();
-        assert!((after_s(&record) - expected_s).abs() <= 2.0 * PERIOD_S, "{} s", after_s(&record));
-        assert_eq!(watched(kind, 11.9, 0.0).outcome, RunOutcome::Completed);
+        assert!(
+            (detection_time_s(&record) - expected_s).abs() <= 2.0 * PERIOD_S,
+            "{} s",
+            detection_time_s(&record)
+        );
+        assert_eq!(run_with_excess(kind, 11.9, 0.0).outcome, RunOutcome::Completed);
     }
 }
 
@@ -61,15 +65,19 @@ fn wrong_motor_torque_stops_the_robot() {
 fn excess_motor_power_stops_the_robot() {
     for kind in SERVOS {
         // 0.05 of 20 Nm times 5 rad/s: 10 Nm at 1 rad/s are twice that.
-        let record = watched(kind, 10.0, 1.0);
+        let record = run_with_excess(kind, 10.0, 1.0);
         let Fault::ExcessPower { joint: 1, limit, .. } = *record.fault() else {
             panic!("{:?}", record.outcome)
         };
         assert!((limit - 5.0).abs() < ROUNDING, "{limit}");
         // 50 ms times ln 2, and the lag of the velocity's filter.
-        assert!((after_s(&record) - 0.05 * 2.0_f64.ln()).abs() < 4.0 * PERIOD_S, "{} s", after_s(&record));
+        assert!(
+            (detection_time_s(&record) - 0.05 * 2.0_f64.ln()).abs() < 4.0 * PERIOD_S,
+            "{} s",
+            detection_time_s(&record)
+        );
         // A motor that brakes is no danger.
-        assert_eq!(watched(kind, -10.0, 0.3).outcome, RunOutcome::Completed);
+        assert_eq!(run_with_excess(kind, -10.0, 0.3).outcome, RunOutcome::Completed);
     }
 }
 
@@ -77,5 +85,5 @@ fn excess_motor_power_stops_the_robot() {
 /// control their torques themselves.
 #[test]
 fn torque_robot_has_no_watchdog() {
-    assert_eq!(watched(CommandKind::Torque, 14.0, 0.0).outcome, RunOutcome::Completed);
+    assert_eq!(run_with_excess(CommandKind::Torque, 14.0, 0.0).outcome, RunOutcome::Completed);
 }

@@ -1,4 +1,4 @@
-//! No algorithm allocates once its scratch is there: a counting allocator against each of them.
+//! Allocations of every algorithm once its scratch memory exists: none, by a counting allocator.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
@@ -23,7 +23,7 @@ fn allocations(work: impl FnOnce()) -> usize {
 }
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     // One to allocate, one to free.
     assert_eq!(allocations(|| drop(black_box(vec![1.0; 7]))), 2);
 }
@@ -32,7 +32,7 @@ fn load(robot: &str, options: UrdfOptions) -> Model {
     Model::from_urdf_with(&urdf(robot), options).unwrap().model
 }
 
-/// A base that stands, one that floats, a joint that follows another, many branches; each with two of its frames.
+/// A fixed base, a floating one, a mimic joint, many branches; each with two of its frames.
 fn robots() -> Vec<(&'static str, Model, [FrameId; 2])> {
     let plain = UrdfOptions::default();
     let floating = UrdfOptions { floating_base: true, ..plain };
@@ -171,7 +171,7 @@ fn no_task_allocates() {
 
 /// Checks all changes that are allowed between two control cycles: steps of q, and a model's loads, frames and limits.
 #[test]
-fn no_change_of_a_model_allocates() {
+fn no_model_change_allocates() {
     for (robot, mut model, [tip, second]) in robots() {
         let (from, v) = (state(&model), vec![0.3; model.n()]);
         let (mut to, mut back) = (from.clone(), v.clone());
@@ -196,9 +196,9 @@ fn no_change_of_a_model_allocates() {
     }
 }
 
-/// A state that isn't finite is refused by the factor, without allocating on the way.
+/// A state that isn't finite: refused by the factor, without an allocation.
 #[test]
-fn a_bad_state_does_not_allocate_either() {
+fn non_finite_state_does_not_allocate() {
     let model = load("ur5", UrdfOptions::default());
     let mut data = Data::new(&model);
     let q = vec![f64::NAN; model.n()];

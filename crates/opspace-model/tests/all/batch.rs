@@ -1,5 +1,5 @@
-//! Every algorithm on four states at once against itself on each of them alone, on random trees: with a base that
-//! stands or floats, and with joints that follow others.
+//! Every algorithm on four states at once against itself on each of them alone, on random trees: with a fixed or
+//! floating base, and with mimic joints.
 
 use crate::common::{Case, ROUNDING, case, close, config, plus, wrench};
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
@@ -157,7 +157,7 @@ proptest! {
 
     /// Each lane of every result against the same algorithm on that lane's state alone.
     #[test]
-    fn every_lane_is_a_state_of_its_own(case in case(), wrench in wrench()) {
+    fn lanes_match_single_state_results(case in case(), wrench in wrench()) {
         let frames = [case.tip, case.second];
         let states = states(&case, &wrench);
         let together = everything(&case.model.splat::<Lanes>(), frames, &side_by_side(&states));
@@ -173,9 +173,10 @@ proptest! {
         }
     }
 
-    /// One state that isn't finite, in whatever lane, makes the factor unusable, and the others' kinematics no worse.
+    /// One state that isn't finite, in any lane: the factor is unusable, and the kinematics of the other lanes are
+    /// unaffected.
     #[test]
-    fn one_bad_lane_is_seen(case in case(), bad in 0..batch::COUNT) {
+    fn non_finite_lane_is_detected(case in case(), bad in 0..batch::COUNT) {
         let model = case.model.splat::<Lanes>();
         let mut states = states(&case, &Force::zero());
         let mut data = Data::new(&model);

@@ -1,11 +1,11 @@
-//! A base that floats: where its q lives, and what nothing holds.
+//! Floating bases: their configuration space and their motion without external forces.
 //!
-//! What holds of any tree is in `identities.rs` and `trees.rs`; there, floating bases are among the cases.
+//! Identities of any tree are in `identities.rs` and `trees.rs`; floating bases are among their cases.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::common::{
-    Case, DIFFERENCE, INVERSE, ROUNDING, STEP, close, config, evaluated, fixed, floating, inertia, jacobian,
-    moved, placement, plus, same_place, triple, vector,
+    Case, DIFFERENCE, INVERSE, ROUNDING, STEP, close, close_placement, config, evaluated, fixed, floating,
+    inertia, jacobian, moved, placement, plus, triple, vector,
 };
 use nalgebra::{DMatrix, Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector3};
 use opspace_model::{
@@ -67,9 +67,9 @@ fn momentum(case: &Case) -> Vec<f64> {
 proptest! {
     #![proptest_config(config(192))]
 
-    /// Torques of the joints alone: inverse dynamics of the motion they cause ask nothing of the base.
+    /// Inverse dynamics of the motion under joint torques alone: no force or torque on the base.
     #[test]
-    fn nothing_holds_the_base(case in floating()) {
+    fn floating_base_is_unactuated(case in floating()) {
         let mut tau = case.tau.clone();
         tau[..6].fill(0.0);
         let mut data = case.evaluated();
@@ -82,7 +82,7 @@ proptest! {
 
     /// The rate of the momentum, by difference along that motion, against the weight: joints don't change it.
     #[test]
-    fn only_gravity_changes_the_momentum(case in floating()) {
+    fn only_gravity_changes_momentum(case in floating()) {
         let mut tau = case.tau.clone();
         tau[..6].fill(0.0);
         let mut data = case.evaluated();
@@ -99,9 +99,9 @@ proptest! {
         close(&rate, weight.iter().chain(&[0.0; 3]), DIFFERENCE * STEP / step)?;
     }
 
-    /// A robot at rest without torques against a stone: its base falls with gravity, its joints don't move.
+    /// A robot at rest without torques against free fall: its base accelerates with gravity, its joints don't move.
     #[test]
-    fn a_robot_at_rest_falls_as_a_stone(case in floating()) {
+    fn robot_at_rest_falls_freely(case in floating()) {
         let still = vec![0.0; case.model.n()];
         let mut data = evaluated(&case.model, &case.q, &still);
         aba(&case.model, &mut data, &still);
@@ -110,9 +110,9 @@ proptest! {
         close(&data.ddq.as_slice()[3..], &still[3..], INVERSE)?;
     }
 
-    /// The whole robot elsewhere and turned, gravity with it, against itself: q says it as well as the base does.
+    /// The robot moved and rotated together with gravity, by its q, against itself.
     #[test]
-    fn where_it_floats_changes_no_torque(case in floating(), world in placement()) {
+    fn torques_are_independent_of_base_pose(case in floating(), world in placement()) {
         let model = case.model.clone().with_base(Placement::identity());
         let joints = &case.q[7..];
         let base = base_of(&case.q);
@@ -128,7 +128,7 @@ proptest! {
         close(&a.torque, &b.torque, ROUNDING)?;
         close(&a.ddq, &b.ddq, INVERSE)?;
         let expected = world * frame_placement(&model, &a, case.tip);
-        same_place(&frame_placement(&there, &b, case.tip), &expected, ROUNDING)?;
+        close_placement(&frame_placement(&there, &b, case.tip), &expected, ROUNDING)?;
         let com = world.act_point(&center_of_mass(&model, &a).unwrap());
         close(&center_of_mass(&there, &b).unwrap(), &com, ROUNDING)?;
         // The base's pose as the base's, q neutral there.
@@ -140,9 +140,9 @@ proptest! {
         close(&a.bias, &c.bias, ROUNDING)?;
     }
 
-    /// A floating base held still against the same tree on a base that stands there: its joints can't tell.
+    /// A floating base held still against the same tree on a fixed base there: equal joint quantities.
     #[test]
-    fn a_base_held_still_is_a_base_that_stands(case in fixed(), root in inertia(), base in placement()) {
+    fn held_floating_base_equals_fixed_base(case in fixed(), root in inertia(), base in placement()) {
         // The tree once more, on a floating root.
         let mut model = Model::floating("tree", root).with_gravity(case.model.gravity());
         for (body, joint) in case.model.bodies().iter().zip(case.model.joints()) {
@@ -165,7 +165,7 @@ proptest! {
     /// A floating body against one on three sliding and three turning joints without mass: M = Tᵀ M' T and
     /// τ = Tᵀ τ' with T the Jacobian of that chain in the body's axes, q̈' = T q̈ + Ṫ q̇.
     #[test]
-    fn a_floating_base_is_six_joints_in_a_row(
+    fn floating_base_equals_six_joint_chain(
         case in fixed(),
         root in inertia(),
         state in prop::array::uniform6(-1.2..1.2f64),
@@ -212,7 +212,7 @@ proptest! {
 
     /// A step of the base against the exponential of its twist as a 4 × 4 matrix; the quaternion stays of length one.
     #[test]
-    fn a_step_is_the_exponential_of_the_twist(
+    fn integration_step_is_twist_exponential(
         case in floating(),
         axis in direction(),
         angle in prop_oneof![angle(), 0.0..10.0f64],
@@ -230,13 +230,13 @@ proptest! {
         close(&[vector(&q[3..7]).norm()], &[1.0], ROUNDING)?;
         // As far in two steps as in one.
         let twice = moved(&case.model, &moved(&case.model, &case.q, &v, 0.5), &v, 0.5);
-        same_place(&base_of(&twice), &base_of(&q), ROUNDING)?;
+        close_placement(&base_of(&twice), &base_of(&q), ROUNDING)?;
     }
 
-    /// v against (q ⊕ v) ⊖ q for turns up to π, and to ⊖ from back again; the same rotation's other quaternion makes
-    /// no difference.
+    /// v against (q ⊕ v) ⊖ q for rotations up to π, and `to` against `from` ⊕ (`to` ⊖ `from`); the same rotation's
+    /// other quaternion makes no difference.
     #[test]
-    fn differences_undo_steps(case in floating(), axis in direction(), angle in angle(), flip in any::<bool>()) {
+    fn difference_inverts_integrate(case in floating(), axis in direction(), angle in angle(), flip in any::<bool>()) {
         let model = &case.model;
         let mut v = case.dq.clone();
         v[3..6].copy_from_slice((axis * angle).as_slice());
@@ -248,7 +248,7 @@ proptest! {
         difference(model, &case.q, &to, &mut back);
         close(&back, &v, ROUNDING)?;
         let again = moved(model, &case.q, &back, 1.0);
-        same_place(&base_of(&again), &base_of(&to), ROUNDING)?;
+        close_placement(&base_of(&again), &base_of(&to), ROUNDING)?;
         close(&again[7..], &to[7..], ROUNDING)?;
         // The way back is the same way.
         let mut reverse = vec![f64::NAN; model.n()];
@@ -256,9 +256,9 @@ proptest! {
         close(&reverse, &(-vector(&back)), ROUNDING)?;
     }
 
-    /// Small turns relative to themselves: no digits lost where the angle is small.
+    /// Relative error of small rotations: no digits are lost at small angles.
     #[test]
-    fn small_turns_keep_their_digits(axis in direction(), small in -12.0..-2.0f64) {
+    fn small_rotations_keep_their_precision(axis in direction(), small in -12.0..-2.0f64) {
         let model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
         let angular = axis * 10f64.powf(small);
         let start = neutral(&model);
@@ -269,9 +269,9 @@ proptest! {
         close(&scaled(&back), &scaled(&v), ROUNDING)?;
     }
 
-    /// Past half a turn the difference is the shorter way round, to the same place.
+    /// Differences beyond half a turn: the shorter rotation, to the same placement.
     #[test]
-    fn differences_take_the_shorter_way(axis in direction(), angle in 3.2..6.2f64, linear in triple(1.0)) {
+    fn difference_takes_shorter_rotation(axis in direction(), angle in 3.2..6.2f64, linear in triple(1.0)) {
         let model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
         let start = neutral(&model);
         let v = [&linear[..], (axis * angle).as_slice()].concat();
@@ -279,12 +279,12 @@ proptest! {
         let mut back = vec![f64::NAN; 6];
         difference(&model, &start, &to, &mut back);
         close(&back[3..], &(axis * (angle - 2.0 * PI)), ROUNDING)?;
-        same_place(&base_of(&moved(&model, &start, &back, 1.0)), &base_of(&to), ROUNDING)?;
+        close_placement(&base_of(&moved(&model, &start, &back, 1.0)), &base_of(&to), ROUNDING)?;
     }
 
-    /// A quaternion that is off its length against the same brought to it; one and its negative.
+    /// A quaternion of another length against the normalised one; a quaternion and its negative.
     #[test]
-    fn a_quaternion_is_a_direction(case in floating(), length in 0.5..2.0f64) {
+    fn quaternion_length_and_sign_are_irrelevant(case in floating(), length in 0.5..2.0f64) {
         let mut scaled = case.q.clone();
         scaled[3..7].iter_mut().for_each(|x| *x *= -length);
         let place = |q: &[f64]| {
@@ -292,18 +292,18 @@ proptest! {
             forward_kinematics(&case.model, &mut data, q);
             frame_placement(&case.model, &data, case.tip)
         };
-        same_place(&place(&scaled), &place(&case.q), ROUNDING)?;
+        close_placement(&place(&scaled), &place(&case.q), ROUNDING)?;
         let still = vec![0.0; case.model.n()];
         let mut kept = vec![f64::NAN; case.q.len()];
         integrate(&case.model, &scaled, &still, &mut kept);
-        same_place(&base_of(&kept), &base_of(&case.q), ROUNDING)?;
+        close_placement(&base_of(&kept), &base_of(&case.q), ROUNDING)?;
         close(&[vector(&kept[3..7]).norm()], &[1.0], ROUNDING)?;
     }
 }
 
-/// Without a floating base q is a vector, and steps are sums.
+/// Integration on a fixed base, where q is a vector, against the sum of vectors.
 #[test]
-fn without_a_floating_base_steps_are_sums() {
+fn fixed_base_integration_is_addition() {
     let mut model = Model::new("slider");
     let joint = Joint { name: "slide".into(), kind: JointKind::Continuous, limits: Limits::NONE };
     model.add_body(None, Placement::identity(), joint, Inertia::zero());
@@ -328,9 +328,10 @@ const HOPPER: &str = r#"<robot name="hopper">
 
 const FLOATING: UrdfOptions = UrdfOptions { floating_base: true, enforce_mimic: false };
 
-/// A URDF's root with all that is fixed to it against its figures: on a floating base it weighs, on a fixed one not.
+/// A URDF's root, with all links fixed to it, against its figures: its mass counts on a floating base, and not on a
+/// fixed one.
 #[test]
-fn the_root_of_a_floating_urdf_weighs() -> Result<(), TestCaseError> {
+fn floating_urdf_root_has_mass() -> Result<(), TestCaseError> {
     let floats = Model::from_urdf_with(HOPPER, FLOATING).unwrap().model;
     let stands = Model::from_urdf(HOPPER).unwrap().model;
     assert_eq!((floats.total_mass(), stands.total_mass()), (6.0, 1.0));
@@ -347,9 +348,9 @@ fn the_root_of_a_floating_urdf_weighs() -> Result<(), TestCaseError> {
     close(&data.gravity, &[0.0, 0.0, 6.0 * 9.81, 0.0, 0.0, 0.0, 0.0], ROUNDING)
 }
 
-/// Nothing to float: the error names the root and its line.
+/// A floating URDF without mass: the error names the root and its line.
 #[test]
-fn a_floating_urdf_without_mass_is_refused() {
+fn floating_urdf_without_mass_is_refused() {
     let text = "<robot name=\"ghost\">\n  <link name=\"spirit\"/>\n</robot>";
     assert_eq!(Model::from_urdf(text).unwrap().model.n(), 0);
     let error = Model::from_urdf_with(text, FLOATING).unwrap_err();
@@ -362,7 +363,7 @@ fn a_floating_urdf_without_mass_is_refused() {
 
 /// Checks that frames put on any of the six bodies of a floating base are on the last, which has its velocity.
 #[test]
-fn all_of_a_floating_base_is_one_body() {
+fn floating_base_frames_share_one_body() {
     let mut model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
     for body in [None, Some(0), Some(4), Some(5)] {
         let frame = model.add_frame("anywhere", body, Placement::identity());
@@ -372,7 +373,7 @@ fn all_of_a_floating_base_is_one_body() {
 
 #[test]
 #[should_panic = "body 5 is the floating base"]
-fn the_first_five_bodies_of_a_floating_base_take_no_inertia() {
+fn first_five_floating_base_bodies_refuse_inertia() {
     let mut model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
     model.set_inertia(2, Inertia { mass: 1.0, ..Inertia::zero() });
 }
@@ -385,7 +386,7 @@ const WHEEL: &str = r#"<robot name="cart">
 
 /// Checks that a coordinate of the floating base is refused as leader of a joint, and its name for a joint of the URDF.
 #[test]
-fn a_floating_base_leads_no_mimic_joint_and_keeps_its_names() {
+fn floating_base_coordinates_are_no_mimic_leaders() {
     let follows =
         WHEEL.replace(r#"<child link="wheel"/>"#, r#"<child link="wheel"/><mimic joint="base.linear.x"/>"#);
     let options = UrdfOptions { enforce_mimic: true, ..FLOATING };

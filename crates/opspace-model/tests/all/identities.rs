@@ -1,12 +1,12 @@
-//! Laws that our algorithms must obey together, on random trees in random states: with a base that stands or
-//! floats, and with joints that follow others.
+//! Laws that our algorithms must obey together, on random trees in random states: with a fixed or floating base, and
+//! with mimic joints.
 //!
 //! Identities don't see a transform that all algorithms share and that is wrong: see `pinocchio.rs` for those.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::common::{
-    Case, DIFFERENCE, INVERSE, ROUNDING, STEP, case, close, config, evaluated, jacobian, jointed, moved,
-    placement, plus, same_place, stacked, unit, vector,
+    Case, DIFFERENCE, INVERSE, ROUNDING, STEP, case, close, close_placement, config, evaluated, jacobian,
+    jointed, moved, placement, plus, stacked, unit, vector,
 };
 use nalgebra::DMatrix;
 use opspace_model::{
@@ -24,7 +24,7 @@ proptest! {
 
     /// Forward dynamics of inverse dynamics against the acceleration put in.
     #[test]
-    fn aba_undoes_rnea(case in case()) {
+    fn aba_inverts_rnea(case in case()) {
         let mut data = case.evaluated();
         rnea(&case.model, &mut data, &case.ddq);
         let tau = data.torque.as_slice().to_vec();
@@ -34,7 +34,7 @@ proptest! {
 
     /// ABA against M⁻¹ (τ − h) with CRBA's M, factored, and RNEA's h.
     #[test]
-    fn aba_solves_the_equation_of_motion(case in case()) {
+    fn aba_solves_equation_of_motion(case in case()) {
         let mut data = case.evaluated();
         aba(&case.model, &mut data, &case.tau);
         let mut ddq: Vec<f64> = case.tau.iter().zip(&data.bias).map(|(tau, h)| tau - h).collect();
@@ -44,7 +44,7 @@ proptest! {
 
     /// RNEA at one unit acceleration each against the bias and the column of CRBA's M; rotors included.
     #[test]
-    fn the_mass_matrix_is_what_inverse_dynamics_say(case in case()) {
+    fn mass_matrix_matches_inverse_dynamics(case in case()) {
         let mut data = case.evaluated();
         for i in 0..case.model.n() {
             rnea(&case.model, &mut data, &unit(case.model.n(), i));
@@ -54,7 +54,7 @@ proptest! {
 
     /// Rotors add to M's diagonal, and to nothing else of the equation of motion.
     #[test]
-    fn rotors_add_to_the_diagonal(case in case()) {
+    fn rotors_add_to_mass_matrix_diagonal(case in case()) {
         let rotors = case.model.rotor_inertia().to_vec();
         let bare = case.model.clone().with_rotor_inertia(&vec![0.0; rotors.len()]);
         let (with, without) =
@@ -67,7 +67,7 @@ proptest! {
 
     /// J q̇ against the frame's velocity, and both against the difference of its pose.
     #[test]
-    fn the_jacobian_is_the_rate_of_the_pose(case in case()) {
+    fn jacobian_is_pose_derivative(case in case()) {
         let data = case.evaluated();
         let jacobian = jacobian(case.model.n(), |j| frame_jacobian(&case.model, &data, case.tip, j));
         let velocity = frame_velocity(&case.model, &data, case.tip);
@@ -85,7 +85,7 @@ proptest! {
 
     /// J̇ q̇ against the difference of the frame's velocity while q̇ stays the same.
     #[test]
-    fn the_bias_acceleration_is_the_rate_of_the_velocity(case in case()) {
+    fn bias_acceleration_is_velocity_derivative(case in case()) {
         let data = case.evaluated();
         let velocity = |t: f64| {
             let data = case.moved(&case.dq, t).evaluated();
@@ -99,7 +99,7 @@ proptest! {
 
     /// C q̇ against RNEA's bias less its gravity; C + Cᵀ against the difference of M in time.
     #[test]
-    fn the_coriolis_matrix_obeys_both_its_laws(case in case()) {
+    fn coriolis_matrix_matches_bias_and_mass_matrix_rate(case in case()) {
         let data = case.evaluated();
         let coriolis = &data.coriolis_matrix;
         close(&(coriolis * vector(&case.dq)), &(&data.bias - &data.gravity), ROUNDING)?;
@@ -110,7 +110,7 @@ proptest! {
 
     /// C against Christoffel's symbols from differences of M: C_ij = ½ Σ_k (∂_k M_ij + ∂_j M_ik − ∂_i M_jk) q̇_k.
     #[test]
-    fn the_coriolis_matrix_is_christoffels(case in jointed()) {
+    fn coriolis_matrix_matches_christoffel_symbols(case in jointed()) {
         let n = case.model.n();
         let gradient: Vec<DMatrix<f64>> = (0..n)
             .map(|k| {
@@ -126,7 +126,7 @@ proptest! {
 
     /// Gravity torques against the gradient of the potential energy.
     #[test]
-    fn gravity_is_the_gradient_of_the_potential_energy(case in case()) {
+    fn gravity_is_potential_energy_gradient(case in case()) {
         let n = case.model.n();
         let energy = |k: usize, t: f64| {
             potential_energy(&case.model, &case.moved(&unit(n, k), t).evaluated())
@@ -137,7 +137,7 @@ proptest! {
 
     /// The bodies' kinetic energy against ½ q̇ᵀ M q̇.
     #[test]
-    fn kinetic_energy_is_that_of_the_mass_matrix(case in case()) {
+    fn kinetic_energy_matches_mass_matrix(case in case()) {
         let data = case.evaluated();
         let dq = vector(&case.dq);
         close(&[kinetic_energy(&case.model, &data)], &[0.5 * dq.dot(&(&data.mass_matrix * &dq))], ROUNDING)?;
@@ -145,7 +145,7 @@ proptest! {
 
     /// The rate of all energy, by difference along ABA's motion, against the power of the torques.
     #[test]
-    fn energy_changes_by_the_power_of_the_torques(case in case()) {
+    fn energy_rate_equals_torque_power(case in case()) {
         let mut data = case.evaluated();
         aba(&case.model, &mut data, &case.tau);
         let ddq = data.ddq.as_slice().to_vec();
@@ -165,7 +165,7 @@ proptest! {
 
     /// Compares the results of [`update`] with those of the single functions.
     #[test]
-    fn one_update_is_all_of_them(case in case()) {
+    fn update_equals_single_algorithms(case in case()) {
         let mut alone = case.evaluated();
         bias(&case.model, &mut alone);
         gravity(&case.model, &mut alone);
@@ -177,9 +177,9 @@ proptest! {
         close(&at_once.mass_matrix, &alone.mass_matrix, ROUNDING)?;
     }
 
-    /// The robot with its base and gravity turned together, and moved, against itself: only its pose changes.
+    /// The robot with its base and gravity rotated together, and moved, against itself: only its pose changes.
     #[test]
-    fn turning_the_world_changes_no_torque(case in case(), world in placement()) {
+    fn torques_are_invariant_to_world_rotation(case in case(), world in placement()) {
         let turned = case.model.clone()
             .with_base(world * case.model.base())
             .with_gravity(world.rotation * case.model.gravity());
@@ -195,18 +195,18 @@ proptest! {
         close(&here.coriolis_matrix, &there.coriolis_matrix, ROUNDING)?;
         close(&here.ddq, &there.ddq, INVERSE)?;
         let expected = world * frame_placement(&case.model, &here, case.tip);
-        same_place(&expected, &frame_placement(&turned, &there, case.tip), ROUNDING)?;
+        close_placement(&expected, &frame_placement(&turned, &there, case.tip), ROUNDING)?;
     }
 
     /// A joint at an angle against the same joint locked there, everything else alike; against the model with it:
-    /// what the others move, weigh and feel.
+    /// motion, weight and inertia of the other joints.
     #[test]
-    fn a_locked_joint_is_one_that_stands_still(
+    fn locked_joint_equals_joint_at_rest(
         case in case(),
         at in -3.0..3.0f64,
         which in any::<prop::sample::Index>(),
     ) {
-        let (n, first, ahead) = (case.model.n(), case.first_joint(), case.ahead());
+        let (n, first, ahead) = (case.model.n(), case.first_joint(), case.surplus_coordinates());
         prop_assume!(n > first);
         let which = first + which.index(n - first);
         let locked = case.model.with_locked_joints(&[(which, at)]).unwrap();
@@ -221,12 +221,12 @@ proptest! {
         let expected = DMatrix::from_fn(n - 1, n - 1, |i, j| whole.mass_matrix[(left[i], left[j])]);
         close(&part.mass_matrix, &expected, ROUNDING)?;
         let (a, b) = (frame_placement(&case.model, &whole, case.tip), frame_placement(&locked, &part, case.tip));
-        same_place(&a, &b, ROUNDING)?;
+        close_placement(&a, &b, ROUNDING)?;
     }
 
     /// All masses and inertias times a factor against all torques times it.
     #[test]
-    fn torques_scale_with_the_inertia(case in case(), factor in 0.1..10.0f64) {
+    fn torques_scale_with_inertia(case in case(), factor in 0.1..10.0f64) {
         let heavy = case.model.clone().with_scaled_inertia(factor);
         let (mut light, mut scaled) =
             (case.evaluated(), evaluated(&heavy, &case.q, &case.dq));
@@ -237,7 +237,7 @@ proptest! {
 
     /// J N = 0, J J̄ = 1, N N = N, Λ J M⁻¹ Jᵀ = 1, and J M⁻¹ Nᵀ = 0: nullspace torques don't move the task.
     #[test]
-    fn the_nullspace_leaves_the_task_alone(case in case(), rows in 1..4usize) {
+    fn nullspace_torques_do_not_accelerate_task(case in case(), rows in 1..4usize) {
         let n = case.model.n();
         let data = case.evaluated();
         let jacobian = jacobian(n, |j| frame_jacobian(&case.model, &data, case.tip, j));
@@ -266,9 +266,9 @@ proptest! {
         prop_assert_eq!(space.min_singular_gain, 1.0);
     }
 
-    /// A frame on the base stands still, whatever the joints do.
+    /// Velocity of a frame on the base against zero, for any motion of the joints.
     #[test]
-    fn a_frame_on_the_base_stands_still(case in jointed(), place in placement()) {
+    fn base_frame_has_zero_velocity(case in jointed(), place in placement()) {
         let mut model = case.model.clone();
         let stand = model.add_frame("stand", None, place);
         let mut data = Data::new(&model);

@@ -1,4 +1,4 @@
-//! Kinematics and dynamics: identities on random trees, foreign programs, URDF texts.
+//! Kinematics and dynamics: identities on random trees, other programs' numbers, URDF texts.
 
 mod allocation;
 mod batch;

@@ -19,7 +19,7 @@ fn assert_close<'a>(ours: impl IntoIterator<Item = &'a f64>, theirs: &[f64], wha
     assert!(error <= TOLERANCE, "{what}: off by {error:e}");
 }
 
-fn every_sample_agrees(robot: &str) {
+fn check_every_sample(robot: &str) {
     let Oracle { meta, samples, model } = oracle(&format!("mujoco/{robot}.json"));
     let n = model.n();
     // Where each joint of ours is in MuJoCo's order, and how to bring its vectors into ours.
@@ -66,7 +66,7 @@ macro_rules! robots {
     ($($robot:ident),*) => { $(
         #[test]
         fn $robot() {
-            every_sample_agrees(stringify!($robot));
+            check_every_sample(stringify!($robot));
         }
     )* };
 }

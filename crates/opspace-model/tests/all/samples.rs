@@ -1,4 +1,4 @@
-//! The inputs that `samples` refuses, the tasks for which it has no answer, and its keys.
+//! Inputs that `samples` refuses, tasks without a result, and its JSON keys.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use opspace_model::samples::{Quantities, Sample, SampleError, evaluate};
@@ -44,7 +44,7 @@ fn has_task(quantities: &Quantities) -> bool {
 /// Checks that a singular pose (UR5 with straight elbow or parallel wrist axes) has no task quantities; one beside it
 /// has.
 #[test]
-fn a_singular_pose_has_no_task_quantities() {
+fn singular_pose_has_no_task_quantities() {
     for joint in [2, 4] {
         assert!(!has_task(&ur5_with(joint, 0.0)));
         assert!(has_task(&ur5_with(joint, 1e-3)));
@@ -64,9 +64,9 @@ fn more_rows_than_joints_have_no_task_quantities() {
     assert!(json["Lambda"].is_null() && json["Jbar"].is_null() && json["N"].is_null());
 }
 
-/// No task leaves everything to its nullspace.
+/// Nullspace of a task without rows against the identity.
 #[test]
-fn a_task_of_no_rows_has_the_identity_for_its_nullspace() {
+fn empty_task_has_identity_nullspace() {
     let (model, tip) = robot("double_pendulum", "link3");
     let quantities = evaluate(&model, tip, &at(&[0.4, 0.9], &[])).unwrap();
     assert_eq!(quantities.task_inertia, Some(vec![]));
@@ -75,7 +75,7 @@ fn a_task_of_no_rows_has_the_identity_for_its_nullspace() {
 
 /// Λ of rows in another order is Λ with its rows and columns in that order.
 #[test]
-fn task_rows_may_come_in_any_order() {
+fn task_rows_accept_any_order() {
     let (model, tip) = robot("ur5", "tool0");
     let inertia = |rows: &[usize]| evaluate(&model, tip, &at(&BENT, rows)).unwrap().task_inertia.unwrap();
     let (ordered, swapped) = (inertia(&[1, 4]), inertia(&[4, 1]));
@@ -85,7 +85,7 @@ fn task_rows_may_come_in_any_order() {
 }
 
 #[test]
-fn the_keys_are_those_of_the_contract() {
+fn json_keys_match_contract() {
     let (model, tip) = robot("ur5", "tool0");
     let json = serde_json::to_value(evaluate(&model, tip, &at(&BENT, &ALL)).unwrap()).unwrap();
     let keys: Vec<&str> = json.as_object().unwrap().keys().map(String::as_str).collect();
@@ -118,7 +118,7 @@ fn the_keys_are_those_of_the_contract() {
 
 /// Checks that written quantities read back to the same bits.
 #[test]
-fn quantities_survive_json() {
+fn quantities_round_trip_through_json() {
     let (model, tip) = robot("ur5", "tool0");
     let quantities = evaluate(&model, tip, &at(&BENT, &ALL)).unwrap();
     let text = serde_json::to_string(&quantities).unwrap();
@@ -126,7 +126,7 @@ fn quantities_survive_json() {
 }
 
 #[test]
-fn the_task_is_all_six_rows_unless_said() {
+fn default_task_has_six_rows() {
     let text = r#"{"q":[0],"dq":[0],"ddq":[0],"tau_in":[0],"f_tip":[0,0,0,0,0,0]}"#;
     assert_eq!(serde_json::from_str::<Sample>(text).unwrap().task_rows, ALL);
 }
@@ -140,7 +140,7 @@ fn refused(change: impl FnOnce(&mut Sample), words: &str) {
 }
 
 #[test]
-fn refuses_wrong_lengths_by_their_key() {
+fn wrong_lengths_are_refused_by_key() {
     refused(|s| s.q.truncate(5), "`q` has 5 numbers; it needs 6");
     refused(|s| s.dq.push(0.0), "`dq` has 7 numbers; it needs 6");
     refused(|s| s.ddq.clear(), "`ddq` has 0 numbers; it needs 6");
@@ -149,21 +149,21 @@ fn refuses_wrong_lengths_by_their_key() {
 }
 
 #[test]
-fn refuses_numbers_that_are_not_finite_by_their_place() {
+fn non_finite_numbers_are_refused_by_index() {
     refused(|s| s.q[2] = f64::NAN, "`q`[2] is NaN");
     refused(|s| s.tau_in[5] = f64::INFINITY, "`tau_in`[5] is inf");
     refused(|s| s.f_tip[0] = f64::NEG_INFINITY, "`f_tip`[0] is -inf");
 }
 
 #[test]
-fn refuses_task_rows_that_do_not_exist_or_repeat() {
+fn invalid_or_repeated_task_rows_are_refused() {
     refused(|s| s.task_rows = vec![0, 6], "`task_rows` has 6; the rows are 0 1 2");
     refused(|s| s.task_rows = vec![1, 2, 1], "`task_rows` has 1 more than once");
 }
 
-/// A point mass on its own axis: no torque accelerates it finitely.
+/// Refusal of a point mass on its own axis: no torque accelerates it finitely.
 #[test]
-fn refuses_a_body_that_nothing_resists() {
+fn singular_mass_matrix_is_refused() {
     let urdf = r#"<robot name="dot"><link name="base"/><link name="dot"><inertial><mass value="1"/>
         <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>
         <joint name="spin" type="continuous"><parent link="base"/><child link="dot"/></joint></robot>"#;
@@ -174,7 +174,7 @@ fn refuses_a_body_that_nothing_resists() {
 
 /// Checks that states too large to be computed are refused, and that no result is NaN.
 #[test]
-fn states_beyond_numbers_are_refused() {
+fn overflowing_states_are_refused() {
     let (model, tip) = robot("ur5", "tool0");
     let good = at(&BENT, &ALL);
     let refused = |sample: &Sample| evaluate(&model, tip, sample).unwrap_err();
@@ -185,9 +185,9 @@ fn states_beyond_numbers_are_refused() {
     assert_eq!(refused(&Sample { q, ..good }), turned);
 }
 
-/// A floating base's rotation is a unit quaternion.
+/// Refusal of a floating base's quaternion that is not of length one.
 #[test]
-fn a_quaternion_has_length_one() {
+fn non_unit_quaternion_is_refused() {
     let options = UrdfOptions { floating_base: true, ..UrdfOptions::default() };
     let model = Model::from_urdf_with(&urdf("ur5"), options).unwrap().model;
     let tip = model.frame_id("tool0").unwrap();

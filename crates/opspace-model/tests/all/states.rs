@@ -1,6 +1,6 @@
 //! Every algorithm against Pinocchio's numbers on six robots, 128 states each (the humanoid: 80): see
-//! `tests/oracles/pinocchio/README.md`. Among them a floating base, prismatic joints, a hand of four fingers, a
-//! robot with every frame turned, and one with a mimic joint folded.
+//! `tests/oracles/pinocchio/README.md`. Among them are a floating base, prismatic joints, a hand of four fingers, a
+//! robot with every frame rotated, and one with an enforced mimic joint.
 //!
 //! A matrix is compared by its product with a vector that comes with the state.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
@@ -212,7 +212,7 @@ impl Bench {
 }
 
 /// Every key of every sample, and everything that we compute.
-fn every_state_agrees(robot: &str) {
+fn check_every_state(robot: &str) {
     let Oracle { meta, samples, model } = oracle(&format!("pinocchio/states/{robot}.json"));
     assert!(samples.len() >= 80, "{robot}");
     assert_eq!((meta["nq"].as_u64(), meta["nv"].as_u64()), (Some(model.nq() as u64), Some(model.n() as u64)));
@@ -236,31 +236,31 @@ fn every_state_agrees(robot: &str) {
 }
 
 #[test]
-fn a_floating_base_agrees() {
-    every_state_agrees("anymal_c");
+fn floating_base_matches_pinocchio() {
+    check_every_state("anymal_c");
 }
 
 #[test]
-fn a_hand_of_four_fingers_agrees() {
-    every_state_agrees("allegro_right_hand");
+fn four_finger_hand_matches_pinocchio() {
+    check_every_state("allegro_right_hand");
 }
 
 #[test]
-fn prismatic_joints_agree() {
-    every_state_agrees("pr2");
+fn prismatic_joints_match_pinocchio() {
+    check_every_state("pr2");
 }
 
 #[test]
-fn turned_frames_and_inertias_agree() {
-    every_state_agrees("xarm7_turned");
+fn rotated_frames_and_inertias_match_pinocchio() {
+    check_every_state("xarm7_turned");
 }
 
 #[test]
-fn a_humanoid_agrees() {
-    every_state_agrees("g1_29dof");
+fn humanoid_matches_pinocchio() {
+    check_every_state("g1_29dof");
 }
 
 #[test]
-fn a_folded_joint_agrees() {
-    every_state_agrees("panda");
+fn mimic_joint_matches_pinocchio() {
+    check_every_state("panda");
 }

@@ -1,10 +1,11 @@
-//! Every algorithm against another way to the same number, on random trees: with a base that stands or floats, and
-//! with joints that follow others. The equation of motion itself is in `identities.rs`.
+//! Every algorithm against an independent computation, on random trees: with a fixed or floating base, and with mimic
+//! joints. The equation of motion itself is in `identities.rs`.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::common::{
-    Case, DIFFERENCE, Folded, INVERSE, ROUNDING, STEP, case, close, config, evaluated, first_joint, fixed,
-    folded, inertia, jacobian, placement, plus, same_place, stacked, triple, unit, vector, wrench,
+    Case, DIFFERENCE, INVERSE, MimicTree, ROUNDING, STEP, case, close, close_placement, config, evaluated,
+    first_joint, fixed, inertia, jacobian, mimic_tree, placement, plus, stacked, triple, unit, vector,
+    wrench,
 };
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::{
@@ -78,7 +79,7 @@ proptest! {
     /// The factor's solutions against those of nalgebra's dense Cholesky: one vector, the inverse, and a Jacobian in
     /// two steps.
     #[test]
-    fn the_factor_solves_as_a_dense_one_does(case in case()) {
+    fn factor_matches_dense_cholesky(case in case()) {
         let n = case.model.n();
         let mut data = case.evaluated();
         let oracle = data.mass_matrix.clone().cholesky().unwrap();
@@ -106,9 +107,9 @@ proptest! {
         }
     }
 
-    /// The factor of the identity against the identity; a matrix that isn't positive definite is refused.
+    /// The factor of the identity against the identity; refusal of a matrix that isn't positive definite.
     #[test]
-    fn the_factor_knows_the_identity_and_what_has_no_root(case in case()) {
+    fn factor_keeps_identity_and_refuses_indefinite_matrix(case in case()) {
         let n = case.model.n();
         let mut factor = MassMatrixFactor::new(&case.model);
         let mut inverse = DMatrix::zeros(n, n);
@@ -128,7 +129,7 @@ proptest! {
 
     /// J̇ of the three kinds against the difference of their J in time; J̇ q̇ against the bias acceleration.
     #[test]
-    fn jacobian_rates_are_rates_of_jacobians(case in case()) {
+    fn jacobian_rate_matches_difference(case in case()) {
         let (model, tip, n, data) = (&case.model, case.tip, case.model.n(), case.evaluated());
         let differs = |fill: fn(&Model, &Data, FrameId, &mut Matrix6xX<f64>)| {
             rate(&case, |c| dense(jacobian(n, |j| fill(model, &c.evaluated(), tip, j))))
@@ -141,9 +142,9 @@ proptest! {
         close(&(aligned * vector(&case.dq)), &bias, ROUNDING)?;
     }
 
-    /// The local and the world's Jacobian against the aligned one, turned and shifted.
+    /// The local and the world Jacobian against the aligned one, rotated and shifted.
     #[test]
-    fn the_three_jacobians_are_of_one_motion(case in case()) {
+    fn local_world_and_aligned_jacobians_agree(case in case()) {
         let (model, data) = (&case.model, case.evaluated());
         let aligned = tip_jacobian(&case);
         let local = jacobian(model.n(), |j| local_jacobian(model, &data, case.tip, j));
@@ -158,9 +159,9 @@ proptest! {
         close(world.fixed_rows::<3>(3).into_owned().iter(), angular.into_owned().iter(), ROUNDING)?;
     }
 
-    /// A point's Jacobian against the frame's at zero, and against that of a frame put there.
+    /// A point's Jacobian against the frame's at zero offset, and against that of a frame placed there.
     #[test]
-    fn a_points_jacobian_is_that_of_a_frame_there(case in case(), point in triple(0.5)) {
+    fn point_jacobian_matches_frame_at_point(case in case(), point in triple(0.5)) {
         let point = Vector3::from(point);
         let mut model = case.model.clone();
         let there = Placement { translation: point, ..Placement::identity() };
@@ -173,7 +174,7 @@ proptest! {
 
     /// The relative Jacobian's motion against the difference of the relative pose in time.
     #[test]
-    fn the_relative_jacobian_is_the_rate_of_the_relative_pose(case in case()) {
+    fn relative_jacobian_is_relative_pose_derivative(case in case()) {
         let (model, n) = (&case.model, case.model.n());
         let pose = |case: &Case| {
             let data = case.evaluated();
@@ -190,10 +191,10 @@ proptest! {
         close(&Vector3::from_column_slice(&motion.as_slice()[3..]).cross_matrix(), &spin, DIFFERENCE)?;
     }
 
-    /// The relative Jacobian with its frames swapped against itself, reversed and seen from the other; of a frame
-    /// against itself zero; from a frame on a base that stands the frame's own, turned.
+    /// The relative Jacobian of swapped frames against the original, negated and expressed in the other frame; of a
+    /// frame relative to itself zero; relative to a frame on a fixed base the frame's own, rotated.
     #[test]
-    fn swapped_frames_move_the_other_way(case in case()) {
+    fn swapped_frames_reverse_relative_jacobian(case in case()) {
         let (model, n, data) = (&case.model, case.model.n(), case.evaluated());
         let relative = |from, frame| jacobian(n, |j| relative_jacobian(model, &data, from, frame, j));
         let (there, back) = (relative(case.second, case.tip), relative(case.tip, case.second));
@@ -217,7 +218,7 @@ proptest! {
     /// Every column of the centre of mass's Jacobian against the difference of the centre of mass; the linear part
     /// of the centroidal map against mass times it.
     #[test]
-    fn the_com_jacobian_is_the_gradient_of_the_com(case in case()) {
+    fn com_jacobian_is_com_gradient(case in case()) {
         let com_jacobian = com_jacobian_of(&case);
         close(&com_jacobian, &by_q(&case, com), DIFFERENCE)?;
         let mut data = case.evaluated();
@@ -228,14 +229,14 @@ proptest! {
 
     /// Gravity torques against the weight at the centre of mass, through its Jacobian.
     #[test]
-    fn gravity_pulls_at_the_com(case in case()) {
+    fn gravity_acts_at_com(case in case()) {
         let weight = case.model.gravity() * case.model.total_mass();
         close(&case.evaluated().gravity, &(com_jacobian_of(&case).transpose() * -weight), ROUNDING)?;
     }
 
-    /// The centroidal map times q̇, and the momentum, against the sum of every body's, Newton's way.
+    /// The centroidal map times q̇, and the momentum, against the sum over all bodies by Newton's laws.
     #[test]
-    fn momentum_is_the_sum_of_the_bodies(case in case()) {
+    fn momentum_is_sum_over_bodies(case in case()) {
         let mut data = case.evaluated();
         centroidal_map(&case.model, &mut data);
         let momentum = centroidal_momentum(&case.model, &data);
@@ -259,7 +260,7 @@ proptest! {
 
     /// Wrenches at frames against torques through the frames' Jacobians; forward dynamics undo inverse dynamics.
     #[test]
-    fn wrenches_act_through_the_jacobians(case in case(), at_tip in wrench(), at_second in wrench()) {
+    fn wrenches_act_through_jacobian_transpose(case in case(), at_tip in wrench(), at_second in wrench()) {
         let (model, n) = (&case.model, case.model.n());
         let wrenches = [(case.tip, at_tip), (case.second, at_second)];
         let mut data = case.evaluated();
@@ -278,7 +279,7 @@ proptest! {
 
     /// ∂τ/∂q and ∂τ/∂q̇ against differences of RNEA's τ, all columns.
     #[test]
-    fn the_derivatives_of_inverse_dynamics_are_their_differences(case in case()) {
+    fn inverse_dynamics_derivatives_match_differences(case in case()) {
         let mut data = case.evaluated();
         rnea_derivatives(&case.model, &mut data, &case.ddq);
         close(&data.torque, &inverse_dynamics(&case), 0.0)?;
@@ -288,7 +289,7 @@ proptest! {
 
     /// ∂q̈/∂q and ∂q̈/∂q̇ against differences of ABA's q̈, all columns.
     #[test]
-    fn the_derivatives_of_forward_dynamics_are_their_differences(case in case()) {
+    fn forward_dynamics_derivatives_match_differences(case in case()) {
         let mut data = case.evaluated();
         aba_derivatives(&case.model, &mut data, &case.tau);
         close(&data.ddq, &forward_dynamics(&case), 0.0)?;
@@ -300,7 +301,7 @@ proptest! {
 
     /// The regressor times all bodies' parameters against RNEA without rotors.
     #[test]
-    fn inverse_dynamics_are_linear_in_the_parameters(case in case()) {
+    fn inverse_dynamics_are_linear_in_parameters(case in case()) {
         let rotorless = case.model.clone().with_rotor_inertia(&vec![0.0; case.model.n()]);
         let case = Case { model: rotorless, ..case };
         let parameters: Vec<f64> =
@@ -327,7 +328,7 @@ proptest! {
 
     /// M with a payload against M without and the payload's own kinetic energy; off again, the model to the bit.
     #[test]
-    fn a_payload_weighs_what_it_weighs_and_leaves_no_trace(case in case(), load in inertia(), other in inertia()) {
+    fn payload_adds_its_inertia_and_detaches_exactly(case in case(), load in inertia(), other in inertia()) {
         let before = case.evaluated();
         let mut loaded = case.clone();
         loaded.model.set_payload(case.second, other);
@@ -346,7 +347,7 @@ proptest! {
 
     /// A payload against a body that had its inertia from the start, and against [`Model::set_inertia`] of the sum.
     #[test]
-    fn a_payload_is_part_of_its_body(case in case(), load in inertia()) {
+    fn payload_equals_merged_body_inertia(case in case(), load in inertia()) {
         let mut loaded = case.clone();
         loaded.model.set_payload(case.tip, load);
         let tip = case.model.frame(case.tip);
@@ -363,7 +364,7 @@ proptest! {
 
     /// A frame moved with its payload, perhaps to another body, against a frame made there with that payload.
     #[test]
-    fn a_payload_goes_with_its_frame(case in case(), load in inertia(), offset in placement()) {
+    fn payload_moves_with_its_frame(case in case(), load in inertia(), offset in placement()) {
         let mut moved = case.clone();
         moved.model.set_payload(case.tip, load);
         moved.model.move_frame(case.tip, case.second, offset);
@@ -374,7 +375,7 @@ proptest! {
         let (a, b) = (moved.evaluated(), made.evaluated());
         prop_assert_eq!(frame_placement(&moved.model, &a, case.tip), frame_placement(&made.model, &b, there));
         let expected = frame_placement(&case.model, &a, case.second) * offset;
-        same_place(&frame_placement(&made.model, &b, there), &expected, ROUNDING)?;
+        close_placement(&frame_placement(&made.model, &b, there), &expected, ROUNDING)?;
         // And back home.
         let home = case.model.frame(case.tip);
         let body = moved.model.add_frame("body", home.body, Placement::identity());
@@ -383,9 +384,9 @@ proptest! {
         prop_assert_eq!(moved.model.bodies(), case.model.bodies());
     }
 
-    /// Several joints locked at once against one after the other; a payload on a locked joint's body stays on.
+    /// Several joints locked together against one after the other; a payload on a locked joint's body is kept.
     #[test]
-    fn joints_lock_in_any_order(case in case(), load in inertia(), at in [-2.0..2.0f64, -2.0..2.0]) {
+    fn joint_locking_is_order_independent(case in case(), load in inertia(), at in [-2.0..2.0f64, -2.0..2.0]) {
         let (first, n) = (case.first_joint(), case.model.n());
         prop_assume!(n >= first + 2);
         let mut model = case.model.clone();
@@ -398,7 +399,7 @@ proptest! {
             kept.remove(first + ahead);
             kept
         };
-        let (q, dq) = (keep(&case.q, case.ahead()), keep(&case.dq, 0));
+        let (q, dq) = (keep(&case.q, case.surplus_coordinates()), keep(&case.dq, 0));
         let (a, b) = (evaluated(&both, &q, &dq), evaluated(&one_by_one, &q, &dq));
         close(&a.mass_matrix, &b.mass_matrix, ROUNDING)?;
         close(&a.bias, &b.bias, ROUNDING)?;
@@ -410,9 +411,9 @@ proptest! {
         prop_assert_eq!(unloaded.rotor_inertia(), without.rotor_inertia());
     }
 
-    /// Checks the errors of joints that can't be locked or folded.
+    /// Checks the errors of joints that can't be locked or constrained.
     #[test]
-    fn impossible_reductions_name_the_joint(case in case()) {
+    fn invalid_reductions_name_the_joint(case in case()) {
         let (first, n, model) = (case.first_joint(), case.model.n(), &case.model);
         let rule = |leader, ratio, offset| MimicConstraint { leader, ratio, offset };
         let refused = |error: ReduceError, words: &str| {
@@ -452,8 +453,8 @@ proptest! {
     }
 }
 
-/// A folded tree's state, and the whole tree's in the same pose and motion.
-fn unfolded(folded: &Folded) -> Case {
+/// State of the whole tree in the pose and motion of the tree with mimic joints.
+fn free_tree(folded: &MimicTree) -> Case {
     let (case, map) = (&folded.case, folded.map());
     let through = |x: &[f64]| (&map * vector(x)).as_slice().to_vec();
     Case {
@@ -470,16 +471,16 @@ fn unfolded(folded: &Folded) -> Case {
 proptest! {
     #![proptest_config(config(192))]
 
-    /// Poses, velocities and Jacobians of the folded tree against those of the whole one, J = J' G.
+    /// Poses, velocities and Jacobians of the tree with mimic joints against those of the free tree, J = J' G.
     #[test]
-    fn folded_joints_move_as_free_ones_do_together(folded in folded()) {
-        let (case, whole, map) = (&folded.case, unfolded(&folded), folded.map());
+    fn mimic_kinematics_match_constrained_free_joints(folded in mimic_tree()) {
+        let (case, whole, map) = (&folded.case, free_tree(&folded), folded.map());
         let (model, free) = (&case.model, &whole.model);
         prop_assert!(model.has_mimic_constraints() && !free.has_mimic_constraints());
         let (mut a, mut b) = (case.evaluated(), whole.evaluated());
         for frame in [case.tip, case.second] {
             let place = frame_placement(model, &a, frame);
-            same_place(&place, &frame_placement(free, &b, frame), ROUNDING)?;
+            close_placement(&place, &frame_placement(free, &b, frame), ROUNDING)?;
             let velocity = stacked(&frame_velocity(model, &a, frame));
             close(&velocity, &stacked(&frame_velocity(free, &b, frame)), ROUNDING)?;
             let bias = stacked(&frame_bias_acceleration(model, &a, frame));
@@ -508,8 +509,8 @@ proptest! {
 
     /// M = Gᵀ M' G, C = Gᵀ C' G, h = Gᵀ h', τ = Gᵀ τ', Y = Gᵀ Y' and the energies, rotors included.
     #[test]
-    fn folded_joints_weigh_what_free_ones_do_together(folded in folded()) {
-        let (case, whole, map) = (&folded.case, unfolded(&folded), folded.map());
+    fn mimic_dynamics_match_projected_free_joints(folded in mimic_tree()) {
+        let (case, whole, map) = (&folded.case, free_tree(&folded), folded.map());
         let (mut a, mut b) = (case.evaluated(), whole.evaluated());
         close(&a.mass_matrix, &(map.transpose() * &b.mass_matrix * &map), ROUNDING)?;
         close(&a.coriolis_matrix, &(map.transpose() * &b.coriolis_matrix * &map), ROUNDING)?;
@@ -530,9 +531,9 @@ proptest! {
 
     /// Forward dynamics against (Gᵀ M' G)⁻¹ (τ − Gᵀ h'), solved densely: not as [`aba`] does it.
     #[test]
-    fn folded_joints_accelerate_as_the_constraint_has_it(folded in folded()) {
+    fn mimic_forward_dynamics_match_dense_solution(folded in mimic_tree()) {
         let (case, map) = (&folded.case, folded.map());
-        let b = unfolded(&folded).evaluated();
+        let b = free_tree(&folded).evaluated();
         let mass_matrix = map.transpose() * &b.mass_matrix * &map;
         let expected = mass_matrix.cholesky().unwrap().solve(&(vector(&case.tau) - map.transpose() * &b.bias));
         close(&forward_dynamics(case), &expected, INVERSE)?;
@@ -540,8 +541,8 @@ proptest! {
 
     /// ∂τ/∂q = Gᵀ ∂τ'/∂q' G, and as much for q̇.
     #[test]
-    fn folded_derivatives_are_free_ones_together(folded in folded()) {
-        let (case, whole, map) = (&folded.case, unfolded(&folded), folded.map());
+    fn mimic_derivatives_match_projected_free_joints(folded in mimic_tree()) {
+        let (case, whole, map) = (&folded.case, free_tree(&folded), folded.map());
         let (mut a, mut b) = (case.evaluated(), whole.evaluated());
         rnea_derivatives(&case.model, &mut a, &case.ddq);
         rnea_derivatives(&whole.model, &mut b, &whole.ddq);
@@ -549,11 +550,11 @@ proptest! {
         close(&a.torque_by_dq, &(map.transpose() * &b.torque_by_dq * &map), ROUNDING)?;
     }
 
-    /// The joints left against those that followed none: name, kind and limits their own; rotors theirs and ratio²
-    /// times their followers'.
+    /// The independent joints against the same joints of the free tree: equal names, kinds and limits; rotor inertias
+    /// increased by ratio² times those of their followers.
     #[test]
-    fn leaders_keep_their_limits_and_gain_rotors(folded in folded()) {
-        let (model, whole, map, left) = (&folded.case.model, &folded.whole, folded.map(), folded.left());
+    fn mimic_leaders_keep_limits_and_gain_rotors(folded in mimic_tree()) {
+        let (model, whole, map, left) = (&folded.case.model, &folded.whole, folded.map(), folded.independent_joints());
         let joints: Vec<Joint> = left.iter().map(|&i| whole.joints()[i].clone()).collect();
         prop_assert_eq!(model.joints(), &joints[..]);
         let rotors: Vec<f64> = (0..model.n())
@@ -564,9 +565,9 @@ proptest! {
         close(&[model.total_mass()], &[whole.total_mass()], 0.0)?;
     }
 
-    /// Followers folded in two steps against all at once.
+    /// Mimic constraints applied in two steps against all in one step.
     #[test]
-    fn joints_fold_one_after_the_other(folded in folded()) {
+    fn mimic_constraints_apply_one_after_another(folded in mimic_tree()) {
         let (&last, others) = folded.followers.split_last().unwrap();
         // The last follows no one who is gone: leaders come before their followers.
         let first = folded.whole.with_mimic_constraints(&[last]).unwrap();
@@ -581,9 +582,9 @@ proptest! {
         close(&a.bias, &b.bias, ROUNDING)?;
     }
 
-    /// A joint that follows with ratio 0 against one locked at the offset.
+    /// A mimic joint with ratio 0 against one locked at the offset.
     #[test]
-    fn a_follower_that_does_not_move_is_locked(
+    fn mimic_joint_with_zero_ratio_is_locked(
         case in fixed(),
         which in any::<(Index, Index)>(),
         offset in -2.0..2.0,
@@ -603,7 +604,8 @@ proptest! {
     }
 }
 
-/// A gripper: two fingers, the second the other way round and half as far, and on it a thumb that turns with it.
+/// A gripper: two fingers, the second in the opposite direction and half as far, and on it a thumb that rotates with
+/// it.
 const GRIPPER: &str = r#"<robot name="gripper">
   <link name="base"><inertial><mass value="3"/>
     <inertia ixx="0.03" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>
@@ -627,9 +629,10 @@ const GRIPPER: &str = r#"<robot name="gripper">
     <mimic joint="counter" multiplier="20" offset="0.25"/></joint>
 </robot>"#;
 
-/// A URDF with its mimic joints folded against the same with all joints free, put where the mimics say.
+/// A URDF with enforced mimic joints against the same with all joints free, at the positions that the mimics
+/// prescribe.
 #[test]
-fn mimic_joints_of_a_urdf_fold() -> Result<(), TestCaseError> {
+fn urdf_mimic_joints_are_enforced() -> Result<(), TestCaseError> {
     let fold = |floating_base| UrdfOptions { floating_base, enforce_mimic: true };
     for floating_base in [false, true] {
         let free =
@@ -655,7 +658,7 @@ fn mimic_joints_of_a_urdf_fold() -> Result<(), TestCaseError> {
         let (a, b) = (evaluated(&folded, &q, &dq), evaluated(&free, &whole_q, &whole_dq));
         for link in ["wrist", "left", "right", "thumb"] {
             let place = frame_placement(&folded, &a, folded.frame_id(link).unwrap());
-            same_place(&place, &frame_placement(&free, &b, free.frame_id(link).unwrap()), ROUNDING)?;
+            close_placement(&place, &frame_placement(&free, &b, free.frame_id(link).unwrap()), ROUNDING)?;
         }
         let mut map = DMatrix::zeros(free.n(), folded.n());
         map.view_mut((0, 0), (first + 1, first + 1)).fill_with_identity();
@@ -668,9 +671,9 @@ fn mimic_joints_of_a_urdf_fold() -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Mimics of what isn't there or of themselves: what is said names the joints and the line.
+/// Mimics of missing joints or of themselves: the error names the joints and the line.
 #[test]
-fn impossible_mimics_are_named() {
+fn invalid_mimic_joints_are_named() {
     let line_of = |text: &str, what: &str| text.lines().position(|l| l.contains(what)).unwrap() as u32 + 1;
     let fold = UrdfOptions { enforce_mimic: true, ..UrdfOptions::default() };
 
@@ -696,7 +699,7 @@ fn impossible_mimics_are_named() {
 
 /// Checks that Λ and the share are zero for a Jacobian that isn't finite.
 #[test]
-fn a_task_of_no_numbers_is_lost() {
+fn non_finite_jacobian_gives_zero_lambda() {
     let model = chain(7);
     let data = evaluated(&model, &[0.3; 7], &[0.1; 7]);
     for bad in [f64::NAN, f64::INFINITY, 1e200] {
@@ -708,10 +711,10 @@ fn a_task_of_no_numbers_is_lost() {
     }
 }
 
-/// Joints that follow a circle: the error names one on the circle, not one that follows it from outside. Ratios that
-/// overflow are refused.
+/// Errors of mimic cycles, which name a joint on the cycle and not a follower outside it; refusal of ratios that
+/// overflow.
 #[test]
-fn a_circle_is_named_and_a_ratio_is_a_number() {
+fn mimic_cycles_and_ratio_overflows_are_refused() {
     let model = chain(4);
     let follows = |leader: usize, ratio: f64| MimicConstraint { leader, ratio, offset: 0.0 };
     let circle = model

@@ -99,74 +99,74 @@ const ELBOW: &str = r#"<joint name="elbow" type="prismatic">"#;
 
 refusals! {
     // Numbers.
-    refuses_a_mass_that_is_no_number: LOWER_MASS => r#"<mass value="one"/>"#,
+    refuses_non_numeric_mass: LOWER_MASS => r#"<mass value="one"/>"#,
         ["link 'lower'", "<mass value>", "\"one\"", "one finite number"];
-    refuses_a_nan_mass: LOWER_MASS => r#"<mass value="nan"/>"#, ["link 'lower'", "<mass value>", "nan", "finite"];
-    refuses_a_negative_mass: LOWER_MASS => r#"<mass value="-1"/>"#, ["link 'lower'", "-1 kg", "negative"];
-    refuses_a_mass_without_value: LOWER_MASS => "<mass/>", ["link 'lower'", "no <mass value>", "<mass value=\"...\"/>"];
-    refuses_an_infinite_moment_of_inertia: r#"izz="0.01""# => r#"izz="inf""#, ["link 'upper'", "<inertia izz>", "inf"];
-    refuses_an_inertia_with_five_moments: LOWER_INERTIA => r#"<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0"/>"#,
+    refuses_nan_mass: LOWER_MASS => r#"<mass value="nan"/>"#, ["link 'lower'", "<mass value>", "nan", "finite"];
+    refuses_negative_mass: LOWER_MASS => r#"<mass value="-1"/>"#, ["link 'lower'", "-1 kg", "negative"];
+    refuses_mass_without_value: LOWER_MASS => "<mass/>", ["link 'lower'", "no <mass value>", "<mass value=\"...\"/>"];
+    refuses_infinite_moment_of_inertia: r#"izz="0.01""# => r#"izz="inf""#, ["link 'upper'", "<inertia izz>", "inf"];
+    refuses_inertia_with_five_moments: LOWER_INERTIA => r#"<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0"/>"#,
         ["link 'lower'", "no <inertia izz>", "ixx ixy ixz iyy iyz izz"];
-    refuses_a_negative_moment_of_inertia: LOWER_INERTIA =>
+    refuses_negative_moment_of_inertia: LOWER_INERTIA =>
         r#"<inertia ixx="-0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/>"#,
         ["link 'lower'", "positive semi-definite", "-0.1"];
-    refuses_an_inertia_that_only_its_products_make_negative: LOWER_INERTIA =>
+    refuses_inertia_indefinite_by_its_products: LOWER_INERTIA =>
         r#"<inertia ixx="0.1" ixy="0.2" ixz="0" iyy="0.1" iyz="0" izz="0.1"/>"#,
         ["link 'lower'", "positive semi-definite"];
-    refuses_an_infinite_origin: ELBOW_ORIGIN => r#"<origin xyz="0 inf 0"/>"#,
+    refuses_infinite_origin: ELBOW_ORIGIN => r#"<origin xyz="0 inf 0"/>"#,
         ["joint 'elbow'", "<origin xyz>", "three finite numbers"];
-    refuses_a_nan_rotation: ELBOW_ORIGIN => r#"<origin rpy="0 nan 0"/>"#, ["joint 'elbow'", "<origin rpy>", "nan"];
-    refuses_an_origin_of_four: ELBOW_ORIGIN => r#"<origin xyz="0 0 0 1"/>"#, ["joint 'elbow'", "three finite numbers"];
-    refuses_a_quaternion: ELBOW_ORIGIN => r#"<origin quat_xyzw="0 0 0 1"/>"#, ["joint 'elbow'", "quat_xyzw", "rpy"];
+    refuses_nan_rotation: ELBOW_ORIGIN => r#"<origin rpy="0 nan 0"/>"#, ["joint 'elbow'", "<origin rpy>", "nan"];
+    refuses_origin_with_four_numbers: ELBOW_ORIGIN => r#"<origin xyz="0 0 0 1"/>"#, ["joint 'elbow'", "three finite numbers"];
+    refuses_quaternion: ELBOW_ORIGIN => r#"<origin quat_xyzw="0 0 0 1"/>"#, ["joint 'elbow'", "quat_xyzw", "rpy"];
     // Axes.
-    refuses_a_zero_axis: ELBOW_AXIS => r#"<axis xyz="0 0 0"/>"#,
+    refuses_zero_axis: ELBOW_AXIS => r#"<axis xyz="0 0 0"/>"#,
         ["joint 'elbow'", "axis is zero", "xyz=\"0 0 1\""];
-    refuses_an_axis_with_a_letter: ELBOW_AXIS => r#"<axis xyz="0 0 x"/>"#,
+    refuses_non_numeric_axis: ELBOW_AXIS => r#"<axis xyz="0 0 x"/>"#,
         ["joint 'elbow'", "<axis xyz>", "\"0 0 x\"", "three finite numbers"];
-    refuses_an_axis_of_two: ELBOW_AXIS => r#"<axis xyz="0 1"/>"#, ["joint 'elbow'", "\"0 1\"", "three finite numbers"];
-    refuses_an_infinite_axis: ELBOW_AXIS => r#"<axis xyz="0 inf 0"/>"#, ["joint 'elbow'", "three finite numbers"];
-    refuses_an_axis_without_direction: ELBOW_AXIS => "<axis/>", ["joint 'elbow'", "no <axis xyz>", "0 0 1"];
+    refuses_axis_with_two_numbers: ELBOW_AXIS => r#"<axis xyz="0 1"/>"#, ["joint 'elbow'", "\"0 1\"", "three finite numbers"];
+    refuses_infinite_axis: ELBOW_AXIS => r#"<axis xyz="0 inf 0"/>"#, ["joint 'elbow'", "three finite numbers"];
+    refuses_axis_without_direction: ELBOW_AXIS => "<axis/>", ["joint 'elbow'", "no <axis xyz>", "0 0 1"];
     // Limits.
-    refuses_limits_swapped: ELBOW_LIMIT => r#"<limit lower="1" upper="-1" velocity="2" effort="20"/>"#,
+    refuses_swapped_limits: ELBOW_LIMIT => r#"<limit lower="1" upper="-1" velocity="2" effort="20"/>"#,
         ["joint 'elbow'", "lower limit 1", "upper limit -1", "swap"];
-    refuses_a_limit_without_lower: ELBOW_LIMIT => r#"<limit upper="1" velocity="2" effort="20"/>"#,
+    refuses_limit_without_lower: ELBOW_LIMIT => r#"<limit upper="1" velocity="2" effort="20"/>"#,
         ["joint 'elbow'", "no <limit lower>", "<limit lower=\"...\" upper=\"...\""];
-    refuses_a_limit_without_upper: ELBOW_LIMIT => r#"<limit lower="-1" velocity="2" effort="20"/>"#,
+    refuses_limit_without_upper: ELBOW_LIMIT => r#"<limit lower="-1" velocity="2" effort="20"/>"#,
         ["joint 'elbow'", "no <limit upper>"];
-    refuses_an_infinite_limit: ELBOW_LIMIT => r#"<limit lower="-inf" upper="1"/>"#,
+    refuses_infinite_limit: ELBOW_LIMIT => r#"<limit lower="-inf" upper="1"/>"#,
         ["joint 'elbow'", "<limit lower>", "-inf", "finite"];
-    refuses_a_nan_effort: ELBOW_LIMIT => r#"<limit lower="-1" upper="1" effort="nan"/>"#,
+    refuses_nan_effort: ELBOW_LIMIT => r#"<limit lower="-1" upper="1" effort="nan"/>"#,
         ["joint 'elbow'", "<limit effort>", "nan"];
-    refuses_a_negative_velocity_limit: ELBOW_LIMIT => r#"<limit lower="-1" upper="1" velocity="-2"/>"#,
+    refuses_negative_velocity_limit: ELBOW_LIMIT => r#"<limit lower="-1" upper="1" velocity="-2"/>"#,
         ["joint 'elbow'", "velocity limit -2", "negative"];
     // Joints.
-    refuses_a_floating_joint: ELBOW => r#"<joint name="elbow" type="floating">"#,
+    refuses_floating_joint: ELBOW => r#"<joint name="elbow" type="floating">"#,
         ["joint 'elbow'", "\"floating\"", "not supported", "revolute, continuous, prismatic and fixed"];
-    refuses_a_planar_joint: ELBOW => r#"<joint name="elbow" type="planar">"#,
+    refuses_planar_joint: ELBOW => r#"<joint name="elbow" type="planar">"#,
         ["joint 'elbow'", "\"planar\"", "not supported", "revolute, continuous, prismatic and fixed"];
-    refuses_an_unknown_joint_type: ELBOW => r#"<joint name="elbow" type="hinge">"#,
+    refuses_unknown_joint_type: ELBOW => r#"<joint name="elbow" type="hinge">"#,
         ["joint 'elbow'", "\"hinge\"", "not supported", "revolute, continuous, prismatic and fixed"];
-    refuses_a_joint_without_type: ELBOW => r#"<joint name="elbow">"#, ["joint 'elbow'", "no <joint type>", "revolute"];
-    refuses_a_joint_without_name: ELBOW => r#"<joint type="prismatic">"#, ["<joint>", "no name", "name=\"...\""];
-    refuses_a_doubled_joint_name: ELBOW => r#"<joint name="shoulder" type="prismatic">"#,
+    refuses_joint_without_type: ELBOW => r#"<joint name="elbow">"#, ["joint 'elbow'", "no <joint type>", "revolute"];
+    refuses_joint_without_name: ELBOW => r#"<joint type="prismatic">"#, ["<joint>", "no name", "name=\"...\""];
+    refuses_duplicate_joint_name: ELBOW => r#"<joint name="shoulder" type="prismatic">"#,
         ["joint 'shoulder'", "line 19", "unique"];
-    refuses_a_doubled_axis: ELBOW_AXIS => r#"<axis xyz="0 1 0"/><axis xyz="0 1 0"/>"#,
+    refuses_duplicate_axis: ELBOW_AXIS => r#"<axis xyz="0 1 0"/><axis xyz="0 1 0"/>"#,
         ["joint 'elbow'", "more than one <axis>"];
     // Links.
-    refuses_a_doubled_link_name: r#"<link name="tool"/>"# => r#"<link name="base"/><link name="lower"/>"#,
+    refuses_duplicate_link_name: r#"<link name="tool"/>"# => r#"<link name="base"/><link name="lower"/>"#,
         ["link 'base'", "line 4", "unique"];
-    refuses_a_link_without_name: r#"<link name="tool"/>"# => "<link/>", ["<link>", "no name"];
+    refuses_link_without_name: r#"<link name="tool"/>"# => "<link/>", ["<link>", "no name"];
     // Formats.
-    refuses_a_xacro_expression: ELBOW_ORIGIN => r#"<origin xyz="0 0 ${length}"/>"#,
+    refuses_xacro_expression: ELBOW_ORIGIN => r#"<origin xyz="0 0 ${length}"/>"#,
         ["xacro", "0 0 ${length}", "xacro FILE.xacro > FILE.urdf"];
-    refuses_a_xacro_argument: LOWER_MASS => r#"<mass value="$(arg mass)"/>"#,
+    refuses_xacro_argument: LOWER_MASS => r#"<mass value="$(arg mass)"/>"#,
         ["$(arg mass)", "xacro FILE.xacro > FILE.urdf"];
-    refuses_a_xacro_element_without_its_namespace: r#"<link name="tool"/>"# => r#"<xacro:tool/>"#,
+    refuses_xacro_element_without_namespace: r#"<link name="tool"/>"# => r#"<xacro:tool/>"#,
         ["<xacro:", "xacro FILE.xacro > FILE.urdf"];
 }
 
 #[test]
-fn refuses_a_moving_link_without_inertial() {
+fn refuses_moving_link_without_inertial() {
     let start = ARM.find("<link name=\"lower\">").unwrap();
     let end = start + ARM[start..].find("</link>").unwrap() + "</link>".len();
     let text = format!("{}<link name=\"lower\"/>{}", &ARM[..start], &ARM[end..]);
@@ -176,7 +176,7 @@ fn refuses_a_moving_link_without_inertial() {
 }
 
 #[test]
-fn refuses_finite_numbers_whose_products_overflow() {
+fn refuses_overflowing_products() {
     let text = arm_with(ELBOW_ORIGIN, r#"<origin xyz="1e308 1e308 1e308" rpy="0.7 0.7 0.7"/>"#)
         .replacen(r#"type="revolute""#, r#"type="fixed""#, 1)
         .replacen(r#"<child link="upper"/>"#, r#"<origin xyz="1e308 1e308 1e308"/><child link="upper"/>"#, 1);
@@ -190,18 +190,18 @@ fn refuses_finite_numbers_whose_products_overflow() {
 }
 
 #[test]
-fn refuses_a_moving_link_of_zero_mass() {
+fn refuses_moving_link_of_zero_mass() {
     refused(&arm_with(LOWER_MASS, r#"<mass value="0"/>"#), &["joint 'elbow'", "link 'lower'", "no mass"]);
 }
 
 #[test]
-fn refuses_an_inertial_without_its_parts() {
+fn refuses_incomplete_inertial() {
     refused(&arm_with(LOWER_MASS, ""), &["link 'lower'", "no <mass>", "write <mass"]);
     refused(&arm_with(LOWER_INERTIA, ""), &["link 'lower'", "no <inertia>", "ixx"]);
 }
 
 #[test]
-fn refuses_a_negative_mass_even_where_it_cannot_move() {
+fn refuses_negative_mass_of_fixed_link() {
     let inertial = r#"<inertial><mass value="-1"/>
         <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>"#;
     let text = arm_with(r#"<link name="base"/>"#, &format!(r#"<link name="base">{inertial}</link>"#));
@@ -209,14 +209,14 @@ fn refuses_a_negative_mass_even_where_it_cannot_move() {
 }
 
 #[test]
-fn refuses_a_joint_without_limits_parent_or_child() {
+fn refuses_joint_without_limits_parent_or_child() {
     refused(&arm_with(ELBOW_LIMIT, ""), &["joint 'elbow'", "no <limit>", "lower", "upper"]);
     refused(&arm_with(r#"<parent link="upper"/>"#, ""), &["joint 'elbow'", "no <parent>", "<parent link"]);
     refused(&arm_with(r#"<child link="lower"/>"#, ""), &["joint 'elbow'", "no <child>", "<child link"]);
 }
 
 #[test]
-fn refuses_a_dangling_parent_or_child() {
+fn refuses_dangling_parent_or_child() {
     let known = "base, upper, lower, tool";
     let text = arm_with(r#"<parent link="upper"/>"#, r#"<parent link="uper"/>"#);
     let error = refused(&text, &["joint 'elbow'", "parent link 'uper'", "doesn't exist", known]);
@@ -226,7 +226,7 @@ fn refuses_a_dangling_parent_or_child() {
 }
 
 #[test]
-fn refuses_a_link_with_two_parents() {
+fn refuses_link_with_two_parents() {
     let text =
         arm_and(r#"<joint name="brace" type="fixed"><parent link="base"/><child link="lower"/></joint>"#);
     let error = refused(&text, &["link 'lower'", "'elbow' and 'brace'", "remove one"]);
@@ -255,7 +255,7 @@ fn refuses_cycles() {
 }
 
 #[test]
-fn refuses_a_robot_without_links() {
+fn refuses_robot_without_links() {
     refused(r#"<robot name="ghost"/>"#, &["line 1", "no <link>"]);
 }
 
@@ -281,7 +281,7 @@ fn refuses_xacro() {
 }
 
 #[test]
-fn accepts_the_xacro_declaration_that_expansion_leaves_behind() {
+fn accepts_leftover_xacro_declaration() {
     let text =
         arm_with(r#"<robot name="arm">"#, r#"<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">"#);
     Model::from_urdf(&text).unwrap();
@@ -298,7 +298,7 @@ fn refuses_every_truncation() {
 }
 
 #[test]
-fn refuses_tags_that_do_not_match() {
+fn refuses_mismatched_tags() {
     let error = refused(&arm_with("</joint>", "</link>"), &["not well-formed", "joint", "link"]);
     assert_eq!(error.line(), Some(24));
 }
@@ -315,13 +315,13 @@ fn refuses_doctypes_and_entities() {
 }
 
 #[test]
-fn refuses_a_file_that_is_too_large() {
+fn refuses_too_large_file() {
     let text = arm_and(&" ".repeat(16 << 20));
     assert_eq!(refused(&text, &["bytes", "16777216"]).line(), None);
 }
 
 #[test]
-fn refuses_nesting_that_would_overflow_a_stack() {
+fn refuses_too_deep_nesting() {
     let deep = format!("<robot>\n{}{}</robot>", "<a>".repeat(200_000), "</a>".repeat(200_000));
     assert_eq!(refused(&deep, &["64 deep"]).line(), Some(2));
     refused(&"<a>".repeat(200_000), &["64 deep"]);
@@ -332,21 +332,21 @@ fn refuses_nesting_that_would_overflow_a_stack() {
 }
 
 #[test]
-fn refuses_tags_with_attributes_without_end() {
+fn refuses_excessive_attributes() {
     let many: String = (0..10_000).map(|i| format!(" a{i}='='")).collect();
     let error = refused(&arm_and(&format!("<gazebo{many}/>")), &["64 attributes"]);
     assert_eq!(error.line(), Some(37));
 }
 
 #[test]
-fn long_lists_of_names_are_cut() {
+fn long_name_lists_are_truncated() {
     let links: String = (0..1000).map(|i| format!("<link name='l{i}'/>")).collect();
     let error = refused(&format!("<robot>{links}</robot>"), &["l0, l1,", "l99 and 900 more"]);
     assert!(error.to_string().len() < 1000);
 }
 
 #[test]
-fn a_long_chain_is_not_too_deep() {
+fn long_chain_is_accepted() {
     // 20 000 links in a row nest in the robot, not in the file.
     let mut text = String::from("<robot name='snake'><link name='l0'/>");
     for i in 0..20_000 {
@@ -365,12 +365,12 @@ fn warnings(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_arm_needs_no_warning() {
+fn valid_arm_has_no_warnings() {
     assert_eq!(warnings(ARM), [""; 0]);
 }
 
 #[test]
-fn warns_of_an_impossible_inertia() {
+fn warns_of_impossible_inertia() {
     let text =
         arm_with(LOWER_INERTIA, r#"<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.05"/>"#);
     let said = warnings(&text);
@@ -382,7 +382,7 @@ fn warns_of_an_impossible_inertia() {
 }
 
 #[test]
-fn a_rod_and_a_plate_are_possible() {
+fn rod_and_plate_inertias_are_possible() {
     for moments in [[0.0, 0.01, 0.01], [0.01, 0.02, 0.03], [0.0, 0.0, 0.0]] {
         let [x, y, z] = moments;
         let inertia = format!(r#"<inertia ixx="{x}" ixy="0" ixz="0" iyy="{y}" iyz="0" izz="{z}"/>"#);
@@ -400,14 +400,14 @@ fn warns_of_equal_limits() {
 }
 
 #[test]
-fn warns_of_limits_that_allow_nothing() {
+fn warns_of_zero_effort_limit() {
     let said = warnings(&arm_with(ELBOW_LIMIT, r#"<limit lower="-1" upper="1" velocity="2" effort="0"/>"#));
     assert_eq!(said.len(), 1);
     assert!(said[0].contains("joint 'elbow'") && said[0].contains("effort limit is 0"), "{said:?}");
 }
 
 #[test]
-fn a_mimic_joint_is_independent_and_warned_of() {
+fn mimic_joint_is_independent_with_warning() {
     let text = arm_with(ELBOW_AXIS, r#"<axis xyz="0 1 0"/><mimic joint="shoulder" multiplier="2"/>"#);
     let loaded = Model::from_urdf(&text).unwrap();
     assert_eq!(loaded.model.n(), 2);
@@ -418,7 +418,7 @@ fn a_mimic_joint_is_independent_and_warned_of() {
 }
 
 #[test]
-fn warnings_come_in_the_order_of_the_file() {
+fn warnings_follow_file_order() {
     let text =
         arm_with(ELBOW_LIMIT, r#"<limit lower="0.5" upper="0.5" effort="0"/><mimic joint="shoulder"/>"#)
             .replace(LOWER_INERTIA, r#"<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.05"/>"#);
@@ -427,7 +427,7 @@ fn warnings_come_in_the_order_of_the_file() {
 }
 
 #[test]
-fn reads_limits_and_leaves_out_what_is_not_given() {
+fn missing_limits_are_infinite() {
     let model = Model::from_urdf(&arm_with(ELBOW_LIMIT, r#"<limit lower="-1" upper="1"/>"#)).unwrap().model;
     let [shoulder, elbow] = [0, 1].map(|j| model.joints()[j].limits);
     assert_eq!((shoulder.lower, shoulder.upper, shoulder.velocity, shoulder.effort), (-2.0, 2.0, 3.0, 40.0));
@@ -436,7 +436,7 @@ fn reads_limits_and_leaves_out_what_is_not_given() {
 }
 
 #[test]
-fn a_continuous_joint_has_no_position_limits() {
+fn continuous_joint_has_no_position_limits() {
     let text = arm_with(r#"type="revolute""#, r#"type="continuous""#);
     let joint = Model::from_urdf(&text).unwrap().model.joints()[0].clone();
     assert_eq!(joint.kind, JointKind::Continuous);
@@ -447,7 +447,7 @@ fn a_continuous_joint_has_no_position_limits() {
 }
 
 #[test]
-fn joints_are_depth_first_by_name_and_links_are_frames() {
+fn joints_are_depth_first_and_links_are_frames() {
     let branch = |name: &str, parent: &str| {
         format!(
             r#"<link name="{name}"><inertial><mass value="1"/>
@@ -467,9 +467,9 @@ fn joints_are_depth_first_by_name_and_links_are_frames() {
     assert_eq!(frames, ["base", "hub", "a", "b", "z"]);
 }
 
-/// Frames at q = 0 against the sum of the origins by hand; the body frames are turned, the links' are not.
+/// Frames at q = 0 against the sum of the origins by hand; the body frames are rotated, the links' are not.
 #[test]
-fn a_link_has_the_axes_of_the_file_whatever_its_joint_axis() {
+fn link_frame_is_independent_of_joint_axis() {
     let model = Model::from_urdf(ARM).unwrap().model;
     let mut data = Data::new(&model);
     kinematics(&model, &mut data, &[0.0, 0.25], &[0.0, 0.0]);
@@ -480,7 +480,7 @@ fn a_link_has_the_axes_of_the_file_whatever_its_joint_axis() {
 
 /// A link's inertia merged over a fixed joint, against the parallel-axis theorem by hand.
 #[test]
-fn fixed_links_add_their_inertia_in_the_body_frame() {
+fn fixed_links_add_inertia_to_their_body() {
     let tool = r#"<link name="tool"><inertial><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><mass value="3"/>
         <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.25"/></inertial></link>"#;
     let text =
@@ -497,7 +497,7 @@ fn fixed_links_add_their_inertia_in_the_body_frame() {
 }
 
 #[test]
-fn what_is_fixed_to_the_base_has_no_inertia() {
+fn links_fixed_to_base_have_no_inertia() {
     let more = r#"<link name="table"><inertial><mass value="100"/>
         <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
         <joint name="bolt" type="fixed"><parent link="base"/><child link="table"/></joint>"#;
@@ -506,8 +506,8 @@ fn what_is_fixed_to_the_base_has_no_inertia() {
     assert_eq!(model.frame(model.frame_id("table").unwrap()).body, None);
 }
 
-/// Our reader against urdf-rs, of which we use nothing else: every number of every file, where the joints of
-/// the two are matched by name and frames are composed from urdf-rs's origins.
+/// Our reader against that of urdf-rs: every number of every file, with the joints of the two matched by name and
+/// frames composed from urdf-rs's origins.
 #[test]
 fn agrees_with_urdf_rs() {
     for robot in ["double_pendulum", "g1_29dof", "kinova_j2s6s200", "panda", "panda_arm7", "ur5"] {
@@ -624,9 +624,9 @@ mod mutations {
             ..ProptestConfig::with_cases(4000)
         })]
 
-        /// A damaged file is refused in words or makes a model without a number that isn't finite; never a panic.
+        /// A corrupted file is refused with an error or makes a model of finite numbers, and never panics.
         #[test]
-        fn a_damaged_file_never_panics(mutations in prop::collection::vec(mutation(), 1..8)) {
+        fn corrupted_file_never_panics(mutations in prop::collection::vec(mutation(), 1..8)) {
             let text = mutations.iter().fold(ARM.to_owned(), |text, m| apply(&text, m));
             match Model::from_urdf(&text) {
                 Err(error) => prop_assert!(!error.to_string().is_empty()),

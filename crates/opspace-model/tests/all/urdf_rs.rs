@@ -32,7 +32,7 @@ fn refused(robot: &Robot) -> UrdfErrorKind {
 /// Compared: the models that the reader of this crate and urdf-rs make of a file, to the last bit (numbers are printed
 /// in the shortest form that reads back as the same bits), fixed to the world and floating.
 #[test]
-fn models_from_text_and_from_urdf_rs_are_equal_to_the_last_bit() {
+fn models_from_text_and_urdf_rs_are_identical() {
     for robot in ROBOTS {
         let text = text(robot);
         let parsed = urdf_rs::read_from_string(&text).unwrap();
@@ -120,7 +120,7 @@ fn unknown_mimic_joint_is_refused() {
 }
 
 #[test]
-fn two_links_of_one_name_are_refused() {
+fn duplicate_link_names_are_refused() {
     let mut robot = panda();
     robot.links[1].name = robot.links[0].name.clone();
     assert!(matches!(refused(&robot), UrdfErrorKind::DuplicateName { first_line: None, .. }));

@@ -47,7 +47,7 @@ fn texts(model: &Model) -> Vec<String> {
 
 /// The robots of the project and of Pinocchio's set whose data are measured or from CAD, fixed and floating.
 #[test]
-fn nothing_is_said_of_a_good_robot() {
+fn sound_robots_have_no_warnings() {
     let ours = ["asimo-arm", "panda", "planar-2-link", "ur5e"].map(|r| format!("robots/{r}/{r}.urdf"));
     let theirs = ["allegro_right_hand", "anymal_c", "g1_29dof", "kinova_j2s6s200", "panda", "xarm7_turned"]
         .map(|r| format!("tests/oracles/pinocchio/urdf/{r}.urdf"));
@@ -62,9 +62,9 @@ fn nothing_is_said_of_a_good_robot() {
 }
 
 /// UR5's wrists have the moments of cylinders of 0.6 m radius; PR2's palms, of 0.6 kg, those of a ball of 0.4 m
-/// across. Nothing else is said of the two.
+/// diameter. The two have no other warnings.
 #[test]
-fn the_known_slips_in_published_robots_are_found() {
+fn known_errors_in_published_robots_are_found() {
     let parts = |model: &Model| -> Vec<String> {
         let part = |s: ModelWarning| match s {
             ModelWarning::LargeInertia { part, .. } => part,
@@ -87,9 +87,9 @@ fn the_known_slips_in_published_robots_are_found() {
 /// Name of a slip, its effect on a body, and the check of its report.
 type Slip = (&'static str, fn(Inertia) -> Inertia, fn(&ModelWarning) -> bool);
 
-/// Checks that each of the usual slips in each body of two sound robots is reported, for that body.
+/// Checks that each of the typical errors in each body of two sound robots is reported, for that body.
 #[test]
-fn a_slip_in_any_body_is_found() {
+fn typical_errors_in_any_body_are_found() {
     let slips: [Slip; 5] = [
         (
             "centre in mm",
@@ -132,9 +132,9 @@ fn a_slip_in_any_body_is_found() {
     }
 }
 
-/// The density that is said, against that of a solid from which the moments were made; and the bound between them.
+/// The reported density against that of the solid from which the moments were computed; and the threshold.
 #[test]
-fn a_body_is_as_light_as_foam_or_heavier() {
+fn too_low_density_is_reported() {
     for axes in [[0.1, 0.1, 0.1], [0.3, 0.05, 0.04], [0.2, 0.02, 0.3]] {
         let found = model_warnings(&body(ellipsoid(29.9, axes)));
         let [ModelWarning::LargeInertia { density, .. }] = found[..] else { panic!("{found:?}") };
@@ -152,7 +152,7 @@ fn a_body_is_as_light_as_foam_or_heavier() {
 }
 
 #[test]
-fn a_body_is_no_denser_than_osmium() {
+fn too_high_density_is_reported() {
     for radius in [1e-3, 0.01, 0.1] {
         assert_eq!(texts(&body(ellipsoid(22_500.0, [radius; 3]))), [""; 0]);
         let found = model_warnings(&body(ellipsoid(22_700.0, [radius; 3])));
@@ -170,7 +170,7 @@ fn a_body_is_no_denser_than_osmium() {
 }
 
 #[test]
-fn a_centre_of_mass_is_near_its_frame_or_what_is_there() {
+fn distant_centre_of_mass_is_reported() {
     let ball = ellipsoid(2700.0, [0.05; 3]);
     let radius = 0.05 * 0.4_f64.sqrt();
     let at = |radii: f64| body(Inertia { com: Vector3::new(0.0, radii * radius, 0.0), ..ball });
@@ -194,7 +194,7 @@ fn a_centre_of_mass_is_near_its_frame_or_what_is_there() {
 }
 
 #[test]
-fn neighbours_weigh_alike_within_a_thousand() {
+fn extreme_mass_ratio_of_neighbours_is_reported() {
     let pair = |ratio: f64, light_first: bool| {
         let heavy = ellipsoid(2700.0, [0.1; 3]);
         // As dense: every length is smaller by the cube root.
@@ -214,9 +214,9 @@ fn neighbours_weigh_alike_within_a_thousand() {
     }
 }
 
-/// Limits that are not there, each said once for all joints; those of a floating base are not asked for.
+/// Missing limits, each reported once for all joints; a floating base needs none.
 #[test]
-fn a_joint_without_a_limit_is_named() {
+fn joints_without_limits_are_named() {
     let ball = ellipsoid(2700.0, [0.1; 3]);
     let mut model = Model::floating("free", ball);
     let limits = [
@@ -239,7 +239,7 @@ fn a_joint_without_a_limit_is_named() {
 }
 
 #[test]
-fn a_range_is_one_in_which_joints_move() {
+fn implausible_joint_range_is_reported() {
     let of = |kind, lower, upper| {
         let mut model = Model::new("one");
         let joint = joint(kind, Limits { lower, upper, ..LIMITS });

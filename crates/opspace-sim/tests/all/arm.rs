@@ -30,7 +30,7 @@ const WEIGHT_NM: f64 = 1e-7;
 /// Compares the servo tick at which a setpoint moves the servos' torque with the delay of the file, for every delay
 /// that there can be.
 #[test]
-fn a_command_acts_after_its_delay_to_the_tick() {
+fn command_acts_exactly_after_its_delay() {
     for command in [CommandKind::Position, CommandKind::Torque] {
         for delay in 0..=5_u32 {
             let mut setup = setup(command, "a-med");
@@ -69,9 +69,9 @@ fn a_command_acts_after_its_delay_to_the_tick() {
     }
 }
 
-/// Compared: torques asked for, and motor torques, beyond and below the drives' limits.
+/// Compared: commanded torques, and motor torques, beyond and below the drives' limits.
 #[test]
-fn drives_give_no_more_than_their_limit() {
+fn drives_respect_torque_limits() {
     let asked = [100.0, -100.0, 10.0, -100.0];
     for (saturation, expected) in [(true, [40.0, -40.0, 10.0, -22.0]), (false, asked)] {
         let mut setup = setup(CommandKind::Torque, "a-med");
@@ -86,7 +86,7 @@ fn drives_give_no_more_than_their_limit() {
 
 /// Compared: positions as read, and true ones: within half a count, and a whole number of counts.
 #[test]
-fn encoders_count() {
+fn encoders_quantise_positions() {
     let mut setup = setup(CommandKind::Torque, "a-med");
     setup.simulated.encoder_quantisation = true;
     let counts: Vec<f64> = setup
@@ -114,7 +114,7 @@ fn encoders_count() {
 /// Compared: the arm after two seconds, and where it started: a position robot by its servo, a torque robot by
 /// its brakes, both without a command.
 #[test]
-fn an_arm_left_alone_holds_itself() {
+fn uncommanded_arm_holds_its_position() {
     for command in [CommandKind::Position, CommandKind::Torque] {
         let setup = setup(command, "b-soft");
         let weight = weight(&setup.model, &START);
@@ -139,7 +139,7 @@ fn an_arm_left_alone_holds_itself() {
 
 /// Compared: a thrown arm's speed before and after its brakes fall in.
 #[test]
-fn brakes_stop_a_moving_arm_and_keep_it() {
+fn brakes_stop_and_hold_a_moving_arm() {
     let mut arm = arm(setup(CommandKind::Torque, "a-med"));
     read(&mut arm);
     for _ in 0..150 {
@@ -158,7 +158,7 @@ fn brakes_stop_a_moving_arm_and_keep_it() {
 
 /// Compares a robot that compensates its own weight under no torque with one that doesn't.
 #[test]
-fn a_robot_that_carries_its_weight_needs_no_torque() {
+fn gravity_compensating_robot_needs_no_torque() {
     let fallen = |gravity_compensated_by| {
         let mut setup = setup(CommandKind::Torque, "a-med");
         setup.capabilities.gravity_compensated_by = gravity_compensated_by;
@@ -178,7 +178,7 @@ fn a_robot_that_carries_its_weight_needs_no_torque() {
 /// Compared: how far a joint pressed into its stop with full torque gets, and the torque over the stop's
 /// stiffness.
 #[test]
-fn end_stops_hold() {
+fn end_stops_limit_joint_motion() {
     let mut setup = setup(CommandKind::Torque, "a-med");
     setup.start = vec![0.0, 0.0, 0.0, -0.05];
     setup.capabilities.gravity_compensated_by = GravityCompensation::Robot;
@@ -195,7 +195,7 @@ fn end_stops_hold() {
 }
 
 /// A position robot with something at its hand and a sensor without noise or bias.
-fn touched(by: &str) -> ArmConfig {
+fn arm_with_contact(by: &str) -> ArmConfig {
     let mut setup = setup(CommandKind::Position, "a-med");
     let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
     *quality = parsed("bandwidth_hz = 500.0\nnoise_n = 0.0\nnoise_nm = 0.0\nbias_n = 0.0\nbias_nm = 0.0");
@@ -203,11 +203,11 @@ fn touched(by: &str) -> ArmConfig {
     setup
 }
 
-/// Compared: the sensor's reading turned into world axes by the hand's pose, and the push of the file.
+/// Compared: the sensor's reading rotated into world axes by the hand's pose, and the push of the file.
 #[test]
-fn a_force_sensor_reads_the_contact_in_its_own_axes() {
+fn force_sensor_reads_contact_in_sensor_axes() {
     let force = Vector3::new(4.0, -3.0, 2.0);
-    let setup = touched(
+    let setup = arm_with_contact(
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 0.0, duration_s = 0.4, force_n = [4.0, -3.0, 2.0] }]",
     );
     let (model, hand) = (setup.model.clone(), setup.model.frame_id("hand").expect("the hand"));
@@ -228,7 +228,7 @@ fn a_force_sensor_reads_the_contact_in_its_own_axes() {
 
 /// Compared: the noise of torque and force measurements with and without something else that is random.
 #[test]
-fn environment_leaves_other_randomness_as_it_was() {
+fn environment_does_not_change_measurement_noise() {
     let noise = |environment: Vec<(String, opspace_sim::EnvironmentObjectParameters)>| {
         let mut setup = setup(CommandKind::Position, "a-med");
         setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
@@ -289,7 +289,7 @@ fn numbers(arm: &mut SimulatedArm) -> Vec<Option<u64>> {
 /// Compared: two position robots, of which one is held and the other gets its last setpoints again; a hold before the
 /// first command is counted and changes nothing.
 #[test]
-fn hold_repeats_the_last_setpoints_of_a_position_robot() {
+fn hold_repeats_last_position_setpoints() {
     let mut setup = setup(CommandKind::Position, "a-med");
     setup.profile.delay_servo_ticks = Some(2);
     let (mut held, mut told) = (arm(setup.clone()), arm(setup));
@@ -320,7 +320,7 @@ fn hold_repeats_the_last_setpoints_of_a_position_robot() {
 /// Compared: the command in force and the motors' torque of a torque robot that is held, commanded again and stopped,
 /// and the contract: torques on their way are dropped, a hold has a number, a stop has none.
 #[test]
-fn hold_and_stop_brake_a_torque_robot_at_once() {
+fn hold_and_stop_brake_torque_robot_immediately() {
     let mut setup = setup(CommandKind::Torque, "a-med");
     setup.profile.delay_servo_ticks = Some(2);
     let mut arm = arm(setup);
@@ -346,7 +346,7 @@ fn hold_and_stop_brake_a_torque_robot_at_once() {
 /// and its weight, which brakes carry; the status and whether a drive's limit was exceeded; and the samples of a robot
 /// that measures none of these.
 #[test]
-fn optional_measurements_are_honoured() {
+fn optional_measurements_are_provided() {
     /// Half the acceleration times the period: 120 rad/s² here.
     const DIFFERENCE_RAD_PER_S: f64 = 0.1;
     let mut setup = setup(CommandKind::Torque, "a-med");
@@ -390,7 +390,7 @@ fn optional_measurements_are_honoured() {
 
 /// Compared: parameters that contradict each other, and the error that names them.
 #[test]
-fn contradictions_are_refused_by_name() {
+fn contradictory_parameters_are_refused_by_name() {
     let refused = |change: &dyn Fn(&mut ArmConfig)| {
         let mut setup = setup(CommandKind::Position, "a-med");
         change(&mut setup);

@@ -14,7 +14,7 @@ fn on_a_bus(bus: &str) -> ArmConfig {
 }
 
 /// Times of the true rows and of the drives' rows that came with the last read.
-fn traced(arm: &SimulatedArm) -> (Vec<f64>, Vec<(f64, u64)>) {
+fn servo_trace(arm: &SimulatedArm) -> (Vec<f64>, Vec<(f64, u64)>) {
     let (mut truth, mut servo) = (Vec::new(), Vec::new());
     arm.visit(&mut |row| match row {
         TruthRow::State { time_s, .. } => truth.push(time_s),
@@ -30,7 +30,7 @@ fn missed(arm: &mut SimulatedArm, periods: usize) -> Vec<bool> {
     let (mut ticks, mut servo_ticks) = (0, 0);
     while ticks <= periods {
         let sample = read(arm);
-        let (truth, servo) = traced(arm);
+        let (truth, servo) = servo_trace(arm);
         for time_s in &truth {
             assert!((time_s - ticks as f64 * PERIOD_S).abs() < 1e-9, "{time_s} s is tick {ticks}");
             missed.push(true);
@@ -69,7 +69,7 @@ fn cycles_are_lost_at_random() {
 
 /// Compared: when samples come, and the dropout's times; the drives' command, and the last one before it.
 #[test]
-fn nothing_passes_in_a_dropout() {
+fn dropout_blocks_samples_and_commands() {
     let mut arm =
         arm(on_a_bus("dropouts = [{ at_s = 0.0205, duration_s = 0.3 }, { at_s = 0.4, duration_s = 0.01 }]"));
     let mut commands = 0;
@@ -80,7 +80,7 @@ fn nothing_passes_in_a_dropout() {
         let gap_s = sample.time_s - before_s;
         if gap_s > 1.5 * PERIOD_S {
             gaps.push((before_s, sample.time_s));
-            let (_, servo) = traced(&arm);
+            let (_, servo) = servo_trace(&arm);
             assert!(servo.iter().all(|(_, command)| *command == commands), "the last one is held");
             assert_eq!(servo.len(), (gap_s / PERIOD_S).round() as usize * RATIO);
         }
@@ -98,7 +98,7 @@ fn nothing_passes_in_a_dropout() {
 
 /// Compares the servo tick at which each setpoint acts with its delay, with up to `jitter` more.
 #[test]
-fn setpoints_come_late_but_in_order() {
+fn jittered_setpoints_act_in_order() {
     for (delay, jitter) in [(0, 2), (3, 4), (5, 4)] {
         let mut setup = on_a_bus(&format!("jitter_servo_ticks = {jitter}"));
         setup.profile = parsed_profile(&setup, delay);
@@ -107,7 +107,7 @@ fn setpoints_come_late_but_in_order() {
         let mut servo_tick = 0;
         for _ in 0..400 {
             let sample = read(&mut arm);
-            for (_, command) in traced(&arm).1 {
+            for (_, command) in servo_trace(&arm).1 {
                 if command as usize > acts.len() {
                     acts.push(servo_tick);
                     assert_eq!(command as usize, acts.len(), "none is left out");
@@ -134,7 +134,7 @@ fn parsed_profile(setup: &ArmConfig, delay: u32) -> opspace_transformer::Profile
 }
 
 #[test]
-fn a_bus_that_can_not_be_is_refused_by_name() {
+fn invalid_bus_is_refused_by_name() {
     for (bus, expected) in [
         ("lost_cycles_share = 1.0", SimulationError::LostCycles { share: 1.0 }),
         (

@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 /// Compared: mean and end of each step, and the differential equation τ̇ = ω (asked − τ) integrated in a
 /// hundred thousand Euler steps with its mean.
 #[test]
-fn a_motor_follows_its_first_order_lag_exactly() {
+fn motor_follows_first_order_lag_exactly() {
     const FINE: u32 = 100_000;
     /// Error of an Euler step: first order.
     const TOLERANCE: f64 = 1e-4;
@@ -45,7 +45,7 @@ const DT: f64 = 5e-5;
 
 /// Compared: bristles dragged at constant speed until they settle, and Stribeck's curve.
 #[test]
-fn friction_at_constant_speed_is_the_stribeck_curve() {
+fn steady_friction_follows_stribeck_curve() {
     let (parameters, bristle) = friction();
     for scale in [1.0, 0.5] {
         for v in [-2.0, -0.3, -0.05, 0.01, 0.06, 0.2, 1.0, 6.0_f64] {
@@ -61,7 +61,7 @@ fn friction_at_constant_speed_is_the_stribeck_curve() {
 
 /// Compared: torque over a displacement far below breakaway, and the spring σ₀ that bristles are there.
 #[test]
-fn friction_before_sliding_is_a_spring() {
+fn presliding_friction_is_a_spring() {
     let (parameters, bristle) = friction();
     let mut joint = LuGre::new(&parameters, &bristle, 1.0);
     // 1 % of the way to breakaway, slowly, and then at rest: damping and viscous friction are gone.
@@ -82,7 +82,7 @@ fn friction_before_sliding_is_a_spring() {
 
 /// Compared: the drift of a mass under a torque just below and just above static friction.
 #[test]
-fn a_joint_breaks_away_at_static_friction() {
+fn joint_breaks_away_at_static_friction() {
     let drift = |torque: f64| {
         let (parameters, bristle) = friction();
         let mut joint = LuGre::new(&parameters, &bristle, 1.0);
@@ -104,7 +104,7 @@ fn a_joint_breaks_away_at_static_friction() {
 
 /// Compared: the two ends of friction scaled to nothing.
 #[test]
-fn no_friction_is_no_torque() {
+fn zero_friction_gives_no_torque() {
     let (parameters, bristle) = friction();
     let mut joint = LuGre::new(&parameters, &bristle, 0.0);
     assert!([-1.0, 0.0, 0.01, 3.0].iter().all(|&v| joint.step(v, DT) == 0.0));

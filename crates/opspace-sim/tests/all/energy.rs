@@ -39,7 +39,7 @@ fn energy(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) -> (f64, f64) {
 /// Compared: energy from masses, positions and speeds, and its value at the start. The plant moves by
 /// articulated bodies and knows no energy.
 #[test]
-fn a_swinging_arm_without_friction_keeps_its_energy() {
+fn frictionless_arm_conserves_energy() {
     /// Tolerance as a share of the range of kinetic energy over the swing.
     const DRIFT: f64 = 1e-6;
     let steps_per_s = robot().simulated.physics_hz.get();
@@ -78,7 +78,7 @@ fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
 /// Compared: swings with coarse steps and one with steps 64 times as fine. Halving the step divides the error of
 /// a method of order p by 2^p.
 #[test]
-fn the_integrator_is_of_fourth_order() {
+fn integrator_is_fourth_order() {
     const DURATION_S: f64 = 1.28;
     let model = setup(CommandKind::Torque, "a-med").model;
     let exact = swing(&model, 0.02 / 256.0, DURATION_S);

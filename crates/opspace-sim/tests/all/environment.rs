@@ -1,4 +1,4 @@
-//! Hands, pushes, walls and the force sensor, each against its description.
+//! Operators, pushes, walls and the force sensor, each against its description.
 
 use crate::common::{object, parsed};
 use nalgebra::Vector3;
@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 const HOME: Vector3<f64> = Vector3::new(0.3, -0.1, -0.2);
 
-/// A hand of stiffness 1 N/m and no damper: its force on a frame at home is its own offset.
+/// An operator of stiffness 1 N/m without a damper: the force on a frame at home is the operator's own offset.
 fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
     let parameters = object(
         r#"
@@ -26,9 +26,9 @@ fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
     move |t| hand.force(t, &HOME, &Vector3::zeros())
 }
 
-/// Compared: root mean squares of the motion over a long time, and the one asked for.
+/// Compared: root mean squares of the motion over a long time, and the requested one.
 #[test]
-fn a_hand_moves_as_far_as_asked() {
+fn operator_motion_has_requested_rms() {
     // Sines of nearby frequencies beat; over 4000 s little of it is left.
     const TOLERANCE: f64 = 0.05;
     let offset = offset_of_hand(0);
@@ -43,7 +43,7 @@ fn a_hand_moves_as_far_as_asked() {
 /// Compared: power of the motion within its band and beyond, by the Fourier sum at single frequencies under a
 /// Hann window.
 #[test]
-fn a_hand_moves_within_its_band() {
+fn operator_motion_stays_within_its_band() {
     const OUTSIDE: f64 = 1e-4;
     let offset = offset_of_hand(0);
     let (duration_s, rate_hz) = (400.0, 10.0);
@@ -72,9 +72,9 @@ fn a_hand_moves_within_its_band() {
     assert!(inside > 0.0 && outside < OUTSIDE * inside, "{outside} of {inside}");
 }
 
-/// Compared: the hand's force at the beginning, and rest; its force under two signs of offset and speed.
+/// Compared: the operator's force at the beginning, and zero; its force under two signs of offset and speed.
 #[test]
-fn a_hand_starts_at_rest_where_the_frame_is_and_pulls_towards_itself() {
+fn operator_starts_at_rest_and_pulls_the_frame() {
     let offset = offset_of_hand(0);
     assert_eq!(offset(0.0), Vector3::zeros());
     assert!(offset(0.05).norm() < 1e-3 * 0.04 * 10.0, "comes in smoothly: {}", offset(0.05));
@@ -110,14 +110,14 @@ fn a_hand_starts_at_rest_where_the_frame_is_and_pulls_towards_itself() {
 
 /// Compared: two streams of one seed, and one stream twice.
 #[test]
-fn every_source_of_randomness_is_its_own() {
+fn random_streams_are_independent() {
     assert_eq!(offset_of_hand(0)(3.0), offset_of_hand(0)(3.0));
     assert_ne!(offset_of_hand(0)(3.0), offset_of_hand(1)(3.0));
 }
 
 /// Compared: force and impulse of a push, and half a sine, whose mean is 2/π of its height.
 #[test]
-fn a_push_is_half_a_sine() {
+fn push_is_half_a_sine() {
     let parameters = object(
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 1.0, duration_s = 0.5, force_n = [10.0, -4.0, 0.0] }]",
     );
@@ -133,7 +133,7 @@ fn a_push_is_half_a_sine() {
 /// Compared: the wall's force at many places and speeds, and its description: along the normal, outwards only,
 /// nothing before it.
 #[test]
-fn a_wall_pushes_and_never_pulls() {
+fn wall_pushes_and_never_pulls() {
     let parameters = object(
         r#"
         [wall]
@@ -166,7 +166,7 @@ fn sensor(bias: f64, noise: f64, seed: u64) -> SimulatedForceSensor {
 
 /// Compared: the response to a step, and 1 − exp(−ω t); the amplitude of a sine at the bandwidth, and 1/√2.
 #[test]
-fn a_force_sensor_has_its_bandwidth() {
+fn force_sensor_has_its_bandwidth() {
     let mut step = sensor(0.0, 0.0, 1);
     let pull = Force { linear: Vector3::new(3.0, 0.0, 0.0), angular: Vector3::new(0.0, -1.0, 0.0) };
     for k in 1..100 {
@@ -189,9 +189,9 @@ fn a_force_sensor_has_its_bandwidth() {
     assert!((largest - 0.5_f64.sqrt()).abs() < 0.01, "{largest}");
 }
 
-/// Compared: mean and spread of many readings at rest, and the bias and noise asked for.
+/// Compared: mean and spread of many readings at rest, and the configured bias and noise.
 #[test]
-fn a_force_sensor_has_a_constant_bias_and_white_noise() {
+fn force_sensor_has_constant_bias_and_white_noise() {
     let readings = |bias: f64, noise: f64, seed: u64| -> Vec<f64> {
         let mut sensor = sensor(bias, noise, seed);
         (0..4000).map(|_| sensor.read().linear.z).collect()

@@ -8,7 +8,7 @@ use opspace_model::{Data, Force, crba, frame_jacobian, frame_placement, kinemati
 use opspace_sim::{ArmConfig, ExternalForce, Pull, SimulatedArm, external};
 
 /// An arm that may be pulled, without friction.
-fn pulled(command: CommandKind) -> ArmConfig {
+fn arm_with_external_forces(command: CommandKind) -> ArmConfig {
     let mut config = setup(command, "a-med");
     config.external_forces = true;
     config.simulated.true_over_nominal.friction = NonNegative::literal(0.0);
@@ -45,7 +45,7 @@ fn hand(config: &ArmConfig, q: &DVector<f64>) -> (Matrix6xX<f64>, Vector3<f64>) 
 fn push_deflects_a_position_robot_by_force_over_stiffness() {
     /// Change of gravity and of the Jacobian over the deflection, over the deflection.
     const CURVATURE: f64 = 0.03;
-    let config = pulled(CommandKind::Position);
+    let config = arm_with_external_forces(CommandKind::Position);
     let force = Vector3::new(12.0, -7.0, 15.0);
     let gains: Vec<f64> = config.servos.iter().map(|servo| servo.gains(2e-4).stiffness).collect();
     let (jacobian, _) = hand(&config, &DVector::from_column_slice(&START));
@@ -70,7 +70,7 @@ fn push_deflects_a_position_robot_by_force_over_stiffness() {
 fn push_accelerates_a_torque_robot_by_its_inertia() {
     /// Change of inertia and velocity products over the cycle, over the velocity.
     const CURVATURE: f64 = 1e-3;
-    let mut config = pulled(CommandKind::Torque);
+    let mut config = arm_with_external_forces(CommandKind::Torque);
     config.capabilities.gravity_compensated_by = opspace_backend::GravityCompensation::Robot;
     let wrench = Force { linear: Vector3::new(3.0, -2.0, 4.0), angular: Vector3::new(0.2, 0.4, -0.3) };
     let (jacobian, _) = hand(&config, &DVector::from_column_slice(&START));
@@ -99,9 +99,9 @@ fn push_accelerates_a_torque_robot_by_its_inertia() {
 /// Compared: the rows of the channel `external` and what was set; the force of a spring and its stiffness times its
 /// stretch; the force sensor's reading and that force; and the force decoded from a row and the one that was set.
 #[test]
-fn external_forces_are_read_once_per_cycle_and_recorded() {
+fn external_forces_are_read_and_recorded_every_cycle() {
     const STIFFNESS: f64 = 150.0;
-    let config = pulled(CommandKind::Position);
+    let config = arm_with_external_forces(CommandKind::Position);
     let model = config.model.clone();
     let frame = model.frame_id("hand").expect("the hand");
     let (_, home) = hand(&config, &DVector::from_column_slice(&START));
@@ -147,9 +147,9 @@ fn external_forces_are_read_once_per_cycle_and_recorded() {
 
 /// Compared: layouts and true states of an arm that may be pulled but isn't, and of one that may not be.
 #[test]
-fn arms_without_external_forces_have_no_such_channel() {
-    let config = ArmConfig { external_forces: false, ..pulled(CommandKind::Position) };
-    let (mut free, mut closed) = (arm(pulled(CommandKind::Position)), arm(config));
+fn arms_without_external_forces_have_no_channel() {
+    let config = ArmConfig { external_forces: false, ..arm_with_external_forces(CommandKind::Position) };
+    let (mut free, mut closed) = (arm(arm_with_external_forces(CommandKind::Position)), arm(config));
     assert!(closed.external_force().is_none() && closed.layouts().external.is_none());
     for _ in 0..50 {
         assert_eq!(read(&mut free), read(&mut closed));

@@ -20,7 +20,7 @@ fn with_period(command: CommandKind, period_s: f64) -> Result<ArmConfig, Simulat
 }
 
 #[test]
-fn period_that_is_no_time_is_refused() {
+fn invalid_period_is_refused() {
     for period_s in [0.0, -1e-3, f64::NAN, f64::INFINITY, 1e-320] {
         let refused = with_period(CommandKind::Torque, period_s).err().map(|error| error.to_string());
         assert!(refused.is_some_and(|words| words.contains("interface period")), "{period_s}");

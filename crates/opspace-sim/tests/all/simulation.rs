@@ -103,7 +103,7 @@ fn run(arms: &mut [SimulatedArm], order: &[usize], duration_s: f64) -> Vec<Seen>
 /// Compared bit by bit: samples and true rows of two arms in one simulation, and of each alone. The two are stored and
 /// read in either order.
 #[test]
-fn arms_of_one_simulation_equal_single_ones() {
+fn arms_in_one_simulation_equal_single_arms() {
     let configs = [general(CommandKind::Position, "a-med", 3), general(CommandKind::Torque, "a-med", 4)];
     let duration_s = f64::from(CYCLES) * 1e-3;
     let alone: Vec<Seen> =
@@ -151,7 +151,7 @@ fn arms_may_have_different_rates() {
 
 /// Compared: the sample of an arm that is read after the other moved the simulation on, and the cycles that it missed.
 #[test]
-fn cycles_that_were_not_read_in_time_are_lost() {
+fn unread_cycles_are_lost() {
     let configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
     let mut arms = simulated(configs.to_vec());
     let mut seen = Seen::default();
@@ -181,10 +181,10 @@ fn hand(model: &Model, q: &DVector<f64>) -> Vector3<f64> {
     frame_placement(model, &data, model.frame_id("hand").expect("the hand")).translation
 }
 
-/// Compared: forces of one wall on two arms that stand beside each other, one of them turned round, and the wall's
-/// stiffness times the depth of each hand, from its own model's kinematics and its placement.
+/// Compared: forces of one wall on two arms beside each other, one of them rotated, and the wall's stiffness times
+/// the depth of each hand, from its own model's kinematics and its placement.
 #[test]
-fn arms_stand_where_they_are_placed() {
+fn arm_bases_have_their_placements() {
     const STIFFNESS: f64 = 500.0;
     let base = Placement::from_rpy([0.0, 0.0, 2.0], [0.3, 1.0, 0.1]);
     let mut configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
@@ -226,7 +226,7 @@ fn arms_stand_where_they_are_placed() {
 /// Compared: forces of a spring between two hands on both arms, opposite to each other, and its stiffness times the
 /// change of the distance between the hands.
 #[test]
-fn coupling_pulls_two_arms_against_each_other() {
+fn coupling_forces_are_equal_and_opposite() {
     const STIFFNESS: f64 = 800.0;
     let base = Placement::from_rpy([0.0, 0.0, 0.0], [0.0, 0.5, 0.0]);
     let mut configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
@@ -315,7 +315,7 @@ impl Plant for OtherEngine {
 /// Compared bit by bit: an arm on a plant that is given to the simulation, and on its own; and the number of steps, and
 /// the physics rate times the time of the last cycle.
 #[test]
-fn plant_can_be_another_engine() {
+fn plant_can_be_replaced() {
     let mut config = general(CommandKind::Torque, "a-med", 3);
     config.simulated.bus = parsed("");
     let expected = run(&mut [arm(config.clone())], &[0], 0.0195);

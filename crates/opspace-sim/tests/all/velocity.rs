@@ -29,7 +29,7 @@ fn holding(config: &ArmConfig, q: &DVector<f64>) -> DVector<f64> {
     data.gravity
 }
 
-fn moved(arm: &SimulatedArm) -> f64 {
+fn largest_displacement(arm: &SimulatedArm) -> f64 {
     (arm.true_q() - DVector::from_column_slice(&START)).amax()
 }
 
@@ -112,7 +112,7 @@ fn brakes_hold_a_velocity_robot() {
 /// Compared: velocities without brakes before the first command and after a hold: zero with an integral, the weight
 /// over kv without one.
 #[test]
-fn velocity_robot_without_brakes_holds_by_its_integral_or_sags() {
+fn unbraked_velocity_robot_holds_only_with_integral() {
     /// Change of the weight over the way, and the decay of the servo's integral.
     const SAG_RAD_PER_S: f64 = 5e-3;
     let mut held = arm(velocity_robot(false, 900.0));
@@ -127,10 +127,10 @@ fn velocity_robot_without_brakes_holds_by_its_integral_or_sags() {
         }
     };
     run(&mut held, 300, None);
-    assert!(moved(&held) < 1e-9 && held.true_dq().amax() < 1e-9, "{}", held.true_dq());
+    assert!(largest_displacement(&held) < 1e-9 && held.true_dq().amax() < 1e-9, "{}", held.true_dq());
     run(&mut held, 300, Some(Command::Velocity(&[0.3, 0.0, 0.0, 0.2])));
     run(&mut held, 3000, Some(Command::Hold));
-    assert!(moved(&held) > 0.05 && held.true_dq().amax() < 1e-3, "{}", held.true_dq());
+    assert!(largest_displacement(&held) > 0.05 && held.true_dq().amax() < 1e-3, "{}", held.true_dq());
     run(&mut sagging, 100, None);
     let expected = -holding(&config, &sagging.true_q()) / KV;
     assert!((sagging.true_dq() - &expected).amax() < SAG_RAD_PER_S, "{} {expected}", sagging.true_dq());
@@ -169,7 +169,7 @@ fn servo_of_another_kind_is_refused() {
 
 /// Compared: the key of the error for a servo that holds no torque, by its kind, nominal and true.
 #[test]
-fn servo_that_holds_nothing_is_named_by_its_table() {
+fn servo_without_holding_torque_is_named() {
     /// A gain so low that the setpoint for a torque of 1 Nm is beyond all bounds.
     const NO_GAIN: &str = "kv_nms_per_rad = 1e-13\nvelocity_filter_hz = 600.0";
     let joint = "shoulder_pitch".to_owned();
@@ -227,17 +227,17 @@ fn each_robot_runs_the_true_servo_of_its_kind() {
 /// Compared: a torque robot without brakes before its first command and after a hold, and its position: its servos hold
 /// it.
 #[test]
-fn torque_robot_without_brakes_holds_by_its_servos() {
+fn unbraked_torque_robot_holds_by_its_servos() {
     let mut config = setup(CommandKind::Torque, "a-med");
     config.capabilities.has_brakes = false;
     let mut arm = arm(config.clone());
     (0..300).for_each(|_| drop(read(&mut arm)));
-    assert!(moved(&arm) < 1e-9, "{}", moved(&arm));
+    assert!(largest_displacement(&arm) < 1e-9, "{}", largest_displacement(&arm));
     for _ in 0..100 {
         arm.write(Command::Torque(&[-5.0, 0.0, 0.0, 0.0])).expect("it takes them");
         read(&mut arm);
     }
-    assert!(moved(&arm) > 0.01);
+    assert!(largest_displacement(&arm) > 0.01);
     arm.write(Command::Hold).expect("held");
     (0..1000).for_each(|_| drop(read(&mut arm)));
     assert!(arm.true_dq().amax() < 1e-4, "{}", arm.true_dq());

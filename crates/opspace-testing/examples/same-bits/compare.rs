@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_lists_have_nothing_to_tell() {
+    fn equal_lists_give_a_clean_report() {
         let report = compared(&OLD.replace("1.1.1.1 a", "1.1.1.1 spelt anew"), "");
         assert!(report.is_clean());
         let last = "1 runs, 2 signals compared: 0 differing, 0 missing, new or not compared, 0 explained";
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn each_field_counts() {
+    fn each_field_is_compared() {
         assert_eq!(found(&OLD.replace("aa", "ab"), ""), ["differs tick/q"]);
         assert_eq!(found(&OLD.replace("2\t9", "2\t8"), ""), ["differs tick/q"]);
         assert_eq!(found(&OLD.replace("2\t9", "3\t9"), ""), ["differs tick/q"]);
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn another_name_must_be_in_the_table() {
+    fn renamed_signal_must_be_in_the_table() {
         let new = OLD.replace("hand.share", "hand.gain");
         assert_eq!(found(&new, ""), ["missing tick/hand.share", "new tick/hand.gain"]);
         assert!(compared(&new, "*.share -> *.gain").is_clean());
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn what_went_and_what_came_must_be_in_the_table() {
+    fn removed_and_new_signals_must_be_in_the_table() {
         let new = OLD.replace("hand.share\t1\t9\tbb", "speed\t1\t9\tdd");
         let table = "*.share -> (gone) nobody read it\n(new) tick/speed wanted since";
         let report = compared(&new, table);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_a_log_was_not_compared() {
+    fn run_without_log_is_not_compared() {
         let less = "s\t2.1.1.1 b\t-\texit\t0\t0\t2\n";
         let report = compare(&(OLD.to_owned() + less), &(OLD.to_owned() + less), &Table::default()).unwrap();
         assert_eq!(report.findings.len(), 1);

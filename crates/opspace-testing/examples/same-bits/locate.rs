@@ -23,17 +23,17 @@ pub struct Difference {
 #[must_use]
 pub fn differences(old: &Recording, new: &Recording, table: &Table) -> Vec<Difference> {
     let mut differences: Vec<Difference> =
-        old.channels.iter().flat_map(|channel| of_channel(channel, new, table)).collect();
+        old.channels.iter().flat_map(|channel| channel_differences(channel, new, table)).collect();
     differences.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     differences
 }
 
-fn of_channel(old: &ChannelData, new: &Recording, table: &Table) -> Vec<Difference> {
+fn channel_differences(old: &ChannelData, new: &Recording, table: &Table) -> Vec<Difference> {
     let names = std::iter::once(TIME).chain(signals(old));
-    names.filter_map(|name| of_signal(old, name, new, table)).collect()
+    names.filter_map(|name| signal_difference(old, name, new, table)).collect()
 }
 
-fn of_signal(old: &ChannelData, signal: &str, new: &Recording, table: &Table) -> Option<Difference> {
+fn signal_difference(old: &ChannelData, signal: &str, new: &Recording, table: &Table) -> Option<Difference> {
     let name = format!("{}/{signal}", old.layout.channel);
     let Fate::Called(called) = table.fate(&name) else { return None };
     let (channel, new_signal) = called.split_once('/')?;
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_row_and_element_that_differ() {
+    fn first_differing_row_and_element_are_located() {
         let old = recording("q", [1.0, 2.0, 3.0, 0.0, 5.0, 6.0]);
         let new = recording("p", [1.0, 2.0, 3.0, -0.0, 5.5, 6.0]);
         let table = Table::parse("tick/q -> tick/p").unwrap_or_default();

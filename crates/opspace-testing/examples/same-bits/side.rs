@@ -31,7 +31,7 @@ impl Side {
     /// # Errors
     /// A program or checkout that isn't there.
     pub fn new(program: &Path, checkout: &Path, duration_s: Option<f64>) -> Result<Self, String> {
-        let absolute = |path: &Path| path.canonicalize().map_err(|e| said(path, &e));
+        let absolute = |path: &Path| path.canonicalize().map_err(|e| error_text(path, &e));
         Ok(Self { program: absolute(program)?, checkout: absolute(checkout)?, duration_s })
     }
 
@@ -50,13 +50,13 @@ impl Side {
     /// # Errors
     /// A program that can't be started, or a folder that can't be removed.
     pub fn make(&self, run: &Run, folder: &Path, keep: bool) -> Result<Made, String> {
-        let output = self.command(run, folder).output().map_err(|e| said(&self.program, &e))?;
+        let output = self.command(run, folder).output().map_err(|e| error_text(&self.program, &e))?;
         let made = Made {
             facts: vec![Hash::fact("exit", &exit(&output)), Hash::fact("faulted", &fault(folder))],
             recording: recording(&folder.join("run.mcap"), &output),
         };
         if !keep && folder.exists() {
-            fs::remove_dir_all(folder).map_err(|e| said(folder, &e))?;
+            fs::remove_dir_all(folder).map_err(|e| error_text(folder, &e))?;
         }
         Ok(made)
     }
@@ -104,6 +104,6 @@ fn recording(path: &Path, output: &Output) -> Result<Recording, String> {
     }
 }
 
-fn said(path: &Path, error: &dyn Display) -> String {
+fn error_text(path: &Path, error: &dyn Display) -> String {
     format!("{}: {error}", path.display())
 }

@@ -142,7 +142,7 @@ fn matched<'a>(pattern: &str, name: &'a str) -> Option<&'a str> {
 mod tests {
     use super::{Fate, Table};
 
-    fn called(table: &str, old: &str) -> String {
+    fn new_name(table: &str, old: &str) -> String {
         match Table::parse(table).unwrap().fate(old) {
             Fate::Called(new) => new,
             Fate::Gone => "(gone)".to_owned(),
@@ -150,47 +150,47 @@ mod tests {
     }
 
     #[test]
-    fn the_first_line_that_fits_counts() {
+    fn first_matching_rule_applies() {
         let table = "# names\n tick/a -> tick/b # as it was\n*.share -> *.gain\ntick/x.* -> (gone) spare";
-        assert_eq!(called(table, "tick/a"), "tick/b");
-        assert_eq!(called(table, "tick/aa"), "tick/aa");
-        assert_eq!(called(table, "servo/a"), "servo/a");
-        assert_eq!(called(table, "tick/hand.share"), "tick/hand.gain");
-        assert_eq!(called(table, "tick/x.share"), "tick/x.gain");
-        assert_eq!(called(table, "tick/x.shares"), "(gone)");
-        assert_eq!(called("tick/* -> loop/*", "tick/q*"), "loop/q*");
-        assert_eq!(called("", "tick/q"), "tick/q");
+        assert_eq!(new_name(table, "tick/a"), "tick/b");
+        assert_eq!(new_name(table, "tick/aa"), "tick/aa");
+        assert_eq!(new_name(table, "servo/a"), "servo/a");
+        assert_eq!(new_name(table, "tick/hand.share"), "tick/hand.gain");
+        assert_eq!(new_name(table, "tick/x.share"), "tick/x.gain");
+        assert_eq!(new_name(table, "tick/x.shares"), "(gone)");
+        assert_eq!(new_name("tick/* -> loop/*", "tick/q*"), "loop/q*");
+        assert_eq!(new_name("", "tick/q"), "tick/q");
     }
 
     #[test]
-    fn before_and_after_the_star_do_not_overlap() {
-        assert_eq!(called("aba*aba -> b*", "aba"), "aba");
-        assert_eq!(called("aba*aba -> b*", "abaaba"), "b");
+    fn wildcard_parts_do_not_overlap() {
+        assert_eq!(new_name("aba*aba -> b*", "aba"), "aba");
+        assert_eq!(new_name("aba*aba -> b*", "abaaba"), "b");
     }
 
     #[test]
-    fn new_ones_are_not_renamed_ones() {
+    fn new_signals_are_not_renamed() {
         let table = Table::parse("(new) *.gain measured since").unwrap();
         assert!(table.is_new("tick/hand.gain") && !table.is_new("tick/hand.gains"));
         assert_eq!(table.fate("tick/hand.gain"), Fate::Called("tick/hand.gain".to_owned()));
     }
 
     #[test]
-    fn words_of_a_text_change_and_no_name() {
+    fn text_rules_do_not_change_names() {
         let table = Table::parse("(text) is not -> is no").unwrap();
         assert_eq!(table.reworded("q is not 7"), "q is no 7");
         assert_eq!(table.fate("is not"), Fate::Called("is not".to_owned()));
     }
 
     #[test]
-    fn lines_that_fit_nothing_are_told() {
+    fn unused_rules_are_reported() {
         let table = Table::parse("a -> b\nc -> (gone) spare\n(new) d why\n(new) e why").unwrap();
         let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         assert_eq!(table.idle(&names(&["a", "d"]), &names(&["e"])), ["c -> (gone) spare", "(new) d why"]);
     }
 
     #[test]
-    fn what_is_no_line_of_a_table_is_refused() {
+    fn malformed_rules_are_refused() {
         for line in
             ["a", "a -> *", "* -> b", "*a* -> *b*", "a -> (gone)", "(new) a", "a -> b why", "(new) *a* why"]
         {

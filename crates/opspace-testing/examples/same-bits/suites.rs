@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_are_those_that_a_bench_makes() {
+    fn runs_match_those_of_bench() {
         for suite in SUITES {
             let runs = runs(&checkout(), suite).unwrap();
             let path = checkout().join("tasks/suites").join(suite).with_extension("toml");
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn every_suite_of_the_project_is_there() {
+    fn every_suite_of_the_project_is_listed() {
         let mut names: Vec<String> = std::fs::read_dir(checkout().join("tasks/suites"))
             .unwrap()
             .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())

@@ -33,7 +33,7 @@ fn no_crate_has_an_import_cycle() {
 }
 
 #[test]
-fn a_cycle_is_found() {
+fn cycle_is_found() {
     let module = |name: &str| vec![name.to_owned()];
     let edge = |from: &str, to: &str| (module(from), BTreeSet::from([module(to)]));
     let circle = BTreeMap::from([edge("a", "b"), edge("b", "c"), edge("c", "a"), edge("d", "a")]);

@@ -1,4 +1,4 @@
-//! Names that were replaced by the field's own: none comes back.
+//! Names that were replaced by the field's own: none is in use.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -135,7 +135,7 @@ fn has_key(table: &toml::Table, path: &mut Vec<String>, place: &str, name: &str)
     })
 }
 
-/// Compared: lines that define a name and lines that only use it, told apart by eye.
+/// Compared: lines that define a name and lines that only use it, classified by hand.
 #[test]
 fn definitions_and_keys_are_read() {
     for line in

@@ -30,9 +30,9 @@ fn measured() -> ClosedLoopModel {
     joint(&format!("[{}]", KV * KP))
 }
 
-/// The gains in T, and those that T was made of.
+/// Gains split from T against those from which T was made.
 #[test]
-fn a_closed_loop_is_split_into_the_gains_that_it_has() {
+fn closed_loop_is_split_into_its_gains() {
     let gains = measured().split().unwrap();
     assert!((gains.damping / KV - 1.0).abs() < EXACT, "{gains:?}");
     assert!((gains.position_loop() / KP - 1.0).abs() < EXACT, "{gains:?}");
@@ -72,9 +72,10 @@ fn error(measured_position: bool, pushed: f64) -> f64 {
     (off / size).sqrt()
 }
 
-/// On a joint that is alone and free both forms give the torque, but for the setpoint's hold of half a period.
+/// Torque of both forms on a free, uncoupled joint against the desired one, but for the setpoint's hold of half a
+/// period.
 #[test]
-fn a_free_joint_gives_the_torque() {
+fn both_forms_produce_torque_on_free_joint() {
     for measured_position in [true, false] {
         let error = error(measured_position, 0.0);
         assert!(error < 0.05, "{measured_position}: {error}");
@@ -83,7 +84,7 @@ fn a_free_joint_gives_the_torque() {
 
 /// Checks an unknown torque of a sixth of the desired one's amplitude: it isn't in T, and both forms miss its motion.
 #[test]
-fn a_push_is_not_in_it() {
+fn both_forms_miss_motion_by_external_torque() {
     for measured_position in [true, false] {
         let (alone, pushed) = (error(measured_position, 0.0), error(measured_position, 0.5));
         assert!(pushed > 3.0 * alone, "{measured_position}: {pushed}, {alone} alone");
@@ -92,7 +93,7 @@ fn a_push_is_not_in_it() {
 
 /// Setpoints of the second form at two measured positions.
 #[test]
-fn the_second_form_is_blind() {
+fn second_form_ignores_measured_position() {
     let setpoint = |q: f64| {
         let mut transformer = LiteralTransformer::new(&[measured()], false, 1e-3).unwrap();
         let mut model = Model::new("mass");
@@ -108,7 +109,7 @@ fn the_second_form_is_blind() {
 }
 
 #[test]
-fn what_cannot_be_inverted_is_refused_with_the_reason() {
+fn non_invertible_loop_is_refused_with_reason() {
     let refused = |joint: &ClosedLoopModel| {
         LiteralTransformer::new(std::slice::from_ref(joint), true, 1e-3).unwrap_err().1
     };

@@ -341,7 +341,7 @@ fn relative<'a>(pairs: impl Iterator<Item = (&'a [f64; 2], &'a [f64; 2])>) -> f6
 /// Compares mean torques of servos with nominal gains with the desired ones, for every delay up to a whole interval;
 /// and the velocity between position readings 5 ms apart with the true one.
 #[test]
-fn mean_torques_are_the_desired_ones() {
+fn mean_torques_equal_desired_torques() {
     for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
         for delay in 0..=RATIO {
             for current in [false, true] {
@@ -355,10 +355,10 @@ fn mean_torques_are_the_desired_ones() {
     }
 }
 
-/// Mean torques and velocities of velocity servos under a load, from the first interval on, against those asked for and
+/// Mean torques and velocities of velocity servos under a load, from the first interval on, against the desired and
 /// the true ones: brakes hold the load until the first setpoint acts, or the servos' integrals do.
 #[test]
-fn velocity_robot_starts_from_its_brakes_or_its_integral() {
+fn velocity_robot_starts_from_brakes_or_integral() {
     for (servo, has_brakes) in
         [(Servo::Velocity, true), (Servo::VelocityIntegral, true), (Servo::VelocityIntegral, false)]
     {
@@ -376,10 +376,10 @@ fn velocity_robot_starts_from_its_brakes_or_its_integral() {
     }
 }
 
-/// The torques of drives that interpolate, at every servo tick, against what was asked for: what is left is that a
-/// straight line of setpoints can't give one torque all the way. Held setpoints beside them.
+/// The torques of drives that interpolate, at every servo tick, against the desired ones: the remaining error is that
+/// a straight line of setpoints can't give a constant torque. Held setpoints for comparison.
 #[test]
-fn interpolated_setpoints_give_the_torque_all_the_way() {
+fn interpolated_setpoints_give_torque_throughout_interval() {
     for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid].into_iter().chain(VELOCITY_SERVOS) {
         for delay in 0..=RATIO {
             for current in [false, true] {
@@ -397,7 +397,7 @@ fn interpolated_setpoints_give_the_torque_all_the_way() {
 /// Compares the estimated velocities while setpoints fail to come, and the drives hold the last one, with the true
 /// ones.
 #[test]
-fn the_estimate_goes_on_while_setpoints_are_missed() {
+fn estimate_continues_through_missed_setpoints() {
     for servo in [Servo::Cascade].into_iter().chain(VELOCITY_SERVOS) {
         for setpoints in [Setpoints::Held, Setpoints::Interpolated] {
             for delay in [0, 2, RATIO] {
@@ -411,7 +411,7 @@ fn the_estimate_goes_on_while_setpoints_are_missed() {
 /// Compares torque errors of a position loop stiffer, or softer, than the nominal one with and without use of the
 /// motor current.
 #[test]
-fn measured_currents_make_up_for_a_wrong_gain() {
+fn motor_current_compensates_wrong_gain() {
     for gain_scale in [0.8, 1.1] {
         let [without, with] =
             [false, true].map(|current| run(Case { gain_scale, current, ..CASE }, 0..0).error());
@@ -419,10 +419,10 @@ fn measured_currents_make_up_for_a_wrong_gain() {
     }
 }
 
-/// A velocity loop with another gain than the nominal one: torque errors with the motor current made use of against
-/// those without.
+/// A velocity loop with another gain than the nominal one: torque errors with use of the motor current against those
+/// without.
 #[test]
-fn measured_currents_make_up_for_a_wrong_velocity_gain() {
+fn motor_current_compensates_wrong_velocity_gain() {
     for servo in VELOCITY_SERVOS {
         for gain_scale in [0.8, 1.3] {
             let [without, with] =
@@ -438,7 +438,7 @@ fn measured_currents_make_up_for_a_wrong_velocity_gain() {
 /// Compares the error with gains refined while running, after the transient, with the error of current correction
 /// alone.
 #[test]
-fn refined_gains_make_up_for_more() {
+fn gain_adaptation_improves_on_current_feedback() {
     for gain_scale in [0.7, 1.3] {
         let [alone, refined] = [false, true]
             .map(|refined| run(Case { gain_scale, refined, current: true, ..CASE }, 0..0).error());
@@ -448,7 +448,7 @@ fn refined_gains_make_up_for_more() {
 
 /// Checks the errors of servos whose inverse grows, or that make no torque in time.
 #[test]
-fn a_servo_that_cannot_be_inverted_is_refused() {
+fn non_invertible_servo_is_refused() {
     let refused = |numerator: &str| {
         let text = format!("transfer-function = {{ numerator = {numerator}, denominator = [1.0, -0.5] }}");
         let servos = vec![toml::from_str(&text).unwrap(); 2];

@@ -67,12 +67,12 @@ fn assert_same(servo: &str, expected: impl Fn(usize) -> f64) {
 }
 
 #[test]
-fn a_cascade_is_equation_9_with_a_filtered_difference() {
+fn cascade_is_equation_k9_with_filtered_difference() {
     assert_same(CASCADED, |k| 90.0 * (50.0 * (desired(k) - position(k)) - rate(position, k)));
 }
 
 #[test]
-fn a_cascade_with_an_integral_integrates_the_velocity_error() {
+fn cascade_integral_integrates_velocity_error() {
     let error = |k: usize| 50.0 * (desired(k) - position(k)) - rate(position, k);
     assert_same(CASCADED_INTEGRAL, |k| {
         let integral: f64 = (1..=k).map(|j| error(j) * PERIOD_S / 0.04).sum();
@@ -81,12 +81,12 @@ fn a_cascade_with_an_integral_integrates_the_velocity_error() {
 }
 
 #[test]
-fn a_pd_servo_damps_the_measured_velocity() {
+fn pd_servo_damps_measured_velocity() {
     assert_same(PD, |k| 4000.0 * (desired(k) - position(k)) - 60.0 * rate(position, k));
 }
 
 #[test]
-fn a_pid_servo_may_differentiate_its_error() {
+fn pid_servo_may_differentiate_its_error() {
     // Without an error before the first tick.
     let error = |k: usize| if k == 0 { 0.0 } else { desired(k) - position(k) };
     assert_same(PID_OF_ERROR, |k| {
@@ -97,7 +97,7 @@ fn a_pid_servo_may_differentiate_its_error() {
 
 /// Torques of velocity servos, and sums over all past velocity errors; the setpoint is a velocity.
 #[test]
-fn velocity_servo_controls_the_filtered_difference() {
+fn velocity_servo_controls_filtered_difference() {
     let error = |k: usize| desired(k) - rate(position, k);
     assert_same(VELOCITY, |k| 90.0 * error(k));
     assert_same(VELOCITY_INTEGRAL, |k| {
@@ -110,7 +110,7 @@ fn velocity_servo_controls_the_filtered_difference() {
 }
 
 #[test]
-fn a_transfer_function_is_its_difference_equation() {
+fn transfer_function_matches_difference_equation() {
     let error = |k: usize| if k == 0 { 0.0 } else { desired(k) - position(k) };
     let mut torque = vec![0.0; 61];
     for k in 1..=60_usize {
@@ -122,9 +122,9 @@ fn a_transfer_function_is_its_difference_equation() {
     assert_same(LAGGING, |k| torque[k]);
 }
 
-/// The torque of each servo at rest, and the one that memory and setpoint were made for.
+/// The torque of each servo at rest, and the one for which its state and setpoint were computed.
 #[test]
-fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
+fn servo_at_rest_holds_requested_torque() {
     for servo in ALL {
         let law = law(servo);
         let (mut memory, setpoint) = law.rest(0.7, 3.5);
@@ -138,7 +138,7 @@ fn a_servo_at_rest_holds_with_the_torque_asked_of_it() {
 /// Velocity setpoints at rest under a load: the load over kv without an integral, zero with one. At another setpoint
 /// the torque of a servo without an integral differs by kv times the difference.
 #[test]
-fn velocity_servo_rests_at_the_load_over_kv_or_at_zero() {
+fn velocity_servo_rests_at_load_over_kv_or_zero() {
     let (_, setpoint) = law(VELOCITY).rest(0.7, 3.5);
     assert!((setpoint - 3.5 / 90.0).abs() < ROUNDING, "{setpoint}");
     let (mut memory, _) = law(VELOCITY).rest(0.7, 3.5);
@@ -159,9 +159,9 @@ fn velocity_servo_has_no_stiffness() {
     }
 }
 
-/// The response at a frequency, and the torques that a long sine of it gives, by their Fourier coefficient.
+/// The response at a frequency, and the torques under a long sine of it, by their Fourier coefficient.
 #[test]
-fn the_response_is_that_of_a_sine() {
+fn frequency_response_matches_sine() {
     for servo in [CASCADED, PD, LAGGING, VELOCITY] {
         let law = law(servo);
         let ticks = 50_usize;
@@ -184,7 +184,7 @@ fn the_response_is_that_of_a_sine() {
 }
 
 #[test]
-fn a_transfer_function_that_no_servo_has_is_refused() {
+fn unusable_transfer_function_is_refused() {
     let refused = |numerator: &str, denominator: &str| {
         let text = format!("transfer-function = {{ numerator = {numerator}, denominator = {denominator} }}");
         ServoLaw::new(&toml::from_str(&text).unwrap(), PERIOD_S).unwrap_err()

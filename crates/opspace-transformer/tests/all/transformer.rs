@@ -63,7 +63,7 @@ fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
 
 /// Compared: the transformer's two loops, and equation (K10) in one fraction, with the gains of the test.
 #[test]
-fn the_paper_transformer_is_equation_10() {
+fn paper_transformer_matches_equation_k10() {
     for (q, dq, tau) in STATES {
         let found = transformed(q, dq, tau);
         for (i, (kp, kv)) in [(50.0, 90.0), (40.0, 30.0)].into_iter().enumerate() {
@@ -75,7 +75,7 @@ fn the_paper_transformer_is_equation_10() {
 
 /// Compared: the torque of equation (K9) at the transformer's setpoint, and the torque given to the transformer.
 #[test]
-fn the_paper_transformer_inverts_equation_9() {
+fn paper_transformer_inverts_equation_k9() {
     for (q, dq, tau) in STATES {
         let found = transformed(q, dq, tau);
         for (i, (kp, kv)) in [(50.0, 90.0), (40.0, 30.0)].into_iter().enumerate() {
@@ -87,7 +87,7 @@ fn the_paper_transformer_inverts_equation_9() {
 
 /// Compared: the velocity setpoint, and that of the outer loop, kp (q_desired − q), at the position setpoint of (K10).
 #[test]
-fn the_velocity_transformer_is_the_inner_stage_of_equation_10() {
+fn velocity_transformer_is_inner_stage_of_k10() {
     let mut inner = VelocityTransformer::new(servos());
     assert_eq!(inner.takes(), CommandKind::Velocity);
     for (q, dq, tau) in STATES {
@@ -102,7 +102,7 @@ fn the_velocity_transformer_is_the_inner_stage_of_equation_10() {
 /// Compared: the torque of the inner loop of (K9) at the transformer's setpoint, and the torque given to the
 /// transformer.
 #[test]
-fn the_velocity_transformer_inverts_the_velocity_loop() {
+fn velocity_transformer_inverts_velocity_loop() {
     for (q, dq, tau) in STATES {
         let found = transformed_by(&mut VelocityTransformer::new(servos()), q, dq, tau);
         for (i, kv) in [90.0, 30.0].into_iter().enumerate() {
@@ -115,7 +115,7 @@ fn the_velocity_transformer_inverts_the_velocity_loop() {
 /// Compared: the torque of a velocity loop whose kv is 0.8 of the nominal one, once the measured current corrects it,
 /// and the desired torque.
 #[test]
-fn current_corrects_a_velocity_gain() {
+fn current_feedback_corrects_velocity_gain() {
     const CYCLES: usize = 100;
     let inner = Box::new(VelocityTransformer::new(servos()));
     let mut transformer = CurrentFeedback::new(inner, &[100.0, 100.0], 5, 0);
@@ -142,7 +142,7 @@ fn current_corrects_a_velocity_gain() {
 
 /// Compared: the estimator's recursion, and its filter written out as a sum over all past differences.
 #[test]
-fn velocity_is_a_filtered_difference() {
+fn velocity_is_filtered_difference() {
     let y = |k: i32| 0.5 * (0.03 * f64::from(k)).sin();
     let mut estimate = VelocityEstimator::new(1, &estimator(), PERIOD_S);
     let keep = (-TAU * 150.0 * PERIOD_S).exp();
@@ -156,7 +156,7 @@ fn velocity_is_a_filtered_difference() {
 
 /// Compared: the estimate of a steady motion, and its speed.
 #[test]
-fn a_steady_motion_has_its_speed() {
+fn steady_motion_is_estimated_exactly() {
     let mut estimate = VelocityEstimator::new(1, &estimator(), PERIOD_S);
     let last = (0..200).map(|k| estimate.update(&[0.2 + 1.7 * f64::from(k) * PERIOD_S])[0]).last();
     assert!(last.is_some_and(|v| (v - 1.7).abs() < SETTLED), "{last:?}");
@@ -164,7 +164,7 @@ fn a_steady_motion_has_its_speed() {
 
 /// Compared: n̂, and equation (K11)'s `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.
 #[test]
-fn friction_compensation_is_its_model() {
+fn friction_compensation_matches_equation_k11() {
     let joint = |coulomb: f64, viscous: f64| -> FrictionParameters {
         parsed(&format!(
             "coulomb_nm = {coulomb:?}\nstatic_nm = 9.0\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = {viscous:?}"

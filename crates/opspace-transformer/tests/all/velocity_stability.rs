@@ -73,7 +73,7 @@ impl Case {
     }
 
     /// The largest displacement in the last tenth of a run that begins at rest, displaced by 1.
-    fn left(self) -> f64 {
+    fn remaining_displacement(self) -> f64 {
         let mut model = Model::new("lift").with_gravity(Vector3::zeros());
         let joint = Joint { name: "lift".to_owned(), kind: JointKind::Prismatic, limits: Limits::NONE };
         let inertia =
@@ -163,11 +163,11 @@ fn cases() -> impl Iterator<Item = Case> {
 /// Displacements that a task law brings to rest, over velocity loops of 0.4 to 4 % of the servo rate, delays up to a
 /// whole interval and gains of 0.8 to 1.25 times the nominal ones; against zero.
 #[test]
-fn a_task_law_brings_a_velocity_robot_to_rest() {
+fn task_law_brings_velocity_robot_to_rest() {
     for case in cases() {
         for kv_scale in [0.8, 1.0, 1.25] {
             let case = Case { kv_scale, ..case };
-            let left = case.left();
+            let left = case.remaining_displacement();
             assert!(left < SETTLED, "{case:?}: {left}");
         }
     }
@@ -175,12 +175,12 @@ fn a_task_law_brings_a_velocity_robot_to_rest() {
 
 /// Checks robots with half and twice the nominal inertia.
 #[test]
-fn a_task_law_brings_a_velocity_robot_of_another_inertia_to_rest() {
+fn wrong_inertia_still_brings_velocity_robot_to_rest() {
     let mut count = 0;
     for case in cases().filter(|case| TAU * case.bandwidth * f64::from(case.ratio) < ROBUST) {
         for (mass_scale, kv_scale) in [(0.5, 0.8), (0.5, 1.25), (2.0, 0.8), (2.0, 1.25)] {
             let case = Case { mass_scale, kv_scale, ..case };
-            let left = case.left();
+            let left = case.remaining_displacement();
             assert!(left < SETTLED, "{case:?}: {left}");
             count += 1;
         }

@@ -166,7 +166,7 @@ impl File {
         toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
     }
 
-    pub fn stack(&self) -> TaskSetParameters<'_> {
+    pub fn task_set(&self) -> TaskSetParameters<'_> {
         TaskSetParameters {
             priority: &self.priority,
             task: &self.task,
@@ -177,7 +177,7 @@ impl File {
 }
 
 /// A robot with one sensor at its frame `sensor`, at 1 kHz, without limits.
-pub fn facts(model: &Model, sensor: &str) -> ControlContext {
+pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
     let frame = model.frame_id(sensor).expect("the sensor's frame exists");
     ControlContext {
         period_s: 1e-3,
@@ -257,7 +257,11 @@ pub fn frame_acceleration(model: &Model, data: &Data, frame: &str, tau: &[f64]) 
 /// The error of building the torque controller of a file for a model with a sensor at `hand`.
 pub fn build_error(model: &Model, text: &str) -> ControlError {
     let file = File::read(text);
-    let built = opspace_control::OperationalSpaceController::new(model, &file.stack(), &facts(model, "hand"));
+    let built = opspace_control::OperationalSpaceController::new(
+        model,
+        &file.task_set(),
+        &control_context(model, "hand"),
+    );
     built.err().expect("the stack is wrong")
 }
 

@@ -42,7 +42,7 @@ mod tests {
     /// Compared: the closed form, and the simulation's own motor in ten steps a servo period once its start has
     /// decayed.
     #[test]
-    fn the_current_loop_smooths_the_ripple() {
+    fn current_loop_smooths_ripple() {
         const ROUNDING: f64 = 1e-12;
         for (ratio, hz) in [(2, 1000.0), (5, 1000.0), (5, 200.0), (10, 3000.0)] {
             let mut motor = Motor::new(Some(hz), SERVO_PERIOD_S / 10.0, 0.0);
@@ -59,7 +59,7 @@ mod tests {
 
     /// Compared: the closed form without a current loop, and the rms of R equidistant numbers; zero at R = 1.
     #[test]
-    fn without_a_current_loop_it_is_the_sawtooth() {
+    fn ripple_without_current_loop_is_sawtooth() {
         const ROUNDING: f64 = 1e-15;
         for ratio in [2_u32, 5, 10] {
             let sawtooth = SERVO_PERIOD_S * ((f64::from(ratio).powi(2) - 1.0) / 12.0).sqrt();

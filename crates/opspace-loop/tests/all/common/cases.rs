@@ -80,20 +80,20 @@ pub fn cases() -> Vec<Case> {
 
 impl Case {
     /// The sample of a cycle; sets the stop request when it is due.
-    pub fn play(&self, cycle: u64, sample: &mut Sample, stop_request: &AtomicBool) {
+    pub fn fill_sample(&self, cycle: u64, sample: &mut Sample, stop_request: &AtomicBool) {
         (self.script)(cycle, sample);
         if self.stop_requested_in.is_some_and(|from| cycle >= from) {
             stop_request.store(true, Ordering::Relaxed);
         }
     }
 
-    /// A robot that plays it.
+    /// A robot that follows the script.
     pub fn robot(
         &self,
         kind: CommandKind,
         stop_request: &AtomicBool,
     ) -> Scripted<impl FnMut(u64, &mut Sample)> {
-        let play = |cycle, sample: &mut Sample| self.play(cycle, sample, stop_request);
+        let play = |cycle, sample: &mut Sample| self.fill_sample(cycle, sample, stop_request);
         Scripted {
             unreadable: self.unreadable.clone(),
             refused: self.refused,

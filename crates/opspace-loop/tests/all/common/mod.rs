@@ -99,14 +99,14 @@ pub fn config(capabilities: Capabilities, controller: impl Controller + 'static)
 }
 
 /// A controller that balances the arm's weight and adds `extra` (Nm) at both joints.
-pub fn weight_and(extra: f64) -> impl Controller {
+pub fn gravity_controller(extra: f64) -> impl Controller {
     Commanded::torques(move |data, _, tau| {
         tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + extra);
     })
 }
 
 /// A controller that commands positions at a distance from [`START`] (rad) which is a function of time (s).
-pub fn positions_at(offset: impl Fn(f64) -> f64 + Send) -> impl Controller {
+pub fn position_controller(offset: impl Fn(f64) -> f64 + Send) -> impl Controller {
     let command = move |_: &Data, measurement: &Measurement, q: &mut [f64]| {
         q.copy_from_slice(&START);
         q[1] += offset(measurement.time_s);

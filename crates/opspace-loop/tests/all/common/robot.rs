@@ -67,7 +67,7 @@ impl<F: FnMut(u64, &mut Sample)> Scripted<F> {
         self.reads.saturating_sub(1)
     }
 
-    fn note(&mut self, received: Received) {
+    fn record(&mut self, received: Received) {
         self.received.push(received);
         self.received_in.push(self.cycle());
     }
@@ -89,12 +89,12 @@ impl<F: FnMut(u64, &mut Sample)> Backend for Scripted<F> {
     }
 
     fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault> {
-        self.note(command.into());
+        self.record(command.into());
         if self.refused == Some(self.cycle()) { Err(self.device_fault.clone()) } else { Ok(()) }
     }
 
     fn stop(&mut self) {
-        self.note(Received::Stop);
+        self.record(Received::Stop);
     }
 }
 

@@ -1,7 +1,7 @@
-//! Random trees in random states, and how their numbers are compared.
+//! Random trees in random states, and the comparison of their numbers.
 //!
-//! Trees have joints of any kind, general axes, branches, rotors, a base turned and moved or floating, joints that
-//! follow others, and gravity in any direction.
+//! Trees have joints of any kind, general axes, branches, rotors, a base at any placement or floating, mimic joints,
+//! and gravity in any direction.
 #![allow(dead_code, reason = "each file of tests uses its part")]
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, UnitQuaternion, Vector3};
@@ -56,7 +56,7 @@ impl Case {
     }
 
     /// Excess of the length of q over that of q̇.
-    pub fn ahead(&self) -> usize {
+    pub fn surplus_coordinates(&self) -> usize {
         self.model.nq() - self.model.n()
     }
 
@@ -70,31 +70,32 @@ pub fn first_joint(model: &Model) -> usize {
     if model.is_floating() { 6 } else { 0 }
 }
 
-/// A tree of which some joints follow others, and the same tree with all joints free.
+/// A tree with mimic joints, and the same tree with all joints free.
 #[derive(Clone, Debug)]
-pub struct Folded {
+pub struct MimicTree {
     pub case: Case,
     pub whole: Model,
     pub followers: Vec<(usize, MimicConstraint)>,
 }
 
-impl Folded {
-    /// Position of joint `joint` of the whole tree, the joints left being at `left`; `offsets` is 0 for velocities.
+impl MimicTree {
+    /// Position of joint `joint` of the whole tree, with the independent joints at `left`; `offsets` is 0 for
+    /// velocities.
     fn position(&self, joint: usize, left: &[f64], offsets: f64) -> f64 {
         match self.followers.iter().find(|(follower, _)| *follower == joint) {
             Some((_, rule)) => rule.ratio * self.position(rule.leader, left, offsets) + offsets * rule.offset,
-            None => left[self.left().iter().position(|&l| l == joint).expect("it is left")],
+            None => left[self.independent_joints().iter().position(|&l| l == joint).expect("it is left")],
         }
     }
 
-    /// The joints of the whole tree that follow none.
-    pub fn left(&self) -> Vec<usize> {
+    /// Joints of the whole tree that are no mimic joints.
+    pub fn independent_joints(&self) -> Vec<usize> {
         (0..self.whole.n()).filter(|joint| self.followers.iter().all(|(f, _)| f != joint)).collect()
     }
 
-    /// The whole tree's q at the folded one's.
+    /// The whole tree's q at `q` of the tree with mimic joints.
     pub fn whole_q(&self, q: &[f64]) -> Vec<f64> {
-        let ahead = self.case.ahead();
+        let ahead = self.case.surplus_coordinates();
         let joints = (ahead.min(1) * 6..self.whole.n()).map(|joint| self.position(joint, &q[ahead..], 1.0));
         let base = if ahead == 0 { &[] } else { &q[..7] };
         base.iter().copied().chain(joints).collect()
@@ -199,17 +200,17 @@ fn tree(
     )
 }
 
-/// On a base that stands.
+/// Trees on a fixed base.
 pub fn fixed() -> impl Strategy<Value = Case> {
     tree(Just(None), 1..9)
 }
 
-/// On a base that floats; perhaps nothing but the base.
+/// Trees on a floating base; perhaps the base alone.
 pub fn floating() -> impl Strategy<Value = Case> {
     tree(inertia().prop_map(Some), 0..7)
 }
 
-fn fold(whole: Case, shift: Index, rules: &[(bool, Index, f64, f64)]) -> Folded {
+fn add_mimic_constraints(whole: Case, shift: Index, rules: &[(bool, Index, f64, f64)]) -> MimicTree {
     let (first, count) = (whole.first_joint(), whole.model.n() - whole.first_joint());
     // Joints from some one on, round the tree: each may follow any before it, the last does.
     let order: Vec<usize> = (0..count).map(|i| first + (i + shift.index(count)) % count).collect();
@@ -223,31 +224,31 @@ fn fold(whole: Case, shift: Index, rules: &[(bool, Index, f64, f64)]) -> Folded 
     let left: Vec<usize> =
         (0..whole.model.n()).filter(|joint| followers.iter().all(|(f, _)| f != joint)).collect();
     let pick = |values: &[f64]| left.iter().map(|&i| values[i]).collect::<Vec<f64>>();
-    let ahead = whole.ahead();
+    let ahead = whole.surplus_coordinates();
     let q = whole.q[..ahead].iter().copied().chain(pick(&whole.q[ahead..])).collect();
     let (dq, ddq, tau) = (pick(&whole.dq), pick(&whole.ddq), pick(&whole.tau));
-    Folded { case: Case { model, q, dq, ddq, tau, ..whole }, whole: whole.model, followers }
+    MimicTree { case: Case { model, q, dq, ddq, tau, ..whole }, whole: whole.model, followers }
 }
 
-fn folding(whole: impl Strategy<Value = Case>) -> impl Strategy<Value = Folded> {
+fn mimic_trees_of(whole: impl Strategy<Value = Case>) -> impl Strategy<Value = MimicTree> {
     let rule = (any::<bool>(), any::<Index>(), -2.0..2.0, -1.0..1.0);
     (whole, any::<Index>(), prop::collection::vec(rule, 8))
-        .prop_map(|(whole, shift, rules)| fold(whole, shift, &rules))
+        .prop_map(|(whole, shift, rules)| add_mimic_constraints(whole, shift, &rules))
 }
 
-/// With joints that follow others, of whatever kind, before or behind them, themselves followed.
-pub fn folded() -> impl Strategy<Value = Folded> {
-    prop_oneof![folding(tree(Just(None), 2..9)), folding(tree(inertia().prop_map(Some), 2..7))]
+/// Trees with mimic joints of any kind, before or behind their leaders, which may be mimic joints themselves.
+pub fn mimic_tree() -> impl Strategy<Value = MimicTree> {
+    prop_oneof![mimic_trees_of(tree(Just(None), 2..9)), mimic_trees_of(tree(inertia().prop_map(Some), 2..7))]
 }
 
 /// Strategy of trees whose coordinates are all independent joints: no floating base.
 pub fn jointed() -> impl Strategy<Value = Case> {
-    prop_oneof![fixed(), folding(tree(Just(None), 2..9)).prop_map(|f| f.case)]
+    prop_oneof![fixed(), mimic_trees_of(tree(Just(None), 2..9)).prop_map(|f| f.case)]
 }
 
 /// Any tree.
 pub fn case() -> impl Strategy<Value = Case> {
-    prop_oneof![fixed(), floating(), folded().prop_map(|f| f.case)]
+    prop_oneof![fixed(), floating(), mimic_tree().prop_map(|f| f.case)]
 }
 
 /// All that [`update`] and [`coriolis`] compute.
@@ -304,7 +305,7 @@ pub fn close<'a>(
     Ok(())
 }
 
-pub fn same_place(a: &Placement, b: &Placement, tolerance: f64) -> Result<(), TestCaseError> {
+pub fn close_placement(a: &Placement, b: &Placement, tolerance: f64) -> Result<(), TestCaseError> {
     close(&a.translation, &b.translation, tolerance)?;
     close(&a.rotation, &b.rotation, tolerance)
 }

@@ -1,4 +1,4 @@
-//! The robot that a file of foreign numbers is about.
+//! Robots of the files of reference numbers.
 
 use opspace_model::{Model, UrdfOptions};
 use opspace_testing::oracle;
@@ -10,7 +10,7 @@ pub struct Oracle {
     pub model: Model,
 }
 
-/// `file` of `tests/oracles/`, and the robot that it is about.
+/// `file` of `tests/oracles/`, and its robot.
 pub fn oracle(file: &str) -> Oracle {
     let oracle::Oracle { meta, samples, urdf, .. } = oracle::Oracle::read(file);
     let flag = |key: &str| meta[key].as_bool().unwrap_or(false);

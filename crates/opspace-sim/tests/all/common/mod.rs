@@ -32,7 +32,7 @@ fn in_order<T: Clone>(model: &Model, by_name: &BTreeMap<String, T>) -> Vec<T> {
     model.joints().iter().map(|j| by_name[&j.name].clone()).collect()
 }
 
-/// The arm with drives that do what they are asked, with friction, at its start and without a rest.
+/// The arm with drives that follow their commands, with friction, at its start and without a rest.
 pub fn setup(command: CommandKind, profile: &str) -> ArmConfig {
     let robot = robot();
     let model = Model::from_urdf(URDF).expect("the URDF").model;
