@@ -19,9 +19,9 @@ pub struct Run {
     /// Name of the suite.
     pub suite: String,
     /// Place of the run in the suite, by which two checkouts' runs are paired: the numbers of its entry, and within
-    /// this of task, case and profile, each from 1.
+    /// this of task, variant and profile, each from 1.
     pub place: String,
-    /// Task, case, profile and seed as the suite spells them.
+    /// Task, variant, profile and seed as the suite spells them.
     pub spelling: String,
     /// Arguments of `opspace run`, relative to the checkout's folder.
     pub arguments: Vec<String>,
@@ -53,18 +53,19 @@ struct Entry {
     profiles: Option<Vec<String>>,
     #[serde(default)]
     seeds: Vec<u64>,
-    #[serde(default)]
-    set: Vec<String>,
+    #[serde(default, rename = "override", alias = "set")]
+    overrides: Vec<String>,
     label: Option<String>,
-    #[serde(default)]
-    case: Vec<Case>,
+    #[serde(default, alias = "case")]
+    variant: Vec<Variant>,
 }
 
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Case {
+struct Variant {
     label: String,
-    set: Vec<String>,
+    #[serde(rename = "override", alias = "set")]
+    overrides: Vec<String>,
 }
 
 /// Lists the runs of a suite of a checkout, in the suite's order.
@@ -80,14 +81,14 @@ pub fn runs(checkout: &Path, suite: &str) -> Result<Vec<Run>, String> {
     for (number, entry) in (1..).zip(&file.run) {
         let profiles = or_none(entry.profiles.as_ref().unwrap_or(&file.profiles));
         for (task_number, task) in (1..).zip(&entry.tasks) {
-            for (case_number, case) in (1..).zip(or_none(&entry.case)) {
+            for (variant_number, variant) in (1..).zip(or_none(&entry.variant)) {
                 for (profile_number, profile) in (1..).zip(&profiles) {
-                    let (case, profile) = (case.as_ref(), profile.as_deref());
+                    let (variant, profile) = (variant.as_ref(), profile.as_deref());
                     runs.push(Run {
                         suite: suite.to_owned(),
-                        place: format!("{number}.{task_number}.{case_number}.{profile_number}"),
-                        spelling: entry.spelling(task, case, profile),
-                        arguments: entry.arguments(task, case, profile),
+                        place: format!("{number}.{task_number}.{variant_number}.{profile_number}"),
+                        spelling: entry.spelling(task, variant, profile),
+                        arguments: entry.arguments(task, variant, profile),
                         seeds: entry.seeds.len().max(1),
                     });
                 }
@@ -98,15 +99,15 @@ pub fn runs(checkout: &Path, suite: &str) -> Result<Vec<Run>, String> {
 }
 
 impl Entry {
-    fn spelling(&self, task: &Path, case: Option<&Case>, profile: Option<&str>) -> String {
+    fn spelling(&self, task: &Path, variant: Option<&Variant>, profile: Option<&str>) -> String {
         let task = task.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        let label = case.map(|case| &case.label).or(self.label.as_ref()).cloned();
+        let label = variant.map(|variant| &variant.label).or(self.label.as_ref()).cloned();
         let seed = self.seeds.first().map(|seed| format!("seed {seed}"));
         let words = [task, label, profile.map(str::to_owned), seed];
         words.into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
 
-    fn arguments(&self, task: &Path, case: Option<&Case>, profile: Option<&str>) -> Vec<String> {
+    fn arguments(&self, task: &Path, variant: Option<&Variant>, profile: Option<&str>) -> Vec<String> {
         let mut arguments = vec![from_root(task)];
         let seed = self.seeds.first().map(u64::to_string);
         let given = [
@@ -120,7 +121,7 @@ impl Entry {
         for (flag, value) in given {
             arguments.extend(value.into_iter().flat_map(|value| [flag.to_owned(), value]));
         }
-        for setting in self.set.iter().chain(case.iter().flat_map(|case| &case.set)) {
+        for setting in self.overrides.iter().chain(variant.iter().flat_map(|variant| &variant.overrides)) {
             let setting = setting.replace("{profile}", profile.unwrap_or("{profile}"));
             arguments.extend(["--set".to_owned(), setting]);
         }
