@@ -469,7 +469,7 @@ fn a_new_robot_doesnt_touch_what_is_there() {
     let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
     let new = |dir: &str, urdf: &str| opspace(folder.path(), &["new", dir, "--urdf", urdf]);
     new("mine", &urdf).exits(0);
-    new("mine", &urdf).exits(2).says(&["mine/robot.toml: already there", "another folder"]);
+    new("mine", &urdf).exits(2).says(&["mine/robot.toml: already exists", "another folder"]);
     fs::create_dir(folder.path().join("other")).unwrap();
     fs::write(folder.path().join("other/ur5.urdf"), "<robot/>").unwrap();
     new("other", &urdf).exits(2).says(&["other/ur5.urdf", "another file"]);
@@ -496,7 +496,9 @@ fn a_new_robot_is_told_what_its_urdf_lacks() {
     let mut lines: Vec<String> = read(&path).lines().map(str::to_owned).collect();
     fill(&mut lines);
     fs::write(&path, lines.join("\n")).unwrap();
-    opspace(folder.path(), &["check", "mine"]).exits(2).says(&["joint 'joint1' has no velocity limit", "velocity="]);
+    opspace(folder.path(), &["check", "mine"])
+        .exits(2)
+        .says(&["joint 'joint1' has no velocity limit", "velocity="]);
 }
 
 /// Names that TOML must quote.
