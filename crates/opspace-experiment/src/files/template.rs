@@ -11,7 +11,7 @@ pub fn robot_toml(urdf: &str, model: &Model) -> String {
         r#"#:schema robot.schema.json
 # Nominal parameters of {name}.
 # A line such as `# gear_ratio =` marks a required value without a default: uncomment it and write the value.
-# `opspace check` on this folder names the next missing value. Lines with `##` are optional.
+# `opspace check` on this folder names the next missing value. Lines with `##` are notes and optional keys.
 urdf = {urdf}
 default_profile = "default"
 
