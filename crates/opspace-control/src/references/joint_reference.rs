@@ -34,7 +34,7 @@ pub enum JointReference {
     Waypoints(Vec<JointWaypoint>),
     /// Moves to one posture as fast as limits allow, from any state of motion.
     Goal(JointOnlineGoal),
-    /// MimicConstraint targets that are streamed.
+    /// Follows targets that are streamed.
     Streamed(StreamedJointReference),
 }
 

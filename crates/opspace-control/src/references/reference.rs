@@ -36,9 +36,9 @@ pub enum CartesianReference {
     Waypoints(Vec<Waypoint>),
     /// Moves to one pose as fast as limits allow, from any state of motion.
     Goal(OnlineGoal),
-    /// MimicConstraint a recorded path.
+    /// Follows a recorded path.
     Recorded(RecordedPath),
-    /// MimicConstraint targets that are streamed.
+    /// Follows targets that are streamed.
     Streamed(StreamedReference),
 }
 
