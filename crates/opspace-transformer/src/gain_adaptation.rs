@@ -1,4 +1,4 @@
-//! Refinement of a servo's gains while it runs: recursive least squares of measured motor torque.
+//! Adaptation of a servo's gains while it runs: recursive least squares of measured motor torque.
 //!
 //! Over an interface interval a servo of a stiffness K and a damping D gives the mean torque
 //!
