@@ -16,7 +16,7 @@ fn control(arm: &mut SimulatedArm, mut callback: impl FnMut(&Sample) -> Option<V
     let mut sample = Sample::new(arm.capabilities());
     while arm.read(&mut sample).is_ok() {
         match callback(&sample) {
-            Some(torque) => arm.write(Command::Torque(&torque)).expect("the arm takes torques"),
+            Some(torque) => arm.write(Command::Torque(&torque)).expect("the arm accepts torques"),
             None if sample.time_s > 0.0 => break,
             // Before control it holds itself.
             None => {}

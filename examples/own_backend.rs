@@ -44,7 +44,7 @@ impl Backend for Arm {
         match command {
             Command::Torque(torque) => self.torque = Some(torque.to_vec()),
             Command::Hold => self.torque = None,
-            _ => return Err(DeviceFault::new(1, "this arm takes torques only")),
+            _ => return Err(DeviceFault::new(1, "this arm accepts only joint torques")),
         }
         Ok(())
     }

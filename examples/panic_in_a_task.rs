@@ -73,7 +73,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for _ in 0..300 {
         arm.read(&mut sample)?;
     }
-    assert!(arm.true_dq().amax() < 1e-3, "at rest, rad/s: {:?}", arm.true_dq());
+    assert!(arm.true_dq().amax() < 1e-3, "joint velocities after the stop, rad/s: {:?}", arm.true_dq());
 
     let recording = Recording::read("runs/panic_in_a_task/run.mcap")?;
     let outcome = OutcomeRecord::of(&recording);
@@ -81,6 +81,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     assert!(fault.contains("panicked"), "{fault}");
     let moved = recording.tick()?.signal("arm.velocity").ok_or("the task is in the log")?;
     let last = moved.rows().last().ok_or("the log has rows")?[0];
-    println!("the joint moved at {last:.2} rad/s in the last cycle of the log, and is at rest now");
+    println!(
+        "the joint moved at {last:.2} rad/s in the last cycle of the log, and is at rest after the stop"
+    );
     Ok(())
 }

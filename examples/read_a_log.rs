@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             signals.collect::<Vec<_>>().join(", ")
         );
     }
-    let torque = recording.tick()?.signal("torque_desired").ok_or("this log has no torques")?;
+    let torque = recording.tick()?.signal("torque_desired").ok_or("this log has no signal torque_desired")?;
     let largest = torque.rows().flatten().filter(|t| t.is_finite()).fold(0.0, |max: f64, t| max.max(t.abs()));
     println!("largest desired torque: {largest:.2} Nm");
     println!("outcome: {:?}", OutcomeRecord::of(&recording));

@@ -85,6 +85,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     })?;
     let recording = Recording::read("runs/streamed_targets/run.mcap")?;
     let stale = recording.tick()?.signal("hand.target_stale").ok_or("staleness is logged")?;
-    println!("targets were stale in {} cycles", stale.rows().filter(|row| row[0] == 1.0).count());
+    println!("cycles with a stale target: {}", stale.rows().filter(|row| row[0] == 1.0).count());
     Ok(())
 }

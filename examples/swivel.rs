@@ -18,6 +18,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let angle = recording.tick()?.signal("elbow.value").ok_or("the elbow's angle is logged")?;
     let values = angle.rows().map(|row| row[0]).filter(|value| value.is_finite());
     let (least, most) = values.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-    println!("the elbow swung over {:.2} rad", most - least);
+    println!("range of the elbow's swivel angle: {:.2} rad", most - least);
     Ok(())
 }

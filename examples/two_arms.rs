@@ -74,7 +74,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         recorded.map_err(|error| RunError::Incomplete { what: error.to_string() })?;
         follower_result.expect("the leader was recorded, so was the follower")
     })?;
-    println!("the band pulled with up to {:.2} N", largest_pull(&Recording::read("runs/leader/run.mcap")?)?);
+    println!(
+        "largest force of the elastic band: {:.2} N",
+        largest_pull(&Recording::read("runs/leader/run.mcap")?)?
+    );
     Ok(())
 }
 

@@ -208,7 +208,7 @@ fn requested_folder_is_replaced_only_by_force() {
     fs::write(&note, "mine").unwrap();
     let task = task("compliant-x");
     let again = ["run", &task, "--duration-s", "2", "--seed", "2", "--out", "out"];
-    opspace(folder.path(), &again).exits(2).says(&["out", "already holds a run", "--force"]);
+    opspace(folder.path(), &again).exits(2).says(&["out", "already contains a run", "--force"]);
     assert!(fs::read(&log).unwrap() == before, "the log is as it was");
     opspace(folder.path(), &[&again[..], &["--force"]].concat()).exits(0);
     assert!(fs::read(&log).unwrap() != before);
@@ -293,7 +293,7 @@ fn killed_run_leaves_readable_log() {
     let tick = cut.channel("tick").unwrap();
     assert!(tick.len() > 1000);
     let replayed = opspace(folder.path(), &["replay", "out"]).exits(3).says(&["damaged"]);
-    assert!(replayed.stdout.contains("are the same, bit for bit"), "{}", replayed.stdout);
+    assert!(replayed.stdout.contains("are equal, bit for bit"), "{}", replayed.stdout);
     opspace(folder.path(), &["report", "out"]).exits(3).says(&["damaged"]);
     assert!(log.with_file_name("report.html").exists());
 
@@ -444,7 +444,7 @@ fn robot_table_matches_its_file() {
         "{total}, {sum}"
     );
     let table = opspace(folder.path(), &["model", &urdf]).exits(0);
-    assert!(table.stdout.contains("7 moving joints on a fixed base, 16.822 kg in motion, 17.452 kg in all"));
+    assert!(table.stdout.contains("7 moving joints on a fixed base, 16.822 kg moving, 17.452 kg in total"));
     assert_eq!(table.stderr, "", "nothing is wrong with it");
     // A robot whose axes are not along z: places are in the links' axes all the same, not in the model's.
     let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
@@ -519,7 +519,7 @@ fn urdf_can_float_and_enforce_mimic_joints() {
     );
     assert_eq!(floating["moving_mass_kg"], floating["total_mass_kg"]);
     let table = opspace(folder.path(), &["model", &urdf, "--floating", "--enforce-mimic"]).exits(0).stdout;
-    assert!(table.contains("8 moving joints on a floating base, 17.452 kg in motion, 17.452 kg in all"));
+    assert!(table.contains("8 moving joints on a floating base, 17.452 kg moving, 17.452 kg in total"));
     assert!(table.contains("base.angular.z") && table.contains("the base (floating)"), "{table}");
     // A state then has a position and a quaternion first: with them it computes, without it says how many it wants.
     let sample = |nq: usize| {
@@ -727,7 +727,7 @@ fn check_recognises_file_kinds() {
     assert_eq!(ok, [Some(true), Some(false), Some(false), Some(false)]);
     ran.says(&[
         "bad.toml: missing key `priority`",
-        "other.toml: is neither a robot, a task nor a suite",
+        "other.toml: is neither a robot file nor a task file nor a suite file",
         "none.toml: there is no such file",
     ]);
     let empty = scratch();

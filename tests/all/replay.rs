@@ -19,7 +19,7 @@ fn check_replay(task: &str, options: &[&str]) {
     let folder = scratch();
     let log = run(folder.path(), "out", task, options);
     let said = replay(&log).exits(0).stdout;
-    assert!(said.contains("ticks are the same, bit for bit"), "{said}");
+    assert!(said.contains("ticks are equal, bit for bit"), "{said}");
     let ticks = Recording::read(&log).unwrap().channel("tick").unwrap().len();
     assert!(ticks > 400 && said.contains(&format!("all {ticks} ticks")), "{said}");
 }
@@ -218,7 +218,7 @@ fn replay_of_another_task_is_marked_what_if() {
     run(folder.path(), "out", "compliant-x", &[]);
     let other = project("tasks/cartesian-tracking.toml");
     let said = opspace(folder.path(), &["replay", "out", "--task", &other]).exits(0).stdout;
-    assert!(said.starts_with("open loop: what 'cartesian-tracking' would have commanded"), "{said}");
+    assert!(said.starts_with("open loop: commands of 'cartesian-tracking'"), "{said}");
     assert!(said.contains("torque_desired of 'elbow'") && said.contains(" Nm rms"), "{said}");
 
     // The task of the log against the log: no difference in any joint. Another one: some in all.

@@ -165,9 +165,9 @@ impl Setpoints {
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum MissedCycle {
-    /// The last setpoint stays in force: a position robot comes to a stop there, a velocity robot keeps its velocity.
+    /// The last setpoint is held: a position robot comes to a stop there, a velocity robot keeps its velocity.
     HoldLast,
-    /// The last torque stays in force.
+    /// The last torque is held.
     HoldTorque,
 }
 

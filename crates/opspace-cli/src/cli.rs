@@ -7,32 +7,42 @@ use opspace_experiment::{BackendKind, ControllerKind, RunOptions};
 use opspace_transformer::TransformerKind;
 use std::path::PathBuf;
 
-/// Operational-space control for robots that take torques, and for robots that take only positions.
+/// Operational-space control for robots that accept torques, and for robots that accept only positions.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true, after_help = AFTER_HELP)]
 pub struct Cli {
     #[command(subcommand)]
     pub command: Command,
 
-    /// Say more: warnings about the files.
+    /// Print more: warnings about the files.
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     pub verbose: bool,
 
-    /// Say less: results and errors only.
+    /// Print less: only results and errors.
     #[arg(short, long, global = true)]
     pub quiet: bool,
 }
 
 const AFTER_HELP: &str = "\
-Begin with:
-  opspace bench                           the paper's experiments
-  opspace run tasks/compliant-x.toml      one of them, with its log and report
+First steps:
+  opspace bench                           the experiments of the paper
+  opspace run tasks/compliant-x.toml      one of them, with log and report
   opspace new my-arm --urdf my-arm.urdf   a folder for your own robot
+
+Terms:
+  position robot   accepts joint positions (velocity robot: velocities; torque robot: torques)
+  setpoint         command of a position or velocity servo
+  transformer      converts desired joint torques into setpoints
+  profile          servo parameters and rates in robot.toml; 1:5 is a setpoint every 5 servo ticks
+  osc              operational-space control: joint torques
+  ik               inverse kinematics, streamed as joint positions, without torque control
+  ik-lead          ik with velocity lead and compensation of gravity sag
+  operator         simulated person who pulls at the robot
 
 Exit codes:
   0    done
-  1    the run failed: a fault, a divergence, a difference found
-  2    bad arguments or a bad file
+  1    the run failed: a fault, a divergence, or a difference in a replay
+  2    invalid arguments or an invalid file
   3    done, but data was lost or a log is damaged
   130  interrupted, log closed";
 
@@ -47,22 +57,22 @@ Examples:
   opspace run tasks/compliant-x.toml --set task.hand.gains.damping_ratio=0.7
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
 
-Writes run.mcap (every signal; opens in Foxglove and PlotJuggler), report.html and summary.json into \
-runs/TASK-BACKEND. A run that is there already is moved aside.")]
+Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
+runs/TASK-BACKEND. An existing run is renamed to NAME.previous.")]
     Run(RunArgs),
 
-    /// Run every task of a suite on every robot and controller it names, and print one table.
+    /// Run every task of a suite on each robot and controller that it names, and print one table.
     #[command(after_help = "\
-Without SUITE the experiments of the paper are run; they are part of the program. The table gives medians \
-over the seeds of a row; --json gives every run. Writes report.html, bench.json and the log of each task's \
-first run into runs/bench.")]
+Without SUITE, runs the experiments of the paper, which are built into the program. The table lists medians \
+over the seeds of a row; --json lists every run. Writes report.html, bench.json and the log of the first run \
+of each task into runs/bench.")]
     Bench(BenchArgs),
 
     /// Recompute every command of a log from its measurements and compare it with what was logged.
     #[command(after_help = "\
-Says the first tick, joint and both values if any bit differs (exit code 1). A damaged log is compared as far \
-as it is good (exit code 3 if that is equal). With --task another task is computed on the same measurements: \
-what it would have commanded, open loop, since the robot's motion is the logged one.")]
+If any bit differs, prints the first tick and joint with both values (exit code 1). A damaged log is compared up \
+to the damage (exit code 3 if that part is equal). With --task, computes the commands of another task from the \
+same measurements; this is open loop, since the motion of the robot is the logged one.")]
     Replay(ReplayArgs),
 
     /// Make one HTML page with the figures and the table of one or more logs.
@@ -70,20 +80,21 @@ what it would have commanded, open loop, since the robot's motion is the logged 
 
     /// Check robot, task and suite files, against each other too, without running anything.
     #[command(after_help = "\
-What is wrong in a file is an error (exit code 2). What will go wrong when a task runs is said with its line, its \
-numbers and a remedy, and is no error: goals and speeds beyond the arm, gains beyond the rate and the servo, limits \
-that contradict each other, a singular start, freedom that nothing damps, a run that is too short. --json has it as \
-`findings`.")]
+A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has a \
+line, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
+servo, contradictory limits, a singular start, undamped degrees of freedom, a run that is too short. --json lists \
+them as `findings`.")]
     Check(CheckArgs),
 
     /// Identify a robot's servos by moving its joints: gains, filter, delay, inertia, friction.
     #[command(after_help = "\
-Inputs are the structure of the servo, the rates, limits, URDF and rotors; gains, filter, delay and friction are estimated. \
-The scale of torque comes from the motors' current where the robot measures it, else from URDF and rotor inertia; without \
-either only ratios are written and torque mode is refused (exit code 1), as it is for a joint that can't be inverted.
+Excites one joint at a time about its current position, while the others are held. Inputs are the structure of the \
+servo, the rates, limits, URDF and rotor inertias; gains, filter, delay and friction are estimated. The scale of torque \
+comes from motor current if the robot measures it, otherwise from URDF and rotor inertia. With neither, only ratios are \
+written and torque mode is refused (exit code 1), as for a joint whose servo cannot be inverted.
 
-Writes servo.toml (the keys of robot.toml that were found), robot.toml with a copy of the URDF (the whole robot with \
-them), identification.json and report.html (Bode plots) into runs/identify-ROBOT.
+Writes servo.toml (the identified keys of robot.toml), robot.toml with a copy of the URDF (a complete robot with these \
+keys), identification.json and report.html (Bode plots) into runs/identify-ROBOT.
 
 Examples:
   opspace identify robots/asimo-arm
@@ -92,19 +103,19 @@ Examples:
 
     /// Print a robot's joints and frames, or compute its kinematics and dynamics at given states.
     #[command(after_help = "\
-Each line of the samples is a state:
+Each line of the samples is one state:
   {\"q\":[..],\"dq\":[..],\"ddq\":[..],\"tau_in\":[..],\"f_tip\":[fx,fy,fz,mx,my,mz]}
 
 Each line of the output holds tip_R, tip_p, tip_vel, J, Jdot_dq, M, g, nle, C, tau_rnea, ddq_aba, \
-tau_rnea_fext, ddq_aba_fext, com, kinetic_energy, potential_energy, Lambda, Jbar, N. World axes at the tip, \
-linear rows first; matrices row by row; joints in the order of the table. With \"task_rows\":[0,1,2] Lambda, \
-Jbar and N are of those rows; they are null where the task is rank-deficient.")]
+tau_rnea_fext, ddq_aba_fext, com, kinetic_energy, potential_energy, Lambda, Jbar, N: in world axes at the tip, \
+linear rows first; matrices row by row; joints in the order of the table. With \"task_rows\":[0,1,2], Lambda, \
+Jbar and N are those of these rows; they are null if the task is rank-deficient.")]
     Model(ModelArgs),
 
     /// Make a robot folder for your own robot from its URDF.
     #[command(after_help = "\
-The new robot.toml lists every value that must be known, commented out with what it means: none is guessed. \
-`opspace check DIR` names the next one missing. A first task, hold.toml, is beside it.")]
+The new robot.toml lists every required value as a comment with its meaning; no value is guessed. \
+`opspace check DIR` names the next missing value. The folder also contains a first task, hold.toml.")]
     New(NewArgs),
 
     /// Print the JSON Schema of a kind of file, for editors.
@@ -123,7 +134,7 @@ The new robot.toml lists every value that must be known, commented out with what
 /// Output of results for other programs.
 #[derive(Debug, Args)]
 pub struct JsonArgs {
-    /// Write the results as JSON to this file; `-` prints them instead of the text.
+    /// Write the results as JSON to this file; `-` prints JSON instead of the text.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -138,7 +149,7 @@ pub struct OutputArgs {
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 
-    /// Replace the run that the folder given with --out holds.
+    /// Replace an existing run in the folder given with --out.
     #[arg(long)]
     pub force: bool,
 }
@@ -148,19 +159,20 @@ pub struct RunArgs {
     /// The task file.
     pub task: PathBuf,
 
-    /// Robot in place of the task's: its folder or its robot.toml.
+    /// Robot to use instead of the task's: its folder or its robot.toml.
     #[arg(long)]
     pub robot: Option<PathBuf>,
 
-    /// Robot interface to simulate; the one that robot.toml states if absent.
+    /// Robot interface to simulate [default: the one stated in robot.toml].
     #[arg(long, value_enum)]
     pub backend: Option<BackendArg>,
 
-    /// Controller that commands the robot.
+    /// Controller of the robot.
     #[arg(long, value_enum, default_value_t = ControllerArg::Osc)]
     pub controller: ControllerArg,
 
-    /// Transformer from torques to setpoints, in place of the profile's or of the best for what the robot declares.
+    /// Transformer, which converts desired torques into setpoints [default: that of the profile, otherwise the best one
+    /// for the declared interface].
     #[arg(long, value_parser = transformers())]
     pub transformer: Option<TransformerKind>,
 
@@ -168,24 +180,24 @@ pub struct RunArgs {
     #[arg(long)]
     pub profile: Option<String>,
 
-    /// Seed in place of the task's.
+    /// Seed of all random numbers, instead of the task's.
     #[arg(long)]
     pub seed: Option<u64>,
 
-    /// Duration in place of the task's, s.
+    /// Duration, s, instead of the task's.
     #[arg(long, value_name = "S", value_parser = positive, allow_negative_numbers = true)]
     pub duration_s: Option<f64>,
 
-    /// Change a value of the task file, or with `robot.` of the robot file. Can be given again.
+    /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 
-    /// Simulate a robot whose file names a driver.
+    /// Simulate the robot although its file names a driver.
     #[arg(long)]
     pub simulate: bool,
 
-    /// Move a real robot to the task's start_rad first, along a straight line in joint space at 0.2 rad/s at most. It
-    /// knows no obstacles: clear the way.
+    /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s. Obstacles
+    /// are not avoided: keep the workspace clear.
     #[arg(long, conflicts_with = "simulate")]
     pub move_to_start: bool,
 
@@ -216,10 +228,10 @@ fn positive(text: &str) -> Result<f64, String> {
 
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// The suite file; the paper's experiments if absent.
+    /// The suite file [default: the experiments of the paper].
     pub suite: Option<PathBuf>,
 
-    /// Number of simultaneous runs; one for each processor if absent.
+    /// Number of simultaneous runs [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
 
@@ -229,10 +241,10 @@ pub struct BenchArgs {
 
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// A log (run.mcap), or the folder of a run.
+    /// A log (run.mcap) or the folder of a run.
     pub log: PathBuf,
 
-    /// Another task, computed on the same measurements.
+    /// Another task, computed from the same measurements.
     #[arg(long, value_name = "FILE")]
     pub task: Option<PathBuf>,
 
@@ -242,11 +254,11 @@ pub struct ReplayArgs {
 
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// Logs (run.mcap), or folders of runs.
+    /// Logs (run.mcap) or folders of runs.
     #[arg(required = true)]
     pub logs: Vec<PathBuf>,
 
-    /// Write the page to this file; report.html beside the first log if absent.
+    /// Write the page to this file [default: report.html in the folder of the first log].
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 
@@ -269,7 +281,7 @@ pub struct IdentifyArgs {
     /// The robot's folder or its robot.toml.
     pub robot: PathBuf,
 
-    /// Identify this joint alone.
+    /// Identify only this joint.
     #[arg(long)]
     pub joint: Option<String>,
 
@@ -277,15 +289,15 @@ pub struct IdentifyArgs {
     #[arg(long)]
     pub profile: Option<String>,
 
-    /// Joint positions during the identification, rad or m; the middle of the range for the other joints.
+    /// Joint positions during the identification, rad or m [default: the middle of each range].
     #[arg(long, value_name = "JOINT=VALUE", value_delimiter = ',', value_parser = joint_value)]
     pub start_rad: Vec<(String, f64)>,
 
-    /// Seed of the excitation's phases, and of all random numbers in the simulation.
+    /// Seed of the excitation's phases and of all random numbers in the simulation.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 
-    /// Change a value of the robot file: `robot.key=value`. Can be given again.
+    /// Override a value of the robot file: `robot.key=value`. Can be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 
@@ -294,7 +306,7 @@ pub struct IdentifyArgs {
 }
 
 fn joint_value(text: &str) -> Result<(String, f64), String> {
-    let wrong = || "expected the name of a joint and a number: elbow=-1.35".to_owned();
+    let wrong = || "expected a joint name and a number, for example elbow=-1.35".to_owned();
     let (name, value) = text.split_once('=').ok_or_else(wrong)?;
     let value: f64 = value.trim().parse().map_err(|_| wrong())?;
     if value.is_finite() { Ok((name.trim().to_owned(), value)) } else { Err(wrong()) }
@@ -313,11 +325,11 @@ pub struct ModelArgs {
     #[arg(long, value_name = "FILE", requires = "tip")]
     pub samples: Option<PathBuf>,
 
-    /// Let the root link move in space: q begins with its position and quaternion x, y, z, w. For a URDF.
+    /// Add a floating base: q begins with its position and quaternion x, y, z, w. Only for a URDF.
     #[arg(long)]
     pub floating: bool,
 
-    /// Let mimic joints follow the joint that they name, instead of moving on their own. For a URDF.
+    /// Enforce the constraints of mimic joints, which otherwise move independently. Only for a URDF.
     #[arg(long)]
     pub enforce_mimic: bool,
 
@@ -354,21 +366,21 @@ pub enum SchemaKind {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum BackendArg {
-    /// Robot that takes joint positions; torques pass through the transformer.
+    /// Robot that accepts joint positions; the transformer converts torques into them.
     Position,
-    /// Robot that takes joint velocities; torques pass through the transformer.
+    /// Robot that accepts joint velocities; the transformer converts torques into them.
     Velocity,
-    /// Robot that takes joint torques.
+    /// Robot that accepts joint torques.
     Torque,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum ControllerArg {
-    /// Operational-space control: torques.
+    /// Operational-space control: joint torques.
     Osc,
-    /// Inverse kinematics, streamed as positions.
+    /// Inverse kinematics, streamed as joint positions, without torque control.
     Ik,
-    /// Inverse kinematics with velocity lead and compensation of the gravity sag, streamed as positions.
+    /// Inverse kinematics with velocity lead and compensation of gravity sag, streamed as joint positions.
     IkLead,
 }
 

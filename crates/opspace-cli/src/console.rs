@@ -105,7 +105,7 @@ pub fn print(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| match error.kind() {
         io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
-        _ => Failure::Other(format!("can't write to standard output: {error}"), Exit::Failed),
+        _ => Failure::Other(format!("cannot write to standard output: {error}"), Exit::Failed),
     })
 }
 

@@ -30,11 +30,11 @@ pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<Pa
         } else if args.force {
             clear(&folder)?;
         } else {
-            let text = format!("{}: already holds a run; give --force to replace it", folder.display());
+            let text = format!("{}: already contains a run; use --force to replace it", folder.display());
             return Err(Failure::Other(text, Exit::Bad));
         }
     }
-    fs::create_dir_all(&folder).map_err(|e| Failure::io("can't be made", &folder, &e))?;
+    fs::create_dir_all(&folder).map_err(|e| Failure::io("cannot be created", &folder, &e))?;
     Ok(folder)
 }
 
@@ -53,8 +53,8 @@ fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
         })
         .find(|path| !path.exists());
     let Some(aside) = free else { return Ok(()) };
-    fs::rename(folder, &aside).map_err(|e| Failure::io("can't be moved aside", folder, &e))?;
-    console.note(&format!("moved the run before to {}", aside.display()));
+    fs::rename(folder, &aside).map_err(|e| Failure::io("cannot be renamed", folder, &e))?;
+    console.note(&format!("moved the previous run to {}", aside.display()));
     Ok(())
 }
 
@@ -74,14 +74,14 @@ fn clear(folder: &Path) -> Result<(), Failure> {
             || path.extension().is_some_and(|e| e == "mcap")
     });
     for path in ours {
-        fs::remove_file(&path).map_err(|e| Failure::io("can't be replaced", &path, &e))?;
+        fs::remove_file(&path).map_err(|e| Failure::io("cannot be replaced", &path, &e))?;
     }
     Ok(())
 }
 
 /// Writes a file of results.
 pub fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    fs::write(path, text).map_err(|e| Failure::io("can't be written", path, &e))
+    fs::write(path, text).map_err(|e| Failure::io("cannot be written", path, &e))
 }
 
 impl JsonArgs {

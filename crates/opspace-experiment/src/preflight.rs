@@ -60,7 +60,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     found
 }
 
-/// Lists the tasks that don't report what [`findings`] needs: their findings are incomplete.
+/// Lists the tasks that do not report what [`diagnostics`] needs: their diagnostics are incomplete.
 #[must_use]
 pub fn not_checked(experiment: &Experiment) -> Vec<Diagnostic> {
     let torques = experiment.options().controller == ControllerKind::Osc;

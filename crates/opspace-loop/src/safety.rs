@@ -20,11 +20,11 @@ pub struct SafetyParameters {
     /// Distance beyond the URDF's joint limits from which a measured position is a fault, rad (m).
     #[serde(default)]
     pub limit_margin_rad: NonNegative,
-    /// Number of consecutive interface cycles that may be missed while control goes on. After more the robot is held,
-    /// and control resumes when it stands still.
+    /// Number of consecutive interface cycles that may be missed while control continues. After more the robot is held,
+    /// and control resumes when it is at rest.
     #[serde(default = "default_max_missed_cycles")]
     pub max_missed_cycles: u32,
-    /// Longest time for which the robot may be silent, or take to stand still afterwards, s. A longer time is a fault.
+    /// Longest time without a sample, or to come to rest afterwards, s. A longer time is a fault.
     #[serde(default = "default_max_dropout_s")]
     pub max_dropout_s: NonNegative,
     /// Watchdogs of a position robot that measures its motors' torque.

@@ -24,10 +24,10 @@ pub const MEMORY_S: f64 = 0.05;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WatchdogParameters {
-    /// Largest mean of the motor's torque less the desired one, as a share of the joint's torque limit.
+    /// Largest mean difference of motor torque and desired torque, as a fraction of the joint's torque limit.
     #[serde(default = "default_deviation")]
     pub torque_deviation_share: Positive,
-    /// Largest mean power that the motor puts in beyond the desired one, as a share of the joint's torque limit times
+    /// Largest mean power of the motor beyond the desired one, as a fraction of the joint's torque limit times
     /// its speed limit.
     #[serde(default = "default_power")]
     pub surplus_power_share: Positive,

@@ -39,7 +39,7 @@
 //! | linear in the inertial parameters | [`torque_regressor`] | `computeJointTorqueRegressor` |
 //! | Λ, J̄, N | [`OperationalSpace`] | – |
 //! | q ⊕ v, q₁ ⊖ q₀ | [`integrate`], [`difference`] | `integrate`, `difference` |
-//! | locked joints | [`Model::locked`] | `buildReducedModel` |
+//! | locked joints | [`Model::with_locked_joints`] | `buildReducedModel` |
 //! | many states at once | `batch`, with feature `simd` | – |
 //!
 //! Conventions: SI units, where rad and Nm stand for m and N on prismatic joints too; frames and data must be of the

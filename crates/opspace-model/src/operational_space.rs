@@ -129,8 +129,8 @@ impl OperationalSpace {
         self.compute_jbar(factor);
     }
 
-    /// Computes the first half of [`update_with`](Self::update_with), for where J̄ may not be needed: Λ and the weakest
-    /// share. J̄ᵀ holds the intermediate result that [`finish`](Self::finish) needs.
+    /// Computes the first half of [`update_with`](Self::update_with), if J̄ may not be needed: Λ and the smallest
+    /// singular gain. J̄ᵀ holds the intermediate result that [`compute_jbar`](Self::compute_jbar) needs.
     ///
     /// # Panics
     /// As [`update`](Self::update).

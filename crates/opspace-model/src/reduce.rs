@@ -5,10 +5,10 @@
 //! use opspace_model::{MimicConstraint, Model};
 //!
 //! let model = Model::from_urdf(urdf)?.model;
-//! let stiff = model.locked(&[(2, 1.2), (5, 0.0)]).expect("joints that it has");
+//! let stiff = model.with_locked_joints(&[(2, 1.2), (5, 0.0)]).expect("joints that it has");
 //! assert_eq!(stiff.n(), 4);
-//! let follows = MimicConstraint { leader: 1, ratio: -1.0, offset: 0.5 };
-//! assert_eq!(model.folded(&[(2, follows)]).expect("joints that it has").n(), 5);
+//! let mimic = MimicConstraint { leader: 1, ratio: -1.0, offset: 0.5 };
+//! assert_eq!(model.with_mimic_constraints(&[(2, mimic)]).expect("joints that it has").n(), 5);
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 

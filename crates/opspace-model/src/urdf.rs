@@ -61,7 +61,7 @@ pub struct UrdfOptions {
     /// Root link free to move in space: see [`Model::floating`].
     pub floating_base: bool,
     /// Mimic joints move with their leader instead of having coordinates of their own: see
-    /// [`Model::folded`].
+    /// [`Model::with_mimic_constraints`].
     pub enforce_mimic: bool,
 }
 

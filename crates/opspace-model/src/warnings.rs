@@ -7,14 +7,14 @@
 //!
 //! ```
 //! use nalgebra::{Matrix3, Vector3};
-//! use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement, ModelWarning, suspicions};
+//! use opspace_model::{Inertia, Joint, JointKind, Limits, Model, Placement, ModelWarning, model_warnings};
 //! // Moments as they were in g mm².
 //! let link = Inertia { mass: 1.0, com: Vector3::zeros(), rotational: Matrix3::identity() * 1e6 };
 //! let limits = Limits { lower: -2.0, upper: 2.0, velocity: 3.0, effort: 40.0 };
 //! let joint = Joint { name: "hinge".into(), kind: JointKind::Revolute, limits };
 //! let mut model = Model::new("pendulum");
 //! model.add_body(None, Placement::identity(), joint, link);
-//! assert!(matches!(suspicions(&model)[..], [ModelWarning::LargeInertia { .. }]));
+//! assert!(matches!(model_warnings(&model)[..], [ModelWarning::LargeInertia { .. }]));
 //! ```
 
 use crate::model::{Body, Joint, JointKind, Model};

@@ -22,8 +22,8 @@ pub struct BusParameters {
     /// Intervals in which no cycle passes.
     #[serde(default)]
     pub dropouts: Vec<DropoutParameters>,
-    /// Largest additional delay of a setpoint, servo ticks, at random and unknown to the controller; less than `ratio`,
-    /// so that it acts before the next one.
+    /// Largest additional delay of a setpoint, servo ticks, at random and unknown to the controller; less than
+    /// `servo_ticks_per_cycle`, so that it acts before the next one.
     #[serde(default)]
     pub jitter_servo_ticks: u32,
 }

@@ -144,7 +144,7 @@ pub struct PushParameters {
     pub force_n: [f64; 3],
 }
 
-/// Plane that pushes back: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
+/// Elastic plane: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]

@@ -14,7 +14,7 @@ pub enum SimulationError {
     Delay {
         /// Delay, `delay_servo_ticks`.
         delay: u32,
-        /// Servo ticks per interface cycle, `ratio`.
+        /// Servo ticks per interface cycle, `servo_ticks_per_cycle`.
         ratio: u32,
         /// True if the true delay is too long, not the nominal one.
         truth: bool,
@@ -121,7 +121,7 @@ pub enum SimulationError {
     Jitter {
         /// Jitter, `jitter_servo_ticks`.
         jitter: u32,
-        /// Servo ticks per interface cycle, `ratio`.
+        /// Servo ticks per interface cycle, `servo_ticks_per_cycle`.
         ratio: u32,
     },
     /// Force sensor of the robot without parameters in the simulation.

@@ -42,17 +42,17 @@ pub struct SimulatedParameters {
     /// Losses and delays of the field bus; none if absent.
     #[serde(default)]
     pub bus: BusParameters,
-    /// True position servos, by joint name, where they differ from the nominal ones; `scale` applies to them.
+    /// True position servos, by joint name, if they differ from the nominal ones; `true_over_nominal` applies to them.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
-    /// True velocity servos, by joint name, where they differ from the nominal ones; `scale` applies to them.
+    /// True velocity servos, by joint name, if they differ from the nominal ones; `true_over_nominal` applies to them.
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
-    /// True friction, by joint name, where it differs from the nominal one; `scale` applies to it.
+    /// True friction, by joint name, if it differs from the nominal one; `true_over_nominal` applies to it.
     #[serde(default)]
     pub friction: BTreeMap<String, FrictionParameters>,
-    /// True delay of setpoints in servo ticks, at most `ratio`, where it differs from the nominal one; 0 if neither is
-    /// given.
+    /// True delay of setpoints in servo ticks, at most `servo_ticks_per_cycle`, if it differs from the nominal one; 0
+    /// if neither is given.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
 }

@@ -26,7 +26,7 @@ pub struct FrictionParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionCompensationParameters {
-    /// Share of the modelled friction that is compensated. More than the true friction drives the joint by
+    /// Fraction of the modelled friction that is compensated. More than the true friction drives the joint by
     /// itself: 0.65 leaves room for friction a third below the model.
     #[serde(default = "default_gain")]
     pub gain: NonNegative,

@@ -1,4 +1,4 @@
-//! Refinement of a servo's gains while it runs: recursive least squares of measured motor torque.
+//! Adaptation of a servo's gains while it runs: recursive least squares of measured motor torque.
 //!
 //! Over an interface interval a servo of a stiffness K and a damping D gives the mean torque
 //!
@@ -21,7 +21,7 @@ const NOISE: f64 = 0.01;
 /// Initial uncertainty of the gains, rms, as a share of them.
 const UNCERTAIN: f64 = 0.1;
 
-/// Refinement of servo gains while running.
+/// Adaptation of servo gains during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -32,7 +32,7 @@ pub struct GainAdaptationParameters {
     pub max_relative_change: Share,
 }
 
-/// Share above 0 and below 1.
+/// Fraction above 0 and below 1.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(try_from = "f64")]

@@ -67,17 +67,18 @@ impl RotorParameters {
 pub struct ProfileParameters {
     /// Rate at which the drives close their loops, Hz.
     pub servo_hz: Positive,
-    /// Servo ticks per interface cycle: setpoints are taken and positions given at `servo_hz / ratio`.
+    /// Servo ticks per interface cycle: setpoints are accepted and positions measured at
+    /// `servo_hz / servo_ticks_per_cycle`.
     pub servo_ticks_per_cycle: Count,
-    /// Servo ticks from the interface cycle at which a command is written until it acts; at most `ratio`. Absent if
-    /// unknown.
+    /// Servo ticks from the interface cycle at which a command is written until it acts; at most
+    /// `servo_ticks_per_cycle`. Absent if unknown.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
     /// Method that converts torques to positions or velocities; if absent, the best for the robot's declared
     /// properties.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
-    /// Refinement of the gains from measured motor current while running; none if absent.
+    /// Adaptation of the servo gains from measured motor current during a run; none if absent.
     #[serde(default)]
     pub adapt_gains: Option<GainAdaptationParameters>,
     /// Estimator of joint velocity at the interface.

@@ -80,7 +80,7 @@ pub struct VelocityServo {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DerivativeOf {
-    /// Measured position: a setpoint that jumps gives no kick.
+    /// Measured position: a jump of the setpoint causes no derivative kick.
     #[default]
     Position,
     /// Position error.

@@ -48,7 +48,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         let same = shown.iter().filter(|s: &&RunSection| s.summary.task == one.summary.task).count();
         let path =
             folder.join(if same == 0 { format!("{name}.mcap") } else { format!("{name}-{}.mcap", same + 1) });
-        std::fs::write(&path, log).map_err(|e| Failure::io("can't be written", &path, &e))?;
+        std::fs::write(&path, log).map_err(|e| Failure::io("cannot be written", &path, &e))?;
         shown.push(one);
     }
     let rows = json!({
@@ -67,9 +67,11 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     Ok(worst.unwrap_or(Exit::Done))
 }
 
-const LEAD: &str = "The same task file drives position and velocity robots through a transformer of torques to \
-                    setpoints, a true torque robot, and a position robot by inverse kinematics; below is how close each \
-                    came, and what the hand that holds it felt.";
+const LEAD: &str = "Each task file runs unchanged on position and velocity robots through a transformer, which converts \
+                    desired torques into setpoints (commands of position or velocity servos), on a torque robot, and on \
+                    a position robot by inverse kinematics (ik). The profile is the set of servo parameters and rates; \
+                    1:5 means a setpoint every five servo ticks. The operator is a simulated person whose hand pulls at \
+                    the robot.";
 
 /// Runs the experiments, several at once, each on one thread; the results are in the order of the experiments.
 fn run_all(
@@ -113,7 +115,10 @@ fn run_all(
         }
     }
     if done.is_empty() {
-        return Err(Failure::Other("interrupted before a run was done".to_owned(), Exit::Interrupted));
+        return Err(Failure::Other(
+            "interrupted before the first run was complete".to_owned(),
+            Exit::Interrupted,
+        ));
     }
     Ok(done)
 }

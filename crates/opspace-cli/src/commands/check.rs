@@ -140,8 +140,9 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
         // What a folder stands for is a robot.
         None if path.is_dir() => robot(),
         None => {
-            let help = "a robot file has `urdf`, a task file has `robot` and `priority`, a suite has [[run]]";
-            let message = "is neither a robot, a task nor a suite";
+            let help =
+                "a robot file has the key `urdf`, a task file `robot` and `priority`, a suite file [[run]]";
+            let message = "is neither a robot file nor a task file nor a suite file";
             Err(FileError::of_file(source.name(), message, Some(help.to_owned())))
         }
     }

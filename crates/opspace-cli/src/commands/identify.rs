@@ -32,7 +32,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     let identified = with_progress(&identifying, console, |begun| identifying.run(&mut arm, &watch, begun));
     let identified = identified.map_err(|stop| match stop {
         AbortReason::Interrupted => {
-            Failure::Other("interrupted before all was identified".to_owned(), Exit::Interrupted)
+            Failure::Other("interrupted before all joints were identified".to_owned(), Exit::Interrupted)
         }
         other => Failure::Other(other.to_string(), Exit::Failed),
     })?;
@@ -40,11 +40,11 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     args.output.json.print(|| pretty(&identified.json()), || render(&identified.table()))?;
     for joint in &identified.joints {
         if let Some(reason) = &joint.no_torque_mode {
-            console.note(&format!("{}: no torque mode: {reason}", joint.name));
+            console.note(&format!("{}: torque mode refused: {reason}", joint.name));
         }
     }
     console.note(&format!(
-        "moved the robot for {:.0} s of its own time; wrote {}",
+        "identification took {:.0} s of robot time; wrote {}",
         identified.robot_s,
         written.join(", ")
     ));

@@ -55,8 +55,7 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
     if options != UrdfOptions::default() {
         let option = if args.floating { "--floating" } else { "--enforce-mimic" };
         let (file, urdf) = (args.robot.display(), robot.urdf.name());
-        let text =
-            format!("{option} is for a URDF, and {file} is a robot that is controlled as it is: give {urdf}");
+        let text = format!("{option} is only for a URDF, but {file} is a robot file: give {urdf} instead");
         return Err(Failure::Other(text, Exit::Bad));
     }
     let standing_kg = load_urdf(&robot.urdf, options)?.standing_kg;
@@ -70,7 +69,7 @@ fn describe(shown: &ModelView) -> String {
         false => (model.n(), "fixed"),
     };
     format!(
-        "{}: {joints} moving joints on a {base} base, {:.3} kg in motion, {:.3} kg in all\n\n{}\n{}\n{}",
+        "{}: {joints} moving joints on a {base} base, {:.3} kg moving, {:.3} kg in total\n\n{}\n{}\n{}",
         model.name(),
         model.total_mass(),
         model.total_mass() + shown.standing_kg,
@@ -84,7 +83,7 @@ fn joint_table(model: &Model) -> Table {
     let mut columns = vec![
         ("joint", ""),
         ("kind", ""),
-        ("carried by", ""),
+        ("parent link", ""),
         ("lower", ""),
         ("upper", ""),
         ("velocity", "/s"),
@@ -109,7 +108,7 @@ fn joint_table(model: &Model) -> Table {
             JointKind::Floating => "floating base",
         };
         let mut row: Vec<Cell> = vec![joint.name.clone().into(), kind.into()];
-        row.push(carried_by(model, i).unwrap_or("the world").into());
+        row.push(carried_by(model, i).unwrap_or("world").into());
         let limits = joint.limits;
         let limits = [limits.lower, limits.upper, limits.velocity, limits.effort];
         row.extend(limits.map(|value| limit(joint.kind, value)));
@@ -300,7 +299,7 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
     let reader: Box<dyn BufRead> = if samples == Path::new("-") {
         Box::new(io::stdin().lock())
     } else {
-        let file = File::open(samples).map_err(|e| Failure::io("can't be read", samples, &e))?;
+        let file = File::open(samples).map_err(|e| Failure::io("cannot be read", samples, &e))?;
         Box::new(BufReader::new(file))
     };
     if let Some(out) = out
@@ -311,7 +310,7 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
     }
     let mut results = String::new();
     for (line, text) in (1..).zip(reader.lines()) {
-        let text = text.map_err(|e| Failure::io("can't be read", samples, &e))?;
+        let text = text.map_err(|e| Failure::io("cannot be read", samples, &e))?;
         if text.trim().is_empty() {
             continue;
         }
@@ -324,7 +323,7 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
         }
     }
     if let Some(out) = out {
-        fs::write(out, results).map_err(|e| Failure::io("can't be written", out, &e))?;
+        fs::write(out, results).map_err(|e| Failure::io("cannot be written", out, &e))?;
     }
     Ok(Exit::Done)
 }

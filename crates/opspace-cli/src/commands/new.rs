@@ -16,17 +16,17 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
     loaded.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", source.name())));
     let robot = args.dir.join("robot.toml");
     if robot.exists() {
-        let text = format!("{}: already there; choose another folder", robot.display());
+        let text = format!("{}: already exists; choose another folder", robot.display());
         return Err(Failure::Other(text, Exit::Bad));
     }
-    fs::create_dir_all(&args.dir).map_err(|e| Failure::io("can't be made", &args.dir, &e))?;
+    fs::create_dir_all(&args.dir).map_err(|e| Failure::io("cannot be created", &args.dir, &e))?;
     let urdf = args.urdf.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let copy = args.dir.join(&urdf);
     match fs::read_to_string(&copy) {
         // It is there already, or is the very file.
         Ok(text) if text == source.text() => {}
         Ok(_) => {
-            let text = format!("{}: is another file than {}", copy.display(), source.name());
+            let text = format!("{}: already exists and differs from {}", copy.display(), source.name());
             return Err(Failure::Other(text + "; choose another folder", Exit::Bad));
         }
         Err(_) => write(&copy, source.text())?,
@@ -41,7 +41,7 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
     }
     print(&format!(
         "{robot}\n{copy}\n{task}\n\
-         Next: write the values into {robot}; `opspace check {dir}` names the next one missing.\n\
+         Next: write the values into {robot}; `opspace check {dir}` names the next missing value.\n\
          Then: opspace run {task}\n",
         robot = robot.display(),
         copy = copy.display(),

@@ -56,12 +56,12 @@ fn verdict(log: &Path, replayed: &ReplayReport) -> String {
             d.tick, d.time_s, d.signal, d.element, d.logged, d.recomputed,
         ),
         None if !replayed.unmatched.is_empty() => format!(
-            "{log}: not the same signals: only the log or only the replay has {}\n",
+            "{log}: the signals differ: only the log or only the replay has {}\n",
             replayed.unmatched.join(", ")
         ),
         None if compared < logged => format!("{log}: the replay ended after {compared} of {logged} ticks\n"),
-        None if *logged == 0 => format!("{log}: there is no tick to compare\n"),
-        None => format!("{log}: all {compared} ticks are the same, bit for bit\n"),
+        None if *logged == 0 => format!("{log}: no ticks to compare\n"),
+        None => format!("{log}: all {compared} ticks are equal, bit for bit\n"),
     }
 }
 
@@ -69,16 +69,16 @@ fn verdict(log: &Path, replayed: &ReplayReport) -> String {
 fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayReport) -> String {
     let (name, compared) = (experiment.task().name(), replayed.compared);
     let mut text = format!(
-        "open loop: what '{name}' would have commanded on the logged measurements, over {compared} ticks\n"
+        "open loop: commands of '{name}' computed from the logged measurements, over {compared} ticks\n"
     );
     if compared < replayed.logged {
-        text += &format!("it would have ended there; the log has {} ticks\n", replayed.logged);
+        text += &format!("it would have stopped there; the log has {} ticks\n", replayed.logged);
     }
     let tick = recording.channel("tick");
     for (signal, elements) in &replayed.rms {
         let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());
         for ((element, rms), unit) in elements.iter().zip(units) {
-            text += &format!("  {signal} of '{element}': {rms:.6} {unit} rms from the log\n");
+            text += &format!("  {signal} of '{element}': {rms:.6} {unit} rms difference from the log\n");
         }
     }
     text

@@ -32,7 +32,7 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
         [one] => one.title.clone(),
         many => format!("{} runs", many.len()),
     };
-    let lead = "What the robot was asked and what it did, from its log.";
+    let lead = "Desired and actual behaviour of the robot, from its log.";
     let beside = first.map(|log| log.with_file_name(REPORT));
     let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());
     write(&out, &page(&title, lead, &summaries, MEASURES, &shown))?;

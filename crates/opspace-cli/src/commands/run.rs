@@ -36,7 +36,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
                 .print(|| pretty(&moved), || results(console, std::slice::from_ref(&moved), MEASURES))?;
             say_end(&moved, console);
             console.note(&format!(
-                "not run: the robot did not get to where the task starts; see {}",
+                "not run: the robot did not reach the start of the task; see {}",
                 folder.join(MOVE_TO_START).display()
             ));
             return Ok(exit_code(&moved));

@@ -26,11 +26,11 @@ pub enum TaskParameters {
     Cartesian(Box<CartesianParameters>),
     /// The centre of mass follows a reference.
     CenterOfMass(Box<CenterOfMassParameters>),
-    /// The elbow's angle about the line from shoulder to wrist follows a reference.
+    /// The swivel angle of the elbow about the line from shoulder to wrist follows a reference.
     Swivel(Box<SwivelParameters>),
     /// The joints follow a reference.
     JointTracking(JointTrackingParameters),
-    /// The joints are drawn to a posture.
+    /// The joints are pulled to a posture by springs.
     JointPosture(JointPostureParameters),
     /// The joints are braked in proportion to their speed.
     JointDamping(JointDampingParameters),

@@ -30,17 +30,17 @@ pub struct JointLimits {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LimitParameters {
-    /// True if the limits are enforced; true if absent. If false, torques are only clipped, and the run stops where a
-    /// joint reaches its end.
+    /// True if the limits are enforced; true if absent. If false, torques are only clipped, and the run stops when a
+    /// joint reaches its limit.
     #[serde(default = "yes")]
     pub enforce: bool,
-    /// Margin between joints and the ends of their ranges, rad (m); 0.01 if absent.
+    /// Margin between joints and their position limits, rad (m); 0.01 if absent.
     #[serde(default = "default_margin")]
     pub position_margin_rad: NonNegative,
-    /// Share of the highest speed that is used, from 0 to 1; 0.9 if absent.
+    /// Fraction of the velocity limits that is used, from 0 to 1; 0.9 if absent.
     #[serde(default = "default_velocity_fraction")]
     pub velocity_fraction: Positive,
-    /// Share of the highest torque that is used, from 0 to 1; all of it if absent.
+    /// Fraction of the torque limits that is used, from 0 to 1; 1 if absent.
     #[serde(default = "whole")]
     pub torque_fraction: Positive,
 }

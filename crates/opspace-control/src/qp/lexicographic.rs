@@ -211,8 +211,8 @@ impl HierarchicalQp {
         self.alpha.iter_mut().zip(z).for_each(|(a, z)| *a += z);
     }
 
-    /// Brings what was [asked](Self::ask) for within the limits, by what `above` leaves free, and returns true if that
-    /// was needed.
+    /// Brings the [demand](Self::add_demand) of the level within the limits, in the nullspace of `above`, and returns
+    /// true if that was needed.
     ///
     /// # Errors
     /// If no solver finds an answer.

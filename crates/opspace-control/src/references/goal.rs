@@ -24,7 +24,7 @@ pub enum PositionGoal {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum OrientationGoal {
-    /// Against the world, rad.
+    /// Relative to the world, rad.
     #[serde(rename = "absolute_rpy_rad")]
     Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
     /// From the orientation at the start of the run, about the task's axes, rad.

@@ -26,15 +26,15 @@ use std::collections::BTreeMap;
 pub enum JointReference {
     /// Stays at the start posture.
     Hold,
-    /// Goes to one posture and stays there.
+    /// Moves to one posture and stays there.
     PointToPoint(JointPointToPoint),
-    /// Swings about the start posture.
+    /// Oscillates about the start posture.
     Sinusoid(JointSinusoid),
-    /// Goes from posture to posture and stops at each.
+    /// Moves from posture to posture and stops at each.
     Waypoints(Vec<JointWaypoint>),
-    /// Goes to one posture as fast as limits allow, from any state of motion.
+    /// Moves to one posture as fast as limits allow, from any state of motion.
     Goal(JointOnlineGoal),
-    /// MimicConstraint targets that are streamed.
+    /// Follows targets that are streamed.
     Streamed(StreamedJointReference),
 }
 
@@ -52,14 +52,14 @@ pub struct JointPointToPoint {
     pub start_s: NonNegative,
 }
 
-/// A posture to be at, reached with minimum jerk from the one before.
+/// A waypoint, reached with minimum jerk from the previous one.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointWaypoint {
     /// Time of arrival, s after the start.
     pub time_s: Positive,
-    /// Posture to reach; joints that aren't named stay where they were.
+    /// Posture to reach; joints that are not named keep their position.
     pub goal: JointGoal,
 }
 

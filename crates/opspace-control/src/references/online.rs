@@ -51,7 +51,7 @@ pub struct MotionLimits {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct OnlineGoalFile {
-    /// Position to reach; without it the frame stays where it is.
+    /// Position to reach; without it the frame keeps its position.
     position: Option<PositionGoal>,
     /// Orientation to reach; without it the frame keeps its orientation.
     orientation: Option<OrientationGoal>,

@@ -19,8 +19,8 @@ use thiserror::Error;
 /// A recorded path to follow, its first sample at the start.
 ///
 /// The path is the C² cubic spline through the samples, at rest and without acceleration at both ends. Record it
-/// from rest to rest: what is already under way at its first sample is caught up with in the first two
-/// intervals, however fast that is.
+/// from rest to rest: motion that is already under way at its first sample is caught up within the first two
+/// intervals, at any speed that this requires.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]

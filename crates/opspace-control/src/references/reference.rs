@@ -28,17 +28,17 @@ use serde::Deserialize;
 pub enum CartesianReference {
     /// Stays at the start pose.
     Hold,
-    /// Goes to one pose and stays there.
+    /// Moves to one pose and stays there.
     PointToPoint(PointToPoint),
-    /// Swings about the start pose.
+    /// Oscillates about the start pose.
     Sinusoid(Sinusoid),
-    /// Goes from pose to pose, in straight lines and plain turns, and stops at each.
+    /// Moves from pose to pose along straight lines and single-axis rotations, and stops at each.
     Waypoints(Vec<Waypoint>),
-    /// Goes to one pose as fast as limits allow, from any state of motion.
+    /// Moves to one pose as fast as limits allow, from any state of motion.
     Goal(OnlineGoal),
-    /// MimicConstraint a recorded path.
+    /// Follows a recorded path.
     Recorded(RecordedPath),
-    /// MimicConstraint targets that are streamed.
+    /// Follows targets that are streamed.
     Streamed(StreamedReference),
 }
 
@@ -60,7 +60,7 @@ pub struct PointToPoint {
     pub start_s: NonNegative,
 }
 
-/// A pose to be at, reached with minimum jerk from the one before.
+/// A waypoint, reached with minimum jerk from the previous one.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]

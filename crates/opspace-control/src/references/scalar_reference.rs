@@ -20,11 +20,11 @@ pub enum ScalarReference {
     /// Stays at the value at the start.
     #[default]
     Hold,
-    /// Goes to one value with minimum jerk, and stays there.
+    /// Moves to one value with minimum jerk, and stays there.
     PointToPoint(ScalarPointToPoint),
-    /// Swings about the value at the start.
+    /// Oscillates about the value at the start.
     Sinusoid(ScalarSinusoid),
-    /// Goes to one value as fast as limits allow, from any state of motion.
+    /// Moves to one value as fast as limits allow, from any state of motion.
     Goal(ScalarOnlineGoal),
 }
 

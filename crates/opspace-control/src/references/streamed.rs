@@ -39,10 +39,10 @@ pub enum OnTimeout {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum StreamedShape {
-    /// MimicConstraint position, velocity and acceleration of the last target.
+    /// Follows position, velocity and acceleration of the last target.
     #[default]
     Extrapolated,
-    /// Goes to the position of the last target under limits of speed, acceleration and jerk; its velocity and
+    /// Moves to the position of the last target under limits of speed, acceleration and jerk; its velocity and
     /// acceleration are not used.
     Generated,
 }

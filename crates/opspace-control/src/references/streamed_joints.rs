@@ -33,7 +33,7 @@ pub struct StreamedJointReference {
 /// Motion of joints between targets.
 #[derive(Clone, Debug, PartialEq)]
 pub enum JointShape {
-    /// MimicConstraint the last target's position, velocity and acceleration; differences fade within `blend_s`.
+    /// Follows the last target's position, velocity and acceleration; differences fade within `blend_s`.
     Extrapolated {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
@@ -229,7 +229,7 @@ impl StreamedJoints {
         }
     }
 
-    /// MimicConstraint the new target of the joint at a place among the inputs.
+    /// Follows the new target of the joint at a place among the inputs.
     fn follow(&mut self, place: usize, target: &TaskTarget<'_>, rejoins: bool) {
         let (joint, clock_s, count) = (self.joints[place], target.clock_s, self.joints.len());
         let now = self.at(joint, clock_s);

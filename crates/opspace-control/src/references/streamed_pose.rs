@@ -36,7 +36,7 @@ pub struct StreamedReference {
 /// Motion of a frame between targets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PoseShape {
-    /// MimicConstraint the last target's pose, twist and acceleration; differences fade within `blend_s`.
+    /// Follows the last target's pose, twist and acceleration; differences fade within `blend_s`.
     Extrapolated {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
@@ -228,7 +228,7 @@ impl StreamedPose {
         }
     }
 
-    /// MimicConstraint a new target.
+    /// Follows a new target.
     fn follow(&mut self, target: &TaskTarget<'_>, rejoins: bool) {
         let clock_s = target.clock_s;
         let now = self.at(clock_s);

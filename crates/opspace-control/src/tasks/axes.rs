@@ -35,12 +35,12 @@ enum Axis {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisMode {
-    /// MimicConstraint the reference.
+    /// Follows the reference.
     Motion,
-    /// Compliant: belongs to the task, which holds it to a force (zero, if no force is set) and not to a place; lower
-    /// tasks can't use it.
+    /// Compliant: regulated to a force (zero, if no force is set) instead of a position; lower priorities cannot use the
+    /// axis.
     Compliant,
-    /// Pushes until the environment pushes back with the force that is set: as `compliant`, with an integral of the
+    /// Force control to the target force: as `compliant`, with an integral of the
     /// force error, so that friction and an inertia that is not the nominal one leave no error.
     Force,
     /// Not in the task: lower tasks may use it.
@@ -154,20 +154,20 @@ impl Axes {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum AxesFrameParameter {
-    /// The world's own.
+    /// The axes of the world.
     #[default]
     #[serde(rename = "world")]
     World,
-    /// Those of the robot's base.
+    /// The axes of the robot's base.
     #[serde(rename = "base")]
     Base,
-    /// Those of the task's own frame, wherever it turns.
+    /// The axes of the task's own frame, which rotate with it.
     #[serde(rename = "task-frame")]
     TaskFrame,
-    /// Those of a frame, by name, wherever it turns.
+    /// The axes of a named frame, which rotate with it.
     #[serde(rename = "frame")]
     Frame(String),
-    /// Turned against the world's by roll, pitch and yaw (fixed axes, in that order), rad.
+    /// The axes of the world rotated by roll, pitch and yaw (fixed axes, in that order), rad.
     #[serde(rename = "rpy_rad")]
     RpyRad(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }

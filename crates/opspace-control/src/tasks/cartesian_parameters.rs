@@ -33,7 +33,7 @@ pub struct CartesianParameters {
     pub axes_frame: AxesFrameParameter,
     /// Reference of the frame.
     pub reference: CartesianReference,
-    /// Gains with which axes in motion follow the reference, as a unit mass would.
+    /// Gains of the axes in motion, for unit mass.
     #[serde(default)]
     pub gains: Option<AxisGains>,
     /// Impedance with which axes in motion follow the reference, as a spring and a damper: in place of `gains`.
@@ -79,7 +79,7 @@ pub struct CenterOfMassParameters {
     pub axes_frame: AxesFrameParameter,
     /// Reference of the centre of mass.
     pub reference: CartesianReference,
-    /// Gains with which the centre of mass follows the reference, as a unit mass would.
+    /// Gains of the centre of mass, for unit mass.
     pub gains: AxisGains,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to the median over many postures of that of the hardest
     /// direction, below which directions are damped; 0.3 if absent.
@@ -109,16 +109,16 @@ pub enum Decoupling {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "schema", schemars(rename = "Singularities"))]
 pub enum SingularityHandling {
-    /// Below the threshold they are damped, smoothly and down to nothing; above it nothing is.
+    /// Directions are damped smoothly below the threshold, down to zero; above it there is no damping.
     #[default]
     Damped,
-    /// Nothing: Λ as it is. For comparisons.
+    /// No damping: Λ unchanged. For comparisons.
     #[serde(rename = "plain")]
     None,
-    /// Damped least squares: everything is damped, everywhere. For comparisons.
+    /// Damped least squares: all directions are damped in all configurations. For comparisons.
     #[serde(rename = "least-squares")]
     DampedLeastSquares,
-    /// The condition of Λ is clamped: lost directions are still pushed at. For comparisons.
+    /// The condition number of Λ is clamped: torques still act in singular directions. For comparisons.
     #[serde(rename = "clamped")]
     ClampedCondition,
 }

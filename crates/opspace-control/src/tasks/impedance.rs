@@ -41,10 +41,10 @@ pub struct ImpedanceParameters {
     /// Damping about axes in motion, Nms/rad: in place of a ratio.
     #[serde(default)]
     pub damping_nms_per_rad: Option<PerAxis<NonNegative>>,
-    /// The mass that the axes are to show, kg; the arm's own if absent. Needs `force`.
+    /// Apparent mass of the axes, kg; the arm's own if absent. Needs `force`.
     #[serde(default)]
     pub inertia_kg: Option<PerAxis<Positive>>,
-    /// The moment of inertia that the axes are to show, kg m²; the arm's own if absent. Needs `force`.
+    /// Apparent moment of inertia of the axes, kg m²; the arm's own if absent. Needs `force`.
     #[serde(default)]
     pub inertia_kg_m2: Option<PerAxis<Positive>>,
 }

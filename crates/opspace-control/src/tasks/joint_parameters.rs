@@ -36,7 +36,7 @@ pub struct JointGains {
     pub damping_ratio: PerJoint<NonNegative>,
 }
 
-/// The joints are drawn to a posture.
+/// The joints are pulled to a posture by springs.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]

@@ -61,7 +61,7 @@ pub struct Metrics {
     pub torque_step_max_nm: Option<f64>,
     /// Highest speed of a joint, rad/s.
     pub speed_max_rad_per_s: Option<f64>,
-    /// Share of interface cycles in which a limit changed the command.
+    /// Fraction of interface cycles in which a limit changed the command.
     pub limited_share: Option<f64>,
 }
 

@@ -167,7 +167,7 @@ pub enum Measure {
     TorqueStepMax,
     /// Largest speed of a joint.
     SpeedMax,
-    /// Share of interface cycles in which a limit changed the command.
+    /// Fraction of interface cycles in which a limit changed the command.
     Limited,
     /// Median duration of a control cycle.
     TickTime,

@@ -32,7 +32,7 @@ pub struct RobotFile {
     pub interface: InterfaceParameters,
     /// Drive of each moving joint of the URDF, by joint name.
     pub joint: BTreeMap<String, JointParameters>,
-    /// Profiles in which the robot can be driven, by name.
+    /// Profiles (sets of rates and servo parameters) of the robot, by name.
     pub profile: BTreeMap<String, ProfileParameters>,
     /// Force sensors, by name.
     #[serde(default)]

@@ -62,7 +62,7 @@ pub struct SuiteRun {
     /// Name of these settings in the table.
     #[serde(default)]
     pub label: Option<String>,
-    /// Repetitions of the runs with further settings, once for each variant; the runs as they are if absent.
+    /// Variants of the runs, each with further settings; the runs unchanged if absent.
     #[serde(default)]
     pub variant: Vec<SuiteVariant>,
 }

@@ -9,33 +9,33 @@ use toml_edit::{Key, Value};
 pub fn robot_toml(urdf: &str, model: &Model) -> String {
     let mut text = format!(
         r#"#:schema robot.schema.json
-# {name}: what is believed of the robot.
-# A line such as `# gear_ratio =` waits for a value that must be known and that nobody can guess: uncomment it and
-# write the value. `opspace check` on this folder names the next one missing.
+# Nominal parameters of {name}.
+# A line such as `# gear_ratio =` marks a required value without a default: uncomment it and write the value.
+# `opspace check` on this folder names the next missing value. Lines with `##` are notes and optional keys.
 urdf = {urdf}
 default_profile = "default"
 
-# What the robot's interface offers.
+# Interface of the robot.
 [interface]
-# command =                   # "position", "velocity" or "torque": what it takes
-setpoints = "held"           # until the next one comes
+# command =                   # accepted command: "position", "velocity" or "torque"
+setpoints = "held"            # commands of position or velocity servos: "held" until the next one, or "interpolated"
 on_missed_cycle = "hold-last"
-# gravity_compensated_by =                # "controller", or "robot" if it carries its own weight
-## brakes = true              # if brakes hold a velocity robot when no controller commands it
+# gravity_compensated_by =    # "controller", or "robot" if the robot compensates gravity itself
+## brakes = true              # if brakes hold a velocity robot without a controller
 # measured =                  # ["position"], or ["position", "motor-current"]
 
-## A force sensor, if there is one: the URDF link at whose origin and in whose axes it measures.
+## Optional force sensor: `frame` is the URDF link at whose origin and in whose axes it measures.
 ## [force_sensor.wrist]
 ## frame = "..."
 
-## What is mounted on it, if anything: its frame has its name, its mass counts. `opspace schema robot` has the rest.
+## Optional tool: adds its mass and a frame of its name at its tip. `opspace schema robot` lists all keys.
 ## [tool.gripper]
-## on = "..."                 # the URDF link that carries it
-## xyz_m = [0.0, 0.0, 0.1]    # its tip, in that link's axes
+## on = "..."                 # URDF link to which it is attached
+## xyz_m = [0.0, 0.0, 0.1]    # position of the tip in the axes of that link
 ## mass_kg = 0.5
-## com_m = [0.0, 0.0, 0.05]   # its centre of mass, in that link's axes
+## com_m = [0.0, 0.0, 0.05]   # centre of mass in the axes of that link
 
-# The joints' drives.
+# Drives of the joints.
 "#,
         name = one_line(model.name()),
         urdf = Value::from(urdf),
@@ -44,16 +44,16 @@ on_missed_cycle = "hold-last"
         text += &drive(joint);
     }
     text += r"
-# The rates at which the drives are run.
+# Profile: a set of rates and servo parameters of the drives.
 [profile.default]
-# servo_hz =                  # at which the drives close their loops, Hz
-# ratio =                     # servo ticks per setpoint: a whole number
-# delay_servo_ticks =         # from the tick at which a setpoint is written until it acts: a whole number
+# servo_hz =                  # rate of the servo loops, Hz
+# servo_ticks_per_cycle =     # servo ticks per setpoint, a whole number; 5 is written 1:5 in reports
+# delay_servo_ticks =         # delay from writing a setpoint until it acts, in servo ticks: a whole number
 [profile.default.estimator]
-# velocity_filter_hz =        # low-pass on the velocities that are computed from measured positions, Hz
+# velocity_filter_hz =        # low-pass filter of velocities computed from measured positions, Hz
 
-# The drives' servos: torque = kv (kp (q_desired - q) - dq). A robot that takes velocities has, in place of them or beside
-# them, [profile.default.velocity_servo.JOINT] with kv_nms_per_rad, velocity_filter_hz and, if its velocity loop has an
+# Servos of the drives: torque = kv (kp (q_desired - q) - dq). A velocity robot has, instead or in addition,
+# [profile.default.velocity_servo.JOINT] with kv_nms_per_rad, velocity_filter_hz and, if its velocity loop has an
 # integral, ki_nm_per_rad: torque = kv (dq_desired - dq) + ki times the integral of that error.
 ";
     for joint in model.joints() {
@@ -65,20 +65,20 @@ on_missed_cycle = "hold-last"
 
 /// Parameters of a simulated plant. It has no values per joint: a stiffness here applies to all.
 const SIMULATED: &str = r"
-# The robot's simulation: what its plant is beyond what is believed above. Without it the robot can't be simulated.
+# Simulated plant: parameters in addition to those above. Without this section the robot cannot be simulated.
 [simulated]
-# physics_hz =                # steps of the plant: a whole multiple of servo_hz, Hz
+# physics_hz =                # rate of the plant's integration steps, a whole multiple of servo_hz, Hz
 # current_loop_hz =           # bandwidth of the motors' current loop, Hz
-# torque_noise_nm =           # of the measured motor torque, rms, Nm (N)
-[simulated.bristle]           # how friction builds up before a joint slides (LuGre)
+# torque_noise_nm =           # noise of the measured motor torque, rms, Nm (N)
+[simulated.bristle]           # presliding friction (LuGre)
 # stiffness_nm_per_rad =
 # damping_nms_per_rad =
 # damping_fade_velocity_rad_per_s =
-[simulated.end_stop]          # beyond the URDF's joint limits
+[simulated.end_stop]          # mechanical end stops at the URDF's joint limits
 # stiffness_nm_per_rad =
 # damping_nms_per_rad =
-[simulated.brake]             # of a torque robot, when it stops
-# holding_torque_ratio =    # as a multiple of each joint's torque limit
+[simulated.brake]             # brakes that hold a torque robot after a stop
+# holding_torque_ratio =      # holding torque over each joint's torque limit
 # stiffness_nm_per_rad =
 # damping_nms_per_rad =
 ";
@@ -97,7 +97,7 @@ fn units(joint: &Joint) -> Units {
             Units { torque: "Nm", speed: "rad/s", viscous: "Nms/rad", gear: "motor turns per joint turn" }
         }
         JointKind::Prismatic => {
-            let gear = "motor radians per metre: this joint is prismatic, all is in N and m";
+            let gear = "motor radians per metre: this joint is prismatic, its values are in N and m";
             Units { torque: "N", speed: "m/s", viscous: "Ns/m", gear }
         }
     }
@@ -111,23 +111,23 @@ fn drive(joint: &Joint) -> String {
         String::new()
     } else {
         format!(
-            "## The URDF gives this joint no speed limit: add velocity=\"...\" ({speed}) to its <limit>.\n"
+            "## This joint has no velocity limit in the URDF: add velocity=\"...\" ({speed}) to its <limit>.\n"
         )
     };
-    let said = if effort.is_finite() { format!("; the URDF says effort {effort}") } else { String::new() };
+    let said = if effort.is_finite() { format!("; effort in the URDF: {effort}") } else { String::new() };
     format!(
         r"
 [joint.{name}]
-# torque_limit_nm =           # of the drive, at the joint, {torque}{said}
+# torque_limit_nm =           # torque limit of the drive, at the joint, {torque}{said}
 [joint.{name}.rotor]
-# inertia_kg_m2 =             # of all that turns at motor speed, kg m²
+# inertia_kg_m2 =             # inertia of all parts rotating at motor speed, kg m²
 # gear_ratio =                # {gear}
-# encoder_counts_per_turn =   # of the motor
+# encoder_counts_per_turn =   # encoder counts per motor turn
 [joint.{name}.friction]
-# coulomb_nm =                # while it moves, {torque}
-# static_nm =                 # at which it breaks away, {torque}
-# stribeck_rad_per_s =        # speed over which the one becomes the other, {speed}
-# viscous_nms_per_rad =       # {viscous}
+# coulomb_nm =                # Coulomb friction, {torque}
+# static_nm =                 # static (breakaway) friction, at least coulomb_nm, {torque}
+# stribeck_rad_per_s =        # Stribeck velocity, of the transition from static to Coulomb friction, {speed}
+# viscous_nms_per_rad =       # viscous friction, {viscous}
 {lacks}"
     )
 }
@@ -137,9 +137,9 @@ fn servo(joint: &Joint) -> String {
     format!(
         r"
 [profile.default.servo.{name}.cascaded]
-# kp_per_s =                  # 1/s
-# kv_nms_per_rad =            # {viscous}
-# velocity_filter_hz =        # of the servo's own velocity, Hz
+# kp_per_s =                  # gain of the position loop, 1/s
+# kv_nms_per_rad =            # gain of the velocity loop, {viscous}
+# velocity_filter_hz =        # low-pass filter of the servo's velocity, Hz
 ",
         name = Key::new(&joint.name),
     )
@@ -155,7 +155,7 @@ fn one_line(name: &str) -> String {
 pub fn task_toml(model: &Model) -> String {
     let mut text = String::from(
         r#"#:schema task.schema.json
-# The robot holds the posture in which it starts, as if each joint were on a spring.
+# Each joint holds its start position like a damped spring.
 robot = "."
 duration_s = 5.0
 settle_s = 1.0
@@ -165,7 +165,7 @@ priority = ["posture"]
 frequency_rad_per_s = 6.0
 damping_ratio = 1.0
 
-# Where a simulated robot starts, rad (m): the middle of each joint's range, or 0.
+# Start positions of a simulated robot, rad (m): the middle of each joint range, or 0 without limits.
 [start_rad]
 "#,
     );

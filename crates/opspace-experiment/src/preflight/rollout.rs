@@ -123,7 +123,7 @@ impl Rollout {
         Self { instants, to_the_end: followed == steps.all }
     }
 
-    /// MimicConstraint the run once more, and passes the tasks at the given steps to `visit`, in the order of time.
+    /// Follows the run once more, and passes the tasks at the given steps to `visit`, in the order of time.
     pub(crate) fn revisit(case: &PreflightCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
         let Some(&last) = steps.iter().max() else { return };
         let Some(mut follower) = RolloutState::new(case, Steps::new(case).length_s) else { return };

@@ -32,7 +32,7 @@ pub enum BackendKind {
     Position,
     /// A velocity robot, through the transformer.
     Velocity,
-    /// A torque robot.
+    /// A robot that accepts joint torques.
     Torque,
 }
 

@@ -15,7 +15,7 @@ impl Driver for LaggingArmDriver {
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError> {
         settings.expect_only(&["time_constant_s", "fails_after_s"])?;
         if settings.command != CommandKind::Position {
-            return Err(DriverError::new("this arm takes positions only; use --backend position"));
+            return Err(DriverError::new("this arm accepts only joint positions; use --backend position"));
         }
         let joints = settings.joints.len();
         let mut arm = LaggingArm {
@@ -62,7 +62,7 @@ impl Backend for LaggingArm {
         match command {
             Command::Position(q) => self.setpoint.copy_from_slice(q),
             Command::Hold => {}
-            _ => return Err(DeviceFault::new(1, "this arm takes positions only")),
+            _ => return Err(DeviceFault::new(1, "this arm accepts only joint positions")),
         }
         Ok(())
     }
