@@ -19,7 +19,6 @@ default_profile = "default"
 [interface]
 # command =                   # accepted command: "position", "velocity" or "torque"
 setpoints = "held"            # commands of position or velocity servos: "held" until the next one, or "interpolated"
-on_missed_cycle = "hold-last"
 # gravity_compensated_by =    # "controller", or "robot" if the robot compensates gravity itself
 ## brakes = true              # if brakes hold a velocity robot without a controller
 # measured =                  # ["position"], or ["position", "motor-current"]
