@@ -106,6 +106,12 @@ impl<S: AsRef<str>> Units for [S] {
     }
 }
 
+impl<S: AsRef<str>, const N: usize> Units for [S; N] {
+    fn of_elements(&self, count: usize) -> Vec<String> {
+        self.as_slice().of_elements(count)
+    }
+}
+
 impl<S: AsRef<str>> Units for Vec<S> {
     fn of_elements(&self, count: usize) -> Vec<String> {
         self.as_slice().of_elements(count)

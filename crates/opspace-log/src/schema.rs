@@ -227,6 +227,25 @@ mod tests {
         assert!(layout(&broken).unwrap().is_err());
     }
 
+    /// Compares the units in the metadata with texts by hand: one where all elements share it, one per element where
+    /// they differ in no order; and the layout before and after.
+    #[test]
+    fn metadata_has_the_unit_of_each_element() {
+        let arm = Layout {
+            channel: "tick".to_owned(),
+            signals: vec![
+                Signal::new("q", &["rad"; 3], &["a", "b", "c"]),
+                Signal::new("dq", &["rad/s", "m/s", "rad/s"], &["a", "b", "c"]),
+                Signal::new("hand.force", "N,Nm", &["fx", "fy", "fz", "mx", "my", "mz"]),
+            ],
+        };
+        let metadata = channel_metadata(&arm);
+        let value: Value = serde_json::from_str(&metadata[LAYOUT]).unwrap();
+        let units = [0, 1, 2].map(|i| value["signals"][i]["unit"].as_str().unwrap().to_owned());
+        assert_eq!(units, ["rad", "rad/s,m/s,rad/s", "N,Nm"]);
+        assert_eq!(layout(&metadata).unwrap().unwrap(), arm);
+    }
+
     /// Checks that a message with anything missing, added or of another layout is refused, and leaves nothing behind.
     #[test]
     fn message_of_another_layout_is_refused() {

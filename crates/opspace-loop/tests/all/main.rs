@@ -16,6 +16,7 @@ mod stop;
 mod supervision;
 mod together;
 mod torques;
+mod units;
 mod velocity;
 mod watchdog;
 

@@ -1,0 +1,112 @@
+//! Units of the signals of a robot with a prismatic joint.
+
+use crate::common::{self, KINDS, PERIOD_S, capabilities, config};
+use opspace_backend::{CommandKind, Measured, TICK};
+use opspace_control::{
+    Compensation, ControlContext, InverseKinematicsController, LimitParameters, OperationalSpaceController,
+    TaskParameters, TaskSet,
+};
+use opspace_loop::{ControlLoop, LoopConfig, Run};
+use opspace_model::Model;
+
+/// A turning shoulder that carries a sliding elbow.
+const SLIDER: &str = r#"
+<robot name="slider">
+  <link name="base"/>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="40" velocity="5"/>
+  </joint>
+  <link name="upper"><inertial><origin xyz="0.25 0 0"/><mass value="2"/>
+    <inertia ixx="0.01" iyy="0.04" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="elbow" type="prismatic">
+    <parent link="upper"/><child link="fore"/><origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2" effort="40" velocity="5"/>
+  </joint>
+  <link name="fore"><inertial><origin xyz="0.25 0 0"/><mass value="1"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>"#;
+
+const TRACKING: &str = r#"
+[joint-tracking]
+reference = "hold"
+gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
+"#;
+
+fn slider() -> Model {
+    Model::from_urdf(SLIDER).expect("the URDF").model
+}
+
+fn tasks(model: &Model, context: &ControlContext) -> TaskSet {
+    let tracking: TaskParameters = common::parsed(TRACKING);
+    let tasks = TaskSet::builder(model, context).from_parameters("joints", &tracking);
+    tasks.expect("a good task").build()
+}
+
+/// Units of the signals of a control cycle that have one element per joint, by name.
+fn units(control: LoopConfig) -> Vec<(String, String)> {
+    let control = ControlLoop::new(LoopConfig { model: slider(), ..control }).expect("parts that fit");
+    let signals = Run::layouts(&control, None).swap_remove(TICK).signals;
+    let joints = ["shoulder", "elbow"];
+    let of_joints = signals.into_iter().filter(|signal| signal.elements == joints);
+    of_joints.map(|signal| (signal.name, signal.units.join(" "))).collect()
+}
+
+fn expected(units: &[(&str, &str)]) -> Vec<(String, String)> {
+    units.iter().map(|&(name, unit)| (name.to_owned(), unit.to_owned())).collect()
+}
+
+const Q: &str = "rad m";
+const DQ: &str = "rad/s m/s";
+const TORQUE: &str = "Nm N";
+
+/// Compared: the units in the layout, and those by hand from the joints' types.
+#[test]
+fn torque_controller_logs_a_prismatic_joint_in_metres_and_newtons() {
+    let setpoints: [&[(&str, &str)]; 3] = [
+        &[("q_desired", Q), ("setpoint_speed", DQ), ("setpoint_clamped", "1 1")],
+        &[("dq_desired", DQ), ("setpoint_acceleration", "rad/s^2 m/s^2"), ("setpoint_clamped", "1 1")],
+        &[],
+    ];
+    for (kind, setpoints) in KINDS.into_iter().zip(setpoints) {
+        let model = slider();
+        let context = ControlContext::new(&model, PERIOD_S);
+        let (tasks, limits) = (tasks(&model, &context), LimitParameters::default());
+        let controller =
+            OperationalSpaceController::from_tasks(&model, tasks, &context, Compensation::Bias, &limits);
+        let measured = [Measured::Velocity, Measured::MotorCurrent, Measured::JointTorque];
+        let before = [
+            ("q", Q),
+            ("dq_measured", DQ),
+            ("motor_torque", TORQUE),
+            ("joint_torque", TORQUE),
+            ("dq", DQ),
+            ("command", TORQUE),
+            ("torque_desired", TORQUE),
+            ("torque_saturated", "1 1"),
+        ];
+        let after = [
+            ("joints.reference", Q),
+            ("joints.reference_velocity", DQ),
+            ("joints.error", Q),
+            ("limited", "1 1"),
+        ];
+        let by_hand = expected(&[&before[..], setpoints, &after[..]].concat());
+        assert_eq!(units(config(capabilities(kind).measuring(&measured), controller)), by_hand, "{kind:?}");
+    }
+}
+
+/// Compared: as above, with commands that are positions.
+#[test]
+fn position_controller_commands_a_prismatic_joint_in_metres() {
+    let model = slider();
+    let context = ControlContext::new(&model, PERIOD_S);
+    let tasks = tasks(&model, &context);
+    let controller =
+        InverseKinematicsController::from_tasks(&model, tasks, &context, None).expect("a motion");
+    let logged = units(config(capabilities(CommandKind::Position), controller));
+    for (name, unit) in [("command", Q), ("ik.q", Q), ("ik.dq", DQ)] {
+        let found = logged.iter().find(|(known, _)| known == name);
+        assert_eq!(found.map(|(_, unit)| unit.as_str()), Some(unit), "{name}");
+    }
+}
