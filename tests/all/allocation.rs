@@ -12,7 +12,8 @@ use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink,
 use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
-    BackendKind, ControllerKind, Experiment, FileError, Files, RunOptions, Source, Suite, Task, TaskKinds,
+    BackendKind, ControllerKind, Experiment, FileError, Files, RunOptions, Source, Suite, TaskDefinition,
+    TaskKinds,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
@@ -225,7 +226,8 @@ fn no_cycle_with_user_task_and_streamed_targets_allocates() {
     for backend in BackendKind::ALL {
         for (reads, writes) in [(usize::MAX, usize::MAX), (900, usize::MAX), (usize::MAX, 900)] {
             let source = Source::new("streamed.toml", TASK);
-            let task = Task::from_sources_with(&kinds, source, named).unwrap_or_else(|e| panic!("{e}"));
+            let task =
+                TaskDefinition::from_sources_with(&kinds, source, named).unwrap_or_else(|e| panic!("{e}"));
             let options = RunOptions { backend, ..RunOptions::default() };
             let experiment = common::experiment(common::robot(&[]), task, options);
             let arm = experiment.simulated_arm().unwrap_or_else(|e| panic!("{e}"));

@@ -2,21 +2,21 @@
 
 use opspace_experiment::Progress;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
-use opspace_experiment::{Files, Robot, Source};
+use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::{ExcitationPlan, TorqueScale};
 use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm";
 
-fn identify(robot: Robot, request: Request) -> IdentificationResults {
+fn identify(robot: RobotDefinition, request: Request) -> IdentificationResults {
     let identifying = IdentificationJob::new(robot, request).unwrap_or_else(|e| panic!("{e}"));
     let mut arm = identifying.simulated_arm().unwrap_or_else(|e| panic!("{e}"));
     identifying.run(&mut arm, &Progress::default(), |_| {}).unwrap_or_else(|e| panic!("{e}"))
 }
 
-fn robot(settings: &[&str]) -> Robot {
+fn robot(settings: &[&str]) -> RobotDefinition {
     let settings: Vec<String> = settings.iter().map(|s| (*s).to_owned()).collect();
-    Robot::load(Files::Embedded, Path::new(ROBOT), &settings).unwrap_or_else(|e| panic!("{e}"))
+    RobotDefinition::load(Files::Embedded, Path::new(ROBOT), &settings).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// Request with a shorter excitation than usual.
@@ -152,8 +152,8 @@ fn written_robot_keeps_plant_and_identified_parameters() {
     let found = identify(robot(&[]), short("a-med"));
     let text = found.robot_toml(&found.urdf_name()).expect("it can be edited").expect("it is complete");
     let urdf = Source::new(found.urdf_name(), found.urdf());
-    let written =
-        Robot::from_sources(Source::new("robot.toml", text), urdf).unwrap_or_else(|e| panic!("{e}"));
+    let written = RobotDefinition::from_sources(Source::new("robot.toml", text), urdf)
+        .unwrap_or_else(|e| panic!("{e}"));
     let before = robot(&[]);
     let (name, profile) = written.profile(None).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(name, "a-med");

@@ -6,7 +6,9 @@
 use crate::cli_common::{opspace, project, read};
 use crate::common::measure;
 use nalgebra::{DVector, Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use opspace_experiment::{BackendKind, Experiment, Files, Robot, RunOptions, Source, Task};
+use opspace_experiment::{
+    BackendKind, Experiment, Files, RobotDefinition, RunOptions, Source, TaskDefinition,
+};
 use opspace_model::{Data, Model, Placement, frame_placement, update};
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
@@ -35,7 +37,7 @@ fn first_task(robot: &str) -> PathBuf {
     let own = format!("{robot}-reach");
     tasks.sort_by_key(|task| (task.file_stem().is_none_or(|name| *name != *own), task.clone()));
     let is_for = |task: &PathBuf| {
-        let task = Task::load(Files::Disk, task, &[]).unwrap_or_else(|e| panic!("{e}"));
+        let task = TaskDefinition::load(Files::Disk, task, &[]).unwrap_or_else(|e| panic!("{e}"));
         task.robot_path().ends_with(robot)
     };
     tasks.into_iter().find(is_for).unwrap_or_else(|| panic!("no task is for {robot}"))
@@ -217,12 +219,12 @@ fn ur5e_matches_manufacturer_table() {
 }
 
 /// The planar arm with lines added to its robot.toml.
-fn planar_with(lines: &str) -> Result<Robot, String> {
+fn planar_with(lines: &str) -> Result<RobotDefinition, String> {
     let source = |file: &str, more: &str| {
         let path = project(&format!("robots/planar-2-link/{file}"));
         Source::new(file.to_owned(), read(&path) + more)
     };
-    Robot::from_sources(source("robot.toml", lines), source("planar-2-link.urdf", ""))
+    RobotDefinition::from_sources(source("robot.toml", lines), source("planar-2-link.urdf", ""))
         .map_err(|e| e.to_string())
 }
 

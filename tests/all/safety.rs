@@ -7,7 +7,7 @@ use crate::common::{Run, experiment, ik, load, osc, positions, robot, run, run_w
 use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::quantity::NonNegative;
-use opspace_experiment::{ControllerKind, Experiment, Robot, RunOptions, Source};
+use opspace_experiment::{ControllerKind, Experiment, RobotDefinition, RunOptions, Source};
 use opspace_loop::{ControlLoop, Fault, LoopConfig, LoopError, RunOutcome};
 use opspace_model::{Data, Model, kinematics, potential_energy};
 use opspace_sim::EnvironmentObjectParameters;
@@ -164,10 +164,11 @@ fn joint_limit_stops_the_arm() {
 }
 
 /// The robot with a lower speed limit.
-fn slow_robot(limit: f64) -> Robot {
+fn slow_robot(limit: f64) -> RobotDefinition {
     let robot = robot(&[]);
     let urdf = robot.urdf.text().replace("velocity=\"8\"", &format!("velocity=\"{limit}\""));
-    Robot::from_sources(robot.source, Source::new("asimo-arm.urdf", urdf)).unwrap_or_else(|e| panic!("{e}"))
+    RobotDefinition::from_sources(robot.source, Source::new("asimo-arm.urdf", urdf))
+        .unwrap_or_else(|e| panic!("{e}"))
 }
 
 #[test]

@@ -8,7 +8,7 @@ mod toml_output;
 
 use crate::evaluate::table::{Cell, Table};
 use crate::files::interface::CommandParameter;
-use crate::files::robot::Robot;
+use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::run::execute::Progress;
@@ -42,7 +42,7 @@ pub struct Request {
 /// A robot whose servos are to be identified, with everything checked.
 #[derive(Clone, Debug)]
 pub struct IdentificationJob {
-    robot: Robot,
+    robot: RobotDefinition,
     profile_name: String,
     profile: ProfileParameters,
     start: Vec<f64>,
@@ -87,7 +87,7 @@ pub enum Structure {
 /// Results of the identification of a robot.
 #[derive(Clone, Debug)]
 pub struct IdentificationResults {
-    robot: Robot,
+    robot: RobotDefinition,
     profile_name: String,
     profile: ProfileParameters,
     /// Identified joints, in the order of identification.
@@ -119,7 +119,7 @@ impl IdentificationJob {
     /// # Errors
     /// Names that the robot doesn't have, positions outside its limits, a robot that takes no positions, and servos of
     /// a structure that can't be identified.
-    pub fn new(robot: Robot, request: Request) -> Result<Self, FileError> {
+    pub fn new(robot: RobotDefinition, request: Request) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(request.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         if robot.file.interface.command != CommandParameter::Position {
@@ -160,7 +160,7 @@ impl IdentificationJob {
 
     /// The robot.
     #[must_use]
-    pub fn robot(&self) -> &Robot {
+    pub fn robot(&self) -> &RobotDefinition {
         &self.robot
     }
 

@@ -14,8 +14,8 @@
 
 use crate::interval::{Drive, Interval, Rates};
 use crate::least_squares::{Minimum, minimise};
-use crate::rational::relative;
 use crate::response::Point;
+use crate::transfer_function::relative;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
 

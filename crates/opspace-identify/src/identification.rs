@@ -3,9 +3,9 @@
 use crate::friction::{ConstantVelocityRun, Friction};
 use crate::gains;
 use crate::interval::{Drive, Interval, Rates, Responses};
-use crate::rational::Rational;
 use crate::response::{Distortion, Point};
 use crate::session::AbortReason;
+use crate::transfer_function::DelayedTransferFunction;
 use nalgebra::Complex;
 use opspace_backend::Setpoints;
 use serde::Serialize;
@@ -207,7 +207,7 @@ pub struct Identification {
     /// Viscous friction equivalent to the joint's resistance at the largest amplitude, in the servo's units.
     pub equivalent_friction: f64,
     /// T as a rational function behind hold and delay.
-    pub rational: Option<Rational>,
+    pub rational: Option<DelayedTransferFunction>,
     /// Relative error of the rational model, rms.
     pub rational_residual: Option<f64>,
     /// Fit quality of the servo.

@@ -9,12 +9,12 @@ use crate::identification::{
     COHERENT, ExcitationPlan, FitQuality, Identification, IdentificationFailure, KnownParameters, Measured,
     Servo, TorqueScale,
 };
-use crate::rational;
-use crate::rational::{Rational, Target, relative};
 use crate::response;
 use crate::response::{Realisation, distortion, frequency_response};
 use crate::session::{AbortReason, Bounds, ExcitationSession, Record};
 use crate::sweep::{Lag, Sweep};
+use crate::transfer_function;
+use crate::transfer_function::{DelayedTransferFunction, Target, relative};
 use opspace_control::ramp::minimum_jerk;
 
 /// Identifies one joint of a robot that holds itself.
@@ -338,8 +338,8 @@ impl Joint<'_, '_> {
             if targets.len() < 2 * (degrees.0 + degrees.1) {
                 break;
             }
-            let fitted = rational::fit(&targets, degrees, self.session.period_s(), delay_s);
-            let Some(model) = fitted.filter(Rational::is_stable) else { continue };
+            let fitted = transfer_function::fit(&targets, degrees, self.session.period_s(), delay_s);
+            let Some(model) = fitted.filter(DelayedTransferFunction::is_stable) else { continue };
             let residual = model.residual(&targets);
             if found.rational_residual.is_none_or(|before| residual < 0.8 * before) {
                 found.rational = Some(model);

@@ -67,10 +67,10 @@ pub mod identification;
 pub mod interval;
 pub mod joint;
 pub mod least_squares;
-pub mod rational;
 pub mod response;
 pub mod session;
 mod sweep;
+pub mod transfer_function;
 
 pub use identification::{ExcitationPlan, Identification, KnownParameters, TorqueScale};
 pub use joint::identify;

@@ -46,7 +46,7 @@ const WORST_SPLIT: f64 = 0.3;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Rational {
+pub struct TransferFunction {
     /// b₀, b₁, … of b₀ + b₁ s + …
     pub numerator: Vec<f64>,
     /// a₀, a₁, …
@@ -59,9 +59,9 @@ pub struct Rational {
 #[serde(deny_unknown_fields)]
 pub struct ClosedLoopModel {
     /// T(s), from setpoint to position.
-    pub closed_loop: Rational,
+    pub closed_loop: TransferFunction,
     /// H(s), from torque (Nm, N) to position (rad, m).
-    pub open_loop: Rational,
+    pub open_loop: TransferFunction,
     /// Lowest frequency of the band in which T is accurate, Hz.
     pub from_hz: Positive,
     /// Highest frequency of the band in which T is accurate, Hz.
@@ -122,7 +122,7 @@ fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
     polynomial
 }
 
-impl Rational {
+impl TransferFunction {
     fn at(&self, s: Complex<f64>) -> Complex<f64> {
         value(&self.numerator, s) / value(&self.denominator, s)
     }
@@ -149,12 +149,12 @@ impl Rational {
 
 impl ClosedLoopModel {
     /// Inverse servo 1/E.
-    fn inverse_servo(&self) -> Rational {
+    fn inverse_servo(&self) -> TransferFunction {
         let (t, h) = (&self.closed_loop, &self.open_loop);
         let order = t.numerator.len().max(t.denominator.len());
         let of = |p: &[f64], i: usize| p.get(i).copied().unwrap_or(0.0);
         let rest = (0..order).map(|i| of(&t.denominator, i) - of(&t.numerator, i)).collect::<Vec<f64>>();
-        Rational::reduced(product(&h.numerator, &rest), product(&h.denominator, &t.numerator))
+        TransferFunction::reduced(product(&h.numerator, &rest), product(&h.denominator, &t.numerator))
     }
 
     fn check(&self) -> Result<(), IdentificationError> {
@@ -216,7 +216,7 @@ struct Filter {
 }
 
 impl Filter {
-    fn new(rational: &Rational, period_s: f64) -> Self {
+    fn new(rational: &TransferFunction, period_s: f64) -> Self {
         let order = rational.denominator.len() - 1;
         let discrete = |p: &[f64]| {
             let mut sum = vec![0.0; order + 1];
@@ -275,7 +275,7 @@ impl LiteralTransformer {
                 joint.inverse_servo()
             } else {
                 let numerator = product(&h.numerator, &t.denominator);
-                Rational::reduced(numerator, product(&h.denominator, &t.numerator))
+                TransferFunction::reduced(numerator, product(&h.denominator, &t.numerator))
             };
             if let Some(excess) = rational.numerator.len().checked_sub(rational.denominator.len() + 1) {
                 return Err(IdentificationError::Improper { excess: excess + 1 });

@@ -56,7 +56,9 @@ pub mod servo_model_transformer;
 pub mod transformer;
 pub mod velocity_transformer;
 
-pub use closed_loop_transformer::{ClosedLoopModel, IdentificationError, LiteralTransformer, Rational};
+pub use closed_loop_transformer::{
+    ClosedLoopModel, IdentificationError, LiteralTransformer, TransferFunction,
+};
 pub use current::{CurrentFeedback, CurrentObserver};
 pub use estimator::{EstimatorParameters, VelocityEstimator};
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};

@@ -5,7 +5,9 @@
 use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, SignalRecorder, Sink};
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::{BackendKind, ControllerKind, Experiment, Files, Metrics, Robot, RunOptions, Task};
+use opspace_experiment::{
+    BackendKind, ControllerKind, Experiment, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
+};
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
 use opspace_loop::{ControlLoop, LoopConfig, Run as LoopRun, RunOutcome};
@@ -32,16 +34,18 @@ pub fn ik(profile: &str, controller: ControllerKind) -> RunOptions {
     RunOptions { controller, ..osc(profile) }
 }
 
-pub fn robot(settings: &[&str]) -> Robot {
-    Robot::load(Files::Embedded, Path::new(ROBOT), &owned(settings)).unwrap_or_else(|e| panic!("{e}"))
+pub fn robot(settings: &[&str]) -> RobotDefinition {
+    RobotDefinition::load(Files::Embedded, Path::new(ROBOT), &owned(settings))
+        .unwrap_or_else(|e| panic!("{e}"))
 }
 
-pub fn task(name: &str, settings: &[&str]) -> Task {
+pub fn task(name: &str, settings: &[&str]) -> TaskDefinition {
     let path = format!("tasks/{name}.toml");
-    Task::load(Files::Embedded, Path::new(&path), &owned(settings)).unwrap_or_else(|e| panic!("{e}"))
+    TaskDefinition::load(Files::Embedded, Path::new(&path), &owned(settings))
+        .unwrap_or_else(|e| panic!("{e}"))
 }
 
-pub fn experiment(robot: Robot, task: Task, options: RunOptions) -> Experiment {
+pub fn experiment(robot: RobotDefinition, task: TaskDefinition, options: RunOptions) -> Experiment {
     Experiment::new(robot, task, options, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -57,7 +61,7 @@ fn owned(settings: &[&str]) -> Vec<String> {
 }
 
 /// Returns the robot with ideal drives: no current loop, encoder counts, noise or torque limit.
-pub fn ideal(mut robot: Robot) -> Robot {
+pub fn ideal(mut robot: RobotDefinition) -> RobotDefinition {
     let simulated = robot.file.simulated.as_mut().expect("the arm can be simulated");
     simulated.current_loop_hz = None;
     simulated.encoder_quantisation = false;

@@ -9,7 +9,8 @@ use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{GainMargin, ServoLoop, gain_margin, not_checked};
 use opspace_experiment::{
-    Diagnostic, Experiment, Extensions, FileError, Files, Robot, RunOptions, Source, Suite, diagnostics,
+    Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Source, Suite,
+    diagnostics,
 };
 use opspace_model::{Model, UrdfOptions, UrdfWarning, model_warnings};
 use serde_json::{Value, json};
@@ -112,7 +113,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
     let file = Files::Disk.robot_file(path);
     let source = Source::read(&file)?;
     let robot = || {
-        let robot = Robot::load(Files::Disk, path, &[])?;
+        let robot = RobotDefinition::load(Files::Disk, path, &[])?;
         warn(console, robot.urdf.name(), &robot.warnings, &robot.model);
         Ok(Checked::clean(format!("a robot of {} joints", robot.model.n())))
     };

@@ -7,14 +7,14 @@ use crate::interrupt;
 use crate::output::{IDENTIFICATION, REPORT, ROBOT_FILE, SERVO_FILE, prepare, pretty, write};
 use indicatif::ProgressBar;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
-use opspace_experiment::{Files, Robot};
+use opspace_experiment::{Files, RobotDefinition};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
-    let robot = Robot::load(Files::Disk, &args.robot, &args.set)?;
+    let robot = RobotDefinition::load(Files::Disk, &args.robot, &args.set)?;
     for warning in &robot.warnings {
         console.detail(&format!("{}: {warning}", robot.urdf.name()));
     }

@@ -5,7 +5,7 @@ use crate::console::{Console, Exit, Failure, Outcome, print, render};
 use crate::output::pretty;
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::{Files, Robot, Source};
+use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_model::samples::{Sample, evaluate};
 use opspace_model::{
     Body, Frame, JointKind, Model, ParsedUrdf, UrdfOptions, UrdfWarning, model_warnings, principal_moments,
@@ -51,7 +51,7 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
         let ParsedUrdf { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
         return Ok(ModelView::new(&urdf, model, standing_kg, &warnings));
     }
-    let robot = Robot::load(Files::Disk, &args.robot, &[])?;
+    let robot = RobotDefinition::load(Files::Disk, &args.robot, &[])?;
     if options != UrdfOptions::default() {
         let option = if args.floating { "--floating" } else { "--enforce-mimic" };
         let (file, urdf) = (args.robot.display(), robot.urdf.name());

@@ -4,7 +4,7 @@ use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{pretty, read_log};
 use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
-use opspace_experiment::{Experiment, Extensions, Files, RunError, Task};
+use opspace_experiment::{Experiment, Extensions, Files, RunError, TaskDefinition};
 use opspace_log::Recording;
 use serde_json::{Map, Value, json};
 use std::path::Path;
@@ -19,7 +19,7 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     let other = match &args.task {
         None => None,
         Some(path) => {
-            let task = Task::load_with(&extensions.tasks, Files::Disk, path, &[])?;
+            let task = TaskDefinition::load_with(&extensions.tasks, Files::Disk, path, &[])?;
             let (robot, options) = (logged.robot().clone(), logged.options().clone());
             Some(Experiment::new(robot, task, options, Vec::new())?)
         }

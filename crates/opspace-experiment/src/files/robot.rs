@@ -62,7 +62,7 @@ pub struct ForceSensorFile {
 
 /// A robot, read and checked.
 #[derive(Clone, Debug)]
-pub struct Robot {
+pub struct RobotDefinition {
     /// Text of the robot's file, settings applied.
     pub source: Source,
     /// Text of the URDF.
@@ -77,7 +77,7 @@ pub struct Robot {
     pub sensors: Vec<(String, FrameId)>,
 }
 
-impl Robot {
+impl RobotDefinition {
     /// Reads a robot: a folder with a `robot.toml`, or that file. `settings` change values in it.
     ///
     /// # Errors

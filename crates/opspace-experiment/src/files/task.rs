@@ -87,7 +87,7 @@ const fn one() -> u64 {
 
 /// A task, read and parsed.
 #[derive(Clone, Debug)]
-pub struct Task {
+pub struct TaskDefinition {
     /// Text of the task's file, settings applied.
     pub source: Source,
     /// Parameters in the task's file.
@@ -98,7 +98,7 @@ pub struct Task {
     pub events: Vec<StackFile>,
 }
 
-impl Task {
+impl TaskDefinition {
     /// Reads a task, and the recorded paths that it names. `settings` change values in it.
     ///
     /// # Errors

@@ -4,10 +4,10 @@ use crate::extensions::Extensions;
 use crate::files::interface::CommandParameter;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
-use crate::files::robot::Robot;
+use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
-use crate::files::task::Task;
+use crate::files::task::TaskDefinition;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
 use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
@@ -71,9 +71,9 @@ impl BackendKind {
         let (robot_settings, task_settings) = split(settings, "robot");
         let robot = match robot {
             Some(robot) => robot.to_owned(),
-            None => Task::load_with(&extensions.tasks, files, task, &task_settings)?.robot_path(),
+            None => TaskDefinition::load_with(&extensions.tasks, files, task, &task_settings)?.robot_path(),
         };
-        Ok(match Robot::load(files, &robot, &robot_settings)?.file.interface.command {
+        Ok(match RobotDefinition::load(files, &robot, &robot_settings)?.file.interface.command {
             CommandParameter::Position => Self::Position,
             CommandParameter::Velocity => Self::Velocity,
             CommandParameter::Torque => Self::Torque,
@@ -142,8 +142,8 @@ impl Default for RunOptions {
 /// A task on a robot, checked: every part of it can be built.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    pub(super) robot: Robot,
-    pub(super) task: Task,
+    pub(super) robot: RobotDefinition,
+    pub(super) task: TaskDefinition,
     pub(super) options: RunOptions,
     settings: Vec<String>,
     pub(super) profile_name: String,
@@ -179,12 +179,12 @@ impl Experiment {
         settings: &[String],
     ) -> Result<Self, FileError> {
         let (robot_settings, task_settings) = split(settings, "robot");
-        let task = Task::load_with(&extensions.tasks, files, task, &task_settings)?;
+        let task = TaskDefinition::load_with(&extensions.tasks, files, task, &task_settings)?;
         if robot.is_none() {
             files.read_named(&files.robot_file(&task.robot_path()), &task.source, "robot")?;
         }
         let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
-        let robot = Robot::load(files, &robot_path, &robot_settings)?;
+        let robot = RobotDefinition::load(files, &robot_path, &robot_settings)?;
         Self::new(robot, task, options, settings.to_vec())
     }
 
@@ -193,8 +193,8 @@ impl Experiment {
     /// # Errors
     /// Contradictions between the two, with their place.
     pub fn new(
-        robot: Robot,
-        task: Task,
+        robot: RobotDefinition,
+        task: TaskDefinition,
         options: RunOptions,
         settings: Vec<String>,
     ) -> Result<Self, FileError> {
@@ -212,13 +212,13 @@ impl Experiment {
 
     /// The robot.
     #[must_use]
-    pub fn robot(&self) -> &Robot {
+    pub fn robot(&self) -> &RobotDefinition {
         &self.robot
     }
 
     /// The task.
     #[must_use]
-    pub fn task(&self) -> &Task {
+    pub fn task(&self) -> &TaskDefinition {
         &self.task
     }
 

@@ -1,9 +1,9 @@
 //! Files and settings in a log, from which its experiment is rebuilt.
 
 use crate::extensions::Extensions;
-use crate::files::robot::Robot;
+use crate::files::robot::RobotDefinition;
 use crate::files::source::Source;
-use crate::files::task::Task;
+use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
 use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 use opspace_backend::World;
@@ -98,11 +98,11 @@ impl Experiment {
                 .map(String::as_str)
                 .ok_or_else(|| RunError::Incomplete { what: format!("'{key}' in the metadata '{RUN}'") })
         };
-        let robot = Robot::from_sources(
+        let robot = RobotDefinition::from_sources(
             attached(recording, ROBOT_FILE, entry("robot")?)?,
             attached(recording, URDF_FILE, URDF_FILE)?,
         )?;
-        let task = Task::from_sources_with(
+        let task = TaskDefinition::from_sources_with(
             &extensions.tasks,
             attached(recording, TASK_FILE, entry("task")?)?,
             |named| attached(recording, &recording_file(named.file), &named.path.display().to_string()),

@@ -3,7 +3,7 @@
 
 use crate::extensions::Extensions;
 use crate::files::source::{FileError, Source};
-use crate::files::task::Task;
+use crate::files::task::TaskDefinition;
 use crate::files::task_kinds::TaskKinds;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
@@ -101,7 +101,7 @@ impl Experiment {
         // Named as if it lay beside the task, so that the robot's path counts from the same folder.
         let name = Path::new(self.task.source.name()).with_file_name("move-to-start.toml");
         let text = self.motion_text(q, &goal, motion_s);
-        let task = Task::from_sources_with::<FileError>(
+        let task = TaskDefinition::from_sources_with::<FileError>(
             &TaskKinds::new(),
             Source::new(name.display().to_string(), text),
             |named| Source::read(&named.path),

@@ -4,7 +4,7 @@ use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
 use opspace_experiment::run::replay::replay;
 use opspace_experiment::{
-    Experiment, FileError, Files, Progress, Robot, RunOptions, Source, Task, TaskKinds,
+    Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition, TaskKinds,
 };
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::{Fault, RunOutcome};
@@ -68,10 +68,11 @@ fn experiment() -> Experiment {
             Ok(Box::new(task.with_references([p.reference.clone()])))
         })
         .expect("the name is free");
-    let task = Task::from_sources_with(&kinds, Source::new("panicking.toml", TASK), |_| {
+    let task = TaskDefinition::from_sources_with(&kinds, Source::new("panicking.toml", TASK), |_| {
         Err(FileError::of_file("none", "no recording is named", None))
     });
-    let robot = Robot::load(Files::Embedded, Path::new("robots/asimo-arm"), &[]).expect("a good robot");
+    let robot =
+        RobotDefinition::load(Files::Embedded, Path::new("robots/asimo-arm"), &[]).expect("a good robot");
     Experiment::new(robot, task.expect("a good task"), RunOptions::default(), Vec::new()).expect("they fit")
 }
 

@@ -4,7 +4,8 @@ use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, TaskParameters};
 use opspace_experiment::preflight::not_checked;
 use opspace_experiment::{
-    Experiment, FileError, Files, Robot, RunOptions, Source, Task, TaskKindError, TaskKinds, diagnostics,
+    Experiment, FileError, Files, RobotDefinition, RunOptions, Source, TaskDefinition, TaskKindError,
+    TaskKinds, diagnostics,
 };
 use opspace_model::{Data, Model};
 use serde::Deserialize;
@@ -62,15 +63,15 @@ gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
 damping_nms_per_rad = 2.0
 "#;
 
-fn load(text: &str) -> Result<Task, FileError> {
-    Task::from_sources_with(&kinds(), Source::new("sum.toml", text), |_| {
+fn load(text: &str) -> Result<TaskDefinition, FileError> {
+    TaskDefinition::from_sources_with(&kinds(), Source::new("sum.toml", text), |_| {
         Err(FileError::of_file("none", "no recording is named", None))
     })
 }
 
-fn panda() -> Robot {
+fn panda() -> RobotDefinition {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/panda");
-    Robot::load(Files::Disk, &path, &[]).expect("a robot")
+    RobotDefinition::load(Files::Disk, &path, &[]).expect("a robot")
 }
 
 /// Compared: the signals of an experiment's controller, and the task that the file names by its registered kind.

@@ -5,7 +5,7 @@ use opspace_backend::CommandKind;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::{
-    BackendKind, Experiment, FileError, Files, Progress, Robot, RunOptions, Source, Task,
+    BackendKind, Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
 };
 use opspace_log::Recording;
 use opspace_transformer::{Method, ServoParameters, TransformerKind};
@@ -15,15 +15,19 @@ use std::path::Path;
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
 
 /// Reads the ASIMO-like arm with these settings, as a robot that is not simulated.
-fn robot(settings: &[&str]) -> Result<Robot, FileError> {
+fn robot(settings: &[&str]) -> Result<RobotDefinition, FileError> {
     let settings: Vec<String> = settings.iter().map(|setting| format!("robot.{setting}")).collect();
-    let mut robot = Robot::load(Files::Embedded, Path::new(ROBOT), &settings)?;
+    let mut robot = RobotDefinition::load(Files::Embedded, Path::new(ROBOT), &settings)?;
     robot.file.simulated = None;
     Ok(robot)
 }
 
-fn on_robot(robot: Robot, backend: BackendKind, transformer: Option<&str>) -> Result<Experiment, FileError> {
-    let task = Task::load(Files::Embedded, Path::new("tasks/cartesian-tracking.toml"), &[])?;
+fn on_robot(
+    robot: RobotDefinition,
+    backend: BackendKind,
+    transformer: Option<&str>,
+) -> Result<Experiment, FileError> {
+    let task = TaskDefinition::load(Files::Embedded, Path::new("tasks/cartesian-tracking.toml"), &[])?;
     let transformer = transformer.map(|name| TransformerKind::named(name).unwrap());
     Experiment::new(robot, task, RunOptions { backend, transformer, ..RunOptions::default() }, Vec::new())
 }
@@ -33,11 +37,11 @@ fn experiment(transformer: Option<&str>, settings: &[&str]) -> Result<Experiment
 }
 
 /// Reads the robot file with a section removed or replaced, and its URDF.
-fn edited(from: &str, to: &str) -> Result<Robot, FileError> {
+fn edited(from: &str, to: &str) -> Result<RobotDefinition, FileError> {
     let arm = robot(&[])?;
     let text = arm.source.text();
     assert!(text.contains(from), "{from}");
-    Robot::from_sources(Source::new(ROBOT, text.replacen(from, to, 1)), arm.urdf.clone())
+    RobotDefinition::from_sources(Source::new(ROBOT, text.replacen(from, to, 1)), arm.urdf.clone())
 }
 
 fn section(text: &str, heading: &str) -> String {

@@ -28,7 +28,7 @@ pub struct Target {
 
 /// Rational function N(s)/D(s) behind a hold and a delay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Rational {
+pub struct DelayedTransferFunction {
     /// Coefficients of N from s⁰ on.
     pub numerator: Vec<f64>,
     /// Coefficients of D from s⁰ on; the first is 1.
@@ -39,7 +39,7 @@ pub struct Rational {
     pub delay_s: f64,
 }
 
-impl Rational {
+impl DelayedTransferFunction {
     /// Response at a frequency, Hz.
     #[must_use]
     pub fn at(&self, hz: f64) -> Complex<f64> {
@@ -78,12 +78,17 @@ pub fn relative(pairs: impl Iterator<Item = (Complex<f64>, Complex<f64>)>) -> f6
 
 /// Fits a numerator and a denominator of these degrees; `None` where the response doesn't determine them.
 #[must_use]
-pub fn fit(targets: &[Target], degrees: (usize, usize), hold_s: f64, delay_s: f64) -> Option<Rational> {
+pub fn fit(
+    targets: &[Target],
+    degrees: (usize, usize),
+    hold_s: f64,
+    delay_s: f64,
+) -> Option<DelayedTransferFunction> {
     let (m, n) = degrees;
     // Frequencies about 1 keep the powers of s alike.
     let scale = TAU * (targets.iter().map(|t| t.hz.ln()).sum::<f64>() / targets.len() as f64).exp();
     let mut before = vec![1.0];
-    let mut best: Option<(f64, Rational)> = None;
+    let mut best: Option<(f64, DelayedTransferFunction)> = None;
     for _ in 0..ROUNDS {
         let mut rows = DMatrix::zeros(2 * targets.len(), m + 1 + n);
         let mut right = DVector::zeros(2 * targets.len());
@@ -106,8 +111,12 @@ pub fn fit(targets: &[Target], degrees: (usize, usize), hold_s: f64, delay_s: f6
         let back = |c: &[f64]| -> Vec<f64> {
             c.iter().enumerate().map(|(power, c)| c / scale.powi(power as i32)).collect()
         };
-        let rational =
-            Rational { numerator: back(&numerator), denominator: back(&denominator), hold_s, delay_s };
+        let rational = DelayedTransferFunction {
+            numerator: back(&numerator),
+            denominator: back(&denominator),
+            hold_s,
+            delay_s,
+        };
         let cost: f64 =
             targets.iter().map(|t| (t.weight * (rational.at(t.hz) - t.value).norm()).powi(2)).sum();
         if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
@@ -143,7 +152,7 @@ mod tests {
     #[test]
     fn rational_function_with_hold_and_delay_is_recovered() {
         const TOLERANCE: f64 = 1e-6;
-        let truth = Rational {
+        let truth = DelayedTransferFunction {
             numerator: vec![1.0, 2e-3],
             denominator: vec![1.0, 0.025, 1.2e-4, 2e-7],
             hold_s: 1e-3,
@@ -168,7 +177,7 @@ mod tests {
 
     #[test]
     fn roots_determine_stability_and_phase() {
-        let with = |numerator: &[f64], denominator: &[f64]| Rational {
+        let with = |numerator: &[f64], denominator: &[f64]| DelayedTransferFunction {
             numerator: numerator.to_vec(),
             denominator: denominator.to_vec(),
             hold_s: 0.0,
