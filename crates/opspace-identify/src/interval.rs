@@ -128,7 +128,7 @@ impl Interval {
         let force = (0..rates.servo_ticks_per_cycle)
             .map(|j| tick.roll(Memory::zeros(), &rates, 0.0, Some(j)))
             .collect();
-        Self { rates, memory, memory_torque, setpoint: setpoint, setpoint_torque, force }
+        Self { rates, memory, memory_torque, setpoint, setpoint_torque, force }
     }
 
     /// Returns the responses at a frequency, Hz.

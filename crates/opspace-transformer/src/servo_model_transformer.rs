@@ -260,7 +260,7 @@ impl EmulatingTransformer {
             let adapted = adapt.map(|parameters| {
                 let gains = servo.gains(setup.servo_period_s);
                 let adaptation = GainAdaptation::new(&parameters, setup.torque_limits[i], interface_s);
-                AdaptedDrive { adaptation: adaptation, nominal: gains, now: gains }
+                AdaptedDrive { adaptation, nominal: gains, now: gains }
             });
             Ok(Drive { law, torque_limit: setup.torque_limits[i], gain, adapted })
         };
