@@ -1,7 +1,7 @@
 //! The contract between opspace and a robot.
 //!
 //! A driver implements [`Backend`] and depends on this crate alone, which has no dependencies. The feature `schema`
-//! adds serde and schemars to the quantities and enums that stand in files.
+//! derives serde and schemars traits for the quantities and enums that appear in files.
 //!
 //! ```
 //! use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
@@ -74,7 +74,7 @@ pub use signal::{Layout, Observable, Signal, SignalName, SignalRecorder, Units};
 pub use signal_names::{DEVICE_FAILED, STOP_REQUESTED, TICK_TIME};
 pub use sink::{EXTERNAL, SERVO, Sink, TICK, TRUTH};
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

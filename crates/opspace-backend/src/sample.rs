@@ -63,7 +63,7 @@ impl Sample {
     /// becomes NaN. Allocates nothing.
     ///
     /// # Panics
-    /// If an array has another length.
+    /// If the lengths of two arrays differ.
     pub fn copy_from(&mut self, other: &Self) {
         fn copy(to: &mut Option<Vec<f64>>, from: &Option<Vec<f64>>) {
             match (to, from) {

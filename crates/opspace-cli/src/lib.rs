@@ -1,5 +1,5 @@
-//! The `opspace` command line, and [`main_with`]: the same command line in a binary of one's own, with drivers and
-//! tasks of one's own.
+//! The `opspace` command line, and [`main_with`]: the same command line in your own program, with your own drivers
+//! and tasks.
 //!
 //! ```no_run
 //! use opspace_cli::{Extensions, main_with};
@@ -46,7 +46,7 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
     exit.into()
 }
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -41,7 +41,7 @@ pub struct ServoLead {
     pub stiffness_nm_per_rad: Vec<f64>,
 }
 
-/// References to joint positions.
+/// Controller that converts task references to joint positions by inverse kinematics.
 pub struct InverseKinematicsController {
     schedule: TaskSchedule,
     context: ControlContext,

@@ -1,8 +1,8 @@
 //! Operational-space control: tasks to torques.
 //!
-//! A task file's tasks ([`TaskParameters`]) in the order of their priority ([`TaskSetParameters`]) make a
-//! [`Controller`]: [`OperationalSpaceController`] commands torques, [`InverseKinematicsController`] joint
-//! positions. Both see the robot through a [`Measurement`] alone. No update allocates.
+//! A [`Controller`] is built from the tasks of a task file ([`TaskParameters`]) in their order of priority
+//! ([`TaskSetParameters`]): [`OperationalSpaceController`] commands torques, [`InverseKinematicsController`] joint
+//! positions. A [`Measurement`] is all that either receives from the robot. Updates do not allocate.
 //!
 //! ```
 //! use opspace_control::{
@@ -142,7 +142,7 @@ pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 pub use tasks::task_axes::TaskAxes;
 pub use tasks::tracking::Tracking;
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -11,7 +11,7 @@
 //! let options = RunOptions { duration_s: Some(2.0), ..RunOptions::default() };
 //! let experiment = Experiment::load(Files::Embedded, task, None, options, &[])?;
 //!
-//! // Run in simulation, with the log to memory; a `File` does as well.
+//! // Run in simulation and log to memory; a `File` works too.
 //! let result = experiment.run(Cursor::new(Vec::new()), &Progress::default())?;
 //! let log = Recording::from_bytes(result.sink.get_ref())?;
 //! let summary = experiment.summary(&log, &result.record, None);
@@ -48,7 +48,7 @@ pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
 pub use run::summary::Summary;
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,11 +1,11 @@
 //! Findings on a task and its robot before anything moves: what will go wrong when the task runs.
 //!
-//! A task that can't be built at all is an error of [`Experiment::new`]. A finding concerns a task that can be run, but
-//! without the success that its author expects; it states the wrong number and a remedy. One file per kind:
+//! A task that can't be built is an error of [`Experiment::new`]. A finding concerns a task that can run, but will
+//! not do what its author expects; it states the offending value and a remedy. One file per kind:
 //!
 //! | file | finds |
 //! |---|---|
-//! | `goals` | references that the arm can't reach, or not within its joints' ranges |
+//! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
 //! | `speeds` | references faster than the joints or the task's own speed limit |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |

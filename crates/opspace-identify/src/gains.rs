@@ -181,7 +181,7 @@ fn beyond(logarithm: f64, likely: f64, within: f64) -> f64 {
     (logarithm - likely.ln()) / within.ln()
 }
 
-/// Position and torque at all lines of all levels.
+/// Position and torque responses at all excited frequencies of all amplitude levels; empty without measured torque.
 fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
     levels.iter().flat_map(|level| level.position.iter().zip(level.torque.iter().flatten()))
 }

@@ -263,7 +263,8 @@ impl Joint<'_, '_> {
         Ok(share(SPEED_USED * self.known.speed_limit, &speed).min(share(self.spare_torque(), &torque)))
     }
 
-    /// Runs an excitation for some interface cycles, faded in before and out after; returns the cycles between.
+    /// Runs an excitation for `ticks` interface cycles, with a fade-in before and a fade-out after them. Returns the
+    /// record, and the range of these cycles in it.
     fn excite(
         &mut self,
         excitation: &Multisine,

@@ -1,10 +1,11 @@
 //! Identification of a position servo by moving its joint: kp, kv, velocity filter, delay, inertia and friction.
 //!
-//! A joint is excited about its current position by odd random-phase [multisines](excitation) at two amplitudes, small
-//! enough for its limits and for its motor; the other joints are held. Setpoints, positions and, where it is measured,
-//! motor torque give the [frequency responses](response); these give the [gains] of the servo through the exact model
-//! of what happens [between two interface cycles](interval), and a [rational] model of T = y/q_desired. Runs at
-//! constant velocity in both directions give [friction]. Known parameters are the structure of the servo, τ = kv [kp
+//! A joint is excited about its current position by odd random-phase [multisines](excitation) at two amplitudes,
+//! small enough for its limits and for its motor; the other joints are held. The [frequency responses](response) are
+//! computed from setpoints, positions and, where it is measured, motor torque. The [gains] of the servo are fitted to
+//! them with an exact model of the servo and joint [between two interface cycles](interval); so is a [rational] model
+//! of T = y/q_desired. [Friction](friction) is identified from runs at constant velocity in both directions. Known
+//! parameters are the structure of the servo, τ = kv [kp
 //! (q_desired − y) − w], its rates, and the limits; gains, filter, delay and friction are identified.
 //!
 //! T does not change when inertia, friction and kv are scaled together: the scale of torque comes from the motor's
@@ -75,7 +76,7 @@ pub mod transfer_function;
 pub use identification::{ExcitationPlan, Identification, KnownParameters, TorqueScale};
 pub use joint::identify;
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,4 +1,4 @@
-//! Recording of runs to MCAP files, and reading of these.
+//! Recording of runs to MCAP files, and reading of such files.
 //!
 //! The control thread only pushes rows of numbers into a ring; a separate thread writes them
 //! ([`record`]). A log opens in Foxglove and PlotJuggler, and [`Recording`] reads it back bit for bit, or
@@ -9,7 +9,7 @@
 //! use opspace_log::{Attachment, Channel, Header, Pace, Recording, record};
 //! use std::io::Cursor;
 //!
-//! // Write: to memory here; a `File` does as well.
+//! // Write to memory; a `File` works too.
 //! let layout = Layout {
 //!     channel: "tick".to_owned(),
 //!     signals: vec![Signal::new("q", "rad", &["shoulder", "elbow"]), Signal::scalar("hand.force", "N")],
@@ -63,7 +63,7 @@ pub use outcome::OutcomeRecord;
 pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
 pub use recording::{ChannelData, Column, Recording};
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

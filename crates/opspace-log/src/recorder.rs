@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 /// Behaviour when the disk can't keep up and the ring is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// Wait, in simulated time. Nothing is lost, and the file's bytes depend on the rows alone.
+    /// Wait until there is room: the simulation pauses. No row is lost, and the file's bytes depend on the rows
+    /// alone.
     Simulated,
     /// Drop the row, count it and note the gap: the robot doesn't wait.
     RealTime,

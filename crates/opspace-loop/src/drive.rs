@@ -76,7 +76,8 @@ fn prepare(backend: &mut dyn Backend, run: &mut Run<'_>) -> Sample {
     Sample::new(backend.capabilities())
 }
 
-/// Runs one cycle: `arrive` may write targets once the sample, at the given time of the robot's clock (s), is there.
+/// Runs one cycle. `arrive` is called after the sample is read, with the sample's time on the robot's clock (s), and
+/// may write targets.
 fn cycle(
     backend: &mut dyn Backend,
     run: &mut Run<'_>,

@@ -1,8 +1,8 @@
-//! The control loop, and the shells around it.
+//! The control loop, and what runs it: run, drive, timeline and links.
 //!
 //! [`ControlLoop::step`] turns a sample into a command. A [`Run`] adds duration, stop requests, rows and an outcome;
-//! [`drive()`] pulls the samples from a [`Backend`](opspace_backend::Backend). A robot with a callback of its own calls
-//! [`Run::cycle`].
+//! [`drive()`] reads the samples from a [`Backend`](opspace_backend::Backend) and writes the commands to it. Where
+//! the robot's library owns the loop, its callback calls [`Run::cycle`].
 //!
 //! ```
 //! use opspace_backend::{Capabilities, CommandKind, TICK};
@@ -78,7 +78,7 @@ pub use target_stream::{TargetReceiver, TargetSender, target_stream};
 pub use timeline::{Cycle, Timeline, TimelineError};
 pub use watchdog::{Watchdog, WatchdogParameters};
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

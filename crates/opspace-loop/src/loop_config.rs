@@ -30,8 +30,8 @@ pub struct LoopConfig {
 }
 
 impl LoopConfig {
-    /// A torque robot without friction compensation, with the torque limits of the URDF and default supervision. Change
-    /// the fields for any other.
+    /// The configuration for a torque robot without friction compensation, with the torque limits of the URDF and
+    /// default supervision. For any other robot, change the fields.
     #[must_use]
     pub fn new(model: Model, capabilities: Capabilities, controller: Box<dyn Controller>) -> Self {
         Self {

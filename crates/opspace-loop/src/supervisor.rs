@@ -45,7 +45,7 @@ impl SampleGap {
 /// Factor of a joint's speed limit above which a step of the measured position is a slip of the encoder.
 const SLIP: f64 = 2.0;
 
-/// Step of the measured position that is tolerated in addition, rad (m).
+/// Step of the measured position that is tolerated beyond [`SLIP`] times the motion at the speed limit, rad (m).
 const SLIP_RAD: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug)]

@@ -43,7 +43,7 @@ pub struct MassMatrixFactor<T = f64> {
     rows: Vec<(usize, Option<usize>)>,
 }
 
-/// Joint `last` and its ancestors as contiguous ranges, from it towards the base.
+/// Indices of joint `last` and its ancestors as contiguous ranges, from `last` towards the base.
 #[inline]
 fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterator<Item = Range<usize>> + '_ {
     let mut last = last;

@@ -119,7 +119,7 @@ pub fn update<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[T]) 
     cholesky(data)
 }
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -264,7 +264,7 @@ impl Model {
         self.add_frame(name, body, placement * offset)
     }
 
-    /// Moves a frame to another offset from `on`.
+    /// Attaches a frame to the body of the frame `on`, with the placement `offset` in the axes of `on`.
     pub fn move_frame(&mut self, frame: FrameId, on: FrameId, offset: Placement) {
         let &Frame { body, placement, .. } = &self.frames[on.0];
         self.frames[frame.0].placement = placement * offset;

@@ -256,7 +256,7 @@ impl Drives {
         pending.values.copy_from(&self.last);
     }
 
-    /// Number of the command in force; `None` while the robot holds itself.
+    /// Number of the command in effect; `None` while the robot holds itself without a command (servos or brakes).
     pub fn command_in_force(&self) -> Option<u64> {
         self.active.command
     }

@@ -83,7 +83,7 @@ impl TruthRows {
         }
     }
 
-    /// Declares the rows as read.
+    /// Marks the rows as read; they are cleared when the next servo period begins.
     pub fn finish(&mut self) {
         self.read = true;
     }

@@ -73,7 +73,7 @@ pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};
 pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};
 pub use velocity_transformer::VelocityTransformer;
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
 
-/// Largest growth of the inverse from one interface cycle to the next with which it is used.
+/// Largest growth factor of the inverse per interface cycle (its spectral radius) that is accepted as stable.
 const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
 /// Torques within an interval that are to match the desired one.

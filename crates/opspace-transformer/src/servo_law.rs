@@ -245,8 +245,8 @@ impl ServoLaw {
         self.rest[1].1 = 1.0 / to.stiffness;
     }
 
-    /// Returns the torque (Nm, N) for a setpoint (rad, m; of a velocity servo rad/s, m/s) and the position that is read
-    /// at this servo tick (rad, m).
+    /// Advances `memory` by one servo tick and returns the torque (Nm or N). `setpoint` is in rad or m (rad/s or m/s
+    /// for a velocity servo); `position` is the encoder reading of this tick (rad or m).
     pub fn step(&self, memory: &mut ServoState, setpoint: f64, position: f64) -> f64 {
         let now = *memory;
         let now = &now[..self.order];

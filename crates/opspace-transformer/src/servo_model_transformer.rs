@@ -329,7 +329,8 @@ impl EmulatingTransformer {
         current.update(measured, &self.mean_torque);
     }
 
-    /// Computes M⁻¹ and the accelerations beside the drives' in the present state, for a whole interval.
+    /// Computes M⁻¹ and the accelerations without motor torque at the present state; both are held constant over the
+    /// interval.
     fn freeze(&mut self, data: &Data) {
         if self.frozen {
             return;

@@ -14,7 +14,7 @@
 //! | identify the servos of a robot | [`identify`] |
 //! | run robot and task files | [`experiment`] |
 //!
-//! A position robot that is compliant: its servo is stiff, the transformer makes it produce the torques of a task.
+//! Example: a compliant position robot. Its servo is stiff; the transformer makes it produce the torques of a task.
 //!
 //! ```
 //! use opspace::backend::quantity::Positive;
@@ -91,7 +91,7 @@ pub use opspace_model as model;
 pub use opspace_sim as sim;
 pub use opspace_transformer as transformer;
 
-/// Programs of the README, compiled and run as tests of the documentation.
+/// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -14,8 +14,8 @@ use crate::hierarchy::products::{add_transposed, product};
 use nalgebra::{Matrix6, Matrix6xX};
 use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
 
-/// N, the freedom that the tasks so far leave, as the product of what each of them leaves: I − J̄_p J_p. The n × n
-/// matrix itself is never formed.
+/// Nullspace projector N of the tasks pushed so far: the product of one factor I − J̄_p J_p per task. The n × n
+/// matrix is never formed.
 #[derive(Clone, Debug)]
 pub(crate) struct Nullspace {
     /// J_p and J̄_pᵀ of each task, the first `depth` of them in force.
@@ -34,9 +34,9 @@ impl Nullspace {
         self.depth = 0;
     }
 
-    /// Returns true if N is that of one task or more, not the identity.
+    /// Returns true if no task is pushed: N is the identity.
     pub(crate) fn is_empty(&self) -> bool {
-        self.depth > 0
+        self.depth == 0
     }
 
     /// Restricts N to what the first `depth` tasks leave, of those pushed since the last [`reset`](Self::reset).

@@ -17,7 +17,7 @@ pub(crate) struct PriorityLevel {
     pub task: Box<dyn Task>,
     pub projected: ProjectedTask,
     bounded: Option<BoundedInertia>,
-    /// Reference of the damping thresholds.
+    /// Typical mobility, to which the damping thresholds are relative.
     pub typical: TypicalMobility,
     /// J of the task's rows; zeros below them.
     jacobian: Matrix6xX<f64>,

@@ -30,8 +30,8 @@ pub struct JointLimits {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LimitParameters {
-    /// True if the limits are enforced; true if absent. If false, torques are only clipped, and the run stops when a
-    /// joint reaches its limit.
+    /// True (the default) if the controller enforces the limits. If false, torques are only clipped, and the run
+    /// stops when a joint reaches its limit.
     #[serde(default = "yes")]
     pub enforce: bool,
     /// Margin between joints and their position limits, rad (m); 0.01 if absent.

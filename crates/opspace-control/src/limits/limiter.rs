@@ -226,7 +226,7 @@ impl Limiter {
         self.cascade.torque_into(data, torque);
     }
 
-    /// Records the bounds that each joint is at, and the solver of the command.
+    /// Records which bounds are active at each joint, and which solver computed the command.
     pub(crate) fn record(&self, joint_names: &[String], out: &mut SignalRecorder<'_>) {
         out.signal(LIMITED, "1", joint_names, self.limited.as_slice());
         out.scalar(LIMITS_SOLVER, "1", f64::from(self.solver as u8));

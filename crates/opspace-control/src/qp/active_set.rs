@@ -293,8 +293,8 @@ impl ActiveSet {
         }
     }
 
-    /// One Newton step on the conditions of the active rows. It may show a multiplier to be negative; the row is
-    /// dropped.
+    /// One Newton step on the KKT conditions of the active rows. If multipliers are negative after it, the row of the
+    /// most negative one is dropped.
     fn refine(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         self.count(program)?;
         let (point, active) = (&mut self.point, &mut self.active);

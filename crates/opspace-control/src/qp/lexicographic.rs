@@ -112,7 +112,7 @@ pub(crate) struct HierarchicalQp {
     torque_rows: DMatrix<f64>,
     mass: DMatrix<f64>,
     torque: DVector<f64>,
-    /// Solution δ of the last programme, scaled (n), with its slacks behind.
+    /// Scaled solution δ of the last programme (n), followed by its slack variables.
     delta: DVector<f64>,
     /// Σ N δ of the levels so far (n).
     displaced: DVector<f64>,
@@ -348,7 +348,7 @@ impl HierarchicalQp {
     /// levels is damped. The acceleration that a level asks for is M⁻¹ Nᵀ times its torques, and so can always be undone.
     fn span(&mut self, data: &Data, above: &Nullspace) {
         self.torque_rows.copy_from(&data.mass_matrix);
-        if !above.is_empty() {
+        if above.is_empty() {
             self.nullspace.fill_with_identity();
             return;
         }

@@ -55,17 +55,17 @@ struct OnlineGoalFile {
     position: Option<PositionGoal>,
     /// Orientation to reach; without it the frame keeps its orientation.
     orientation: Option<OrientationGoal>,
-    /// Highest speed, m/s; with `position`.
+    /// Highest speed, m/s; required with `position`, refused without it.
     velocity_m_per_s: Option<Positive>,
-    /// Highest acceleration, m/s²; with `position`.
+    /// Highest acceleration, m/s²; required with `position`, refused without it.
     acceleration_m_per_s2: Option<Positive>,
-    /// Highest jerk, m/s³; with `position`.
+    /// Highest jerk, m/s³; required with `position`, refused without it.
     jerk_m_per_s3: Option<Positive>,
-    /// Highest angular speed, rad/s; with `orientation`.
+    /// Highest angular speed, rad/s; required with `orientation`, refused without it.
     angular_velocity_rad_per_s: Option<Positive>,
-    /// Highest angular acceleration, rad/s²; with `orientation`.
+    /// Highest angular acceleration, rad/s²; required with `orientation`, refused without it.
     angular_acceleration_rad_per_s2: Option<Positive>,
-    /// Highest angular jerk, rad/s³; with `orientation`.
+    /// Highest angular jerk, rad/s³; required with `orientation`, refused without it.
     angular_jerk_rad_per_s3: Option<Positive>,
 }
 
@@ -167,7 +167,8 @@ impl OnlineMotion {
         Self::quintic([at, 0.0, 0.0], at, 1.0)
     }
 
-    /// From `from` to rest at `goal` in `duration_s`: the polynomial of the fifth degree.
+    /// The quintic polynomial from the state `from` (position, velocity, acceleration) to rest at `goal` in
+    /// `duration_s` (s).
     pub(crate) fn quintic(from: [f64; 3], goal: f64, duration_s: f64) -> Self {
         let mut pieces = [Piece::default(); PIECES];
         pieces[0] = Piece { begin_s: 0.0, polynomial: Quintic::new(from, goal, duration_s) };

@@ -28,8 +28,8 @@ pub struct RecordedPath {
     /// A CSV file with the columns `time_s,x_m,y_m,z_m` and, if the frame turns, `qw,qx,qy,qz`; the path counts
     /// from this file.
     pub file: PathBuf,
-    /// True if the path is laid with its first sample on the start pose, its displacements and turns along and about
-    /// the task's axes; false if it stays where it was recorded, in the world. True if absent.
+    /// True (the default) if the path is moved so that it begins at the start pose, with its recorded translations
+    /// and rotations taken relative to the task's axes; false if it is followed in world coordinates, as recorded.
     #[serde(default = "yes")]
     pub relative: bool,
     /// Duration over which the way from the start pose to a path that isn't relative is faded out by the minimum-jerk
@@ -422,7 +422,8 @@ pub(crate) struct RecordedMotion {
 enum Join {
     /// Laid on it: `turn` and `shift` take the path's positions there, `turn` and `own` its orientations.
     Laid { turn: Matrix3<f64>, shift: Vector3<f64>, own: Matrix3<f64> },
-    /// The way to it from the path's first pose, m and rad, is added and faded out.
+    /// The offset of the start pose from the path's first pose (`line` in m, `turn` as a rotation vector in rad) is
+    /// added to the path and faded out.
     Faded { line: Vector3<f64>, turn: Vector3<f64> },
 }
 

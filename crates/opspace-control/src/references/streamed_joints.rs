@@ -17,8 +17,8 @@ use serde::Deserialize;
 #[cfg(feature = "schema")]
 use std::borrow::Cow;
 
-/// A reference of joints that is streamed: see [`streamed`](crate::references::streamed). Before the first target the
-/// joints hold where they started.
+/// A streamed reference for joints: see [`streamed`](crate::references::streamed). Until the first target arrives,
+/// the joints hold their start positions.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "StreamedJointsFile")]
 pub struct StreamedJointReference {

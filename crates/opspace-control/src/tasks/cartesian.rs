@@ -536,7 +536,8 @@ impl Task for CartesianTask {
         self.follow(&input.control);
     }
 
-    /// A goal is approached anew; integrals are forgotten.
+    /// Plans a goal or streamed reference again from the present pose at rest, lets any other reference rejoin from
+    /// there, and resets the integrals.
     fn resume(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, measurement, .. } = *input;
         let controlled = self.axes.controlled;

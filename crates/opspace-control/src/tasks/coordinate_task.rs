@@ -65,7 +65,7 @@ pub struct CoordinateTask<C> {
     name: String,
     rows_key: String,
     coordinate: C,
-    /// Names, units and units of the rates of the elements.
+    /// Names of the elements; the next two fields are their units and the units of their rates.
     elements: Vec<&'static str>,
     units: Vec<&'static str>,
     rate_units: Vec<String>,

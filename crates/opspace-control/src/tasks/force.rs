@@ -79,7 +79,7 @@ struct AxisForce {
     target: f64,
     gain: f64,
     integral_step: f64,
-    /// As large as the target if `None`.
+    /// Largest value of the force integral; the magnitude of the target if `None`.
     integral_limit: Option<f64>,
 }
 

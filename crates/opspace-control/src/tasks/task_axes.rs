@@ -108,8 +108,8 @@ impl TaskAxes {
         rows
     }
 
-    /// Computes the task's rows of a force given axis by axis: a row that is multiplied by a length belongs to a force
-    /// that is divided by it.
+    /// Computes the task's force rows from a force given axis by axis. They are divided by the scale that multiplies
+    /// the motion rows, so that power is preserved.
     #[must_use]
     pub fn rows_of_force(&self, axes: &Vector6<f64>) -> Vector6<f64> {
         let mut rows = Vector6::zeros();

@@ -1,4 +1,4 @@
-//! Freedom that a task lacks at its start, and freedom that nothing damps.
+//! Directions in which a task cannot move at its start (singularities), and degrees of freedom that nothing damps.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};

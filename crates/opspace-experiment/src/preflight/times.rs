@@ -35,7 +35,7 @@ fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     .collect()
 }
 
-/// Finds statistics that begin while the torque ramps in.
+/// Reports a `settle_s` that ends before the torque ramp does.
 fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     let settle_s = case.experiment.task().file.settle_s.get();
     let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();

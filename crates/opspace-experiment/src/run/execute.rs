@@ -123,8 +123,8 @@ impl Experiment {
         log.close(self, outcome)
     }
 
-    /// Returns the control loop of the experiment and its log, for a run driven by the caller: a [`Run`] of the loop
-    /// has the log for its sink, and its outcome closes the log.
+    /// Returns the control loop of the experiment and its open log, for a run that the caller drives: create a
+    /// [`Run`] of the loop with the log as its sink, then close the log with the outcome of the run.
     ///
     /// # Errors
     /// As [`run_on`](Self::run_on).

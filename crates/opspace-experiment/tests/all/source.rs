@@ -93,8 +93,7 @@ time_s = 1.0
 fn error(from: &str, to: &str) -> FileError {
     assert!(GOOD.contains(from), "{from:?} is not in the good file");
     let source = Source::new("tasks/x.toml", GOOD.replacen(from, to, 1));
-    let error = parse::<TaskFile>(&source).expect_err("the file is wrong");
-    error
+    parse::<TaskFile>(&source).expect_err("the file is wrong")
 }
 
 /// Compares the display (place and message) and the help with the expected texts.

@@ -118,7 +118,7 @@ pub enum UrdfErrorKind {
     DuplicateName {
         /// Second of the two.
         element: String,
-        /// Line of the first; `None` where there is no text.
+        /// Line of the first of the two; `None` if the description was not read from text.
         first_line: Option<u32>,
     },
     /// Child element that is allowed once and given twice.
