@@ -100,8 +100,8 @@ refused! {
         ["`robto.toml`: there is no such file", "did you mean `robot.toml`?"];
     invalid_toml_is_refused: "task.toml", "seed = 1" => "seed 1", Some("seed 1"), ["not TOML"];
     repeated_key_is_refused: "task.toml", "seed = 1" => "seed = 1\nseed = 2", Some("seed = 2"), ["seed"];
-    zero_ratio_is_refused: "robot.toml", "ratio = 5" => "ratio = 0", Some("ratio = 0"), ["above 0"];
-    fractional_ratio_is_refused: "robot.toml", "ratio = 5" => "ratio = 2.5", Some("ratio = 2.5"), ["2.5"];
+    zero_servo_ticks_per_cycle_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 0", Some("servo_ticks_per_cycle = 0"), ["above 0"];
+    fractional_servo_ticks_per_cycle_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 2.5", Some("servo_ticks_per_cycle = 2.5"), ["2.5"];
     delay_longer_than_period_is_refused: "robot.toml", "delay_servo_ticks = 0" => "delay_servo_ticks = 6",
         Some("delay_servo_ticks = 6"), ["6 servo ticks", "5"];
     non_multiple_physics_rate_is_refused: "robot.toml", "physics_hz = 20000.0" => "physics_hz = 12000.0", Some("physics_hz"),
@@ -116,7 +116,7 @@ refused! {
         ["missing key `torque_limit_nm`", "N·m"];
     sensor_on_unknown_link_is_refused: "robot.toml", "frame = \"hand\"" => "frame = \"palm\"", Some("palm"),
         ["no link 'palm'", "hand"];
-    unknown_transformer_is_refused: "robot.toml", "ratio = 5" => "ratio = 5\ntransformer = \"peper\"", Some("peper"),
+    unknown_transformer_is_refused: "robot.toml", "servo_ticks_per_cycle = 5" => "servo_ticks_per_cycle = 5\ntransformer = \"peper\"", Some("peper"),
         ["`paper`"];
     missing_urdf_is_refused: "robot.toml", "asimo-arm.urdf" => "asimo-arn.urdf", Some("asimo-arn.urdf"),
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
@@ -175,7 +175,7 @@ fn unsupported_transformer_is_refused() {
     };
     refused("interpolating", &[], &["robot.toml", "setpoints", "these drives hold them", "use 'emulation'"]);
     let blind = r#"robot.interface.measured=["position"]"#;
-    refused("paper+current", &[blind], &["motors' current", "use 'paper'"]);
+    refused("paper+current", &[blind], &["needs motor current", "use 'paper'"]);
     refused("identified", &[], &["[profile.a-med]", "opspace identify"]);
     refused(
         "paper",
@@ -472,7 +472,7 @@ fn new_robot_keeps_existing_files() {
     new("mine", &urdf).exits(2).says(&["mine/robot.toml: already exists", "another folder"]);
     fs::create_dir(folder.path().join("other")).unwrap();
     fs::write(folder.path().join("other/ur5.urdf"), "<robot/>").unwrap();
-    new("other", &urdf).exits(2).says(&["other/ur5.urdf", "another file"]);
+    new("other", &urdf).exits(2).says(&["other/ur5.urdf: already exists and differs", "another folder"]);
     assert_eq!(read(folder.path().join("other/ur5.urdf")), "<robot/>");
     assert!(!folder.path().join("other/robot.toml").exists());
     new("third", "none.urdf").exits(2).says(&["none.urdf: there is no such file"]);

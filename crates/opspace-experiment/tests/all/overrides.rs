@@ -84,7 +84,7 @@ struct Via {
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "read by serde")]
 struct Simulated {
-    scale: BTreeMap<String, f64>,
+    true_over_nominal: BTreeMap<String, f64>,
 }
 
 fn source() -> Source {
@@ -232,7 +232,7 @@ fn misspelt_table_is_recognised() {
 fn file_errors_keep_their_lines() {
     // The settings add lines above the error.
     let text = FILE.replace("time_s = 2.0", "time = 2.0");
-    let settings = ["duration_s=8".to_owned(), "simulated={scale={kp=1}}".to_owned()];
+    let settings = ["duration_s=8".to_owned(), "simulated={true_over_nominal={kp=1}}".to_owned()];
     let source = apply(&Source::new("tasks/x.toml", text), &settings).expect("applied");
     let error = parse::<TaskFile>(&source).expect_err("refused");
     assert_eq!(error.to_string(), "tasks/x.toml:14: unknown key `time`");
@@ -257,10 +257,10 @@ fn settings_of_another_file_are_split_off() {
     let settings = ["robot.profile.a-med.servo_ticks_per_cycle=1", "robot=../x", "seed=2"].map(str::to_owned);
     let (robot, task) = split(&settings, "robot");
     assert_eq!((robot.as_slice(), task.as_slice()), (&settings[..1], &settings[1..]));
-    let file = Source::new("robot.toml", "urdf = \"x\"\n[profile.a-med]\nratio = 5\n");
+    let file = Source::new("robot.toml", "urdf = \"x\"\n[profile.a-med]\nservo_ticks_per_cycle = 5\n");
     let applied = apply_below(&file, "robot", &robot).expect("applied");
-    assert_eq!(applied.text(), "urdf = \"x\"\n[profile.a-med]\nratio = 1\n");
-    let error = FileError::at_key(&applied, "profile.a-med.ratio", "m", None);
+    assert_eq!(applied.text(), "urdf = \"x\"\n[profile.a-med]\nservo_ticks_per_cycle = 1\n");
+    let error = FileError::at_key(&applied, "profile.a-med.servo_ticks_per_cycle", "m", None);
     assert_eq!(error.to_string(), "--set robot.profile.a-med.servo_ticks_per_cycle=1: m");
     let stray = apply_below(&file, "robot", &task).expect_err("refused");
     assert_eq!(stray.message(), "this setting must begin with `robot.`");
