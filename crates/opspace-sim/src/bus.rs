@@ -40,7 +40,7 @@ pub struct DropoutParameters {
 }
 
 /// Longest dropout, s: a run keeps all rows of its robot meanwhile.
-pub const LONGEST_DROPOUT_S: f64 = 10.0;
+pub const MAX_DROPOUT_S: f64 = 10.0;
 
 /// Simulated bus, cycle by cycle.
 #[derive(Clone, Debug)]

@@ -1,6 +1,6 @@
 //! The configuration of simulated arms: nominal values, and where the plant differs from them.
 
-use crate::bus::LONGEST_DROPOUT_S;
+use crate::bus::MAX_DROPOUT_S;
 use crate::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
 use crate::environment::{EnvironmentObject, EnvironmentObjectParameters, OperatorMotion};
 use crate::error::SimulationError;
@@ -160,9 +160,9 @@ impl ArmConfig {
         if bus.lost_cycles_share.get() >= 1.0 {
             return Err(SimulationError::LostCycles { share: bus.lost_cycles_share.get() });
         }
-        if let Some(long) = bus.dropouts.iter().find(|d| d.duration_s.get() > LONGEST_DROPOUT_S) {
+        if let Some(long) = bus.dropouts.iter().find(|d| d.duration_s.get() > MAX_DROPOUT_S) {
             let duration_s = long.duration_s.get();
-            return Err(SimulationError::Dropout { duration_s, longest_s: LONGEST_DROPOUT_S });
+            return Err(SimulationError::Dropout { duration_s, longest_s: MAX_DROPOUT_S });
         }
         if bus.jitter_servo_ticks > 0 && bus.jitter_servo_ticks >= ratio {
             return Err(SimulationError::Jitter { jitter: bus.jitter_servo_ticks, ratio });
