@@ -47,7 +47,7 @@
 //! seen.q.copy_from_slice(&[0.3, -0.9]);
 //! let (no_targets, no_feedforward) = (Targets::none(), [0.0; 2]);
 //! assert!(update(&model, &mut data, seen.q.as_slice(), seen.dq.as_slice()));
-//! let hand = model.frame("hand")?;
+//! let hand = model.frame_id("hand")?;
 //! let start = frame_placement(&model, &data, hand).translation;
 //! for tick in 0..1500 {
 //!     seen.time_s = f64::from(tick) * context.period_s;

@@ -3,7 +3,7 @@
 //! A joint is excited about its current position by odd random-phase [multisines](excitation) at two amplitudes,
 //! small enough for its limits and for its motor; the other joints are held. The [frequency responses](response) are
 //! computed from setpoints, positions and, where it is measured, motor torque. The [gains] of the servo are fitted to
-//! them with an exact model of the servo and joint [between two interface cycles](interval); so is a [rational] model
+//! them with an exact model of the servo and joint [between two interface cycles](interval); so is a [rational](transfer_function) model
 //! of T = y/q_desired. [Friction](friction) is identified from runs at constant velocity in both directions. Known
 //! parameters are the structure of the servo, τ = kv [kp
 //! (q_desired − y) − w], its rates, and the limits; gains, filter, delay and friction are identified.
@@ -40,7 +40,7 @@
 //! let known = KnownParameters {
 //!     joint: 0,
 //!     servo_period_s: 2e-4,
-//!     ratio: 5,
+//!     servo_ticks_per_cycle: 5,
 //!     setpoints: Setpoints::Held,
 //!     lower: -1.0,
 //!     upper: 1.0,

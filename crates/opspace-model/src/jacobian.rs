@@ -18,7 +18,7 @@
 //!
 //! let model = Model::from_urdf(urdf)?.model;
 //! let mut data = Data::new(&model);
-//! let tool = model.frame("flange").expect("a link of the file");
+//! let tool = model.frame_id("flange").expect("a link of the file");
 //! let mut jacobian = nalgebra::Matrix6xX::zeros(model.n());
 //! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
 //! frame_jacobian(&model, &data, tool, &mut jacobian);

@@ -14,7 +14,7 @@
 //! let model = Model::from_urdf(urdf)?.model;
 //! let mut data = Data::new(&model);
 //! kinematics(&model, &mut data, &[0.1; 6], &[0.5; 6]);
-//! let tool = model.frame("flange").expect("a link of the file");
+//! let tool = model.frame_id("flange").expect("a link of the file");
 //! let place = frame_placement(&model, &data, tool);
 //! assert!(place.translation.norm() < 1.1, "within reach, m");
 //! assert!(frame_velocity(&model, &data, tool).linear.norm() > 0.0);

@@ -20,7 +20,7 @@
 //! let model = Model::from_urdf(urdf)?.model;
 //! let mut data = Data::new(&model);
 //! assert!(update(&model, &mut data, &[0.4; 6], &[0.0; 6]));
-//! let tool = model.frame("flange").expect("a link of the file");
+//! let tool = model.frame_id("flange").expect("a link of the file");
 //! let mut jacobian = nalgebra::Matrix6xX::zeros(model.n());
 //! frame_jacobian(&model, &data, tool, &mut jacobian);
 //! // The hand's position, three rows: how heavy it is in each direction.

@@ -12,7 +12,7 @@
 //! let line = r#"{"q":[0.1,0.2,0.3,0.4,0.5,0.6],"dq":[0,0,0,0,0,0],"ddq":[0,0,0,0,0,0],
 //!   "tau_in":[0,0,0,0,0,0],"f_tip":[0,0,0,0,0,0]}"#;
 //! let sample: Sample = serde_json::from_str(line).expect("a state");
-//! let tool = model.frame("flange").expect("a link of the file");
+//! let tool = model.frame_id("flange").expect("a link of the file");
 //! let all = evaluate(&model, tool, &sample).expect("a good state");
 //! assert_eq!(all.mass_matrix.len(), 36);
 //! # Ok::<(), opspace_model::UrdfError>(())

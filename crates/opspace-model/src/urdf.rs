@@ -24,7 +24,7 @@
 //! </robot>"#;
 //! let loaded = opspace_model::Model::from_urdf(urdf)?;
 //! assert_eq!(loaded.model.n(), 1);
-//! assert!(loaded.model.frame("rod").is_ok());
+//! assert!(loaded.model.frame_id("rod").is_ok());
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 
