@@ -7,8 +7,8 @@
 #[path = "common/mod.rs"]
 mod common;
 
-use opspace::backend::{Backend, Command, Sample};
-use opspace::experiment::{BackendKind, Experiment, Files, Progress, RunOptions};
+use opspace::backend::{Backend, Command, CommandKind, Sample};
+use opspace::experiment::{Experiment, Files, Progress, RunOptions};
 use opspace::sim::SimulatedArm;
 
 /// A vendor's loop: it owns the timing, and calls back until a callback returns nothing.
@@ -26,7 +26,7 @@ fn control(arm: &mut SimulatedArm, mut callback: impl FnMut(&Sample) -> Option<V
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let options = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
+    let options = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
     let experiment = Experiment::load(Files::Disk, "tasks/compliant-x.toml".as_ref(), None, options, &[])?;
     let mut arm = experiment.simulated_arm()?;
     let capabilities = arm.capabilities().clone();

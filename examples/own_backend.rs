@@ -8,7 +8,7 @@
 mod common;
 
 use opspace::backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Measured, Sample};
-use opspace::experiment::{BackendKind, Experiment, Files, Progress, RunOptions};
+use opspace::experiment::{Experiment, Files, Progress, RunOptions};
 use opspace::model::{Data, Model, aba, kinematics};
 
 struct Arm {
@@ -55,7 +55,7 @@ impl Backend for Arm {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let options = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
+    let options = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
     let task = "tasks/planar-2-link-reach.toml".as_ref();
     let experiment = Experiment::load(Files::Disk, task, None, options, &[])?;
     let capabilities = Capabilities::new(["shoulder", "elbow"], CommandKind::Torque, 1e-3);

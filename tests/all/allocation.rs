@@ -8,12 +8,11 @@
 use crate::common::{self, ik, load, osc, positions, torque, torques};
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::quantity::NonNegative;
-use opspace_backend::{Backend, Capabilities, Command, DeviceFault, Sample, Sink, TICK};
+use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample, Sink, TICK};
 use opspace_control::{CartesianTarget, Controller, Coordinate, CoordinateGains, CoordinateTask};
 use opspace_experiment::files::task::NamedRecording;
 use opspace_experiment::{
-    BackendKind, ControllerKind, Experiment, FileError, Files, RunOptions, Source, Suite, TaskDefinition,
-    TaskKinds,
+    ControllerKind, Experiment, FileError, Files, RunOptions, Source, Suite, TaskDefinition, TaskKinds,
 };
 use opspace_loop::{Fault, Phase, Run, RunOutcome, TargetSender, drive, target_stream};
 use opspace_model::{Data, Model};
@@ -223,7 +222,7 @@ fn no_cycle_with_user_task_and_streamed_targets_allocates() {
     };
     kinds.register("sum", built).unwrap_or_else(|e| panic!("{e}"));
     let named = |_: NamedRecording<'_>| -> Result<Source, FileError> { unreachable!("no path is recorded") };
-    for backend in BackendKind::ALL {
+    for backend in CommandKind::ALL {
         for (reads, writes) in [(usize::MAX, usize::MAX), (900, usize::MAX), (usize::MAX, 900)] {
             let source = Source::new("streamed.toml", TASK);
             let task =

@@ -6,9 +6,8 @@
 use crate::cli_common::{opspace, project, read};
 use crate::common::measure;
 use nalgebra::{DVector, Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use opspace_experiment::{
-    BackendKind, Experiment, Files, RobotDefinition, RunOptions, Source, TaskDefinition,
-};
+use opspace_backend::CommandKind;
+use opspace_experiment::{Experiment, Files, RobotDefinition, RunOptions, Source, TaskDefinition};
 use opspace_model::{Data, Model, Placement, frame_placement, update};
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
@@ -68,7 +67,7 @@ fn every_robot_tracks_its_task_on_both_backends() {
     const TORQUE_ROBOT_M: f64 = 0.005;
     for name in robots() {
         for (backend, bound) in
-            [(BackendKind::Position, POSITION_ROBOT_M), (BackendKind::Torque, TORQUE_ROBOT_M)]
+            [(CommandKind::Position, POSITION_ROBOT_M), (CommandKind::Torque, TORQUE_ROBOT_M)]
         {
             let options = RunOptions { backend, duration_s: Some(2.0), ..RunOptions::default() };
             let experiment = Experiment::load(Files::Disk, &first_task(&name), None, options, &[])

@@ -1,17 +1,27 @@
 //! Commands to a robot.
 
-/// The quantity that a command sets.
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+#[cfg(feature = "serde")]
+use serde::Deserialize;
+
+/// The quantity that a command sets, by which robots are classified too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum CommandKind {
-    /// Joint torques, Nm (forces of prismatic joints, N).
-    Torque,
-    /// Joint velocities, rad/s or m/s.
-    Velocity,
     /// Joint positions, rad or m.
     Position,
+    /// Joint velocities, rad/s or m/s.
+    Velocity,
+    /// Joint torques, Nm (forces of prismatic joints, N).
+    Torque,
 }
 
 impl CommandKind {
+    /// All kinds.
+    pub const ALL: [Self; 3] = [Self::Position, Self::Velocity, Self::Torque];
+
     /// Its name in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -37,6 +37,7 @@ pub struct Settings {
 
 /// A value of a key of `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Setting {
     /// A string.
     Text(String),

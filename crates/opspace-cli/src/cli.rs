@@ -3,7 +3,8 @@
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use opspace_experiment::{BackendKind, ControllerKind, RunOptions};
+use opspace_backend::CommandKind;
+use opspace_experiment::{ControllerKind, RunOptions};
 use opspace_transformer::TransformerKind;
 use std::path::PathBuf;
 
@@ -164,12 +165,12 @@ pub struct RunArgs {
     pub robot: Option<PathBuf>,
 
     /// Robot interface to simulate [default: the one stated in robot.toml].
-    #[arg(long, value_enum)]
-    pub backend: Option<BackendArg>,
+    #[arg(long, value_parser = commands())]
+    pub backend: Option<CommandKind>,
 
     /// Controller of the robot.
-    #[arg(long, value_enum, default_value_t = ControllerArg::Osc)]
-    pub controller: ControllerArg,
+    #[arg(long, value_parser = controllers(), default_value = ControllerKind::Osc.name())]
+    pub controller: ControllerKind,
 
     /// Transformer, which converts desired torques into setpoints [default: that of the profile, otherwise the best one
     /// for the declared interface].
@@ -206,10 +207,10 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
-    pub fn options(&self, default: BackendKind) -> RunOptions {
+    pub fn options(&self, default: CommandKind) -> RunOptions {
         RunOptions {
-            backend: self.backend.map_or(default, BackendKind::from),
-            controller: self.controller.into(),
+            backend: self.backend.unwrap_or(default),
+            controller: self.controller,
             transformer: self.transformer,
             profile: self.profile.clone(),
             seed: self.seed,
@@ -364,48 +365,33 @@ pub enum SchemaKind {
     Suite,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum BackendArg {
-    /// Robot that accepts joint positions; the transformer converts torques into them.
-    Position,
-    /// Robot that accepts joint velocities; the transformer converts torques into them.
-    Velocity,
-    /// Robot that accepts joint torques.
-    Torque,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum ControllerArg {
-    /// Operational-space control: joint torques.
-    Osc,
-    /// Inverse kinematics, streamed as joint positions, without torque control.
-    Ik,
-    /// Inverse kinematics with velocity lead and compensation of gravity sag, streamed as joint positions.
-    IkLead,
-}
-
-impl From<BackendArg> for BackendKind {
-    fn from(arg: BackendArg) -> Self {
-        match arg {
-            BackendArg::Position => Self::Position,
-            BackendArg::Velocity => Self::Velocity,
-            BackendArg::Torque => Self::Torque,
-        }
-    }
-}
-
-impl From<ControllerArg> for ControllerKind {
-    fn from(arg: ControllerArg) -> Self {
-        match arg {
-            ControllerArg::Osc => Self::Osc,
-            ControllerArg::Ik => Self::Ik,
-            ControllerArg::IkLead => Self::IkLead,
-        }
-    }
-}
-
 /// Parser of the transformers' names.
 fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
     let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
     PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
+}
+
+/// Parser of the kinds of robots.
+fn commands() -> impl TypedValueParser<Value = CommandKind> {
+    let values = CommandKind::ALL.map(|kind| {
+        PossibleValue::new(kind.name()).help(match kind {
+            CommandKind::Position => {
+                "Robot that accepts joint positions; the transformer converts torques into them"
+            }
+            CommandKind::Velocity => {
+                "Robot that accepts joint velocities; the transformer converts torques into them"
+            }
+            CommandKind::Torque => "Robot that accepts joint torques",
+        })
+    });
+    let named = |name: String| CommandKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or("unknown");
+    PossibleValuesParser::new(values).try_map(named)
+}
+
+/// Parser of the controllers' names.
+fn controllers() -> impl TypedValueParser<Value = ControllerKind> {
+    let values = ControllerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
+    let named =
+        |name: String| ControllerKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or("unknown");
+    PossibleValuesParser::new(values).try_map(named)
 }

@@ -55,6 +55,7 @@ pub trait Controller: Observable + Send {
 
 /// A streamed target that has not been renewed in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct StaleTarget {
     /// Place of the task in the priority, from 0.
     pub task: usize,

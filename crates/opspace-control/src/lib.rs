@@ -86,6 +86,8 @@ pub mod measurement;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
+// The solvers are internal; hidden rather than private for their tests and benchmarks.
+#[doc(hidden)]
 pub mod qp;
 pub mod references;
 pub mod targets;
@@ -102,7 +104,6 @@ pub use limits::joint_limits::{JointLimits, LimitParameters};
 pub use measurement::Measurement;
 pub use osc::OperationalSpaceController;
 pub use per_joint::PerJoint;
-pub use qp::{active_set, interior_point};
 pub use references::goal::{OrientationGoal, PositionGoal};
 pub use references::joint_reference::JointReference;
 pub use references::online::{MotionLimits, OnlineGoal};

@@ -1,7 +1,6 @@
 //! References: position, velocity and acceleration that a task follows.
 
 pub(crate) mod blend;
-pub mod filter;
 pub mod goal;
 pub mod joint_reference;
 pub mod online;

@@ -7,7 +7,6 @@ mod html;
 mod toml_output;
 
 use crate::evaluate::table::{Cell, Table};
-use crate::files::interface::CommandParameter;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
@@ -52,6 +51,7 @@ pub struct IdentificationJob {
 
 /// An identified joint.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct JointIdentification {
     /// Name of the joint.
     #[serde(skip)]
@@ -77,6 +77,7 @@ pub struct JointIdentification {
 
 /// The structures of servos that can be identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Structure {
     /// A proportional velocity loop within a proportional position loop.
     Cascaded,
@@ -122,7 +123,7 @@ impl IdentificationJob {
     pub fn new(robot: RobotDefinition, request: Request) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(request.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
-        if robot.file.interface.command != CommandParameter::Position {
+        if robot.file.interface.command != CommandKind::Position {
             let message = "this robot does not accept joint positions: it has no position servos to identify";
             return Err(FileError::at_key(&robot.source, "interface.command", message, None));
         }
@@ -289,6 +290,7 @@ impl IdentificationJob {
             ServoParameters::Pid(_) => "a PID servo with an integral, or with the derivative of the error",
             ServoParameters::TransferFunction(_) => "a transfer function",
             ServoParameters::Velocity(_) => "a velocity servo",
+            _ => "of another kind",
         };
         let key = ["profile", &self.profile_name, "servo", name];
         let message = format!("the servo of joint '{name}' is {what}, which cannot be identified");

@@ -45,7 +45,7 @@ pub use files::task_kinds::{TaskKindError, TaskKinds};
 pub use preflight::{Diagnostic, diagnostics};
 pub use run::error::RunError;
 pub use run::execute::{Progress, RunResult};
-pub use run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
+pub use run::experiment::{ControllerKind, Experiment, RunOptions};
 pub use run::summary::Summary;
 
 /// Code examples of the README, compiled and run as doctests.

@@ -14,6 +14,7 @@ const NO_STRIBECK: f64 = 0.05;
 
 /// Friction of a joint, as it is written into robot.toml.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Friction {
     /// Coulomb friction Fc, Nm (N).
     pub coulomb: f64,
@@ -38,6 +39,7 @@ impl Friction {
 
 /// Friction measured at a speed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct ConstantVelocityRun {
     /// Speed, rad/s (m/s), above 0.
     pub speed: f64,

@@ -34,6 +34,7 @@ const TURNS: usize = 4;
 
 /// Frequency responses at one amplitude.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct AmplitudeLevel {
     /// Rms of the joint's velocity, rad/s (m/s).
     pub speed: f64,
@@ -45,6 +46,7 @@ pub struct AmplitudeLevel {
 
 /// Servo that explains the responses.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Gains {
     /// Drive and joint; per inertia, and with an inertia of 1, where torque was not measured.
     pub drive: Drive,

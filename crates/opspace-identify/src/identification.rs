@@ -143,6 +143,7 @@ pub enum IdentificationFailure {
 
 /// Fit quality of an identified servo.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct FitQuality {
     /// Highest frequency up to which coherence and fit are good, Hz: fit of the torque where it was measured, else of
     /// T.
@@ -161,6 +162,7 @@ pub struct FitQuality {
 
 /// Servo of a joint, in Nm, or over the inertia where the scale of torque is not known.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Servo {
     /// Position gain, 1/s.
     pub kp: f64,
@@ -182,6 +184,7 @@ pub struct Servo {
 
 /// Measurements at one amplitude.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Measured {
     /// Rms of the setpoint's offset, rad (m).
     pub rms: f64,
@@ -197,6 +200,7 @@ pub struct Measured {
 
 /// Result for a joint, identified or not.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Identification {
     /// Source of the scale of torque.
     pub scale: TorqueScale,

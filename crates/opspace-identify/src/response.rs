@@ -20,6 +20,7 @@ pub struct Realisation {
 
 /// Response at an excited line.
 #[derive(Clone, Copy, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Point {
     /// Frequency, Hz.
     pub hz: f64,
@@ -34,6 +35,7 @@ pub struct Point {
 
 /// Share of the output that is not the linear response, each rms over the rms at excited lines.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Distortion {
     /// Share at even lines: even nonlinearities.
     pub even: f64,

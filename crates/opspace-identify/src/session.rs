@@ -19,6 +19,7 @@ pub struct Bounds {
 
 /// Reason why a motion was aborted.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum AbortReason {
     /// Fault of the robot.
     #[error(transparent)]

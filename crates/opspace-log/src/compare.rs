@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 
 /// First number of a replay that differs from the log.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Difference {
     /// Number of the control cycle, from 0.
     pub tick: usize,

@@ -55,6 +55,7 @@ pub enum LogError {
 
 /// Damage at which a log stops being readable. Everything read before is intact.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Corruption {
     /// Description of the damage.
     pub what: String,

@@ -65,6 +65,7 @@ pub struct Writer<W> {
 /// Numbers of rows written and dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
+#[non_exhaustive]
 pub struct WriteStats {
     /// Number of rows in the file.
     pub records: u64,

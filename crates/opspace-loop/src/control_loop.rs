@@ -39,6 +39,7 @@ use opspace_transformer::{FrictionCompensation, Transformer};
 /// The result of a cycle.
 #[derive(Clone, Copy, Debug)]
 #[must_use]
+#[non_exhaustive]
 pub struct Step<'a> {
     /// The command for the robot; `None` at rest and after a stop.
     pub command: Option<Command<'a>>,

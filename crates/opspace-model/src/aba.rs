@@ -56,8 +56,8 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
         if let Some(p) = body.parent {
             // Beyond the joint the force I_a c + p + U u/D is left, with I_a = I − U Uᵀ/D.
             let c = velocity_product(data, i);
-            let given_way = (torque - c.dot(&column)) * inverse_inertia;
-            let force = data.force[i] + articulated.apply(&c) + column * given_way;
+            let joint_response = (torque - c.dot(&column)) * inverse_inertia;
+            let force = data.force[i] + articulated.apply(&c) + column * joint_response;
             data.force[p] += force;
             let (before, from) = data.articulated.split_at_mut(i);
             before[p].add_projected(&from[0], &column, inverse_inertia);
@@ -66,11 +66,11 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     // Gravity as an upward acceleration of the base.
     let base = Motion { linear: -model.gravity, angular: Vector3::zeros() };
     for (i, body) in model.bodies.iter().enumerate() {
-        let carried = body.parent.map_or(base, |p| data.acceleration[p]) + velocity_product(data, i);
+        let inherited = body.parent.map_or(base, |p| data.acceleration[p]) + velocity_product(data, i);
         let column = &data.column[i];
-        let ddq = column.inverse_inertia * (column.torque - carried.dot(&column.force));
+        let ddq = column.inverse_inertia * (column.torque - inherited.dot(&column.force));
         data.ddq[i] = ddq;
-        data.acceleration[i] = carried + data.screw[i] * ddq;
+        data.acceleration[i] = inherited + data.screw[i] * ddq;
     }
 }
 

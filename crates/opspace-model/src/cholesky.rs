@@ -45,7 +45,10 @@ pub struct MassMatrixFactor<T = f64> {
 
 /// Indices of joint `last` and its ancestors as contiguous ranges, from `last` towards the base.
 #[inline]
-fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterator<Item = Range<usize>> + '_ {
+fn ancestor_ranges(
+    rows: &[(usize, Option<usize>)],
+    last: Option<usize>,
+) -> impl Iterator<Item = Range<usize>> + '_ {
     let mut last = last;
     std::iter::from_fn(move || {
         let end = last?;
@@ -58,8 +61,8 @@ fn carriers(rows: &[(usize, Option<usize>)], last: Option<usize>) -> impl Iterat
 /// Parent of joint `k`.
 #[inline]
 fn parent(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
-    let (first, carrier) = rows[k];
-    if first == k { carrier } else { Some(k - 1) }
+    let (first, parent) = rows[k];
+    if first == k { parent } else { Some(k - 1) }
 }
 
 impl<T: Real> MassMatrixFactor<T> {
@@ -69,7 +72,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let n = model.n();
         let mut rows: Vec<(usize, Option<usize>)> = Vec::with_capacity(n);
         for joint in 0..n {
-            // Folded joints may couple any two: as if each were the parent of the next.
+            // Joints folded by mimic rules may couple any two: as if each were the parent of the next.
             let above =
                 if model.has_mimic_constraints() { joint.checked_sub(1) } else { model.bodies[joint].parent };
             rows.push(match above {
@@ -100,7 +103,7 @@ impl<T: Real> MassMatrixFactor<T> {
         assert_eq!(mass_matrix.shape(), (n, n), "n rows and n columns");
         self.upper.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
         for k in (0..n).rev() {
-            let carrier = self.parent(k);
+            let parent = self.parent(k);
             // The columns left of k, and k itself.
             let (left, right) = self.upper.as_mut_slice().split_at_mut(k * n);
             let (pivot, column) = (right[k], &mut right[..k]);
@@ -110,10 +113,10 @@ impl<T: Real> MassMatrixFactor<T> {
             let reciprocal = T::one() / pivot;
             self.reciprocal[k] = reciprocal;
             // From k inwards: what is scaled is needed no more by those further in.
-            for row in carriers(&self.rows, carrier) {
+            for row in ancestor_ranges(&self.rows, parent) {
                 for i in row.rev() {
                     let factor = column[i] * reciprocal;
-                    for inner in carriers(&self.rows, Some(i)) {
+                    for inner in ancestor_ranges(&self.rows, Some(i)) {
                         let target = &mut left[i * n..][inner.clone()];
                         target.iter_mut().zip(&column[inner]).for_each(|(t, &c)| *t -= c * factor);
                     }
@@ -138,13 +141,13 @@ impl<T: Real> MassMatrixFactor<T> {
         let n = self.reciprocal.len();
         for k in (0..n).rev() {
             let y = x[k];
-            for row in carriers(&self.rows, self.parent(k)) {
+            for row in ancestor_ranges(&self.rows, self.parent(k)) {
                 x[row.clone()].iter_mut().zip(&self.column(k)[row]).for_each(|(x, &u)| *x -= u * y);
             }
         }
         for k in 0..n {
             let mut sum = x[k] * self.reciprocal[k];
-            for row in carriers(&self.rows, self.parent(k)) {
+            for row in ancestor_ranges(&self.rows, self.parent(k)) {
                 x[row.clone()].iter().zip(&self.column(k)[row]).for_each(|(&x, &u)| sum -= u * x);
             }
             x[k] = sum;
@@ -162,7 +165,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let rows = x.as_mut_slice();
         for k in (0..n).rev() {
             let (before, y) = rows.split_at_mut(k * n);
-            for row in carriers(&self.rows, self.parent(k)) {
+            for row in ancestor_ranges(&self.rows, self.parent(k)) {
                 for i in row {
                     let u = self.upper[(i, k)];
                     before[i * n..][..n].iter_mut().zip(&y[..n]).for_each(|(x, &y)| *x -= y * u);
@@ -172,7 +175,7 @@ impl<T: Real> MassMatrixFactor<T> {
         for k in 0..n {
             let (before, y) = rows.split_at_mut(k * n);
             y[..n].iter_mut().for_each(|y| *y *= self.reciprocal[k]);
-            for row in carriers(&self.rows, self.parent(k)) {
+            for row in ancestor_ranges(&self.rows, self.parent(k)) {
                 for i in row {
                     let u = self.upper[(i, k)];
                     y[..n].iter_mut().zip(&before[i * n..][..n]).for_each(|(y, &x)| *y -= x * u);
@@ -198,7 +201,7 @@ impl<T: Real> MassMatrixFactor<T> {
             if y == [T::zero(); 6] {
                 continue;
             }
-            for row in carriers(&self.rows, self.parent(k)) {
+            for row in ancestor_ranges(&self.rows, self.parent(k)) {
                 let factors = &self.column(k)[row.clone()];
                 columns[row].iter_mut().zip(factors).for_each(|(x, &u)| subtract(x, &y, u));
             }
@@ -219,7 +222,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let (columns, _) = half.as_mut_slice().as_chunks_mut::<6>();
         for k in 0..n {
             let mut sum = columns[k];
-            for row in carriers(&self.rows, self.parent(k)) {
+            for row in ancestor_ranges(&self.rows, self.parent(k)) {
                 let factors = &self.column(k)[row.clone()];
                 columns[row].iter().zip(factors).for_each(|(x, &u)| subtract(&mut sum, x, u));
             }

@@ -86,9 +86,9 @@ pub fn coriolis<T: Real>(model: &Model<T>, data: &mut Data<T>) {
         data.coriolis_matrix[(body.joint, body.joint)] += s.dot(&along);
         for j in model.ancestry(body.parent) {
             let (s, s_dot) = (&data.screw[j], screw_rate(data, j));
-            let carrier = model.bodies[j].joint;
-            data.coriolis_matrix[(carrier, body.joint)] += s.dot(&along);
-            data.coriolis_matrix[(body.joint, carrier)] += s_dot.dot(&against.0) + s.dot(&against.1);
+            let ancestor = model.bodies[j].joint;
+            data.coriolis_matrix[(ancestor, body.joint)] += s.dot(&along);
+            data.coriolis_matrix[(body.joint, ancestor)] += s_dot.dot(&against.0) + s.dot(&against.1);
         }
     }
 }

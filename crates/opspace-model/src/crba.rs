@@ -42,9 +42,9 @@ pub(crate) fn mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>) {
         mass_matrix[(body.joint, body.joint)] += data.screw[i].dot(&force);
         for j in model.ancestry(body.parent) {
             let entry = data.screw[j].dot(&force);
-            let carrier = model.bodies[j].joint;
-            mass_matrix[(body.joint, carrier)] += entry;
-            mass_matrix[(carrier, body.joint)] += entry;
+            let ancestor = model.bodies[j].joint;
+            mass_matrix[(body.joint, ancestor)] += entry;
+            mass_matrix[(ancestor, body.joint)] += entry;
         }
     }
     for (i, &rotor) in model.rotor_inertia.iter().enumerate() {

@@ -63,10 +63,10 @@ pub fn rnea_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
         }
         let (row_b, row_i) = (factor.apply_transposed(screw) * two, inertia.apply(screw));
         for j in model.ancestry(Some(i)) {
-            let (s, carrier) = (&data.screw[j], &data.rates[j]);
+            let (s, ancestor) = (&data.screw[j], &data.rates[j]);
             let (ci, cj) = (body.joint, model.bodies[j].joint);
-            data.torque_by_q[(ci, cj)] += carrier.psi_dot.dot(&row_b) + carrier.psi_ddot.dot(&row_i);
-            data.torque_by_dq[(ci, cj)] += s.dot(&row_b) + carrier.velocity.dot(&row_i);
+            data.torque_by_q[(ci, cj)] += ancestor.psi_dot.dot(&row_b) + ancestor.psi_ddot.dot(&row_i);
+            data.torque_by_dq[(ci, cj)] += s.dot(&row_b) + ancestor.velocity.dot(&row_i);
             if j != i {
                 data.torque_by_q[(cj, ci)] += s.dot(&by_q);
                 data.torque_by_dq[(cj, ci)] += s.dot(&by_dq);

@@ -63,6 +63,7 @@ pub mod energy;
 pub mod jacobian;
 pub mod kinematics;
 pub mod model;
+mod name_list;
 pub mod operational_space;
 pub mod real;
 pub mod reduce;

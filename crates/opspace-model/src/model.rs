@@ -147,6 +147,7 @@ pub struct Model<T = f64> {
 /// Frame that the model doesn't have.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("no frame '{name}'; the frames are: {}", known.join(", "))]
+#[non_exhaustive]
 pub struct UnknownFrame {
     /// Name asked for.
     pub name: String,
@@ -157,6 +158,7 @@ pub struct UnknownFrame {
 /// Joint that the model doesn't have.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("no joint '{name}'; the joints are: {}", known.join(", "))]
+#[non_exhaustive]
 pub struct UnknownJoint {
     /// Name asked for.
     pub name: String,

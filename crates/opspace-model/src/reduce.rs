@@ -93,8 +93,8 @@ impl Model {
         }
         let mut places: Vec<(Option<usize>, Placement)> = Vec::with_capacity(self.bodies.len());
         for (body, own) in self.bodies.iter().zip(&self.own) {
-            let (parent, carrier) = body.parent.map_or((None, Placement::identity()), |p| places[p]);
-            let at_zero = carrier * body.origin;
+            let (parent, parent_placement) = body.parent.map_or((None, Placement::identity()), |p| places[p]);
+            let at_zero = parent_placement * body.origin;
             if let Some(q) = locked_at[body.joint] {
                 let x = body.ratio * q + body.offset;
                 let place = body.kind.placement(&at_zero, x, x.sin_cos());
@@ -109,8 +109,9 @@ impl Model {
             left.bodies.push(Body { parent, origin: at_zero, joint: numbers[body.joint], ..*body });
         }
         for (frame, payload) in self.frames.iter().zip(&self.payloads) {
-            let (body, carrier) = frame.body.map_or((None, Placement::identity()), |b| places[b]);
-            left.frames.push(Frame { name: frame.name.clone(), body, placement: carrier * frame.placement });
+            let (body, body_placement) = frame.body.map_or((None, Placement::identity()), |b| places[b]);
+            let placement = body_placement * frame.placement;
+            left.frames.push(Frame { name: frame.name.clone(), body, placement });
             left.payloads.push(*payload);
         }
         (0..left.bodies.len()).for_each(|body| left.update_body_inertia(Some(body)));

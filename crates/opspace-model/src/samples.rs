@@ -67,6 +67,7 @@ fn all_rows() -> Vec<usize> {
 
 /// Quantities computed from a [`Sample`]; k is the number of its task's rows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Quantities {
     /// Axes of the tip in the world (3 × 3).
     #[serde(rename = "tip_R")]

@@ -46,6 +46,7 @@ use elements::RobotElement;
 
 /// Model read from a URDF, and the warnings about its file.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct ParsedUrdf {
     /// Model of the robot.
     pub model: Model,

@@ -18,6 +18,7 @@
 //! ```
 
 use crate::model::{Body, Joint, JointKind, Model};
+use crate::name_list::name_list;
 use crate::spatial::principal_moments;
 use nalgebra::Vector3;
 use std::f64::consts::PI;
@@ -229,8 +230,8 @@ fn large_inertia(part: &Part<'_>) -> Option<ModelWarning> {
 }
 
 fn unequal_masses(part: &Part<'_>) -> Option<ModelWarning> {
-    let carrier = Part::new(part.model, part.body().parent?);
-    let (light, heavy) = if part.mass < carrier.mass { (part, &carrier) } else { (&carrier, part) };
+    let parent = Part::new(part.model, part.body().parent?);
+    let (light, heavy) = if part.mass < parent.mass { (part, &parent) } else { (&parent, part) };
     // A root without mass is a frame to count from.
     (light.mass > 0.0 && heavy.mass > LARGEST_MASS_RATIO * light.mass).then(|| ModelWarning::UnequalMasses {
         light: light.name(),
@@ -283,12 +284,7 @@ fn short(number: f64) -> String {
 
 /// Names of joints in one line, up to eight.
 fn listed(names: &[String]) -> String {
-    const MOST: usize = 8;
     let word = if names.len() == 1 { "joint" } else { "joints" };
-    let shown: Vec<String> = names.iter().take(MOST).map(|name| format!("'{name}'")).collect();
-    let more = match names.len().saturating_sub(MOST) {
-        0 => String::new(),
-        more => format!(" and {more} more"),
-    };
-    format!("{word} {}{more}", shown.join(", "))
+    let quoted: Vec<String> = names.iter().map(|name| format!("'{name}'")).collect();
+    format!("{word} {}", name_list(&quoted, 8))
 }

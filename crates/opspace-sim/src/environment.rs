@@ -14,6 +14,7 @@ use std::f64::consts::TAU;
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum EnvironmentObjectParameters {
     /// Operator who holds the frame by a spring and a damper.
     Spring(SpringParameters),
@@ -92,6 +93,7 @@ pub enum WorldAxis {
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum OperatorMotion {
     /// No motion.
     Still {},

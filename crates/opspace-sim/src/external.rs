@@ -20,6 +20,7 @@ pub struct ExternalForce {
 
 /// The kind of an external force.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Pull {
     /// A spring to a point and a damper: `F = K (x_target − x) − B ẋ`.
     Spring {

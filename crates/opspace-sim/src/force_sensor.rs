@@ -2,11 +2,11 @@
 
 use crate::parameters::ForceSensorParameters;
 use nalgebra::Vector3;
+use opspace_backend::low_pass;
 use opspace_model::Force;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use std::f64::consts::TAU;
 
 /// Simulated force sensor, in its own axes.
 #[derive(Clone, Debug)]
@@ -26,7 +26,7 @@ impl SimulatedForceSensor {
         let bias =
             Force { linear: uniform(parameters.bias_n.get()), angular: uniform(parameters.bias_nm.get()) };
         Self {
-            gain: 1.0 - (-TAU * parameters.bandwidth_hz.get() * period_s).exp(),
+            gain: low_pass::gain(parameters.bandwidth_hz.get(), period_s),
             noise: (parameters.noise_n.get(), parameters.noise_nm.get()),
             bias,
             filtered: Force::zero(),

@@ -29,7 +29,7 @@ use opspace_backend::quantity::Positive;
 use opspace_model::Data;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use thiserror::Error;
 
@@ -43,7 +43,7 @@ const POINTS: u32 = 60;
 const WORST_SPLIT: f64 = 0.3;
 
 /// Ratio of polynomials in s, coefficients in ascending order from the constant.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TransferFunction {
@@ -123,7 +123,9 @@ fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
 }
 
 impl TransferFunction {
-    fn at(&self, s: Complex<f64>) -> Complex<f64> {
+    /// Value at `s`, rad/s.
+    #[must_use]
+    pub fn at(&self, s: Complex<f64>) -> Complex<f64> {
         value(&self.numerator, s) / value(&self.denominator, s)
     }
 
@@ -141,8 +143,9 @@ impl TransferFunction {
         Self { numerator, denominator }
     }
 
-    /// Largest real part of a pole.
-    fn slowest_pole(&self) -> Option<f64> {
+    /// Largest real part of a pole, rad/s; `None` without poles.
+    #[must_use]
+    pub fn slowest_pole(&self) -> Option<f64> {
         roots(&self.denominator).iter().map(|pole| pole.re).max_by(f64::total_cmp)
     }
 }

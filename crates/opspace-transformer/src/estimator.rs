@@ -4,11 +4,11 @@
 //! pass filter").
 
 use nalgebra::DVector;
+use opspace_backend::low_pass;
 use opspace_backend::quantity::Positive;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
-use std::f64::consts::TAU;
 
 /// Estimation of joint velocity.
 #[derive(Clone, Debug, Deserialize)]
@@ -41,7 +41,7 @@ impl VelocityEstimator {
     /// Returns an estimator at rest; `period_s` between two positions.
     #[must_use]
     pub fn new(n: usize, parameters: &EstimatorParameters, period_s: f64) -> Self {
-        let gain = 1.0 - (-TAU * parameters.velocity_filter_hz.get() * period_s).exp();
+        let gain = low_pass::gain(parameters.velocity_filter_hz.get(), period_s);
         Self { period_s, gain, last: DVector::from_element(n, f64::NAN), velocity: DVector::zeros(n) }
     }
 

@@ -28,6 +28,7 @@ const MAX_STEPS: u32 = 20_000;
 /// Observer gain L of a joint: correction of position, velocity (1/s), servo memory and disturbance (1/s²) per
 /// innovation (rad).
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct ObserverGain {
     /// Gain of the position.
     pub position: f64,
@@ -41,6 +42,7 @@ pub struct ObserverGain {
 
 /// Joint whose position is read every so many servo ticks.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct ObservedJoint<'a> {
     /// Servo law of its drive.
     pub servo: &'a ServoLaw,

@@ -15,6 +15,7 @@ use std::f64::consts::TAU;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum ServoParameters {
     /// Position loop around a velocity loop.
     Cascaded(CascadedServo),

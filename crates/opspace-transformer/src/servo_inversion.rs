@@ -10,6 +10,7 @@ const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
 /// Torques within an interval that are to match the desired one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum TorqueObjective {
     /// Mean torque of the interval.
     IntervalMean,

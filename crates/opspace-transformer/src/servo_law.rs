@@ -12,7 +12,7 @@ use crate::servo::{
     CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo, VelocityServo,
 };
 use nalgebra::{Complex, DMatrix, DVector};
-use std::f64::consts::TAU;
+use opspace_backend::low_pass;
 use std::ops::{Add, Mul, Sub};
 use thiserror::Error;
 
@@ -290,6 +290,6 @@ impl ServoLaw {
 
 /// Filtered finite difference of a quantity that changed by `change` since the last servo tick, `rate` before.
 fn filtered_rate(rate: Form, change: Form, filter_hz: f64, period_s: f64) -> Form {
-    let share = 1.0 - (-TAU * filter_hz * period_s).exp();
-    rate * (1.0 - share) + change * (share / period_s)
+    let gain = low_pass::gain(filter_hz, period_s);
+    rate * (1.0 - gain) + change * (gain / period_s)
 }

@@ -6,7 +6,7 @@ use opspace_backend::{Backend, CommandKind, GroundTruth, Layout, Observable, Sig
 use opspace_control::{ControlInput, Controller, Measurement};
 use opspace_experiment::evaluate::metrics::metrics;
 use opspace_experiment::{
-    BackendKind, ControllerKind, Experiment, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
+    ControllerKind, Experiment, Files, Metrics, RobotDefinition, RunOptions, TaskDefinition,
 };
 use opspace_log::Recording;
 use opspace_log::recording::{ChannelData, Column};
@@ -26,7 +26,7 @@ pub fn osc(profile: &str) -> RunOptions {
 
 /// Torque robot at the rates of a profile.
 pub fn torque(profile: &str) -> RunOptions {
-    RunOptions { backend: BackendKind::Torque, ..osc(profile) }
+    RunOptions { backend: CommandKind::Torque, ..osc(profile) }
 }
 
 /// Position robot, inverse kinematics, with or without velocity lead.

@@ -11,7 +11,8 @@ pub mod report;
 pub mod run;
 pub mod schema;
 
-use opspace_experiment::{BackendKind, Extensions, Files};
+use opspace_backend::CommandKind;
+use opspace_experiment::{Experiment, Extensions, Files};
 use std::path::Path;
 
 /// The kind of robot that robot.toml states.
@@ -20,7 +21,8 @@ fn own_backend(
     robot: Option<&Path>,
     settings: &[String],
     extensions: &Extensions,
-) -> BackendKind {
+) -> CommandKind {
     // Mistakes in the files are reported when the files are combined.
-    BackendKind::stated(extensions, Files::Disk, task, robot, settings).unwrap_or(BackendKind::Position)
+    Experiment::declared_command(extensions, Files::Disk, task, robot, settings)
+        .unwrap_or(CommandKind::Position)
 }

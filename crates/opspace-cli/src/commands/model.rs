@@ -48,7 +48,7 @@ fn load(args: &ModelArgs) -> Result<ModelView, Failure> {
     let options = UrdfOptions { floating_base: args.floating, enforce_mimic: args.enforce_mimic };
     if args.robot.extension().is_some_and(|e| e == "urdf") {
         let urdf = Source::read(&args.robot)?;
-        let ParsedUrdf { model, standing_kg, warnings } = load_urdf(&urdf, options)?;
+        let ParsedUrdf { model, standing_kg, warnings, .. } = load_urdf(&urdf, options)?;
         return Ok(ModelView::new(&urdf, model, standing_kg, &warnings));
     }
     let robot = RobotDefinition::load(Files::Disk, &args.robot, &[])?;
@@ -108,7 +108,7 @@ fn joint_table(model: &Model) -> Table {
             JointKind::Floating => "floating base",
         };
         let mut row: Vec<Cell> = vec![joint.name.clone().into(), kind.into()];
-        row.push(carried_by(model, i).unwrap_or("world").into());
+        row.push(parent_link(model, i).unwrap_or("world").into());
         let limits = joint.limits;
         let limits = [limits.lower, limits.upper, limits.velocity, limits.effort];
         row.extend(limits.map(|value| limit(joint.kind, value)));
@@ -183,7 +183,7 @@ fn link(model: &Model, body: Option<usize>) -> &str {
 }
 
 /// Parent link of a joint; with several bodies that follow the joint, that of its own body. `None` for a floating base.
-fn carried_by(model: &Model, joint: usize) -> Option<&str> {
+fn parent_link(model: &Model, joint: usize) -> Option<&str> {
     if model.joints()[joint].kind == JointKind::Floating {
         return None;
     }
@@ -249,7 +249,7 @@ fn as_json(shown: &ModelView) -> Value {
                 "effort": joint.limits.effort,
                 "mass_kg": moved.map(|body| body.inertia.mass).sum::<f64>(),
                 "rotor_inertia": model.rotor_inertia()[i],
-                "carried_by": carried_by(model, i),
+                "carried_by": parent_link(model, i),
             })
         })
         .collect();
@@ -266,12 +266,12 @@ fn as_json(shown: &ModelView) -> Value {
             })
         })
         .collect();
-    let carrier = |body: usize| model.joints()[model.bodies()[body].joint].name.as_str();
+    let joint_name = |body: usize| model.joints()[model.bodies()[body].joint].name.as_str();
     let frames: Vec<Value> = (model.frames().iter())
         .map(|frame| {
             json!({
                 "name": frame.name,
-                "moves_with": frame.body.map(carrier),
+                "moves_with": frame.body.map(joint_name),
                 "fixed_to": link(model, frame.body),
                 "offset_m": offset(model, frame),
             })

@@ -53,6 +53,7 @@ fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMa
 /// Λ⁻¹ = J M⁻¹ Jᵀ. A direction that is much harder to move than that is near a singular one, whatever the arm's masses
 /// and the task's units.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct TypicalMobility {
     /// Mobility with the arm's M, 1/kg.
     pub dynamic: f64,

@@ -21,6 +21,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum TaskParameters {
     /// A frame that follows a reference on some axes and is compliant on others.
     Cartesian(Box<CartesianParameters>),
@@ -37,6 +38,22 @@ pub enum TaskParameters {
     /// A task of a kind that was registered.
     #[serde(skip)]
     Registered(RegisteredTask),
+}
+
+impl TaskParameters {
+    /// Kind of the task: the name of its table in a file.
+    #[must_use]
+    pub fn kind(&self) -> &str {
+        match self {
+            Self::Cartesian(_) => "cartesian",
+            Self::CenterOfMass(_) => "center-of-mass",
+            Self::Swivel(_) => "swivel",
+            Self::JointTracking(_) => "joint-tracking",
+            Self::JointPosture(_) => "joint-posture",
+            Self::JointDamping(_) => "joint-damping",
+            Self::Registered(task) => task.kind(),
+        }
+    }
 }
 
 /// Builds a task of a name for a robot.
@@ -93,6 +110,7 @@ impl fmt::Debug for RegisteredTask {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Compensation {
     /// Gravity, Coriolis and centrifugal forces: C q̇ + g.
     #[default]

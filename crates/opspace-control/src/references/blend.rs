@@ -27,9 +27,9 @@ impl Joining {
         let away = from.placement.rotation * reference.placement.rotation.transpose();
         // ω = ω_away + E ω_reference with E = exp(φ), and its derivative; ω_away and its derivative are linear in φ̇ and φ̈.
         let phi = orientation::log(&away);
-        let carried = away * reference.velocity.angular;
-        let omega = from.velocity.angular - carried;
-        let alpha = from.acceleration.angular - away * reference.acceleration.angular - omega.cross(&carried);
+        let rotated = away * reference.velocity.angular;
+        let omega = from.velocity.angular - rotated;
+        let alpha = from.acceleration.angular - away * reference.acceleration.angular - omega.cross(&rotated);
         let zero = Vector3::zeros();
         let columns = [Vector3::x(), Vector3::y(), Vector3::z()]
             .map(|axis| rotation_vector_rates(&phi, &axis, &zero).0);
@@ -55,16 +55,16 @@ impl Joining {
         let (line, [phi, dphi, ddphi]) = (at(&self.line), at(&self.turn));
         let (omega, alpha) = rotation_vector_rates(&phi, &dphi, &ddphi);
         let away = orientation::exp(&phi);
-        let carried = away * reference.velocity.angular;
+        let rotated = away * reference.velocity.angular;
         Target {
             placement: Placement {
                 rotation: away * reference.placement.rotation,
                 translation: reference.placement.translation + line[0],
             },
-            velocity: Motion { linear: reference.velocity.linear + line[1], angular: omega + carried },
+            velocity: Motion { linear: reference.velocity.linear + line[1], angular: omega + rotated },
             acceleration: Motion {
                 linear: reference.acceleration.linear + line[2],
-                angular: alpha + away * reference.acceleration.angular + omega.cross(&carried),
+                angular: alpha + away * reference.acceleration.angular + omega.cross(&rotated),
             },
         }
     }

@@ -14,10 +14,8 @@ use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
 use rsruckig::profile::Profile;
 #[cfg(feature = "schema")]
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::JsonSchema;
 use serde::Deserialize;
-#[cfg(feature = "schema")]
-use std::borrow::Cow;
 
 /// A motion to one pose as fast as the limits allow, from any state of motion at the start.
 ///
@@ -27,6 +25,7 @@ use std::borrow::Cow;
 /// own time. The one that has no goal stays as it is, or comes back to that within half a second. A motion beyond the
 /// limits is brought within them first, over a distance that follows from the limits.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(with = "OnlineGoalFile"))]
 #[serde(try_from = "OnlineGoalFile")]
 pub struct OnlineGoal {
     /// Position to reach, and limits of the motion (m/s, m/s², m/s³).
@@ -67,17 +66,6 @@ struct OnlineGoalFile {
     angular_acceleration_rad_per_s2: Option<Positive>,
     /// Highest angular jerk, rad/s³; required with `orientation`, refused without it.
     angular_jerk_rad_per_s3: Option<Positive>,
-}
-
-#[cfg(feature = "schema")]
-impl JsonSchema for OnlineGoal {
-    fn schema_name() -> Cow<'static, str> {
-        "OnlineGoal".into()
-    }
-
-    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        OnlineGoalFile::json_schema(generator)
-    }
 }
 
 impl TryFrom<OnlineGoalFile> for OnlineGoal {

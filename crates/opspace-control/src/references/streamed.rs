@@ -26,6 +26,7 @@ pub const STOP_S: f64 = 0.25;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum OnTimeout {
     /// The reference comes to rest and holds until a fresh target comes.
     #[default]
@@ -38,6 +39,7 @@ pub enum OnTimeout {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum StreamedShape {
     /// Follows position, velocity and acceleration of the last target.
     #[default]

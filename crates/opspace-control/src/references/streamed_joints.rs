@@ -12,14 +12,13 @@ use crate::targets::TaskTarget;
 use opspace_backend::quantity::Positive;
 use opspace_model::Model;
 #[cfg(feature = "schema")]
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::JsonSchema;
 use serde::Deserialize;
-#[cfg(feature = "schema")]
-use std::borrow::Cow;
 
-/// A streamed reference for joints: see [`streamed`](crate::references::streamed). Until the first target arrives,
+/// A reference for joints whose targets are streamed by a program. Until the first target arrives,
 /// the joints hold their start positions.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(with = "StreamedJointsFile"))]
 #[serde(try_from = "StreamedJointsFile")]
 pub struct StreamedJointReference {
     /// Age from which a target is stale, s.
@@ -81,17 +80,6 @@ struct StreamedJointsFile {
     acceleration_rad_per_s2: Option<PerJoint<Positive>>,
     /// Highest jerk, rad/s³ (m/s³); with `generated`.
     jerk_rad_per_s3: Option<PerJoint<Positive>>,
-}
-
-#[cfg(feature = "schema")]
-impl JsonSchema for StreamedJointReference {
-    fn schema_name() -> Cow<'static, str> {
-        "StreamedJointReference".into()
-    }
-
-    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        StreamedJointsFile::json_schema(generator)
-    }
 }
 
 impl TryFrom<StreamedJointsFile> for StreamedJointReference {

@@ -12,17 +12,16 @@ use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_model::{Motion, Placement};
 #[cfg(feature = "schema")]
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::JsonSchema;
 use serde::Deserialize;
-#[cfg(feature = "schema")]
-use std::borrow::Cow;
 
 /// Largest deviation from 1 of a quaternion's length.
 pub const QUATERNION_TOLERANCE: f64 = 1e-3;
 
-/// A reference that is streamed: see [`streamed`](crate::references::streamed). Before the first target the frame holds
+/// A reference whose targets are streamed by a program. Before the first target the frame holds
 /// where it started.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema), schemars(with = "StreamedPoseFile"))]
 #[serde(try_from = "StreamedPoseFile")]
 pub struct StreamedReference {
     /// Age from which a target is stale, s.
@@ -89,17 +88,6 @@ struct StreamedPoseFile {
     angular_acceleration_rad_per_s2: Option<Positive>,
     /// Highest angular jerk, rad/s³; with `generated`.
     angular_jerk_rad_per_s3: Option<Positive>,
-}
-
-#[cfg(feature = "schema")]
-impl JsonSchema for StreamedReference {
-    fn schema_name() -> Cow<'static, str> {
-        "StreamedReference".into()
-    }
-
-    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        StreamedPoseFile::json_schema(generator)
-    }
 }
 
 impl TryFrom<StreamedPoseFile> for StreamedReference {

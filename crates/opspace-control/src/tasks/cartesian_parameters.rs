@@ -19,6 +19,7 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct CartesianParameters {
     /// The controlled frame: a link of the URDF.
     pub frame: String,
@@ -71,6 +72,7 @@ pub struct CartesianParameters {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct CenterOfMassParameters {
     /// Modes of x, y and z; axes that are left out are free.
     pub axes: Axes,
@@ -91,6 +93,7 @@ pub struct CenterOfMassParameters {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum Decoupling {
     /// Λ: every axis answers as if it were alone.
     #[default]
@@ -108,6 +111,7 @@ pub enum Decoupling {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "schema", schemars(rename = "Singularities"))]
+#[non_exhaustive]
 pub enum SingularityHandling {
     /// Directions are damped smoothly below the threshold, down to zero; above it there is no damping.
     #[default]

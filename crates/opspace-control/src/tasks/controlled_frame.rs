@@ -140,9 +140,9 @@ impl Between {
     fn bias_acceleration(&self, model: &Model, data: &Data, frame: FrameId, from: FrameId) -> Motion {
         let [of_frame, of_from] = [frame, from].map(|f| frame_bias_acceleration(model, data, f));
         let omega = self.from.angular;
-        let carried =
+        let transported =
             of_from.linear + of_from.angular.cross(&self.lever) + omega.cross(&omega.cross(&self.lever));
-        let linear = of_frame.linear - carried - omega.cross(&self.seen()) * 2.0;
+        let linear = of_frame.linear - transported - omega.cross(&self.seen()) * 2.0;
         let angular = of_frame.angular - of_from.angular - omega.cross(&(self.frame.angular - omega));
         Motion { linear: self.axes.tr_mul(&linear), angular: self.axes.tr_mul(&angular) }
     }

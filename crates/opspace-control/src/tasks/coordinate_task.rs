@@ -25,6 +25,7 @@ use std::any::Any;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct CoordinateGains {
     /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
     pub frequency_rad_per_s: Positive,

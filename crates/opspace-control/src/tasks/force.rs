@@ -3,10 +3,10 @@
 use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
 use crate::measurement::Measurement;
-use crate::references::filter::LowPass;
 use crate::tasks::axes::{AXIS_NAMES, Axes, AxisMode, PerAxis, required};
 use crate::tasks::gains::integrate;
 use nalgebra::{Matrix3, Vector3, Vector6};
+use opspace_backend::LowPass;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Data, FrameId, Model, frame_placement};
 #[cfg(feature = "schema")]
@@ -17,6 +17,7 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ForceParameters {
     /// The robot's sensor, by name.
     pub sensor: String,
@@ -55,6 +56,20 @@ fn default_filter_hz() -> Positive {
 }
 
 impl ForceParameters {
+    /// Returns the feedback of a sensor, by name, without a target force and with the other defaults of files.
+    #[must_use]
+    pub fn new(sensor: impl Into<String>) -> Self {
+        Self {
+            sensor: sensor.into(),
+            target_n: no_target(),
+            target_nm: no_target(),
+            gain: default_force_gain(),
+            integral_per_s: None,
+            integral_limit: None,
+            filter_hz: default_filter_hz(),
+        }
+    }
+
     /// Force (N) and moment (Nm) that the environment should exert ON the robot, in the task's axes; 0 on axes that are
     /// neither compliant nor in force control.
     #[must_use]

@@ -12,6 +12,7 @@ use serde::Deserialize;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct AxisGains {
     /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
     pub frequency_rad_per_s: PerAxis<Positive>,

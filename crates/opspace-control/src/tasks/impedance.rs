@@ -22,9 +22,10 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// A spring and a damper on each axis in motion.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ImpedanceParameters {
     /// Stiffness along axes in motion, N/m.
     #[serde(default)]

@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct JointTrackingParameters {
     /// The joints that belong to the task, six at most: tasks below it may use the others. All of them if absent, and
     /// the task must then be the last.
@@ -40,6 +41,7 @@ pub struct JointGains {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct JointPostureParameters {
     /// The posture by joint names, rad (m for a prismatic joint); the start posture for joints that are
     /// not named.
@@ -55,6 +57,7 @@ pub struct JointPostureParameters {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct JointDampingParameters {
     /// Damping, Nms/rad (Ns/m for a prismatic joint); may be 0.
     pub damping_nms_per_rad: PerJoint<NonNegative>,

@@ -4,8 +4,8 @@
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DMatrix, DVector};
-use opspace_control::active_set::ActiveSet;
-use opspace_control::interior_point::InteriorPoint;
+use opspace_control::qp::active_set::ActiveSet;
+use opspace_control::qp::interior_point::InteriorPoint;
 use opspace_control::qp::quadratic_program::{QpError, QuadraticProgram};
 use proptest::prelude::*;
 use proptest::sample::Index;

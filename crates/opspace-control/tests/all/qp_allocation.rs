@@ -1,8 +1,8 @@
 //! No active-set solution allocates, nor does a failure; the interior point allocates what its documentation says.
 
 use nalgebra::{DMatrix, DVector};
-use opspace_control::active_set::ActiveSet;
-use opspace_control::interior_point::InteriorPoint;
+use opspace_control::qp::active_set::ActiveSet;
+use opspace_control::qp::interior_point::InteriorPoint;
 use opspace_control::qp::quadratic_program::{QpError, QuadraticProgram};
 use opspace_testing::allocation::counted;
 

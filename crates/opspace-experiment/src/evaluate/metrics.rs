@@ -23,6 +23,7 @@ use serde::Serialize;
 
 /// Metrics of a run; `None` where a metric doesn't apply to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Metrics {
     /// Distance from the reference over the motion axes, rms, m.
     pub position_rms_m: Option<f64>,
@@ -67,6 +68,7 @@ pub struct Metrics {
 
 /// Computing times of a run: not reproducible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Timing {
     /// Median duration of a control cycle with estimator, model, control and transformer, ns.
     pub tick_ns_median: f64,

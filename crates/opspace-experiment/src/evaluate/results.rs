@@ -32,6 +32,7 @@ pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
 
 /// Summaries that differ only in their seed, and the medians of their numbers.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Group<'a> {
     /// All runs of the group, in the order given.
     pub runs: Vec<&'a Summary>,
@@ -136,6 +137,7 @@ fn profile(summary: &Summary) -> String {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Measure {
     /// Distance from the reference, rms.
     PositionRms,

@@ -5,7 +5,7 @@ use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
 use crate::files::renamed::present_name;
-use crate::files::suggest::{nearest, same_but_unit, unit_of, units_differ};
+use crate::files::suggest::{self, nearest, same_but_unit, unit_of, units_differ};
 use crate::files::toml_path::{Part, dotted, keys_at, value_at};
 
 pub(crate) struct Words {
@@ -97,7 +97,8 @@ pub(crate) fn did_you_mean(name: &str, allowed: &[&str]) -> String {
 }
 
 pub(crate) fn list<S: AsRef<str>>(names: &[S]) -> String {
-    names.iter().map(|name| format!("`{}`", name.as_ref())).collect::<Vec<_>>().join(", ")
+    let quoted: Vec<String> = names.iter().map(|name| format!("`{}`", name.as_ref())).collect();
+    suggest::list(quoted.iter().map(String::as_str))
 }
 
 /// Describes a Rust type in words.

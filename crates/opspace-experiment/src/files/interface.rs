@@ -9,9 +9,10 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct InterfaceParameters {
     /// Command accepted by the robot: `position`, `velocity` or `torque`.
-    pub command: CommandParameter,
+    pub command: CommandKind,
     /// Behaviour of the drive between two setpoints: it holds the last one or interpolates.
     pub setpoints: Setpoints,
     /// Behaviour of the drives when a command is missed: `hold-last`, as position and velocity robots do, or
@@ -25,29 +26,4 @@ pub struct InterfaceParameters {
     /// True if a velocity robot has brakes that hold it when no controller commands it.
     #[serde(default)]
     pub brakes: bool,
-}
-
-/// Command accepted by a robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum CommandParameter {
-    /// Joint positions.
-    Position,
-    /// Joint velocities.
-    Velocity,
-    /// Joint torques.
-    Torque,
-}
-
-impl CommandParameter {
-    /// The kind of command.
-    #[must_use]
-    pub fn kind(self) -> CommandKind {
-        match self {
-            Self::Position => CommandKind::Position,
-            Self::Velocity => CommandKind::Velocity,
-            Self::Torque => CommandKind::Torque,
-        }
-    }
 }

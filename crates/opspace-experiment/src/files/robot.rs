@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct RobotFile {
     /// URDF of the robot; the path is relative to this file.
     pub urdf: PathBuf,
@@ -55,6 +56,7 @@ pub struct RobotFile {
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ForceSensorFile {
     /// URDF link at whose origin, and in whose axes, the sensor measures.
     pub frame: String,
@@ -62,6 +64,7 @@ pub struct ForceSensorFile {
 
 /// A robot, read and checked.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct RobotDefinition {
     /// Text of the robot's file, settings applied.
     pub source: Source,

@@ -4,7 +4,8 @@ use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::source::{FileError, Source, parse};
-use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
+use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use opspace_backend::CommandKind;
 use opspace_transformer::TransformerKind;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct SuiteFile {
     /// Subject of the suite, in one line.
     pub title: String,
@@ -36,6 +38,7 @@ fn every_table() -> Vec<Measure> {
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct SuiteRun {
     /// Task files; the paths are relative to the suite file.
     pub tasks: Vec<PathBuf>,
@@ -43,7 +46,7 @@ pub struct SuiteRun {
     #[serde(default)]
     pub robot: Option<PathBuf>,
     /// Kind of robot: `position`, `velocity` or `torque`.
-    pub backend: BackendKind,
+    pub backend: CommandKind,
     /// Controller: `osc`, `ik` or `ik-lead`.
     pub controller: ControllerKind,
     /// Transformer in place of the profile's.
@@ -71,6 +74,7 @@ pub struct SuiteRun {
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct SuiteVariant {
     /// Name of the settings in the table.
     pub label: String,
@@ -81,6 +85,7 @@ pub struct SuiteVariant {
 
 /// A suite, read, with every experiment in it checked.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Suite {
     /// Text of the suite's file.
     pub source: Source,

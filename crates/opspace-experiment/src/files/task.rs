@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct TaskFile {
     /// Robot of the task: its folder or its robot.toml; the path is relative to this file.
     pub robot: PathBuf,
@@ -62,6 +63,7 @@ pub struct TaskFile {
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct EventFile {
     /// Time of the change, s after the controller's start.
     pub time_s: Positive,
@@ -87,6 +89,7 @@ const fn one() -> u64 {
 
 /// A task, read and parsed.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct TaskDefinition {
     /// Text of the task's file, settings applied.
     pub source: Source,

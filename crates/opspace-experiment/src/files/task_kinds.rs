@@ -25,6 +25,7 @@ type Parser = Arc<dyn Fn(ValueDeserializer<'_>) -> Result<Build, toml::de::Error
 
 /// A kind that can't be registered.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum TaskKindError {
     /// The name is that of a built-in kind, or of one that is registered.
     #[error("the task kind '{kind}' already exists")]

@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct ToolFile {
     /// URDF link on which the tool is mounted.
     pub on: String,
@@ -59,7 +60,7 @@ pub(crate) fn mount(
         let refuse = |key: &str, message: String, help: Option<String>| {
             Err(FileError::at_key(source, ["tool", name, key], message, help))
         };
-        let carrier = match model.frame_id(&tool.on) {
+        let parent = match model.frame_id(&tool.on) {
             Ok(frame) => frame,
             Err(unknown) => {
                 let help = Some(choices(&unknown.name, &unknown.known));
@@ -94,7 +95,7 @@ pub(crate) fn mount(
             );
         }
         let offset = Placement::from_rpy(tool.rpy_rad, tool.xyz_m);
-        let frame = model.add_frame_on(name, carrier, offset);
+        let frame = model.add_frame_on(name, parent, offset);
         model.set_payload(frame, offset.inverse().act_inertia(&tool.inertia()));
     }
     Ok(())

@@ -79,14 +79,14 @@ impl IdentificationResults {
                 facts.push(("inertia relative to URDF and rotor", format!("{ratio:.3}")));
             }
         }
-        if let Some(rational) = &joint.found.rational {
+        if let Some(fitted) = &joint.found.rational {
             let list = |c: &[f64]| c.iter().map(|v| format!("{v:.4e}")).collect::<Vec<_>>().join(", ");
             facts.push((
                 "rational T without hold and delay: coefficients from s⁰ on",
                 format!(
                     "({}) / ({}); error {:.1} %",
-                    list(&rational.numerator),
-                    list(&rational.denominator),
+                    list(&fitted.rational.numerator),
+                    list(&fitted.rational.denominator),
                     100.0 * joint.found.rational_residual.unwrap_or(f64::NAN)
                 ),
             ));
@@ -99,8 +99,8 @@ impl IdentificationResults {
 fn position(joint: &JointIdentification) -> Figure {
     let mut curves = measured(joint, |_, t| Some(t));
     let hz = frequencies(joint);
-    if let Some(rational) = &joint.found.rational {
-        curves.push(curve("rational", Style::Thin, &hz, |hz| Some(rational.at(hz))));
+    if let Some(fitted) = &joint.found.rational {
+        curves.push(curve("rational", Style::Thin, &hz, |hz| Some(fitted.at(hz))));
     }
     curves.push(curve("servo", Style::Desired, &hz, |hz| joint.found.model(&joint.known, hz)));
     Figure {

@@ -231,7 +231,7 @@ fn identified(joint: &JointIdentification) -> Option<Table> {
     let from_hz = joint.found.measured.first()?.position.first()?.hz;
     // Linear friction alone, as equation (K5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
     let viscous = servo.friction.map_or(0.0, |friction| friction.viscous);
-    let static_gain = t.numerator.first()? / t.denominator.first()?;
+    let static_gain = t.rational.numerator.first()? / t.rational.denominator.first()?;
     let polynomials = |numerator: &[f64], denominator: &[f64]| {
         let list = |p: &[f64]| p.iter().copied().collect::<Array>();
         let mut rational = InlineTable::new();
@@ -239,9 +239,9 @@ fn identified(joint: &JointIdentification) -> Option<Table> {
         rational.insert("denominator", list(denominator).into());
         Item::Value(rational.into())
     };
-    let numerator: Vec<f64> = t.numerator.iter().map(|b| b / static_gain).collect();
+    let numerator: Vec<f64> = t.rational.numerator.iter().map(|b| b / static_gain).collect();
     let mut table = Table::new();
-    table.insert("closed_loop", polynomials(&numerator, &t.denominator));
+    table.insert("closed_loop", polynomials(&numerator, &t.rational.denominator));
     table.insert("open_loop", polynomials(&[1.0], &[0.0, viscous, servo.inertia]));
     table.insert("from_hz", Item::Value(rounded(from_hz)));
     table.insert("to_hz", Item::Value(rounded(trusted_hz)));

@@ -6,19 +6,6 @@ use opspace_control::{ControlInput, Measurement, Targets, TaskParameters, TaskSe
 use opspace_model::{Data, Model, update};
 use std::collections::BTreeMap;
 
-/// The kind of a task, as its table in a file is named.
-pub(super) fn kind(task: &TaskParameters) -> &str {
-    match task {
-        TaskParameters::Cartesian(_) => "cartesian",
-        TaskParameters::CenterOfMass(_) => "center-of-mass",
-        TaskParameters::Swivel(_) => "swivel",
-        TaskParameters::JointTracking(_) => "joint-tracking",
-        TaskParameters::JointPosture(_) => "joint-posture",
-        TaskParameters::JointDamping(_) => "joint-damping",
-        TaskParameters::Registered(task) => task.kind(),
-    }
-}
-
 /// Controller input whose clock counts from the start of control.
 pub(super) fn input<'a>(
     model: &'a Model,
@@ -87,7 +74,7 @@ impl<'a> PreflightCase<'a> {
 
     /// Key of a task's reference.
     pub(super) fn reference_key(&self, stack: usize, name: &str) -> Vec<String> {
-        let kind = self.task_sets[stack].task.get(name).map_or("", kind);
+        let kind = self.task_sets[stack].task.get(name).map_or("", TaskParameters::kind);
         self.key(stack, name, &[kind, "reference"])
     }
 

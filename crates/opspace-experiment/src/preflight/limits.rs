@@ -1,6 +1,6 @@
 //! Limits that contradict each other, the start posture, or the arm's weight.
 
-use super::case::{PreflightCase, kind};
+use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::Rollout;
 use opspace_backend::GravityCompensation;
@@ -166,7 +166,7 @@ pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<D
                 {
                     // The start posture is reported as the start.
                     if (asked - case.start[joint]).abs() > 1e-12 {
-                        let kind = stack.task.get(name).map_or("", kind);
+                        let kind = stack.task.get(name).map_or("", TaskParameters::kind);
                         note(number, name, &[kind, "reference"], joint, asked, Some(time_s));
                     }
                 }

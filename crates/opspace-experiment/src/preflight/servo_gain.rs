@@ -96,6 +96,7 @@ impl ServoLoop {
 
 /// Largest excess of the position or velocity loops' gains over their nominal values at which a task is stable.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct GainMargin {
     /// Loops to which the margin applies.
     pub servo_loop: ServoLoop,

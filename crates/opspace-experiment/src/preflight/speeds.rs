@@ -1,8 +1,9 @@
 //! References that are faster than the joints or the task's own limit.
 
-use super::case::{PreflightCase, kind};
+use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::{Instant, Rollout};
+use opspace_control::TaskParameters;
 
 /// Largest ratio of a speed to its limit that is not reported: the excess may be rounding.
 const TOLERANCE: f64 = 1.001;
@@ -79,7 +80,7 @@ pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diag
                 );
                 let help =
                     format!("make the motion {} times as long, or raise the limit", short(asked / limit));
-                let kind = stack.task.get(task.name()).map_or("", kind);
+                let kind = stack.task.get(task.name()).map_or("", TaskParameters::kind);
                 let key = case.key(number, task.name(), &[kind, key]);
                 // The same task after an event that leaves it as it was.
                 if !found.iter().any(|f| f.key == Diagnostic::new(&key, String::new(), String::new()).key) {

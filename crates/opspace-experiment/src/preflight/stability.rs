@@ -37,7 +37,7 @@
 //! of joints, friction and the motor's own lag. Two cases are not examined: force feedback, where the stiffness of the
 //! environment decides, and impedances, where the arm's inertia along the axis does.
 
-use super::case::{PreflightCase, kind};
+use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use nalgebra::{Complex, Matrix6xX};
 use opspace_backend::{CommandKind, Setpoints};
@@ -157,7 +157,7 @@ fn followers<'a>(case: &'a PreflightCase<'_>, stack: usize, name: &'a str) -> Ve
 /// Laws of every row with every joint that moves it.
 fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task) -> Vec<AxisLoop<'a>> {
     let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
-    let (kind, names) = (kind(parameters), task.row_names());
+    let (kind, names) = (parameters.kind(), task.row_names());
     let mut jacobian = Matrix6xX::zeros(case.model.n());
     task.jacobian(case.model, &case.data, &mut jacobian);
     let mut followers = Vec::new();
@@ -203,7 +203,7 @@ fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task)
 /// Laws of every joint of a task of all joints.
 fn joint_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn JointTask) -> Vec<AxisLoop<'a>> {
     let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
-    let kind = kind(parameters);
+    let kind = parameters.kind();
     let mut followers = Vec::new();
     for joint in 0..case.model.n() {
         let plant = Plant::new(case, joint);

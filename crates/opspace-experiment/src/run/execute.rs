@@ -19,6 +19,7 @@ pub struct Progress {
 }
 
 /// A finished run.
+#[non_exhaustive]
 pub struct RunResult<W> {
     /// Outcome of the run.
     pub outcome: RunOutcome,

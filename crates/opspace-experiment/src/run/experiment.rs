@@ -1,7 +1,6 @@
 //! A task on a robot, assembled from the two files.
 
 use crate::extensions::Extensions;
-use crate::files::interface::CommandParameter;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
 use crate::files::robot::RobotDefinition;
@@ -23,68 +22,11 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Kind of robot: the command that it takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum BackendKind {
-    /// A position robot, through the transformer where the controller gives torques.
-    Position,
-    /// A velocity robot, through the transformer.
-    Velocity,
-    /// A robot that accepts joint torques.
-    Torque,
-}
-
-impl BackendKind {
-    /// All kinds of robots.
-    pub const ALL: [Self; 3] = [Self::Position, Self::Velocity, Self::Torque];
-
-    /// Kind of command that such a robot takes.
-    #[must_use]
-    pub fn command(self) -> CommandKind {
-        match self {
-            Self::Position => CommandKind::Position,
-            Self::Velocity => CommandKind::Velocity,
-            Self::Torque => CommandKind::Torque,
-        }
-    }
-
-    /// Name of the kind in files, tables and on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        self.command().name()
-    }
-
-    /// Returns the kind of robot that robot.toml states of a task's robot (or another one). `settings` as in
-    /// [`Experiment::load`].
-    ///
-    /// # Errors
-    /// Mistakes in either file, each with its place.
-    pub fn stated(
-        extensions: &Extensions,
-        files: Files,
-        task: &Path,
-        robot: Option<&Path>,
-        settings: &[String],
-    ) -> Result<Self, FileError> {
-        let (robot_settings, task_settings) = split(settings, "robot");
-        let robot = match robot {
-            Some(robot) => robot.to_owned(),
-            None => TaskDefinition::load_with(&extensions.tasks, files, task, &task_settings)?.robot_path(),
-        };
-        Ok(match RobotDefinition::load(files, &robot, &robot_settings)?.file.interface.command {
-            CommandParameter::Position => Self::Position,
-            CommandParameter::Velocity => Self::Velocity,
-            CommandParameter::Torque => Self::Torque,
-        })
-    }
-}
-
 /// Controller of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum ControllerKind {
     /// Operational-space control: torques.
     Osc,
@@ -95,6 +37,9 @@ pub enum ControllerKind {
 }
 
 impl ControllerKind {
+    /// All controllers.
+    pub const ALL: [Self; 3] = [Self::Osc, Self::Ik, Self::IkLead];
+
     /// Name of the controller in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -104,13 +49,26 @@ impl ControllerKind {
             Self::IkLead => "ik-lead",
         }
     }
+
+    /// Description in one line.
+    #[must_use]
+    pub fn description(self) -> &'static str {
+        match self {
+            Self::Osc => "Operational-space control: joint torques",
+            Self::Ik => "Inverse kinematics, streamed as joint positions, without torque control",
+            Self::IkLead => {
+                "Inverse kinematics with velocity lead and compensation of gravity sag, streamed as joint positions"
+            }
+        }
+    }
 }
 
 /// Options of an experiment besides the two files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunOptions {
-    /// Kind of robot.
-    pub backend: BackendKind,
+    /// Command that the robot takes. A position or velocity robot is commanded through the transformer where the
+    /// controller gives torques.
+    pub backend: CommandKind,
     /// Controller.
     pub controller: ControllerKind,
     /// Transformer in place of the profile's.
@@ -128,7 +86,7 @@ pub struct RunOptions {
 impl Default for RunOptions {
     fn default() -> Self {
         Self {
-            backend: BackendKind::Position,
+            backend: CommandKind::Position,
             controller: ControllerKind::Osc,
             transformer: None,
             profile: None,
@@ -186,6 +144,26 @@ impl Experiment {
         let robot_path = robot.map_or_else(|| task.robot_path(), Path::to_owned);
         let robot = RobotDefinition::load(files, &robot_path, &robot_settings)?;
         Self::new(robot, task, options, settings.to_vec())
+    }
+
+    /// Returns the command that robot.toml declares, for a task's robot or another one. `settings` as in
+    /// [`load`](Self::load).
+    ///
+    /// # Errors
+    /// Mistakes in either file, each with its place.
+    pub fn declared_command(
+        extensions: &Extensions,
+        files: Files,
+        task: &Path,
+        robot: Option<&Path>,
+        settings: &[String],
+    ) -> Result<CommandKind, FileError> {
+        let (robot_settings, task_settings) = split(settings, "robot");
+        let robot = match robot {
+            Some(robot) => robot.to_owned(),
+            None => TaskDefinition::load_with(&extensions.tasks, files, task, &task_settings)?.robot_path(),
+        };
+        Ok(RobotDefinition::load(files, &robot, &robot_settings)?.file.interface.command)
     }
 
     /// Combines a task and a robot. `settings` are only recorded, not applied.
@@ -400,7 +378,7 @@ impl Experiment {
     /// Kind of command that the chosen robot takes.
     #[must_use]
     pub fn command_kind(&self) -> CommandKind {
-        self.options.backend.command()
+        self.options.backend
     }
 
     pub(super) fn gravity_compensated_by(&self) -> GravityCompensation {
@@ -417,7 +395,7 @@ impl Experiment {
 
     fn check_choice(&self) -> Result<(), FileError> {
         let (backend, controller) = (self.options.backend, self.options.controller);
-        if backend != BackendKind::Position && controller != ControllerKind::Osc {
+        if backend != CommandKind::Position && controller != ControllerKind::Osc {
             let message = format!(
                 "controller '{}' commands positions, which a {} robot does not accept",
                 controller.name(),
@@ -426,17 +404,17 @@ impl Experiment {
             let help = Some("use --backend position, or --controller osc".to_owned());
             return Err(FileError::of_file(self.task.source.name(), message, help));
         }
-        if backend != BackendKind::Torque && self.robot.file.interface.command == CommandParameter::Torque {
+        if backend != CommandKind::Torque && self.robot.file.interface.command == CommandKind::Torque {
             let message = format!("this robot accepts torques, but a {} robot is requested", backend.name());
             let help = Some("use --backend torque".to_owned());
             return Err(FileError::at_key(&self.robot.source, "interface.command", message, help));
         }
         let interface = &self.robot.file.interface;
-        let honoured = MissedCycle::of(interface.command.kind());
+        let honoured = MissedCycle::of(interface.command);
         if interface.on_missed_cycle.is_some_and(|stated| stated != honoured) {
             let message = format!(
                 "a {} robot does not have this behaviour on a missed cycle",
-                interface.command.kind().name()
+                interface.command.name()
             );
             let help = Some(format!("omit it, or use \"{}\"", missed_cycle_name(honoured)));
             return Err(FileError::at_key(&self.robot.source, "interface.on_missed_cycle", message, help));

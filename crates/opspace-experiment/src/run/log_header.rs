@@ -5,8 +5,8 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
-use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
-use opspace_backend::World;
+use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use opspace_backend::{CommandKind, World};
 use opspace_log::{Attachment, Header, LOG, Recording};
 use opspace_transformer::TransformerKind;
 use std::collections::BTreeMap;
@@ -111,11 +111,11 @@ impl Experiment {
         let transformer =
             TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
         let options = RunOptions {
-            backend: BackendKind::ALL
+            backend: CommandKind::ALL
                 .into_iter()
                 .find(|kind| entry("backend").is_ok_and(|name| name == kind.name()))
                 .ok_or_else(|| unknown("backend"))?,
-            controller: [ControllerKind::Osc, ControllerKind::Ik, ControllerKind::IkLead]
+            controller: ControllerKind::ALL
                 .into_iter()
                 .find(|kind| entry("controller").is_ok_and(|name| name == kind.name()))
                 .ok_or_else(|| unknown("controller"))?,

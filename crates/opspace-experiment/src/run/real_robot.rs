@@ -7,9 +7,9 @@ use crate::files::task::TaskDefinition;
 use crate::files::task_kinds::TaskKinds;
 use crate::run::error::RunError;
 use crate::run::execute::Progress;
-use crate::run::experiment::{BackendKind, ControllerKind, Experiment, RunOptions};
+use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
 use crate::run::summary::Summary;
-use opspace_backend::{Backend, DeviceFault, Sample};
+use opspace_backend::{Backend, CommandKind, DeviceFault, Sample};
 use opspace_control::{SingularityHandling, TaskParameters};
 use opspace_model::{Joint, JointKind};
 use opspace_transformer::Method;
@@ -107,8 +107,8 @@ impl Experiment {
             |named| Source::read(&named.path),
         )?;
         let controller = match self.options.backend {
-            BackendKind::Position => ControllerKind::IkLead,
-            BackendKind::Velocity | BackendKind::Torque => ControllerKind::Osc,
+            CommandKind::Position => ControllerKind::IkLead,
+            CommandKind::Velocity | CommandKind::Torque => ControllerKind::Osc,
         };
         let options = RunOptions { controller, duration_s: None, label: None, ..self.options.clone() };
         Self::new(self.robot.clone(), task, options, Vec::new()).map(Some)

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 /// The summary of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Summary {
     /// Name of the task.
     pub task: String,

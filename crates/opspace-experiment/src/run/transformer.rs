@@ -1,10 +1,10 @@
 //! Transformer of an experiment: its choice with the reason, its requirements on the robot, and its construction.
 
 use crate::files::source::FileError;
-use crate::run::experiment::{BackendKind, ControllerKind, Experiment};
+use crate::run::experiment::{ControllerKind, Experiment};
 use nalgebra::DMatrix;
 use opspace_backend::quantity::NonNegative;
-use opspace_backend::{Measured, Setpoints};
+use opspace_backend::{CommandKind, Measured, Setpoints};
 use opspace_model::{Data, update};
 use opspace_transformer::{
     ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, FrictionCompensation,
@@ -27,7 +27,7 @@ impl Experiment {
     }
 
     fn uses_transformer(&self) -> bool {
-        self.options.backend != BackendKind::Torque && self.options.controller == ControllerKind::Osc
+        self.options.backend != CommandKind::Torque && self.options.controller == ControllerKind::Osc
     }
 
     pub(crate) fn chosen_transformer(&self) -> (TransformerKind, String) {
@@ -50,7 +50,7 @@ impl Experiment {
     /// # Errors
     /// A servo that it can't invert.
     pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
-        if self.options.backend == BackendKind::Torque {
+        if self.options.backend == CommandKind::Torque {
             return Ok(Box::new(Identity));
         }
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
@@ -90,7 +90,7 @@ impl Experiment {
     }
 
     fn takes_velocities(&self) -> bool {
-        self.options.backend == BackendKind::Velocity
+        self.options.backend == CommandKind::Velocity
     }
 
     /// Name of the profile's table with the servos in use.

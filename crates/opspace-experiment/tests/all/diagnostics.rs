@@ -1,10 +1,11 @@
 //! Findings before anything moves: each kind on a file that provokes it, and none on the files of the project.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use opspace_backend::CommandKind;
 use opspace_control::rank::reach;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::metrics::metrics;
-use opspace_experiment::{BackendKind, Diagnostic, Experiment, Files, RunOptions, diagnostics};
+use opspace_experiment::{Diagnostic, Experiment, Files, RunOptions, diagnostics};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use opspace_model::{Data, frame_placement, kinematics};
@@ -110,7 +111,7 @@ fn project_files_have_no_diagnostics() {
     for task in [HAND, JOINTS, TIP] {
         assert_eq!(diagnostics(&experiment(task, &[], RunOptions::default(), &[])), []);
     }
-    let velocity = RunOptions { backend: BackendKind::Velocity, ..RunOptions::default() };
+    let velocity = RunOptions { backend: CommandKind::Velocity, ..RunOptions::default() };
     for task in [HAND, JOINTS] {
         assert_eq!(diagnostics(&experiment(task, &[], velocity.clone(), &[])), []);
     }
@@ -121,7 +122,7 @@ fn project_files_have_no_diagnostics() {
             continue;
         }
         seen += 1;
-        for backend in [BackendKind::Position, BackendKind::Torque] {
+        for backend in [CommandKind::Position, CommandKind::Torque] {
             let options = RunOptions { backend, ..RunOptions::default() };
             let found = diagnostics(&Experiment::load(Files::Disk, &path, None, options, &[]).unwrap());
             let stem = path.file_stem().unwrap().to_str().unwrap();
@@ -279,12 +280,12 @@ fn tracking(experiment: &Experiment) -> f64 {
 #[test]
 fn unstable_gains_are_reported() {
     for (backend, profile, unstable) in [
-        (BackendKind::Torque, "a-med", 800.0),
-        (BackendKind::Position, "a-med", 1000.0),
-        (BackendKind::Velocity, "a-med", 1000.0),
-        (BackendKind::Torque, "b-soft", 200.0),
-        (BackendKind::Position, "b-soft", 300.0),
-        (BackendKind::Velocity, "b-soft", 300.0),
+        (CommandKind::Torque, "a-med", 800.0),
+        (CommandKind::Position, "a-med", 1000.0),
+        (CommandKind::Velocity, "a-med", 1000.0),
+        (CommandKind::Torque, "b-soft", 200.0),
+        (CommandKind::Position, "b-soft", 300.0),
+        (CommandKind::Velocity, "b-soft", 300.0),
     ] {
         let options = RunOptions {
             backend,
@@ -308,7 +309,7 @@ fn unstable_gains_are_reported() {
             ["would be unstable on this robot: the phase margin is -", "Hz, on joint '", "margin of 45°"];
         assert_says(&found[0], "task.hand.cartesian.gains.frequency_rad_per_s", &words);
         let has_servo = found[0].message.contains("in addition to the servo's lag");
-        assert_eq!(has_servo, backend != BackendKind::Torque, "{case}: {}", found[0].message);
+        assert_eq!(has_servo, backend != CommandKind::Torque, "{case}: {}", found[0].message);
         let proposed = found[0].help.split(' ').nth(2).unwrap().parse::<f64>().unwrap();
         let soft = with(proposed);
         assert_eq!(diagnostics(&soft), [], "{case}");

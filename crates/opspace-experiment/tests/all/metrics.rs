@@ -2,9 +2,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use nalgebra::Vector3;
-use opspace_backend::{Layout, Signal};
+use opspace_backend::{CommandKind, Layout, Signal};
 use opspace_experiment::evaluate::metrics::{metrics, timing};
-use opspace_experiment::{BackendKind, ControllerKind, Experiment, Files, RunOptions};
+use opspace_experiment::{ControllerKind, Experiment, Files, RunOptions};
 use opspace_log::{Channel, Header, Pace, Recording, record};
 use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
@@ -176,7 +176,7 @@ fn hold_ripple_is_relative_to_predicted_ripple() {
     // A servo that is stiffer than its nominal value leaves more ripple: the same ripple is a smaller multiple of it.
     let stiffer = hold_ripple(RunOptions::default(), &["robot.simulated.true_over_nominal.kp=1.5"]);
     assert!(near(stiffer, ripple / 1.5), "{stiffer:?}");
-    let torque = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
+    let torque = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
     let ik = RunOptions { controller: ControllerKind::Ik, ..RunOptions::default() };
     assert_eq!((hold_ripple(torque, &[]), hold_ripple(ik, &[])), (None, None));
     assert_eq!(hold_ripple(RunOptions::default(), &["robot.profile.a-med.servo_ticks_per_cycle=1"]), None);

@@ -3,12 +3,10 @@
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::{
-    Backend, Capabilities, Command, DeviceFault, Driver, DriverError, GroundTruth, Sample, Settings,
-    TruthLayouts, TruthRow, World,
+    Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, GroundTruth, Sample,
+    Settings, TruthLayouts, TruthRow, World,
 };
-use opspace_experiment::{
-    BackendKind, Experiment, Extensions, Files, Metrics, Progress, RunError, RunOptions,
-};
+use opspace_experiment::{Experiment, Extensions, Files, Metrics, Progress, RunError, RunOptions};
 use opspace_log::Recording;
 use opspace_sim::SimulatedArm;
 use std::cell::RefCell;
@@ -91,9 +89,9 @@ impl Driver for OneArm {
 }
 
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
-const BACKENDS: [BackendKind; 3] = [BackendKind::Position, BackendKind::Velocity, BackendKind::Torque];
+const BACKENDS: [CommandKind; 3] = [CommandKind::Position, CommandKind::Velocity, CommandKind::Torque];
 
-fn experiment(task: &str, backend: BackendKind, settings: &[&str]) -> Experiment {
+fn experiment(task: &str, backend: CommandKind, settings: &[&str]) -> Experiment {
     let options = RunOptions { backend, duration_s: Some(2.0), ..RunOptions::default() };
     let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
     Experiment::load(Files::Embedded, Path::new(task), None, options, &settings).unwrap()
@@ -117,7 +115,7 @@ fn clock_start_changes_no_metric() {
     const RELATIVE: f64 = 1e-6;
     let lossy = "robot.simulated.bus.lost_cycles_share=0.01";
     for (backend, settings) in
-        [(BackendKind::Position, vec![lossy]), (BackendKind::Velocity, vec![]), (BackendKind::Torque, vec![])]
+        [(CommandKind::Position, vec![lossy]), (CommandKind::Velocity, vec![]), (CommandKind::Torque, vec![])]
     {
         let experiment = experiment("tasks/compliant-x.toml", backend, &settings);
         let (zero, missed) = measured(&experiment, 0.0);
@@ -195,7 +193,7 @@ fn comparison_options_are_refused_on_real_robot() {
     for singularities in ["plain", "least-squares", "clamped"] {
         let setting = format!("task.hand.cartesian.singularities={singularities}");
         let settings = [setting.as_str(), "robot.driver.name=one-arm"];
-        let experiment = experiment("tasks/cartesian-tracking.toml", BackendKind::Position, &settings);
+        let experiment = experiment("tasks/cartesian-tracking.toml", CommandKind::Position, &settings);
         let (_, extensions) = arm_away_from_start(&experiment, 0.0);
         let progress = Progress::default();
         let refused = experiment.run_on_driver(&extensions, Cursor::new(Vec::new()), &progress);
@@ -208,7 +206,7 @@ fn comparison_options_are_refused_on_real_robot() {
 /// Words for a robot without a driver.
 #[test]
 fn robot_without_driver_cannot_move_to_start() {
-    let experiment = experiment("tasks/joint-tracking.toml", BackendKind::Position, &[]);
+    let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &[]);
     let folder = tempfile::tempdir().unwrap();
     let refused = experiment.move_to_start(&Extensions::default(), folder.path(), &Progress::default());
     let words = refused.map(|_| ()).unwrap_err().to_string();

@@ -2,9 +2,10 @@
 //! robot.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
+use opspace_backend::CommandKind;
 use opspace_experiment::Progress;
 use opspace_experiment::preflight::{ServoLoop, gain_margin};
-use opspace_experiment::{BackendKind, Experiment, Files, RunOptions};
+use opspace_experiment::{Experiment, Files, RunOptions};
 use opspace_log::Recording;
 use opspace_loop::RunOutcome;
 use std::io::Cursor;
@@ -16,11 +17,11 @@ const EMULATION_CURRENT: &str = "transformer=\"emulation+current\"";
 
 /// A task on the ASIMO-like arm, with settings of its profile and others.
 fn experiment(task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
-    on(BackendKind::Position, task, profile, transformer, settings)
+    on(CommandKind::Position, task, profile, transformer, settings)
 }
 
 /// A task on the ASIMO-like arm as a robot of the kind `backend`, with settings.
-fn on(backend: BackendKind, task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
+fn on(backend: CommandKind, task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
     let profile_name = Some(profile.to_owned());
     let options =
         RunOptions { backend, profile: profile_name, duration_s: Some(3.0), ..RunOptions::default() };
@@ -82,7 +83,7 @@ fn velocity_robot_gain_margin_matches_formula() {
             format!("task.rest.joint-damping.damping_nms_per_rad={damping:?}"),
             format!("friction_compensation.gain={gain:?}"),
         ];
-        let experiment = on(BackendKind::Velocity, "gravity-compensation", profile, transformer, &settings);
+        let experiment = on(CommandKind::Velocity, "gravity-compensation", profile, transformer, &settings);
         let margin = gain_margin(&experiment).unwrap();
         let told = margin.excess.unwrap();
         let formula = FRICTION_NMS_PER_RAD / (gain * FRICTION_NMS_PER_RAD - damping) - 1.0;
@@ -165,7 +166,7 @@ fn small_gain_margin_is_reported() {
     }
     let large = experiment("gravity-compensation", "a-med", EMULATION_CURRENT, &[]);
     assert_eq!(gain_margin(&large).unwrap().finding(&large), None);
-    let torque = RunOptions { backend: BackendKind::Torque, ..RunOptions::default() };
+    let torque = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
     let path = Path::new("tasks/gravity-compensation.toml");
     let torque = Experiment::load(Files::Embedded, path, None, torque, &[]).unwrap();
     assert_eq!(gain_margin(&torque), None);

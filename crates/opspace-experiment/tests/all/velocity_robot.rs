@@ -5,7 +5,7 @@ use opspace_backend::CommandKind;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::{
-    BackendKind, Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
+    Experiment, FileError, Files, Progress, RobotDefinition, RunOptions, Source, TaskDefinition,
 };
 use opspace_log::Recording;
 use opspace_transformer::{Method, ServoParameters, TransformerKind};
@@ -24,7 +24,7 @@ fn robot(settings: &[&str]) -> Result<RobotDefinition, FileError> {
 
 fn on_robot(
     robot: RobotDefinition,
-    backend: BackendKind,
+    backend: CommandKind,
     transformer: Option<&str>,
 ) -> Result<Experiment, FileError> {
     let task = TaskDefinition::load(Files::Embedded, Path::new("tasks/cartesian-tracking.toml"), &[])?;
@@ -33,7 +33,7 @@ fn on_robot(
 }
 
 fn experiment(transformer: Option<&str>, settings: &[&str]) -> Result<Experiment, FileError> {
-    on_robot(robot(settings)?, BackendKind::Velocity, transformer)
+    on_robot(robot(settings)?, CommandKind::Velocity, transformer)
 }
 
 /// Reads the robot file with a section removed or replaced, and its URDF.
@@ -79,7 +79,7 @@ fn default_transformer_matches_position_robot() {
         (vec!["interface.measured=[\"position\"]"], Method::Emulation, false),
         (vec!["interface.setpoints=interpolated"], Method::Interpolating, true),
     ] {
-        let [velocity, position] = [BackendKind::Velocity, BackendKind::Position]
+        let [velocity, position] = [CommandKind::Velocity, CommandKind::Position]
             .map(|backend| on_robot(robot(&settings).unwrap(), backend, None).unwrap().transformer_kind());
         assert_eq!(velocity, position);
         assert_eq!(velocity, Some(TransformerKind { method, current }));
@@ -131,17 +131,17 @@ fn missing_servos_are_named() {
 
     let mut without = edited(&velocity, "").unwrap();
     without.file.simulated = None;
-    assert!(on_robot(without.clone(), BackendKind::Position, None).is_ok());
-    let error = on_robot(without, BackendKind::Velocity, None).unwrap_err();
+    assert!(on_robot(without.clone(), CommandKind::Position, None).is_ok());
+    let error = on_robot(without, CommandKind::Velocity, None).unwrap_err();
     assert!(error.message().contains("'a-med' has no velocity servos"), "{error}");
     assert!(error.help().unwrap().contains("[profile.a-med.velocity_servo.JOINT]"), "{error}");
     assert!(error.help().unwrap().contains("kv_nms_per_rad"), "{error}");
 
     let mut without = edited(&position, "").unwrap();
     without.file.simulated = None;
-    assert!(on_robot(without.clone(), BackendKind::Velocity, None).is_ok());
-    assert!(on_robot(without.clone(), BackendKind::Torque, None).is_ok());
-    let error = on_robot(without, BackendKind::Position, None).unwrap_err();
+    assert!(on_robot(without.clone(), CommandKind::Velocity, None).is_ok());
+    assert!(on_robot(without.clone(), CommandKind::Torque, None).is_ok());
+    let error = on_robot(without, CommandKind::Position, None).unwrap_err();
     assert!(error.message().contains("'a-med' has no position servos"), "{error}");
 
     let one_less = velocity.lines().filter(|line| !line.starts_with("elbow")).collect::<Vec<_>>().join("\n");
@@ -162,7 +162,7 @@ fn missing_servos_are_named() {
 #[test]
 fn report_shows_velocity_setpoints() {
     let options =
-        RunOptions { backend: BackendKind::Velocity, duration_s: Some(0.6), ..RunOptions::default() };
+        RunOptions { backend: CommandKind::Velocity, duration_s: Some(0.6), ..RunOptions::default() };
     let settings = ["settle_s=0.0".to_owned()];
     let path = Path::new("tasks/gravity-compensation.toml");
     let experiment = Experiment::load(Files::Embedded, path, None, options, &settings).unwrap();

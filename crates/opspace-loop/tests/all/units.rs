@@ -9,32 +9,21 @@ use opspace_control::{
 use opspace_loop::{ControlLoop, LoopConfig, Run};
 use opspace_model::Model;
 
-/// A turning shoulder that carries a sliding elbow.
-const SLIDER: &str = r#"
-<robot name="slider">
-  <link name="base"/>
-  <joint name="shoulder" type="revolute">
-    <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="40" velocity="5"/>
-  </joint>
-  <link name="upper"><inertial><origin xyz="0.25 0 0"/><mass value="2"/>
-    <inertia ixx="0.01" iyy="0.04" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="elbow" type="prismatic">
-    <parent link="upper"/><child link="fore"/><origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>
-    <limit lower="-2" upper="2" effort="40" velocity="5"/>
-  </joint>
-  <link name="fore"><inertial><origin xyz="0.25 0 0"/><mass value="1"/>
-    <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
-</robot>"#;
-
 const TRACKING: &str = r#"
 [joint-tracking]
 reference = "hold"
 gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
 "#;
 
+/// The arm of the other tests with an elbow that slides along the upper arm.
 fn slider() -> Model {
-    Model::from_urdf(SLIDER).expect("the URDF").model
+    let revolute = r#"name="elbow" type="revolute">"#;
+    assert!(common::URDF.contains(revolute));
+    let urdf = common::URDF.replace(revolute, r#"name="elbow" type="prismatic">"#);
+    let hinge = r#"<origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>"#;
+    assert!(urdf.contains(hinge));
+    let urdf = urdf.replace(hinge, r#"<origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>"#);
+    Model::from_urdf(&urdf).expect("the URDF").model
 }
 
 fn tasks(model: &Model, context: &ControlContext) -> TaskSet {

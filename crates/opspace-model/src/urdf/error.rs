@@ -1,5 +1,6 @@
 //! Errors and warnings of reading a URDF.
 
+use crate::name_list::name_list;
 use thiserror::Error;
 
 /// Reason why a URDF is refused, and the line.
@@ -40,14 +41,9 @@ fn on_line(line: Option<u32>) -> String {
     line.map(|l| format!(", on line {l}")).unwrap_or_default()
 }
 
-/// Names in one line, up to a hundred; the number of others.
+/// Names in one line, up to a hundred.
 fn listed(names: &[String]) -> String {
-    const MOST: usize = 100;
-    let shown = names[..names.len().min(MOST)].join(", ");
-    match names.len().saturating_sub(MOST) {
-        0 => shown,
-        more => format!("{shown} and {more} more"),
-    }
+    name_list(names, 100)
 }
 
 /// Reason why a URDF is refused. `element` names the element as in `joint 'elbow'`.

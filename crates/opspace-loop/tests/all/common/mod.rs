@@ -25,7 +25,7 @@ pub const REST: u64 = 10;
 pub const AFTERMATH: usize = 200;
 
 /// Two links of 0.5 m in the vertical plane: at q = 0 both stretch along x, so gravity pulls at both joints.
-const URDF: &str = r#"
+pub const URDF: &str = r#"
 <robot name="two">
   <link name="base"/>
   <joint name="shoulder" type="revolute">

@@ -162,8 +162,8 @@ fn grow(mut model: Model, parts: &[Part], hand: Placement, second: (Index, Place
         rotors.push(part.rotor);
     }
     model.add_frame("tip", model.bodies().len().checked_sub(1), hand);
-    let carrier = second.0.index(parts.len() + 1).checked_sub(1).map(|i| root + i);
-    model.add_frame("second", carrier, second.1);
+    let parent = second.0.index(parts.len() + 1).checked_sub(1).map(|i| root + i);
+    model.add_frame("second", parent, second.1);
     model.with_rotor_inertia(&rotors)
 }
 

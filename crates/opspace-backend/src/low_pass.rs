@@ -1,35 +1,41 @@
-//! A first-order low-pass.
+//! First-order low-pass filter.
 
 use std::f64::consts::TAU;
 
-/// y += a (x − y) with a = 1 − exp(−2π f T): the exact response of a first-order low-pass to an input
-/// held over each period.
+/// Gain a of `y += a (x − y)`, a first-order low-pass with its −3 dB point at `cutoff_hz`, sampled every `period_s`:
+/// 1 − exp(−2π f T), exact for an input that is held over each period.
+#[must_use]
+pub fn gain(cutoff_hz: f64, period_s: f64) -> f64 {
+    1.0 - (-TAU * cutoff_hz * period_s).exp()
+}
+
+/// First-order low-pass filter of N channels: `y += a (x − y)` with the [`gain`] a.
 #[derive(Clone, Debug)]
 pub struct LowPass<const N: usize> {
-    share: f64,
+    gain: f64,
     state: [f64; N],
 }
 
 impl<const N: usize> LowPass<N> {
-    /// With its −3 dB point at `cutoff_hz`, sampled every `period_s`, at zero.
+    /// Returns a filter with its −3 dB point at `cutoff_hz`, sampled every `period_s`, at zero.
     #[must_use]
     pub fn new(cutoff_hz: f64, period_s: f64) -> Self {
-        Self { share: -(-TAU * cutoff_hz * period_s).exp_m1(), state: [0.0; N] }
+        Self { gain: gain(cutoff_hz, period_s), state: [0.0; N] }
     }
 
-    /// Settled on `input`, where that is finite.
+    /// Sets the output to `input`, where that is finite.
     pub fn reset(&mut self, input: &[f64; N]) {
         for (y, &x) in self.state.iter_mut().zip(input).filter(|(_, x)| x.is_finite()) {
             *y = x;
         }
     }
 
-    /// The output after one more period. It is not finite where `input` isn't, but the filter goes on as if that period
-    /// had not been.
+    /// Returns the output after one more period: not finite where `input` is not, a period that the filter then
+    /// ignores.
     pub fn update(&mut self, input: &[f64; N]) -> [f64; N] {
         let mut output = self.state;
         for (y, x) in output.iter_mut().zip(input) {
-            *y += self.share * (x - *y);
+            *y += self.gain * (x - *y);
         }
         self.reset(&output);
         output
