@@ -4,6 +4,15 @@
 
 use crate::signal::SignalName;
 
+/// Channel of the control loop: a row per interface cycle.
+pub const TICK_CHANNEL: &str = "tick";
+/// Channel of the true state of a simulation: a row per interface cycle.
+pub const TRUTH_CHANNEL: &str = "truth";
+/// Channel of the drives of a simulation: a row per servo tick.
+pub const SERVO_CHANNEL: &str = "servo";
+/// Channel of the external forces on a simulation: a row per interface cycle.
+pub const EXTERNAL_CHANNEL: &str = "external";
+
 /// Wall-clock duration of a step, ns. It differs from run to run.
 pub const TICK_TIME: &str = "tick_time";
 /// 1 in the cycle in which a stop was requested.

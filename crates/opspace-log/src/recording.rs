@@ -10,6 +10,7 @@ use crate::records::{Raw, Record, Records, checksum};
 use crate::schema;
 use mcap::MAGIC;
 use mcap::records::op;
+use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -93,7 +94,7 @@ impl Recording {
     /// # Errors
     /// If the log lacks it.
     pub fn tick(&self) -> Result<&ChannelData, LogError> {
-        self.channel("tick").ok_or_else(|| LogError::NoSignal { name: "tick".to_owned() })
+        self.channel(TICK_CHANNEL).ok_or_else(|| LogError::NoSignal { name: TICK_CHANNEL.to_owned() })
     }
 
     /// Returns the attached file of that name.

@@ -6,13 +6,10 @@ use crate::foxglove::{FrameTransform, FrameTransforms, JointState, JointStates, 
 use crate::header::TIME_ZERO_NS;
 use nalgebra::{Rotation3, UnitQuaternion};
 use opspace_backend::Layout;
-use opspace_backend::signal_names::{DQ, MOTOR_TORQUE, Q};
+use opspace_backend::signal_names::{DQ, MOTOR_TORQUE, Q, TICK_CHANNEL};
 use opspace_model::{Data, FrameId, Model, Placement, frame_placement, kinematics};
 use std::ops::Range;
 use std::sync::Arc;
-
-/// Channel from which viewers' messages are computed.
-const TICK: &str = "tick";
 
 /// Time between two messages, ns: 50 Hz looks smooth, and is a small part of the log.
 const PERIOD_NS: u64 = 20_000_000;
@@ -43,7 +40,7 @@ pub(crate) struct Bodies {
 impl Viewer {
     /// Returns the viewer; `None` without a channel `tick` that has a signal `q`.
     pub fn new(layouts: &[&Layout], model: Option<Arc<Model>>) -> Result<Option<Self>, LogError> {
-        let Some(channel) = layouts.iter().position(|l| l.channel == TICK) else {
+        let Some(channel) = layouts.iter().position(|l| l.channel == TICK_CHANNEL) else {
             return Ok(None);
         };
         let Some(q) = layouts[channel].columns(Q) else {

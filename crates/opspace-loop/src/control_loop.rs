@@ -27,7 +27,7 @@ use crate::loop_config::{LoopConfig, LoopError};
 use crate::phase::{Phase, Standstill};
 use crate::state_estimator::StateEstimator;
 use nalgebra::DVector;
-use opspace_backend::signal_names::{COMMAND, FAULT, PHASE, TORQUE_DESIRED, TORQUE_SATURATED};
+use opspace_backend::signal_names::{COMMAND, FAULT, PHASE, TICK_CHANNEL, TORQUE_DESIRED, TORQUE_SATURATED};
 use opspace_backend::{
     Capabilities, Command, CommandKind, DeviceFault, GravityCompensation, Layout, Observable, Sample,
     SignalRecorder,
@@ -142,7 +142,7 @@ impl ControlLoop {
             ramp_from_s: 0.0,
             fault: None,
             row: Vec::new(),
-            layout: Layout { channel: "tick".to_owned(), signals: Vec::new() },
+            layout: Layout { channel: TICK_CHANNEL.to_owned(), signals: Vec::new() },
             units: model.joint_units(),
             state: State { data: Data::new(&model), estimator, feedforward_torque: DVector::zeros(n), model },
             command: nan.clone(),

@@ -4,6 +4,7 @@
 //! the channel `external` hold all of it, so that a simulation can be repeated from its log.
 
 use nalgebra::Vector3;
+use opspace_backend::signal_names::EXTERNAL_CHANNEL;
 use opspace_backend::{Layout, SignalRecorder};
 use opspace_model::{Force, FrameId, Model};
 use std::cell::Cell;
@@ -83,7 +84,7 @@ const WIDTH: usize = 16;
 #[must_use]
 pub fn layout() -> Layout {
     let signals = SignalRecorder::describe(|out| record(None, f64::NAN, &Vector3::zeros(), out));
-    Layout { channel: "external".to_owned(), signals }
+    Layout { channel: EXTERNAL_CHANNEL.to_owned(), signals }
 }
 
 /// Records the force that is set, with the index of its frame, and the force (N) that acted in the last step.

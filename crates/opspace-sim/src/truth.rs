@@ -4,7 +4,7 @@ use crate::external::{self, ExternalForce, ExternalRows};
 use crate::plant::Plant;
 use crate::timing::Timing;
 use nalgebra::Vector3;
-use opspace_backend::signal_names::{DQ, FORCE, MOTOR_TORQUE, Q};
+use opspace_backend::signal_names::{DQ, FORCE, MOTOR_TORQUE, Q, SERVO_CHANNEL, TRUTH_CHANNEL};
 use opspace_backend::{Layout, Signal, SignalRecorder, TruthLayouts, TruthRow};
 use opspace_model::{JointUnits, Model};
 use std::ops::Range;
@@ -74,8 +74,8 @@ impl TruthRows {
         let truth = SignalRecorder::describe(|out| self.arm.record(&[], &[], |_| Vector3::zeros(), out));
         let servo = vec![Signal::new(MOTOR_TORQUE, &self.arm.units.torque, &self.arm.joints)];
         let layouts = TruthLayouts::new(
-            Layout { channel: "truth".to_owned(), signals: truth },
-            Layout { channel: "servo".to_owned(), signals: servo },
+            Layout { channel: TRUTH_CHANNEL.to_owned(), signals: truth },
+            Layout { channel: SERVO_CHANNEL.to_owned(), signals: servo },
         );
         match &self.external {
             Some(_) => layouts.with_external(external::layout()),

@@ -3,6 +3,7 @@
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
 use crate::output::{pretty, read_log};
+use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, TaskDefinition};
 use opspace_log::Recording;
@@ -74,7 +75,7 @@ fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayRepo
     if compared < replayed.logged {
         text += &format!("it would have stopped there; the log has {} ticks\n", replayed.logged);
     }
-    let tick = recording.channel("tick");
+    let tick = recording.channel(TICK_CHANNEL);
     for (signal, elements) in &replayed.rms {
         let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());
         for ((element, rms), unit) in elements.iter().zip(units) {

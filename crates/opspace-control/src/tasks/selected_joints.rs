@@ -143,8 +143,8 @@ impl Task for SelectedJoints {
         self.joints.iter().map(|&joint| self.tracking.joint_name(joint).to_owned()).collect()
     }
 
-    fn row_unit(&self, _row: usize) -> (&'static str, f64) {
-        ("rad", 1.0)
+    fn row_unit(&self, row: usize) -> (&'static str, f64) {
+        (self.tracking.position_unit(self.joints[row]), 1.0)
     }
 
     fn reference_speeds(&self) -> [Option<f64>; 2] {

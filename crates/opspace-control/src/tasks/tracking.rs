@@ -215,6 +215,11 @@ impl Tracking {
         &self.joint_names[joint]
     }
 
+    /// Unit of a joint's position: rad or m.
+    pub(crate) fn position_unit(&self, joint: usize) -> &'static str {
+        self.units.position[joint]
+    }
+
     /// Linearised gains of a joint: stiffness (1/s²) and damping (1/s).
     pub(crate) fn gains_of(&self, joint: usize) -> [f64; 2] {
         [self.gains.stiffness[joint], self.gains.damping[joint]]

@@ -10,7 +10,8 @@ use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MOTOR_TORQUE, PHASE, Q, REFERENCE, REFERENCE_ORIENTATION,
-    SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_TIME, TORQUE_DESIRED, TORQUE_SATURATED,
+    SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL, TICK_TIME, TORQUE_DESIRED,
+    TORQUE_SATURATED, TRUTH_CHANNEL,
 };
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::orientation::log;
@@ -111,7 +112,7 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
 #[must_use]
 pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
     let mut ticks: Vec<f64> = Vec::new();
-    if let Some(tick) = recording.channel("tick")
+    if let Some(tick) = recording.channel(TICK_CHANNEL)
         && let (Some(phase), Some(time)) = (tick.signal(PHASE), tick.signal(TICK_TIME))
     {
         let controlled = phase.rows().zip(time.rows()).filter(|(p, t)| p[0] == 1.0 && t[0].is_finite());
@@ -147,13 +148,13 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
-        let tick = recording.channel("tick")?;
+        let tick = recording.channel(TICK_CHANNEL)?;
         let phase = tick.signal(PHASE)?;
         let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
         let mut controlled = (0..tick.len()).filter(|&k| !idle.contains(&phase.row(k)[0]));
         let first = controlled.next()?;
         let last = controlled.next_back().unwrap_or(first);
-        let positions = recording.channel("truth").unwrap_or(tick);
+        let positions = recording.channel(TRUTH_CHANNEL).unwrap_or(tick);
         Some(Self {
             experiment,
             recording,
@@ -257,7 +258,7 @@ impl<'a> Run<'a> {
             });
             metrics.torque_step_max_nm = largest(&mut { steps });
         }
-        let positions = self.recording.channel("truth").unwrap_or(self.tick);
+        let positions = self.recording.channel(TRUTH_CHANNEL).unwrap_or(self.tick);
         if let Some(dq) = positions.signal(DQ) {
             let settled = self.settled(&positions.time_s);
             metrics.speed_max_rad_per_s = largest(&mut settled.flat_map(|k| dq.row(k).iter().copied()));
@@ -287,7 +288,7 @@ impl<'a> Run<'a> {
             return;
         };
         let axes = [WorldAxis::X, WorldAxis::Y, WorldAxis::Z].map(|axis| spring.report.contains(&axis));
-        if let Some(truth) = self.recording.channel("truth")
+        if let Some(truth) = self.recording.channel(TRUTH_CHANNEL)
             && let Some(force) = truth.signal(&signal_names::of(name, FORCE))
         {
             let forces = self.settled(&truth.time_s).map(|k| {
@@ -318,7 +319,7 @@ impl<'a> Run<'a> {
     /// √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo periods.
     fn torque_errors(&self) -> Metrics {
         let mut metrics = Metrics::default();
-        let Some(servo) = self.recording.channel("servo") else { return metrics };
+        let Some(servo) = self.recording.channel(SERVO_CHANNEL) else { return metrics };
         let (Some(desired), Some(motor)) = (servo.signal(TORQUE_DESIRED), servo.signal(MOTOR_TORQUE)) else {
             return metrics;
         };
@@ -373,7 +374,7 @@ impl<'a> Run<'a> {
         let current_loop_hz = simulated.current_loop_hz.map(Positive::get);
         let ripple_s =
             ripple::of_held_setpoint(profile.servo_ticks_per_cycle.get(), servo_period_s, current_loop_hz);
-        let positions = self.recording.channel("truth").unwrap_or(self.tick);
+        let positions = self.recording.channel(TRUTH_CHANNEL).unwrap_or(self.tick);
         let dq = positions.signal(DQ)?;
         let scale = simulated.true_over_nominal.kp.get() * simulated.true_over_nominal.kv.get();
         let true_servos =

@@ -6,7 +6,8 @@ use crate::report::html::Page;
 use crate::run::experiment::Experiment;
 use crate::run::summary::Summary;
 use opspace_backend::signal_names::{
-    self, DQ, DQ_DESIRED, MOTOR_TORQUE, PHASE, Q, Q_DESIRED, REFERENCE, TORQUE_DESIRED, WRENCH,
+    self, DQ, DQ_DESIRED, MOTOR_TORQUE, PHASE, Q, Q_DESIRED, REFERENCE, SERVO_CHANNEL, TICK_CHANNEL,
+    TORQUE_DESIRED, TRUTH_CHANNEL, WRENCH,
 };
 use opspace_control::TaskParameters;
 use opspace_log::{ChannelData, Column, Recording};
@@ -98,8 +99,8 @@ fn title(summary: &Summary) -> String {
 #[must_use]
 pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
     let recording = &from_control_start(recording);
-    let Some(tick) = recording.channel("tick") else { return Vec::new() };
-    let truth = recording.channel("truth").unwrap_or(tick);
+    let Some(tick) = recording.channel(TICK_CHANNEL) else { return Vec::new() };
+    let truth = recording.channel(TRUTH_CHANNEL).unwrap_or(tick);
     let mut figures: Vec<Figure> = torques(recording, tick).into_iter().collect();
     for name in &experiment.task().file.priority {
         match experiment.task().file.task.get(name) {
@@ -117,7 +118,7 @@ pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
 
 /// Desired and motor torque of each joint: at servo rate where the log has it.
 fn torques(recording: &Recording, tick: &ChannelData) -> Option<Figure> {
-    let (channel, caption) = match recording.channel("servo") {
+    let (channel, caption) = match recording.channel(SERVO_CHANNEL) {
         Some(servo) => (servo, "True motor torque, mean over each servo period, and desired torque."),
         None => (tick, "Motor torque measured by current, and desired torque."),
     };
@@ -220,7 +221,7 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
 /// clock.
 fn from_control_start(recording: &Recording) -> Recording {
     let mut shifted = recording.clone();
-    let phase = recording.channel("tick").and_then(|tick| Some((tick, tick.signal(PHASE)?)));
+    let phase = recording.channel(TICK_CHANNEL).and_then(|tick| Some((tick, tick.signal(PHASE)?)));
     let first = phase.and_then(|(tick, phase)| {
         let first = phase.rows().position(|row| row[0] == Phase::Control.code())?;
         Some(tick.time_s[first])

@@ -3,7 +3,7 @@
 use crate::evaluate::metrics::{Metrics, Timing, metrics, timing};
 use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
-use opspace_backend::signal_names::{self, MISSED_CYCLES, PHASE, TARGET_STALE};
+use opspace_backend::signal_names::{self, MISSED_CYCLES, PHASE, TARGET_STALE, TICK_CHANNEL};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use serde::Serialize;
@@ -100,7 +100,7 @@ impl Experiment {
 
 /// The number of missed cycles in a log, and the number of times control was resumed.
 fn continuity(recording: &Recording) -> (u64, u64) {
-    let Some(tick) = recording.channel("tick") else { return (0, 0) };
+    let Some(tick) = recording.channel(TICK_CHANNEL) else { return (0, 0) };
     let missed = tick.signal(MISSED_CYCLES).map_or(0.0, |missed| missed.rows().map(|row| row[0]).sum());
     let resuming = Phase::Resuming.code();
     let resumed = tick.signal(PHASE).map_or(0, |phase| {
@@ -111,7 +111,7 @@ fn continuity(recording: &Recording) -> (u64, u64) {
 
 /// The number of control cycles in a log in which a streamed target of some task was stale.
 fn stale_target_cycles(recording: &Recording) -> u64 {
-    let Some(tick) = recording.channel("tick") else { return 0 };
+    let Some(tick) = recording.channel(TICK_CHANNEL) else { return 0 };
     let stale_of = signal_names::of("", TARGET_STALE);
     let names = tick.layout.signals.iter().map(|signal| signal.name.as_str());
     let stale: Vec<_> =

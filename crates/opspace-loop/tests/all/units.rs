@@ -3,7 +3,8 @@
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config};
 use opspace_backend::{CommandKind, Measured, TICK};
 use opspace_control::{
-    Compensation, ControlContext, InverseKinematicsController, LimitParameters, OperationalSpaceController,
+    Compensation, ControlContext, InverseKinematicsController, JointGains, JointReference,
+    JointTrackingParameters, LimitParameters, OperationalSpaceController, SelectedJoints, Task,
     TaskParameters, TaskSet,
 };
 use opspace_loop::{ControlLoop, LoopConfig, Run};
@@ -97,5 +98,17 @@ fn position_controller_commands_a_prismatic_joint_in_metres() {
     for (name, unit) in [("command", Q), ("ik.q", Q), ("ik.dq", DQ)] {
         let found = logged.iter().find(|(known, _)| known == name);
         assert_eq!(found.map(|(_, unit)| unit.as_str()), Some(unit), "{name}");
+    }
+}
+
+/// Compared: the unit of the row of each joint, and that of the joint's type.
+#[test]
+fn rows_of_selected_joints_have_the_units_of_their_joints() {
+    let model = slider();
+    let gains = JointGains::new(10.0, 1.0).expect("good gains");
+    let parameters = JointTrackingParameters::new(JointReference::Hold, gains);
+    for (joint, unit) in [("shoulder", "rad"), ("elbow", "m")] {
+        let task = SelectedJoints::new("one", &[joint.to_owned()], &parameters, &model).expect("a task");
+        assert_eq!(task.row_unit(0), (unit, 1.0), "{joint}");
     }
 }
