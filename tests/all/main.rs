@@ -14,6 +14,7 @@ mod identified;
 mod model_samples;
 mod replay;
 mod report_browser;
+mod result_files;
 mod robots;
 mod safety;
 

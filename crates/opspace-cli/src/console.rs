@@ -6,6 +6,8 @@ use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
 use opspace_experiment::evaluate::results::{Measure, notes, table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
+use opspace_log::LogError;
+use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
@@ -59,7 +61,10 @@ impl From<RunError> for Failure {
     fn from(error: RunError) -> Self {
         match error {
             RunError::File(error) => Self::File(error),
-            RunError::Incomplete { .. } => Self::Other(error.to_string(), Exit::Bad),
+            RunError::Incomplete { .. }
+            | RunError::Locked { .. }
+            | RunError::Write { .. }
+            | RunError::Log(LogError::Write(_)) => Self::Other(error.to_string(), Exit::Bad),
             other => Self::Other(other.to_string(), Exit::Failed),
         }
     }
@@ -83,14 +88,14 @@ impl Console {
     /// Prints a progress message to stderr, unless quiet.
     pub fn note(self, text: &str) {
         if !self.quiet {
-            let _ = writeln!(io::stderr(), "{text}");
+            let _ = writeln!(io::stderr(), "{}", escaped(text));
         }
     }
 
     /// Prints a detail to stderr, if verbose.
     pub fn detail(self, text: &str) {
         if self.verbose {
-            let _ = writeln!(io::stderr(), "{text}");
+            let _ = writeln!(io::stderr(), "{}", escaped(text));
         }
     }
 
@@ -100,8 +105,31 @@ impl Console {
     }
 }
 
-/// Prints a result to stdout.
+/// Escapes characters that would move the cursor, change colours or reverse the direction of the text: names in files
+/// are not to be trusted. Line ends and tabs stay.
+fn escaped(text: &str) -> Cow<'_, str> {
+    let is_harmful = |c: char| {
+        c.is_control() && !matches!(c, '\n' | '\t')
+            // Marks and overrides of bidirectional text.
+            || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    if !text.contains(is_harmful) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        if is_harmful(c) { shown.extend(c.escape_unicode()) } else { shown.push(c) }
+    }
+    Cow::Owned(shown)
+}
+
+/// Prints text to stdout, for a reader.
 pub fn print(text: &str) -> Result<(), Failure> {
+    print_exactly(&escaped(text))
+}
+
+/// Prints text to stdout, for a program.
+pub fn print_exactly(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| match error.kind() {
         io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
@@ -199,16 +227,16 @@ pub fn report(failure: &Failure) -> Exit {
     match failure {
         Failure::ClosedPipe => Exit::Done,
         Failure::Other(message, exit) => {
-            let _ = writeln!(err, "error: {message}");
+            let _ = writeln!(err, "error: {}", escaped(message));
             *exit
         }
         Failure::File(error) => {
-            let _ = writeln!(err, "error: {error}");
+            let _ = writeln!(err, "error: {}", escaped(&error.to_string()));
             let _ = match excerpt(error, colours(&io::stderr())) {
                 Some(text) => writeln!(err, "{text}"),
-                None => error
-                    .help()
-                    .map_or(Ok(()), |help| writeln!(err, "  help: {}", help.replace('\n', "\n        "))),
+                None => error.help().map_or(Ok(()), |help| {
+                    writeln!(err, "  help: {}", escaped(&help.replace('\n', "\n        ")))
+                }),
             };
             Exit::Bad
         }
@@ -218,7 +246,8 @@ pub fn report(failure: &Failure) -> Exit {
 /// Renders the line of a mistake in a file, underlined, and the remedy; `None` if the mistake has no line.
 fn excerpt(error: &FileError, colours: bool) -> Option<String> {
     let (text, span) = error.excerpt().filter(|_| error.line().is_some())?;
-    let line = Snippet::source(text).path(error.path()).annotation(AnnotationKind::Primary.span(span));
+    let line =
+        Snippet::source(text).path(escaped(error.path())).annotation(AnnotationKind::Primary.span(span));
     let place = Group::with_level(Level::ERROR).element(line);
     let width = usize::from(width().unwrap_or(100));
     let group = match error.help() {
@@ -265,8 +294,9 @@ fn wrap(text: &str, width: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{blocks, excerpt};
+    use super::{blocks, escaped, excerpt};
     use opspace_experiment::{FileError, Source};
+    use std::borrow::Cow;
 
     /// Checks that the line, its place and the help are there and that the underline stands below the mistake; without
     /// colours, no escape sequence.
@@ -284,6 +314,14 @@ mod tests {
         assert_eq!(lines[at + 1].matches('\u{2501}').count(), "\"\u{e9}lan\"".chars().count(), "{text}");
         assert!(excerpt(&error, true).is_some_and(|text| text.contains('\u{1b}')));
         assert_eq!(excerpt(&FileError::of_file("x.toml", "is missing", None), false), None);
+    }
+
+    /// Checks a name with an escape sequence, a carriage return and an override of the direction of text.
+    #[test]
+    fn control_and_bidirectional_characters_are_escaped() {
+        assert_eq!(escaped("a\u{1b}[31mb\r\u{202e}c\td\n"), "a\\u{1b}[31mb\\u{d}\\u{202e}c\td\n");
+        let plain = "Größe µs – 1 °\n";
+        assert!(matches!(escaped(plain), Cow::Borrowed(text) if text == plain));
     }
 
     #[test]

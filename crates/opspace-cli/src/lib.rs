@@ -17,6 +17,8 @@ mod commands;
 mod console;
 mod interrupt;
 mod output;
+mod outputs;
+mod result_folder;
 
 use clap::Parser;
 use cli::{Cli, Command};

@@ -1,96 +1,76 @@
-//! Folder of a run. Recorded results are never overwritten unless requested.
+//! Files that a command writes, and the logs that it reads.
 
-use crate::cli::{JsonArgs, OutputArgs};
-use crate::console::{Console, Exit, Failure, print};
+use crate::cli::JsonArgs;
+use crate::console::{Exit, Failure, print, print_exactly};
 use opspace_experiment::Source;
-pub use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
+use opspace_experiment::run::folder::LOG;
+use opspace_experiment::run::result_files::write_file;
 use opspace_log::{LogError, Recording};
 use serde::Serialize;
+use serde::de::IgnoredAny;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Name of the folder, within that of a run, for the motion to the start.
-pub const MOVE_TO_START: &str = "move-to-start";
-/// File name of a suite's rows.
-pub const ROWS: &str = "bench.json";
-/// File name of an identification's numbers.
-pub const IDENTIFICATION: &str = "identification.json";
-/// File name of a robot file's identified keys.
-pub const SERVO_FILE: &str = "servo.toml";
-/// File name of a robot file with the identified keys.
-pub const ROBOT_FILE: &str = "robot.toml";
+/// Writes a file of results into a folder of results.
+pub fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    write_file(path, text).map_err(|e| Failure::io("cannot be written", path, &e))
+}
 
-/// Creates the folder for results. An existing default folder with results is moved aside; one given by the user is
-/// only reused with `--force`.
-pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<PathBuf, Failure> {
-    let folder = args.out.clone().unwrap_or_else(|| default.to_owned());
-    if holds_results(&folder) {
-        if args.out.is_none() {
-            set_aside(&folder, console)?;
-        } else if args.force {
-            clear(&folder)?;
-        } else {
-            let text = format!("{}: already contains a run; use --force to replace it", folder.display());
-            return Err(Failure::Other(text, Exit::Bad));
+/// Writes a file that the user named. An existing one is replaced only if it has the same format.
+pub fn write_named(path: &Path, text: &str, format: Format) -> Result<(), Failure> {
+    if path.is_file() && !format.is_that_of(path) {
+        let text = format!(
+            "{}: exists and is not {}; choose another file for the output",
+            path.display(),
+            format.name()
+        );
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    write(path, text)
+}
+
+/// Format of a file of results.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    Json,
+    JsonLines,
+    Html,
+}
+
+impl Format {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Json => "a JSON file",
+            Self::JsonLines => "a file of JSON lines",
+            Self::Html => "a web page",
         }
     }
-    fs::create_dir_all(&folder).map_err(|e| Failure::io("cannot be created", &folder, &e))?;
-    Ok(folder)
-}
 
-fn holds_results(folder: &Path) -> bool {
-    let named = [LOG, SUMMARY, ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
-    named || folder.join(MOVE_TO_START).join(LOG).exists()
-}
-
-/// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
-fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
-    let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let free = (1..)
-        .map(|k| match k {
-            1 => folder.with_file_name(format!("{name}.previous")),
-            k => folder.with_file_name(format!("{name}.previous-{k}")),
-        })
-        .find(|path| !path.exists());
-    let Some(aside) = free else { return Ok(()) };
-    fs::rename(folder, &aside).map_err(|e| Failure::io("cannot be renamed", folder, &e))?;
-    console.note(&format!("moved the previous run to {}", aside.display()));
-    Ok(())
-}
-
-/// Removes the files that a run, a suite or an identification wrote, and nothing else.
-fn clear(folder: &Path) -> Result<(), Failure> {
-    let motion = folder.join(MOVE_TO_START);
-    if holds_results(&motion) {
-        clear(&motion)?;
+    /// True if an existing file has this format, or is empty.
+    fn is_that_of(self, path: &Path) -> bool {
+        let Ok(text) = fs::read_to_string(path) else { return false };
+        let is_json = |text: &str| serde_json::from_str::<IgnoredAny>(text).is_ok();
+        text.trim().is_empty()
+            || match self {
+                Self::Json => is_json(&text),
+                Self::JsonLines => text.lines().all(|line| line.trim().is_empty() || is_json(line)),
+                Self::Html => text.trim_start().to_ascii_lowercase().starts_with("<!doctype html"),
+            }
     }
-    let identified = folder.join(IDENTIFICATION).exists();
-    let logs = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let ours = logs.filter(|path| {
-        let named = |names: &[&str]| names.iter().any(|name| path.ends_with(name));
-        // A robot file is ours only beside an identification.
-        named(&[LOG, REPORT, SUMMARY, ROWS, IDENTIFICATION])
-            || identified && named(&[SERVO_FILE, ROBOT_FILE])
-            || path.extension().is_some_and(|e| e == "mcap")
-    });
-    for path in ours {
-        fs::remove_file(&path).map_err(|e| Failure::io("cannot be replaced", &path, &e))?;
-    }
-    Ok(())
-}
-
-/// Writes a file of results.
-pub fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    fs::write(path, text).map_err(|e| Failure::io("cannot be written", path, &e))
 }
 
 impl JsonArgs {
+    /// File for the JSON; `None` if there is none or the JSON goes to stdout.
+    pub fn path(&self) -> Option<&Path> {
+        self.json.as_deref().filter(|path| *path != Path::new("-"))
+    }
+
     /// Writes the results where `--json` requests them, and prints them as text unless the JSON is printed instead.
     pub fn print(&self, json: impl FnOnce() -> String, text: impl FnOnce() -> String) -> Result<(), Failure> {
-        match &self.json {
-            Some(path) if path == Path::new("-") => return print(&json()),
-            Some(path) => write(path, &json())?,
-            None => {}
+        match (self.path(), &self.json) {
+            (Some(path), _) => write_named(path, &json(), Format::Json)?,
+            (None, Some(_)) => return print_exactly(&json()),
+            (None, None) => {}
         }
         print(&text())
     }
@@ -101,9 +81,14 @@ pub fn pretty(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
 
-/// Reads the log that a path denotes: a folder stands for the `run.mcap` in it.
+/// Path of the log that a path denotes: a folder stands for the `run.mcap` in it.
+pub fn log_path(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join(LOG) } else { path.to_owned() }
+}
+
+/// Reads the log that a path denotes, as [`log_path`] does.
 pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
-    let path = if path.is_dir() { path.join(LOG) } else { path.to_owned() };
+    let path = log_path(path);
     match Recording::read(&path) {
         Ok(recording) => Ok((path, recording)),
         Err(error) => match Source::read(&path) {

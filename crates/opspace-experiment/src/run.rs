@@ -9,5 +9,6 @@ pub mod log_header;
 mod on_driver;
 mod real_robot;
 pub mod replay;
+pub mod result_files;
 pub mod summary;
 mod transformer;

@@ -59,6 +59,7 @@ pub use compare::{Comparer, Difference};
 pub use error::{Corruption, LogError};
 pub use header::{Attachment, Channel, GAPS, Header, LOG, TIME_ZERO_NS};
 pub use inputs::{LoggedInput, LoggedInputs};
+pub use mcap::MAGIC;
 pub use outcome::OutcomeRecord;
 pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
 pub use recording::{ChannelData, Column, Recording};

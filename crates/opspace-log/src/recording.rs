@@ -13,7 +13,15 @@ use mcap::records::op;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
+use std::io::Read;
 use std::path::Path;
+
+/// Largest ratio of the size of all chunks, unpacked, to that of the file: a log of a simulation without noise has
+/// some 10.
+const MAX_EXPANSION: u64 = 100;
+
+/// Size of all chunks, unpacked, that is accepted of any file, bytes.
+const MIN_UNPACKED_BYTES: u64 = 16 << 20;
 
 /// Log in memory.
 #[derive(Clone, Debug, Default)]
@@ -58,7 +66,15 @@ impl Recording {
     /// If it can't be read, or [`from_bytes`](Self::from_bytes) fails.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, LogError> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|source| LogError::Read { path: path.to_owned(), source })?;
+        let failed = |source| LogError::Read { path: path.to_owned(), source };
+        let mut file = std::fs::File::open(path).map_err(failed)?;
+        let mut bytes = Vec::new();
+        // The first bytes first: a device without end is none of our files.
+        file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
+        if bytes != MAGIC {
+            return Err(LogError::NotMcap);
+        }
+        file.read_to_end(&mut bytes).map_err(failed)?;
         Self::from_bytes(&bytes)
     }
 
@@ -72,7 +88,8 @@ impl Recording {
             return Err(LogError::NotMcap);
         }
         let whole = verify(bytes);
-        let mut reader = Reader { count_rows: whole.is_err(), ..Reader::default() };
+        let max_unpacked_bytes = MIN_UNPACKED_BYTES.max(MAX_EXPANSION * bytes.len() as u64);
+        let mut reader = Reader { count_rows: whole.is_err(), max_unpacked_bytes, ..Reader::default() };
         let what = reader.read(bytes).err().or(reader.continued_after.take()).or(whole.err());
         let mut recording = reader.recording;
         let last = recording.channels.iter().filter_map(|c| c.time_s.last()).copied();
@@ -234,6 +251,10 @@ struct Reader {
     /// Map from the file's channels to the recording's; `None` for those of others.
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
+    /// Size of all chunks so far, unpacked.
+    unpacked_bytes: u64,
+    /// Largest size of all chunks, unpacked.
+    max_unpacked_bytes: u64,
     /// Damage after which reading continues: a table or an attachment that can't be read.
     continued_after: Option<String>,
 }
@@ -263,6 +284,13 @@ impl Reader {
         let Record::Chunk(chunk) = raw.parse()? else {
             return Ok(());
         };
+        self.unpacked_bytes = self.unpacked_bytes.saturating_add(chunk.size());
+        if self.unpacked_bytes > self.max_unpacked_bytes {
+            let most = self.max_unpacked_bytes;
+            return Err(format!(
+                "the chunks expand to more than {most} bytes, which no log of this size does"
+            ));
+        }
         let bytes = chunk.unpack()?;
         for inner in (Records { bytes: &bytes, at: 0 }) {
             self.take(inner?.parse()?)?;

@@ -126,6 +126,11 @@ impl<'a> Raw<'a> {
 }
 
 impl<'a> Chunk<'a> {
+    /// Size of the records, unpacked, bytes: as the file states it, which [`unpack`](Self::unpack) verifies.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
     /// Returns the records in it, after verifying their checksum.
     pub fn unpack(&self) -> Result<Cow<'a, [u8]>, String> {
         if self.size > CHUNK_MAX {

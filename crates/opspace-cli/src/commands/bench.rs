@@ -4,15 +4,17 @@ use crate::cli::BenchArgs;
 use crate::commands::run::{exit_code, style};
 use crate::console::{Console, Exit, Failure, Outcome, results};
 use crate::interrupt;
-use crate::output::{REPORT, ROWS, prepare, pretty, write};
+use crate::output::{pretty, write};
+use crate::result_folder::{LOGS, ROWS, prepare};
 use indicatif::ProgressBar;
 use opspace_experiment::Progress;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::run::folder::REPORT;
 use opspace_experiment::{Experiment, Extensions, Files, RunError, Suite, Summary};
 use opspace_log::Recording;
 use serde_json::json;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -21,6 +23,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Results of a run.
 struct Done {
+    /// Index of its experiment in the suite.
+    index: usize,
     summary: Summary,
     shown: Option<(RunSection, Vec<u8>)>,
 }
@@ -33,28 +37,32 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         }
         None => (Suite::load(Files::Embedded, Path::new(PAPER_SUITE))?, "bench".to_owned()),
     };
-    let folder = prepare(&args.output, &PathBuf::from("runs").join(name), console)?;
+    let logs = log_names(&suite.experiments);
+    let files: Vec<String> = logs.values().cloned().chain([REPORT, ROWS].map(str::to_owned)).collect();
+    let mut inputs: Vec<PathBuf> = suite.experiments.iter().flat_map(Experiment::input_paths).collect();
+    inputs.push(suite.source.name().into());
+    let results_folder = prepare(&args.output, &PathBuf::from("runs").join(name), &files, &inputs, console)?;
+    let folder = results_folder.path();
     let watch = interrupt::watch();
     let jobs =
         args.jobs.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
-    let done = run_all(&suite.experiments, jobs, &watch, console)?;
+    let done = run_all(&suite.experiments, &logs, jobs, &watch, console)?;
 
     let summaries: Vec<Summary> = done.iter().map(|d| d.summary.clone()).collect();
     let mut shown = Vec::new();
-    for Done { shown: one, .. } in done {
-        let Some((one, log)) = one else { continue };
-        let name = format!("{}-{}", one.summary.task, one.summary.backend);
-        // Two tasks of a suite may have one name.
-        let same = shown.iter().filter(|s: &&RunSection| s.summary.task == one.summary.task).count();
-        let path =
-            folder.join(if same == 0 { format!("{name}.mcap") } else { format!("{name}-{}.mcap", same + 1) });
+    let mut written = Vec::new();
+    for Done { index, shown: one, .. } in done {
+        let (Some((one, log)), Some(name)) = (one, logs.get(&index)) else { continue };
+        let path = folder.join(name);
         std::fs::write(&path, log).map_err(|e| Failure::io("cannot be written", &path, &e))?;
+        written.push(name);
         shown.push(one);
     }
     let rows = json!({
         "schema": "opspace.bench/1",
         "opspace_version": env!("CARGO_PKG_VERSION"),
         "rows": summaries,
+        (LOGS): written,
     });
     let rows = pretty(&rows);
     let lead = format!("{} runs in simulation. {}", summaries.len(), LEAD);
@@ -76,6 +84,7 @@ const LEAD: &str = "Each task file runs unchanged on position and velocity robot
 /// Runs the experiments, several at once, each on one thread; the results are in the order of the experiments.
 fn run_all(
     experiments: &[Experiment],
+    logs: &BTreeMap<usize, String>,
     jobs: usize,
     watch: &Progress,
     console: Console,
@@ -86,7 +95,6 @@ fn run_all(
         ProgressBar::hidden()
     };
     bar.set_style(style("{pos:>4}/{len} {wide_bar} {elapsed} {msg}"));
-    let shown = shown(experiments);
     let next = AtomicUsize::new(0);
     let results: Vec<Mutex<Option<Result<Done, RunError>>>> =
         experiments.iter().map(|_| Mutex::new(None)).collect();
@@ -97,7 +105,7 @@ fn run_all(
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some(experiment) = experiments.get(index) else { return };
                     bar.set_message(experiment.task().name());
-                    let result = run_one(experiment, shown.contains(&index), watch);
+                    let result = run_one(index, experiment, logs.contains_key(&index), watch);
                     if let Ok(mut slot) = results[index].lock() {
                         *slot = Some(result);
                     }
@@ -123,17 +131,26 @@ fn run_all(
     Ok(done)
 }
 
-/// Indices of the runs that are drawn and keep their log: the first of each task.
-fn shown(experiments: &[Experiment]) -> BTreeSet<usize> {
-    let mut tasks = BTreeSet::new();
-    (0..experiments.len()).filter(|&i| tasks.insert(experiments[i].task().source.name().to_owned())).collect()
+/// File names of the logs that are kept, by the index of the run: the first run of each task, which is drawn too.
+fn log_names(experiments: &[Experiment]) -> BTreeMap<usize, String> {
+    let (mut tasks, mut names, mut logs) = (BTreeSet::new(), BTreeSet::new(), BTreeMap::new());
+    for (index, experiment) in experiments.iter().enumerate() {
+        if !tasks.insert(experiment.task().source.name()) {
+            continue;
+        }
+        let name = format!("{}-{}", experiment.task().name(), experiment.options().backend.name());
+        // Two tasks of a suite may have one name.
+        let free = (1..).map(|k| if k == 1 { format!("{name}.mcap") } else { format!("{name}-{k}.mcap") });
+        logs.extend(free.into_iter().find(|name| names.insert(name.clone())).map(|name| (index, name)));
+    }
+    logs
 }
 
-fn run_one(experiment: &Experiment, shown: bool, watch: &Progress) -> Result<Done, RunError> {
+fn run_one(index: usize, experiment: &Experiment, shown: bool, watch: &Progress) -> Result<Done, RunError> {
     let finished = experiment.run(Cursor::new(Vec::new()), watch)?;
     let log = finished.sink.into_inner();
     let recording = Recording::from_bytes(&log)?;
     let summary = experiment.summary(&recording, &finished.record, Some(finished.realtime_factor));
     let shown = shown.then(|| (RunSection::new(experiment, &recording, summary.clone()), log));
-    Ok(Done { summary, shown })
+    Ok(Done { index, summary, shown })
 }

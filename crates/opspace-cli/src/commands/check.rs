@@ -5,6 +5,7 @@ use crate::cli::CheckArgs;
 use crate::commands::own_backend;
 use crate::console::{Console, Exit, Outcome, report};
 use crate::output::pretty;
+use crate::outputs::check_outputs;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::preflight::{GainMargin, ServoLoop, gain_margin, not_checked};
@@ -18,6 +19,7 @@ use std::collections::HashSet;
 use std::path::Path;
 
 pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Outcome {
+    check_outputs(&args.files, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
     let mut exit = Exit::Done;
     let (mut text, mut files) = (String::new(), Vec::new());
     for path in &args.files {

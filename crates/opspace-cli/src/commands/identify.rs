@@ -4,9 +4,11 @@ use crate::cli::IdentifyArgs;
 use crate::commands::run::style;
 use crate::console::{Console, Exit, Failure, Outcome, render};
 use crate::interrupt;
-use crate::output::{IDENTIFICATION, REPORT, ROBOT_FILE, SERVO_FILE, prepare, pretty, write};
+use crate::output::{pretty, write};
+use crate::result_folder::{IDENTIFICATION, ROBOT_FILE, SERVO_FILE, prepare};
 use indicatif::ProgressBar;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
+use opspace_experiment::run::folder::REPORT;
 use opspace_experiment::{Files, RobotDefinition};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
@@ -18,6 +20,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     for warning in &robot.warnings {
         console.detail(&format!("{}: {warning}", robot.urdf.name()));
     }
+    let robot_paths = (robot.source.name().to_owned(), robot.urdf.name().to_owned());
     let request = Request {
         profile: args.profile.clone(),
         joint: args.joint.clone(),
@@ -27,7 +30,10 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     let identifying = IdentificationJob::new(robot, request)?;
     let mut arm = identifying.simulated_arm()?;
     let default = PathBuf::from(format!("runs/identify-{}", identifying.robot().name()));
-    let folder = prepare(&args.output, &default, console)?;
+    let files = [IDENTIFICATION, REPORT, SERVO_FILE, ROBOT_FILE].map(str::to_owned);
+    let inputs: Vec<PathBuf> = [&robot_paths.0, &robot_paths.1].map(PathBuf::from).into();
+    let results = prepare(&args.output, &default, &files, &inputs, console)?;
+    let folder = results.path();
     let watch = interrupt::watch();
     let identified = with_progress(&identifying, console, |begun| identifying.run(&mut arm, &watch, begun));
     let identified = identified.map_err(|stop| match stop {
@@ -36,7 +42,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         }
         other => Failure::Other(other.to_string(), Exit::Failed),
     })?;
-    let written = write_results(&folder, &identified)?;
+    let written = write_results(folder, &identified)?;
     args.output.json.print(|| pretty(&identified.json()), || render(&identified.table()))?;
     for joint in &identified.joints {
         if let Some(reason) = &joint.no_torque_mode {

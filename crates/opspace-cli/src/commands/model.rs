@@ -1,8 +1,9 @@
 //! `opspace model`: a robot as tables, with warnings about it; or its kinematics and dynamics at given states.
 
 use crate::cli::ModelArgs;
-use crate::console::{Console, Exit, Failure, Outcome, print, render};
-use crate::output::pretty;
+use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
+use crate::output::{Format, pretty, write_named};
+use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::{Files, RobotDefinition, Source};
@@ -11,8 +12,8 @@ use opspace_model::{
     Body, Frame, JointKind, Model, ParsedUrdf, UrdfOptions, UrdfWarning, model_warnings, principal_moments,
 };
 use serde_json::{Value, json};
-use std::fs::{self, File};
-use std::io::{self, BufRead, BufReader};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 pub fn model(args: &ModelArgs, console: Console) -> Outcome {
@@ -20,6 +21,7 @@ pub fn model(args: &ModelArgs, console: Console) -> Outcome {
     if let (Some(tip), Some(samples)) = (&args.tip, &args.samples) {
         return evaluate_samples(&shown.model, tip, samples, args.json.json.as_deref());
     }
+    check_outputs(&[shown.file.clone().into()], &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
     args.json.print(|| pretty(&as_json(&shown)), || describe(&shown))?;
     shown.warnings.iter().for_each(|w| console.note(&format!("{}: {w}", shown.file)));
     Ok(Exit::Done)
@@ -290,27 +292,35 @@ fn as_json(shown: &ModelView) -> Value {
     })
 }
 
+/// Largest length of a line of samples, bytes: some hundred joints take a tenth of it.
+const MAX_LINE_BYTES: u64 = 1 << 20;
+
 /// Writes a line for each state, to `out` or stdout. A file is written only if all states are valid.
 fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>) -> Outcome {
     let bad = |text: String| Failure::Other(text, Exit::Bad);
     let out = out.filter(|path| *path != Path::new("-"));
     let frame = model.frame_id(tip).map_err(|unknown| bad(format!("--tip {tip}: {unknown}")))?;
     let name = samples.display();
-    let reader: Box<dyn BufRead> = if samples == Path::new("-") {
+    let mut reader: Box<dyn BufRead> = if samples == Path::new("-") {
         Box::new(io::stdin().lock())
     } else {
         let file = File::open(samples).map_err(|e| Failure::io("cannot be read", samples, &e))?;
         Box::new(BufReader::new(file))
     };
-    if let Some(out) = out
-        && let (Ok(a), Ok(b)) = (out.canonicalize(), samples.canonicalize())
-        && a == b
-    {
-        return Err(bad(format!("--json {}: these are the samples; give another file", out.display())));
+    if let Some(out) = out {
+        check_outputs(&[samples.to_owned()], &[out.to_owned()])?;
     }
     let mut results = String::new();
-    for (line, text) in (1..).zip(reader.lines()) {
-        let text = text.map_err(|e| Failure::io("cannot be read", samples, &e))?;
+    for line in 1.. {
+        let mut text = String::new();
+        let length = (&mut reader).take(MAX_LINE_BYTES).read_line(&mut text);
+        match length.map_err(|e| Failure::io("cannot be read", samples, &e))? {
+            0 => break,
+            bytes if bytes as u64 == MAX_LINE_BYTES => {
+                return Err(bad(format!("{name}:{line}: the line is longer than {MAX_LINE_BYTES} bytes")));
+            }
+            _ => {}
+        }
         if text.trim().is_empty() {
             continue;
         }
@@ -318,12 +328,12 @@ fn evaluate_samples(model: &Model, tip: &str, samples: &Path, out: Option<&Path>
         let quantities = evaluate(model, frame, &sample).map_err(|e| bad(format!("{name}:{line}: {e}")))?;
         let json = serde_json::to_string(&quantities).map_err(|e| bad(format!("{name}:{line}: {e}")))? + "\n";
         match out {
-            None => print(&json)?,
+            None => print_exactly(&json)?,
             Some(_) => results += &json,
         }
     }
     if let Some(out) = out {
-        fs::write(out, results).map_err(|e| Failure::io("cannot be written", out, &e))?;
+        write_named(out, &results, Format::JsonLines)?;
     }
     Ok(Exit::Done)
 }

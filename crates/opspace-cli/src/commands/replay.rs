@@ -2,7 +2,8 @@
 
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{pretty, read_log};
+use crate::output::{log_path, pretty, read_log};
+use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, TaskDefinition};
@@ -11,6 +12,8 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 
 pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
+    let inputs: Vec<_> = args.task.iter().cloned().chain([log_path(&args.log)]).collect();
+    check_outputs(&inputs, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
     let (log, recording) = read_log(&args.log)?;
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
     let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;

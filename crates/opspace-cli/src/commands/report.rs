@@ -2,16 +2,24 @@
 
 use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{REPORT, pretty, read_log, write};
+use crate::output::{Format, log_path, pretty, read_log, write_named};
+use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::run::folder::REPORT;
 use opspace_experiment::{Experiment, Extensions, RunError};
 use opspace_log::OutcomeRecord;
+use std::path::{Path, PathBuf};
 
 pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> Outcome {
+    let logs: Vec<PathBuf> = args.logs.iter().map(|path| log_path(path)).collect();
+    let beside = logs.first().map(|log| log.with_file_name(REPORT));
+    let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());
+    let outputs: Vec<PathBuf> =
+        [Some(out.as_path()), args.json.path()].into_iter().flatten().map(Path::to_owned).collect();
+    check_outputs(&logs, &outputs)?;
     let mut shown = Vec::new();
     let mut exit = Exit::Done;
-    let mut first = None;
     for path in &args.logs {
         let (path, recording) = read_log(path)?;
         let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
@@ -25,7 +33,6 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
         }
         let summary = experiment.summary(&recording, &OutcomeRecord::of(&recording), None);
         shown.push(RunSection::new(&experiment, &recording, summary));
-        first.get_or_insert(path);
     }
     let summaries: Vec<_> = shown.iter().map(|s| s.summary.clone()).collect();
     let title = match shown.as_slice() {
@@ -33,9 +40,7 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
         many => format!("{} runs", many.len()),
     };
     let lead = "Desired and actual behaviour of the robot, from its log.";
-    let beside = first.map(|log| log.with_file_name(REPORT));
-    let out = args.out.clone().or(beside).unwrap_or_else(|| REPORT.into());
-    write(&out, &page(&title, lead, &summaries, MEASURES, &shown))?;
+    write_named(&out, &page(&title, lead, &summaries, MEASURES, &shown), Format::Html)?;
     args.json.print(|| pretty(&summaries), || format!("{}\n", out.display()))?;
     Ok(exit)
 }

@@ -2,12 +2,14 @@
 
 use crate::cli::RunArgs;
 use crate::commands::own_backend;
-use crate::console::{Console, Exit, Outcome, results};
+use crate::console::{Console, Exit, Outcome, results as table};
 use crate::interrupt;
-use crate::output::{LOG, MOVE_TO_START, REPORT, SUMMARY, prepare, pretty};
+use crate::output::pretty;
+use crate::result_folder::{MOVE_TO_START, prepare};
 use indicatif::{ProgressBar, ProgressStyle};
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::{Experiment, Extensions, Files, Summary};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -21,19 +23,21 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     for warning in &experiment.robot().warnings {
         console.detail(&format!("{}: {warning}", experiment.robot().urdf.name()));
     }
-    let default =
-        PathBuf::from(format!("runs/{}-{}", experiment.task().name(), experiment.options().backend.name()));
+    let (task, robot) = (experiment.task().name(), experiment.robot().name());
+    let default = PathBuf::from(format!("runs/{task}-{robot}-{}", experiment.options().backend.name()));
     if let (Some(kind), Some(reason)) = (experiment.transformer_kind(), experiment.transformer_reason()) {
         console.detail(&format!("transformer '{}': {reason}", kind.name()));
     }
-    let folder = prepare(&args.output, &default, console)?;
+    let files = [LOG, REPORT, SUMMARY].map(str::to_owned);
+    let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
+    let folder = results.path();
     let progress = interrupt::watch();
     if args.move_to_start {
         let moved = experiment.move_to_start(extensions, &folder.join(MOVE_TO_START), &progress)?;
         if let Some(moved) = moved.filter(|moved| exit_code(moved) != Exit::Done) {
             args.output
                 .json
-                .print(|| pretty(&moved), || results(console, std::slice::from_ref(&moved), MEASURES))?;
+                .print(|| pretty(&moved), || table(console, std::slice::from_ref(&moved), MEASURES))?;
             say_end(&moved, console);
             console.note(&format!(
                 "not run: the robot did not reach the start of the task; see {}",
@@ -43,7 +47,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
         }
     }
     let summary = with_progress(&experiment, &progress, console, || {
-        experiment.in_folder(&folder, |log| {
+        experiment.in_locked_folder(&results, |log| {
             if experiment.has_driver() && !args.simulate {
                 experiment.run_on_driver(extensions, log, &progress)
             } else {
@@ -53,13 +57,15 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     })?;
     args.output
         .json
-        .print(|| pretty(&summary), || results(console, std::slice::from_ref(&summary), MEASURES))?;
+        .print(|| pretty(&summary), || table(console, std::slice::from_ref(&summary), MEASURES))?;
     say_end(&summary, console);
-    console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
+    if summary.not_saved.is_empty() {
+        console.note(&format!("wrote {}, {REPORT} and {SUMMARY}", folder.join(LOG).display()));
+    }
     Ok(exit_code(&summary))
 }
 
-/// Prints the reason of a run that ended early.
+/// Prints the reason of a run that ended early, and what could not be saved.
 fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
@@ -67,6 +73,9 @@ fn say_end(summary: &Summary, console: Console) {
     if let Some(fault) = &summary.faulted {
         let time = summary.fault_time_s.unwrap_or(f64::NAN);
         console.note(&format!("stopped at {time:.3} s: {fault}"));
+    }
+    for file in &summary.not_saved {
+        console.note(&format!("not saved completely: {file}"));
     }
 }
 
@@ -76,7 +85,7 @@ pub fn exit_code(summary: &Summary) -> Exit {
         Exit::Failed
     } else if summary.interrupted {
         Exit::Interrupted
-    } else if summary.rows_lost > 0 {
+    } else if summary.rows_lost > 0 || !summary.not_saved.is_empty() {
         Exit::DataLost
     } else {
         Exit::Done

@@ -1,7 +1,7 @@
 //! `opspace schema`: JSON Schemas for editors.
 
 use crate::cli::SchemaKind;
-use crate::console::{Exit, Outcome, print};
+use crate::console::{Exit, Outcome, print_exactly};
 use crate::output::pretty;
 use opspace_experiment::files::robot::RobotFile;
 use opspace_experiment::files::suite::SuiteFile;
@@ -9,7 +9,7 @@ use opspace_experiment::files::task::TaskFile;
 use schemars::schema_for;
 
 pub fn schema(kind: SchemaKind) -> Outcome {
-    print(&text(kind))?;
+    print_exactly(&text(kind))?;
     Ok(Exit::Done)
 }
 

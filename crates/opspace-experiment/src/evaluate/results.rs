@@ -280,6 +280,7 @@ mod tests {
             interrupted: false,
             interrupted_time_s: None,
             rows_lost: 0,
+            not_saved: Vec::new(),
             missed_cycles: 0,
             stale_target_cycles: 0,
             resumed: 0,

@@ -2,7 +2,7 @@
 
 use crate::files::source::FileError;
 use opspace_backend::DeviceFault;
-use opspace_log::LogError;
+use opspace_log::{LogError, OutcomeRecord};
 use std::io;
 use std::path::PathBuf;
 use thiserror::Error;
@@ -50,6 +50,25 @@ pub enum RunError {
         q_rad: f64,
         /// `start_rad` of the task, rad or m.
         start_rad: f64,
+    },
+    /// A folder of results to which another process writes.
+    #[error(
+        "{}: another opspace is writing its results here; wait for it, or choose another folder with --out",
+        path.display()
+    )]
+    Locked {
+        /// Path of the folder.
+        path: PathBuf,
+    },
+    /// A log that could not be written to its end: the run itself went on to its own.
+    #[error("{source}")]
+    LogCutShort {
+        /// Outcome of the run.
+        record: Box<OutcomeRecord>,
+        /// Number of rows of the run, written or not.
+        rows: u64,
+        /// The cause.
+        source: LogError,
     },
     /// A file that can't be written.
     #[error("{}: cannot be written: {source}", path.display())]

@@ -6,6 +6,7 @@ use opspace_backend::{Backend, Capabilities, GroundTruth, SERVO, Sink, TruthLayo
 use opspace_log::{Channel, OutcomeRecord, Pace, Recorder, WriteStats, Writer, record};
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
 use std::io::Write;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
@@ -13,7 +14,7 @@ use std::time::Instant;
 #[derive(Debug, Default)]
 pub struct Progress {
     /// Stop request: set to stop the run safely.
-    pub interrupt: AtomicBool,
+    pub interrupt: Arc<AtomicBool>,
     /// Number of interface cycles so far.
     pub ticks: AtomicU64,
 }
@@ -39,11 +40,13 @@ pub struct OpenLog<'a, W> {
     writer: Writer<W>,
     progress: &'a AtomicU64,
     ticks: u64,
+    rows: u64,
     began: Instant,
 }
 
 impl<W> Sink for OpenLog<'_, W> {
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        self.rows += 1;
         self.recorder.push(channel, time_s, row);
     }
 
@@ -58,14 +61,16 @@ impl<W> OpenLog<'_, W> {
     /// Closes the log of a run of the experiment, with its outcome.
     ///
     /// # Errors
-    /// A log that can't be written.
+    /// A log that can't be written to its end ([`RunError::LogCutShort`]).
     pub fn close(self, experiment: &Experiment, outcome: RunOutcome) -> Result<RunResult<W>, RunError> {
         let robot_s = self.ticks as f64 * experiment.profile().1.period_s();
         let realtime_factor = robot_s / self.began.elapsed().as_secs_f64();
         drop(self.recorder);
         let record = experiment.outcome_record(&outcome);
-        let (written, sink) = self.writer.finish_with(record.clone())?;
-        Ok(RunResult { outcome, record, written, sink, realtime_factor })
+        match self.writer.finish_with(record.clone()) {
+            Ok((written, sink)) => Ok(RunResult { outcome, record, written, sink, realtime_factor }),
+            Err(source) => Err(RunError::LogCutShort { record: Box::new(record), rows: self.rows, source }),
+        }
     }
 }
 
@@ -154,7 +159,8 @@ impl Experiment {
             World::Real => Pace::RealTime,
         };
         let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
-        let log = OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, began: Instant::now() };
+        let log =
+            OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, rows: 0, began: Instant::now() };
         Ok((control, log))
     }
 

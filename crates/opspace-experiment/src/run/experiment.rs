@@ -20,7 +20,7 @@ use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, T
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Controller of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
@@ -198,6 +198,13 @@ impl Experiment {
     #[must_use]
     pub fn task(&self) -> &TaskDefinition {
         &self.task
+    }
+
+    /// Paths of the files from which the experiment was read: robot, URDF, task and recorded paths.
+    #[must_use]
+    pub fn input_paths(&self) -> Vec<PathBuf> {
+        let sources = [&self.robot.source, &self.robot.urdf, &self.task.source];
+        sources.into_iter().chain(self.task.recordings.values()).map(|source| source.name().into()).collect()
     }
 
     /// Options that were chosen besides the files.

@@ -5,10 +5,11 @@ use crate::report::document::{RunSection, page};
 use crate::run::error::RunError;
 use crate::run::execute::RunResult;
 use crate::run::experiment::Experiment;
+use crate::run::result_files::{ResultFolder, write_file};
 use crate::run::summary::Summary;
-use opspace_log::Recording;
-use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use opspace_log::{LogError, Recording};
+use std::fs::File;
+use std::io::{BufWriter, Read, Seek};
 use std::path::Path;
 
 /// File name of a run's log.
@@ -19,8 +20,8 @@ pub const REPORT: &str = "report.html";
 pub const SUMMARY: &str = "summary.json";
 
 impl Experiment {
-    /// Runs the experiment by `run`, which gets the file of the log, and writes summary and report beside it. An
-    /// existing log is never overwritten.
+    /// Runs the experiment by `run`, which gets the file of the log, and writes summary and report beside it. The
+    /// folder is created if it does not exist, and is locked during the run.
     ///
     /// ```no_run
     /// use opspace_experiment::{Experiment, Progress, RunError};
@@ -33,28 +34,91 @@ impl Experiment {
     /// ```
     ///
     /// # Errors
-    /// That of the run; a folder that already holds a log; files that can't be written.
+    /// As [`in_locked_folder`](Self::in_locked_folder); a folder that another process writes to.
     pub fn in_folder(
         &self,
         folder: &Path,
         run: impl FnOnce(BufWriter<File>) -> Result<RunResult<BufWriter<File>>, RunError>,
     ) -> Result<Summary, RunError> {
-        let failed = |path: &Path, source: io::Error| RunError::Write { path: path.to_owned(), source };
-        fs::create_dir_all(folder).map_err(|e| failed(folder, e))?;
-        let log = folder.join(LOG);
-        let file = File::create_new(&log).map_err(|e| failed(&log, e))?;
-        let result = run(BufWriter::new(file))?;
-        let recording = Recording::read(&log)?;
-        let summary = self.summary(&recording, &result.record, Some(result.realtime_factor));
-        let shown = RunSection::new(self, &recording, summary.clone());
+        self.in_locked_folder(&ResultFolder::open(folder)?, run)
+    }
+
+    /// Runs the experiment as [`in_folder`](Self::in_folder) does, in a folder that the caller has locked.
+    ///
+    /// An existing log is never overwritten. The summary is computed from the open log, whatever becomes of its path.
+    /// Files that cannot be written completely are listed in [`Summary::not_saved`]; a log that was cut short, by a full
+    /// disk for example, is summarised as far as it was written.
+    ///
+    /// # Errors
+    /// That of the run; a folder that already holds a log; a log that can't be created or read back.
+    pub fn in_locked_folder(
+        &self,
+        folder: &ResultFolder,
+        run: impl FnOnce(BufWriter<File>) -> Result<RunResult<BufWriter<File>>, RunError>,
+    ) -> Result<Summary, RunError> {
+        let log = folder.path().join(LOG);
+        let created = File::options().read(true).write(true).create_new(true).open(&log);
+        let unwritable = |source| RunError::Write { path: log.clone(), source };
+        let mut file = created.map_err(unwritable)?;
+        // Both handles denote the file that is open here, even if another one takes its path.
+        let written = run(BufWriter::new(file.try_clone().map_err(unwritable)?));
+        let mut not_saved = Vec::new();
+        let (record, realtime_factor, cut_after) = match written {
+            Ok(result) => (result.record, Some(result.realtime_factor), None),
+            Err(RunError::LogCutShort { record, rows, source }) => {
+                not_saved.push(format!("{LOG}: {source}"));
+                (*record, None, Some(rows))
+            }
+            Err(error) => {
+                // A run that did not begin leaves no log.
+                if matches!(
+                    read_back(&mut file, &log),
+                    Err(RunError::Log(LogError::NotMcap | LogError::NoChannel { .. }))
+                ) {
+                    let _ = std::fs::remove_file(&log);
+                }
+                return Err(error);
+            }
+        };
+        let recording = read_back(&mut file, &log)?;
+        let mut summary = self.summary(&recording, &record, realtime_factor);
+        if let Some(rows) = cut_after {
+            summary.rows_lost = rows.saturating_sub(recording.channels.iter().map(|c| c.len() as u64).sum());
+        }
+        self.write_pages(folder, &recording, summary, not_saved)
+    }
+
+    /// Writes report and summary, and returns the summary with the files that could not be written.
+    fn write_pages(
+        &self,
+        folder: &ResultFolder,
+        recording: &Recording,
+        mut summary: Summary,
+        not_saved: Vec<String>,
+    ) -> Result<Summary, RunError> {
+        summary.not_saved = not_saved;
+        let shown = RunSection::new(self, recording, summary.clone());
         let lead = "Desired and actual behaviour of the robot in one run.";
         let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), MEASURES, &[shown]);
-        let json =
-            serde_json::to_string_pretty(&summary).map_err(|e| failed(&folder.join(SUMMARY), e.into()))?;
-        for (name, text) in [(REPORT, html), (SUMMARY, json + "\n")] {
-            let path = folder.join(name);
-            fs::write(&path, text).map_err(|e| failed(&path, e))?;
-        }
+        let save = |name: &str, text: &str, summary: &mut Summary| {
+            if let Err(error) = write_file(&folder.path().join(name), text) {
+                summary.not_saved.push(format!("{name}: {error}"));
+            }
+        };
+        save(REPORT, &html, &mut summary);
+        let path = folder.path().join(SUMMARY);
+        let json = serde_json::to_string_pretty(&summary)
+            .map_err(|error| RunError::Write { path, source: error.into() })?;
+        save(SUMMARY, &(json + "\n"), &mut summary);
         Ok(summary)
     }
+}
+
+/// Reads the log through the handle with which it was written.
+fn read_back(file: &mut File, path: &Path) -> Result<Recording, RunError> {
+    let mut bytes = Vec::new();
+    file.rewind()
+        .and_then(|()| file.read_to_end(&mut bytes))
+        .map_err(|source| LogError::Read { path: path.to_owned(), source })?;
+    Ok(Recording::from_bytes(&bytes)?)
 }

@@ -48,6 +48,8 @@ pub struct Summary {
     pub interrupted_time_s: Option<f64>,
     /// Number of rows that were lost on the way to the log.
     pub rows_lost: u64,
+    /// Files that could not be written completely, each with the cause.
+    pub not_saved: Vec<String>,
     /// Number of interface cycles without a sample.
     pub missed_cycles: u64,
     /// Number of control cycles in which a streamed target was stale.
@@ -89,6 +91,7 @@ impl Experiment {
             interrupted: outcome.interrupted,
             interrupted_time_s: outcome.time_s.filter(|_| outcome.interrupted),
             rows_lost: recording.dropped(),
+            not_saved: Vec::new(),
             missed_cycles,
             stale_target_cycles: stale_target_cycles(recording),
             resumed,

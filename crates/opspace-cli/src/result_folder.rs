@@ -1,0 +1,118 @@
+//! Folder of results. Recorded results are never overwritten unless requested, and nothing else ever is.
+
+use crate::cli::OutputArgs;
+use crate::console::{Console, Exit, Failure};
+use crate::outputs::check_outputs;
+use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
+use opspace_experiment::run::result_files::ResultFolder;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Name of the folder, within that of a run, for the motion to the start.
+pub const MOVE_TO_START: &str = "move-to-start";
+/// File name of a suite's rows.
+pub const ROWS: &str = "bench.json";
+/// Key of the names of a suite's logs in its rows.
+pub const LOGS: &str = "logs";
+/// File name of an identification's numbers.
+pub const IDENTIFICATION: &str = "identification.json";
+/// File name of a robot file's identified keys.
+pub const SERVO_FILE: &str = "servo.toml";
+/// File name of a robot file with the identified keys.
+pub const ROBOT_FILE: &str = "robot.toml";
+
+/// Creates and locks the folder for results. An existing default folder with results is moved aside; one given by the
+/// user is only reused with `--force`, which removes the results of an earlier command and nothing else.
+///
+/// `files` are the names of the files that the command will write, `inputs` the files that it reads.
+pub fn prepare(
+    args: &OutputArgs,
+    default: &Path,
+    files: &[String],
+    inputs: &[PathBuf],
+    console: Console,
+) -> Result<ResultFolder, Failure> {
+    let path = args.out.clone().unwrap_or_else(|| default.to_owned());
+    let mut outputs: Vec<PathBuf> = files.iter().map(|name| path.join(name)).collect();
+    outputs.extend(args.json.path().map(Path::to_owned));
+    check_outputs(inputs, &outputs)?;
+    let folder = ResultFolder::open(&path)?;
+    if !holds_results(&path) {
+        refuse_foreign(&path, files)?;
+        return Ok(folder);
+    }
+    if args.out.is_none() {
+        set_aside(&path, console)?;
+        // The lock stays with the folder that was moved: the new one has its own.
+        return Ok(ResultFolder::open(&path)?);
+    }
+    if !args.force {
+        let text = format!("{}: already contains a run; use --force to replace it", path.display());
+        return Err(Failure::Other(text, Exit::Bad));
+    }
+    clear(&path)?;
+    refuse_foreign(&path, files)?;
+    Ok(folder)
+}
+
+/// Refuses a folder in which a file that no earlier command wrote has the name of a result.
+fn refuse_foreign(folder: &Path, files: &[String]) -> Result<(), Failure> {
+    let Some(name) = files.iter().find(|name| folder.join(name).exists()) else { return Ok(()) };
+    let text = format!(
+        "{}: already exists, and is not a result of an earlier run; choose another folder with --out",
+        folder.join(name).display()
+    );
+    Err(Failure::Other(text, Exit::Bad))
+}
+
+fn holds_results(folder: &Path) -> bool {
+    let named = [LOG, SUMMARY, ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
+    named || folder.join(MOVE_TO_START).join(LOG).exists()
+}
+
+/// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
+fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    let free = (1..)
+        .map(|k| match k {
+            1 => folder.with_file_name(format!("{name}.previous")),
+            k => folder.with_file_name(format!("{name}.previous-{k}")),
+        })
+        .find(|path| !path.exists());
+    let Some(aside) = free else { return Ok(()) };
+    fs::rename(folder, &aside).map_err(|e| Failure::io("cannot be renamed", folder, &e))?;
+    console.note(&format!("moved the previous run to {}", aside.display()));
+    Ok(())
+}
+
+/// Removes the files that a run, a suite or an identification wrote, and nothing else.
+fn clear(folder: &Path) -> Result<(), Failure> {
+    let motion = folder.join(MOVE_TO_START);
+    if holds_results(&motion) {
+        clear(&motion)?;
+    }
+    let mut ours = vec![LOG, REPORT, SUMMARY, ROWS, IDENTIFICATION];
+    // A robot file is ours only beside an identification.
+    if folder.join(IDENTIFICATION).exists() {
+        ours.extend([SERVO_FILE, ROBOT_FILE]);
+    }
+    let logs = logs_of_suite(&folder.join(ROWS));
+    for name in ours.into_iter().chain(logs.iter().map(String::as_str)) {
+        let path = folder.join(name);
+        if path.exists() {
+            fs::remove_file(&path).map_err(|e| Failure::io("cannot be replaced", &path, &e))?;
+        }
+    }
+    Ok(())
+}
+
+/// Names of the logs beside the rows of a suite; none if the rows cannot be read.
+fn logs_of_suite(rows: &Path) -> Vec<String> {
+    let read = fs::read_to_string(rows).ok().and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    let names = read.as_ref().and_then(|rows| rows[LOGS].as_array()).into_iter().flatten();
+    // A name with a folder in it is none that a suite wrote.
+    let names =
+        names.filter_map(Value::as_str).filter(|name| Path::new(name).file_name() == Some(name.as_ref()));
+    names.map(str::to_owned).collect()
+}

@@ -1,0 +1,99 @@
+//! Folders and files of results: locked against other processes, and written whole or not at all.
+
+use crate::run::error::RunError;
+use opspace_log::MAGIC;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Number of times that a folder which is moved while it is locked is tried again.
+const ATTEMPTS: usize = 100;
+
+/// A folder of results, locked as long as this value lives: no other process can open it, move it aside or clear it by
+/// opspace.
+///
+/// The lock is an advisory one on the folder itself, and needs no file. Where the system cannot lock a folder (Windows,
+/// some network file systems), there is none.
+#[derive(Debug)]
+pub struct ResultFolder {
+    path: PathBuf,
+    _lock: Option<File>,
+}
+
+impl ResultFolder {
+    /// Creates the folder if it does not exist, and locks it.
+    ///
+    /// # Errors
+    /// A folder that another process has locked, or that can't be created.
+    pub fn open(path: &Path) -> Result<Self, RunError> {
+        let failed = |source| RunError::Write { path: path.to_owned(), source };
+        for _ in 0..ATTEMPTS {
+            fs::create_dir_all(path).map_err(failed)?;
+            let Ok(handle) = File::open(path) else { break };
+            match handle.try_lock() {
+                Ok(()) if is_at(&handle, path) => {
+                    return Ok(Self { path: path.to_owned(), _lock: Some(handle) });
+                }
+                // Another process has moved the folder aside between the two calls.
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Err(RunError::Locked { path: path.to_owned() }),
+                Err(TryLockError::Error(_)) => break,
+            }
+        }
+        Ok(Self { path: path.to_owned(), _lock: None })
+    }
+
+    /// Path of the folder.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// True if the path denotes the open file.
+#[cfg(unix)]
+fn is_at(handle: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
+    let (open, now) = (handle.metadata().map(identity), fs::metadata(path).map(identity));
+    matches!((open, now), (Ok(open), Ok(now)) if open == now)
+}
+
+#[cfg(not(unix))]
+fn is_at(_handle: &File, _path: &Path) -> bool {
+    true
+}
+
+/// Writes a text file: a complete one takes the place of an existing one, or nothing changes. A device or a pipe
+/// (`/dev/null`) is written to directly.
+///
+/// # Errors
+/// A file that can't be written; an existing log, which is never overwritten.
+pub fn write_file(path: &Path, text: &str) -> io::Result<()> {
+    let existing = fs::metadata(path).ok();
+    if existing.as_ref().is_some_and(|metadata| !metadata.is_file()) {
+        return fs::write(path, text);
+    }
+    // Not the link itself is replaced, but the file that it denotes.
+    let path = if existing.is_some() { fs::canonicalize(path)? } else { path.to_owned() };
+    if existing.is_some() && is_log(&path)? {
+        return Err(io::Error::other("it is a log, and logs are never overwritten"));
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let aside = path.with_file_name(format!(".{name}.{}", std::process::id()));
+    let written = File::create(&aside)
+        .and_then(|mut file| file.write_all(text.as_bytes()))
+        .and_then(|()| fs::rename(&aside, &path));
+    if written.is_err() {
+        let _ = fs::remove_file(&aside);
+    }
+    written
+}
+
+/// True for a file that begins as an MCAP file does.
+fn is_log(path: &Path) -> io::Result<bool> {
+    use io::Read;
+    let mut head = Vec::new();
+    File::open(path)?.take(MAGIC.len() as u64).read_to_end(&mut head)?;
+    Ok(head == MAGIC)
+}
