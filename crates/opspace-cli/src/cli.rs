@@ -15,7 +15,7 @@ pub struct Cli {
     #[command(subcommand)]
     pub command: Command,
 
-    /// Print more: warnings about the files.
+    /// Print more: warnings about the files, and reasons for choices.
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     pub verbose: bool,
 
@@ -38,7 +38,7 @@ Terms:
   osc              operational-space control: joint torques
   ik               inverse kinematics, streamed as joint positions, without torque control
   ik-lead          ik with velocity lead and compensation of gravity sag
-  operator         simulated person who pulls at the robot
+  operator         simulated person who pulls the hand by a spring
 
 Exit codes:
   0    done
@@ -55,11 +55,11 @@ Examples:
   opspace run tasks/compliant-x.toml
   opspace run tasks/compliant-x.toml --backend torque
   opspace run tasks/cartesian-tracking.toml --controller ik-lead --profile b-soft
-  opspace run tasks/compliant-x.toml --set task.hand.gains.damping_ratio=0.7
+  opspace run tasks/compliant-x.toml --set task.hand.cartesian.gains.damping_ratio=0.7
   opspace run tasks/compliant-x.toml --set robot.simulated.true_over_nominal.kp=1.02
 
 Writes run.mcap (all signals; opens in Foxglove and PlotJuggler), report.html and summary.json into \
-runs/TASK-BACKEND. An existing run is renamed to NAME.previous.")]
+runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next one to NAME.previous-2, and so on.")]
     Run(RunArgs),
 
     /// Run every task of a suite on each robot and controller that it names, and print one table.
@@ -81,8 +81,8 @@ same measurements; this is open loop, since the motion of the robot is the logge
 
     /// Check robot, task and suite files, against each other too, without running anything.
     #[command(after_help = "\
-A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has a \
-line, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
+A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
+its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
 servo, contradictory limits, a singular start, undamped degrees of freedom, a run that is too short. --json lists \
 them as `findings`.")]
     Check(CheckArgs),
@@ -92,7 +92,7 @@ them as `findings`.")]
 Excites one joint at a time about its current position, while the others are held. Inputs are the structure of the \
 servo, the rates, limits, URDF and rotor inertias; gains, filter, delay and friction are estimated. The scale of torque \
 comes from motor current if the robot measures it, otherwise from URDF and rotor inertia. With neither, only ratios are \
-written and torque mode is refused (exit code 1), as for a joint whose servo cannot be inverted.
+written and torque control is refused (exit code 1), as for a joint whose servo cannot be inverted.
 
 Writes servo.toml (the identified keys of robot.toml), robot.toml with a copy of the URDF (a complete robot with these \
 keys), identification.json and report.html (Bode plots) into runs/identify-ROBOT.

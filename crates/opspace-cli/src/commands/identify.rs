@@ -46,7 +46,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     args.output.json.print(|| pretty(&identified.json()), || render(&identified.table()))?;
     for joint in &identified.joints {
         if let Some(reason) = &joint.no_torque_mode {
-            console.note(&format!("{}: torque mode refused: {reason}", joint.name));
+            console.note(&format!("{}: torque control refused: {reason}", joint.name));
         }
     }
     console.note(&format!(

@@ -13,21 +13,26 @@ const OF_SIMULATION: &str = "All values are from simulation. Position, velocity 
 /// Note under tables with runs of a real robot.
 const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
                           motor torque are missing.";
-/// Notes under every table.
-const OF_ALL: [&str; 2] = [
-    "Tracking alone does not justify torque control: with velocity lead, inverse kinematics tracks as well. \
-     Compliance, contact and a specified stiffness do: see the force and the motion of the operator's hand.",
-    "Torque error: rms of motor torque minus desired torque, relative to the rms of the desired torque: at servo rate, \
-     of the interval means (means over each interval between two setpoints), and in the first servo period after each \
-     control tick. The last one alone hides the ripple of a held setpoint between ticks.",
-];
+/// Note under tables that compare torque control with inverse kinematics under an operator's force.
+const OF_AN_OPERATOR: &str = "Tracking alone does not justify torque control: with velocity lead, inverse kinematics tracks as \
+                              well. Compliance, contact and a specified stiffness do: see the columns 'operator force' and \
+                              'hand motion'.";
+/// Note under tables with torque errors.
+const OF_TORQUE_ERRORS: &str = "Torque error: rms of motor torque minus desired torque, relative to the rms of the desired torque: \
+                                at servo rate, of the means over each interval between two setpoints, and in the first servo \
+                                period after each control cycle ('tick'), which does not show the torque between setpoints.";
 
 /// The notes under a table of results.
 #[must_use]
 pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
     let simulated = summaries.iter().any(|summary| summary.simulated).then_some(OF_SIMULATION);
     let real = summaries.iter().any(|summary| !summary.simulated).then_some(OF_A_ROBOT);
-    simulated.into_iter().chain(real).chain(OF_ALL).collect()
+    let has = |number: fn(&Summary) -> Option<f64>| summaries.iter().any(|summary| number(summary).is_some());
+    let controllers = |torque: bool| summaries.iter().any(|summary| (summary.controller == "osc") == torque);
+    let compared = has(|summary| summary.metrics.hand_force_rms_n) && controllers(true) && controllers(false);
+    let operator = compared.then_some(OF_AN_OPERATOR);
+    let torque_errors = has(|summary| summary.metrics.torque_error_interval).then_some(OF_TORQUE_ERRORS);
+    [simulated, real, operator, torque_errors].into_iter().flatten().collect()
 }
 
 /// Summaries that differ only in their seed, and the medians of their numbers.
@@ -203,7 +208,7 @@ impl Measure {
             Self::OrientationMax => Row("orientation max", "mrad", 1e3, |s| s.metrics.orientation_max_rad),
             Self::JointRms => Row("joint rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
             Self::ForceRms => Row("force rms", "N", 1.0, |s| s.metrics.force_rms_n),
-            Self::HandForce => Row("hand force", "N", 1.0, |s| s.metrics.hand_force_rms_n),
+            Self::HandForce => Row("operator force", "N", 1.0, |s| s.metrics.hand_force_rms_n),
             Self::HandMotion => Row("hand motion", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
             Self::TorqueErrorServo => Row("torque error servo", "%", 1e2, |s| s.metrics.torque_error_servo),
             Self::TorqueErrorInterval => {
@@ -215,8 +220,8 @@ impl Measure {
             Self::TorqueStepMax => Row("torque step max", "N·m", 1.0, |s| s.metrics.torque_step_max_nm),
             Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
             Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
-            Self::TickTime => Row("tick time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
-            Self::RealTime => Row("real time", "×", 1.0, |s| s.timing.realtime_factor),
+            Self::TickTime => Row("cycle time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
+            Self::RealTime => Row("real-time factor", "×", 1.0, |s| s.timing.realtime_factor),
         }
     }
 
@@ -314,7 +319,7 @@ mod tests {
         let titles: Vec<String> =
             table(&[summary("a", "p", 1, 0.1)], MEASURES).columns.into_iter().map(|c| c.title).collect();
         assert!(titles.contains(&"position rms".to_owned()));
-        assert!(!titles.contains(&"hand force".to_owned()));
+        assert!(!titles.contains(&"operator force".to_owned()));
     }
 
     /// The rows against rows written by hand: the task above its rows, the median in its column.

@@ -82,9 +82,6 @@ impl TaskKinds {
         document: &mut Document<'_>,
     ) -> Result<BTreeMap<String, TaskParameters>, FileError> {
         let mut taken = BTreeMap::new();
-        if self.0.is_empty() {
-            return Ok(taken);
-        }
         let whole = document.clone();
         let Some(tasks) = table_mut(document.get_mut(), "task") else { return Ok(taken) };
         let names: Vec<String> = tasks.keys().map(|name| name.get_ref().to_string()).collect();
@@ -113,7 +110,11 @@ impl TaskKinds {
         let registered: Vec<&str> = self.names().collect();
         let all: Vec<&str> = BUILT_IN.into_iter().chain(registered.iter().copied()).collect();
         let near = nearest(kind, &all).map(|near| format!("did you mean `{near}`? ")).unwrap_or_default();
-        let help = format!("{near}Built in: {}; registered: {}", BUILT_IN.join(", "), registered.join(", "));
+        let registered = match registered.as_slice() {
+            [] => "kinds of your own need the program that registers them".to_owned(),
+            names => format!("registered: {}", names.join(", ")),
+        };
+        let help = format!("{near}Built in: {}; {registered}", BUILT_IN.join(", "));
         let key = ["task", name, kind];
         Err(FileError::at_key(source, key, format!("unknown task kind `{kind}`"), Some(help)))
     }

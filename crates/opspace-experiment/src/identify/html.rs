@@ -19,7 +19,7 @@ impl IdentificationResults {
         let mut page = Page::new(title).lead(lead);
         for joint in &self.joints {
             if let Some(reason) = &joint.no_torque_mode {
-                page = page.warning(&format!("{}: torque mode refused. {reason}.", joint.name));
+                page = page.warning(&format!("{}: torque control refused. {reason}.", joint.name));
             }
         }
         page = page.section("Results").table(

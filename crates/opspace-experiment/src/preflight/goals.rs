@@ -55,16 +55,20 @@ impl<'a> Asked<'a> {
         &self.instant.tasks[self.place].error
     }
 
+    /// Reference of a task that controls a frame or the centre of mass.
+    fn cartesian_reference<'c>(&self, case: &'c PreflightCase<'_>) -> Option<&'c CartesianReference> {
+        match case.task_sets[self.instant.task_set].task.get(self.name)? {
+            TaskParameters::Cartesian(parameters) => Some(&parameters.reference),
+            TaskParameters::CenterOfMass(parameters) => Some(&parameters.reference),
+            _ => None,
+        }
+    }
+
     /// Key of the reference in the files, of its nearest waypoint if it has waypoints.
     fn key(&self, case: &PreflightCase<'_>) -> Vec<String> {
         let mut key = case.reference_key(self.instant.task_set, self.name);
-        let reference = match case.task_sets[self.instant.task_set].task.get(self.name) {
-            Some(TaskParameters::Cartesian(p)) => Some(&p.reference),
-            Some(TaskParameters::CenterOfMass(p)) => Some(&p.reference),
-            _ => None,
-        };
         if let (Some(CartesianReference::Waypoints(list)), Some("reference")) =
-            (reference, key.last().map(String::as_str))
+            (self.cartesian_reference(case), key.last().map(String::as_str))
         {
             let away_s = |place: usize| (list[place].time_s.get() - self.instant.time_s).abs();
             let nearest = (0..list.len()).min_by(|&a, &b| away_s(a).total_cmp(&away_s(b)));
@@ -165,16 +169,19 @@ fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) ->
     };
     let with = match nearest.at_ends.is_empty() {
         true => String::new(),
-        false => format!(", with {} at the end of its range", nearest.at_ends.join(", ")),
+        false => format!(", with {} at the end of the range", nearest.at_ends.join(", ")),
     };
     let message = format!(
-        "task '{}': at {} s its reference cannot be reached within the joint ranges: the nearest of {} postures \
-         misses it by {by}{with}",
+        "task '{}': at {} s its reference cannot be reached within the joint ranges: the best of {} searches for a \
+         posture misses it by {by}{with}",
         asked.name,
         short(asked.instant.time_s),
         nearest.tries,
     );
-    let help = if radians > 1e-3 && metres <= 1e-4 {
+    let is_frame = asked.cartesian_reference(case).is_some();
+    let help = if !is_frame {
+        "choose a closer goal".to_owned()
+    } else if radians > 1e-3 && metres <= 1e-4 {
         "choose another orientation, or free an axis of rotation".to_owned()
     } else {
         "choose a closer goal, or free an axis that the task does not need".to_owned()

@@ -45,6 +45,10 @@ impl RunSection {
             warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
         }
         let metadata = recording.metadata(crate::run::log_header::RUN).into_iter().flatten();
+        // Entries for a replay; a robot without a transformer has none to be shown.
+        let is_hidden =
+            |key: &str| key == ASKED_FOR || summary.transformer.is_none() && key.starts_with("transformer");
+        let metadata = metadata.filter(|(key, _)| !is_hidden(key));
         Self {
             title: title(&summary),
             figures: figures(experiment, recording),
@@ -65,7 +69,11 @@ pub fn page(
     shown: &[RunSection],
 ) -> String {
     let mut page = Page::new(title).lead(lead).section("Results").table(
-        "Medians over the runs of each row, computed after settling",
+        if summaries.len() == 1 {
+            "Values after settle_s"
+        } else {
+            "Medians over the runs of each row, after settle_s"
+        },
         &table(summaries, measures),
         &notes(summaries),
     );

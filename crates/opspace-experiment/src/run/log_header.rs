@@ -17,6 +17,8 @@ use std::sync::Arc;
 pub const RUN: &str = "opspace.run";
 /// Entry of the record for the world of the run, real or simulated.
 const WORLD: &str = "world";
+/// Entry that states whether the transformer was an option of the run.
+pub(crate) const ASKED_FOR: &str = "transformer_asked_for";
 const REAL: &str = "real";
 const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
@@ -54,7 +56,7 @@ impl Experiment {
         entries.insert("transformer".to_owned(), transformer);
         entries.insert("transformer_reason".to_owned(), self.transformer_reason().unwrap_or_default());
         let asked_for = if options.transformer.is_some() { "yes" } else { "no" };
-        entries.insert("transformer_asked_for".to_owned(), asked_for.to_owned());
+        entries.insert(ASKED_FOR.to_owned(), asked_for.to_owned());
         let mut files = vec![
             (ROBOT_FILE.to_owned(), "application/toml", &self.robot().source),
             (TASK_FILE.to_owned(), "application/toml", &self.task().source),
@@ -119,8 +121,7 @@ impl Experiment {
                 .into_iter()
                 .find(|kind| entry("controller").is_ok_and(|name| name == kind.name()))
                 .ok_or_else(|| unknown("controller"))?,
-            transformer: (!entry("transformer_asked_for").is_ok_and(|asked| asked == "no"))
-                .then_some(transformer),
+            transformer: (!entry(ASKED_FOR).is_ok_and(|asked| asked == "no")).then_some(transformer),
             profile: Some(entry("profile")?.to_owned()),
             seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
             label: None,
