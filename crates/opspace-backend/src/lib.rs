@@ -1,7 +1,7 @@
-//! The contract between opspace and a robot.
+//! The interface between opspace and a robot.
 //!
-//! A driver implements [`Backend`] and depends on this crate alone, which has no dependencies. The feature `schema`
-//! derives serde and schemars traits for the quantities and enums that appear in files.
+//! A driver implements [`Backend`] and depends on this crate only; the crate itself has no dependencies by default. The
+//! feature `schema` derives the serde and schemars traits for the quantities and enums that occur in files.
 //!
 //! ```
 //! use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};
