@@ -144,8 +144,8 @@ pub enum World {
 pub enum Setpoints {
     /// A setpoint is held until the next one.
     Held,
-    /// A setpoint is interpolated linearly: the drive takes one equal step per servo tick and reaches the setpoint at
-    /// the last tick before the next setpoint takes effect.
+    /// The drive interpolates linearly, one step per servo tick, and reaches each setpoint at the last tick before the
+    /// next setpoint.
     Interpolated,
 }
 

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
 
-/// A driver, which opens a robot, runs it and closes it.
+/// Interface of a driver, which opens a robot, passes it to a function that runs it, and closes it.
 ///
 /// The backend lives on the driver's stack while `run` is called and may therefore borrow a vendor's handle.
 pub trait Driver {

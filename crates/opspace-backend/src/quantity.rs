@@ -1,7 +1,7 @@
 //! Number types for values in files. A value out of range is refused when the file is read, at its position in the
 //! file.
 //!
-//! The feature `schema` makes serde read them and schemars describe them.
+//! The feature `serde` adds their deserialization, the feature `schema` also their JSON Schemas (schemars).
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;

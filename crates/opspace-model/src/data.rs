@@ -84,8 +84,8 @@ pub struct Data<T: Real = f64> {
     pub(crate) column: Vec<ArticulatedColumn<T>>,
 }
 
-/// Articulated-body inertia, the apparent inertia of a subtree with free joints: a symmetric 6×6 in three blocks, `[f;
-/// n] = [linear, couplingᵀ; coupling, angular] [v; ω]`.
+/// Articulated-body inertia: the apparent inertia of a subtree with free joints. It is a symmetric 6×6 in three blocks,
+/// `[f; n] = [linear, couplingᵀ; coupling, angular] [v; ω]`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArticulatedInertia<T> {
     pub linear: Matrix3<T>,

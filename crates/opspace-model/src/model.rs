@@ -129,8 +129,8 @@ pub struct FrameId(pub(crate) usize);
 /// are rotated relative to the link frames of the URDF so that every joint moves about or along the z axis of its body.
 /// One short formula then covers all axes.
 ///
-/// Inertias, payloads and frames may be changed between two evaluations. Only adding a frame allocates. The numbers of
-/// bodies and joints are constant.
+/// Inertias, payloads and frames may be changed between two evaluations; only adding a frame allocates. The numbers of
+/// bodies and joints must not change after [`Data`](crate::Data) is allocated for the model.
 #[derive(Clone, Debug)]
 pub struct Model<T = f64> {
     pub(crate) name: String,
@@ -228,8 +228,7 @@ impl Model {
         self.push(self.on_root(parent), origin, joint, inertia)
     }
 
-    /// Returns the parent for a body or frame placed on the root: `None` for a fixed base, the last of the six bodies
-    /// of a floating base.
+    /// Returns `parent`. On a floating base, the base and its first five bodies are replaced by its last body, 5.
     fn on_root(&self, parent: Option<usize>) -> Option<usize> {
         let parent = if self.floating { Some(parent.map_or(5, |p| p.max(5))) } else { parent };
         assert!(parent.is_none_or(|p| p < self.bodies.len()), "a parent comes before its children");

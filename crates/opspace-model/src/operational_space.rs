@@ -7,10 +7,11 @@
 //! Λ⁻¹ = J M⁻¹ Jᵀ          J̄ = M⁻¹ Jᵀ Λ          N = I − J̄ J
 //! ```
 //!
-//! Close to a singularity, eigenvalues of Λ⁻¹ approach zero and Λ grows without bound. An eigenvalue λ below `threshold
-//! · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² that rises smoothly from 0 at the threshold; an eigenvalue
-//! above it is inverted exactly. J̄ and N are computed from the same Λ, so tasks of lower priority can use the damped
-//! part of a direction. Other methods from the literature are available for comparison: [`Inversion`].
+//! Close to a singularity, eigenvalues of Λ⁻¹ approach zero and Λ grows without bound. Each eigenvalue λ below the
+//! threshold `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² that rises smoothly from 0 at the
+//! threshold; larger eigenvalues are inverted exactly. J̄ and N are computed from the same Λ, so tasks of lower
+//! priority can use the damped part of a direction. Other methods from the literature are available for comparison:
+//! [`Inversion`].
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -96,8 +97,8 @@ impl OperationalSpace {
     /// Computes Λ and J̄ for the first `rows` rows of `jacobian` (6 × n), with the factor of the mass matrix at the
     /// same state.
     ///
-    /// `threshold` is the ratio of an eigenvalue of Λ⁻¹ to the largest one below which a direction is damped; 0
-    /// disables damping. The ratio is only meaningful if rows of different units were scaled to a common unit. If the
+    /// A direction is damped if the ratio of its eigenvalue of Λ⁻¹ to the largest eigenvalue is below `threshold`; 0
+    /// disables damping. The ratio is meaningful only if rows of different units were scaled to a common unit. If the
     /// Jacobian or the factor is not finite, Λ and [`min_singular_gain`](Self::min_singular_gain) are zero.
     ///
     /// # Panics

@@ -328,8 +328,8 @@ pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     moments
 }
 
-/// Inertia of a rigid body about a fixed point, in fixed axes: the blocks of RBDA eq. 2.63, `[f; n] = [m, −h×; h×, I]
-/// [v; ω]`. The inertia of rigidly connected bodies is the sum of their inertias.
+/// Inertia of a rigid body about a fixed point, in fixed axes: `[f; n] = [m, −h×; h×, I] [v; ω]`, with the blocks of
+/// RBDA eq. 2.63. The inertia of rigidly connected bodies is the sum of their inertias.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpatialInertia<T = f64> {
     /// Mass m, kg.
