@@ -1,4 +1,4 @@
-//! The contract with a robot.
+//! The interface to a robot.
 
 use crate::capabilities::Capabilities;
 use crate::command::Command;
@@ -6,33 +6,34 @@ use crate::fault::DeviceFault;
 use crate::ground_truth::GroundTruth;
 use crate::sample::Sample;
 
-/// A robot, as seen by a control loop: a simulated one, a recorded one, or a real one.
+/// Interface to a simulated, recorded or real robot, called by the control loop.
 ///
-/// Arrays are in the order of [`Capabilities::joints`]. Before the first command, and after [`stop`](Self::stop), the
-/// robot holds itself, its weight included. It is neither `Send` nor `'static`: a vendor's handle may borrow, or belong
-/// to one thread.
+/// Arrays are in the order of [`Capabilities::joints`]. Before the first command and after [`stop`](Self::stop), the
+/// robot holds its position against gravity. The trait requires neither `Send` nor `'static`: a vendor's handle may
+/// borrow data or be bound to one thread.
 pub trait Backend {
-    /// The properties of the robot and its interface. They do not change.
+    /// Properties of the robot and its interface. They are constant.
     fn capabilities(&self) -> &Capabilities;
 
-    /// Waits for the next cycle and fills the sample. Missed cycles show as a gap in [`Sample::time_s`]. The same
-    /// sample is never returned twice.
+    /// Waits for the next interface cycle and fills the sample. Missed cycles appear as a gap in [`Sample::time_s`].
+    /// Each sample is returned only once.
     ///
     /// # Errors
-    /// The fault for which the robot can't be read. The run ends.
+    /// The fault because of which the robot cannot be read. The run ends.
     fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault>;
 
-    /// Passes a command on. Called at most once per [`read`](Self::read).
+    /// Sends a command to the robot. Called at most once per [`read`](Self::read).
     ///
     /// # Errors
-    /// The fault for which the robot did not take it. The run ends.
+    /// The fault because of which the robot did not accept the command. The run ends.
     fn write(&mut self, command: Command<'_>) -> Result<(), DeviceFault>;
 
-    /// Enters the declared safe state, in which the robot holds itself; a position robot keeps its last setpoint.
-    /// Idempotent, callable at any time, also before the first command.
+    /// Enters the safe state, in which the robot holds its position; a position-controlled robot keeps its last
+    /// setpoint. Idempotent; may be called at any time, also before the first command.
     fn stop(&mut self);
 
-    /// The rows of the true state, which only a simulation has. They are visited after each read, also when it failed.
+    /// Rows of the true state; `None` unless the robot is simulated. They are visited after each read, also after a
+    /// failed one.
     fn ground_truth(&self) -> Option<&dyn GroundTruth> {
         None
     }

@@ -1,4 +1,4 @@
-//! Properties that a robot declares of itself and its interface.
+//! Properties of a robot and its interface, as its driver declares them.
 
 use crate::command::CommandKind;
 #[cfg(feature = "schema")]
@@ -6,42 +6,43 @@ use schemars::JsonSchema;
 #[cfg(feature = "serde")]
 use serde::Deserialize;
 
-/// Properties of a robot and its interface. Compared with robot.toml before a run; a contradiction is an error that
-/// names both.
+/// Properties of a robot and its interface. They are compared with robot.toml before a run; each contradiction is an
+/// error that names both values.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Capabilities {
-    /// Joint names, in the order of every array (n).
+    /// Joint names (n), in the order of all joint arrays.
     pub joints: Vec<String>,
-    /// The kind of command for which the robot is opened.
+    /// Kind of command for which the robot is opened.
     pub command: CommandKind,
     /// Time between two interface cycles, s.
     pub period_s: f64,
     /// Behaviour of the drives between two setpoints.
     pub setpoints: Setpoints,
-    /// The part that compensates gravity.
+    /// Component that compensates gravity: the controller or the robot.
     pub gravity_compensated_by: GravityCompensation,
-    /// Behaviour of the drives in a cycle in which no command arrives.
+    /// Behaviour of the drives in a cycle without a new command.
     pub on_missed_cycle: MissedCycle,
-    /// Presence of joint velocities in samples.
+    /// True if samples contain joint velocities.
     pub measures_velocity: bool,
-    /// Presence of motor torques in samples.
+    /// True if samples contain motor torques.
     pub measures_motor_torque: bool,
-    /// Presence of joint torques in samples.
+    /// True if samples contain joint torques.
     pub measures_joint_torque: bool,
-    /// Presence of a status in samples.
+    /// True if samples contain a status.
     pub reports_status: bool,
-    /// The force sensors, in the order of [`Sample::wrenches`](crate::Sample::wrenches).
+    /// Force sensors, in the order of [`Sample::wrenches`](crate::Sample::wrenches).
     pub force_sensors: Vec<ForceSensor>,
-    /// Presence of brakes, which hold the robot when no controller commands it. Without them its servos do.
+    /// True if the robot has brakes that hold it when no controller commands it. A robot without brakes is held by its
+    /// servos.
     pub has_brakes: bool,
     /// Simulated or real.
     pub world: World,
 }
 
 impl Capabilities {
-    /// A real robot that measures joint positions only, holds its setpoints, and has its gravity compensated by the
-    /// controller. A torque robot has brakes.
+    /// Returns the properties of a real robot that measures only joint positions, holds its setpoints between cycles,
+    /// and relies on the controller for gravity compensation. It has brakes if it is torque-controlled.
     #[must_use]
     pub fn new<S: Into<String>>(
         joints: impl IntoIterator<Item = S>,
@@ -65,7 +66,7 @@ impl Capabilities {
         }
     }
 
-    /// Adds measured quantities, besides positions.
+    /// Adds measured quantities; positions are always measured.
     #[must_use]
     pub fn measuring(mut self, measured: &[Measured]) -> Self {
         for quantity in measured {
@@ -86,25 +87,25 @@ impl Capabilities {
         self
     }
 
-    /// Sets the behaviour between two setpoints.
+    /// Sets the behaviour of the drives between two setpoints.
     #[must_use]
     pub fn with_setpoints(self, setpoints: Setpoints) -> Self {
         Self { setpoints, ..self }
     }
 
-    /// Sets the part that compensates gravity.
+    /// Sets the component that compensates gravity.
     #[must_use]
     pub fn with_gravity_compensated_by(self, gravity_compensated_by: GravityCompensation) -> Self {
         Self { gravity_compensated_by, ..self }
     }
 
-    /// Sets the presence of brakes.
+    /// Sets whether the robot has brakes.
     #[must_use]
     pub fn with_brakes(self, has_brakes: bool) -> Self {
         Self { has_brakes, ..self }
     }
 
-    /// Adds a status to each sample.
+    /// Declares that each sample contains a status.
     #[must_use]
     pub fn with_status(self) -> Self {
         Self { reports_status: true, ..self }
@@ -117,21 +118,22 @@ impl Capabilities {
     }
 }
 
-/// A force sensor: its axes are those of the frame, its reading is about the frame's origin.
+/// A force sensor. It measures the wrench in the axes of its frame, about the origin of that frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ForceSensor {
-    /// Its name in robot.toml.
+    /// Name of the sensor in robot.toml.
     pub name: String,
-    /// The name of its frame in the URDF.
+    /// Name of the sensor's frame in the URDF.
     pub frame: String,
 }
 
-/// World that a robot belongs to.
+/// Distinction between simulated and real robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum World {
-    /// In a simulation or a log.
+    /// A robot in a simulation or a log.
     Simulated,
-    /// Real: options that exist for comparison only are refused, and a run starts where the robot is.
+    /// A real robot. Options that exist for comparisons only are refused, and a run starts at the robot's current
+    /// position.
     Real,
 }
 
@@ -142,13 +144,14 @@ pub enum World {
 pub enum Setpoints {
     /// A setpoint is held until the next one.
     Held,
-    /// A setpoint is approached in equal steps, one at each servo tick, and reached when the next one acts.
+    /// The drive interpolates linearly, one step per servo tick, and reaches each setpoint at the last tick before the
+    /// next setpoint.
     Interpolated,
 }
 
 impl Setpoints {
-    /// The setpoint that a drive uses `age` servo ticks after `new` came in force, `before` until then, at `ratio`
-    /// servo ticks per interface cycle.
+    /// Returns the setpoint that a drive uses `age` servo ticks after setpoint `new` replaced `before`. `ratio` is the
+    /// number of servo ticks per interface cycle.
     #[must_use]
     pub fn at(self, before: f64, new: f64, age: u32, ratio: u32) -> f64 {
         match self {
@@ -160,19 +163,20 @@ impl Setpoints {
     }
 }
 
-/// Behaviour of the drives in a cycle in which no command arrives.
+/// Behaviour of the drives in a cycle without a new command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum MissedCycle {
-    /// The last setpoint is held: a position robot comes to a stop there, a velocity robot keeps its velocity.
+    /// The last setpoint is held: a position-controlled robot stops there, a velocity-controlled robot keeps its
+    /// velocity.
     HoldLast,
     /// The last torque is held.
     HoldTorque,
 }
 
 impl MissedCycle {
-    /// The behaviour of robots that take such commands.
+    /// Returns the usual behaviour of robots with this kind of command.
     #[must_use]
     pub fn of(command: CommandKind) -> Self {
         match command {
@@ -182,14 +186,14 @@ impl MissedCycle {
     }
 }
 
-/// The part that compensates gravity.
+/// Component that compensates gravity: the controller or the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum GravityCompensation {
-    /// The controller: its torques include gravity.
+    /// The controller: its torque commands include the gravity torques.
     Controller,
-    /// The robot: it adds gravity's torque to every command.
+    /// The robot: it adds the gravity torques to every command.
     Robot,
 }
 
@@ -203,8 +207,8 @@ pub enum Measured {
     Position,
     /// Joint velocities.
     Velocity,
-    /// Motor current, given as torque at the joint.
+    /// Motor currents, converted to torques at the joints.
     MotorCurrent,
-    /// Torques at the joints.
+    /// Joint torques, measured by torque sensors.
     JointTorque,
 }

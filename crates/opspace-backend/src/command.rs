@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 #[cfg(feature = "serde")]
 use serde::Deserialize;
 
-/// The quantity that a command sets, by which robots are classified too.
+/// Quantity that a command sets. Robots are classified by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(rename_all = "kebab-case"))]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -14,7 +14,7 @@ pub enum CommandKind {
     Position,
     /// Joint velocities, rad/s or m/s.
     Velocity,
-    /// Joint torques, Nm (forces of prismatic joints, N).
+    /// Joint torques, Nm, or forces of prismatic joints, N.
     Torque,
 }
 
@@ -22,7 +22,7 @@ impl CommandKind {
     /// All kinds.
     pub const ALL: [Self; 3] = [Self::Position, Self::Velocity, Self::Torque];
 
-    /// Its name in files, tables and on the command line.
+    /// Name in files, tables and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -32,7 +32,7 @@ impl CommandKind {
         }
     }
 
-    /// SI unit of a revolute joint's command.
+    /// SI unit of the command for a revolute joint.
     #[must_use]
     pub fn unit(self) -> &'static str {
         match self {
@@ -43,22 +43,23 @@ impl CommandKind {
     }
 }
 
-/// A command for all n joints: absolute values, in force until the next command.
+/// A command for all n joints. The values are absolute and remain in effect until the next command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command<'a> {
-    /// Torques that the motors are to produce at the joints, Nm or N (n).
+    /// Desired motor torques at the joints, Nm or N (n).
     Torque(&'a [f64]),
     /// Joint velocities, rad/s or m/s (n).
     Velocity(&'a [f64]),
     /// Joint positions, rad or m (n).
     Position(&'a [f64]),
-    /// No controller commands now: the robot stays where it is. A position robot keeps its last setpoint, a velocity
-    /// robot stops its joints, a torque robot brakes or uses its own hold. The next command ends it.
+    /// No controller is active: the robot stays where it is. A position-controlled robot keeps its last setpoint, a
+    /// velocity-controlled robot stops its joints, and a torque-controlled robot brakes or uses its internal position
+    /// hold. The next command ends the hold.
     Hold,
 }
 
 impl<'a> Command<'a> {
-    /// A command of that kind.
+    /// Returns a command of the given kind.
     #[must_use]
     pub fn new(kind: CommandKind, values: &'a [f64]) -> Self {
         match kind {
@@ -68,7 +69,7 @@ impl<'a> Command<'a> {
         }
     }
 
-    /// The quantity that it sets; `None` for [`Hold`](Self::Hold).
+    /// Returns the kind of the command; `None` for [`Hold`](Self::Hold).
     #[must_use]
     pub fn kind(&self) -> Option<CommandKind> {
         match self {

@@ -1,4 +1,4 @@
-//! Drivers: the interface through which a program opens a robot for a run.
+//! Drivers, which open a robot for a run.
 
 use crate::backend::Backend;
 use crate::command::CommandKind;
@@ -7,48 +7,48 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
 
-/// Opens a robot, lets it be run, and closes it.
+/// Interface of a driver, which opens a robot, passes it to a function that runs it, and closes it.
 ///
-/// The backend lives on the driver's stack while `run` is called, so that it may borrow a vendor's handle.
+/// The backend lives on the driver's stack while `run` is called and may therefore borrow a vendor's handle.
 pub trait Driver {
-    /// Its name in `[driver]` of robot.toml.
+    /// Returns the name of the driver in `[driver]` of robot.toml.
     fn name(&self) -> &str;
 
-    /// Opens the robot with these settings, calls `run` once with it, and closes it.
+    /// Opens the robot with these settings, calls `run` once with its backend, and closes the robot.
     ///
     /// # Errors
-    /// Settings that are missing or wrong, or a robot that can't be opened.
+    /// If settings are missing or wrong, or if the robot cannot be opened.
     fn with(&self, settings: &Settings, run: &mut dyn FnMut(&mut dyn Backend)) -> Result<(), DriverError>;
 }
 
-/// Settings with which a driver opens a robot: the kind of command it is opened for, the joints and period that
-/// robot.toml states, and the other keys of `[driver]`.
+/// Settings with which a driver opens a robot: the kind of command, the joints and period stated in robot.toml, and the
+/// other keys of `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
-    /// The kind of command that will be written.
+    /// Kind of the commands that will be written.
     pub command: CommandKind,
-    /// Joint names in the model's order.
+    /// Joint names, in the order of the model (n).
     pub joints: Vec<String>,
     /// Interface period, s.
     pub period_s: f64,
     values: BTreeMap<String, Setting>,
 }
 
-/// A value of a key of `[driver]`.
+/// Value of a key in `[driver]`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Setting {
     /// A string.
     Text(String),
-    /// A number, whole or not.
+    /// An integer or floating-point number.
     Number(f64),
     /// true or false.
     Flag(bool),
 }
 
 impl Settings {
-    /// Settings without keys.
+    /// Returns settings without keys.
     #[must_use]
     pub fn new(command: CommandKind, joints: Vec<String>, period_s: f64) -> Self {
         Self { command, joints, period_s, values: BTreeMap::new() }
@@ -61,7 +61,7 @@ impl Settings {
         self
     }
 
-    /// The string of a key.
+    /// Returns the string value of a key.
     ///
     /// # Errors
     /// If the key is missing or not a string.
@@ -72,7 +72,7 @@ impl Settings {
         }
     }
 
-    /// The number of a key.
+    /// Returns the numeric value of a key.
     ///
     /// # Errors
     /// If the key is missing or not a number.
@@ -83,10 +83,10 @@ impl Settings {
         }
     }
 
-    /// The flag of a key; false without the key.
+    /// Returns the boolean value of a key; false if the key is missing.
     ///
     /// # Errors
-    /// If the key is neither true nor false.
+    /// If the value is neither true nor false.
     pub fn flag(&self, key: &str) -> Result<bool, DriverError> {
         match self.values.get(key) {
             None => Ok(false),
@@ -95,10 +95,10 @@ impl Settings {
         }
     }
 
-    /// Refuses keys that the driver does not know.
+    /// Checks that the settings contain only keys that the driver knows.
     ///
     /// # Errors
-    /// The first key that is not among `known`, with the keys that are.
+    /// If a key is not among `known`. The error names the first of them and lists the known keys.
     pub fn expect_only(&self, known: &[&str]) -> Result<(), DriverError> {
         match self.values.keys().find(|key| !known.contains(&key.as_str())) {
             None => Ok(()),
@@ -122,24 +122,24 @@ fn wrong(key: &str, expected: &str, found: &Setting) -> DriverError {
     DriverError::at(key, format!("'{key}' must be {expected}, not {found}"))
 }
 
-/// The reason for which a robot can't be opened.
+/// Reason why a robot cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DriverError {
-    /// The key of `[driver]` that is wrong, where one is.
+    /// Key of `[driver]` with the wrong value; `None` if the error concerns no key.
     pub key: Option<String>,
-    /// The reason, a sentence without a full stop.
+    /// Reason, a sentence without a full stop.
     pub words: String,
 }
 
 impl DriverError {
-    /// A robot that can't be reached.
+    /// Returns the error of a robot that cannot be reached.
     #[must_use]
     pub fn new(words: impl Into<String>) -> Self {
         Self { key: None, words: words.into() }
     }
 
-    /// A wrong value of a key.
+    /// Returns the error of a key with a wrong value.
     #[must_use]
     pub fn at(key: impl Into<String>, words: impl Into<String>) -> Self {
         Self { key: Some(key.into()), words: words.into() }

@@ -1,23 +1,23 @@
-//! Faults that a robot reports itself.
+//! Faults reported by a robot or its driver.
 
 use std::borrow::Cow;
 use std::error::Error;
 use std::fmt;
 
-/// A fault that the robot or its driver reports: the code and the words of the device, as they are to appear in
-/// summary, log and error messages.
+/// A fault reported by the robot or its driver: its code and text, as they appear in the summary, the log and error
+/// messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct DeviceFault {
-    /// The device's own number of the fault.
+    /// Fault code of the device.
     pub code: u32,
-    /// The cause, a sentence without a full stop. A fault that may occur in the control cycle uses borrowed text, so
-    /// that nothing is allocated.
+    /// Cause, a sentence without a full stop. For faults that may occur in the control cycle, use a borrowed string,
+    /// which needs no allocation.
     pub words: Cow<'static, str>,
 }
 
 impl DeviceFault {
-    /// A fault.
+    /// Returns a fault.
     #[must_use]
     pub fn new(code: u32, words: impl Into<Cow<'static, str>>) -> Self {
         Self { code, words: words.into() }

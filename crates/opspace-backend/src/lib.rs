@@ -1,7 +1,8 @@
-//! The contract between opspace and a robot.
+//! The interface between opspace and a robot.
 //!
-//! A driver implements [`Backend`] and depends on this crate alone, which has no dependencies. The feature `schema`
-//! derives serde and schemars traits for the quantities and enums that appear in files.
+//! A driver implements [`Backend`] and depends on this crate only; the crate has no dependencies by default. For the
+//! quantities and enums that occur in files, the feature `serde` derives deserialization and the feature `schema` also
+//! derives JSON Schemas (schemars).
 //!
 //! ```
 //! use opspace_backend::{Backend, Capabilities, Command, CommandKind, DeviceFault, Sample};

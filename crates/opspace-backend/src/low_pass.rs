@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-/// Gain a of `y += a (x − y)`, a first-order low-pass with its −3 dB point at `cutoff_hz`, sampled every `period_s`:
-/// 1 − exp(−2π f T), exact for an input that is held over each period.
+/// Returns the gain a of `y += a (x − y)`, a first-order low-pass filter with its −3 dB point at `cutoff_hz` and a
+/// sampling period of `period_s`: a = 1 − exp(−2π f T), exact for an input that is constant over each period.
 #[must_use]
 pub fn gain(cutoff_hz: f64, period_s: f64) -> f64 {
     1.0 - (-TAU * cutoff_hz * period_s).exp()
@@ -17,21 +17,22 @@ pub struct LowPass<const N: usize> {
 }
 
 impl<const N: usize> LowPass<N> {
-    /// Returns a filter with its −3 dB point at `cutoff_hz`, sampled every `period_s`, at zero.
+    /// Returns a filter with its −3 dB point at `cutoff_hz` (Hz) and a sampling period of `period_s` (s). Its output is
+    /// zero.
     #[must_use]
     pub fn new(cutoff_hz: f64, period_s: f64) -> Self {
         Self { gain: gain(cutoff_hz, period_s), state: [0.0; N] }
     }
 
-    /// Sets the output to `input`, where that is finite.
+    /// Sets the output of each channel to its `input`; channels with an input that is not finite are unchanged.
     pub fn reset(&mut self, input: &[f64; N]) {
         for (y, &x) in self.state.iter_mut().zip(input).filter(|(_, x)| x.is_finite()) {
             *y = x;
         }
     }
 
-    /// Returns the output after one more period: not finite where `input` is not, a period that the filter then
-    /// ignores.
+    /// Returns the output after one more period. A channel with an input that is not finite returns a non-finite output
+    /// and keeps its state.
     pub fn update(&mut self, input: &[f64; N]) -> [f64; N] {
         let mut output = self.state;
         for (y, x) in output.iter_mut().zip(input) {
@@ -41,7 +42,7 @@ impl<const N: usize> LowPass<N> {
         output
     }
 
-    /// The last output that was finite.
+    /// Returns the last finite output of each channel.
     #[must_use]
     pub fn output(&self) -> &[f64; N] {
         &self.state
@@ -52,7 +53,7 @@ impl<const N: usize> LowPass<N> {
 mod tests {
     use super::*;
 
-    /// The step response after k periods against 1 − exp(−2π f k T), the continuous filter's.
+    /// Compared: the step response after k periods, and that of the continuous filter, 1 − exp(−2π f k T).
     #[test]
     fn step_response_matches_continuous_filter() {
         let (cutoff_hz, period_s) = (100.0, 1e-3);
@@ -64,8 +65,8 @@ mod tests {
         }
     }
 
-    /// Compared: outputs after a reading that isn't finite, first or later, and those of a filter that never received
-    /// it.
+    /// Compared: outputs of a filter that receives a non-finite input at the start or later, and of a filter that never
+    /// receives it.
     #[test]
     fn non_finite_input_is_passed_on_and_forgotten() {
         for broken in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {

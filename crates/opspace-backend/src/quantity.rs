@@ -1,6 +1,7 @@
-//! Quantities that a file may hold: a value out of range is refused where it stands in the file.
+//! Number types for values in files. A value out of range is refused when the file is read, at its position in the
+//! file.
 //!
-//! With the feature `schema` they are read by serde and described by schemars.
+//! The feature `serde` adds their deserialization, the feature `schema` also their JSON Schemas (schemars).
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -16,13 +17,13 @@ use serde::{
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub struct Positive(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
 
-/// A number not below zero.
+/// A number that is zero or above.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "f64"))]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub struct NonNegative(#[cfg_attr(feature = "schema", schemars(range(min = 0.0)))] f64);
 
-/// A whole number above zero.
+/// An integer above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(Deserialize), serde(try_from = "u32"))]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -61,13 +62,13 @@ impl TryFrom<u32> for Count {
 }
 
 impl Positive {
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn get(self) -> f64 {
         self.0
     }
 
-    /// For defaults in code.
+    /// Returns a constant, for defaults in code.
     ///
     /// # Panics
     /// If `value` is not above zero (at compile time in a `const`).
@@ -85,13 +86,13 @@ impl From<Positive> for NonNegative {
 }
 
 impl NonNegative {
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn get(self) -> f64 {
         self.0
     }
 
-    /// For defaults in code.
+    /// Returns a constant, for defaults in code.
     ///
     /// # Panics
     /// If `value` is below zero (at compile time in a `const`).
@@ -103,13 +104,13 @@ impl NonNegative {
 }
 
 impl Count {
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn get(self) -> u32 {
         self.0
     }
 
-    /// For defaults in code.
+    /// Returns a constant, for defaults in code.
     ///
     /// # Panics
     /// If `value` is zero (at compile time in a `const`).
@@ -120,10 +121,10 @@ impl Count {
     }
 }
 
-/// Reads exactly N values: TOML's reader alone would take the first N of more.
+/// Reads exactly N values. Without it, the TOML reader ignores surplus values.
 ///
 /// # Errors
-/// Fewer or more values than N.
+/// If there are fewer or more than N values.
 #[cfg(feature = "serde")]
 pub fn exactly<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
 where

@@ -3,22 +3,23 @@
 use crate::capabilities::Capabilities;
 
 /// Raw measurements of a robot at one interface cycle. Joints and force sensors are in the order of the robot's
-/// [`Capabilities`]; an optional quantity is there in every sample or in none.
+/// [`Capabilities`]. An optional quantity is present either in every sample or in none.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Sample {
-    /// The robot's own monotonic clock, s. It may start anywhere.
+    /// Time on the robot's monotonic clock, s. Its zero is arbitrary.
     pub time_s: f64,
     /// Joint positions, rad or m (n).
     pub q: Vec<f64>,
     /// Joint velocities, rad/s or m/s (n).
     pub dq: Option<Vec<f64>>,
     /// Motor torques at the joints (motor current times torque constant), Nm or N (n): the mean since the last sample,
-    /// without gravity that the robot adds by itself.
+    /// without the gravity torques that the robot adds itself.
     pub motor_torque: Option<Vec<f64>>,
     /// Torques measured at the joints, Nm or N (n).
     pub joint_torque: Option<Vec<f64>>,
-    /// Readings of the force sensors, raw, in each sensor's axes, ON the robot: fx, fy, fz (N), mx, my, mz (Nm).
+    /// Raw readings of the force sensors, each in the sensor's axes: the wrench that acts ON the robot, as fx, fy, fz
+    /// (N), mx, my, mz (Nm).
     pub wrenches: Vec<[f64; 6]>,
     /// Status reported by the robot.
     pub status: Option<Status>,
@@ -28,14 +29,14 @@ pub struct Sample {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Status {
-    /// The device's own status word.
+    /// Status word of the device.
     pub word: u32,
-    /// True if the device changed the last command to keep limits of its own.
+    /// True if the device modified the last command to respect its own limits.
     pub command_limited: bool,
 }
 
 impl Status {
-    /// A status.
+    /// Returns a status.
     #[must_use]
     pub fn new(word: u32, command_limited: bool) -> Self {
         Self { word, command_limited }
@@ -43,7 +44,7 @@ impl Status {
 }
 
 impl Sample {
-    /// A sample of zeros, with room for everything that the robot declares to measure.
+    /// Returns a sample of zeros, allocated for all quantities that the robot declares as measured.
     #[must_use]
     pub fn new(capabilities: &Capabilities) -> Self {
         let n = capabilities.joints.len();
@@ -59,8 +60,9 @@ impl Sample {
         }
     }
 
-    /// Copies what this sample has room for from another sample of the same robot. A quantity that the other lacks
-    /// becomes NaN. Allocates nothing.
+    /// Copies another sample of the same robot; quantities that this sample does not contain are skipped. A quantity
+    /// that only this sample contains becomes NaN, a status that only this sample contains is unchanged. Does not
+    /// allocate.
     ///
     /// # Panics
     /// If the lengths of two arrays differ.

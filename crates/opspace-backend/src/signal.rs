@@ -1,7 +1,7 @@
 //! Signals: the named quantities of a run, sampled every cycle into one row of numbers.
 //!
-//! A part declares each of its signals once, as a line of a table: name, units, elements and values. The same lines
-//! describe the row before the run and fill it in each cycle, so that they cannot disagree:
+//! A component declares each of its signals once: name, units, elements and values. The same declaration describes the
+//! row before the run and fills it in each cycle, so that description and values cannot disagree:
 //!
 //! ```
 //! use opspace_backend::{Observable, Signal, SignalRecorder};
@@ -31,19 +31,19 @@ use std::ops::Range;
 /// One named quantity of a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signal {
-    /// Name, with the quantity's owner before a dot where it has one: `q`, `hand.position`.
+    /// Name, preceded by its owner and a dot if it has one: `q`, `hand.position`.
     pub name: String,
     /// SI unit of each element (`rad`, `m`, `Nm`, `N`, `s`, `1`).
     pub units: Vec<String>,
-    /// Labels of the elements: joint names or axes; one label per element.
+    /// Labels of the elements, one per element: joint names or axes.
     pub elements: Vec<String>,
 }
 
 impl Signal {
-    /// A signal with one element per label.
+    /// Returns a signal with one element per label.
     ///
     /// # Panics
-    /// If units are listed, but not one per element.
+    /// If `unit` is a list with a length other than the number of elements.
     #[must_use]
     pub fn new<S: AsRef<str>>(name: impl Into<String>, unit: &(impl Units + ?Sized), elements: &[S]) -> Self {
         let (name, units) = (name.into(), unit.of_elements(elements.len()));
@@ -51,7 +51,7 @@ impl Signal {
         Self { name, units, elements: elements.iter().map(|e| e.as_ref().to_owned()).collect() }
     }
 
-    /// A single number.
+    /// Returns a signal with a single element.
     #[must_use]
     pub fn scalar(name: impl Into<String>, unit: &str) -> Self {
         Self::new(name, unit, &SCALAR)
@@ -63,14 +63,14 @@ impl Signal {
         self.elements.len()
     }
 
-    /// Returns true if it has no elements (a robot without joints).
+    /// Returns true if the signal has no elements (a robot without joints).
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.elements.is_empty()
     }
 
-    /// Units as a text, separated by commas: one unit if all elements share it, one per block of elements if the text
-    /// is read as the same units again (see [`Units`]), else one per element.
+    /// Returns the units as a text, separated by commas: one unit if all elements have the same; one unit per block of
+    /// elements if [`Units`] reads that text as the same units again; otherwise one unit per element.
     #[must_use]
     pub fn unit(&self) -> String {
         let mut blocks = self.units.clone();
@@ -80,15 +80,16 @@ impl Signal {
     }
 }
 
-/// Label of the element of a single number.
+/// Label of the element of a scalar signal.
 const SCALAR: [&str; 1] = ["value"];
 
-/// SI units of the elements of a signal: a list of one per element, or a text.
+/// SI units of the elements of a signal: a list with one unit per element, or a text.
 ///
-/// The text is the unit of all elements, or units separated by commas. Each of those belongs to a block of equally many
-/// elements, and the last one to the remaining elements too: `N,Nm` for six elements is N for three and Nm for three.
+/// The text is one unit for all elements, or several units separated by commas. Each of several units applies to one
+/// block of elements; the blocks have equal lengths, and the last unit also applies to the remaining elements. Example:
+/// `N,Nm` for six elements means N for the first three and Nm for the last three.
 pub trait Units {
-    /// Unit of each of `count` elements.
+    /// Returns the units of `count` elements.
     fn of_elements(&self, count: usize) -> Vec<String>;
 }
 
@@ -124,12 +125,12 @@ impl Units for String {
     }
 }
 
-/// Name of a signal: a quantity (`q`), or a quantity of an owner (`hand.position`).
+/// Name of a signal: a quantity (`q`) or the quantity of an owner (`hand.position`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignalName<'a> {
-    /// Task, force sensor or contact.
+    /// Name of the task, force sensor or contact.
     pub owner: Option<&'a str>,
-    /// Quantity.
+    /// Name of the quantity.
     pub quantity: &'a str,
 }
 
@@ -154,23 +155,23 @@ impl fmt::Display for SignalName<'_> {
     }
 }
 
-/// Layout of the rows of one channel: its signals, in their order.
+/// Layout of the rows of one channel: the sequence of its signals.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// The channel's name.
+    /// Name of the channel.
     pub channel: String,
     /// Signals, in the order of the row.
     pub signals: Vec<Signal>,
 }
 
 impl Layout {
-    /// Number of values in a row.
+    /// Returns the number of values in a row.
     #[must_use]
     pub fn width(&self) -> usize {
         width(&self.signals)
     }
 
-    /// Columns of a signal in a row; `None` if there is no signal of that name.
+    /// Returns the columns of a signal in a row; `None` if there is no signal of that name.
     #[must_use]
     pub fn columns(&self, signal: &str) -> Option<Range<usize>> {
         let place = self.signals.iter().position(|known| known.name == signal)?;
@@ -183,8 +184,8 @@ fn width(signals: &[Signal]) -> usize {
     signals.iter().map(Signal::len).sum()
 }
 
-/// A pass over signals. Before the run it describes them; in each cycle it samples their values into a row, and
-/// allocates and formats nothing.
+/// A pass over all signals. Before the run it describes the signals; in each cycle it writes their values into a row,
+/// without allocation or formatting.
 #[derive(Debug)]
 pub struct SignalRecorder<'a> {
     pass: Pass<'a>,
@@ -194,12 +195,12 @@ pub struct SignalRecorder<'a> {
 #[derive(Debug)]
 enum Pass<'a> {
     Describe(Vec<Signal>),
-    /// The values still to be filled.
+    /// Part of the row that is not yet filled.
     Sample(&'a mut [f64]),
 }
 
 impl<'a> SignalRecorder<'a> {
-    /// Describes the signals that `record` records.
+    /// Returns the descriptions of all signals that `record` records.
     #[must_use]
     pub fn describe(record: impl FnOnce(&mut SignalRecorder<'_>)) -> Vec<Signal> {
         let mut recorder = SignalRecorder { pass: Pass::Describe(Vec::new()), recorded: 0 };
@@ -210,16 +211,16 @@ impl<'a> SignalRecorder<'a> {
         }
     }
 
-    /// A recorder that fills a row, from its first value on.
+    /// Returns a recorder that fills a row, starting at its first value.
     #[must_use]
     pub fn sampling(row: &'a mut [f64]) -> Self {
         Self { pass: Pass::Sample(row), recorded: 0 }
     }
 
-    /// Records a signal: one value per element; no values stand for NaN.
+    /// Records a signal with one value per element. An empty `values` records NaN for all elements.
     ///
     /// # Panics
-    /// If there are values, but not one per element; if the row is full.
+    /// If `values` is neither empty nor has one value per element, or if the row is full.
     #[inline]
     pub fn signal<'n, S: AsRef<str>>(
         &mut self,
@@ -238,7 +239,7 @@ impl<'a> SignalRecorder<'a> {
         }
     }
 
-    /// Records a single number.
+    /// Records a scalar signal.
     ///
     /// # Panics
     /// If the row is full.
@@ -247,10 +248,10 @@ impl<'a> SignalRecorder<'a> {
         self.signal(name, unit, &SCALAR, &[value]);
     }
 
-    /// Records a signal whose description takes an allocation: `signal` is called before the run alone.
+    /// Records a signal whose description needs an allocation: `signal` is called only before the run.
     ///
     /// # Panics
-    /// If the number of values differs from the number of elements; if the row is full.
+    /// If the number of values differs from the number of elements, or if the row is full.
     #[inline]
     pub fn signal_with(&mut self, signal: impl FnOnce() -> Signal, values: &[f64]) {
         self.recorded += values.len();
@@ -260,10 +261,11 @@ impl<'a> SignalRecorder<'a> {
         }
     }
 
-    /// Records signals that are described already: all their values in one piece; no values stand for NaN.
+    /// Records already described signals, with all their values in one slice. An empty `values` records NaN for all
+    /// elements.
     ///
     /// # Panics
-    /// If there are values, but not one per element; if the row is full.
+    /// If `values` is neither empty nor has one value per element, or if the row is full.
     pub fn block(&mut self, known: &[Signal], values: &[f64]) {
         self.recorded += width(known);
         match &mut self.pass {
@@ -272,7 +274,7 @@ impl<'a> SignalRecorder<'a> {
         }
     }
 
-    /// Number of elements recorded.
+    /// Returns the number of elements recorded so far.
     #[must_use]
     pub fn recorded(&self) -> usize {
         self.recorded
@@ -285,7 +287,7 @@ fn describe(signals: &mut Vec<Signal>, signal: Signal, values: &[f64]) {
     signals.push(signal);
 }
 
-/// Fills the next `count` values.
+/// Fills the next `count` values of the row, with NaN if `values` is empty.
 #[inline]
 fn fill(free: &mut &mut [f64], count: usize, values: &[f64]) {
     let (now, later) = std::mem::take(free).split_at_mut(count);
@@ -297,20 +299,21 @@ fn fill(free: &mut &mut [f64], count: usize, values: &[f64]) {
     *free = later;
 }
 
-/// A part whose signals can be recorded.
+/// A component whose signals can be recorded.
 pub trait Observable {
-    /// Records the signals, always the same ones in the same order. Allocates nothing where the values are sampled.
+    /// Records the signals, in every call the same signals in the same order. Must not allocate while values are
+    /// sampled.
     fn record(&self, out: &mut SignalRecorder<'_>);
 
-    /// Signals that are recorded. Called before the run.
+    /// Returns the descriptions of the signals. Called before the run.
     fn signals(&self) -> Vec<Signal> {
         SignalRecorder::describe(|out| self.record(out))
     }
 
-    /// Samples the values of this cycle into a row. Allocates nothing.
+    /// Writes the values of this cycle into a row. Does not allocate.
     ///
     /// # Panics
-    /// If the row has fewer values than the signals.
+    /// If the row has fewer values than the signals; in debug builds also if it has more.
     fn sample(&self, row: &mut [f64]) {
         let width = row.len();
         let mut out = SignalRecorder::sampling(row);
@@ -325,7 +328,7 @@ mod tests {
 
     const AXES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 
-    /// Compared: units of a text, and the same units written out by hand.
+    /// Compared: units read from a text, and the expected units of each element.
     #[test]
     fn units_of_a_text_belong_to_blocks_of_elements() {
         let units = |text: &str, count| text.of_elements(count).join(" ");
@@ -337,7 +340,7 @@ mod tests {
         assert_eq!(units("rad", 0), "");
     }
 
-    /// Compared: a signal, and the one that is made of its unit's text.
+    /// Compared: a signal, and the signal built from its unit text.
     #[test]
     fn unit_text_keeps_the_unit_of_each_element() {
         let cases = [
@@ -364,7 +367,7 @@ mod tests {
         }
     }
 
-    /// Compared: the row, and values by hand; the width that is described, and the number recorded.
+    /// Compared: the row, and the expected values; the described width, and the number of recorded elements.
     #[test]
     fn row_has_the_values_in_the_order_of_the_signals() {
         let layout = Layout { channel: "c".to_owned(), signals: Part.signals() };
@@ -378,7 +381,7 @@ mod tests {
         assert_eq!((row[0], &row[7..]), (4.0, &[1.0, 2.0, 3.0][..]));
     }
 
-    /// Compared: the number of values with the number of elements, before any row.
+    /// Compared: the numbers of values and elements, while signals are described.
     #[test]
     #[should_panic(expected = "signal q: 1 values for 2 elements")]
     fn description_refuses_a_wrong_number_of_values() {

@@ -1,24 +1,24 @@
-//! Destinations of the rows that a run produces.
+//! Receivers of the rows that a run produces.
 
-/// Channel number of the rows of the control loop: one per interface cycle.
+/// Channel number of the control loop: one row per interface cycle.
 pub const TICK: usize = 0;
-/// Channel number of the true state of a simulation: one per interface cycle.
+/// Channel number of the true state of a simulation: one row per interface cycle.
 pub const TRUTH: usize = 1;
-/// Channel number of the drives of a simulation: one per servo tick.
+/// Channel number of the drives of a simulation: one row per servo tick.
 pub const SERVO: usize = 2;
-/// Channel number of the external forces put into a simulation: one per interface cycle.
+/// Channel number of the external forces in a simulation: one row per interface cycle.
 pub const EXTERNAL: usize = 3;
 
 /// A receiver of rows: a log, a live view, or a comparison.
 pub trait Sink {
-    /// Takes a row of a channel at `time_s` (s, the robot's clock). Must not allocate, lock or format.
+    /// Receives a row of a channel with its time on the robot's clock, s. Must not allocate, lock or format.
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]);
 
-    /// Called between two cycles, when a simulated robot may wait.
+    /// Called between two cycles. With a simulated robot the receiver may wait here.
     fn between_ticks(&mut self) {}
 }
 
-/// Discards the rows.
+/// Sink that discards all rows.
 impl Sink for () {
     fn row(&mut self, _channel: usize, _time_s: f64, _row: &[f64]) {}
 }

@@ -1,4 +1,4 @@
-//! Forward dynamics: the accelerations that torques cause, by the articulated-body algorithm.
+//! Forward dynamics by the articulated-body algorithm.
 //!
 //! RBDA table 7.1; in Pinocchio `aba`.
 //!
@@ -26,10 +26,12 @@ use crate::rnea::bias;
 use crate::spatial::{Force, Motion, SpatialInertia, apply, apply_transposed, skew};
 use nalgebra::{DVector, Matrix3, Vector3};
 
-/// Computes q̈ = M⁻¹ (τ − C q̇ − g) under the joint torques `tau` (n; Nm), into [`Data::ddq`] (rad/s²). Needs
-/// [`kinematics`](crate::kinematics()). Not finite if a joint moves nothing that has inertia.
+/// Computes q̈ = M⁻¹ (τ − C q̇ − g) for the joint torques `tau` (n; Nm) into [`Data::ddq`] (rad/s²). Needs
+/// [`kinematics`](crate::kinematics()). The result is not finite if the bodies moved by a joint have no inertia in its
+/// direction.
 ///
-/// A folded model is no tree: there the mass matrix, its factor and the bias are computed and left in `data`.
+/// With mimic constraints, q̈ is computed from the mass matrix instead. The mass matrix, its factor and the bias in
+/// `data` are then updated as well.
 ///
 /// # Panics
 /// If `tau` is shorter than the number of joints.
@@ -54,7 +56,7 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
         let torque = tau[i] - screw.dot(&data.force[i]);
         data.column[i] = ArticulatedColumn { force: column, inverse_inertia, torque };
         if let Some(p) = body.parent {
-            // Beyond the joint the force I_a c + p + U u/D is left, with I_a = I − U Uᵀ/D.
+            // The force on the parent is I_a c + p + U u/D, with I_a = I − U Uᵀ/D.
             let c = velocity_product(data, i);
             let joint_response = (torque - c.dot(&column)) * inverse_inertia;
             let force = data.force[i] + articulated.apply(&c) + column * joint_response;
@@ -63,7 +65,7 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
             before[p].add_projected(&from[0], &column, inverse_inertia);
         }
     }
-    // Gravity as an upward acceleration of the base.
+    // Gravity is modelled as an upward acceleration of the base.
     let base = Motion { linear: -model.gravity, angular: Vector3::zeros() };
     for (i, body) in model.bodies.iter().enumerate() {
         let inherited = body.parent.map_or(base, |p| data.acceleration[p]) + velocity_product(data, i);
@@ -74,8 +76,8 @@ pub fn aba<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     }
 }
 
-/// Computes q̈ = M⁻¹ (τ − C q̇ − g + Σ Jᵀ f): [`aba`] with wrenches f acting on the robot at frames (N, Nm; world axes,
-/// at each frame's origin). Leaves τ + Σ Jᵀ f in [`Data::torque`].
+/// Computes q̈ = M⁻¹ (τ − C q̇ − g + Σ Jᵀ f): [`aba`] with wrenches f that act on the robot at frames (N, Nm; in world
+/// axes, at the origin of each frame). [`Data::torque`] then contains τ + Σ Jᵀ f.
 ///
 /// # Panics
 /// As [`aba`].
@@ -89,13 +91,13 @@ pub fn aba_external<T: Real>(
     for (frame, wrench) in wrenches {
         add_external(model, data, *frame, wrench);
     }
-    // Out of `data` for as long as they are read.
+    // Moved out of `data` while it is borrowed.
     let torque = std::mem::replace(&mut data.torque, DVector::zeros(0));
     aba(model, data, torque.as_slice());
     data.torque = torque;
 }
 
-/// Forward dynamics of a folded model, which is no tree: by the mass matrix, factored.
+/// Computes the forward dynamics of a model with mimic constraints, by factorization of the mass matrix.
 fn solve_mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     crba(model, data);
     bias(model, data);
@@ -109,7 +111,7 @@ fn solve_mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     data.mass_matrix_factor.solve(data.ddq.as_mut_slice());
 }
 
-/// Velocity product v × S q̇: the part of its body's acceleration due to the joint's own speed.
+/// Returns the velocity product v × S q̇: the part of the body's acceleration that is due to the velocity of its joint.
 #[inline(always)]
 fn velocity_product<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
     screw_rate(data, i) * data.dq[i]
@@ -131,7 +133,7 @@ impl<T: Real> ArticulatedInertia<T> {
         }
     }
 
-    /// Adds I − U Uᵀ/D of another: its inertia as seen through its free joint.
+    /// Adds I − U Uᵀ/D of `other`: its apparent inertia across the free joint.
     #[inline(always)]
     fn add_projected(&mut self, other: &Self, u: &Force<T>, inverse_inertia: T) {
         let scaled = *u * inverse_inertia;

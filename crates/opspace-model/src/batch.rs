@@ -1,8 +1,9 @@
-//! Evaluation of many states at once: one in each lane of a SIMD register.
+//! Evaluation of several states at once, one in each lane of a SIMD register.
 //!
-//! The algorithms are the same, to the line: [`Model::splat`](crate::Model::splat) makes a model whose numbers are
-//! [`Lanes`], and everything computed with it is computed for [`COUNT`] states side by side. For sweeps over states:
-//! workspaces, calibration, identification. `RUSTFLAGS="-C target-cpu=x86-64-v3"` makes the registers twice as wide.
+//! The algorithms are those for a single state: [`Model::splat`](crate::Model::splat) returns a model whose numbers are
+//! [`Lanes`], and each algorithm then computes its results for [`COUNT`] states at once. This suits computations over
+//! many states, such as workspace analysis, calibration and identification. `RUSTFLAGS="-C target-cpu=x86-64-v3"`
+//! doubles the width of the registers.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -22,13 +23,13 @@
 
 use nalgebra::SimdValue;
 
-/// [`COUNT`] numbers side by side.
+/// [`COUNT`] numbers in one SIMD value, one per lane.
 pub type Lanes = simba::simd::WideF64x4;
 
 /// Number of states evaluated at once.
 pub const COUNT: usize = 4;
 
-/// Puts the entries of [`COUNT`] vectors side by side.
+/// Packs [`COUNT`] vectors into lanes: entry i of vector k is in lane k of `out[i]`.
 ///
 /// # Panics
 /// If a vector is shorter than `out`.
@@ -38,10 +39,10 @@ pub fn gather(vectors: &[&[f64]; COUNT], out: &mut [Lanes]) {
     }
 }
 
-/// Copies one of the vectors that stand side by side to `out`.
+/// Copies the vector in lane `lane` of `vectors` to `out`.
 ///
 /// # Panics
-/// If `lane` isn't below [`COUNT`], or `out` is longer than `vectors`.
+/// If `lane` is not below [`COUNT`], or if `out` is longer than `vectors`.
 pub fn extract(vectors: &[Lanes], lane: usize, out: &mut [f64]) {
     for (i, x) in out.iter_mut().enumerate() {
         *x = vectors[i].extract(lane);

@@ -1,7 +1,7 @@
-//! Momentum of the whole robot about its centre of mass.
+//! Centroidal momentum: momentum of the whole robot about its centre of mass.
 //!
-//! Orin, Goswami and Lee, *Centroidal dynamics of a humanoid robot*, Autonomous Robots 35, 2013; in Pinocchio
-//! `ccrba` and `computeCentroidalMomentum`. World axes, linear part first. Rotors don't count.
+//! Orin, Goswami and Lee, *Centroidal dynamics of a humanoid robot*, Autonomous Robots 35, 2013; in Pinocchio `ccrba`
+//! and `computeCentroidalMomentum`. World axes, linear part first. Rotors are not included.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -26,7 +26,7 @@ use crate::real::Real;
 use crate::spatial::Force;
 use nalgebra::Vector3;
 
-/// Computes A(q) with A q̇ = [`centroidal_momentum`], into [`Data::centroidal_map`] (6 × n; kg m, kg m²). Needs
+/// Computes A(q) with A q̇ = [`centroidal_momentum`] into [`Data::centroidal_map`] (6 × n; kg m, kg m²). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composites(model, data);
@@ -38,8 +38,8 @@ pub fn centroidal_map<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// Linear (kg m/s) and angular (kg m²/s) momentum about the centre of mass. Needs
-/// [`kinematics`](crate::kinematics()).
+/// Returns the linear momentum (kg m/s) and the angular momentum about the centre of mass (kg m²/s), in world axes.
+/// Needs [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn centroidal_momentum<T: Real>(model: &Model<T>, data: &Data<T>) -> Force<T> {
     let mut sum = Force::zero();

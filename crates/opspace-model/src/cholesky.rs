@@ -1,11 +1,11 @@
-//! Factorization of the mass matrix, and products with its inverse.
+//! Factorization of the mass matrix and products with its inverse.
 //!
-//! `M = U D Uᵀ` with U upper triangular and ones on its diagonal, from the tips to the base: then U has zeros wherever
-//! neither of two joints is an ancestor of the other, as M has (RBDA §6.5; there `M = Lᵀ D L` with L = Uᵀ). In
-//! Pinocchio `cholesky::decompose`, `cholesky::solve` and `computeMinverse`.
+//! `M = U D Uᵀ` with U upper triangular with a unit diagonal, computed from the tips to the base. U then has the
+//! sparsity of M: entry (i, j) is zero unless one of the joints i and j is an ancestor of the other (RBDA §6.5; there
+//! `M = Lᵀ D L` with L = Uᵀ). In Pinocchio `cholesky::decompose`, `cholesky::solve` and `computeMinverse`.
 //!
-//! The ancestors of a joint are numbered in a few contiguous ranges: one in a chain, one more at each branching. All
-//! loops run over such ranges, so that a tree costs only its non-zero entries and a chain costs no more for it.
+//! The indices of the ancestors of a joint form a few contiguous ranges: one range in a chain, and one more for each
+//! branching. All loops run over these ranges and therefore only over non-zero entries, without overhead for chains.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -27,23 +27,24 @@ use crate::real::Real;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SimdBool};
 use std::ops::Range;
 
-/// U and D of M = U D Uᵀ. The identity until [updated](Self::update).
+/// Factors U and D of M = U D Uᵀ. Before the first [`update`](Self::update) they are those of the identity.
 #[derive(Clone, Debug)]
 pub struct MassMatrixFactor<T = f64> {
-    /// Column k holds rows 0 to k − 1 of U; zero where M is. Entries on and below the diagonal aren't read.
+    /// Column k contains rows 0 to k − 1 of U, which are zero where M is. Entries on and below the diagonal are not
+    /// used.
     upper: DMatrix<T>,
-    /// Reciprocals of D.
+    /// Reciprocals of the diagonal of D (n).
     reciprocal: Vec<T>,
-    /// Rows of U⁻¹, one per column. Intermediate values.
+    /// Intermediate values: rows of U⁻¹, one per column.
     inverse_rows: DMatrix<T>,
-    /// Per joint: first joint that is numbered behind all its descendants.
+    /// Per joint: one more than the index of its last descendant (or its own index).
     ends: Vec<usize>,
-    /// Per joint: first joint of the contiguous range of ancestors that ends with it, and the parent of that first
-    /// joint.
+    /// Per joint: the first joint of the contiguous range of ancestors that ends at this joint, and the parent of that
+    /// first joint.
     rows: Vec<(usize, Option<usize>)>,
 }
 
-/// Indices of joint `last` and its ancestors as contiguous ranges, from `last` towards the base.
+/// Returns joint `last` and its ancestors as contiguous ranges of indices, from `last` towards the base.
 #[inline]
 fn ancestor_ranges(
     rows: &[(usize, Option<usize>)],
@@ -58,7 +59,7 @@ fn ancestor_ranges(
     })
 }
 
-/// Parent of joint `k`.
+/// Returns the parent of joint `k`.
 #[inline]
 fn parent(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
     let (first, parent) = rows[k];
@@ -66,13 +67,14 @@ fn parent(rows: &[(usize, Option<usize>)], k: usize) -> Option<usize> {
 }
 
 impl<T: Real> MassMatrixFactor<T> {
-    /// Factor of the identity, with the sparsity of a robot's mass matrix.
+    /// Returns the factor of the identity, with the sparsity of the mass matrix of `model`.
     #[must_use]
     pub fn new(model: &Model<T>) -> Self {
         let n = model.n();
         let mut rows: Vec<(usize, Option<usize>)> = Vec::with_capacity(n);
         for joint in 0..n {
-            // Joints folded by mimic rules may couple any two: as if each were the parent of the next.
+            // Mimic constraints may couple any two joints. The matrix is then dense, as in a chain in which each joint
+            // is the parent of the next.
             let above =
                 if model.has_mimic_constraints() { joint.checked_sub(1) } else { model.bodies[joint].parent };
             rows.push(match above {
@@ -90,13 +92,13 @@ impl<T: Real> MassMatrixFactor<T> {
         Self { inverse_rows: upper.clone(), upper, reciprocal: vec![T::one(); n], ends, rows }
     }
 
-    /// Factors a mass matrix of the model's pattern (n × n, kg m²).
+    /// Factors a mass matrix (n × n, kg m²) with the sparsity of the model.
     ///
-    /// Returns `false`, with the factor incomplete, if a pivot isn't positive (in lanes: any of them): the matrix isn't
-    /// positive definite.
+    /// Returns `false` and leaves the factor incomplete if a pivot is not positive (with lanes: any of them), because
+    /// the matrix is then not positive definite.
     ///
     /// # Panics
-    /// If the matrix isn't n × n.
+    /// If the matrix is not n × n.
     #[must_use]
     pub fn update(&mut self, mass_matrix: &DMatrix<T>) -> bool {
         let n = self.reciprocal.len();
@@ -104,7 +106,7 @@ impl<T: Real> MassMatrixFactor<T> {
         self.upper.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
         for k in (0..n).rev() {
             let parent = self.parent(k);
-            // The columns left of k, and k itself.
+            // Columns to the left of k, and column k.
             let (left, right) = self.upper.as_mut_slice().split_at_mut(k * n);
             let (pivot, column) = (right[k], &mut right[..k]);
             if !pivot.simd_gt(T::zero()).all() {
@@ -112,7 +114,8 @@ impl<T: Real> MassMatrixFactor<T> {
             }
             let reciprocal = T::one() / pivot;
             self.reciprocal[k] = reciprocal;
-            // From k inwards: what is scaled is needed no more by those further in.
+            // Rows are scaled in order from k towards the base: the remaining rows do not use the entries that are
+            // already scaled.
             for row in ancestor_ranges(&self.rows, parent) {
                 for i in row.rev() {
                     let factor = column[i] * reciprocal;
@@ -133,7 +136,7 @@ impl<T: Real> MassMatrixFactor<T> {
         self.reciprocal.fill(T::one());
     }
 
-    /// Solves M x = b, in place of b.
+    /// Solves M x = b. `x` (n) contains b on entry and the solution on return.
     ///
     /// # Panics
     /// If `x` is shorter than n.
@@ -154,10 +157,10 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
-    /// Computes M⁻¹ X in place of X (n × n): all columns at once, row by row.
+    /// Replaces X (n × n) by M⁻¹ X, for all columns at once.
     ///
     /// # Panics
-    /// If `x` isn't n × n.
+    /// If `x` is not n × n.
     pub fn solve_matrix(&self, x: &mut DMatrix<T>) {
         let n = self.reciprocal.len();
         assert_eq!(x.shape(), (n, n), "n rows and n columns");
@@ -185,11 +188,11 @@ impl<T: Real> MassMatrixFactor<T> {
         x.transpose_mut();
     }
 
-    /// Returns J M⁻¹ Jᵀ (6 × 6), the task acceleration per unit of task force. Leaves J U⁻ᵀ D⁻¹ in place of J (6 × n),
-    /// for [`finish_solve`](Self::finish_solve).
+    /// Returns J M⁻¹ Jᵀ (6 × 6), the task acceleration per unit of task force. Replaces J (6 × n) by J U⁻ᵀ D⁻¹, the
+    /// input of [`finish_solve`](Self::finish_solve).
     ///
     /// # Panics
-    /// If `jacobian` doesn't have n columns.
+    /// If `jacobian` does not have n columns.
     pub fn mobility(&self, jacobian: &mut Matrix6xX<T>) -> Matrix6<T> {
         let n = self.reciprocal.len();
         assert_eq!(jacobian.ncols(), n, "one Jacobian column a joint");
@@ -197,7 +200,7 @@ impl<T: Real> MassMatrixFactor<T> {
         let (columns, _) = jacobian.as_mut_slice().as_chunks_mut::<6>();
         for k in (0..n).rev() {
             let y = columns[k];
-            // Joints that don't move the frame stay out of it.
+            // Joints that do not move the frame contribute nothing.
             if y == [T::zero(); 6] {
                 continue;
             }
@@ -212,10 +215,10 @@ impl<T: Real> MassMatrixFactor<T> {
         Matrix6::from_fn(|r, c| mobility[c][r])
     }
 
-    /// Computes J M⁻¹ in place of the result of [`mobility`](Self::mobility) (6 × n).
+    /// Replaces the result of [`mobility`](Self::mobility) (6 × n) by J M⁻¹.
     ///
     /// # Panics
-    /// If `half` doesn't have n columns.
+    /// If `half` does not have n columns.
     pub fn finish_solve(&self, half: &mut Matrix6xX<T>) {
         let n = self.reciprocal.len();
         assert_eq!(half.ncols(), n, "one Jacobian column a joint");
@@ -230,11 +233,11 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
-    /// Computes M⁻¹ (n × n) = Σ_k w_k w_kᵀ / D_k with w_k the k-th row of U⁻¹. Its non-zero entries are those of joint
-    /// k and its descendants, which are numbered contiguously.
+    /// Computes M⁻¹ (n × n) = Σ_k w_k w_kᵀ / D_k with w_k the k-th row of U⁻¹. Only the entries of w_k for joint k and
+    /// its descendants are not zero; their indices are contiguous.
     ///
     /// # Panics
-    /// If `out` isn't n × n.
+    /// If `out` is not n × n.
     pub fn inverse(&mut self, out: &mut DMatrix<T>) {
         let n = self.reciprocal.len();
         assert_eq!(out.shape(), (n, n), "n rows and n columns");
@@ -262,20 +265,20 @@ impl<T: Real> MassMatrixFactor<T> {
         }
     }
 
-    /// Parent of joint `k`.
+    /// Returns the parent of joint `k`.
     #[inline]
     fn parent(&self, k: usize) -> Option<usize> {
         parent(&self.rows, k)
     }
 
-    /// Column k of U above the diagonal.
+    /// Returns column k of U above the diagonal.
     #[inline]
     fn column(&self, k: usize) -> &[T] {
         &self.upper.as_slice()[k * self.reciprocal.len()..][..k]
     }
 }
 
-/// x ← x − y u.
+/// Subtracts y u from x.
 #[inline]
 fn subtract<T: Real>(x: &mut [T; 6], y: &[T; 6], u: T) {
     for (x, &y) in x.iter_mut().zip(y) {
@@ -285,14 +288,14 @@ fn subtract<T: Real>(x: &mut [T; 6], y: &[T; 6], u: T) {
 
 /// Factors [`Data::mass_matrix`] into [`Data::mass_matrix_factor`]. Needs [`crba`](crate::crba()).
 ///
-/// Returns `false` if it isn't positive definite: see [`MassMatrixFactor::update`].
+/// Returns `false` if the mass matrix is not positive definite: see [`MassMatrixFactor::update`].
 #[must_use]
 pub fn cholesky<T: Real>(data: &mut Data<T>) -> bool {
     data.mass_matrix_factor.update(&data.mass_matrix)
 }
 
 /// Computes M⁻¹ into [`Data::mass_matrix_inverse`]. Needs [`cholesky`]. The inverse itself is seldom needed:
-/// [`MassMatrixFactor::solve`] gives M⁻¹ x at less cost.
+/// [`MassMatrixFactor::solve`] computes M⁻¹ x at lower cost.
 pub fn mass_matrix_inverse<T: Real>(data: &mut Data<T>) {
     data.mass_matrix_factor.inverse(&mut data.mass_matrix_inverse);
 }

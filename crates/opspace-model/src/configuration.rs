@@ -1,8 +1,8 @@
-//! Configuration space of the robot: sums and differences on it.
+//! Addition and subtraction on the configuration space of the robot.
 //!
-//! Without a floating base q is n numbers and these are plain sums. With one, q begins with its position and unit
-//! quaternion, q̇ with its velocity in its own axes, and steps go along the screw motions of SE(3). In Pinocchio
-//! `neutral`, `integrate` and `difference`.
+//! Without a floating base, q is a vector and these are the ordinary sum and difference. With a floating base, q begins
+//! with the position and unit quaternion of the base, q̇ begins with the velocity of the base in its own axes, and the
+//! base moves along screw motions of SE(3). In Pinocchio `neutral`, `integrate` and `difference`.
 //!
 //! ```
 //! use opspace_model::{Inertia, Model, difference, integrate, neutral};
@@ -19,7 +19,7 @@ use crate::model::Model;
 use crate::spatial::skew;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
-/// Configuration of all zeros, a floating base not turned (nq). Allocates.
+/// Returns the configuration with all coordinates zero and, for a floating base, the identity rotation (nq). Allocates.
 #[must_use]
 pub fn neutral(model: &Model) -> Vec<f64> {
     let mut q = vec![0.0; model.nq()];
@@ -29,10 +29,11 @@ pub fn neutral(model: &Model) -> Vec<f64> {
     q
 }
 
-/// Configuration q ⊕ v that the robot reaches at the constant velocity `v` (n) in 1 s from `q` (nq), into `out` (nq).
+/// Computes q ⊕ v (nq) into `out`: the configuration that the robot reaches from `q` (nq) after 1 s at the constant
+/// velocity `v` (n).
 ///
 /// # Panics
-/// If a slice is shorter than that.
+/// If a slice is too short.
 pub fn integrate(model: &Model, q: &[f64], v: &[f64], out: &mut [f64]) {
     let (mut q, mut v, mut out) = (&q[..model.nq()], &v[..model.n()], &mut out[..model.nq()]);
     if model.is_floating() {
@@ -50,11 +51,11 @@ pub fn integrate(model: &Model, q: &[f64], v: &[f64], out: &mut [f64]) {
     }
 }
 
-/// Velocity v with `from` ⊕ v = `to` (nq each), into `out` (n): the constant velocity that moves the robot from one
-/// to the other in 1 s, a floating base turning by π at most.
+/// Computes v with `from` ⊕ v = `to` (nq each) into `out` (n): the constant velocity that moves the robot from `from`
+/// to `to` in 1 s. A floating base rotates by at most π.
 ///
 /// # Panics
-/// If a slice is shorter than that.
+/// If a slice is too short.
 pub fn difference(model: &Model, from: &[f64], to: &[f64], out: &mut [f64]) {
     let (mut from, mut to, mut out) = (&from[..model.nq()], &to[..model.nq()], &mut out[..model.n()]);
     if model.is_floating() {
@@ -77,7 +78,8 @@ fn pose(q: &[f64]) -> (Vector3<f64>, UnitQuaternion<f64>) {
     )
 }
 
-/// Left Jacobian ∫₀¹ exp(s ω×) ds: the mean rotation of a body that turns by ω, which maps its velocity to its path.
+/// Returns the left Jacobian of SO(3), ∫₀¹ exp(s ω×) ds, for the rotation vector ω (rad). It maps a constant linear
+/// velocity in body axes to the displacement after 1 s.
 fn left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     let angle = angular.norm();
     let w = skew(angular);
@@ -85,14 +87,14 @@ fn left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
         let square = angle * angle;
         (0.5 - square * (1.0 / 24.0 - square / 720.0), 1.0 / 6.0 - square * (1.0 / 120.0 - square / 5_040.0))
     } else {
-        // 1 − cos by the half angle: nothing cancels.
+        // Half-angle formula for 1 − cos, which avoids cancellation.
         let half = (0.5 * angle).sin();
         (2.0 * half * half / (angle * angle), (angle - angle.sin()) / angle.powi(3))
     };
     Matrix3::identity() + w * a + w * w * b
 }
 
-/// Inverse of [`left_jacobian`], for angles up to π.
+/// Returns the inverse of [`left_jacobian`], for angles up to π.
 fn inverse_left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     let angle = angular.norm();
     let w = skew(angular);
@@ -105,6 +107,6 @@ fn inverse_left_jacobian(angular: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - w * 0.5 + w * w * b
 }
 
-/// Angle below which the next term of each series is lost in rounding, rad; above it the quotients' own rounding is,
-/// where they are multiplied with the angle's square.
+/// Angle below which the series are used, rad. Below it, the next term of each series is smaller than rounding errors;
+/// above it, the rounding errors of the quotients vanish after multiplication by the square of the angle.
 const SMALL_ANGLE: f64 = 1e-2;

@@ -1,9 +1,8 @@
-//! Coriolis matrix of Christoffel's symbols.
+//! Coriolis matrix from Christoffel symbols.
 //!
-//! Echeandia and Wensing, *Numerical methods to compute the Coriolis matrix and Christoffel symbols for
-//! rigid-body systems*, J. Computational and Nonlinear Dynamics 16(9), 2021; in Pinocchio
-//! `computeCoriolisMatrix`. Of the many C with C q̇ = h − g this is the one with Ṁ = C + Cᵀ whose entries are
-//! the Christoffel symbols times q̇.
+//! Echeandia and Wensing, *Numerical methods to compute the Coriolis matrix and Christoffel symbols for rigid-body
+//! systems*, J. Computational and Nonlinear Dynamics 16(9), 2021; in Pinocchio `computeCoriolisMatrix`. Many matrices C
+//! satisfy C q̇ = h − g. This one also satisfies Ṁ = C + Cᵀ, and its entries are the Christoffel symbols times q̇.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -28,13 +27,14 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion, SpatialInertia, skew};
 use nalgebra::{Matrix3, Vector3};
 
-/// Velocity terms of a body, or of several: `B = ½ (v ×* I − I v × + (I v) ×̄*)`, where `f ×̄* m` is
-/// `m ×* f`. In the blocks of a 6×6, only two are not zero: `[0, −l ×; 0, D]`. They are summed like inertias.
+/// Velocity terms of one or more bodies: `B = ½ (v ×* I − I v × + (I v) ×̄*)`, where `f ×̄* m` is `m ×* f`. As a 6×6
+/// matrix, only two of its blocks are not zero: `[0, −l ×; 0, D]`. The terms of several bodies are added, like
+/// inertias.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoriolisFactor<T> {
-    /// l: linear momentum.
+    /// Linear momentum l, Ns.
     linear: Vector3<T>,
-    /// D: map of the angular velocity.
+    /// Block D, which multiplies the angular velocity.
     angular: Matrix3<T>,
 }
 
@@ -43,7 +43,7 @@ impl<T: Real> CoriolisFactor<T> {
         Self { linear: Vector3::zeros(), angular: Matrix3::zeros() }
     }
 
-    /// Returns the factor of a body that moves at `v`: `2 D = ω× I − I ω× − k× − (u× h× + h× u×)` with k its angular
+    /// Returns the factor of a body with velocity `v`: `2 D = ω× I − I ω× − k× − (u× h× + h× u×)`, with k its angular
     /// momentum and u its linear velocity.
     fn new(inertia: &SpatialInertia<T>, v: &Motion<T>) -> Self {
         let momentum = inertia.apply(v);
@@ -58,12 +58,12 @@ impl<T: Real> CoriolisFactor<T> {
         self.angular += other.angular;
     }
 
-    /// B m.
+    /// Returns B m.
     pub fn apply(&self, m: &Motion<T>) -> Force<T> {
         Force { linear: m.angular.cross(&self.linear), angular: self.angular * m.angular }
     }
 
-    /// Bᵀ m.
+    /// Returns Bᵀ m.
     pub fn apply_transposed(&self, m: &Motion<T>) -> Force<T> {
         Force {
             linear: Vector3::zeros(),
@@ -74,7 +74,7 @@ impl<T: Real> CoriolisFactor<T> {
 
 /// Computes C(q, q̇) into [`Data::coriolis_matrix`] (n × n, Nms/rad). Needs [`kinematics`](crate::kinematics()).
 ///
-/// Entry (i, j) is not zero only where one of the two joints is an ancestor of the other.
+/// Entry (i, j) is zero unless i = j or one of the two joints is an ancestor of the other.
 pub fn coriolis<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composite_factors(model, data);
     data.coriolis_matrix.as_mut_slice().fill(T::zero());
@@ -93,7 +93,7 @@ pub fn coriolis<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// Computes inertia and velocity terms of every body with its descendants.
+/// Computes the composite inertia and the composite velocity terms of every body, including its descendants.
 pub(crate) fn composite_factors<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     bodies(model, data);
     for (factor, (inertia, v)) in

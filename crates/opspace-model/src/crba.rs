@@ -1,4 +1,4 @@
-//! Mass matrix, by the composite-rigid-body algorithm.
+//! Mass matrix by the composite-rigid-body algorithm.
 //!
 //! RBDA table 6.2; in Pinocchio `crba`.
 //!
@@ -22,11 +22,11 @@ use crate::data::Data;
 use crate::model::Model;
 use crate::real::Real;
 
-/// Computes M(q) with the rotors' inertias on its diagonal, into [`Data::mass_matrix`] (n × n, full, kg m²). Needs
+/// Computes M(q), with the rotor inertias on its diagonal, into [`Data::mass_matrix`] (n × n, full, kg m²). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 ///
-/// Column i is the torque of every joint while joint i alone accelerates at 1 rad/s²: it moves only its
-/// subtree, as one rigid body, and only its ancestors feel it.
+/// Column i contains the torques of all joints while only joint i accelerates, at 1 rad/s². Joint i moves its subtree
+/// as one rigid body, and only the ancestors of joint i transmit the resulting force.
 pub fn crba<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     composites(model, data);
     mass_matrix(model, data);
@@ -52,13 +52,13 @@ pub(crate) fn mass_matrix<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// Computes the composite inertia of every body: its own and those of its descendants.
+/// Computes the composite inertia of every body: the sum of its own inertia and the inertias of its descendants.
 pub(crate) fn composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     bodies(model, data);
     compose(model, data);
 }
 
-/// Adds to the inertia of every body those of its descendants.
+/// Adds the inertias of the descendants to the inertia of every body.
 #[inline]
 pub(crate) fn compose<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (i, body) in model.bodies.iter().enumerate().rev() {
@@ -69,7 +69,7 @@ pub(crate) fn compose<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     }
 }
 
-/// Computes the inertia of every body on its own.
+/// Computes the inertia of every single body.
 #[inline]
 pub(crate) fn bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (inertia, (body, place)) in data.composite.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {

@@ -1,4 +1,4 @@
-//! Results of the algorithms: allocated once, written every control cycle.
+//! Results of the algorithms. They are allocated once and overwritten in every control cycle.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -19,36 +19,38 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion, Placement, SpatialInertia};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3};
 
-/// Results and intermediate values of the algorithms for one model: n is the number of its joints. Each field names
-/// the function that fills it.
+/// Results and intermediate values of the algorithms for one model with n joints. The documentation of each field names
+/// the function that computes it.
 ///
-/// Quantities of a body (`placement`, `screw`, `velocity`, ...: index i is body i) are in world axes, and spatial
-/// quantities are about one common point, [`origin`](Self::origin). Nothing needs to be transformed from body
-/// to body: velocities, forces and inertias of a tree are summed as they are.
+/// Body quantities (`placement`, `screw`, `velocity`, ...: index i is body i) are in world axes, and spatial quantities
+/// are about one common point, [`origin`](Self::origin). Velocities, forces and inertias of different bodies can
+/// therefore be added without a transformation.
 #[derive(Clone, Debug)]
 pub struct Data<T: Real = f64> {
     /// Joint positions of the last [`forward_kinematics`](crate::forward_kinematics), rad or m (nq).
     pub q: DVector<T>,
     /// Joint velocities of the last [`kinematics`](crate::kinematics()), rad/s or m/s (n).
     pub dq: DVector<T>,
-    /// Position of the base, the point about which spatial quantities are taken, m in the world. By
+    /// Position in the world of the fixed base or of the floating root, m. Spatial quantities are about this point. By
     /// [`forward_kinematics`](crate::forward_kinematics).
     pub origin: Vector3<T>,
     /// Pose of each body in the world. By [`forward_kinematics`](crate::forward_kinematics).
     pub placement: Vec<Placement<T>>,
-    /// S: motion of each body per unit of its joint. By [`forward_kinematics`](crate::forward_kinematics).
+    /// S: motion of each body relative to its parent per unit of joint velocity. By
+    /// [`forward_kinematics`](crate::forward_kinematics).
     pub screw: Vec<Motion<T>>,
-    /// Velocity of each body. By [`kinematics`](crate::kinematics()).
+    /// Spatial velocity of each body, m/s and rad/s. By [`kinematics`](crate::kinematics()).
     pub velocity: Vec<Motion<T>>,
-    /// Spatial acceleration of each body with q̈ = 0 and without gravity. By [`kinematics`](crate::kinematics()).
+    /// Spatial acceleration of each body with q̈ = 0 and without gravity, m/s² and rad/s². By
+    /// [`kinematics`](crate::kinematics()).
     pub bias_acceleration: Vec<Motion<T>>,
     /// M(q), full and symmetric (n × n), kg m². By [`crba`](crate::crba()).
     pub mass_matrix: DMatrix<T>,
-    /// U and D of M = U D Uᵀ. By [`cholesky`](crate::cholesky()).
+    /// Factors U and D of M = U D Uᵀ. By [`cholesky`](crate::cholesky()).
     pub mass_matrix_factor: MassMatrixFactor<T>,
-    /// M⁻¹(q) (n × n). By [`mass_matrix_inverse`](crate::mass_matrix_inverse).
+    /// M⁻¹(q) (n × n), 1/(kg m²). By [`mass_matrix_inverse`](crate::mass_matrix_inverse).
     pub mass_matrix_inverse: DMatrix<T>,
-    /// C(q, q̇) of Christoffel's symbols (n × n), Nms/rad. By [`coriolis`](crate::coriolis()).
+    /// C(q, q̇) from Christoffel symbols (n × n), Nms/rad. By [`coriolis`](crate::coriolis()).
     pub coriolis_matrix: DMatrix<T>,
     /// C(q, q̇) q̇ + g(q), Nm (n). By [`bias`](crate::bias).
     pub bias: DVector<T>,
@@ -58,8 +60,8 @@ pub struct Data<T: Real = f64> {
     pub torque: DVector<T>,
     /// Joint accelerations, rad/s² (n). By [`aba`](crate::aba()).
     pub ddq: DVector<T>,
-    /// A (6 × n): linear and angular momentum about the centre of mass per unit of q̇. By
-    /// [`centroidal_map`](crate::centroidal_map).
+    /// Centroidal map A (6 × n): linear and angular momentum about the centre of mass per unit of q̇, kg m and kg m².
+    /// By [`centroidal_map`](crate::centroidal_map).
     pub centroidal_map: Matrix6xX<T>,
     /// ∂τ/∂q of inverse dynamics (n × n), Nm/rad. By [`rnea_derivatives`](crate::rnea_derivatives).
     pub torque_by_q: DMatrix<T>,
@@ -70,7 +72,7 @@ pub struct Data<T: Real = f64> {
     /// ∂q̈/∂q̇ of forward dynamics (n × n), 1/s. By [`aba_derivatives`](crate::aba_derivatives).
     pub ddq_by_dq: DMatrix<T>,
 
-    /// Joint position of each body, ratio and offset included.
+    /// Position of the joint of each body, `ratio` q + `offset`, rad or m.
     pub(crate) angle: Vec<T>,
     pub(crate) sin_cos: Vec<(T, T)>,
     pub(crate) acceleration: Vec<Motion<T>>,
@@ -82,7 +84,7 @@ pub struct Data<T: Real = f64> {
     pub(crate) column: Vec<ArticulatedColumn<T>>,
 }
 
-/// Inertia of a subtree whose joints are free: a symmetric 6×6 in three blocks,
+/// Articulated-body inertia: the apparent inertia of a subtree with free joints. It is a symmetric 6×6 in three blocks,
 /// `[f; n] = [linear, couplingᵀ; coupling, angular] [v; ω]`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArticulatedInertia<T> {
@@ -91,7 +93,7 @@ pub(crate) struct ArticulatedInertia<T> {
     pub angular: Matrix3<T>,
 }
 
-/// Values of a joint kept between the passes of the articulated-body algorithm: U = I S, 1/D, u.
+/// Joint quantities that pass from one recursion of the articulated-body algorithm to the next: U = I S, 1/D, u.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArticulatedColumn<T> {
     pub force: Force<T>,
@@ -100,7 +102,8 @@ pub(crate) struct ArticulatedColumn<T> {
 }
 
 impl<T: Real> Data<T> {
-    /// Allocates for every algorithm on `model`; all results are zero, or the identity, until computed.
+    /// Allocates the results of all algorithms for `model`. All values are zero or the identity until they are
+    /// computed.
     #[must_use]
     pub fn new(model: &Model<T>) -> Self {
         let (n, bodies) = (model.n(), model.bodies().len());

@@ -1,4 +1,4 @@
-//! First-order derivatives of inverse and forward dynamics in q and q̇.
+//! First-order derivatives of inverse and forward dynamics with respect to q and q̇.
 //!
 //! Singh, Russell and Wensing, *Efficient analytical derivatives of rigid-body dynamics using spatial vector
 //! algebra*, IEEE Robotics and Automation Letters 7(2), 2022; in Pinocchio `computeRNEADerivatives` and
@@ -10,8 +10,9 @@
 //! ∂τ_j/∂q_i = S_jᵀ (2 B_i Ψ̇_i + I_i Ψ̈_i + S_i ×* f_i)   ∂τ_j/∂q̇_i = S_jᵀ (2 B_i S_i + I_i (Ψ̇_i + Ṡ_i))
 //! ```
 //!
-//! where I_i, B_i and f_i are of the whole subtree, B the velocity terms of [`coriolis`](crate::coriolis()). The
-//! derivative in the coordinates of a floating base is that along its own axes, as q̇ is.
+//! where I_i, B_i and f_i are the sums over the subtree of i, and B are the velocity terms of
+//! [`coriolis`](crate::coriolis()). Derivatives with respect to the coordinates of a floating base are along the axes
+//! of the base, like q̇.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -36,14 +37,14 @@ use crate::rnea::rnea;
 use crate::spatial::Motion;
 use nalgebra::{DVector, Vector3};
 
-/// Computes ∂τ/∂q and ∂τ/∂q̇ of [`rnea`](crate::rnea()) at `ddq` (n; rad/s²), into [`Data::torque_by_q`] and
-/// [`Data::torque_by_dq`]; ∂τ/∂q̈ is the mass matrix. Also computes the results of [`rnea`](crate::rnea()). Needs
-/// [`kinematics`](crate::kinematics()).
+/// Computes ∂τ/∂q and ∂τ/∂q̇ of [`rnea`](crate::rnea()) at `ddq` (n; rad/s²) into [`Data::torque_by_q`] and
+/// [`Data::torque_by_dq`]; ∂τ/∂q̈ is the mass matrix. The results of [`rnea`](crate::rnea()) are computed as well.
+/// Needs [`kinematics`](crate::kinematics()).
 ///
 /// # Panics
 /// If `ddq` is shorter than the number of joints.
 pub fn rnea_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
-    // Leaves the subtrees' forces in `force`.
+    // Afterwards `force` contains the forces of the subtrees.
     rnea(model, data, ddq);
     composite_factors(model, data);
     for i in 0..model.bodies.len() {
@@ -57,7 +58,7 @@ pub fn rnea_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
         let screw = &data.screw[i];
         let mut by_q = factor.apply(&own.psi_dot) * two + inertia.apply(&own.psi_ddot);
         let by_dq = factor.apply(screw) * two + inertia.apply(&own.velocity);
-        // The six of a floating base turn together: none sees the others' forces turn.
+        // The six bodies of a floating base are one joint: its screws do not rotate the forces of one another.
         if body.kind != JointKind::Floating {
             by_q += screw.cross_force(&data.force[i]);
         }
@@ -75,7 +76,7 @@ pub fn rnea_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     }
 }
 
-/// Rates of change of a body's screw, in the module's symbols.
+/// Time derivatives of the screw of a body, in the notation of the module.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rates<T> {
     psi_dot: Motion<T>,
@@ -91,7 +92,7 @@ impl<T: Real> Rates<T> {
 
     fn of(model: &Model<T>, data: &Data<T>, i: usize) -> Self {
         let body = &model.bodies[i];
-        // A floating base moves against the world, which accelerates upwards.
+        // A floating base moves relative to the world, to which gravity gives an upward acceleration.
         let parent = body.parent.filter(|_| body.kind != JointKind::Floating);
         let (v, a) = match parent {
             Some(p) => (data.velocity[p], data.acceleration[p] + data.bias_acceleration[p]),
@@ -104,9 +105,9 @@ impl<T: Real> Rates<T> {
     }
 }
 
-/// Computes ∂q̈/∂q and ∂q̈/∂q̇ of [`aba`](crate::aba()) under `tau` (n; Nm), into [`Data::ddq_by_q`] and
-/// [`Data::ddq_by_dq`]; ∂q̈/∂τ is M⁻¹. Also computes the results of [`aba`](crate::aba()) and [`rnea_derivatives`].
-/// Needs [`kinematics`](crate::kinematics()) and [`cholesky`](crate::cholesky()).
+/// Computes ∂q̈/∂q and ∂q̈/∂q̇ of [`aba`](crate::aba()) at the torques `tau` (n; Nm) into [`Data::ddq_by_q`] and
+/// [`Data::ddq_by_dq`]; ∂q̈/∂τ is M⁻¹. The results of [`aba`](crate::aba()) and [`rnea_derivatives`] are computed as
+/// well. Needs [`kinematics`](crate::kinematics()) and [`cholesky`](crate::cholesky()).
 ///
 /// ```text
 /// ∂q̈/∂q = −M⁻¹ ∂τ/∂q          ∂q̈/∂q̇ = −M⁻¹ ∂τ/∂q̇
@@ -116,7 +117,7 @@ impl<T: Real> Rates<T> {
 /// As [`aba`](crate::aba()).
 pub fn aba_derivatives<T: Real>(model: &Model<T>, data: &mut Data<T>, tau: &[T]) {
     aba(model, data, tau);
-    // Out of `data` for as long as they are read.
+    // Moved out of `data` while it is borrowed.
     let ddq = std::mem::replace(&mut data.ddq, DVector::zeros(0));
     rnea_derivatives(model, data, ddq.as_slice());
     data.ddq = ddq;

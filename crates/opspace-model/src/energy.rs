@@ -1,4 +1,4 @@
-//! Energies and the centre of mass.
+//! Kinetic and potential energy, and the centre of mass.
 //!
 //! In Pinocchio `computeKineticEnergy`, `computePotentialEnergy` and `centerOfMass`.
 //!
@@ -22,7 +22,7 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion};
 use nalgebra::Vector3;
 
-/// Kinetic energy ½ q̇ᵀ M q̇, rotors included, J. Needs [`kinematics`](crate::kinematics()).
+/// Returns the kinetic energy ½ q̇ᵀ M q̇, including rotors, J. Needs [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn kinetic_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     let mut twice = T::zero();
@@ -35,20 +35,20 @@ pub fn kinetic_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     twice * T::splat(0.5)
 }
 
-/// Momentum of body i at `v`, about [`Data::origin`].
+/// Returns the momentum of body i with velocity `v`, about [`Data::origin`].
 #[inline]
 pub(crate) fn momentum<T: Real>(model: &Model<T>, data: &Data<T>, i: usize, v: &Motion<T>) -> Force<T> {
     model.bodies[i].spatial_inertia(&data.placement[i], &data.origin).apply(v)
 }
 
-/// Potential energy: work against gravity from the plane through the world's origin, J. Needs
+/// Returns the potential energy in the gravity field, J; zero if the centre of mass is at the world origin. Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 #[must_use]
 pub fn potential_energy<T: Real>(model: &Model<T>, data: &Data<T>) -> T {
     -model.gravity.dot(&first_moment(model, data))
 }
 
-/// Centre of mass of all moving bodies in the world, m; `None` if they have no mass. Needs
+/// Returns the centre of mass of all moving bodies in the world, m; `None` if they have no mass. Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 #[must_use]
 pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vector3<T>> {
@@ -56,14 +56,14 @@ pub fn center_of_mass<T: Real>(model: &Model<T>, data: &Data<T>) -> Option<Vecto
     (mass != T::zero()).then(|| first_moment(model, data) / mass)
 }
 
-/// Velocity of the centre of mass (m/s, world axes); zero if the bodies have no mass. Needs
+/// Returns the velocity of the centre of mass (m/s, world axes); zero if the bodies have no mass. Needs
 /// [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn com_velocity<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
     mean_over_mass(model, data, |body, com| data.velocity[body].shifted_to(com).linear)
 }
 
-/// Acceleration J̇ q̇ of the centre of mass with q̈ = 0 (m/s², world axes); zero if the bodies have no mass.
+/// Returns the acceleration J̇ q̇ of the centre of mass for q̈ = 0 (m/s², world axes); zero if the bodies have no mass.
 /// Needs [`kinematics`](crate::kinematics()).
 #[must_use]
 pub fn com_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
@@ -73,7 +73,8 @@ pub fn com_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>) -> Vecto
     })
 }
 
-/// Mean over all mass of a quantity of each body and its centre of mass, from [`Data::origin`].
+/// Returns the mass-weighted mean of a vector of each body. `of` receives the index of the body and its centre of mass
+/// relative to [`Data::origin`].
 fn mean_over_mass<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -89,7 +90,7 @@ fn mean_over_mass<T: Real>(
     sum
 }
 
-/// Σ m c, kg m.
+/// Returns the first moment of mass Σ m c, kg m.
 fn first_moment<T: Real>(model: &Model<T>, data: &Data<T>) -> Vector3<T> {
     let mut sum = Vector3::zeros();
     for (body, placement) in model.bodies.iter().zip(&data.placement) {

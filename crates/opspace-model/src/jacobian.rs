@@ -1,8 +1,8 @@
-//! Jacobians of frames, points and the centre of mass, and their rates of change.
+//! Jacobians of frames, points and the centre of mass, and their time derivatives.
 //!
-//! All are 6 × n, or 3 × n where nothing turns, linear rows first, and need
-//! [`forward_kinematics`](crate::forward_kinematics); their rates need [`kinematics`](crate::kinematics()). In
-//! Pinocchio `getFrameJacobian` and `getFrameJacobianTimeVariation` with
+//! Jacobians are 6 × n (3 × n for the centre of mass), with the linear rows first. They need
+//! [`forward_kinematics`](crate::forward_kinematics); their time derivatives need [`kinematics`](crate::kinematics()).
+//! In Pinocchio `getFrameJacobian` and `getFrameJacobianTimeVariation` with
 //!
 //! | here | Pinocchio's reference frame | velocity is that of |
 //! |---|---|---|
@@ -36,11 +36,12 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion};
 use nalgebra::{Matrix3xX, Matrix6xX, Vector3};
 
-/// Computes J (6 × n) with J q̇ = [`frame_velocity`]: world axes, at the frame's origin. A revolute joint's column is
-/// `[z × (p − o); z]`, a prismatic one's `[z; 0]`, with z its axis and o its origin.
+/// Computes J (6 × n) with J q̇ = [`frame_velocity`]: in world axes, at the origin of the frame. The column of a
+/// revolute joint is `[z × (p − o); z]`, that of a prismatic joint `[z; 0]`, with z the joint axis, o its origin and p
+/// the origin of the frame.
 ///
 /// # Panics
-/// If `jacobian` doesn't have n columns.
+/// If `jacobian` does not have n columns.
 pub fn frame_jacobian<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -51,10 +52,11 @@ pub fn frame_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, |i| data.screw[i].shifted_to(&point));
 }
 
-/// Computes the Jacobian of a point fixed in a frame, given in that frame (m), with the frame's rotation: world axes.
+/// Computes the Jacobian (6 × n) of a point fixed in a frame, in world axes: linear velocity of the point and angular
+/// velocity of the frame. `point` is given in the frame (m).
 ///
 /// # Panics
-/// If `jacobian` doesn't have n columns.
+/// If `jacobian` does not have n columns.
 pub fn point_jacobian<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -69,7 +71,7 @@ pub fn point_jacobian<T: Real>(
 /// Computes [`frame_jacobian`] in the frame's own axes.
 ///
 /// # Panics
-/// If `jacobian` doesn't have n columns.
+/// If `jacobian` does not have n columns.
 pub fn local_jacobian<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -83,10 +85,11 @@ pub fn local_jacobian<T: Real>(
     });
 }
 
-/// Computes the spatial Jacobian: world axes, of the body's point that is at the world's origin.
+/// Computes the spatial Jacobian, in world axes: linear velocity of the body point at the world origin, and angular
+/// velocity.
 ///
 /// # Panics
-/// If `jacobian` doesn't have n columns.
+/// If `jacobian` does not have n columns.
 pub fn world_jacobian<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -96,11 +99,12 @@ pub fn world_jacobian<T: Real>(
     sum_columns(model, frame, jacobian, |i| data.screw[i].shifted_to(&-data.origin));
 }
 
-/// Computes the Jacobian of the motion of `frame` relative to `from`: the velocity of its origin as seen by a body
-/// that moves with `from`, in the axes of `from`. J_rel = R_fromᵀ (J of `frame` − J of `from` at the same point).
+/// Computes the Jacobian of the motion of `frame` relative to `from`: the velocity of the origin of `frame` relative to
+/// the moving frame `from`, and the relative angular velocity, in the axes of `from`. J_rel = R_fromᵀ (J of `frame` − J
+/// of `from` at the same point).
 ///
 /// # Panics
-/// If `jacobian` doesn't have n columns.
+/// If `jacobian` does not have n columns.
 pub fn relative_jacobian<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -112,7 +116,7 @@ pub fn relative_jacobian<T: Real>(
     let point = frame_point(model, data, frame);
     let column = |i: usize| data.screw[i].shifted_to(&point).rotated_inverse(&axes);
     sum_columns(model, frame, jacobian, column);
-    // Common ancestors move neither against the other: their columns cancel to the bit.
+    // Common ancestors cause no relative motion: their columns cancel exactly.
     for i in model.ancestors(from) {
         let column = -column(i);
         add(jacobian, model.bodies[i].joint, &column.linear, &column.angular);
@@ -122,7 +126,7 @@ pub fn relative_jacobian<T: Real>(
 /// Computes J̇ of [`frame_jacobian`].
 ///
 /// # Panics
-/// If `rate` doesn't have n columns.
+/// If `rate` does not have n columns.
 pub fn frame_jacobian_rate<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -137,7 +141,7 @@ pub fn frame_jacobian_rate<T: Real>(
 /// Computes J̇ of [`local_jacobian`].
 ///
 /// # Panics
-/// If `rate` doesn't have n columns.
+/// If `rate` does not have n columns.
 pub fn local_jacobian_rate<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -148,7 +152,7 @@ pub fn local_jacobian_rate<T: Real>(
     let point = place.translation - data.origin;
     let velocity = frame_velocity(model, data, frame);
     sum_columns(model, frame, rate, |i| {
-        // The axes turn too: d/dt (Rᵀ x) = Rᵀ (ẋ − ω × x).
+        // The axes of the frame rotate too: d/dt (Rᵀ x) = Rᵀ (ẋ − ω × x).
         let column = data.screw[i].shifted_to(&point);
         let turning = Motion {
             linear: velocity.angular.cross(&column.linear),
@@ -161,7 +165,7 @@ pub fn local_jacobian_rate<T: Real>(
 /// Computes J̇ of [`world_jacobian`].
 ///
 /// # Panics
-/// If `rate` doesn't have n columns.
+/// If `rate` does not have n columns.
 pub fn world_jacobian_rate<T: Real>(
     model: &Model<T>,
     data: &Data<T>,
@@ -171,11 +175,11 @@ pub fn world_jacobian_rate<T: Real>(
     sum_columns(model, frame, rate, |i| screw_rate(data, i).shifted_to(&-data.origin));
 }
 
-/// Computes J (3 × n) with J q̇ the velocity of the centre of mass of all moving bodies, world axes. Zero if they
-/// have no mass.
+/// Computes J (3 × n) such that J q̇ is the velocity of the centre of mass of all moving bodies, in world axes. Zero if
+/// the bodies have no mass.
 ///
 /// # Panics
-/// If `jacobian` doesn't have n columns.
+/// If `jacobian` does not have n columns.
 pub fn com_jacobian<T: Real>(model: &Model<T>, data: &mut Data<T>, jacobian: &mut Matrix3xX<T>) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
     jacobian.as_mut_slice().fill(T::zero());
@@ -189,7 +193,7 @@ pub fn com_jacobian<T: Real>(model: &Model<T>, data: &mut Data<T>, jacobian: &mu
     }
 }
 
-/// Adds Jᵀ f of a wrench at a frame (world axes, at its origin) to [`Data::torque`].
+/// Adds Jᵀ f of the wrench f at a frame (in world axes, at its origin) to [`Data::torque`].
 pub(crate) fn add_external<T: Real>(model: &Model<T>, data: &mut Data<T>, frame: FrameId, wrench: &Force<T>) {
     let point = frame_point(model, data, frame);
     for i in model.ancestors(frame) {
@@ -197,13 +201,13 @@ pub(crate) fn add_external<T: Real>(model: &Model<T>, data: &mut Data<T>, frame:
     }
 }
 
-/// Rate of a screw: Ṡ = v × S.
+/// Returns the time derivative of the screw of body i, Ṡ = v × S.
 #[inline]
 pub(crate) fn screw_rate<T: Real>(data: &Data<T>, i: usize) -> Motion<T> {
     data.velocity[i].cross_motion(&data.screw[i])
 }
 
-/// Rate of a screw at a point that moves.
+/// Returns the time derivative of the screw of body i at a moving point.
 #[inline]
 fn rate_at<T: Real>(data: &Data<T>, i: usize, point: &Vector3<T>, velocity: &Vector3<T>) -> Motion<T> {
     let mut rate = screw_rate(data, i).shifted_to(point);
@@ -211,7 +215,7 @@ fn rate_at<T: Real>(data: &Data<T>, i: usize, point: &Vector3<T>, velocity: &Vec
     rate
 }
 
-/// Writes the columns of all joints that move `frame`; zero for the others.
+/// Writes the columns of all joints that move `frame`, and zeros for the other joints.
 #[inline]
 fn sum_columns<T: Real>(
     model: &Model<T>,
@@ -227,7 +231,7 @@ fn sum_columns<T: Real>(
     }
 }
 
-/// Adds to the column of a joint.
+/// Adds to the column of joint `joint`.
 #[inline]
 pub(crate) fn add<T: Real>(
     jacobian: &mut Matrix6xX<T>,

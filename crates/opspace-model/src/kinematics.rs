@@ -1,4 +1,4 @@
-//! Pose, velocity and acceleration of every body: forward kinematics to second order.
+//! Forward kinematics to second order: pose, velocity and acceleration of every body.
 //!
 //! RBDA §4.1 and the forward pass of table 5.1, in world axes; in Pinocchio `forwardKinematics`,
 //! `getFrameVelocity`, and `getFrameClassicalAcceleration` with q̈ = 0.
@@ -28,7 +28,8 @@ use crate::spatial::{Motion, Placement, SpatialInertia};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 impl JointKind {
-    /// Pose of the body at `x`, with its sine and cosine, in the frame in which `origin` is its pose at zero.
+    /// Returns the pose of the body at joint position `x` (rad or m, with its sine and cosine). `origin` is the pose at
+    /// joint position zero; both poses are in the same frame.
     #[inline]
     pub(crate) fn placement<T: Real>(self, origin: &Placement<T>, x: T, (s, c): (T, T)) -> Placement<T> {
         let rotation = &origin.rotation;
@@ -41,22 +42,22 @@ impl JointKind {
                 let columns = [x * c + y * s, y * c - x * s, rotation.column(2).into_owned()];
                 Placement { rotation: Matrix3::from_columns(&columns), translation: origin.translation }
             }
-            // Placed by the quaternion of the whole base.
+            // The pose of a floating base is set by `place_base`.
             Self::Floating => *origin,
         }
     }
 }
 
-/// Computes the pose of every body at `q` (nq; rad, m), [`Data::placement`], and its screw S, [`Data::screw`].
+/// Computes the pose [`Data::placement`] and the screw S, [`Data::screw`], of every body at `q` (nq; rad, m).
 ///
-/// A revolute joint's screw is `[o × z; z]`, a prismatic one's `[z; 0]`, with z its axis and o its place
-/// from [`Data::origin`].
+/// The screw of a revolute joint is `[o × z; z]`, that of a prismatic joint `[z; 0]`, with z the joint axis and o its
+/// position relative to [`Data::origin`]. The screw of a mimic joint is multiplied by its ratio.
 ///
-/// Angles keep their digits up to 1e6 rad; beyond 1e15 rad rotations are meaningless. The quaternion of a floating base
-/// is normalized; one of zeros gives NaN.
+/// Results are accurate to rounding for angles up to 1e6 rad; beyond 1e15 rad rotations are meaningless. The quaternion
+/// of a floating base is normalized; a zero quaternion gives NaN.
 ///
 /// # Panics
-/// If `q` is shorter than nq, or `data` is of a model with another number of bodies or joints.
+/// If `q` is shorter than nq, or if `data` belongs to a model with another number of bodies or joints.
 pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
     assert!(data.placement.len() == model.bodies.len() && data.dq.len() == model.n(), "data of this model");
     let q = &q[..model.nq()];
@@ -65,7 +66,7 @@ pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]
     if model.floating {
         place_base(model, data, q);
     }
-    // A quaternion has one number more than there are coordinates.
+    // The quaternion of a floating base has one entry more than its angular velocity.
     let q = &q[usize::from(model.floating)..];
     let first = model.first_jointed_body();
     let Data { origin, placement, screw, angle, sin_cos, .. } = data;
@@ -87,19 +88,19 @@ pub fn forward_kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]
 }
 
 impl<T: Real> Body<T> {
-    /// Centre of mass of a body at `place`, from `origin`.
+    /// Returns the centre of mass of a body with pose `place`, relative to `origin` (m, world axes).
     #[inline]
     pub(crate) fn com(&self, place: &Placement<T>, origin: &Vector3<T>) -> Vector3<T> {
         place.act_point(&self.inertia.com) - origin
     }
 
-    /// Inertia of a body at `place`, about `origin`.
+    /// Returns the inertia of a body with pose `place`, about `origin`.
     #[inline]
     pub(crate) fn spatial_inertia(&self, place: &Placement<T>, origin: &Vector3<T>) -> SpatialInertia<T> {
         SpatialInertia::new(&self.inertia, &place.rotation, &self.com(place, origin))
     }
 
-    /// Screw S of a body at `place`.
+    /// Returns the screw S of a body with pose `place`.
     #[inline]
     fn screw(&self, place: &Placement<T>, origin: &Vector3<T>) -> Motion<T> {
         let along = place.rotation.column(2) * self.ratio;
@@ -110,7 +111,8 @@ impl<T: Real> Body<T> {
     }
 }
 
-/// Places the six bodies of a floating base: all at its pose, with its axes for screws.
+/// Sets the poses and screws of the six bodies of a floating base. All six have the pose of the base; their screws are
+/// its axes.
 fn place_base<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
     let place =
         model.base * Placement { rotation: rotation(&q[3..7]), translation: Vector3::new(q[0], q[1], q[2]) };
@@ -126,15 +128,15 @@ fn place_base<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T]) {
     }
 }
 
-/// Rotation matrix of a unit quaternion x, y, z, w; one that is off by rounding is normalized first.
+/// Returns the rotation matrix of the quaternion x, y, z, w, after normalization.
 fn rotation<T: Real>(q: &[T]) -> Matrix3<T> {
     let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).simd_sqrt();
     let unit = Quaternion::new(q[3], q[0], q[1], q[2]) / length;
     UnitQuaternion::new_unchecked(unit).to_rotation_matrix().into_inner()
 }
 
-/// Computes [`forward_kinematics`] at `q` (nq; rad, m), and the velocity and velocity-product acceleration of every
-/// body at `dq` (n; rad/s, m/s): [`Data::velocity`], [`Data::bias_acceleration`].
+/// Computes [`forward_kinematics`] at `q` (nq; rad, m), and the velocity [`Data::velocity`] and velocity-product
+/// acceleration [`Data::bias_acceleration`] of every body at `dq` (n; rad/s, m/s).
 ///
 /// # Panics
 /// If `q` is shorter than nq or `dq` than n.
@@ -143,7 +145,7 @@ pub fn kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[
     data.dq.copy_from_slice(&dq[..model.n()]);
     let first = model.first_jointed_body();
     if model.floating {
-        // One joint of six coordinates: all its screws move with it, and v × S q̇ = v × v = 0.
+        // The base is one joint with six coordinates. Its screws move with it, and v × S q̇ = v × v = 0.
         let velocity = data.screw[..6].iter().zip(dq).fold(Motion::zero(), |v, (s, &x)| v + *s * x);
         data.velocity[..6].fill(velocity);
         data.bias_acceleration[..6].fill(Motion::zero());
@@ -162,14 +164,15 @@ pub fn kinematics<T: Real>(model: &Model<T>, data: &mut Data<T>, q: &[T], dq: &[
     }
 }
 
-/// Pose of a frame in the world. Needs [`forward_kinematics`].
+/// Returns the pose of a frame in the world. Needs [`forward_kinematics`].
 #[must_use]
 pub fn frame_placement<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Placement<T> {
     let frame = &model.frames[frame.0];
     frame.body.map_or(model.base, |b| data.placement[b]) * frame.placement
 }
 
-/// Velocity of a frame's origin (m/s) and of the frame (rad/s), in world axes. Needs [`kinematics`].
+/// Returns the velocity of a frame: linear velocity of its origin (m/s) and angular velocity (rad/s), in world axes.
+/// Needs [`kinematics`].
 #[must_use]
 pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
     match model.frames[frame.0].body {
@@ -178,7 +181,7 @@ pub fn frame_velocity<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId)
     }
 }
 
-/// Origin of a frame, from [`Data::origin`].
+/// Returns the origin of a frame relative to [`Data::origin`] (m, world axes).
 #[inline]
 pub(crate) fn frame_point<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Vector3<T> {
     let frame = &model.frames[frame.0];
@@ -186,8 +189,8 @@ pub(crate) fn frame_point<T: Real>(model: &Model<T>, data: &Data<T>, frame: Fram
     body.act_point(&frame.placement.translation) - data.origin
 }
 
-/// Classical acceleration J̇ q̇ of a frame with q̈ = 0, in world axes (m/s², rad/s²): its linear part
-/// is the rate of change of the linear part of [`frame_velocity`]. Needs [`kinematics`].
+/// Returns the classical acceleration J̇ q̇ of a frame for q̈ = 0, in world axes (m/s², rad/s²). Its linear part is the
+/// time derivative of the linear part of [`frame_velocity`]. Needs [`kinematics`].
 #[must_use]
 pub fn frame_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>, frame: FrameId) -> Motion<T> {
     let Some(b) = model.frames[frame.0].body else {
@@ -196,7 +199,7 @@ pub fn frame_bias_acceleration<T: Real>(model: &Model<T>, data: &Data<T>, frame:
     let point = frame_point(model, data, frame);
     let velocity = data.velocity[b].shifted_to(&point);
     let mut a = data.bias_acceleration[b].shifted_to(&point);
-    // From the spatial acceleration to that of the point (RBDA eq. 2.48).
+    // Converts the spatial acceleration to the classical acceleration of the point (RBDA eq. 2.48).
     a.linear += velocity.angular.cross(&velocity.linear);
     a
 }

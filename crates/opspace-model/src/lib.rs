@@ -22,9 +22,9 @@
 //! # Ok::<(), opspace_model::UrdfError>(())
 //! ```
 //!
-//! A [`Model`] describes the robot; [`Data`] holds results and intermediate values for it, allocated once; the
-//! algorithms are functions of both, one file each, named as in the textbook (Featherstone, *Rigid Body Dynamics
-//! Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, building a model and [`samples`] do.
+//! A [`Model`] describes the robot. [`Data`] holds the results and intermediate values for that model and is allocated
+//! once. The algorithms are functions of both, one per file, with the names of the textbook (Featherstone, *Rigid Body
+//! Dynamics Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, building a model and [`samples`] do.
 //!
 //! | wanted | here | in Pinocchio |
 //! |---|---|---|
@@ -42,9 +42,9 @@
 //! | locked joints | [`Model::with_locked_joints`] | `buildReducedModel` |
 //! | many states at once | `batch`, with feature `simd` | – |
 //!
-//! Conventions: SI units, where rad and Nm stand for m and N on prismatic joints too; frames and data must be of the
-//! model that they are given with; linear rows before angular ones; [`frame_jacobian`] in world axes at the frame's
-//! origin; the root link is fixed to the world unless [`UrdfOptions`] say that it floats; a continuous joint has one
+//! Conventions: SI units; rad and Nm mean m and N for prismatic joints. Frames and data must belong to the model that
+//! they are passed with. Linear rows precede angular rows. [`frame_jacobian`] is in world axes at the origin of the
+//! frame. The root link is fixed to the world unless [`UrdfOptions`] select a floating base. A continuous joint has one
 //! coordinate.
 
 #![forbid(unsafe_code)]
@@ -102,10 +102,11 @@ pub use spatial::{Force, Inertia, Motion, Placement, SpatialInertia, principal_m
 pub use urdf::{ParsedUrdf, UrdfError, UrdfErrorKind, UrdfOptions, UrdfWarning, UrdfWarningKind};
 pub use warnings::{ModelWarning, model_warnings};
 
-/// Computes the state quantities of a control cycle: kinematics, M and its factor, bias and gravity.
+/// Computes the state quantities of a control cycle at `q` (nq; rad, m) and `dq` (n; rad/s, m/s): kinematics, M and its
+/// factor, bias and gravity.
 ///
-/// Returns `false` if the mass matrix is not positive definite (a body without inertia, or a `q` that is not
-/// finite; in lanes, any of them): the factor is then unusable.
+/// Returns `false` if the mass matrix is not positive definite, for example because a body has no inertia or `q` is not
+/// finite. With lanes, one such state is enough. The factor is then unusable.
 ///
 /// # Panics
 /// If `q` is shorter than nq or `dq` than n.

@@ -1,4 +1,4 @@
-//! Model of a robot: its bodies, the coordinates that move them, and the frames on them.
+//! Model of a robot: bodies, joints and frames.
 //!
 //! ```
 //! use nalgebra::{Matrix3, Vector3};
@@ -18,21 +18,21 @@ use crate::spatial::{Inertia, Placement};
 use nalgebra::{Matrix3, Unit, Vector3};
 use thiserror::Error;
 
-/// Type of the joint between a body and its parent. Its axis is the z axis of the body's own frame: see [`Model`].
+/// Type of the joint between a body and its parent. The joint axis is the z axis of the body frame: see [`Model`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointKind {
-    /// Turns about z between its limits; one coordinate, rad.
+    /// Rotates about z within position limits; one coordinate, rad.
     Revolute,
-    /// Turns about z without limits; one coordinate, rad (never a sine and a cosine).
+    /// Rotates about z without position limits; one coordinate, rad (not the pair of sine and cosine).
     Continuous,
-    /// Slides along z between its limits; one coordinate, m.
+    /// Translates along z within position limits; one coordinate, m.
     Prismatic,
-    /// One of the six by which a floating base moves: see [`Model::floating`].
+    /// One of the six coordinates of a floating base: see [`Model::floating`].
     Floating,
 }
 
-/// SI units of the quantities of all joints (n each): of revolute joints rad, rad/s, rad/s^2 and Nm, of prismatic ones
-/// m, m/s, m/s^2 and N.
+/// SI units of the quantities of all joints (n each): rad, rad/s, rad/s^2 and Nm for revolute joints; m, m/s, m/s^2 and
+/// N for prismatic joints.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JointUnits {
     /// Units of positions.
@@ -45,7 +45,7 @@ pub struct JointUnits {
     pub torque: Vec<&'static str>,
 }
 
-/// Limits of a joint, infinite where there is none.
+/// Limits of a joint; infinite for no limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Lowest position, rad or m.
@@ -59,7 +59,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Limits of a joint without any.
+    /// Limits of an unlimited joint.
     pub const NONE: Self = Self {
         lower: f64::NEG_INFINITY,
         upper: f64::INFINITY,
@@ -68,12 +68,13 @@ impl Limits {
     };
 }
 
-/// Returns true if coordinate `i` of that kind is a length: the first three of a floating base are.
+/// Returns true if coordinate `i`, of that kind, is a length: a prismatic joint, or one of the first three coordinates
+/// of a floating base.
 fn slides(kind: JointKind, i: usize) -> bool {
     kind == JointKind::Prismatic || (kind == JointKind::Floating && i < 3)
 }
 
-/// A coordinate of the robot: one entry of q̇, q̈ and τ.
+/// Joint coordinate of the robot: one entry of q̇, q̈ and τ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
     /// Name of the joint in the URDF.
@@ -84,51 +85,52 @@ pub struct Joint {
     pub limits: Limits,
 }
 
-/// Rigid body: a link with a joint of its own, and all that is fixed to it.
+/// Rigid body: a link that is moved by a joint, with everything fixed to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Body<T = f64> {
-    /// Index of the parent body, always lower than its own; `None` on the base.
+    /// Index of the parent body, which is always lower than the index of this body; `None` if the parent is the base.
     pub parent: Option<usize>,
-    /// Pose of this body's frame in the parent body's frame (in the base frame without parent) at zero.
+    /// Pose of this body's frame in the frame of the parent body (of the base, if `parent` is `None`) at joint position
+    /// zero.
     pub origin: Placement<T>,
     /// Type of the joint that moves the body.
     pub kind: JointKind,
-    /// Index of the joint that moves the body: the body's own index, unless joints have been folded.
+    /// Index of the joint that moves the body. It equals the index of the body unless the model has mimic constraints.
     pub joint: usize,
-    /// True if that is the joint of another body, which this one follows.
+    /// True if the body belongs to a mimic joint: `joint` is then the leader.
     pub follows: bool,
-    /// Ratio of the body's joint position, `ratio` q + `offset`: 1 unless it follows another.
+    /// Ratio in the position of the body's joint, `ratio` q + `offset`; 1 unless the body belongs to a mimic joint.
     pub ratio: T,
-    /// Offset of the body's joint position, rad or m.
+    /// Offset in the position of the body's joint, rad or m.
     pub offset: T,
-    /// Inertia of the body and of everything fixed to it, payloads included, in the body's frame.
+    /// Inertia of the body and everything fixed to it, including payloads, in the body frame.
     pub inertia: Inertia<T>,
 }
 
-/// Named frame on the robot: every link of the URDF is one.
+/// Named frame on the robot. Every link of the URDF has one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame<T = f64> {
-    /// Name of the frame in the URDF.
+    /// Name of the link in the URDF, or of the added frame.
     pub name: String,
-    /// Index of the body that the frame is fixed to; `None` if it is fixed to the base.
+    /// Index of the body to which the frame is fixed; `None` for the base.
     pub body: Option<usize>,
-    /// Pose of the frame in that body's frame (in the base frame without body).
+    /// Pose of the frame in the frame of that body (of the base, if `body` is `None`).
     pub placement: Placement<T>,
 }
 
-/// Handle of a [`Frame`] of a model, returned by [`Model::frame`].
+/// Handle of a [`Frame`] of a model, returned by [`Model::frame_id`] and [`Model::add_frame`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct FrameId(pub(crate) usize);
 
-/// Tree of bodies on a fixed or floating base, and the frames on it.
+/// Kinematic tree of bodies on a fixed or floating base, with its frames.
 ///
-/// Bodies are numbered parents before children, depth first, the children of a link in the order of their
-/// joints' names (Pinocchio's order). Links joined by fixed joints are one body; they remain as frames.
-/// Body frames are turned against the URDF's so that every joint moves about or along its z axis: one code
-/// path, and the short one.
+/// Bodies are numbered depth first, parents before children; the children of a link are in the order of their joint
+/// names (Pinocchio's order). Links connected by fixed joints form one body; each link remains as a frame. Body frames
+/// are rotated relative to the link frames of the URDF so that every joint moves about or along the z axis of its body.
+/// One short formula then covers all axes.
 ///
-/// Inertias, payloads and frames may be changed between two evaluations, without allocation except for new
-/// frames; the number of bodies and joints is constant.
+/// Inertias, payloads and frames may be changed between two evaluations; only adding a frame allocates. The numbers of
+/// bodies and joints must not change after [`Data`](crate::Data) is allocated for the model.
 #[derive(Clone, Debug)]
 pub struct Model<T = f64> {
     pub(crate) name: String,
@@ -139,40 +141,41 @@ pub struct Model<T = f64> {
     pub(crate) gravity: Vector3<T>,
     pub(crate) base: Placement<T>,
     pub(crate) floating: bool,
-    /// Inertia of each body without payloads, and payload of each frame in that frame.
+    /// Inertias of the bodies without payloads (`own`, in body axes) and payloads of the frames (`payloads`, in frame
+    /// axes).
     pub(crate) own: Vec<Inertia>,
     pub(crate) payloads: Vec<Inertia>,
 }
 
-/// Frame that the model doesn't have.
+/// Error: the model has no frame with this name.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("no frame '{name}'; the frames are: {}", known.join(", "))]
 #[non_exhaustive]
 pub struct UnknownFrame {
-    /// Name asked for.
+    /// Requested name.
     pub name: String,
     /// Names of the model's frames.
     pub known: Vec<String>,
 }
 
-/// Joint that the model doesn't have.
+/// Error: the model has no joint with this name.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("no joint '{name}'; the joints are: {}", known.join(", "))]
 #[non_exhaustive]
 pub struct UnknownJoint {
-    /// Name asked for.
+    /// Requested name.
     pub name: String,
     /// Names of the model's joints.
     pub known: Vec<String>,
 }
 
-/// Names of the coordinates of a floating base, in their order.
+/// Names of the coordinates of a floating base, in the order of q̇.
 pub(crate) const BASE_JOINTS: [&str; 6] =
     ["base.linear.x", "base.linear.y", "base.linear.z", "base.angular.x", "base.angular.y", "base.angular.z"];
 
 /// Construction and modification.
 impl Model {
-    /// Returns a robot without bodies, its base fixed at the world's origin, under standard gravity.
+    /// Returns a robot without bodies. Its base is fixed at the world origin, under standard gravity.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
@@ -189,11 +192,12 @@ impl Model {
         }
     }
 
-    /// Returns a robot whose root is free to move in space: a body of that inertia, and no other yet.
+    /// Returns a robot that consists of a floating root body with the inertia `root`.
     ///
-    /// Six coordinates come first in q̇: the root's linear and angular velocity, in its own axes. In q they are
-    /// seven: its position in the world (m) and the unit quaternion x, y, z, w of its rotation. In the tree they
-    /// are a chain of six bodies at one place, of which the last, number 5, has the inertia.
+    /// The first six entries of q̇ are the linear and angular velocity of the root (m/s, rad/s), in its own axes. The
+    /// first seven entries of q are the position of the root in the base frame (m) and its rotation as a unit
+    /// quaternion x, y, z, w. In the tree, the root is a chain of six coincident bodies; only the last one, body 5, has
+    /// inertia.
     #[must_use]
     pub fn floating(name: &str, root: Inertia) -> Self {
         let mut model = Self::new(name);
@@ -207,11 +211,12 @@ impl Model {
         model
     }
 
-    /// Adds a body that moves by a joint of its own, about or along z of its frame, whose pose at zero in the frame of
-    /// `parent` (of the base) is `origin`. Returns its number.
+    /// Adds a body that `joint` moves about or along the z axis of the body frame. `origin` is the pose of the body
+    /// frame in the frame of `parent` (of the base, for `None`) at joint position zero; `inertia` is in the body frame.
+    /// Returns the index of the body.
     ///
     /// # Panics
-    /// If there is no such parent, or the joint is of kind [`Floating`](JointKind::Floating).
+    /// If the parent does not exist, or if the joint is of kind [`Floating`](JointKind::Floating).
     pub fn add_body(
         &mut self,
         parent: Option<usize>,
@@ -223,7 +228,7 @@ impl Model {
         self.push(self.on_root(parent), origin, joint, inertia)
     }
 
-    /// Parent of a body on the root: none on a fixed base, the last of the six bodies of a floating one.
+    /// Returns `parent`. On a floating base, the base and its first five bodies are replaced by its last body, 5.
     fn on_root(&self, parent: Option<usize>) -> Option<usize> {
         let parent = if self.floating { Some(parent.map_or(5, |p| p.max(5))) } else { parent };
         assert!(parent.is_none_or(|p| p < self.bodies.len()), "a parent comes before its children");
@@ -248,11 +253,11 @@ impl Model {
         self.bodies.len() - 1
     }
 
-    /// Adds a frame at `placement` in the frame of `body` (of the base, which may float). Of two frames of one name
-    /// [`Model::frame`] returns the first.
+    /// Adds a frame at `placement` in the frame of `body` (`None`: of the base, which may float). If several frames
+    /// have the same name, [`Model::frame_id`] returns the first one.
     ///
     /// # Panics
-    /// If there is no such body.
+    /// If the body does not exist.
     pub fn add_frame(&mut self, name: &str, body: Option<usize>, placement: Placement) -> FrameId {
         let body = self.on_root(body);
         self.frames.push(Frame { name: name.to_owned(), body, placement });
@@ -260,13 +265,14 @@ impl Model {
         FrameId(self.frames.len() - 1)
     }
 
-    /// Adds a frame at a fixed offset from another: the tip of a tool, a point of contact.
+    /// Adds a frame at a fixed offset from the frame `on`, for example the tip of a tool or a contact point.
     pub fn add_frame_on(&mut self, name: &str, on: FrameId, offset: Placement) -> FrameId {
         let &Frame { body, placement, .. } = &self.frames[on.0];
         self.add_frame(name, body, placement * offset)
     }
 
-    /// Attaches a frame to the body of the frame `on`, with the placement `offset` in the axes of `on`.
+    /// Moves a frame to the body of the frame `on`, at the placement `offset` relative to `on`. Its payload moves with
+    /// it.
     pub fn move_frame(&mut self, frame: FrameId, on: FrameId, offset: Placement) {
         let &Frame { body, placement, .. } = &self.frames[on.0];
         self.frames[frame.0].placement = placement * offset;
@@ -275,26 +281,27 @@ impl Model {
         self.update_body_inertia(body);
     }
 
-    /// Sets the payload of a frame, in its axes: a tool, a load; no negative mass. It replaces the payload set before;
-    /// zero removes it. A payload on the base is ignored.
+    /// Sets the payload of a frame, in the axes of the frame: a tool or a load. Its mass must not be negative. It
+    /// replaces the previous payload of the frame; a zero inertia removes it. A payload on a fixed base is ignored.
     pub fn set_payload(&mut self, frame: FrameId, payload: Inertia) {
         self.payloads[frame.0] = payload;
         self.update_body_inertia(self.frames[frame.0].body);
     }
 
-    /// Replaces the inertia of a body and all that is fixed to it, payloads apart, in the body's frame. That is turned
-    /// against the URDF's: an inertia in the axes of a link is `frame(link).placement.act_inertia(&inertia)` here.
+    /// Replaces the inertia of a body and everything fixed to it except payloads. The inertia is given in the body
+    /// frame, which is rotated relative to the link frame of the URDF: convert an inertia from link axes by
+    /// `frame(link).placement.act_inertia(&inertia)`.
     ///
     /// # Panics
-    /// If there is no such body, or it is one of the first five of a floating base, which are coordinates only.
+    /// If the body does not exist, or is one of the first five bodies of a floating base, which have no inertia.
     pub fn set_inertia(&mut self, body: usize, inertia: Inertia) {
         assert!(!self.floating || body >= 5, "body 5 is the floating base");
         self.own[body] = inertia;
         self.update_body_inertia(Some(body));
     }
 
-    /// Computes a body's inertia from its own and its frames' payloads. Summed anew each time, so that a removed
-    /// payload leaves no rounding error.
+    /// Computes the inertia of a body from its own inertia and the payloads of its frames. The sum is recomputed every
+    /// time, so that a removed payload leaves no rounding error.
     pub(crate) fn update_body_inertia(&mut self, body: Option<usize>) {
         let Some(body) = body else { return };
         self.bodies[body].inertia = self.own[body];
@@ -309,37 +316,37 @@ impl Model {
     /// Sets the limits of a joint.
     ///
     /// # Panics
-    /// If there is no such joint.
+    /// If the joint does not exist.
     pub fn set_limits(&mut self, joint: usize, limits: Limits) {
         self.joints[joint].limits = limits;
     }
 
-    /// Returns the robot with its base frame at that pose in the world. The q of a floating base is
-    /// relative to it.
+    /// Returns the robot with its base frame at pose `base` in the world. The q of a floating base is relative to this
+    /// pose.
     #[must_use]
     pub fn with_base(mut self, base: Placement) -> Self {
         self.base = base;
         self
     }
 
-    /// Returns the robot under another gravity, m/s² in world axes.
+    /// Returns the robot with the gravitational acceleration `gravity` (m/s², world axes).
     #[must_use]
     pub fn with_gravity(mut self, gravity: Vector3<f64>) -> Self {
         self.gravity = gravity;
         self
     }
 
-    /// Returns the robot with these reflected inertias of its rotors, kg m² (kg for a prismatic joint), one per joint.
+    /// Returns the robot with reflected rotor inertias (n; kg m², or kg for prismatic joints).
     ///
     /// # Panics
-    /// If there is not one for each joint.
+    /// If the number of inertias is not n.
     #[must_use]
     pub fn with_rotor_inertia(mut self, inertia: &[f64]) -> Self {
         self.rotor_inertia.copy_from_slice(inertia);
         self
     }
 
-    /// Returns the robot with every mass and rotational inertia multiplied by `factor` (rotors and payloads too).
+    /// Returns the robot with every mass and rotational inertia multiplied by `factor`, including rotors and payloads.
     #[must_use]
     pub fn with_scaled_inertia(mut self, factor: f64) -> Self {
         let inertias = self.own.iter_mut().chain(&mut self.payloads);
@@ -351,7 +358,7 @@ impl Model {
         self
     }
 
-    /// Returns the robot with its numbers in every lane: see the module `batch`, with feature `simd`.
+    /// Returns the model with its numbers copied to every lane: see the module `batch`, with feature `simd`.
     #[must_use]
     pub fn splat<T: Real>(&self) -> Model<T> {
         let body = |b: &Body| Body {
@@ -381,43 +388,43 @@ impl Model {
 }
 
 impl<T: Real> Model<T> {
-    /// Name of the robot in the URDF.
+    /// Returns the name of the robot in the URDF.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Number of degrees of freedom: the length of q̇, q̈ and τ. Pinocchio's `nv`.
+    /// Returns the number of degrees of freedom, which is the length of q̇, q̈ and τ. In Pinocchio `nv`.
     #[must_use]
     pub fn n(&self) -> usize {
         self.joints.len()
     }
 
-    /// Length of q: one more than [`n`](Self::n) with a floating base, whose rotation is a quaternion.
+    /// Returns the length of q: n, or n + 1 with a floating base, whose rotation is a quaternion. In Pinocchio `nq`.
     #[must_use]
     pub fn nq(&self) -> usize {
         self.n() + usize::from(self.floating)
     }
 
-    /// True if the root is free to move.
+    /// Returns true if the base is floating.
     #[must_use]
     pub fn is_floating(&self) -> bool {
         self.floating
     }
 
-    /// True if some body follows the joint of another.
+    /// Returns true if the model has mimic constraints.
     #[must_use]
     pub fn has_mimic_constraints(&self) -> bool {
         self.bodies.len() > self.joints.len()
     }
 
-    /// Joints, in the order of q̇.
+    /// Returns the joints, in the order of q̇.
     #[must_use]
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
-    /// Units of the joints' quantities, in the order of q̇.
+    /// Returns the units of the joint quantities, in the order of q̇.
     #[must_use]
     pub fn joint_units(&self) -> JointUnits {
         let units = |linear, angular| {
@@ -432,46 +439,46 @@ impl<T: Real> Model<T> {
         }
     }
 
-    /// Bodies, parents before children.
+    /// Returns the bodies, parents before children.
     #[must_use]
     pub fn bodies(&self) -> &[Body<T>] {
         &self.bodies
     }
 
-    /// Inertia of the rotors reflected to each joint (gear ratio squared times the rotor's), kg m² or kg (n).
+    /// Returns the rotor inertias reflected to the joints (gear ratio squared times rotor inertia), kg m² or kg (n).
     #[must_use]
     pub fn rotor_inertia(&self) -> &[T] {
         &self.rotor_inertia
     }
 
-    /// Frames, in the order of the URDF's tree.
+    /// Returns the frames, in depth-first order of the URDF tree, followed by added frames.
     #[must_use]
     pub fn frames(&self) -> &[Frame<T>] {
         &self.frames
     }
 
-    /// Gravity in world axes, m/s².
+    /// Returns the gravitational acceleration in world axes, m/s².
     #[must_use]
     pub fn gravity(&self) -> Vector3<T> {
         self.gravity
     }
 
-    /// Pose of the base frame in the world.
+    /// Returns the pose of the base frame in the world.
     #[must_use]
     pub fn base(&self) -> Placement<T> {
         self.base
     }
 
-    /// Mass of all moving bodies, kg.
+    /// Returns the total mass of all moving bodies, kg.
     #[must_use]
     pub fn total_mass(&self) -> T {
         self.bodies.iter().fold(T::zero(), |sum, body| sum + body.inertia.mass)
     }
 
-    /// Returns the frame of that name.
+    /// Returns the handle of the frame with this name.
     ///
     /// # Errors
-    /// [`UnknownFrame`], which lists the names of the model.
+    /// [`UnknownFrame`], which lists the frames of the model.
     pub fn frame_id(&self, name: &str) -> Result<FrameId, UnknownFrame> {
         self.frames.iter().position(|f| f.name == name).map(FrameId).ok_or_else(|| UnknownFrame {
             name: name.to_owned(),
@@ -479,10 +486,10 @@ impl<T: Real> Model<T> {
         })
     }
 
-    /// Returns the index of the joint of that name.
+    /// Returns the index of the joint with this name.
     ///
     /// # Errors
-    /// [`UnknownJoint`], which lists the names of the model.
+    /// [`UnknownJoint`], which lists the joints of the model.
     pub fn joint(&self, name: &str) -> Result<usize, UnknownJoint> {
         self.joints.iter().position(|j| j.name == name).ok_or_else(|| UnknownJoint {
             name: name.to_owned(),
@@ -496,7 +503,7 @@ impl<T: Real> Model<T> {
         &self.frames[frame.0]
     }
 
-    /// Index of the first body with a joint: the bodies before it are those of a floating base.
+    /// Returns the index of the first body after those of a floating base.
     pub(crate) fn first_jointed_body(&self) -> usize {
         if self.floating { 6 } else { 0 }
     }
@@ -506,20 +513,20 @@ impl<T: Real> Model<T> {
         self.ancestry(self.frames[frame.0].body)
     }
 
-    /// Returns a body and all its ancestors, from it towards the base.
+    /// Returns a body and all its ancestors, from the body towards the base.
     pub(crate) fn ancestry(&self, body: Option<usize>) -> impl Iterator<Item = usize> + '_ {
         std::iter::successors(body, |&b| self.bodies[b].parent)
     }
 }
 
-/// Rotation that turns the z axis onto `axis`, exact for the coordinate axes.
+/// Returns a rotation that maps the z axis to `axis`; exact if `axis` is a coordinate axis.
 #[must_use]
 pub fn rotation_z_to(axis: &Unit<Vector3<f64>>) -> Matrix3<f64> {
     let z = axis.into_inner();
     if z == Vector3::z() {
         return Matrix3::identity();
     }
-    // The coordinate axis least along z makes the best-conditioned frame.
+    // The coordinate axis with the smallest component along z gives the best-conditioned cross product.
     let x = Vector3::ith(z.iamin(), 1.0).cross(&z).normalize();
     Matrix3::from_columns(&[x, z.cross(&x), z])
 }

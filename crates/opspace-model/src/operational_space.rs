@@ -1,4 +1,4 @@
-//! The operational-space quantities of a task: Λ, J̄ and N.
+//! Operational-space quantities of a task: Λ, J̄ and N.
 //!
 //! Khatib, *A unified approach for motion and force control of robot manipulators: the operational
 //! space formulation*, IEEE J. Robotics and Automation 3(1), 1987:
@@ -7,11 +7,11 @@
 //! Λ⁻¹ = J M⁻¹ Jᵀ          J̄ = M⁻¹ Jᵀ Λ          N = I − J̄ J
 //! ```
 //!
-//! Close to a singularity, eigenvalues of Λ⁻¹ approach zero and Λ grows without bound. Each
-//! eigenvalue λ below `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² rising smoothly
-//! from 0 at the threshold; one above it is inverted exactly. J̄ and N are built from that same Λ, so
-//! the damped part of a direction is free to the tasks of lower priority. Other methods of the literature are
-//! available for comparison: [`Inversion`].
+//! Close to a singularity, eigenvalues of Λ⁻¹ approach zero and Λ grows without bound. Each eigenvalue λ below the
+//! threshold `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² that rises smoothly from 0 at the
+//! threshold; larger eigenvalues are inverted exactly. J̄ and N are computed from the same Λ, so tasks of lower
+//! priority can use the damped part of a direction. Other methods from the literature are available for comparison:
+//! [`Inversion`].
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -36,22 +36,22 @@
 use crate::cholesky::MassMatrixFactor;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 
-/// Inversion of Λ⁻¹ where an eigenvalue λ of it is close to zero. A threshold t is relative to λ_ref: the largest
-/// eigenvalue, or the reference given to [`update_with`](OperationalSpace::update_with).
+/// Method of inverting Λ⁻¹ when an eigenvalue λ is close to zero. Thresholds t are relative to λ_ref, which is the
+/// largest eigenvalue or the reference passed to [`update_with`](OperationalSpace::update_with).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Inversion {
-    /// λ/(λ² + μ²) below the threshold t λ_ref, with μ = t λ_ref (1 − (λ/(t λ_ref))²); 1/λ, exactly, above it.
+    /// λ/(λ² + μ²) below the threshold t λ_ref, with μ = t λ_ref (1 − (λ/(t λ_ref))²); exactly 1/λ above it.
     Damped(f64),
     /// 1/λ for every λ above zero, however small; 0 otherwise.
     Plain,
-    /// λ/(λ² + μ²) with μ = t λ_ref everywhere (damped least squares): never exact.
+    /// λ/(λ² + μ²) with μ = t λ_ref for every λ (damped least squares). It is never exact.
     LeastSquares(f64),
-    /// 1/max(λ, t λ_ref): the condition number is bounded, and forces still act along a lost direction.
+    /// 1/max(λ, t λ_ref): the condition number is bounded, and forces still act along a singular direction.
     Clamped(f64),
 }
 
 impl Inversion {
-    /// Threshold below which directions are modified, relative to the largest eigenvalue: 0 if none.
+    /// Returns the threshold below which directions are modified, relative to λ_ref; 0 if none is modified.
     fn threshold(self) -> f64 {
         match self {
             Self::Damped(threshold) | Self::Clamped(threshold) => threshold,
@@ -60,7 +60,7 @@ impl Inversion {
         }
     }
 
-    /// Returns the replacement of 1/`value`.
+    /// Returns the replacement for 1/`value`.
     fn reciprocal(self, value: f64, reference: f64) -> f64 {
         match self {
             Self::Damped(threshold) => damped_reciprocal(value, threshold * reference),
@@ -74,34 +74,35 @@ impl Inversion {
     }
 }
 
-/// Λ and J̄ of one task of up to six rows; preallocated for n joints.
+/// Λ and J̄ of one task with up to six rows, preallocated for n joints.
 #[derive(Clone, Debug)]
 pub struct OperationalSpace {
-    /// Λ, the task's inertia (kg, kg m, kg m²): rows and columns past the task's are zero.
+    /// Task inertia Λ (6 × 6; kg, kg m, kg m²). Unused rows and columns are zero.
     pub task_inertia: Matrix6<f64>,
-    /// J̄ᵀ (6 × n), with J̄ the dynamically consistent inverse of J: rows past the task's are zero. It maps joint
-    /// torques to the task's forces.
+    /// J̄ᵀ (6 × n), with J̄ the dynamically consistent inverse of J. It maps joint torques to task forces. Unused rows
+    /// are zero.
     pub jbar_transpose: Matrix6xX<f64>,
-    /// Share of the weakest eigen-direction of Λ⁻¹ (smallest eigenvalue) that the task still has: 1 if
-    /// nothing is damped, 0 if a direction is lost.
+    /// Smallest gain over the eigenvectors of Λ⁻¹: the eigenvalue times its (damped) reciprocal. 1 without damping, 0
+    /// if a direction is lost.
     pub min_singular_gain: f64,
 }
 
 impl OperationalSpace {
-    /// Allocates for a task on a robot of `n` joints.
+    /// Allocates the quantities of a task on a robot with `n` joints.
     #[must_use]
     pub fn new(n: usize) -> Self {
         Self { task_inertia: Matrix6::zeros(), jbar_transpose: Matrix6xX::zeros(n), min_singular_gain: 1.0 }
     }
 
-    /// Computes Λ and J̄ for the first `rows` rows of `jacobian`, with the mass matrix's factor at its state.
+    /// Computes Λ and J̄ for the first `rows` rows of `jacobian` (6 × n), with the factor of the mass matrix at the
+    /// same state.
     ///
-    /// `threshold` is the ratio to the largest eigenvalue of Λ⁻¹ below which a direction is damped
-    /// (0: none is). Rows of different units must have been scaled to one beforehand for that ratio to
-    /// mean anything. If the Jacobian or the factor is not finite, Λ and the share are zero.
+    /// A direction is damped if the ratio of its eigenvalue of Λ⁻¹ to the largest eigenvalue is below `threshold`; 0
+    /// disables damping. The ratio is meaningful only if rows of different units were scaled to a common unit. If the
+    /// Jacobian or the factor is not finite, Λ and [`min_singular_gain`](Self::min_singular_gain) are zero.
     ///
     /// # Panics
-    /// If `rows` is more than six or the sizes differ.
+    /// If `rows` is larger than six, or if the sizes differ.
     pub fn update(
         &mut self,
         factor: &MassMatrixFactor,
@@ -112,8 +113,8 @@ impl OperationalSpace {
         self.update_with(factor, jacobian, rows, Inversion::Damped(threshold), None);
     }
 
-    /// Variant of [`update`](Self::update) with Λ⁻¹ inverted in another way, or thresholds relative to another
-    /// `reference` (1/kg) than the largest eigenvalue.
+    /// Variant of [`update`](Self::update) with another inversion of Λ⁻¹, or with thresholds relative to `reference`
+    /// (1/kg) instead of the largest eigenvalue.
     ///
     /// # Panics
     /// As [`update`](Self::update).
@@ -129,8 +130,9 @@ impl OperationalSpace {
         self.compute_jbar(factor);
     }
 
-    /// Computes the first half of [`update_with`](Self::update_with), if J̄ may not be needed: Λ and the smallest
-    /// singular gain. J̄ᵀ holds the intermediate result that [`compute_jbar`](Self::compute_jbar) needs.
+    /// Computes Λ and [`min_singular_gain`](Self::min_singular_gain), the first half of
+    /// [`update_with`](Self::update_with), for callers that may not need J̄. J̄ᵀ then contains an intermediate result
+    /// for [`compute_jbar`](Self::compute_jbar).
     ///
     /// # Panics
     /// As [`update`](Self::update).
@@ -153,7 +155,8 @@ impl OperationalSpace {
             damped_inverse(inverse_inertia, rows, inversion, reference);
     }
 
-    /// Computes the second half, J̄ᵀ, once after each [`update_inertia`](Self::update_inertia).
+    /// Computes J̄ᵀ, the second half of [`update_with`](Self::update_with). Call it at most once after each
+    /// [`update_inertia`](Self::update_inertia).
     ///
     /// # Panics
     /// If the sizes differ.
@@ -166,8 +169,8 @@ impl OperationalSpace {
         }
     }
 
-    /// Replaces τ by Nᵀ τ = τ − Jᵀ J̄ᵀ τ, with the Jacobian of the last [`update`](Self::update): the part of the joint
-    /// torques `tau` (n; Nm) that doesn't accelerate the task.
+    /// Replaces the joint torques τ in `tau` (n; Nm) by Nᵀ τ = τ − Jᵀ J̄ᵀ τ, the part of τ that does not accelerate the
+    /// task. `jacobian` is the Jacobian of the last [`update`](Self::update).
     ///
     /// # Panics
     /// If the sizes differ.
@@ -182,8 +185,8 @@ impl OperationalSpace {
         }
     }
 
-    /// N = I − J̄ J (n × n), acting on velocities; its transpose projects torques. With the Jacobian of the last
-    /// [`update`](Self::update).
+    /// Computes N = I − J̄ J (n × n), the null-space projector of velocities; its transpose projects torques.
+    /// `jacobian` is the Jacobian of the last [`update`](Self::update).
     ///
     /// # Panics
     /// If the sizes differ.
@@ -198,8 +201,8 @@ impl OperationalSpace {
     }
 }
 
-/// Inverse of the leading `rows` × `rows` block, damped in its spectrum below the threshold, and the
-/// remaining share of its weakest direction.
+/// Returns the inverse of the leading `rows` × `rows` block, with damped eigenvalues below the threshold, and the
+/// smallest gain over its eigenvectors.
 fn damped_inverse(
     mut a: Matrix6<f64>,
     rows: usize,
@@ -213,7 +216,7 @@ fn damped_inverse(
     if trace <= 0.0 {
         return (Matrix6::zeros(), if rows == 0 { 1.0 } else { 0.0 });
     }
-    // Rows that the task doesn't have become directions of their own, beyond every eigenvalue it has.
+    // Unused rows become eigenvectors whose eigenvalues are larger than all eigenvalues of the task.
     let padding = 2.0 * trace;
     for r in rows..6 {
         a[(r, r)] = padding;
@@ -221,7 +224,7 @@ fn damped_inverse(
     let (mut inverse, weakest_share) =
         match certified_inverse(&a, rows, reference.unwrap_or(trace), inversion.threshold()) {
             Some(inverse) => (inverse, 1.0),
-            // One that isn't finite has spoilt a pivot.
+            // A non-finite entry makes a pivot invalid.
             None if a.iter().any(|x| !x.is_finite()) => (Matrix6::zeros(), 0.0),
             None => spectral_inverse(a, trace, inversion, reference),
         };
@@ -231,16 +234,16 @@ fn damped_inverse(
     (inverse, weakest_share)
 }
 
-/// Plain inverse, if it is certain without the spectrum that no eigenvalue is below the threshold:
-/// λ_min ≥ 1/tr(A⁻¹), and λ_max ≤ tr(A) where that is the reference.
+/// Returns the exact inverse if bounds on the eigenvalues prove that none is below the threshold: λ_min ≥ 1/tr(A⁻¹),
+/// and λ_max ≤ tr(A) if the reference is λ_max.
 fn certified_inverse(a: &Matrix6<f64>, rows: usize, reference: f64, threshold: f64) -> Option<Matrix6<f64>> {
     let inverse = positive_inverse(a)?;
     let inverse_trace: f64 = (0..rows).map(|r| inverse[(r, r)]).sum();
     (1.0 >= threshold * reference * inverse_trace).then_some(inverse)
 }
 
-/// Inverse of a symmetric matrix by Gauss-Jordan elimination without pivoting, which is stable if the
-/// matrix is positive definite; `None` if a pivot shows that it isn't.
+/// Returns the inverse of a symmetric matrix by Gauss-Jordan elimination without pivoting, which is stable for positive
+/// definite matrices; `None` if a pivot shows that the matrix is not positive definite.
 fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let mut swept = *a;
     for k in 0..6 {
@@ -271,7 +274,7 @@ fn spectral_inverse(
     reference: Option<f64>,
 ) -> (Matrix6<f64>, f64) {
     let spectrum = SymmetricEigen::new(a);
-    // The padding lies above the trace, all eigenvalues of the task below it.
+    // The padding is larger than the trace; all eigenvalues of the task are smaller.
     let largest = spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
     let reference = reference.unwrap_or(largest);
     let mut inverse = Matrix6::zeros();
@@ -284,8 +287,8 @@ fn spectral_inverse(
     (inverse, weakest_share)
 }
 
-/// 1/λ at or above `floor`; below it λ/(λ² + μ²) with μ² = floor² (1 − (λ/floor)²)², which joins 1/λ with
-/// its slope and goes to zero with λ.
+/// Returns 1/λ for λ at or above `floor`, and λ/(λ² + μ²) with μ² = floor² (1 − (λ/floor)²)² below it. Value and slope
+/// are continuous at `floor`, and the result goes to zero with λ.
 fn damped_reciprocal(value: f64, floor: f64) -> f64 {
     if value >= floor && value > 0.0 {
         return 1.0 / value;

@@ -1,4 +1,4 @@
-//! Scalar type of the algorithms: one number, or one in each lane of a SIMD register.
+//! Scalar type of the algorithms: one number, or several numbers in the lanes of a SIMD register.
 //!
 //! ```
 //! use opspace_model::{Data, Model, Real, crba, forward_kinematics};
@@ -15,23 +15,25 @@
 use nalgebra::SimdRealField;
 use std::f64::consts::FRAC_2_PI;
 
-/// Scalar of the algorithms: `f64`, or several of them side by side (`batch::Lanes`, with feature `simd`). All algorithms
-/// without a branch on values are written for both; the number of one state is the default everywhere.
+/// Scalar type of the algorithms: `f64` (the default), or several `f64` in lanes (`batch::Lanes`, with feature `simd`).
+/// All algorithms that do not branch on values are generic over it.
 pub trait Real: SimdRealField<Element = f64> + Copy {}
 
 impl<T: SimdRealField<Element = f64> + Copy> Real for T {}
 
-/// π/2 in two parts, of which the first ends in zeros enough that its multiples up to 2^20 are exact.
+/// π/2 as the sum of two parts. The first part has enough trailing zero bits that its multiples up to 2^20 are exact.
 const HALF_PI: [f64; 2] = [1.5707963267341256, 6.077100506506192e-11];
 
-/// Sine and cosine of an angle (rad), to 2 units in the last place of 1 while it is below 1e6.
+/// Returns the sine and cosine of an angle (rad), with an absolute error of at most 2 ε (ε = 2^-52) for angles up to
+/// 1e6.
 ///
-/// Without a branch or a call, so that a loop over joints runs in SIMD registers: a library's function would cost as
-/// much as all else in forward kinematics. The result is the same on every machine.
+/// It has no branch and no function call, so that a loop over joints is vectorized; the standard library's function
+/// would take as long as the rest of forward kinematics. The result is the same on every machine.
 #[inline]
 pub(crate) fn sin_cos<T: Real>(angle: T) -> (T, T) {
     let constant = T::splat;
-    // To the nearest multiple of 1, 2 or 4, halves to the even one: where the last place of the sum stands.
+    // Rounds to the nearest multiple of `unit` (1, 2 or 4), ties to even: in the sum with `shift`, the last binary
+    // digit has the value `unit`.
     let round_to = |unit: f64, x: T| {
         let shift = constant(unit * 1.5 * (1_u64 << 52) as f64);
         (x + shift) - shift
@@ -40,13 +42,14 @@ pub(crate) fn sin_cos<T: Real>(angle: T) -> (T, T) {
     let n = round_to(1.0, angle * constant(FRAC_2_PI));
     let x = (angle - n * constant(HALF_PI[0])) - n * constant(HALF_PI[1]);
     let square = x * x;
-    // Taylor's series, what follows being below the last place.
+    // Taylor series; the omitted terms are below rounding.
     let series = |last: f64, terms: &[f64]| {
         terms.iter().fold(constant(last), |sum, &term| sum * square + constant(term))
     };
     let sin_x = x + x * square * series(SINE[0], &SINE[1..]);
     let cos_x = T::one() + square * series(COSINE[0], &COSINE[1..]);
-    // Sine and cosine of n π/2: an odd n is one from a multiple of 4, an even one none or two.
+    // Sine s and cosine c of n π/2. If n is odd, `even` is the adjacent multiple of 4, s = ±1 and c = 0. If n is even,
+    // s = 0 and c = ±1.
     let even = round_to(2.0, n);
     let s = n - even;
     let from_four = even - round_to(4.0, even);
@@ -54,7 +57,7 @@ pub(crate) fn sin_cos<T: Real>(angle: T) -> (T, T) {
     (s * cos_x + c * sin_x, c * cos_x - s * sin_x)
 }
 
-/// Coefficients of x³, x⁵, ... x¹⁵ in sin x, the last first: (−1)^k / (2k + 1)!.
+/// Coefficients of x³, x⁵, ... x¹⁵ in sin x, the highest order first: (−1)^k / (2k + 1)!.
 const SINE: [f64; 7] = [
     -1.0 / 1_307_674_368_000.0,
     1.0 / 6_227_020_800.0,
@@ -65,7 +68,7 @@ const SINE: [f64; 7] = [
     -1.0 / 6.0,
 ];
 
-/// Coefficients of x², x⁴, ... x¹⁶ in cos x, the last first: (−1)^k / (2k)!.
+/// Coefficients of x², x⁴, ... x¹⁶ in cos x, the highest order first: (−1)^k / (2k)!.
 const COSINE: [f64; 8] = [
     1.0 / 20_922_789_888_000.0,
     -1.0 / 87_178_291_200.0,
@@ -81,7 +84,7 @@ const COSINE: [f64; 8] = [
 mod tests {
     use super::sin_cos;
 
-    /// Compares with the mathematics library's, all round the circle and some thousand turns away.
+    /// Compared: sine and cosine, and those of the standard library, for angles within a few turns and up to 1e6 rad.
     #[test]
     fn sine_and_cosine_are_accurate_to_last_places() {
         let angles = (-200_000..200_000).map(|i| f64::from(i) * 1.234_567e-4);

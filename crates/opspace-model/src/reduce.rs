@@ -1,4 +1,4 @@
-//! Reduced models: joints locked at a position, or coupled to other joints.
+//! Reduced models: joints locked at a position or coupled to other joints.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -16,25 +16,26 @@ use crate::model::{Body, Frame, Joint, JointKind, Model};
 use crate::spatial::Placement;
 use thiserror::Error;
 
-/// Coupling of a joint to another: it moves to `ratio` q + `offset` (rad, m), with q of the leader.
+/// Coupling of a mimic joint to its leader: the position of the joint is `ratio` q + `offset` (rad, m), with q the
+/// position of the leader.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MimicConstraint {
-    /// Index of the leader, the joint that q belongs to.
+    /// Index of the leader.
     pub leader: usize,
-    /// Ratio of the joint's motion to its leader's.
+    /// Ratio of the velocity of the joint to that of the leader.
     pub ratio: f64,
-    /// Position of the joint where its leader is at 0, rad or m.
+    /// Position of the joint for leader position zero, rad or m.
     pub offset: f64,
 }
 
-/// Reason why a joint can't be locked or folded.
+/// Reason why a joint cannot be locked or coupled.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum ReduceError {
     /// Joint index out of range.
     #[error("no joint {joint}: the model has {count} joints, numbered from 0")]
     NoSuchJoint {
-        /// Index asked for.
+        /// Requested index.
         joint: usize,
         /// Number of joints of the model.
         count: usize,
@@ -45,7 +46,7 @@ pub enum ReduceError {
         /// Name of the joint.
         joint: String,
     },
-    /// Coordinate of a floating base, which can neither be locked nor follow another.
+    /// Coordinate of a floating base, which cannot be locked or take part in a mimic constraint.
     #[error("'{joint}' is part of the floating base; load the URDF with a fixed base instead")]
     Base {
         /// Name of the coordinate.
@@ -59,21 +60,21 @@ pub enum ReduceError {
         /// Value as given.
         value: f64,
     },
-    /// Joints that follow each other in a circle.
+    /// Mimic joints that form a cycle.
     #[error("joint '{joint}' mimics itself")]
     FollowsItself {
-        /// Name of one of them.
+        /// Name of one joint of the cycle.
         joint: String,
     },
 }
 
 impl Model {
-    /// Returns the robot with some joints locked, each at a position (rad, m): bodies beyond a locked joint are fixed
-    /// to its parent. In Pinocchio `buildReducedModel`. The other joints keep their order, and all frames keep their
-    /// names; the rotor of a locked joint is dropped with it.
+    /// Returns the robot with some joints locked, each at a position (rad, m). The body of a locked joint is fixed to
+    /// its parent body. The other joints keep their order and all frames keep their names. The rotor inertias of locked
+    /// joints are dropped. In Pinocchio `buildReducedModel`.
     ///
     /// # Errors
-    /// [`ReduceError`], which names the joint at fault.
+    /// [`ReduceError`], which names the invalid joint.
     pub fn with_locked_joints(&self, positions: &[(usize, f64)]) -> Result<Self, ReduceError> {
         let mut locked_at = vec![None; self.n()];
         for &(joint, position) in positions {
@@ -84,7 +85,8 @@ impl Model {
         }
         let mut left = Self { base: self.base, gravity: self.gravity, ..Self::new(&self.name) };
         left.floating = self.floating;
-        // Which joint each becomes, and where each body is: on which of those left, and its pose there.
+        // `numbers`: new index of each remaining joint. `places`: for each old body, the remaining body that contains
+        // it and its pose there.
         let mut numbers = vec![0; self.n()];
         for joint in (0..self.n()).filter(|&joint| locked_at[joint].is_none()) {
             numbers[joint] = left.joints.len();
@@ -118,13 +120,13 @@ impl Model {
         Ok(left)
     }
 
-    /// Returns the robot with some joints made to follow others (mimic joints): each of `followers` is a joint, its
+    /// Returns the robot with some joints coupled to others (mimic joints): each of `followers` is a joint with its
     /// leader, and the ratio and offset (rad, m) of `q_follower = ratio q_leader + offset`. The bodies of a follower
-    /// move with the leader's coordinate; its own coordinate and its limits are gone. Its rotor turns with the
-    /// leader's.
+    /// move with the coordinate of the leader; the follower's own coordinate and limits are removed. Its rotor inertia,
+    /// times ratio², is added to that of the leader.
     ///
     /// # Errors
-    /// [`ReduceError`], which names the joint at fault.
+    /// [`ReduceError`], which names the invalid joint.
     pub fn with_mimic_constraints(
         &self,
         followers: &[(usize, MimicConstraint)],
@@ -146,7 +148,7 @@ impl Model {
             folded.joints.push(self.joints[joint].clone());
             folded.rotor_inertia.push(self.rotor_inertia[joint]);
         }
-        // Every joint as a function of one that is left.
+        // Every joint as a function of a remaining joint.
         let mut rules = Vec::with_capacity(self.n());
         for joint in 0..self.n() {
             let mut rule = MimicConstraint { leader: joint, ratio: 1.0, offset: 0.0 };
@@ -157,7 +159,7 @@ impl Model {
                 rule.leader = next.leader;
                 steps += 1;
                 if steps > self.n() {
-                    // By now surely on the circle, whatever came before.
+                    // After n steps the leader is certainly on the cycle, even if the chain starts outside it.
                     return Err(ReduceError::FollowsItself { joint: self.joints[rule.leader].name.clone() });
                 }
             }

@@ -1,7 +1,7 @@
-//! Regressor of inverse dynamics, which is linear in the inertial parameters.
+//! Regressor of the inverse dynamics, which are linear in the inertial parameters.
 //!
 //! Atkeson, An and Hollerbach, *Estimation of inertial parameters of manipulator loads and links*, Int. J. Robotics
-//! Research 5(3), 1986; in Pinocchio `computeJointTorqueRegressor`, whose order of parameters this is.
+//! Research 5(3), 1986; in Pinocchio `computeJointTorqueRegressor`, with the same order of parameters.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -29,8 +29,8 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 /// Number of inertial parameters of a body.
 pub const PARAMETERS: usize = 10;
 
-/// Inertial parameters π of a body: m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz, with I about the origin
-/// of its frame, in its axes (kg, kg m, kg m²).
+/// Returns the inertial parameters π of a body: m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz, with I
+/// about the origin and in the axes of the body frame (kg, kg m, kg m²).
 #[must_use]
 pub fn inertial_parameters(inertia: &Inertia) -> [f64; PARAMETERS] {
     let Inertia { mass, com, rotational } = inertia;
@@ -41,11 +41,12 @@ pub fn inertial_parameters(inertia: &Inertia) -> [f64; PARAMETERS] {
     [*mass, h.x, h.y, h.z, i(0, 0), i(0, 1), i(1, 1), i(0, 2), i(1, 2), i(2, 2)]
 }
 
-/// Y(q, q̇, q̈) with Y π = [`rnea`](crate::rnea())'s τ without rotors (n × 10 times the number of bodies), π the
-/// [`inertial_parameters`] of all bodies, one after the other. Needs [`kinematics`](crate::kinematics()).
+/// Computes the regressor Y(q, q̇, q̈) (n × 10 times the number of bodies) into `out`, at `ddq` (n; rad/s²). Y π is the
+/// torque of [`rnea`](crate::rnea()) without rotors, with π the stacked [`inertial_parameters`] of all bodies. Needs
+/// [`kinematics`](crate::kinematics()).
 ///
 /// # Panics
-/// If `ddq` is shorter than the number of joints or `out` of another size.
+/// If `ddq` is shorter than the number of joints, or if `out` has another size.
 pub fn torque_regressor<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T], out: &mut DMatrix<T>) {
     let bodies = model.bodies.len();
     assert_eq!(out.shape(), (model.n(), PARAMETERS * bodies), "n rows, ten columns a body");
@@ -67,13 +68,13 @@ pub fn torque_regressor<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]
     }
 }
 
-/// Force on a body per unit of each of its parameters, at its velocity and acceleration in its own frame:
-/// `f = m a_o + α × h + ω × (ω × h)`, `n = I α + ω × I ω + h × a_o` with a_o the classical acceleration of its origin.
+/// Returns the force on a body per unit of each of its parameters, for its velocity and acceleration in the body frame:
+/// `f = m a_o + α × h + ω × (ω × h)`, `n = I α + ω × I ω + h × a_o`, with a_o the classical acceleration of its origin.
 fn body_regressor<T: Real>(v: &Motion<T>, a: &Motion<T>) -> [Force<T>; PARAMETERS] {
     let (w, alpha) = (&v.angular, &a.angular);
     let at_origin = a.linear + w.cross(&v.linear);
     let moment = |r: usize, c: usize| {
-        // I with ones at (r, c) and (c, r), on a vector.
+        // Product of a vector and the matrix I with ones at (r, c) and (c, r).
         let apply = |x: &Vector3<T>| {
             let mut y = Vector3::zeros();
             y[r] = x[c];

@@ -1,4 +1,4 @@
-//! Inverse dynamics: the torques of a motion, by the recursive Newton–Euler algorithm.
+//! Inverse dynamics by the recursive Newton–Euler algorithm.
 //!
 //! RBDA table 5.1; in Pinocchio `rnea`, `nonLinearEffects` and `computeGeneralizedGravity`.
 //!
@@ -26,7 +26,8 @@ use crate::real::Real;
 use crate::spatial::{Force, Motion, Placement, apply, apply_transposed};
 use nalgebra::{DVector, Vector3};
 
-/// τ = M q̈ + C q̇ + g at `ddq` (n; rad/s²), into [`Data::torque`] (Nm). Needs [`kinematics`](crate::kinematics()).
+/// Computes τ = M q̈ + C q̇ + g at `ddq` (n; rad/s²) into [`Data::torque`] (Nm). Needs
+/// [`kinematics`](crate::kinematics()).
 ///
 /// # Panics
 /// If `ddq` is shorter than the number of joints.
@@ -45,8 +46,8 @@ pub fn rnea<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
     }
 }
 
-/// τ = M q̈ + C q̇ + g − Σ Jᵀ f: [`rnea`] with wrenches f acting on the robot at frames (N, Nm; world axes, at each
-/// frame's origin).
+/// Computes τ = M q̈ + C q̇ + g − Σ Jᵀ f: [`rnea`] with wrenches f that act on the robot at frames (N, Nm; in world
+/// axes, at the origin of each frame).
 ///
 /// # Panics
 /// If `ddq` is shorter than the number of joints.
@@ -62,7 +63,8 @@ pub fn rnea_external<T: Real>(
     }
 }
 
-/// h = C q̇ + g, the torques at q̈ = 0, into [`Data::bias`] (Nm). Needs [`kinematics`](crate::kinematics()).
+/// Computes the bias h = C q̇ + g, the torques at q̈ = 0, into [`Data::bias`] (Nm). Needs
+/// [`kinematics`](crate::kinematics()).
 pub fn bias<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let Data { origin, placement, velocity, bias_acceleration, force, .. } = data;
     let motions = velocity.iter().zip(bias_acceleration.iter());
@@ -74,7 +76,7 @@ pub fn bias<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     backward(model, &data.screw, &mut data.force, &mut data.bias);
 }
 
-/// g, the torques that hold the robot still, into [`Data::gravity`] (Nm). Needs
+/// Computes g, the torques that hold the robot at rest, into [`Data::gravity`] (Nm). Needs
 /// [`forward_kinematics`](crate::forward_kinematics).
 pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     for (force, (body, place)) in data.force.iter_mut().zip(model.bodies.iter().zip(&data.placement)) {
@@ -85,7 +87,7 @@ pub fn gravity<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     backward(model, &data.screw, &mut data.force, &mut data.gravity);
 }
 
-/// Computes [`bias`] from the inertias of the bodies.
+/// Computes [`bias`] from the spatial inertias of the bodies in `composite`.
 pub(crate) fn bias_of_bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let Data { composite, velocity, bias_acceleration, force, .. } = data;
     for (force, (inertia, (v, bias))) in
@@ -98,7 +100,7 @@ pub(crate) fn bias_of_bodies<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     backward(model, &data.screw, &mut data.force, &mut data.bias);
 }
 
-/// Computes [`gravity`] from the composite inertias of the subtrees, as [`crba`](crate::crba) leaves them.
+/// Computes [`gravity`] from the composite inertias that [`crba`](crate::crba) computes.
 pub(crate) fn gravity_of_composites<T: Real>(model: &Model<T>, data: &mut Data<T>) {
     let up = -model.gravity;
     data.gravity.as_mut_slice().fill(T::zero());
@@ -108,8 +110,8 @@ pub(crate) fn gravity_of_composites<T: Real>(model: &Model<T>, data: &mut Data<T
     }
 }
 
-/// Adds the part of `ddq` and of gravity to the bias acceleration of every body. Gravity enters as an upward
-/// acceleration of the base.
+/// Computes the part of each body's acceleration that is due to `ddq` and gravity; the bias acceleration is not
+/// included. Gravity is modelled as an upward acceleration of the base.
 #[inline]
 pub(crate) fn accelerate<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T]) {
     for (i, body) in model.bodies.iter().enumerate() {
@@ -121,10 +123,10 @@ pub(crate) fn accelerate<T: Real>(model: &Model<T>, data: &mut Data<T>, ddq: &[T
     }
 }
 
-/// Net force on a body, f = I a + v ×* I v (RBDA eq. 2.72), in world axes about `origin`.
+/// Returns the net force on a body, f = I a + v ×* I v (RBDA eq. 2.72), in world axes about `origin`.
 ///
-/// Newton's law holds for the centre of mass in world axes, Euler's about it in the body's, where its inertia is
-/// constant.
+/// Newton's equation is evaluated for the centre of mass in world axes, Euler's equation about the centre of mass in
+/// body axes, in which the inertia is constant.
 #[inline(always)]
 fn newton_euler<T: Real>(
     body: &Body<T>,
@@ -143,7 +145,8 @@ fn newton_euler<T: Real>(
     Force { linear, angular: apply(rotation, &moment) + com.cross(&linear) }
 }
 
-/// Sums forces from the tips to the base: each joint transmits those of its own body and of all bodies beyond.
+/// Sums the forces from the tips to the base: each joint transmits the forces on its body and on all descendants of its
+/// body.
 #[inline]
 fn backward<T: Real>(model: &Model<T>, screw: &[Motion<T>], force: &mut [Force<T>], torque: &mut DVector<T>) {
     torque.as_mut_slice().fill(T::zero());

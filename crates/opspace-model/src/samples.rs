@@ -1,8 +1,8 @@
-//! Every kinematic and dynamic quantity of a state at once, in a layout for comparisons with other
-//! libraries: the format that `opspace model URDF --tip FRAME --samples FILE` reads and writes.
+//! Evaluation of all kinematic and dynamic quantities of one state, in a layout for comparison with other libraries.
+//! `opspace model URDF --tip FRAME --samples FILE` reads and writes this format.
 //!
-//! Matrices are flat and row-major; 6-vectors and Jacobians have linear rows first, in world axes at the
-//! tip's origin. Not for control: it allocates.
+//! Matrices are flat lists in row-major order. 6-vectors and Jacobians have the linear rows first, in world axes at the
+//! origin of the tip. Not for control loops: it allocates.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -30,23 +30,22 @@ use nalgebra::{DMatrix, Matrix6xX, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Smallest ratio of singular values of J M^-½ at full rank. A task is rank-deficient if, with its rows scaled to equal
-/// weight, its least mobile direction has less than this share of the mobility of its most mobile one. Below it Λ,
-/// which divides by the square, has fewer than four digits left.
+/// Smallest ratio of the least to the largest singular value of J M^-½, with rows scaled to unit length, for a task of
+/// full rank. Λ depends on the square of the ratio: below this value it has fewer than four accurate digits.
 const RANK_TOLERANCE: f64 = 1e-6;
 
-/// Largest angle at which sine and cosine keep their digits: see [`forward_kinematics`](crate::forward_kinematics).
+/// Largest angle for which sine and cosine are accurate: see [`forward_kinematics`](crate::forward_kinematics).
 const MOST_TURNED_RAD: f64 = 1e6;
 
-/// Largest difference from 1 of a quaternion's length: files print six digits and more.
+/// Largest deviation of a quaternion's length from 1; files contain at least six digits.
 const QUATERNION_TOLERANCE: f64 = 1e-5;
 
-/// State of a robot, and the forces that act on it. Lengths: n is the number of joints.
+/// State of a robot with n joints, and the forces that act on it.
 ///
-/// Unknown keys are ignored when it is read: a line may include another library's answers.
+/// Unknown keys are ignored when a sample is read, so a line may also contain the results of another library.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
-    /// Joint positions, rad or m (nq: a floating base has a quaternion).
+    /// Joint positions, rad or m (nq: n, or n + 1 with a floating base, whose rotation is a quaternion).
     pub q: Vec<f64>,
     /// Joint velocities, rad/s or m/s (n).
     pub dq: Vec<f64>,
@@ -54,9 +53,9 @@ pub struct Sample {
     pub ddq: Vec<f64>,
     /// Joint torques for the forward dynamics, Nm or N (n).
     pub tau_in: Vec<f64>,
-    /// Force and moment on the robot at the tip, world axes, N and Nm (6).
+    /// Force and moment that act on the robot at the tip, world axes, N and Nm (6).
     pub f_tip: Vec<f64>,
-    /// Rows of the tip's Jacobian that are the task: distinct, each from 0 to 5.
+    /// Rows of the tip Jacobian that form the task: distinct, each from 0 to 5. All six by default.
     #[serde(default = "all_rows")]
     pub task_rows: Vec<usize>,
 }
@@ -65,52 +64,53 @@ fn all_rows() -> Vec<usize> {
     (0..6).collect()
 }
 
-/// Quantities computed from a [`Sample`]; k is the number of its task's rows.
+/// Quantities computed from a [`Sample`] with k task rows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Quantities {
-    /// Axes of the tip in the world (3 × 3).
+    /// Rotation matrix from the tip frame to the world (3 × 3).
     #[serde(rename = "tip_R")]
     pub tip_rotation: Vec<f64>,
-    /// Origin of the tip in the world, m (3).
+    /// Position of the tip origin in the world, m (3).
     #[serde(rename = "tip_p")]
     pub tip_position: Vec<f64>,
-    /// Velocity of the tip, J q̇ (6).
+    /// Velocity of the tip, J q̇, m/s and rad/s (6).
     #[serde(rename = "tip_vel")]
     pub tip_velocity: Vec<f64>,
     /// Jacobian J of the tip (6 × n).
     #[serde(rename = "J")]
     pub jacobian: Vec<f64>,
-    /// Classical acceleration of the tip with q̈ = 0, J̇ q̇ (6).
+    /// Classical acceleration of the tip for q̈ = 0, J̇ q̇, m/s² and rad/s² (6).
     #[serde(rename = "Jdot_dq")]
     pub tip_bias_acceleration: Vec<f64>,
-    /// Mass matrix M (n × n).
+    /// Mass matrix M, kg m² (n × n).
     #[serde(rename = "M")]
     pub mass_matrix: Vec<f64>,
-    /// Torques g of gravity (n).
+    /// Gravity torques g, Nm (n).
     #[serde(rename = "g")]
     pub gravity: Vec<f64>,
-    /// Torques C q̇ + g at q̈ = 0 (n).
+    /// Bias torques C q̇ + g, at q̈ = 0, Nm (n).
     #[serde(rename = "nle")]
     pub bias: Vec<f64>,
-    /// Coriolis matrix C of Christoffel's symbols (n × n).
+    /// Coriolis matrix C from Christoffel symbols, Nms/rad (n × n).
     #[serde(rename = "C")]
     pub coriolis_matrix: Vec<f64>,
-    /// Torques of inverse dynamics, M q̈ + C q̇ + g (n).
+    /// Torques of the inverse dynamics, M q̈ + C q̇ + g, Nm (n).
     pub tau_rnea: Vec<f64>,
-    /// Accelerations of forward dynamics, M⁻¹ (τ − C q̇ − g) (n).
+    /// Accelerations of the forward dynamics, M⁻¹ (τ − C q̇ − g), rad/s² (n).
     pub ddq_aba: Vec<f64>,
-    /// Torques of inverse dynamics with the wrench at the tip, M q̈ + C q̇ + g − Jᵀ f (n).
+    /// Torques of the inverse dynamics with the wrench at the tip, M q̈ + C q̇ + g − Jᵀ f, Nm (n).
     pub tau_rnea_fext: Vec<f64>,
-    /// Accelerations of forward dynamics with the wrench at the tip, M⁻¹ (τ − C q̇ − g + Jᵀ f) (n).
+    /// Accelerations of the forward dynamics with the wrench at the tip, M⁻¹ (τ − C q̇ − g + Jᵀ f), rad/s² (n).
     pub ddq_aba_fext: Vec<f64>,
-    /// Centre of mass of all moving bodies in the world, m (3); none if nothing moves.
+    /// Centre of mass of all moving bodies in the world, m (3); none without moving mass.
     pub com: Option<Vec<f64>>,
     /// Kinetic energy, J.
     pub kinetic_energy: f64,
-    /// Potential energy, J; zero at z = 0.
+    /// Potential energy, J; zero for a centre of mass at the world origin.
     pub potential_energy: f64,
-    /// Task inertia Λ = (J M⁻¹ Jᵀ)⁻¹ of the task's rows, undamped (k × k); none if the task is rank-deficient.
+    /// Task inertia Λ = (J M⁻¹ Jᵀ)⁻¹ for the task rows, undamped, kg, kg m and kg m² (k × k); none if the task is
+    /// rank-deficient.
     #[serde(rename = "Lambda")]
     pub task_inertia: Option<Vec<f64>>,
     /// Dynamically consistent inverse J̄ = M⁻¹ Jᵀ Λ (n × k); none if the task is rank-deficient.
@@ -122,7 +122,8 @@ pub struct Quantities {
 }
 
 impl Quantities {
-    /// True if all that is computed for every state is finite; the task's quantities come from the same matrices.
+    /// Returns true if the quantities computed for every state are finite. The task quantities are computed from the
+    /// same matrices.
     fn is_finite(&self) -> bool {
         let all = [
             &self.tip_velocity,
@@ -139,7 +140,7 @@ impl Quantities {
     }
 }
 
-/// Reason why a [`Sample`] can't be evaluated.
+/// Reason why a [`Sample`] cannot be evaluated.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum SampleError {
@@ -148,9 +149,9 @@ pub enum SampleError {
     Length {
         /// Key of the input.
         key: &'static str,
-        /// Number of entries needed.
+        /// Expected number of entries.
         expected: usize,
-        /// Number of entries given.
+        /// Actual number of entries.
         found: usize,
     },
     /// Input that is infinite or not a number.
@@ -163,16 +164,16 @@ pub enum SampleError {
         /// Value of the entry.
         value: f64,
     },
-    /// Task row that a frame's motion doesn't have.
+    /// Task row outside the range 0 to 5.
     #[error("`task_rows` has {row}; the rows are 0 1 2 (linear x y z) and 3 4 5 (angular x y z)")]
     NoSuchRow {
-        /// Row as given.
+        /// Given row.
         row: usize,
     },
     /// Task row given twice.
     #[error("`task_rows` has {row} more than once; remove one")]
     RepeatedRow {
-        /// Row as given.
+        /// Given row.
         row: usize,
     },
     /// Mass matrix that is not positive definite: a joint without inertia, or a state so large that products overflow.
@@ -181,18 +182,18 @@ pub enum SampleError {
          numbers overflow"
     )]
     SingularMassMatrix,
-    /// Quaternion whose length is not 1.
+    /// Quaternion that is not of unit length.
     #[error("the quaternion `q`[3..7] has length {length}; give one of length 1: x, y, z, w")]
     Quaternion {
-        /// Length as given.
+        /// Given length.
         length: f64,
     },
-    /// Angle beyond the range in which sines keep their digits.
+    /// Angle outside the range in which sine and cosine are accurate.
     #[error("`q`: joint '{joint}' is at {angle} rad; give at most {MOST_TURNED_RAD}")]
     Turned {
         /// Name of the joint.
         joint: String,
-        /// Angle as given, rad.
+        /// Given angle, rad.
         angle: f64,
     },
     /// State so large that products overflow.
@@ -200,10 +201,10 @@ pub enum SampleError {
     Overflow,
 }
 
-/// Computes all quantities at one state.
+/// Computes all quantities of one state, for the frame `tip`.
 ///
 /// # Errors
-/// [`SampleError`], which names the input at fault.
+/// [`SampleError`], which names the invalid input.
 pub fn evaluate(model: &Model, tip: FrameId, sample: &Sample) -> Result<Quantities, SampleError> {
     check(model, sample)?;
     let mut data = Data::new(model);
@@ -296,7 +297,7 @@ fn check(model: &Model, sample: &Sample) -> Result<(), SampleError> {
     Ok(())
 }
 
-/// Λ, J̄ and N of a task, row-major.
+/// Λ, J̄ and N of a task, in row-major order.
 struct Task {
     inertia: Vec<f64>,
     inverse: Vec<f64>,
@@ -323,8 +324,8 @@ fn task(data: &Data, jacobian: &Matrix6xX<f64>, rows: &[usize]) -> Option<Task> 
     })
 }
 
-/// True if J M⁻¹ Jᵀ has an inverse, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ), whose columns are
-/// first scaled to length one since they differ in unit.
+/// Returns true if J M⁻¹ Jᵀ is invertible, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ). Its columns have
+/// different units and are first scaled to unit length.
 fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
     let n = jacobian.ncols();
     if rows == 0 || rows > n {

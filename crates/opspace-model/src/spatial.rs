@@ -1,7 +1,7 @@
 //! Rigid-body quantities as pairs of 3-vectors: placements, motions, forces and inertias.
 //!
-//! Linear part first, angular part second, everywhere in opspace. A 6×6 matrix is never formed: the
-//! products below are Featherstone's spatial operators (RBDA, table 2.1) with their zeros left out.
+//! The linear part precedes the angular part everywhere in opspace. No 6×6 matrix is formed: the products below are
+//! Featherstone's spatial operators (RBDA, table 2.1) without their zero entries.
 //!
 //! ```
 //! use nalgebra::Vector3;
@@ -22,14 +22,15 @@ use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 /// Pose of a frame B in a frame A: `p_A = rotation · p_B + translation` (m).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement<T = f64> {
-    /// Axes of B in A.
+    /// Rotation matrix from B to A: its columns are the axes of B in A.
     pub rotation: Matrix3<T>,
     /// Origin of B in A, m.
     pub translation: Vector3<T>,
 }
 
 impl Placement {
-    /// Returns the placement of URDF's `rpy` (rad; fixed axes x, y, z in that order) and `xyz` (m).
+    /// Returns the placement given by the URDF attributes `rpy` (rad; rotations about the fixed axes x, y, z in that
+    /// order) and `xyz` (m).
     #[must_use]
     pub fn from_rpy(rpy: [f64; 3], xyz: [f64; 3]) -> Self {
         Self {
@@ -38,7 +39,7 @@ impl Placement {
         }
     }
 
-    /// Returns this placement in every lane.
+    /// Returns this placement, copied to every lane.
     #[must_use]
     pub fn splat<T: Real>(&self) -> Placement<T> {
         Placement { rotation: self.rotation.map(T::splat), translation: self.translation.map(T::splat) }
@@ -46,27 +47,27 @@ impl Placement {
 }
 
 impl<T: Real> Placement<T> {
-    /// Placement of two frames that coincide.
+    /// Returns the identity: the placement of two coincident frames.
     #[must_use]
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
-    /// Pose of A in B.
+    /// Returns the inverse placement: the pose of A in B.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// Transforms a point given in B to A (m).
+    /// Transforms a point (m) from B to A.
     #[inline]
     #[must_use]
     pub fn act_point(&self, point: &Vector3<T>) -> Vector3<T> {
         apply(&self.rotation, point) + self.translation
     }
 
-    /// Transforms a motion given at B's origin in B's axes to A's origin in A's axes.
+    /// Transforms a motion from B (at the origin and in the axes of B) to A.
     #[inline]
     #[must_use]
     pub fn act_motion(&self, m: &Motion<T>) -> Motion<T> {
@@ -74,7 +75,7 @@ impl<T: Real> Placement<T> {
         Motion { linear: self.rotation * m.linear + self.translation.cross(&angular), angular }
     }
 
-    /// Transforms a motion given in A to B: the inverse of [`act_motion`](Self::act_motion).
+    /// Transforms a motion from A to B, the inverse of [`act_motion`](Self::act_motion).
     #[inline]
     #[must_use]
     pub fn act_inverse_motion(&self, m: &Motion<T>) -> Motion<T> {
@@ -84,7 +85,7 @@ impl<T: Real> Placement<T> {
         }
     }
 
-    /// Transforms a force given at B's origin in B's axes to A's origin in A's axes.
+    /// Transforms a force from B (at the origin and in the axes of B) to A.
     #[inline]
     #[must_use]
     pub fn act_force(&self, f: &Force<T>) -> Force<T> {
@@ -92,7 +93,7 @@ impl<T: Real> Placement<T> {
         Force { linear, angular: self.rotation * f.angular + self.translation.cross(&linear) }
     }
 
-    /// Transforms an inertia given in B to A.
+    /// Transforms an inertia from B to A.
     #[inline]
     #[must_use]
     pub fn act_inertia(&self, inertia: &Inertia<T>) -> Inertia<T> {
@@ -107,7 +108,7 @@ impl<T: Real> Placement<T> {
 impl<T: Real> Mul for Placement<T> {
     type Output = Self;
 
-    /// Product of placements: `X_AC = X_AB · X_BC`.
+    /// Returns the product of placements: `X_AC = X_AB · X_BC`.
     #[inline]
     fn mul(self, other: Self) -> Self {
         Self {
@@ -117,46 +118,46 @@ impl<T: Real> Mul for Placement<T> {
     }
 }
 
-/// A velocity (m/s, rad/s) or an acceleration (m/s², rad/s²).
+/// A spatial velocity (m/s, rad/s) or acceleration (m/s², rad/s²).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion<T = f64> {
-    /// Velocity (acceleration) of the body's point at the frame's origin.
+    /// Linear velocity (acceleration) of the body point at the origin of the frame, m/s (m/s²).
     pub linear: Vector3<T>,
-    /// Angular velocity (acceleration) of the body.
+    /// Angular velocity (acceleration) of the body, rad/s (rad/s²).
     pub angular: Vector3<T>,
 }
 
-/// A force and the moment about the frame's origin (N, Nm); also a momentum (Ns, Nms).
+/// A force with its moment about the origin of the frame (N, Nm), or a momentum (Ns, Nms).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Force<T = f64> {
-    /// Force, N.
+    /// Force, N (linear momentum, Ns).
     pub linear: Vector3<T>,
-    /// Moment about the frame's origin, Nm.
+    /// Moment about the origin of the frame, Nm (angular momentum, Nms).
     pub angular: Vector3<T>,
 }
 
 impl<T: Real> Motion<T> {
-    /// Motion of a body at rest: zero.
+    /// Returns the zero motion.
     #[must_use]
     pub fn zero() -> Self {
         Self { linear: Vector3::zeros(), angular: Vector3::zeros() }
     }
 
-    /// Motion of the body's point at `point` from the frame's origin.
+    /// Returns this motion with the linear part taken at `point` (m), given relative to the current origin.
     #[inline]
     #[must_use]
     pub fn shifted_to(&self, point: &Vector3<T>) -> Self {
         Self { linear: self.linear + self.angular.cross(point), angular: self.angular }
     }
 
-    /// Motion in new axes: `rotation` has the axes used so far in the new ones.
+    /// Returns this motion in other axes: `rotation` maps the current axes to the new ones.
     #[inline]
     #[must_use]
     pub fn rotated(&self, rotation: &Matrix3<T>) -> Self {
         Self { linear: apply(rotation, &self.linear), angular: apply(rotation, &self.angular) }
     }
 
-    /// Motion in the axes that are the columns of `rotation`.
+    /// Returns this motion in the axes that are the columns of `rotation`.
     #[inline]
     #[must_use]
     pub fn rotated_inverse(&self, rotation: &Matrix3<T>) -> Self {
@@ -166,7 +167,8 @@ impl<T: Real> Motion<T> {
         }
     }
 
-    /// `v ×`: the rate of change of a motion fixed in a frame that moves with `self` (RBDA eq. 2.31).
+    /// Returns `v × m`: the rate of change of a motion `m` that is fixed in a frame moving with velocity `self` (RBDA
+    /// eq. 2.31).
     #[inline]
     #[must_use]
     pub fn cross_motion(&self, m: &Motion<T>) -> Motion<T> {
@@ -176,7 +178,8 @@ impl<T: Real> Motion<T> {
         }
     }
 
-    /// `v ×*`: the rate of change of a force fixed in a frame that moves with `self` (RBDA eq. 2.32).
+    /// Returns `v ×* f`: the rate of change of a force `f` that is fixed in a frame moving with velocity `self` (RBDA
+    /// eq. 2.32).
     #[inline]
     #[must_use]
     pub fn cross_force(&self, f: &Force<T>) -> Force<T> {
@@ -186,7 +189,7 @@ impl<T: Real> Motion<T> {
         }
     }
 
-    /// Power of a force on this motion, W.
+    /// Returns the power of force `f` on this velocity, W.
     #[inline]
     #[must_use]
     pub fn dot(&self, f: &Force<T>) -> T {
@@ -195,13 +198,13 @@ impl<T: Real> Motion<T> {
 }
 
 impl<T: Real> Force<T> {
-    /// Zero force.
+    /// Returns the zero force.
     #[must_use]
     pub fn zero() -> Self {
         Self { linear: Vector3::zeros(), angular: Vector3::zeros() }
     }
 
-    /// Returns this force with its moment taken about `point`, given relative to the point used so far.
+    /// Returns this force with its moment about `point` (m), given relative to the current origin.
     #[inline]
     #[must_use]
     pub fn shifted_to(&self, point: &Vector3<T>) -> Self {
@@ -209,7 +212,7 @@ impl<T: Real> Force<T> {
     }
 }
 
-/// Sums and scalings of motions and forces alike.
+/// Implements addition, negation and scaling, for motions and for forces.
 macro_rules! pair_arithmetic {
     ($t:ident) => {
         impl<T: Real> Add for $t<T> {
@@ -271,7 +274,7 @@ pub struct Inertia<T = f64> {
 }
 
 impl Inertia {
-    /// Returns this inertia in every lane.
+    /// Returns this inertia, copied to every lane.
     #[must_use]
     pub fn splat<T: Real>(&self) -> Inertia<T> {
         Inertia {
@@ -283,7 +286,7 @@ impl Inertia {
 }
 
 impl<T: Real> Inertia<T> {
-    /// Inertia of a body without mass.
+    /// Returns the zero inertia.
     #[must_use]
     pub fn zero() -> Self {
         Self { mass: T::zero(), com: Vector3::zeros(), rotational: Matrix3::zeros() }
@@ -293,7 +296,8 @@ impl<T: Real> Inertia<T> {
 impl Add for Inertia {
     type Output = Self;
 
-    /// Inertia of two bodies joined rigidly (parallel-axis theorem). Massless ones keep their rotational part.
+    /// Returns the inertia of two rigidly connected bodies (parallel-axis theorem). Rotational inertias of massless
+    /// bodies are included.
     fn add(self, o: Self) -> Self {
         let mass = self.mass + o.mass;
         if mass == 0.0 {
@@ -311,10 +315,10 @@ impl Add for Inertia {
     }
 }
 
-/// Eigenvalues of a rotational inertia, ascending, kg m².
+/// Returns the principal moments (eigenvalues) of a rotational inertia in ascending order, kg m².
 #[must_use]
 pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
-    // Of order one first: the square of a tiny or huge moment is zero or infinite.
+    // Scaled to order one first, because the square of a tiny or huge moment under- or overflows.
     let scale = rotational.amax();
     if scale == 0.0 {
         return [0.0; 3];
@@ -324,26 +328,27 @@ pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     moments
 }
 
-/// Rigid body's inertia about a fixed point, in fixed axes: the blocks of RBDA eq. 2.63,
-/// `[f; n] = [m, −h×; h×, I] [v; ω]`. The inertias of bodies that move as one are summed.
+/// Inertia of a rigid body about a fixed point, in fixed axes: `[f; n] = [m, −h×; h×, I] [v; ω]`, with the blocks of
+/// RBDA eq. 2.63. The inertia of rigidly connected bodies is the sum of their inertias.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpatialInertia<T = f64> {
-    /// m, kg.
+    /// Mass m, kg.
     pub mass: T,
-    /// h: mass times the position of the centre of mass, kg m.
+    /// First moment h: mass times the position of the centre of mass relative to the point, kg m.
     pub first_moment: Vector3<T>,
-    /// I: rotational inertia about the point, kg m².
+    /// Second moment I: rotational inertia about the point, kg m².
     pub second_moment: Matrix3<T>,
 }
 
 impl<T: Real> SpatialInertia<T> {
-    /// Inertia of a body without mass.
+    /// Returns the zero inertia.
     #[must_use]
     pub fn zero() -> Self {
         Self { mass: T::zero(), first_moment: Vector3::zeros(), second_moment: Matrix3::zeros() }
     }
 
-    /// Returns the inertia of a body in a frame of which `rotation` gives the axes, with its centre of mass at `com`.
+    /// Returns the inertia of a body about a point: `rotation` maps body axes to the fixed axes, and `com` is the
+    /// centre of mass relative to the point, in the fixed axes (m).
     #[inline]
     #[must_use]
     pub fn new(inertia: &Inertia<T>, rotation: &Matrix3<T>, com: &Vector3<T>) -> Self {
@@ -352,7 +357,7 @@ impl<T: Real> SpatialInertia<T> {
         Self { mass: inertia.mass, first_moment, second_moment: turned + parallel_axis(com, &first_moment) }
     }
 
-    /// Momentum of the body moving at `v`, or its inertial force under the acceleration `v`.
+    /// Returns the momentum of a body with velocity `v`, or I a for an acceleration `v`.
     #[inline]
     #[must_use]
     pub fn apply(&self, v: &Motion<T>) -> Force<T> {
@@ -372,7 +377,7 @@ impl<T: Real> AddAssign<&Self> for SpatialInertia<T> {
     }
 }
 
-/// R A Rᵀ of a symmetric A.
+/// Returns R A Rᵀ for a symmetric A.
 #[inline]
 fn rotate_inertia<T: Real>(rotation: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> {
     let half = product(rotation, a);
@@ -384,28 +389,28 @@ fn rotate_inertia<T: Real>(rotation: &Matrix3<T>, a: &Matrix3<T>) -> Matrix3<T> 
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
-/// A x. Written out, as [`product`] and [`apply_transposed`] are: nalgebra's own are as fast for one number, but pass
-/// through memory for lanes.
+/// Returns A x. Like [`product`] and [`apply_transposed`], it is written out: the operators of nalgebra are equally
+/// fast for one number but store intermediate results in memory for lanes.
 #[inline]
 pub(crate) fn apply<T: Real>(a: &Matrix3<T>, x: &Vector3<T>) -> Vector3<T> {
     a.column(0) * x.x + a.column(1) * x.y + a.column(2) * x.z
 }
 
-/// Aᵀ x.
+/// Returns Aᵀ x.
 #[inline]
 pub(crate) fn apply_transposed<T: Real>(a: &Matrix3<T>, x: &Vector3<T>) -> Vector3<T> {
     let row = |c: usize| a[(0, c)] * x.x + a[(1, c)] * x.y + a[(2, c)] * x.z;
     Vector3::new(row(0), row(1), row(2))
 }
 
-/// A B.
+/// Returns A B.
 #[inline]
 fn product<T: Real>(a: &Matrix3<T>, b: &Matrix3<T>) -> Matrix3<T> {
     let column = |c: usize| a.column(0) * b[(0, c)] + a.column(1) * b[(1, c)] + a.column(2) * b[(2, c)];
     Matrix3::from_columns(&[column(0), column(1), column(2)])
 }
 
-/// (c·h) 1 − c hᵀ with h = m c: the term of the parallel-axis theorem.
+/// Returns the parallel-axis term (c·h) 1 − c hᵀ with h = m c.
 #[inline]
 fn parallel_axis<T: Real>(c: &Vector3<T>, h: &Vector3<T>) -> Matrix3<T> {
     let (xx, yy, zz) = (c.x * h.x, c.y * h.y, c.z * h.z);
@@ -413,7 +418,7 @@ fn parallel_axis<T: Real>(c: &Vector3<T>, h: &Vector3<T>) -> Matrix3<T> {
     Matrix3::new(yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)
 }
 
-/// `x ×` as a matrix.
+/// Returns the matrix of the cross product `x ×`.
 #[inline]
 pub(crate) fn skew<T: Real>(x: &Vector3<T>) -> Matrix3<T> {
     let o = T::zero();

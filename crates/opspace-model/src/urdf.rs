@@ -1,9 +1,9 @@
-//! Conversion of a URDF to a [`Model`]: read, checked, and reduced to moving bodies. Text is read, and with feature
-//! `urdf-rs` also a robot of that crate; both are checked by the same code.
+//! Conversion of a URDF to a [`Model`]: reading, checking, and reduction to moving bodies. The input is URDF text or,
+//! with feature `urdf-rs`, a robot of that crate; both are checked by the same code.
 //!
-//! Everything that the dynamics need must be in the file and be physically possible: a moving body without mass,
-//! a joint without limits or a tree with two roots is an error that names the element and its line, not a
-//! default. Shapes, materials, transmissions and `<dynamics>` are ignored.
+//! Everything needed by the dynamics must be in the file and be physically possible. A moving body without mass, a
+//! joint without limits or a tree with two roots is an error with the element and its line; no default replaces a
+//! missing value. Shapes, materials, transmissions and `<dynamics>` are ignored.
 //!
 //! ```
 //! let urdf = r#"
@@ -44,42 +44,42 @@ use crate::spatial::{Inertia, Placement};
 use check::{Checked, CheckedJoint, Description, Motion};
 use elements::RobotElement;
 
-/// Model read from a URDF, and the warnings about its file.
+/// Model read from a URDF, with warnings about the file.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct ParsedUrdf {
     /// Model of the robot.
     pub model: Model,
-    /// Mass of the links that can't move, which are not part of the model, kg.
+    /// Mass of the links that cannot move, kg. They are not part of the model.
     pub standing_kg: f64,
-    /// Warnings about values that were accepted but look wrong, in the order of the file.
+    /// Warnings about accepted but suspicious values, in the order of the file.
     pub warnings: Vec<UrdfWarning>,
 }
 
-/// Options of reading a URDF.
+/// Options for reading a URDF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UrdfOptions {
-    /// Root link free to move in space: see [`Model::floating`].
+    /// True if the root link is a floating base: see [`Model::floating`].
     pub floating_base: bool,
-    /// Mimic joints move with their leader instead of having coordinates of their own: see
+    /// True if mimic joints move with their leaders; otherwise they have independent coordinates. See
     /// [`Model::with_mimic_constraints`].
     pub enforce_mimic: bool,
 }
 
 impl Model {
-    /// Returns the robot that a URDF describes, its root link fixed to the world.
+    /// Returns the robot described by a URDF, with its root link fixed to the world.
     ///
-    /// Revolute, continuous, prismatic and fixed joints are read. Bodies are merged across fixed joints and numbered as
-    /// [`Model`] says; every link becomes a [`Frame`](crate::Frame). The inertia of links that can't move is dropped. A
-    /// mimic joint is a joint of its own, with a warning.
+    /// Revolute, continuous, prismatic and fixed joints are supported. Bodies are merged across fixed joints and
+    /// numbered as described at [`Model`]; every link becomes a [`Frame`](crate::Frame). The inertia of links that
+    /// cannot move is dropped. Mimic joints become independent joints, with a warning.
     ///
     /// # Errors
-    /// [`UrdfError`], with the line of the element at fault: see [`UrdfErrorKind`].
+    /// [`UrdfError`], with the line of the invalid element: see [`UrdfErrorKind`].
     pub fn from_urdf(text: &str) -> Result<ParsedUrdf, UrdfError> {
         Self::from_urdf_with(text, UrdfOptions::default())
     }
 
-    /// Variant of [`from_urdf`](Self::from_urdf) with a floating base, or mimic joints folded.
+    /// Variant of [`from_urdf`](Self::from_urdf) with options: a floating base, enforced mimic joints.
     ///
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
@@ -87,13 +87,13 @@ impl Model {
         load(read::read(text)?, options)
     }
 
-    /// Returns the robot that urdf-rs has read, or that a program has put together. The checks are those of
+    /// Returns a robot read by urdf-rs or built in code from its types. The checks are those of
     /// [`from_urdf`](Self::from_urdf); errors and warnings have no line.
     ///
-    /// urdf-rs tells no zero from a number that is left out: a link whose mass and moments are all zero has no inertia,
-    /// a revolute or prismatic joint whose limits all have their defaults is refused as one without limits, and a limit
-    /// of speed or effort that is zero beside others is a limit of zero, with a warning. A rotation given as a quaternion
-    /// has become roll, pitch and yaw.
+    /// urdf-rs does not distinguish zero from a missing number. Therefore a link with zero mass and zero moments has no
+    /// inertia; a revolute or prismatic joint with only default limits is refused as a joint without limits; and a zero
+    /// velocity or effort limit next to other limits is a limit of zero, with a warning. A rotation given as a
+    /// quaternion has already been converted to roll, pitch and yaw.
     ///
     /// # Errors
     /// As [`from_urdf`](Self::from_urdf).
@@ -103,7 +103,7 @@ impl Model {
     }
 }
 
-/// Checks a robot's elements and makes its model.
+/// Checks the elements of a robot and builds its model.
 fn load(robot: RobotElement, options: UrdfOptions) -> Result<ParsedUrdf, UrdfError> {
     let Checked { description, mut warnings } = check::check(robot)?;
     let order = tree::depth_first(&description)?;
@@ -116,14 +116,14 @@ fn load(robot: RobotElement, options: UrdfOptions) -> Result<ParsedUrdf, UrdfErr
     Ok(ParsedUrdf { model, standing_kg, warnings })
 }
 
-/// Placement of a link: its body, and its pose in that body's frame.
+/// Placement of a link: its body, and its pose in the frame of that body.
 #[derive(Clone, Copy)]
 struct Place {
     body: Option<usize>,
     placement: Placement,
 }
 
-/// Returns the model, and the mass of the links that can't move.
+/// Returns the model, and the mass of the links that cannot move (kg).
 fn assemble(
     description: &Description,
     order: &[tree::Step],
@@ -135,7 +135,7 @@ fn assemble(
     let root = Place { body: floating.then_some(5), placement: Placement::identity() };
     let mut places = vec![root; description.links.len()];
     let mut inertias = vec![Inertia::zero(); model.bodies().len()];
-    // The joint that moves each body, and the line of each frame's link, for errors.
+    // Joint that moves each body, for errors.
     let mut movers: Vec<&CheckedJoint> = Vec::new();
     for step in order {
         if let Some((joint, parent_link)) = step.from {
@@ -186,7 +186,7 @@ fn assemble(
     for (body, inertia) in inertias.into_iter().enumerate().skip(root.body.unwrap_or(0)) {
         model.set_inertia(body, inertia);
     }
-    // One frame a link, the root first.
+    // Each link has one frame; the root is the first.
     if let (true, Some(step)) = (floating, order.first()) {
         let link = &description.links[step.link];
         if model.total_mass() <= 0.0 {
@@ -201,7 +201,7 @@ fn assemble(
     Ok((model, standing_kg))
 }
 
-/// True if all entries are finite: finite numbers can still be too large for their products.
+/// Returns true if all entries are finite. Products of large finite numbers may overflow.
 fn is_finite(placement: &Placement) -> bool {
     placement.rotation.iter().chain(&placement.translation).all(|x| x.is_finite())
 }
@@ -210,7 +210,7 @@ fn is_finite_inertia(Inertia { mass, com, rotational }: &Inertia) -> bool {
     mass.is_finite() && com.iter().chain(rotational).all(|x| x.is_finite())
 }
 
-/// Folds every mimic joint into its leader.
+/// Couples every mimic joint to its leader.
 fn fold(model: &Model, description: &Description) -> Result<Model, UrdfError> {
     let mut followers = Vec::new();
     let mut line = None;

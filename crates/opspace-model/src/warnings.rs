@@ -1,9 +1,9 @@
-//! Checks for values that are possible in a model but unusual in a real robot: wrong units, frames and placeholders
-//! that load without an error and spoil a simulation.
+//! Checks for values that are possible in a model but unusual in a real robot: wrong units, wrong frames and
+//! placeholder values, which load without an error and make simulations wrong.
 //!
-//! Every rule is in this file, with its bound and its source. None needs the size of a link: a mass and its
-//! principal moments suffice. Errors in the text of a URDF itself (impossible moments, limits that are zero or
-//! equal) are reported as a [`UrdfWarning`](crate::UrdfWarning), with its line, and not repeated here.
+//! All rules are in this file, with their bounds and the sources of these bounds. No rule needs the dimensions of a
+//! link: mass and principal moments suffice. Errors in the URDF text itself (impossible moments, zero limits, equal
+//! limits) are reported as [`UrdfWarning`](crate::UrdfWarning) with their line and not repeated here.
 //!
 //! ```
 //! use nalgebra::{Matrix3, Vector3};
@@ -24,33 +24,35 @@ use nalgebra::Vector3;
 use std::f64::consts::PI;
 use thiserror::Error;
 
-/// Density of osmium: no matter is denser.
+/// Density of osmium, the densest material.
 const DENSEST_KG_PER_M3: f64 = 22_590.0;
 
-/// Density of expanded polystyrene. The lightest sound body of the robots in the tests has 52; the identity
-/// matrix that stands in many files for an unknown inertia gives a body of 1 kg a density of 0.06.
+/// Density of expanded polystyrene. The lightest valid body of the robots in the tests has 52 kg/m³; the identity
+/// matrix, a placeholder for unknown inertia in many files, gives a body of 1 kg a density of 0.06 kg/m³.
 const LIGHTEST_KG_PER_M3: f64 = 30.0;
 
-/// Largest distance of the centre of mass from the frame, in radii of gyration. A uniform rod has √3 about its end; the
-/// robots in the tests have 3.7 at most, where the Denavit-Hartenberg convention puts the frame outside the link.
+/// Largest distance of the centre of mass from the frame origin, in radii of gyration. A uniform rod with the frame at
+/// its end has √3; the robots in the tests have 3.7 at most, in links whose frame is outside the link by the
+/// Denavit-Hartenberg convention.
 const FARTHEST_IN_RADII: f64 = 6.0;
 
-/// Largest mass ratio between a body and its parent. A camera on a torso comes to some hundreds; grams for kilograms,
-/// and links put in only because a joint needs one, to thousands.
+/// Largest mass ratio between a body and its parent. A camera on a torso has a ratio of some hundreds; masses in grams
+/// instead of kilograms, and placeholder links, have ratios of some thousands.
 const LARGEST_MASS_RATIO: f64 = 1000.0;
 
-/// Widest range of a revolute joint: cables end joints' ranges after two or three turns; limits in degrees come to
-/// dozens.
+/// Widest range of a revolute joint: cables limit the range to two or three turns; limits in degrees give dozens of
+/// turns.
 const WIDEST_TURN_RAD: f64 = 10.0 * PI;
 
-/// Widest range of a prismatic joint: longer than any axis but a gantry's; limits in millimetres come to hundreds.
+/// Widest range of a prismatic joint, longer than any axis except on gantries; limits in millimetres give hundreds of
+/// metres.
 const WIDEST_SLIDE_M: f64 = 20.0;
 
-/// Unusual value in a model. `part` names a body as in `link 'elbow'`, after the link that its joint moves.
+/// Unusual value in a model. `part` names a body by the link that its joint moves, as in `link 'elbow'`.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum ModelWarning {
-    /// Centre of mass outside its body.
+    /// Centre of mass too far from the body frame.
     #[error(
         "{part}: its centre of mass is {} m from its frame, {:.0} times its radius of gyration of {} m; \
          for real links it is at most 4 times: give it in the link's own frame, in m",
@@ -64,7 +66,7 @@ pub enum ModelWarning {
         /// Largest radius of gyration of the body, m.
         radius_m: f64,
     },
-    /// Body too compact for its mass.
+    /// Moments too small for the mass of the body.
     #[error(
         "{part}: its largest principal moment is {} kg m²; a solid osmium sphere of its mass, {} kg, has {}: \
          give moments in kg m², unless a point mass is intended",
@@ -77,10 +79,10 @@ pub enum ModelWarning {
         mass: f64,
         /// Largest principal moment of the body, kg m².
         moment: f64,
-        /// Moment of a ball of this mass of the densest matter, kg m².
+        /// Moment of an osmium sphere of the same mass, kg m².
         least: f64,
     },
-    /// Body too wide for its mass.
+    /// Moments too large for the mass of the body.
     #[error(
         "{part}: its principal moments {}, {}, {} kg m² with {} kg are those of a solid of {} kg/m³; real links \
          have at least 50 kg/m³: give moments about the centre of mass, in kg m², not placeholders",
@@ -93,10 +95,10 @@ pub enum ModelWarning {
         mass: f64,
         /// Principal moments, ascending, kg m².
         moments: [f64; 3],
-        /// Density of the uniform ellipsoid that has this mass and these moments, kg/m³.
+        /// Density of the uniform ellipsoid with this mass and these moments, kg/m³.
         density: f64,
     },
-    /// Parent and child of very different mass.
+    /// Parent and child with very different masses.
     #[error(
         "{heavy} has {} kg and the adjacent {light} {} kg; mass ratios are usually below 1000: give both in kg, and \
          attach a placeholder link to a neighbour by a fixed joint",
@@ -107,10 +109,10 @@ pub enum ModelWarning {
         light: String,
         /// Name of the heavier body, its parent or child.
         heavy: String,
-        /// Masses of the heavier and the lighter body, kg.
+        /// Masses of the lighter and the heavier body, in this order, kg.
         masses: [f64; 2],
     },
-    /// Joints without a limit of speed or effort.
+    /// Joints without a velocity or effort limit.
     #[error(
         "{}: no {limit} limit, so any {limit} is accepted; give <limit {limit}=\"...\"> from the motor's data sheet",
         listed(joints)
@@ -121,7 +123,7 @@ pub enum ModelWarning {
         /// Name of the limit: `velocity` or `effort`.
         limit: &'static str,
     },
-    /// Position range wider than that of any joint.
+    /// Position range that is wider than on real robots.
     #[error("joint '{joint}': its range from {} to {} {}", short(*lower), short(*upper), widest(*kind))]
     WideRange {
         /// Name of the joint.
@@ -135,12 +137,12 @@ pub enum ModelWarning {
     },
 }
 
-/// Rules about one body with mass.
+/// Rules for a single body with mass.
 const OF_BODIES: [fn(&Part<'_>) -> Option<ModelWarning>; 4] =
     [far_centre, small_inertia, large_inertia, unequal_masses];
 
-/// Returns the unusual values of a model, bodies first, in their order; empty for most. Allocates: call it once after
-/// loading.
+/// Returns the unusual values of a model: first those of bodies, then limits and ranges of joints. The list is empty
+/// for most models. Allocates: call it once after loading.
 #[must_use]
 pub fn model_warnings(model: &Model) -> Vec<ModelWarning> {
     let heavy = (0..model.bodies().len()).filter(|&i| model.bodies()[i].inertia.mass > 0.0);
@@ -152,7 +154,7 @@ pub fn model_warnings(model: &Model) -> Vec<ModelWarning> {
     of_bodies.chain(limits.into_iter().flatten()).chain(ranges).collect()
 }
 
-/// Body and the properties that the rules need.
+/// Body with the properties that the rules need.
 #[derive(Clone, Copy)]
 struct Part<'a> {
     model: &'a Model,
@@ -171,7 +173,7 @@ impl<'a> Part<'a> {
         &self.model.bodies()[self.number]
     }
 
-    /// Name of the first link on it, which is the one that its joint moves.
+    /// Returns the name of the first link of the body, which is the link that its joint moves.
     fn name(&self) -> String {
         let mut links = self.model.frames().iter().filter(|f| f.body == Some(self.number));
         match (links.next(), links.next()) {
@@ -181,14 +183,15 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// Principal moment of a ball of the densest matter, kg m²: no body of that mass has a smaller largest one.
+    /// Returns the principal moment of an osmium sphere with the mass of the body, kg m². The largest principal moment
+    /// of any real body of this mass is at least as large.
     fn least_moment(&self) -> f64 {
         let radius = (3.0 * self.mass / (4.0 * PI * DENSEST_KG_PER_M3)).cbrt();
         0.4 * self.mass * radius * radius
     }
 
-    /// Largest known distance from the body's frame to a child joint or a fixed frame, or from the parent's frame to
-    /// it, m.
+    /// Returns the extent of the body, m: the largest distance from the body frame to a child joint or a fixed frame,
+    /// or from the parent frame to the body frame.
     fn extent(&self) -> f64 {
         let (model, me) = (self.model, Some(self.number));
         let children = model.bodies().iter().filter(|b| b.parent == me).map(|b| b.origin.translation);
@@ -198,8 +201,8 @@ impl<'a> Part<'a> {
     }
 }
 
-/// Compares with both the radius of gyration and the extent: a bob at the end of a rod is far from its joint, but not
-/// from the frames there.
+/// Compares the distance of the centre of mass with the radius of gyration and with the extent. The extent excludes a
+/// bob at the end of a rod, which is far from its joint but close to another frame.
 fn far_centre(part: &Part<'_>) -> Option<ModelWarning> {
     let distance_m = part.body().inertia.com.norm();
     let radius_m = (part.moments[2].max(part.least_moment()) / part.mass).sqrt();
@@ -213,12 +216,12 @@ fn small_inertia(part: &Part<'_>) -> Option<ModelWarning> {
     (moment < least).then(|| ModelWarning::SmallInertia { part: part.name(), mass, moment, least })
 }
 
-/// Compares the density of the uniform ellipsoid with the same mass and moments: its semi-axes are
-/// a² = 5 (I₂ + I₃ − I₁) / 2m and so on.
+/// Compares the density of the uniform ellipsoid with the same mass and moments, whose semi-axes are a² = 5 (I₂ + I₃ −
+/// I₁) / 2m and so on.
 fn large_inertia(part: &Part<'_>) -> Option<ModelWarning> {
     let &Part { mass, moments, .. } = part;
     let sum: f64 = moments.iter().sum();
-    // None below zero: impossible moments are another's to say.
+    // Clamped at zero: impossible moments are reported by the URDF reader.
     let semi_axis = |moment: f64| (2.5 * (sum - 2.0 * moment).max(0.0) / mass).sqrt();
     let density = mass / (4.0 / 3.0 * PI * moments.map(semi_axis).iter().product::<f64>());
     (density < LIGHTEST_KG_PER_M3).then(|| ModelWarning::LargeInertia {
@@ -232,7 +235,7 @@ fn large_inertia(part: &Part<'_>) -> Option<ModelWarning> {
 fn unequal_masses(part: &Part<'_>) -> Option<ModelWarning> {
     let parent = Part::new(part.model, part.body().parent?);
     let (light, heavy) = if part.mass < parent.mass { (part, &parent) } else { (&parent, part) };
-    // A root without mass is a frame to count from.
+    // A root without mass is only a reference frame.
     (light.mass > 0.0 && heavy.mass > LARGEST_MASS_RATIO * light.mass).then(|| ModelWarning::UnequalMasses {
         light: light.name(),
         heavy: heavy.name(),
@@ -240,14 +243,16 @@ fn unequal_masses(part: &Part<'_>) -> Option<ModelWarning> {
     })
 }
 
-/// Reports all joints without the limit at once: a file that leaves out one limit leaves out most.
+/// Reports all joints without the limit in one warning: a file that omits the limit of one joint usually omits it for
+/// most.
 fn no_limit(model: &Model, limit: &'static str, of: fn(&Joint) -> f64) -> Option<ModelWarning> {
     let free = |joint: &&Joint| joint.kind != JointKind::Floating && of(joint) == f64::INFINITY;
     let joints: Vec<String> = model.joints().iter().filter(free).map(|j| j.name.clone()).collect();
     (!joints.is_empty()).then_some(ModelWarning::NoLimit { joints, limit })
 }
 
-/// Checks the range of a joint with limits: others are continuous, or were made in code without limits.
+/// Checks the range of a joint with position limits. Other joints are continuous, or were created in code without
+/// limits.
 fn wide_range(joint: &Joint) -> Option<ModelWarning> {
     let (lower, upper) = (joint.limits.lower, joint.limits.upper);
     let most = match joint.kind {
@@ -270,7 +275,7 @@ fn widest(kind: JointKind) -> &'static str {
     }
 }
 
-/// Number with three digits: `8.35`, `-170`, `1.20e-9`.
+/// Formats a number with three digits: `8.35`, `-170`, `1.20e-9`.
 fn short(number: f64) -> String {
     let text = format!("{number:.2e}");
     match text.split_once('e').map(|(digits, exponent)| (digits, exponent.parse::<i32>())) {
@@ -282,7 +287,7 @@ fn short(number: f64) -> String {
     }
 }
 
-/// Names of joints in one line, up to eight.
+/// Lists the names of up to eight joints in one line.
 fn listed(names: &[String]) -> String {
     let word = if names.len() == 1 { "joint" } else { "joints" };
     let quoted: Vec<String> = names.iter().map(|name| format!("'{name}'")).collect();

@@ -4,6 +4,7 @@ use crate::evaluate::results::{Group, Measure, group, notes, table};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
 use crate::run::experiment::Experiment;
+use crate::run::log_header;
 use crate::run::summary::Summary;
 use opspace_backend::signal_names::{
     self, DQ, DQ_DESIRED, MOTOR_TORQUE, PHASE, Q, Q_DESIRED, REFERENCE, SERVO_CHANNEL, TICK_CHANNEL,
@@ -44,10 +45,10 @@ impl RunSection {
             let time = summary.fault_time_s.unwrap_or(f64::NAN);
             warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
         }
-        let metadata = recording.metadata(crate::run::log_header::RUN).into_iter().flatten();
+        let metadata = recording.metadata(log_header::RUN).into_iter().flatten();
         // Entries for a replay; a robot without a transformer has none to be shown.
         let is_hidden =
-            |key: &str| key == ASKED_FOR || summary.transformer.is_none() && key.starts_with("transformer");
+            |key: &str| key == log_header::ASKED_FOR || summary.transformer.is_none() && key.starts_with("transformer");
         let metadata = metadata.filter(|(key, _)| !is_hidden(key));
         Self {
             title: title(&summary),

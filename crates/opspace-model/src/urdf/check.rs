@@ -1,4 +1,4 @@
-//! Checks of a robot's elements, each on its own, and their conversion to inertias, placements and limits.
+//! Checks of the individual elements of a robot, and their conversion to inertias, placements and limits.
 
 use super::elements::{
     AxisElement, InertialElement, JointElement, LimitElement, Line, LinkElement, MimicElement, OriginElement,
@@ -10,7 +10,7 @@ use crate::spatial::{Inertia, Placement, principal_moments};
 use nalgebra::{Matrix3, Unit, Vector3};
 use std::collections::HashMap;
 
-/// Tolerance of principal moments relative to the largest; files print five digits and more.
+/// Tolerance of principal moments relative to the largest; files contain at least five digits.
 const INERTIA_TOLERANCE: f64 = 1e-6;
 /// Remedy in errors about a joint's limits.
 pub(super) const LIMIT: &str = "write <limit lower=\"...\" upper=\"...\" velocity=\"...\" effort=\"...\"/>";
@@ -24,7 +24,7 @@ pub(super) struct Description {
     pub joints: Vec<CheckedJoint>,
 }
 
-/// Description, and the warnings about it.
+/// Description with the warnings about it.
 pub(super) struct Checked {
     pub description: Description,
     pub warnings: Vec<UrdfWarning>,
@@ -33,7 +33,7 @@ pub(super) struct Checked {
 pub(super) struct CheckedLink {
     pub name: String,
     pub line: Line,
-    /// Inertia in the link's frame.
+    /// Inertia in the frame of the link; `None` if the link has none.
     pub inertia: Option<Inertia>,
 }
 
@@ -51,7 +51,7 @@ pub(super) enum Motion {
     Moving { kind: JointKind, axis: Unit<Vector3<f64>>, limits: Limits, mimic: Option<MimicElement> },
 }
 
-/// Returns the contents of a robot whose elements are each possible; how they hang together is checked by `tree`.
+/// Checks every element of a robot and returns the contents. The connections between elements are checked by `tree`.
 pub(super) fn check(robot: RobotElement) -> Result<Checked, UrdfError> {
     check_names("link", robot.links.iter().map(|link| (link.name.as_str(), link.line)))?;
     check_names("joint", robot.joints.iter().map(|joint| (joint.name.as_str(), joint.line)))?;
@@ -69,7 +69,7 @@ pub(super) fn check(robot: RobotElement) -> Result<Checked, UrdfError> {
     Ok(Checked { description: Description { name: robot.name, links, joints }, warnings })
 }
 
-/// Returns the kind of joint that a URDF's word stands for; `None` for a fixed joint. `element` names the joint.
+/// Returns the joint kind for the URDF type `word`; `None` for a fixed joint. `element` names the joint in errors.
 pub(super) fn joint_kind(element: &str, line: Line, word: &str) -> Result<Option<JointKind>, UrdfError> {
     match word {
         "revolute" => Ok(Some(JointKind::Revolute)),
@@ -83,7 +83,7 @@ pub(super) fn joint_kind(element: &str, line: Line, word: &str) -> Result<Option
     }
 }
 
-/// Checks that all elements of a tag have names, each its own.
+/// Checks that all elements with this tag have unique names.
 fn check_names<'a>(
     tag: &'static str,
     elements: impl Iterator<Item = (&'a str, Line)>,
@@ -129,7 +129,7 @@ fn checked_joint(joint: JointElement, warnings: &mut Vec<UrdfWarning>) -> Result
     })
 }
 
-/// Link or joint whose parts are checked.
+/// Link or joint that is being checked.
 struct Element<'a> {
     name: &'a str,
     /// Description of the element in errors: `joint 'elbow'`.
@@ -181,7 +181,7 @@ impl Element<'_> {
         Ok(Some(mimic))
     }
 
-    /// Direction of the joint's axis; x where there is none, which is the default of the format.
+    /// Returns the direction of the joint axis; without an `<axis>`, x, the URDF default.
     fn axis(&self, axis: Option<&AxisElement>) -> Result<Unit<Vector3<f64>>, UrdfError> {
         let Some(AxisElement { line, xyz }) = axis else {
             return Ok(Vector3::x_axis());
@@ -191,7 +191,7 @@ impl Element<'_> {
         if axis.amax() == 0.0 {
             return Err(UrdfError::at(*line, UrdfErrorKind::ZeroAxis { element: self.words.clone() }));
         }
-        // By the largest component first: the square of a tiny or huge one is zero or infinite.
+        // Divided by the largest component first, because the square of a tiny or huge component under- or overflows.
         Ok(Unit::new_normalize(axis / axis.amax()))
     }
 
@@ -233,7 +233,7 @@ impl Element<'_> {
         Ok(Limits { lower, upper, velocity, effort })
     }
 
-    /// Limit of speed or effort; infinite where there is none.
+    /// Returns a velocity or effort limit; infinite for no limit.
     fn magnitude(
         &self,
         limit: &'static str,
@@ -254,14 +254,14 @@ impl Element<'_> {
         Ok(value)
     }
 
-    /// Placement of a joint or an inertia.
+    /// Returns the placement of a joint or an inertia.
     fn origin(&self, origin: &OriginElement) -> Result<Placement, UrdfError> {
         self.finite("<origin xyz>", origin.line, &origin.xyz_m)?;
         self.finite("<origin rpy>", origin.line, &origin.rpy_rad)?;
         Ok(Placement::from_rpy(origin.rpy_rad, origin.xyz_m))
     }
 
-    /// Checks that the numbers of an attribute, `place`, are finite.
+    /// Checks that the numbers of the attribute `place` are finite.
     fn finite(&self, place: &str, line: Line, values: &[f64]) -> Result<(), UrdfError> {
         if values.iter().all(|value| value.is_finite()) {
             return Ok(());

@@ -1,5 +1,5 @@
-//! Elements of a URDF that concern the robot's dynamics, as given: the form that text and other readers are brought to,
-//! and that `check` refuses or accepts.
+//! URDF elements that concern the dynamics, before any check. All readers produce this form, and `check` accepts or
+//! refuses it.
 
 use crate::model::JointKind;
 
@@ -28,7 +28,7 @@ pub(super) struct InertialElement {
     pub moments: [f64; 6],
 }
 
-/// Pose of a joint or of an inertia; zeros where there is none.
+/// Pose of a joint or an inertia; zeros if there is none.
 #[derive(Default)]
 pub(super) struct OriginElement {
     pub line: Line,
@@ -39,7 +39,7 @@ pub(super) struct OriginElement {
 pub(super) struct JointElement {
     pub line: Line,
     pub name: String,
-    /// `None`: fixed.
+    /// `None` for a fixed joint.
     pub kind: Option<JointKind>,
     pub parent: String,
     pub child: String,
@@ -56,11 +56,11 @@ pub(super) struct AxisElement {
 
 pub(super) struct LimitElement {
     pub line: Line,
-    /// Lower and upper limit of the position, rad or m; not read of a continuous joint.
+    /// Lower and upper position limit, rad or m; ignored for continuous joints.
     pub position: [f64; 2],
-    /// Limit of the speed, rad/s or m/s; `None` for no limit.
+    /// Velocity limit, rad/s or m/s; `None` for no limit.
     pub velocity: Option<f64>,
-    /// Limit of torque or force, Nm or N; `None` for no limit.
+    /// Effort limit, Nm or N; `None` for no limit.
     pub effort: Option<f64>,
 }
 

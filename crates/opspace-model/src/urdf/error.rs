@@ -1,9 +1,9 @@
-//! Errors and warnings of reading a URDF.
+//! Errors and warnings of the URDF reader.
 
 use crate::name_list::name_list;
 use thiserror::Error;
 
-/// Reason why a URDF is refused, and the line.
+/// Reason why a URDF is refused, with the line.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{}{kind}", prefix(*line))]
 pub struct UrdfError {
@@ -20,13 +20,14 @@ impl UrdfError {
         Self { line: None, kind }
     }
 
-    /// Line of the element at fault, from 1; `None` where it is the file as a whole, or where there is no text.
+    /// Returns the line of the invalid element, from 1; `None` if the error concerns the whole file or the robot was
+    /// not read from text.
     #[must_use]
     pub fn line(&self) -> Option<u32> {
         self.line
     }
 
-    /// Kind of the error.
+    /// Returns the kind of the error.
     #[must_use]
     pub fn kind(&self) -> &UrdfErrorKind {
         &self.kind
@@ -41,7 +42,7 @@ fn on_line(line: Option<u32>) -> String {
     line.map(|l| format!(", on line {l}")).unwrap_or_default()
 }
 
-/// Names in one line, up to a hundred.
+/// Lists up to a hundred names in one line.
 fn listed(names: &[String]) -> String {
     name_list(names, 100)
 }
@@ -50,27 +51,27 @@ fn listed(names: &[String]) -> String {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum UrdfErrorKind {
-    /// File larger than any robot's.
+    /// File larger than the URDF of any robot.
     #[error("the file has {bytes} bytes; at most {limit} are read")]
     TooLarge {
         /// Size of the file, bytes.
         bytes: usize,
-        /// Largest size read, bytes.
+        /// Largest accepted size, bytes.
         limit: usize,
     },
-    /// Elements nested deeper than any robot's: a reader might overflow its call stack.
+    /// Elements nested deeper than in any URDF; an XML reader might overflow its call stack.
     #[error("elements are nested more than {limit} deep; a URDF needs five levels")]
     TooDeep {
-        /// Deepest nesting read.
+        /// Largest accepted depth.
         limit: usize,
     },
-    /// Element with more attributes than any has: a reader might take hours.
+    /// Element with more attributes than in any URDF; an XML reader might take hours.
     #[error("a tag has more than {limit} attributes; a URDF's have six at most")]
     TooManyAttributes {
-        /// Largest number of attributes read.
+        /// Largest accepted number of attributes.
         limit: usize,
     },
-    /// Document type or entity, which can make a small file large or name other files.
+    /// Document type or entity: it can make a small file expand to a large one, or refer to other files.
     #[error("<!DOCTYPE> and entities are not read: delete the declaration")]
     Doctype,
     /// Empty file.
@@ -79,7 +80,7 @@ pub enum UrdfErrorKind {
     /// File that is not XML.
     #[error("this is not XML; a URDF is one <robot> element")]
     NotXml,
-    /// File that stops in the middle.
+    /// File that ends before its elements are closed.
     #[error("the file ends before its elements are closed: is it truncated?")]
     Truncated,
     /// Malformed XML.
@@ -88,19 +89,19 @@ pub enum UrdfErrorKind {
         /// Message of the XML reader.
         reason: String,
     },
-    /// Robot in another format: SDF.
+    /// SDF file instead of a URDF.
     #[error("this is SDF, not URDF: convert it, or load the URDF it was made from")]
     Sdf,
-    /// XML of some other kind.
+    /// XML with another root element.
     #[error("the root element is <{name}>; a URDF's is <robot>")]
     WrongRoot {
         /// Name of the root element.
         name: String,
     },
-    /// Source of a URDF, not yet expanded by xacro.
+    /// xacro file that has not been expanded to a URDF.
     #[error("{found} is xacro, not URDF: expand it first, with `xacro FILE.xacro > FILE.urdf`")]
     Xacro {
-        /// Element or expression of xacro in the file.
+        /// xacro element or expression in the file.
         found: String,
     },
     /// Link or joint without a name.
@@ -109,15 +110,15 @@ pub enum UrdfErrorKind {
         /// Tag of the element: `link` or `joint`.
         element: &'static str,
     },
-    /// Two elements of one name.
+    /// Two elements with the same name.
     #[error("{element} is already defined{}: names must be unique", on_line(*first_line))]
     DuplicateName {
-        /// Second of the two.
+        /// Second of the two elements.
         element: String,
-        /// Line of the first of the two; `None` if the description was not read from text.
+        /// Line of the first element; `None` if the robot was not read from text.
         first_line: Option<u32>,
     },
-    /// Child element that is allowed once and given twice.
+    /// Child element that occurs more than once.
     #[error("{element} has more than one <{child}>: keep one")]
     DuplicateElement {
         /// Element that the child belongs to.
@@ -125,17 +126,17 @@ pub enum UrdfErrorKind {
         /// Tag of the child.
         child: &'static str,
     },
-    /// Required child or attribute that is missing.
+    /// Missing child or attribute.
     #[error("{element} has no {missing}; {remedy}")]
     Missing {
-        /// Element that lacks it.
+        /// Element in which it is missing.
         element: String,
         /// Missing tag or attribute.
         missing: String,
-        /// Text to write.
+        /// Text to add.
         remedy: &'static str,
     },
-    /// Value that is not a number, has too few or too many, or is not finite.
+    /// Value that is not finite, not a number, or has the wrong number of entries.
     #[error("{element}: {place} is \"{value}\"; give {wanted}")]
     BadNumber {
         /// Element that the value belongs to.
@@ -144,26 +145,26 @@ pub enum UrdfErrorKind {
         place: String,
         /// Text of the attribute.
         value: String,
-        /// Value expected there.
+        /// Description of the expected value.
         wanted: &'static str,
     },
-    /// Direction without length.
+    /// Axis of zero length.
     #[error("{element}: axis is zero; give a direction, e.g. xyz=\"0 0 1\"")]
     ZeroAxis {
         /// Element that the axis belongs to.
         element: String,
     },
-    /// Joint of a type that the dynamics don't cover.
+    /// Joint type that is not supported.
     #[error(
         "{element}: type \"{found}\" is not supported; the types are revolute, continuous, prismatic and fixed"
     )]
     JointType {
-        /// Element at fault.
+        /// Joint with this type.
         element: String,
-        /// Type given.
+        /// Given type.
         found: String,
     },
-    /// Mimic joint of a joint that doesn't exist, or that doesn't move.
+    /// Mimic joint whose leader does not exist or cannot move.
     #[error(
         "joint '{joint}' mimics '{leader}', which is not a moving joint; the moving joints are: {}",
         listed(known)
@@ -171,15 +172,15 @@ pub enum UrdfErrorKind {
     UnknownLeader {
         /// Name of the mimic joint.
         joint: String,
-        /// Name of the joint that it follows.
+        /// Name of the leader.
         leader: String,
-        /// Names of the joints that it could follow.
+        /// Names of the possible leaders.
         known: Vec<String>,
     },
-    /// Mimic joints that follow each other in a circle.
+    /// Mimic joints that form a cycle.
     #[error("joint '{joint}' mimics itself, directly or through other joints")]
     MimicsItself {
-        /// Name of one of them.
+        /// Name of one joint of the cycle.
         joint: String,
     },
     /// Joint with the name of a coordinate of the floating base.
@@ -188,13 +189,13 @@ pub enum UrdfErrorKind {
         /// Name of the joint.
         joint: String,
     },
-    /// Floating robot without mass.
+    /// Robot without mass on a floating base.
     #[error("no body on the floating base '{link}' has mass; give its links <inertial>")]
     WeightlessBase {
         /// Name of the root link.
         link: String,
     },
-    /// Attribute that would change the robot and that isn't read.
+    /// Attribute that is not supported and would change the robot.
     #[error("{element}: {attribute} is not supported; {remedy}")]
     Unsupported {
         /// Element that the attribute belongs to.
@@ -204,7 +205,7 @@ pub enum UrdfErrorKind {
         /// Text to write instead.
         remedy: &'static str,
     },
-    /// Lower limit above the upper.
+    /// Lower limit above the upper limit.
     #[error("{element}: lower limit {lower} is above upper limit {upper}; swap them?")]
     LimitsSwapped {
         /// Element that the limits belong to.
@@ -214,14 +215,14 @@ pub enum UrdfErrorKind {
         /// Upper limit, rad or m.
         upper: f64,
     },
-    /// Negative limit of speed or effort.
+    /// Negative velocity or effort limit.
     #[error("{element}: {limit} limit {value} is negative; give its magnitude, or omit it for no limit")]
     NegativeLimit {
         /// Element that the limit belongs to.
         element: String,
         /// Name of the limit: `velocity` or `effort`.
         limit: &'static str,
-        /// Value as given.
+        /// Given value.
         value: f64,
     },
     /// Mass below zero.
@@ -232,7 +233,7 @@ pub enum UrdfErrorKind {
         /// Mass, kg.
         mass: f64,
     },
-    /// Rotational inertia that is not positive semi-definite: some rotation would have negative energy.
+    /// Rotational inertia that is not positive semi-definite: some rotation would have negative kinetic energy.
     #[error(
         "{element}: inertia is not positive semi-definite, its smallest principal moment is {smallest} kg m²; \
          check the signs of <inertia>"
@@ -243,7 +244,7 @@ pub enum UrdfErrorKind {
         /// Smallest principal moment, kg m².
         smallest: f64,
     },
-    /// Joint that moves nothing with mass.
+    /// Joint that moves no mass.
     #[error(
         "joint '{joint}' moves link '{link}', which has no mass, and neither has any link fixed to it: \
          give it an <inertial>, or make the joint fixed"
@@ -254,35 +255,35 @@ pub enum UrdfErrorKind {
         /// Name of its child link.
         link: String,
     },
-    /// Numbers too large to be multiplied.
+    /// Finite numbers whose products overflow.
     #[error("{element}: its pose or inertia overflows; check the magnitudes (SI units)")]
     Overflow {
-        /// Joint with its body, or link.
+        /// Joint or link.
         element: String,
     },
     /// Robot without links.
     #[error("the robot has no <link>")]
     NoLinks,
-    /// Joint whose parent or child link doesn't exist.
+    /// Joint whose parent or child link does not exist.
     #[error("joint '{joint}': {role} link '{link}' doesn't exist; the links are: {}", listed(known))]
     UnknownLink {
         /// Name of the joint.
         joint: String,
-        /// Tag of the link: `parent` or `child`.
+        /// Role of the link: `parent` or `child`.
         role: &'static str,
-        /// Name given.
+        /// Given name.
         link: String,
-        /// Names of the links.
+        /// Names of the existing links.
         known: Vec<String>,
     },
-    /// Link with two parents: a loop, which a URDF can't express.
+    /// Link with two parent joints: a kinematic loop, which a URDF cannot express.
     #[error("link '{link}' is the child of two joints, '{first}' and '{second}': remove one")]
     TwoParents {
         /// Name of the link.
         link: String,
-        /// Joint that comes first in the file.
+        /// First of the two joints in the file.
         first: String,
-        /// Other joint.
+        /// Second of the two joints in the file.
         second: String,
     },
     /// More than one root link.
@@ -294,15 +295,15 @@ pub enum UrdfErrorKind {
         /// Names of all root links.
         links: Vec<String>,
     },
-    /// Links that are each other's descendants.
+    /// Links that form a cycle.
     #[error("the joints form a cycle: {}; one link must be the root", links.join(" → "))]
     Cycle {
-        /// Links of the cycle in order, the first again at the end.
+        /// Names of the links of the cycle in order; the first one is repeated at the end.
         links: Vec<String>,
     },
 }
 
-/// Warning about a value of a URDF that is possible but unusual, and its line.
+/// Warning about a possible but unusual value in a URDF, with its line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UrdfWarning {
     line: Option<u32>,
@@ -314,13 +315,13 @@ impl UrdfWarning {
         Self { line, kind }
     }
 
-    /// Line of the element, from 1; `None` where there is no text.
+    /// Returns the line of the element, from 1; `None` if the robot was not read from text.
     #[must_use]
     pub fn line(&self) -> Option<u32> {
         self.line
     }
 
-    /// Kind of the warning.
+    /// Returns the kind of the warning.
     #[must_use]
     pub fn kind(&self) -> &UrdfWarningKind {
         &self.kind
@@ -333,11 +334,11 @@ impl std::fmt::Display for UrdfWarning {
     }
 }
 
-/// Kind of value that is possible but unusual.
+/// Kind of possible but unusual value.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum UrdfWarningKind {
-    /// Principal moments that no distribution of mass has.
+    /// Principal moments that no mass distribution has.
     #[error(
         "link '{link}': principal moments {:.3e}, {:.3e}, {:.3e} kg m² violate the triangle inequality; \
          no physical body has such moments",
@@ -349,7 +350,7 @@ pub enum UrdfWarningKind {
         /// Principal moments, ascending, kg m².
         moments: [f64; 3],
     },
-    /// Joint that can't move: its position limits are equal.
+    /// Joint with equal position limits, which cannot move.
     #[error("joint '{joint}': lower and upper limits are both {value}: it cannot move; is it a fixed joint?")]
     EqualLimits {
         /// Name of the joint.
@@ -357,7 +358,7 @@ pub enum UrdfWarningKind {
         /// Value of both limits, rad or m.
         value: f64,
     },
-    /// Joint whose limit of speed or effort is zero.
+    /// Joint with a velocity or effort limit of zero.
     #[error("joint '{joint}': {limit} limit is 0: no {limit} is allowed; omit the attribute for no limit")]
     ZeroLimit {
         /// Name of the joint.
@@ -365,12 +366,12 @@ pub enum UrdfWarningKind {
         /// Name of the limit: `velocity` or `effort`.
         limit: &'static str,
     },
-    /// Mimic joint, whose coupling the model leaves out.
+    /// Mimic joint whose coupling is ignored in the model.
     #[error("joint '{joint}' mimics '{of}': the coupling is ignored and the joint moves independently")]
     Mimic {
         /// Name of the joint.
         joint: String,
-        /// Name of the joint that it should follow.
+        /// Name of the leader.
         of: String,
     },
 }

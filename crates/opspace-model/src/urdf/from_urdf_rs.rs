@@ -1,7 +1,7 @@
-//! Elements of a robot that urdf-rs has read, or that a program has put together.
+//! Conversion of a robot read by urdf-rs, or built in code from its types, to URDF elements.
 //!
-//! urdf-rs fills in what a file leaves out. A link whose mass and moments are all zero has no `<inertial>`; a joint
-//! whose limits all have their defaults has no `<limit>`; an infinite limit of speed or effort is none.
+//! urdf-rs replaces missing values by defaults. A link with zero mass and zero moments therefore has no `<inertial>`, a
+//! joint with only default limits has no `<limit>`, and an infinite velocity or effort limit is no limit.
 
 use super::check::joint_kind;
 use super::elements::{
@@ -77,7 +77,7 @@ fn word(kind: &JointType) -> &'static str {
     }
 }
 
-/// Name without spaces around it, as in text.
+/// Returns the name without surrounding spaces, like the reader of URDF text.
 fn trimmed(name: &str) -> String {
     name.trim().to_owned()
 }

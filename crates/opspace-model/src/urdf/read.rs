@@ -1,4 +1,4 @@
-//! Extraction from URDF text of the elements that the dynamics need, each with its line.
+//! Reader of URDF text: extracts the elements needed by the dynamics, with their lines.
 
 use super::check::{LIMIT, MOMENTS, ONE_NUMBER, THREE_NUMBERS, joint_kind};
 use super::elements::{
@@ -9,11 +9,12 @@ use super::error::{UrdfError, UrdfErrorKind};
 use crate::model::{JointKind, Limits};
 use roxmltree::Document;
 
-/// Largest size of a file, bytes: those of the largest robots have some hundred kilobytes.
+/// Largest file size, bytes; the files of the largest robots have some hundred kilobytes.
 const MAX_BYTES: usize = 16 << 20;
-/// Deepest nesting: extensions (`<gazebo>`, `<transmission>`) nest deeper than URDF's own five levels, not this deep.
+/// Largest nesting depth: URDF itself has five levels; extensions (`<gazebo>`, `<transmission>`) are deeper, but far
+/// less than this.
 const MAX_DEPTH: usize = 64;
-/// Most attributes of a tag: URDF's own have six at most; readers compare each with each.
+/// Largest number of attributes per tag: URDF itself has six at most. XML readers compare all pairs of attributes.
 const MAX_ATTRIBUTES: usize = 64;
 
 pub(super) fn read(text: &str) -> Result<RobotElement, UrdfError> {
@@ -28,7 +29,7 @@ pub(super) fn read(text: &str) -> Result<RobotElement, UrdfError> {
     Ok(RobotElement { line: Some(lines.line(robot)), name, links, joints })
 }
 
-/// Refuses, in one pass without recursion, texts that are unsafe to pass to an XML reader.
+/// Refuses texts that are unsafe for an XML reader, in one pass without recursion.
 fn guard(text: &str) -> Result<(), UrdfError> {
     if text.len() > MAX_BYTES {
         let kind = UrdfErrorKind::TooLarge { bytes: text.len(), limit: MAX_BYTES };
@@ -63,24 +64,24 @@ fn guard(text: &str) -> Result<(), UrdfError> {
         };
         match end {
             Some(end) => at = open + end,
-            // Unfinished: the XML reader says so, and reads no further either.
+            // The markup has no end: the XML reader stops here too and reports it.
             None => return Ok(()),
         }
     }
     Ok(())
 }
 
-/// Extent and kind of a tag, without its contents.
+/// End, nesting and number of attributes of a tag.
 struct Tag {
-    /// Index of its `>`.
+    /// Index of the final `>`; `None` if it is missing.
     end: Option<usize>,
     attributes: usize,
-    /// 1 if it opens an element, −1 if it closes one, 0 if both.
+    /// 1 for an opening tag, −1 for a closing tag, 0 for a self-closing tag.
     nests: isize,
 }
 
 impl Tag {
-    /// Scans the tag at the beginning of `text`. Text between quotes is skipped.
+    /// Scans the tag at the beginning of `text`, skipping quoted text.
     fn of(text: &str) -> Self {
         let mut quote = None;
         let mut attributes = 0;
@@ -130,10 +131,10 @@ fn malformed(error: &roxmltree::Error) -> UrdfError {
     }
 }
 
-/// Node of the document; both of roxmltree's lifetimes as one.
+/// Node of the document, with both lifetimes of roxmltree merged.
 type Node<'a> = roxmltree::Node<'a, 'a>;
 
-/// Start of each line but the first, as byte index.
+/// Byte index of the start of each line except the first.
 struct Lines(Vec<usize>);
 
 impl Lines {
@@ -141,7 +142,7 @@ impl Lines {
         Self(text.match_indices('\n').map(|(i, _)| i + 1).collect())
     }
 
-    /// Line on which a node begins, from 1.
+    /// Returns the line on which a node begins, from 1.
     fn line(&self, node: Node<'_>) -> u32 {
         let before = self.0.partition_point(|&start| start <= node.range().start);
         u32::try_from(before + 1).unwrap_or(u32::MAX)
@@ -157,7 +158,7 @@ fn expect_urdf(robot: Node<'_>, lines: &Lines) -> Result<(), UrdfError> {
     if let Some(kind) = wrong_root {
         return Err(UrdfError::at(lines.line(robot), kind));
     }
-    // An expanded file often keeps the declaration `xmlns:xacro`, but nothing that uses it.
+    // An expanded file often still declares `xmlns:xacro` without using it.
     for node in robot.descendants().filter(Node::is_element) {
         let name = node.tag_name();
         let expression =
@@ -174,7 +175,7 @@ fn expect_urdf(robot: Node<'_>, lines: &Lines) -> Result<(), UrdfError> {
     Ok(())
 }
 
-/// Returns all children `tag` of the robot.
+/// Returns all children of the robot with tag `tag`.
 fn children<'a>(robot: Node<'a>, tag: &'static str, lines: &'a Lines) -> impl Iterator<Item = Element<'a>> {
     robot.children().filter(move |node| node.has_tag_name(tag)).map(move |node| {
         let name = node.attribute("name").unwrap_or_default().trim();
@@ -182,7 +183,7 @@ fn children<'a>(robot: Node<'a>, tag: &'static str, lines: &'a Lines) -> impl It
     })
 }
 
-/// Element `<link>` or `<joint>`. The nodes that its functions take are within it.
+/// A `<link>` or `<joint>` element. The nodes passed to its functions are descendants of this element.
 struct Element<'a> {
     node: Node<'a>,
     name: &'a str,
@@ -217,7 +218,7 @@ impl<'a> Element<'a> {
         const TYPE: &str = "give type=\"...\": revolute, continuous, prismatic or fixed";
         let line = self.line(self.node);
         let kind = joint_kind(&self.words, line, self.attribute(self.node, "type", TYPE)?)?;
-        // A fixed joint's axis, limits and leader mean nothing, and are not read.
+        // Axis, limits and mimic rule have no meaning for a fixed joint and are ignored.
         let (axis, limit, mimic) = match kind {
             None => (None, None, None),
             Some(kind) => (self.axis()?, self.limit(kind)?, self.mimic()?),
@@ -235,7 +236,7 @@ impl<'a> Element<'a> {
         })
     }
 
-    /// Returns its `<mimic>`, if it has one: the ratio is 1 and the offset 0 where they aren't given.
+    /// Returns the `<mimic>` of the joint, if there is one. The default ratio is 1, the default offset 0.
     fn mimic(&self) -> Result<Option<MimicElement>, UrdfError> {
         const MIMIC: &str = "write <mimic joint=\"...\" multiplier=\"...\" offset=\"...\"/>";
         let Some(node) = self.child(self.node, "mimic")? else {
@@ -250,7 +251,7 @@ impl<'a> Element<'a> {
         Ok(Some(MimicElement { line: self.line(node), leader, ratio, offset }))
     }
 
-    /// Name of the link in a joint's `<parent>` or `<child>`.
+    /// Returns the name of the link in the `<parent>` or `<child>` of the joint.
     fn linked(&self, tag: &'static str, remedy: &'static str) -> Result<String, UrdfError> {
         let node = self.required(self.node, tag, remedy)?;
         Ok(self.attribute(node, "link", remedy)?.to_owned())
@@ -295,7 +296,7 @@ impl<'a> Element<'a> {
         Ok(OriginElement { line: self.line(node), xyz_m, rpy_rad })
     }
 
-    /// Returns the one child `tag` of `parent`, if there is one.
+    /// Returns the child of `parent` with tag `tag`, if there is one. More than one child is an error.
     fn child(&self, parent: Node<'a>, tag: &'static str) -> Result<Option<Node<'a>>, UrdfError> {
         let mut all = parent.children().filter(|n| n.has_tag_name(tag));
         let first = all.next();
@@ -327,7 +328,7 @@ impl<'a> Element<'a> {
         finite(value).ok_or_else(|| self.bad_number(node, attribute, value, ONE_NUMBER))
     }
 
-    /// Three numbers of an attribute; zeros where it isn't there.
+    /// Returns the three numbers of an attribute; zeros if it is missing.
     fn vector(&self, node: Node<'a>, attribute: &str) -> Result<[f64; 3], UrdfError> {
         let Some(value) = node.attribute(attribute) else {
             return Ok([0.0; 3]);

@@ -4,19 +4,20 @@ use super::check::Description;
 use super::error::{UrdfError, UrdfErrorKind};
 use std::collections::HashMap;
 
-/// Link, and the joint and link before it in the tree.
+/// Link with its parent joint and parent link.
 pub(super) struct Step {
     /// Index of the link.
     pub link: usize,
-    /// Indices of the joint that moves it and of its parent link; `None` at the root.
+    /// Indices of the parent joint and the parent link; `None` at the root.
     pub from: Option<(usize, usize)>,
 }
 
-/// Returns every link, parents before children: depth first, the children of a link by the names of their joints.
+/// Returns all links, depth first, parents before children; the children of a link are in the order of their joint
+/// names.
 pub(super) fn depth_first(description: &Description) -> Result<Vec<Step>, UrdfError> {
     let (links, joints) = (&description.links, &description.joints);
     let index: HashMap<&str, usize> = links.iter().enumerate().map(|(i, l)| (l.name.as_str(), i)).collect();
-    // The joint above each link, and the joints below it.
+    // Parent joint and child joints of each link.
     let mut above: Vec<Option<usize>> = vec![None; links.len()];
     let mut below: Vec<Vec<usize>> = vec![Vec::new(); links.len()];
     let mut ends = Vec::with_capacity(joints.len());
@@ -46,7 +47,7 @@ pub(super) fn depth_first(description: &Description) -> Result<Vec<Step>, UrdfEr
         ends.push((parent, child));
     }
     for children in &mut below {
-        // Reversed: the stack below takes the last first.
+        // In reverse order, because the stack returns the last entry first.
         children.sort_by(|&a, &b| joints[b].name.cmp(&joints[a].name));
     }
 
@@ -66,12 +67,12 @@ pub(super) fn depth_first(description: &Description) -> Result<Vec<Step>, UrdfEr
     }
     match reached.iter().position(|&r| !r) {
         None => Ok(order),
-        // With one parent at most, a link that can't be reached from the root is on a cycle or hangs on one.
+        // Each link has at most one parent, so a link that is not reached from the root is on a cycle or below one.
         Some(lost) => Err(cycle(description, &above, &ends, lost)),
     }
 }
 
-/// Returns the error of the cycle above a link that no root reaches.
+/// Returns the error for the cycle above `lost`, a link that is not reached from the root.
 fn cycle(
     description: &Description,
     above: &[Option<usize>],
@@ -79,7 +80,7 @@ fn cycle(
     lost: usize,
 ) -> UrdfError {
     let up = |link: usize| above[link].map(|j| ends[j].0);
-    // As many steps up as there are links surely end on the cycle.
+    // As many steps up as there are links end on the cycle.
     let on_cycle = (0..above.len()).fold(lost, |link, _| up(link).unwrap_or(link));
     let mut links = vec![on_cycle];
     let mut link = up(on_cycle);

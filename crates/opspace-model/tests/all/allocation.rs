@@ -1,4 +1,4 @@
-//! Allocations of every algorithm once its scratch memory exists: none, by a counting allocator.
+//! Checks with a counting allocator that no algorithm allocates after its data are created.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
@@ -16,7 +16,7 @@ use opspace_testing::allocation::counted;
 use opspace_testing::oracle::urdf;
 use std::hint::black_box;
 
-/// Number of times that `work` allocates, reallocates or frees.
+/// Returns the number of allocations, reallocations and frees during `work`.
 fn allocations(work: impl FnOnce()) -> usize {
     let ((), count) = counted(work);
     count.allocations + count.frees
@@ -24,7 +24,7 @@ fn allocations(work: impl FnOnce()) -> usize {
 
 #[test]
 fn allocation_counter_counts() {
-    // One to allocate, one to free.
+    // One allocation, one free.
     assert_eq!(allocations(|| drop(black_box(vec![1.0; 7]))), 2);
 }
 
@@ -32,7 +32,7 @@ fn load(robot: &str, options: UrdfOptions) -> Model {
     Model::from_urdf_with(&urdf(robot), options).unwrap().model
 }
 
-/// A fixed base, a floating one, a mimic joint, many branches; each with two of its frames.
+/// Robots with a fixed base, a floating base, a mimic joint, and many branches, each with two of its frames.
 fn robots() -> Vec<(&'static str, Model, [FrameId; 2])> {
     let plain = UrdfOptions::default();
     let floating = UrdfOptions { floating_base: true, ..plain };
@@ -52,7 +52,7 @@ fn robots() -> Vec<(&'static str, Model, [FrameId; 2])> {
     loaded.into()
 }
 
-/// A state without zeros.
+/// Returns a configuration without zeros.
 fn state(model: &Model) -> Vec<f64> {
     let mut q = neutral(model);
     let step: Vec<f64> = (0..model.n()).map(|i| 0.3 + 0.07 * i as f64).collect();
@@ -60,7 +60,7 @@ fn state(model: &Model) -> Vec<f64> {
     q
 }
 
-/// Number of allocations of all algorithms that are written for any number of lanes.
+/// Returns the number of allocations of all algorithms that are generic over lanes.
 fn allocations_of_all<T: Real>(model: &Model<T>, [tip, second]: [FrameId; 2], q: &[T]) -> usize {
     let n = model.n();
     let (dq, ddq) = (vec![T::splat(0.2); n], vec![T::splat(-1.5); n]);
@@ -151,7 +151,7 @@ fn no_task_allocates() {
         frame_jacobian(&model, &data, tip, &mut jacobian);
         let mut shares = [f64::NAN; 3];
         let count = allocations(|| {
-            // Undamped, damped in all directions but the most mobile, and with a direction lost altogether.
+            // Undamped; damped in all directions except the most mobile one; with one direction lost.
             space.update(&data.mass_matrix_factor, &jacobian, 6, 0.0);
             shares[0] = space.min_singular_gain;
             space.update(&data.mass_matrix_factor, &jacobian, 3, 0.999);
@@ -169,7 +169,8 @@ fn no_task_allocates() {
     }
 }
 
-/// Checks all changes that are allowed between two control cycles: steps of q, and a model's loads, frames and limits.
+/// Checks all changes that are allowed between two control cycles: integration of q, and changes of payloads, frames,
+/// inertias and limits of the model.
 #[test]
 fn no_model_change_allocates() {
     for (robot, mut model, [tip, second]) in robots() {
@@ -196,7 +197,7 @@ fn no_model_change_allocates() {
     }
 }
 
-/// A state that isn't finite: refused by the factor, without an allocation.
+/// Checks that the factor refuses a non-finite state without an allocation.
 #[test]
 fn non_finite_state_does_not_allocate() {
     let model = load("ur5", UrdfOptions::default());

@@ -1,5 +1,5 @@
-//! Every algorithm on four states at once against itself on each of them alone, on random trees: with a fixed or
-//! floating base, and with mimic joints.
+//! Compares every algorithm on four states at once with the same algorithm on each single state, on random trees with a
+//! fixed or floating base and with mimic joints.
 
 use crate::common::{Case, ROUNDING, case, close, config, plus, wrench};
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
@@ -14,7 +14,7 @@ use opspace_model::{
 };
 use proptest::prelude::*;
 
-/// A state, and what acts in it.
+/// A state with the torques and the wrench that act in it.
 struct State<T> {
     q: Vec<T>,
     dq: Vec<T>,
@@ -23,14 +23,14 @@ struct State<T> {
     wrench: Force<T>,
 }
 
-/// Results of the algorithms for a state, by name.
+/// Results of the algorithms for one state, with their names.
 type Results<T> = Vec<(&'static str, Vec<T>)>;
 
 fn stacked<T: Real>(linear: &Vector3<T>, angular: &Vector3<T>) -> Vec<T> {
     linear.iter().chain(angular).copied().collect()
 }
 
-/// All of the kinematics.
+/// Evaluates all kinematic algorithms.
 fn motions<T: Real>(model: &Model<T>, [tip, second]: [FrameId; 2], state: &State<T>, out: &mut Results<T>) {
     let mut data = Data::new(model);
     forward_kinematics(model, &mut data, &state.q);
@@ -65,7 +65,7 @@ fn motions<T: Real>(model: &Model<T>, [tip, second]: [FrameId; 2], state: &State
     out.push(("momentum", stacked(&momentum.linear, &momentum.angular)));
 }
 
-/// All of the dynamics.
+/// Evaluates all dynamic algorithms.
 fn dynamics<T: Real>(model: &Model<T>, [tip, second]: [FrameId; 2], state: &State<T>, out: &mut Results<T>) {
     let mut data = Data::new(model);
     kinematics(model, &mut data, &state.q, &state.dq);
@@ -118,7 +118,7 @@ fn everything<T: Real>(model: &Model<T>, frames: [FrameId; 2], state: &State<T>)
     out
 }
 
-/// Four states, the case's and three others as far from it.
+/// Returns four states: the state of the case, and three states at increasing distances from it.
 fn states(case: &Case, wrench: &Force) -> [State<f64>; batch::COUNT] {
     std::array::from_fn(|lane| {
         let by = lane as f64;
@@ -155,7 +155,7 @@ fn side_by_side(states: &[State<f64>; batch::COUNT]) -> State<Lanes> {
 proptest! {
     #![proptest_config(config(128))]
 
-    /// Each lane of every result against the same algorithm on that lane's state alone.
+    /// Compared: each lane of every result, and the result of the same algorithm for the state of that lane alone.
     #[test]
     fn lanes_match_single_state_results(case in case(), wrench in wrench()) {
         let frames = [case.tip, case.second];
@@ -173,8 +173,8 @@ proptest! {
         }
     }
 
-    /// One state that isn't finite, in any lane: the factor is unusable, and the kinematics of the other lanes are
-    /// unaffected.
+    /// Checks that a non-finite state in any lane makes the factor unusable and does not affect the kinematics of the
+    /// other lanes.
     #[test]
     fn non_finite_lane_is_detected(case in case(), bad in 0..batch::COUNT) {
         let model = case.model.splat::<Lanes>();

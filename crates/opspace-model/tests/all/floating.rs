@@ -1,6 +1,6 @@
-//! Floating bases: their configuration space and their motion without external forces.
+//! Floating bases: configuration space, and motion without external forces.
 //!
-//! Identities of any tree are in `identities.rs` and `trees.rs`; floating bases are among their cases.
+//! Identities that hold for every tree are tested in `identities.rs` and `trees.rs`, also with floating bases.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::common::{
@@ -16,7 +16,7 @@ use opspace_model::{
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
-/// q of a base at a placement, in front of the joints'.
+/// Returns q for a base at a placement, followed by the joint positions.
 fn at(base: &Placement, joints: &[f64]) -> Vec<f64> {
     let rotation = UnitQuaternion::from_matrix(&base.rotation);
     [base.translation.as_slice(), rotation.coords.as_slice(), joints].concat()
@@ -42,7 +42,7 @@ fn direction() -> impl Strategy<Value = Vector3<f64>> {
         .prop_map(|x| Vector3::from(x).normalize())
 }
 
-/// Angles where formulas change or lose their digits, and any between.
+/// Angles at which formulas change or lose digits, and angles in between.
 fn angle() -> impl Strategy<Value = f64> {
     prop_oneof![
         Just(0.0),
@@ -58,7 +58,7 @@ fn angle() -> impl Strategy<Value = f64> {
     ]
 }
 
-/// The momentum about the centre of mass, linear part first.
+/// Returns the momentum about the centre of mass, linear part first.
 fn momentum(case: &Case) -> Vec<f64> {
     let momentum = centroidal_momentum(&case.model, &case.evaluated());
     momentum.linear.iter().chain(&momentum.angular).copied().collect()
@@ -67,7 +67,8 @@ fn momentum(case: &Case) -> Vec<f64> {
 proptest! {
     #![proptest_config(config(192))]
 
-    /// Inverse dynamics of the motion under joint torques alone: no force or torque on the base.
+    /// Compared: inverse dynamics of the motion under joint torques alone, and these torques. No force or torque acts
+    /// on the base.
     #[test]
     fn floating_base_is_unactuated(case in floating()) {
         let mut tau = case.tau.clone();
@@ -80,7 +81,8 @@ proptest! {
         close(&data.torque.as_slice()[6..], &tau[6..], INVERSE)?;
     }
 
-    /// The rate of the momentum, by difference along that motion, against the weight: joints don't change it.
+    /// Compared: the rate of the centroidal momentum under joint torques, by central differences, and the weight. Joint
+    /// torques do not change the momentum.
     #[test]
     fn only_gravity_changes_momentum(case in floating()) {
         let mut tau = case.tau.clone();
@@ -99,7 +101,8 @@ proptest! {
         close(&rate, weight.iter().chain(&[0.0; 3]), DIFFERENCE * STEP / step)?;
     }
 
-    /// A robot at rest without torques against free fall: its base accelerates with gravity, its joints don't move.
+    /// Compared: accelerations of a robot at rest without torques, and free fall. The base accelerates with gravity,
+    /// the joints do not move.
     #[test]
     fn robot_at_rest_falls_freely(case in floating()) {
         let still = vec![0.0; case.model.n()];
@@ -110,7 +113,7 @@ proptest! {
         close(&data.ddq.as_slice()[3..], &still[3..], INVERSE)?;
     }
 
-    /// The robot moved and rotated together with gravity, by its q, against itself.
+    /// Compared: a robot that is moved by its q and rotated together with gravity, and the original robot.
     #[test]
     fn torques_are_independent_of_base_pose(case in floating(), world in placement()) {
         let model = case.model.clone().with_base(Placement::identity());
@@ -131,7 +134,7 @@ proptest! {
         close_placement(&frame_placement(&there, &b, case.tip), &expected, ROUNDING)?;
         let com = world.act_point(&center_of_mass(&model, &a).unwrap());
         close(&center_of_mass(&there, &b).unwrap(), &com, ROUNDING)?;
-        // The base's pose as the base's, q neutral there.
+        // The same pose as the pose of the base frame, with neutral q.
         let stood = model.with_base(base);
         let mut neutral = neutral(&stood);
         neutral[7..].copy_from_slice(joints);
@@ -140,10 +143,11 @@ proptest! {
         close(&a.bias, &c.bias, ROUNDING)?;
     }
 
-    /// A floating base held still against the same tree on a fixed base there: equal joint quantities.
+    /// Compared: a floating base at rest, and the same tree on a fixed base at the same pose. Joint quantities are
+    /// equal.
     #[test]
     fn held_floating_base_equals_fixed_base(case in fixed(), root in inertia(), base in placement()) {
-        // The tree once more, on a floating root.
+        // The same tree on a floating root.
         let mut model = Model::floating("tree", root).with_gravity(case.model.gravity());
         for (body, joint) in case.model.bodies().iter().zip(case.model.joints()) {
             model.add_body(body.parent.map(|p| p + 6), body.origin, joint.clone(), body.inertia);
@@ -162,8 +166,8 @@ proptest! {
         close(&floats.torque.as_slice()[6..], &data.torque, ROUNDING)?;
     }
 
-    /// A floating body against one on three sliding and three turning joints without mass: M = Tᵀ M' T and
-    /// τ = Tᵀ τ' with T the Jacobian of that chain in the body's axes, q̈' = T q̈ + Ṫ q̇.
+    /// Compared: a floating body, and a body on three prismatic and three revolute joints without mass. M = Tᵀ M' T and
+    /// τ = Tᵀ τ', where T is the Jacobian of that chain in body axes and q̈' = T q̈ + Ṫ q̇.
     #[test]
     fn floating_base_equals_six_joint_chain(
         case in fixed(),
@@ -171,7 +175,7 @@ proptest! {
         state in prop::array::uniform6(-1.2..1.2f64),
     ) {
         let mut chain = Model::new("chain").with_gravity(case.model.gravity());
-        // Along or about x, y and z in turn: each body's z is the x of the one before.
+        // Axes x, y and z in turn: the z axis of each body is the x axis of the previous one.
         let turn = Placement::from_rpy([PI / 2.0, 0.0, PI / 2.0], [0.0; 3]);
         for i in 0..6_usize {
             let kind = if i < 3 { JointKind::Prismatic } else { JointKind::Continuous };
@@ -210,7 +214,8 @@ proptest! {
 proptest! {
     #![proptest_config(config(256))]
 
-    /// A step of the base against the exponential of its twist as a 4 × 4 matrix; the quaternion stays of length one.
+    /// Compared: an integration step of the base, and the matrix exponential of its twist (4 × 4); the norm of the
+    /// quaternion, and 1.
     #[test]
     fn integration_step_is_twist_exponential(
         case in floating(),
@@ -228,13 +233,13 @@ proptest! {
         close(&homogeneous(&base_of(&q)), &expected, ROUNDING)?;
         close(&q[7..], &plus(&case.q[7..], &v[6..], 1.0), 0.0)?;
         close(&[vector(&q[3..7]).norm()], &[1.0], ROUNDING)?;
-        // As far in two steps as in one.
+        // Two half steps reach the same pose as one step.
         let twice = moved(&case.model, &moved(&case.model, &case.q, &v, 0.5), &v, 0.5);
         close_placement(&base_of(&twice), &base_of(&q), ROUNDING)?;
     }
 
-    /// v against (q ⊕ v) ⊖ q for rotations up to π, and `to` against `from` ⊕ (`to` ⊖ `from`); the same rotation's
-    /// other quaternion makes no difference.
+    /// Compared: (q ⊕ v) ⊖ q and v, for rotations up to π; `from` ⊕ (`to` ⊖ `from`) and `to`. Negating the quaternion
+    /// of `to` makes no difference.
     #[test]
     fn difference_inverts_integrate(case in floating(), axis in direction(), angle in angle(), flip in any::<bool>()) {
         let model = &case.model;
@@ -250,13 +255,13 @@ proptest! {
         let again = moved(model, &case.q, &back, 1.0);
         close_placement(&base_of(&again), &base_of(&to), ROUNDING)?;
         close(&again[7..], &to[7..], ROUNDING)?;
-        // The way back is the same way.
+        // The reverse difference is the negative difference.
         let mut reverse = vec![f64::NAN; model.n()];
         difference(model, &to, &case.q, &mut reverse);
         close(&reverse, &(-vector(&back)), ROUNDING)?;
     }
 
-    /// Relative error of small rotations: no digits are lost at small angles.
+    /// Compared: (q ⊕ v) ⊖ q and v, relative to v, for small rotations. No digits are lost.
     #[test]
     fn small_rotations_keep_their_precision(axis in direction(), small in -12.0..-2.0f64) {
         let model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
@@ -269,7 +274,8 @@ proptest! {
         close(&scaled(&back), &scaled(&v), ROUNDING)?;
     }
 
-    /// Differences beyond half a turn: the shorter rotation, to the same placement.
+    /// Compared: differences after rotations beyond half a turn, and the shorter rotation, which leads to the same
+    /// placement.
     #[test]
     fn difference_takes_shorter_rotation(axis in direction(), angle in 3.2..6.2f64, linear in triple(1.0)) {
         let model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
@@ -282,7 +288,7 @@ proptest! {
         close_placement(&base_of(&moved(&model, &start, &back, 1.0)), &base_of(&to), ROUNDING)?;
     }
 
-    /// A quaternion of another length against the normalised one; a quaternion and its negative.
+    /// Compared: a scaled and negated quaternion, and the normalized one.
     #[test]
     fn quaternion_length_and_sign_are_irrelevant(case in floating(), length in 0.5..2.0f64) {
         let mut scaled = case.q.clone();
@@ -301,7 +307,7 @@ proptest! {
     }
 }
 
-/// Integration on a fixed base, where q is a vector, against the sum of vectors.
+/// Compared: integration on a fixed base, where q is a vector, and vector addition.
 #[test]
 fn fixed_base_integration_is_addition() {
     let mut model = Model::new("slider");
@@ -314,7 +320,7 @@ fn fixed_base_integration_is_addition() {
     assert_eq!(neutral(&model), [0.0]);
 }
 
-/// A hopper: a trunk of two links fixed to each other, and a leg.
+/// A hopper with a trunk of two links fixed to each other, and a leg.
 const HOPPER: &str = r#"<robot name="hopper">
   <link name="root"/>
   <link name="trunk"><inertial><origin xyz="0 0 0.1"/><mass value="5"/>
@@ -328,8 +334,8 @@ const HOPPER: &str = r#"<robot name="hopper">
 
 const FLOATING: UrdfOptions = UrdfOptions { floating_base: true, enforce_mimic: false };
 
-/// A URDF's root, with all links fixed to it, against its figures: its mass counts on a floating base, and not on a
-/// fixed one.
+/// Compared: the root body of a URDF with all links fixed to it, and its expected inertia. Its mass counts on a
+/// floating base, but not on a fixed base.
 #[test]
 fn floating_urdf_root_has_mass() -> Result<(), TestCaseError> {
     let floats = Model::from_urdf_with(HOPPER, FLOATING).unwrap().model;
@@ -340,7 +346,7 @@ fn floating_urdf_root_has_mass() -> Result<(), TestCaseError> {
     let names: Vec<&str> = floats.joints().iter().map(|j| j.name.as_str()).collect();
     assert_eq!(names[..2], ["base.linear.x", "base.linear.y"]);
     assert_eq!(names[5..], ["base.angular.z", "hip"]);
-    // The trunk stands 0.5 m above the root and a quarter turn round.
+    // The trunk is 0.5 m above the root, rotated by a quarter turn.
     let root = floats.bodies()[5].inertia;
     close(&root.com, &[0.0, 0.0, 0.6], ROUNDING)?;
     close(&root.rotational, &Matrix3::from_diagonal(&Vector3::new(0.2, 0.1, 0.3)), ROUNDING)?;
@@ -348,7 +354,7 @@ fn floating_urdf_root_has_mass() -> Result<(), TestCaseError> {
     close(&data.gravity, &[0.0, 0.0, 6.0 * 9.81, 0.0, 0.0, 0.0, 0.0], ROUNDING)
 }
 
-/// A floating URDF without mass: the error names the root and its line.
+/// Checks the error for a floating URDF without mass: it names the root and its line.
 #[test]
 fn floating_urdf_without_mass_is_refused() {
     let text = "<robot name=\"ghost\">\n  <link name=\"spirit\"/>\n</robot>";
@@ -361,7 +367,8 @@ fn floating_urdf_without_mass_is_refused() {
     );
 }
 
-/// Checks that frames put on any of the six bodies of a floating base are on the last, which has its velocity.
+/// Checks that frames added to any of the six bodies of a floating base are attached to the last one, which has the
+/// velocity of the base.
 #[test]
 fn floating_base_frames_share_one_body() {
     let mut model = Model::floating("box", Inertia { mass: 1.0, ..Inertia::zero() });
@@ -384,7 +391,8 @@ const WHEEL: &str = r#"<robot name="cart">
 <joint name="axle" type="continuous"><parent link="cart"/><child link="wheel"/></joint>
 </robot>"#;
 
-/// Checks that a coordinate of the floating base is refused as leader of a joint, and its name for a joint of the URDF.
+/// Checks that a coordinate of the floating base is refused as a leader, and that a joint of the URDF with the name of
+/// such a coordinate is refused.
 #[test]
 fn floating_base_coordinates_are_no_mimic_leaders() {
     let follows =

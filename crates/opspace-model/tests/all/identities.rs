@@ -1,7 +1,7 @@
-//! Laws that our algorithms must obey together, on random trees in random states: with a fixed or floating base, and
-//! with mimic joints.
+//! Identities that the algorithms must fulfil together, on random trees in random states: with a fixed or floating
+//! base, and with mimic joints.
 //!
-//! Identities don't see a transform that all algorithms share and that is wrong: see `pinocchio.rs` for those.
+//! Identities do not detect a wrong transform that all algorithms share; `pinocchio.rs` does.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::common::{
@@ -22,7 +22,7 @@ fn mass_matrix(case: &Case) -> DMatrix<f64> {
 proptest! {
     #![proptest_config(config(384))]
 
-    /// Forward dynamics of inverse dynamics against the acceleration put in.
+    /// Compared: the acceleration after inverse and forward dynamics, and the original acceleration.
     #[test]
     fn aba_inverts_rnea(case in case()) {
         let mut data = case.evaluated();
@@ -32,7 +32,7 @@ proptest! {
         close(&data.ddq, &case.ddq, INVERSE)?;
     }
 
-    /// ABA against M⁻¹ (τ − h) with CRBA's M, factored, and RNEA's h.
+    /// Compared: accelerations of ABA, and M⁻¹ (τ − h) with the factor of CRBA's M and RNEA's h.
     #[test]
     fn aba_solves_equation_of_motion(case in case()) {
         let mut data = case.evaluated();
@@ -42,7 +42,7 @@ proptest! {
         close(&data.ddq, &ddq, INVERSE)?;
     }
 
-    /// RNEA at one unit acceleration each against the bias and the column of CRBA's M; rotors included.
+    /// Compared: RNEA at a unit acceleration of each joint, and the bias plus the column of CRBA's M, including rotors.
     #[test]
     fn mass_matrix_matches_inverse_dynamics(case in case()) {
         let mut data = case.evaluated();
@@ -52,7 +52,7 @@ proptest! {
         }
     }
 
-    /// Rotors add to M's diagonal, and to nothing else of the equation of motion.
+    /// Compared: M, bias and C with rotors, and without them. Rotors add only to the diagonal of M.
     #[test]
     fn rotors_add_to_mass_matrix_diagonal(case in case()) {
         let rotors = case.model.rotor_inertia().to_vec();
@@ -65,7 +65,7 @@ proptest! {
         close(&with.coriolis_matrix, &without.coriolis_matrix, 0.0)?;
     }
 
-    /// J q̇ against the frame's velocity, and both against the difference of its pose.
+    /// Compared: J q̇ and the velocity of the frame; the velocity and central differences of the pose.
     #[test]
     fn jacobian_is_pose_derivative(case in case()) {
         let data = case.evaluated();
@@ -83,7 +83,7 @@ proptest! {
         close(&spin, &velocity.angular.cross_matrix(), DIFFERENCE)?;
     }
 
-    /// J̇ q̇ against the difference of the frame's velocity while q̇ stays the same.
+    /// Compared: J̇ q̇, and central differences of the velocity of the frame at constant q̇.
     #[test]
     fn bias_acceleration_is_velocity_derivative(case in case()) {
         let data = case.evaluated();
@@ -97,7 +97,7 @@ proptest! {
         close(&rate.angular, &bias.angular, DIFFERENCE)?;
     }
 
-    /// C q̇ against RNEA's bias less its gravity; C + Cᵀ against the difference of M in time.
+    /// Compared: C q̇, and RNEA's bias minus gravity; C + Cᵀ, and central differences of M in time.
     #[test]
     fn coriolis_matrix_matches_bias_and_mass_matrix_rate(case in case()) {
         let data = case.evaluated();
@@ -108,7 +108,8 @@ proptest! {
         close(&(coriolis + coriolis.transpose()), &rate, DIFFERENCE)?;
     }
 
-    /// C against Christoffel's symbols from differences of M: C_ij = ½ Σ_k (∂_k M_ij + ∂_j M_ik − ∂_i M_jk) q̇_k.
+    /// Compared: C, and the Christoffel symbols from differences of M: C_ij = ½ Σ_k (∂_k M_ij + ∂_j M_ik − ∂_i M_jk)
+    /// q̇_k.
     #[test]
     fn coriolis_matrix_matches_christoffel_symbols(case in jointed()) {
         let n = case.model.n();
@@ -124,7 +125,7 @@ proptest! {
         close(&case.evaluated().coriolis_matrix, &expected, DIFFERENCE)?;
     }
 
-    /// Gravity torques against the gradient of the potential energy.
+    /// Compared: gravity torques, and the gradient of the potential energy.
     #[test]
     fn gravity_is_potential_energy_gradient(case in case()) {
         let n = case.model.n();
@@ -135,7 +136,7 @@ proptest! {
         close(&case.evaluated().gravity, &gradient, DIFFERENCE)?;
     }
 
-    /// The bodies' kinetic energy against ½ q̇ᵀ M q̇.
+    /// Compared: kinetic energy, and ½ q̇ᵀ M q̇.
     #[test]
     fn kinetic_energy_matches_mass_matrix(case in case()) {
         let data = case.evaluated();
@@ -143,13 +144,14 @@ proptest! {
         close(&[kinetic_energy(&case.model, &data)], &[0.5 * dq.dot(&(&data.mass_matrix * &dq))], ROUNDING)?;
     }
 
-    /// The rate of all energy, by difference along ABA's motion, against the power of the torques.
+    /// Compared: the time derivative of the total energy, by central differences along the motion of ABA, and the power
+    /// of the torques.
     #[test]
     fn energy_rate_equals_torque_power(case in case()) {
         let mut data = case.evaluated();
         aba(&case.model, &mut data, &case.tau);
         let ddq = data.ddq.as_slice().to_vec();
-        // Speeds change as little over it as positions do elsewhere.
+        // The step is reduced so that velocities change no more than positions do in other tests.
         let step = STEP / vector(&ddq).amax().max(1.0).sqrt();
         let energies = |t: f64| {
             let q = moved(&case.model, &case.q, &plus(&case.dq, &ddq, 0.5 * t), t);
@@ -157,13 +159,13 @@ proptest! {
             [kinetic_energy(&case.model, &data), potential_energy(&case.model, &data)]
         };
         let rate = (energies(step).iter().sum::<f64>() - energies(-step).iter().sum::<f64>()) / (2.0 * step);
-        // Energies of some hundred J lose their last digits in a difference over so short a step.
+        // Cancellation error: the difference of energies of some hundred joules over this short step loses digits.
         let size = energies(0.0).iter().map(|e| e.abs()).sum::<f64>() + 100.0;
         let tolerance = DIFFERENCE + 4.0 * f64::EPSILON * size / step;
         close(&[rate], &[vector(&case.tau).dot(&vector(&case.dq))], tolerance)?;
     }
 
-    /// Compares the results of [`update`] with those of the single functions.
+    /// Compared: the results of [`update`], and those of the single functions.
     #[test]
     fn update_equals_single_algorithms(case in case()) {
         let mut alone = case.evaluated();
@@ -177,7 +179,8 @@ proptest! {
         close(&at_once.mass_matrix, &alone.mass_matrix, ROUNDING)?;
     }
 
-    /// The robot with its base and gravity rotated together, and moved, against itself: only its pose changes.
+    /// Compared: a robot whose base and gravity are rotated together and whose base is moved, and the original robot.
+    /// Only the poses differ.
     #[test]
     fn torques_are_invariant_to_world_rotation(case in case(), world in placement()) {
         let turned = case.model.clone()
@@ -198,8 +201,8 @@ proptest! {
         close_placement(&expected, &frame_placement(&turned, &there, case.tip), ROUNDING)?;
     }
 
-    /// A joint at an angle against the same joint locked there, everything else alike; against the model with it:
-    /// motion, weight and inertia of the other joints.
+    /// Compared: a model with a joint at rest at an angle, and the model with the joint locked there: bias and mass
+    /// matrix of the other joints, and the pose of the tip.
     #[test]
     fn locked_joint_equals_joint_at_rest(
         case in case(),
@@ -224,7 +227,7 @@ proptest! {
         close_placement(&a, &b, ROUNDING)?;
     }
 
-    /// All masses and inertias times a factor against all torques times it.
+    /// Compared: torques of a robot with scaled masses and inertias, and the scaled torques of the robot.
     #[test]
     fn torques_scale_with_inertia(case in case(), factor in 0.1..10.0f64) {
         let heavy = case.model.clone().with_scaled_inertia(factor);
@@ -235,7 +238,8 @@ proptest! {
         close(&(light.torque * factor), &scaled.torque, ROUNDING)?;
     }
 
-    /// J N = 0, J J̄ = 1, N N = N, Λ J M⁻¹ Jᵀ = 1, and J M⁻¹ Nᵀ = 0: nullspace torques don't move the task.
+    /// Checks J N = 0, J J̄ = 1, N N = N, Λ J M⁻¹ Jᵀ = 1 and J M⁻¹ Nᵀ = 0: null-space torques do not accelerate the
+    /// task.
     #[test]
     fn nullspace_torques_do_not_accelerate_task(case in case(), rows in 1..4usize) {
         let n = case.model.n();
@@ -266,7 +270,8 @@ proptest! {
         prop_assert_eq!(space.min_singular_gain, 1.0);
     }
 
-    /// Velocity of a frame on the base against zero, for any motion of the joints.
+    /// Compared: Jacobian and velocity of a frame on the base during any joint motion, and zero; its pose, and its
+    /// placement on the base.
     #[test]
     fn base_frame_has_zero_velocity(case in jointed(), place in placement()) {
         let mut model = case.model.clone();

@@ -1,4 +1,4 @@
-//! Kinematics and dynamics: identities on random trees, other programs' numbers, URDF texts.
+//! Tests of kinematics and dynamics: identities on random trees, reference numbers of other programs, URDF texts.
 
 mod allocation;
 mod batch;

@@ -1,6 +1,6 @@
-//! Our algorithms against MuJoCo's numbers, with rotors and a tilted gravity: see
-//! `tests/oracles/mujoco/README.md`. MuJoCo computes by its own recursions in other coordinates, and reads
-//! the URDF itself.
+//! Compares the algorithms with the numbers of MuJoCo, with rotors and tilted gravity: see
+//! `tests/oracles/mujoco/README.md`. MuJoCo has its own URDF reader and computes by its own recursions in other
+//! coordinates.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
 use crate::oracle::{Oracle, oracle};
@@ -9,8 +9,8 @@ use opspace_model::{Data, aba, frame_jacobian, frame_placement, update};
 use opspace_testing::oracle::{numbers, relative_error};
 use serde_json::Value;
 
-/// Largest error of any entry relative to max(1, largest entry of the reference). MuJoCo takes inertias apart
-/// into principal axes and its quaternions are normalised. Ten times the largest measured one, 4.0e-14.
+/// Largest error of any entry relative to max(1, largest entry of the reference). MuJoCo converts inertias to principal
+/// axes and normalizes its quaternions. Ten times the largest measured error, 4.0e-14.
 const TOLERANCE: f64 = 4e-13;
 
 fn assert_close<'a>(ours: impl IntoIterator<Item = &'a f64>, theirs: &[f64], what: &str) {
@@ -22,7 +22,7 @@ fn assert_close<'a>(ours: impl IntoIterator<Item = &'a f64>, theirs: &[f64], wha
 fn check_every_sample(robot: &str) {
     let Oracle { meta, samples, model } = oracle(&format!("mujoco/{robot}.json"));
     let n = model.n();
-    // Where each joint of ours is in MuJoCo's order, and how to bring its vectors into ours.
+    // Index of each joint in MuJoCo's order, and the reordering of MuJoCo's vectors to our order.
     let theirs: Vec<&str> = meta["joints"].as_array().unwrap().iter().map(|v| v.as_str().unwrap()).collect();
     assert_eq!(theirs.len(), n);
     let place: Vec<usize> = model

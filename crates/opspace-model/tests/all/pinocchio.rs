@@ -1,5 +1,5 @@
-//! Our algorithms against Pinocchio's numbers on six robots: see `tests/oracles/pinocchio/README.md`.
-//! The two share nothing: Pinocchio has its own URDF reader, algebra and algorithms.
+//! Compares the algorithms with the numbers of Pinocchio on six robots: see `tests/oracles/pinocchio/README.md`. The
+//! two programs have no common code: Pinocchio has its own URDF reader, algebra and algorithms.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::oracle::{Oracle, oracle};
@@ -7,10 +7,11 @@ use opspace_model::JointKind;
 use opspace_model::samples::{Sample, evaluate};
 use opspace_testing::oracle::{numbers, relative_error};
 
-/// Largest error of any entry relative to max(1, largest entry of the reference), where both sides only add
-/// and multiply. Ten times the largest measured one, 5.1e-15.
+/// Largest error of any entry relative to max(1, largest entry of the reference), for quantities computed only by
+/// additions and multiplications. Ten times the largest measured error, 5.1e-15.
 const TOLERANCE: f64 = 5e-14;
-/// Tolerance where M or J M⁻¹ Jᵀ is inverted, of condition up to 1e6: ten times the largest measured error, 3.7e-11.
+/// Tolerance for quantities that need the inverse of M or J M⁻¹ Jᵀ, with condition numbers up to 1e6. Ten times the
+/// largest measured error, 3.7e-11.
 const INVERSE_TOLERANCE: f64 = 4e-10;
 
 const QUANTITIES: [(&str, f64); 19] = [

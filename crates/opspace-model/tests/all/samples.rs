@@ -1,4 +1,4 @@
-//! Inputs that `samples` refuses, tasks without a result, and its JSON keys.
+//! Tests of `samples`: refused inputs, tasks without a result, and JSON keys.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use opspace_model::samples::{Quantities, Sample, SampleError, evaluate};
@@ -26,7 +26,7 @@ fn at(q: &[f64], task_rows: &[usize]) -> Sample {
 const ALL: [usize; 6] = [0, 1, 2, 3, 4, 5];
 const BENT: [f64; 6] = [0.3, -1.2, 1.4, -0.7, 0.9, 0.2];
 
-/// UR5 at [`BENT`] with one joint elsewhere.
+/// Evaluates the UR5 at [`BENT`] with one joint at `angle`.
 fn ur5_with(joint: usize, angle: f64) -> Quantities {
     let (model, tip) = robot("ur5", "tool0");
     let mut q = BENT;
@@ -41,8 +41,8 @@ fn has_task(quantities: &Quantities) -> bool {
     has[0]
 }
 
-/// Checks that a singular pose (UR5 with straight elbow or parallel wrist axes) has no task quantities; one beside it
-/// has.
+/// Checks that a singular pose (UR5 with straight elbow or parallel wrist axes) has no task quantities, and that a pose
+/// close to it has.
 #[test]
 fn singular_pose_has_no_task_quantities() {
     for joint in [2, 4] {
@@ -57,14 +57,14 @@ fn more_rows_than_joints_have_no_task_quantities() {
     let evaluated = |rows: &[usize]| evaluate(&model, tip, &at(&[0.4, 0.9], rows)).unwrap();
     assert!(!has_task(&evaluated(&ALL)));
     assert!(has_task(&evaluated(&[1, 2])));
-    // It moves in the y-z plane: x is a row of zeros.
+    // The pendulum moves in the y-z plane: the row of x is zero.
     assert!(!has_task(&evaluated(&[0])));
     assert!(!has_task(&evaluated(&[0, 2])));
     let json = serde_json::to_value(evaluated(&ALL)).unwrap();
     assert!(json["Lambda"].is_null() && json["Jbar"].is_null() && json["N"].is_null());
 }
 
-/// Nullspace of a task without rows against the identity.
+/// Compared: the null-space projector of a task without rows, and the identity.
 #[test]
 fn empty_task_has_identity_nullspace() {
     let (model, tip) = robot("double_pendulum", "link3");
@@ -73,7 +73,7 @@ fn empty_task_has_identity_nullspace() {
     assert_eq!(quantities.nullspace, Some(vec![1.0, 0.0, 0.0, 1.0]));
 }
 
-/// Λ of rows in another order is Λ with its rows and columns in that order.
+/// Compared: Λ for task rows in another order, and Λ with its rows and columns in that order.
 #[test]
 fn task_rows_accept_any_order() {
     let (model, tip) = robot("ur5", "tool0");
@@ -116,7 +116,7 @@ fn json_keys_match_contract() {
     assert_eq!(keys, expected);
 }
 
-/// Checks that written quantities read back to the same bits.
+/// Compared: quantities read back from JSON, and the original ones, bit by bit.
 #[test]
 fn quantities_round_trip_through_json() {
     let (model, tip) = robot("ur5", "tool0");
@@ -161,7 +161,7 @@ fn invalid_or_repeated_task_rows_are_refused() {
     refused(|s| s.task_rows = vec![1, 2, 1], "`task_rows` has 1 more than once");
 }
 
-/// Refusal of a point mass on its own axis: no torque accelerates it finitely.
+/// Checks that a point mass on its own joint axis is refused: its acceleration would be infinite.
 #[test]
 fn singular_mass_matrix_is_refused() {
     let urdf = r#"<robot name="dot"><link name="base"/><link name="dot"><inertial><mass value="1"/>
@@ -172,7 +172,7 @@ fn singular_mass_matrix_is_refused() {
     assert_eq!(evaluate(&model, tip, &at(&[0.0], &[3])), Err(SampleError::SingularMassMatrix));
 }
 
-/// Checks that states too large to be computed are refused, and that no result is NaN.
+/// Checks that states whose numbers overflow are refused and never give NaN.
 #[test]
 fn overflowing_states_are_refused() {
     let (model, tip) = robot("ur5", "tool0");
@@ -185,7 +185,7 @@ fn overflowing_states_are_refused() {
     assert_eq!(refused(&Sample { q, ..good }), turned);
 }
 
-/// Refusal of a floating base's quaternion that is not of length one.
+/// Checks that a quaternion of a floating base that is not of unit length is refused.
 #[test]
 fn non_unit_quaternion_is_refused() {
     let options = UrdfOptions { floating_base: true, ..UrdfOptions::default() };

@@ -1,8 +1,8 @@
-//! Every algorithm against Pinocchio's numbers on six robots, 128 states each (the humanoid: 80): see
-//! `tests/oracles/pinocchio/README.md`. Among them are a floating base, prismatic joints, a hand of four fingers, a
-//! robot with every frame rotated, and one with an enforced mimic joint.
+//! Compares every algorithm with the numbers of Pinocchio on six robots with 128 states each (the humanoid: 80): see
+//! `tests/oracles/pinocchio/README.md`. The robots include a floating base, prismatic joints, a hand with four fingers,
+//! a robot with all frames rotated, and one with an enforced mimic joint.
 //!
-//! A matrix is compared by its product with a vector that comes with the state.
+//! Matrices are compared by their product with a vector that is part of the sample.
 #![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test")]
 
 use crate::oracle::{Oracle, oracle};
@@ -18,18 +18,18 @@ use opspace_testing::oracle::{numbers, relative_error};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Largest error of any entry relative to max(1, largest entry of the reference). The reference has ten digits;
-/// ten times the largest measured one, 1.7e-10.
+/// Largest error of any entry relative to max(1, largest entry of the reference), which has ten digits. Ten times the
+/// largest measured error, 1.7e-10.
 const TOLERANCE: f64 = 1.7e-9;
 
-/// The state of a sample.
+/// Keys of the inputs of a sample.
 const INPUTS: [&str; 7] = ["q", "dq", "ddq", "tau", "wrench_tip", "wrench_second", "x"];
 
 fn triple(value: &Value) -> Vector3<f64> {
     Vector3::from_vec(numbers(value))
 }
 
-/// A body as the file gives it: in the axes of a link, its moments about the centre of mass.
+/// Reads an inertia from the file: in the axes of a link, with moments about the centre of mass.
 fn inertia(value: &Value) -> Inertia {
     let [xx, xy, yy, xz, yz, zz] = numbers(&value["inertia"]).try_into().expect("six moments");
     Inertia {
@@ -52,7 +52,7 @@ fn row_major(rotation: &Matrix3<f64>) -> Vec<f64> {
     rotation.transpose().as_slice().to_vec()
 }
 
-/// The robot, its frames, and what was drawn once for all its states.
+/// The robot, its frames, and the random values that all its states share.
 struct Bench {
     model: Model,
     tip: FrameId,
@@ -62,7 +62,7 @@ struct Bench {
     parameters: DVector<f64>,
     loaded: Model,
     reduced: Model,
-    /// The joints that `reduced` still has.
+    /// Joints that remain in `reduced`.
     left: Vec<usize>,
 }
 
@@ -94,7 +94,7 @@ impl Bench {
         }
     }
 
-    /// Everything that we can compute at a state.
+    /// Computes all compared quantities of a state.
     fn evaluate(&self, sample: &Value) -> BTreeMap<&'static str, Vec<f64>> {
         let Self { model, tip, second, .. } = self;
         let (tip, second) = (*tip, *second);
@@ -178,7 +178,7 @@ impl Bench {
         out.insert("payload_nle", vector(&data.bias));
 
         let pick = |values: &[f64]| -> Vec<f64> { self.left.iter().map(|&i| values[i]).collect() };
-        // A quaternion has one number more than the base has velocities.
+        // A quaternion has one entry more than the angular velocity.
         let ahead = model.nq() - model.n();
         let joints_q = pick(&q[ahead..]);
         let reduced_q: Vec<f64> = q[..ahead].iter().copied().chain(joints_q).collect();
@@ -190,7 +190,7 @@ impl Bench {
     }
 }
 
-/// Every key of every sample, and everything that we compute.
+/// Compares every key of every sample, and checks that each computed quantity is in the file.
 fn check_every_state(robot: &str) {
     let Oracle { meta, samples, model } = oracle(&format!("pinocchio/states/{robot}.json"));
     assert!(samples.len() >= 80, "{robot}");

@@ -1,5 +1,5 @@
-//! Every algorithm against an independent computation, on random trees: with a fixed or floating base, and with mimic
-//! joints. The equation of motion itself is in `identities.rs`.
+//! Compares every algorithm with an independent computation, on random trees with a fixed or floating base and with
+//! mimic joints. The equation of motion itself is tested in `identities.rs`.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::common::{
@@ -20,12 +20,12 @@ use opspace_model::{
 use proptest::prelude::*;
 use proptest::sample::Index;
 
-/// A matrix's rate along the motion of a case, by difference.
+/// Time derivative of a matrix along the motion of a case, by central differences.
 fn rate(case: &Case, of: impl Fn(&Case) -> DMatrix<f64>) -> DMatrix<f64> {
     (of(&case.moved(&case.dq, STEP)) - of(&case.moved(&case.dq, -STEP))) / (2.0 * STEP)
 }
 
-/// The derivative of a vector in every coordinate of q, along q̇'s axes, by differences.
+/// Derivative of a vector with respect to every coordinate of q, along the axes of q̇, by central differences.
 fn by_q(case: &Case, of: impl Fn(&Case) -> DVector<f64>) -> DMatrix<f64> {
     let column = |i| {
         let along = unit(case.model.n(), i);
@@ -34,7 +34,7 @@ fn by_q(case: &Case, of: impl Fn(&Case) -> DVector<f64>) -> DMatrix<f64> {
     DMatrix::from_columns(&(0..case.model.n()).map(column).collect::<Vec<_>>())
 }
 
-/// The derivative of a vector in every coordinate of q̇, by differences.
+/// Derivative of a vector with respect to every coordinate of q̇, by central differences.
 fn by_dq(case: &Case, of: impl Fn(&Case) -> DVector<f64>) -> DMatrix<f64> {
     let n = case.model.n();
     let faster = |i, by| Case { dq: plus(&case.dq, &unit(n, i), by), ..case.clone() };
@@ -76,8 +76,8 @@ fn com_jacobian_of(case: &Case) -> Matrix3xX<f64> {
 proptest! {
     #![proptest_config(config(192))]
 
-    /// The factor's solutions against those of nalgebra's dense Cholesky: one vector, the inverse, and a Jacobian in
-    /// two steps.
+    /// Compared: solutions with the factor (a vector, the inverse, and a Jacobian in two steps), and those with the
+    /// dense Cholesky factorization of nalgebra.
     #[test]
     fn factor_matches_dense_cholesky(case in case()) {
         let n = case.model.n();
@@ -87,7 +87,7 @@ proptest! {
         let mut x = case.tau.clone();
         data.mass_matrix_factor.solve(&mut x);
         close(&x, &oracle.solve(&vector(&case.tau)), INVERSE)?;
-        // The residual knows nothing of M's condition.
+        // The residual does not depend on the condition of M.
         close(&(&data.mass_matrix * vector(&x)), &case.tau, ROUNDING * vector(&x).amax().max(1.0))?;
 
         mass_matrix_inverse(&mut data);
@@ -95,7 +95,7 @@ proptest! {
         close(&(&data.mass_matrix * &data.mass_matrix_inverse), &DMatrix::identity(n, n), INVERSE)?;
         close(&data.mass_matrix_inverse, &data.mass_matrix_inverse.transpose(), ROUNDING)?;
 
-        // One Jacobian with zeros where joints don't carry the tip, and one without any.
+        // One Jacobian with zero columns for the joints that do not move the tip, and one without zeros.
         let full = Matrix6xX::from_fn(n, |r, c| 1.0 + ((7 * r + c) as f64).sin());
         for j in [tip_jacobian(&case), full] {
             let mut half = j.clone();
@@ -107,7 +107,7 @@ proptest! {
         }
     }
 
-    /// The factor of the identity against the identity; refusal of a matrix that isn't positive definite.
+    /// Compared: the initial and the reset factor, and the identity. A matrix that is not positive definite is refused.
     #[test]
     fn factor_keeps_identity_and_refuses_indefinite_matrix(case in case()) {
         let n = case.model.n();
@@ -127,7 +127,7 @@ proptest! {
         prop_assert!(!factor.update(&mass_matrix));
     }
 
-    /// J̇ of the three kinds against the difference of their J in time; J̇ q̇ against the bias acceleration.
+    /// Compared: J̇ in the three kinds of axes, and central differences of J in time; J̇ q̇, and the bias acceleration.
     #[test]
     fn jacobian_rate_matches_difference(case in case()) {
         let (model, tip, n, data) = (&case.model, case.tip, case.model.n(), case.evaluated());
@@ -142,7 +142,7 @@ proptest! {
         close(&(aligned * vector(&case.dq)), &bias, ROUNDING)?;
     }
 
-    /// The local and the world Jacobian against the aligned one, rotated and shifted.
+    /// Compared: the local and the world Jacobian, and the aligned Jacobian after rotation and shift.
     #[test]
     fn local_world_and_aligned_jacobians_agree(case in case()) {
         let (model, data) = (&case.model, case.evaluated());
@@ -153,13 +153,14 @@ proptest! {
         let (linear, angular) = (aligned.fixed_rows::<3>(0), aligned.fixed_rows::<3>(3));
         close(local.fixed_rows::<3>(0).into_owned().iter(), &(rotation.transpose() * linear), ROUNDING)?;
         close(local.fixed_rows::<3>(3).into_owned().iter(), &(rotation.transpose() * angular), ROUNDING)?;
-        // The world's origin lies at -p from the tip: v + ω × (-p).
+        // The world origin is at -p relative to the tip: v + ω × (-p).
         let shifted = linear + translation.cross_matrix() * angular;
         close(world.fixed_rows::<3>(0).into_owned().iter(), &shifted, ROUNDING)?;
         close(world.fixed_rows::<3>(3).into_owned().iter(), angular.into_owned().iter(), ROUNDING)?;
     }
 
-    /// A point's Jacobian against the frame's at zero offset, and against that of a frame placed there.
+    /// Compared: the Jacobian of a point at zero offset, and that of the frame; at another offset, and that of a frame
+    /// placed there.
     #[test]
     fn point_jacobian_matches_frame_at_point(case in case(), point in triple(0.5)) {
         let point = Vector3::from(point);
@@ -172,7 +173,7 @@ proptest! {
         close(&at(&point), &jacobian(model.n(), |j| frame_jacobian(&model, &data, there, j)), ROUNDING)?;
     }
 
-    /// The relative Jacobian's motion against the difference of the relative pose in time.
+    /// Compared: the velocity from the relative Jacobian, and central differences of the relative pose in time.
     #[test]
     fn relative_jacobian_is_relative_pose_derivative(case in case()) {
         let (model, n) = (&case.model, case.model.n());
@@ -191,8 +192,8 @@ proptest! {
         close(&Vector3::from_column_slice(&motion.as_slice()[3..]).cross_matrix(), &spin, DIFFERENCE)?;
     }
 
-    /// The relative Jacobian of swapped frames against the original, negated and expressed in the other frame; of a
-    /// frame relative to itself zero; relative to a frame on a fixed base the frame's own, rotated.
+    /// Compared: the relative Jacobian of swapped frames, and the negative original in the other frame; that of a frame
+    /// relative to itself, and zero; that relative to a frame on a fixed base, and the rotated Jacobian of the frame.
     #[test]
     fn swapped_frames_reverse_relative_jacobian(case in case()) {
         let (model, n, data) = (&case.model, case.model.n(), case.evaluated());
@@ -215,8 +216,8 @@ proptest! {
         }
     }
 
-    /// Every column of the centre of mass's Jacobian against the difference of the centre of mass; the linear part
-    /// of the centroidal map against mass times it.
+    /// Compared: every column of the Jacobian of the centre of mass, and differences of the centre of mass; the linear
+    /// part of the centroidal map, and mass times this Jacobian.
     #[test]
     fn com_jacobian_is_com_gradient(case in case()) {
         let com_jacobian = com_jacobian_of(&case);
@@ -227,14 +228,15 @@ proptest! {
         close(&linear, &(com_jacobian * case.model.total_mass()), ROUNDING)?;
     }
 
-    /// Gravity torques against the weight at the centre of mass, through its Jacobian.
+    /// Compared: gravity torques, and the torques that balance the weight at the centre of mass, from the transpose of
+    /// its Jacobian.
     #[test]
     fn gravity_acts_at_com(case in case()) {
         let weight = case.model.gravity() * case.model.total_mass();
         close(&case.evaluated().gravity, &(com_jacobian_of(&case).transpose() * -weight), ROUNDING)?;
     }
 
-    /// The centroidal map times q̇, and the momentum, against the sum over all bodies by Newton's laws.
+    /// Compared: the centroidal map times q̇ and the centroidal momentum, and the sum of the momenta of all bodies.
     #[test]
     fn momentum_is_sum_over_bodies(case in case()) {
         let mut data = case.evaluated();
@@ -258,7 +260,8 @@ proptest! {
         close(&momentum[3..], &angular, ROUNDING)?;
     }
 
-    /// Wrenches at frames against torques through the frames' Jacobians; forward dynamics undo inverse dynamics.
+    /// Compared: inverse dynamics with wrenches at frames, and torques through the Jacobians of the frames; forward
+    /// dynamics of the resulting torques, and the original accelerations.
     #[test]
     fn wrenches_act_through_jacobian_transpose(case in case(), at_tip in wrench(), at_second in wrench()) {
         let (model, n) = (&case.model, case.model.n());
@@ -277,7 +280,7 @@ proptest! {
         close(&data.torque, &(vector(&tau) + through), ROUNDING)?;
     }
 
-    /// ∂τ/∂q and ∂τ/∂q̇ against differences of RNEA's τ, all columns.
+    /// Compared: ∂τ/∂q and ∂τ/∂q̇, and central differences of the torques of RNEA, for all columns.
     #[test]
     fn inverse_dynamics_derivatives_match_differences(case in case()) {
         let mut data = case.evaluated();
@@ -287,19 +290,19 @@ proptest! {
         close(&data.torque_by_dq, &by_dq(&case, inverse_dynamics), DIFFERENCE)?;
     }
 
-    /// ∂q̈/∂q and ∂q̈/∂q̇ against differences of ABA's q̈, all columns.
+    /// Compared: ∂q̈/∂q and ∂q̈/∂q̇, and central differences of the accelerations of ABA, for all columns.
     #[test]
     fn forward_dynamics_derivatives_match_differences(case in case()) {
         let mut data = case.evaluated();
         aba_derivatives(&case.model, &mut data, &case.tau);
         close(&data.ddq, &forward_dynamics(&case), 0.0)?;
-        // Light bodies fly off: the roundings of large accelerations make their differences noisy.
+        // Light bodies have large accelerations, whose rounding errors make the differences noisy.
         let tolerance = DIFFERENCE * data.ddq.amax().max(1.0);
         close(&data.ddq_by_q, &by_q(&case, forward_dynamics), tolerance)?;
         close(&data.ddq_by_dq, &by_dq(&case, forward_dynamics), tolerance)?;
     }
 
-    /// The regressor times all bodies' parameters against RNEA without rotors.
+    /// Compared: the regressor times the parameters of all bodies, and RNEA without rotors.
     #[test]
     fn inverse_dynamics_are_linear_in_parameters(case in case()) {
         let rotorless = case.model.clone().with_rotor_inertia(&vec![0.0; case.model.n()]);
@@ -312,7 +315,7 @@ proptest! {
     }
 }
 
-/// Contribution of a body fixed to `frame` to M: Jᵀ m J at its centre of mass, and Jᵀ I J of its rotation.
+/// Contribution to M of a body fixed to `frame`: Jᵀ m J at its centre of mass, plus Jᵀ I J for its rotation.
 fn added_mass(case: &Case, frame: FrameId, load: &Inertia) -> DMatrix<f64> {
     let (model, data) = (&case.model, case.evaluated());
     let j = jacobian(model.n(), |j| point_jacobian(model, &data, frame, &load.com, j));
@@ -326,7 +329,8 @@ fn added_mass(case: &Case, frame: FrameId, load: &Inertia) -> DMatrix<f64> {
 proptest! {
     #![proptest_config(config(128))]
 
-    /// M with a payload against M without and the payload's own kinetic energy; off again, the model to the bit.
+    /// Compared: M with payloads, and M without them plus their contributions; the model after their removal, and the
+    /// original, bit by bit.
     #[test]
     fn payload_adds_its_inertia_and_detaches_exactly(case in case(), load in inertia(), other in inertia()) {
         let before = case.evaluated();
@@ -337,7 +341,7 @@ proptest! {
             + added_mass(&case, case.tip, &load)
             + added_mass(&case, case.second, &other);
         close(&loaded.evaluated().mass_matrix, &expected, ROUNDING)?;
-        // The second replaces the first.
+        // The second payload of a frame replaces the first.
         loaded.model.set_payload(case.tip, other);
         loaded.model.set_payload(case.tip, Inertia::zero());
         loaded.model.set_payload(case.second, Inertia::zero());
@@ -345,7 +349,7 @@ proptest! {
         prop_assert_eq!(loaded.evaluated().mass_matrix, before.mass_matrix);
     }
 
-    /// A payload against a body that had its inertia from the start, and against [`Model::set_inertia`] of the sum.
+    /// Compared: a body with a payload, and a body whose inertia is set to the sum by [`Model::set_inertia`].
     #[test]
     fn payload_equals_merged_body_inertia(case in case(), load in inertia()) {
         let mut loaded = case.clone();
@@ -356,13 +360,14 @@ proptest! {
         heavier.model.set_inertia(body, case.model.bodies()[body].inertia + carried);
         prop_assert_eq!(loaded.model.bodies(), heavier.model.bodies());
         close(&inverse_dynamics(&loaded), &inverse_dynamics(&heavier), 0.0)?;
-        // Another inertia underneath leaves the payload where it is.
+        // A new inertia of the body does not affect the payload.
         loaded.model.set_inertia(body, load);
         loaded.model.set_payload(case.tip, Inertia::zero());
         prop_assert_eq!(loaded.model.bodies()[body].inertia, load);
     }
 
-    /// A frame moved with its payload, perhaps to another body, against a frame made there with that payload.
+    /// Compared: a frame that was moved with its payload, perhaps to another body, and a frame that was created there
+    /// with this payload.
     #[test]
     fn payload_moves_with_its_frame(case in case(), load in inertia(), offset in placement()) {
         let mut moved = case.clone();
@@ -376,7 +381,7 @@ proptest! {
         prop_assert_eq!(frame_placement(&moved.model, &a, case.tip), frame_placement(&made.model, &b, there));
         let expected = frame_placement(&case.model, &a, case.second) * offset;
         close_placement(&frame_placement(&made.model, &b, there), &expected, ROUNDING)?;
-        // And back home.
+        // The frame is moved back to its original place.
         let home = case.model.frame(case.tip);
         let body = moved.model.add_frame("body", home.body, Placement::identity());
         moved.model.set_payload(case.tip, Inertia::zero());
@@ -384,7 +389,8 @@ proptest! {
         prop_assert_eq!(moved.model.bodies(), case.model.bodies());
     }
 
-    /// Several joints locked together against one after the other; a payload on a locked joint's body is kept.
+    /// Compared: several joints locked at once, and one after the other. A payload on the body of a locked joint is
+    /// kept.
     #[test]
     fn joint_locking_is_order_independent(case in case(), load in inertia(), at in [-2.0..2.0f64, -2.0..2.0]) {
         let (first, n) = (case.first_joint(), case.model.n());
@@ -403,7 +409,7 @@ proptest! {
         let (a, b) = (evaluated(&both, &q, &dq), evaluated(&one_by_one, &q, &dq));
         close(&a.mass_matrix, &b.mass_matrix, ROUNDING)?;
         close(&a.bias, &b.bias, ROUNDING)?;
-        // The payload comes off a model that was locked with it.
+        // The payload can still be removed after locking.
         let mut unloaded = both.clone();
         unloaded.set_payload(case.tip, Inertia::zero());
         let without = case.model.with_locked_joints(&[(first, at[0]), (n - 1, at[1])]).unwrap();
@@ -411,7 +417,7 @@ proptest! {
         prop_assert_eq!(unloaded.rotor_inertia(), without.rotor_inertia());
     }
 
-    /// Checks the errors of joints that can't be locked or constrained.
+    /// Checks the errors for joints that cannot be locked or coupled.
     #[test]
     fn invalid_reductions_name_the_joint(case in case()) {
         let (first, n, model) = (case.first_joint(), case.model.n(), &case.model);
@@ -453,7 +459,7 @@ proptest! {
     }
 }
 
-/// State of the whole tree in the pose and motion of the tree with mimic joints.
+/// Returns the whole tree with all joints free, in the pose and motion of the tree with mimic joints.
 fn free_tree(folded: &MimicTree) -> Case {
     let (case, map) = (&folded.case, folded.map());
     let through = |x: &[f64]| (&map * vector(x)).as_slice().to_vec();
@@ -462,7 +468,7 @@ fn free_tree(folded: &MimicTree) -> Case {
         q: folded.whole_q(&case.q),
         dq: through(&case.dq),
         ddq: through(&case.ddq),
-        // Not of use: what drives a leader may be spread over its followers in many ways.
+        // Unused: many torques of the free tree correspond to the same torque on a leader.
         tau: vec![f64::NAN; folded.whole.n()],
         ..*case
     }
@@ -471,7 +477,8 @@ fn free_tree(folded: &MimicTree) -> Case {
 proptest! {
     #![proptest_config(config(192))]
 
-    /// Poses, velocities and Jacobians of the tree with mimic joints against those of the free tree, J = J' G.
+    /// Compared: poses, velocities and Jacobians of the tree with mimic joints, and those of the free tree, with J = J'
+    /// G.
     #[test]
     fn mimic_kinematics_match_constrained_free_joints(folded in mimic_tree()) {
         let (case, whole, map) = (&folded.case, free_tree(&folded), folded.map());
@@ -507,7 +514,8 @@ proptest! {
         close(&com(case), &com(&whole), ROUNDING)?;
     }
 
-    /// M = Gᵀ M' G, C = Gᵀ C' G, h = Gᵀ h', τ = Gᵀ τ', Y = Gᵀ Y' and the energies, rotors included.
+    /// Compared: dynamics of the tree with mimic joints, and those of the free tree: M = Gᵀ M' G, C = Gᵀ C' G, h = Gᵀ
+    /// h', τ = Gᵀ τ', Y = Gᵀ Y', and the energies, including rotors.
     #[test]
     fn mimic_dynamics_match_projected_free_joints(folded in mimic_tree()) {
         let (case, whole, map) = (&folded.case, free_tree(&folded), folded.map());
@@ -529,7 +537,8 @@ proptest! {
         close(&regressor, &(map.transpose() * free), ROUNDING)?;
     }
 
-    /// Forward dynamics against (Gᵀ M' G)⁻¹ (τ − Gᵀ h'), solved densely: not as [`aba`] does it.
+    /// Compared: forward dynamics, and the dense solution (Gᵀ M' G)⁻¹ (τ − Gᵀ h'), which differs from the method of
+    /// [`aba`].
     #[test]
     fn mimic_forward_dynamics_match_dense_solution(folded in mimic_tree()) {
         let (case, map) = (&folded.case, folded.map());
@@ -539,7 +548,8 @@ proptest! {
         close(&forward_dynamics(case), &expected, INVERSE)?;
     }
 
-    /// ∂τ/∂q = Gᵀ ∂τ'/∂q' G, and as much for q̇.
+    /// Compared: derivatives of the tree with mimic joints, and those of the free tree: ∂τ/∂q = Gᵀ ∂τ'/∂q' G, and the
+    /// same for q̇.
     #[test]
     fn mimic_derivatives_match_projected_free_joints(folded in mimic_tree()) {
         let (case, whole, map) = (&folded.case, free_tree(&folded), folded.map());
@@ -550,8 +560,8 @@ proptest! {
         close(&a.torque_by_dq, &(map.transpose() * &b.torque_by_dq * &map), ROUNDING)?;
     }
 
-    /// The independent joints against the same joints of the free tree: equal names, kinds and limits; rotor inertias
-    /// increased by ratio² times those of their followers.
+    /// Compared: the remaining joints, and the same joints of the free tree. Names, kinds and limits are equal; rotor
+    /// inertias are increased by ratio² times those of the followers.
     #[test]
     fn mimic_leaders_keep_limits_and_gain_rotors(folded in mimic_tree()) {
         let (model, whole, map, left) = (&folded.case.model, &folded.whole, folded.map(), folded.independent_joints());
@@ -565,11 +575,11 @@ proptest! {
         close(&[model.total_mass()], &[whole.total_mass()], 0.0)?;
     }
 
-    /// Mimic constraints applied in two steps against all in one step.
+    /// Compared: mimic constraints applied in two steps, and all in one step.
     #[test]
     fn mimic_constraints_apply_one_after_another(folded in mimic_tree()) {
         let (&last, others) = folded.followers.split_last().unwrap();
-        // The last follows no one who is gone: leaders come before their followers.
+        // The other followers do not depend on the joint that is removed first.
         let first = folded.whole.with_mimic_constraints(&[last]).unwrap();
         let number = |joint: usize| joint - usize::from(joint > last.0);
         let others: Vec<(usize, MimicConstraint)> = others
@@ -582,7 +592,7 @@ proptest! {
         close(&a.bias, &b.bias, ROUNDING)?;
     }
 
-    /// A mimic joint with ratio 0 against one locked at the offset.
+    /// Compared: a mimic joint with ratio 0, and the joint locked at the offset.
     #[test]
     fn mimic_joint_with_zero_ratio_is_locked(
         case in fixed(),
@@ -604,8 +614,8 @@ proptest! {
     }
 }
 
-/// A gripper: two fingers, the second in the opposite direction and half as far, and on it a thumb that rotates with
-/// it.
+/// A gripper with two fingers and a thumb. The second finger moves in the opposite direction and half as far; the thumb
+/// on it rotates with its motion.
 const GRIPPER: &str = r#"<robot name="gripper">
   <link name="base"><inertial><mass value="3"/>
     <inertia ixx="0.03" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>
@@ -629,8 +639,8 @@ const GRIPPER: &str = r#"<robot name="gripper">
     <mimic joint="counter" multiplier="20" offset="0.25"/></joint>
 </robot>"#;
 
-/// A URDF with enforced mimic joints against the same with all joints free, at the positions that the mimics
-/// prescribe.
+/// Compared: a URDF with enforced mimic joints, and the same URDF with all joints free at the positions prescribed by
+/// the mimic rules.
 #[test]
 fn urdf_mimic_joints_are_enforced() -> Result<(), TestCaseError> {
     let fold = |floating_base| UrdfOptions { floating_base, enforce_mimic: true };
@@ -651,7 +661,7 @@ fn urdf_mimic_joints_are_enforced() -> Result<(), TestCaseError> {
         let (bend, grasp) = (0.7, 0.03);
         let counter = -0.5 * grasp - 0.01;
         let close_q = 20.0 * counter + 0.25;
-        // The children of a link in the order of their joints' names: counter with its thumb, then grasp.
+        // The children of a link are in the order of their joint names: counter with its thumb, then grasp.
         let whole_q = [&base[..], &[bend, counter, close_q, grasp]].concat();
         let q = [&base[..], &[bend, grasp]].concat();
         let (dq, whole_dq) = (vec![0.0; folded.n()], vec![0.0; free.n()]);
@@ -671,7 +681,7 @@ fn urdf_mimic_joints_are_enforced() -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Mimics of missing joints or of themselves: the error names the joints and the line.
+/// Checks the errors for mimic joints with a missing leader or in a cycle: they name the joints and the line.
 #[test]
 fn invalid_mimic_joints_are_named() {
     let line_of = |text: &str, what: &str| text.lines().position(|l| l.contains(what)).unwrap() as u32 + 1;
@@ -687,7 +697,7 @@ fn invalid_mimic_joints_are_named() {
     assert!(matches!(error.kind(), UrdfErrorKind::UnknownLeader { .. }));
 
     for (leader, lines) in [("close", ["counter", "close"]), ("counter", ["counter", "counter"])] {
-        // In a circle of two, and at once; either may be named.
+        // A cycle of two joints, and a joint that mimics itself; the error may name either joint.
         let text = GRIPPER.replace("mimic joint=\"grasp\"", &format!("mimic joint=\"{leader}\""));
         let error = Model::from_urdf_with(&text, fold).unwrap_err();
         let UrdfErrorKind::MimicsItself { joint } = error.kind() else { panic!("{error}") };
@@ -697,7 +707,7 @@ fn invalid_mimic_joints_are_named() {
     }
 }
 
-/// Checks that Λ and the share are zero for a Jacobian that isn't finite.
+/// Checks that Λ and `min_singular_gain` are zero for a Jacobian that is not finite.
 #[test]
 fn non_finite_jacobian_gives_zero_lambda() {
     let model = chain(7);
@@ -711,8 +721,8 @@ fn non_finite_jacobian_gives_zero_lambda() {
     }
 }
 
-/// Errors of mimic cycles, which name a joint on the cycle and not a follower outside it; refusal of ratios that
-/// overflow.
+/// Checks that mimic cycles are refused by an error that names a joint on the cycle, not a follower outside it, and
+/// that overflowing ratios are refused.
 #[test]
 fn mimic_cycles_and_ratio_overflows_are_refused() {
     let model = chain(4);
@@ -729,7 +739,7 @@ fn mimic_cycles_and_ratio_overflows_are_refused() {
     assert_eq!(following, [false, true, false, false]);
 }
 
-/// A chain of bodies that are all alike.
+/// A chain of identical bodies.
 fn chain(n: usize) -> Model {
     let mut model = Model::new("chain");
     for i in 0..n {

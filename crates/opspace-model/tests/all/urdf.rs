@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Vector3};
 use opspace_model::{Data, JointKind, Model, UrdfError, frame_placement, kinematics};
 
-/// A base, an arm of two moving links and a tool fixed to the second. Tests change one piece of it.
+/// A base, an arm with two moving links, and a tool fixed to the second link. Each test changes one piece of this text.
 const ARM: &str = r#"<?xml version="1.0"?>
 <!-- an arm -->
 <robot name="arm">
@@ -44,24 +44,24 @@ const ARM: &str = r#"<?xml version="1.0"?>
 </robot>
 "#;
 
-/// [`ARM`] with its first `from` replaced.
+/// Returns [`ARM`] with the first occurrence of `from` replaced by `to`.
 fn arm_with(from: &str, to: &str) -> String {
     assert!(ARM.contains(from), "no {from} in the arm");
     ARM.replacen(from, to, 1)
 }
 
-/// [`ARM`] with more elements at its end.
+/// Returns [`ARM`] with more elements at its end.
 fn arm_and(more: &str) -> String {
     arm_with("</robot>", &format!("{more}</robot>"))
 }
 
-/// The line on which `text` first has `needle`.
+/// Returns the first line of `text` that contains `needle`.
 fn line_of(text: &str, needle: &str) -> u32 {
     let before = &text[..text.find(needle).expect(needle)];
     u32::try_from(before.lines().count().max(1)).unwrap()
 }
 
-/// Asserts that the file is refused with all these words.
+/// Asserts that the file is refused with an error that contains all these words.
 fn refused(text: &str, words: &[&str]) -> UrdfError {
     let error = Model::from_urdf(text).expect_err("it should be refused");
     let said = error.to_string();
@@ -74,7 +74,8 @@ fn refused(text: &str, words: &[&str]) -> UrdfError {
     error
 }
 
-/// Asserts that the file with its first `from` replaced is refused with these words, at `to`'s line.
+/// Asserts that [`ARM`] with the first `from` replaced by `to` is refused, by an error that contains these words and
+/// has the line of `to`.
 fn refused_with(from: &str, to: &str, words: &[&str]) {
     let text = arm_with(from, to);
     let error = refused(&text, words);
@@ -326,7 +327,7 @@ fn refuses_too_deep_nesting() {
     assert_eq!(refused(&deep, &["64 deep"]).line(), Some(2));
     refused(&"<a>".repeat(200_000), &["64 deep"]);
     refused(&format!("<?note ' ?>{}", "<a>".repeat(200_000)), &["64 deep"]);
-    // What looks like a tag in a comment or between quotes nests nothing.
+    // Tags in comments or between quotes do not count as nesting.
     let flat = format!("<!--{}--><gazebo note='{}'/>", "<a>".repeat(100), "a>".repeat(100));
     Model::from_urdf(&arm_and(&flat)).unwrap();
 }
@@ -347,7 +348,7 @@ fn long_name_lists_are_truncated() {
 
 #[test]
 fn long_chain_is_accepted() {
-    // 20 000 links in a row nest in the robot, not in the file.
+    // A chain of 20 000 links is deep in the robot, but not nested in the file.
     let mut text = String::from("<robot name='snake'><link name='l0'/>");
     for i in 0..20_000 {
         let next = i + 1;
@@ -359,7 +360,7 @@ fn long_chain_is_accepted() {
     assert_eq!(Model::from_urdf(&text).unwrap().model.frames().len(), 20_001);
 }
 
-/// The warnings of a file that is accepted.
+/// Returns the warnings about a file that is accepted.
 fn warnings(text: &str) -> Vec<String> {
     Model::from_urdf(text).unwrap().warnings.iter().map(ToString::to_string).collect()
 }
@@ -455,7 +456,7 @@ fn joints_are_depth_first_and_links_are_frames() {
             <joint name="{name}_joint" type="continuous"><parent link="{parent}"/><child link="{name}"/></joint>"#
         )
     };
-    // The file's order is not the tree's: z before a, the deeper link first.
+    // The order in the file differs from that in the tree: z precedes a, and the deeper link comes first.
     let body = ["z", "a"].map(|n| branch(n, "hub")).concat() + &branch("b", "a") + &branch("hub", "base");
     let text = format!(r#"<robot name="tree"><link name="base"/>{body}</robot>"#);
     let model = Model::from_urdf(&text).unwrap().model;
@@ -467,7 +468,8 @@ fn joints_are_depth_first_and_links_are_frames() {
     assert_eq!(frames, ["base", "hub", "a", "b", "z"]);
 }
 
-/// Frames at q = 0 against the sum of the origins by hand; the body frames are rotated, the links' are not.
+/// Compared: frames at given q, and the sum of the origins and the joint motion by hand. The body frames are rotated,
+/// the link frames are not.
 #[test]
 fn link_frame_is_independent_of_joint_axis() {
     let model = Model::from_urdf(ARM).unwrap().model;
@@ -478,7 +480,7 @@ fn link_frame_is_independent_of_joint_axis() {
     assert!((tool.rotation - Matrix3::identity()).norm() < 1e-15);
 }
 
-/// A link's inertia merged over a fixed joint, against the parallel-axis theorem by hand.
+/// Compared: the inertia of a body merged across a fixed joint, and the parallel-axis theorem by hand.
 #[test]
 fn fixed_links_add_inertia_to_their_body() {
     let tool = r#"<link name="tool"><inertial><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><mass value="3"/>
@@ -487,7 +489,7 @@ fn fixed_links_add_inertia_to_their_body() {
         arm_with(r#"<link name="tool"/>"#, tool).replacen(r#"type="prismatic""#, r#"type="revolute""#, 1);
     let text = text.replacen(ELBOW_AXIS, r#"<axis xyz="0 0 2"/>"#, 1);
     let body = Model::from_urdf(&text).unwrap().model.bodies()[1].inertia;
-    // 1 kg at the origin and 3 kg at (0.1, 0, 0.2): 0.75 kg of reduced mass that far apart.
+    // 1 kg at the origin and 3 kg at (0.1, 0, 0.2): the reduced mass is 0.75 kg.
     let d = Vector3::new(0.1, 0.0, 0.2);
     let expected = Matrix3::from_diagonal(&Vector3::new(0.01 + 0.2, 0.01 + 0.1, 0.01 + 0.25))
         + (Matrix3::from_diagonal_element(d.norm_squared()) - d * d.transpose()) * 0.75;
@@ -506,8 +508,8 @@ fn links_fixed_to_base_have_no_inertia() {
     assert_eq!(model.frame(model.frame_id("table").unwrap()).body, None);
 }
 
-/// Our reader against that of urdf-rs: every number of every file, with the joints of the two matched by name and
-/// frames composed from urdf-rs's origins.
+/// Compared: models of this crate's reader, and the numbers of urdf-rs, for several robots: joints are matched by name,
+/// and frames are composed from the origins of urdf-rs.
 #[test]
 fn agrees_with_urdf_rs() {
     for robot in ["double_pendulum", "g1_29dof", "kinova_j2s6s200", "panda", "panda_arm7", "ur5"] {
@@ -549,7 +551,7 @@ mod mutations {
     use super::{ARM, Model};
     use proptest::prelude::*;
 
-    /// One change to a text: bytes cut, doubled, or replaced by something that means something in a URDF.
+    /// One change to a text: characters removed or doubled, or a piece of URDF syntax inserted.
     #[derive(Clone, Debug)]
     enum Mutation {
         Cut(prop::sample::Index, usize),
@@ -624,7 +626,8 @@ mod mutations {
             ..ProptestConfig::with_cases(4000)
         })]
 
-        /// A corrupted file is refused with an error or makes a model of finite numbers, and never panics.
+        /// Checks that a corrupted file is refused with an error or gives a model with finite numbers, and never causes
+        /// a panic.
         #[test]
         fn corrupted_file_never_panics(mutations in prop::collection::vec(mutation(), 1..8)) {
             let text = mutations.iter().fold(ARM.to_owned(), |text, m| apply(&text, m));

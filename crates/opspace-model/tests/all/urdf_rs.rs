@@ -1,4 +1,4 @@
-//! Models from the types of urdf-rs, beside models from text.
+//! Models from the types of urdf-rs, compared with models from text.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -18,7 +18,7 @@ fn panda() -> Robot {
     urdf_rs::read_from_string(&text("panda")).unwrap()
 }
 
-/// First joint of the robot that moves.
+/// Returns the first moving joint of the robot.
 fn moving(robot: &mut Robot) -> &mut Joint {
     robot.joints.iter_mut().find(|joint| joint.joint_type != urdf_rs::JointType::Fixed).unwrap()
 }
@@ -29,8 +29,8 @@ fn refused(robot: &Robot) -> UrdfErrorKind {
     error.kind().clone()
 }
 
-/// Compared: the models that the reader of this crate and urdf-rs make of a file, to the last bit (numbers are printed
-/// in the shortest form that reads back as the same bits), fixed to the world and floating.
+/// Compared: the models that this crate's reader and urdf-rs make of a file, fixed to the world and floating, bit by
+/// bit (numbers are printed in the shortest form that reads back as the same bits).
 #[test]
 fn models_from_text_and_urdf_rs_are_identical() {
     for robot in ROBOTS {

@@ -1,4 +1,4 @@
-//! Unusual values in a model: possible bodies and the project's robots, and the same models with an error in them.
+//! Warnings about unusual values: valid bodies and robots, and the same models with typical errors.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{Matrix3, Vector3};
@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 use std::fs;
 
 const PROJECT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
-/// Tolerance of densities and moments that are computed there and back.
+/// Relative tolerance of densities and moments that are converted to each other and back.
 const TOLERANCE: f64 = 1e-12;
 const LIMITS: Limits = Limits { lower: -2.0, upper: 2.0, velocity: 3.0, effort: 40.0 };
 
@@ -26,7 +26,7 @@ fn joint(kind: JointKind, limits: Limits) -> Joint {
     Joint { name: "hinge".into(), kind, limits }
 }
 
-/// A body on a hinge, its centre of mass in the joint.
+/// A body on a hinge, with its centre of mass on the joint axis.
 fn body(inertia: Inertia) -> Model {
     let mut model = Model::new("one");
     let on = model.add_body(None, Placement::identity(), joint(JointKind::Revolute, LIMITS), inertia);
@@ -34,7 +34,7 @@ fn body(inertia: Inertia) -> Model {
     model
 }
 
-/// A uniform ellipsoid: its moments are m/5 (b² + c²) and so on.
+/// A uniform ellipsoid with semi-axes in m: its moments are m/5 (b² + c²) and so on.
 fn ellipsoid(density: f64, [a, b, c]: [f64; 3]) -> Inertia {
     let mass = density * 4.0 / 3.0 * PI * a * b * c;
     let moments = Vector3::new(b * b + c * c, a * a + c * c, a * a + b * b) * (mass / 5.0);
@@ -45,7 +45,7 @@ fn texts(model: &Model) -> Vec<String> {
     model_warnings(model).iter().map(ToString::to_string).collect()
 }
 
-/// The robots of the project and of Pinocchio's set whose data are measured or from CAD, fixed and floating.
+/// Checks robots with measured or CAD data, of this project and of Pinocchio's set, with a fixed and a floating base.
 #[test]
 fn sound_robots_have_no_warnings() {
     let ours = ["asimo-arm", "panda", "planar-2-link", "ur5e"].map(|r| format!("robots/{r}/{r}.urdf"));
@@ -61,8 +61,8 @@ fn sound_robots_have_no_warnings() {
     }
 }
 
-/// UR5's wrists have the moments of cylinders of 0.6 m radius; PR2's palms, of 0.6 kg, those of a ball of 0.4 m
-/// diameter. The two have no other warnings.
+/// Checks known errors: the wrists of the UR5 have the moments of cylinders of 0.6 m radius; the palms of the PR2, of
+/// 0.6 kg, have those of a ball of 0.4 m diameter. The two robots have no other warnings.
 #[test]
 fn known_errors_in_published_robots_are_found() {
     let parts = |model: &Model| -> Vec<String> {
@@ -77,17 +77,17 @@ fn known_errors_in_published_robots_are_found() {
     assert_eq!(parts(&oracle("ur5")), wrists);
     let palms = ["l", "r"].map(|side| format!("link '{side}_wrist_roll_link' {fixed}"));
     assert_eq!(parts(&oracle("pr2")), palms);
-    // The root's placeholder only matters where the root moves.
+    // The placeholder inertia of the root matters only on a floating base.
     let path = "tests/oracles/pinocchio/urdf/double_pendulum.urdf";
     let floating = robot(path, UrdfOptions { floating_base: true, ..UrdfOptions::default() });
     assert_eq!(parts(&floating), ["link 'base_link'"]);
     assert_eq!(texts(&oracle("double_pendulum")), [""; 0], "the reader has said that its limits are zero");
 }
 
-/// Name of a slip, its effect on a body, and the check of its report.
+/// Name of an error, its effect on a body, and the check of its warning.
 type Slip = (&'static str, fn(Inertia) -> Inertia, fn(&ModelWarning) -> bool);
 
-/// Checks that each of the typical errors in each body of two sound robots is reported, for that body.
+/// Checks that each typical error in each body of two valid robots is reported for that body.
 #[test]
 fn typical_errors_in_any_body_are_found() {
     let slips: [Slip; 5] = [
@@ -132,7 +132,8 @@ fn typical_errors_in_any_body_are_found() {
     }
 }
 
-/// The reported density against that of the solid from which the moments were computed; and the threshold.
+/// Compared: the reported density, and that of the solid from which the moments were computed; the threshold, and
+/// densities just below and above it.
 #[test]
 fn too_low_density_is_reported() {
     for axes in [[0.1, 0.1, 0.1], [0.3, 0.05, 0.04], [0.2, 0.02, 0.3]] {
@@ -141,7 +142,7 @@ fn too_low_density_is_reported() {
         assert!((density / 29.9 - 1.0).abs() < TOLERANCE, "{density}");
         assert_eq!(texts(&body(ellipsoid(30.1, axes))), [""; 0]);
     }
-    // Between good and bad there is a factor, not a bound: the placeholder of many a file.
+    // The placeholder of many files is far below the threshold, not just below it.
     let placeholder = Inertia { mass: 5.0, com: Vector3::zeros(), rotational: Matrix3::identity() };
     let said = texts(&body(placeholder));
     assert!(
@@ -157,7 +158,7 @@ fn too_high_density_is_reported() {
         assert_eq!(texts(&body(ellipsoid(22_500.0, [radius; 3]))), [""; 0]);
         let found = model_warnings(&body(ellipsoid(22_700.0, [radius; 3])));
         assert!(matches!(found[..], [ModelWarning::SmallInertia { .. }]), "{found:?}");
-        // A thin rod of the same metal has more about its other axes, however thin.
+        // A thin rod of the same metal has larger moments about its other axes, however thin it is.
         assert_eq!(texts(&body(ellipsoid(22_500.0, [radius / 1e3, radius / 1e3, radius]))), [""; 0]);
     }
     let point = Inertia { mass: 2.0, com: Vector3::zeros(), rotational: Matrix3::zeros() };
@@ -183,7 +184,7 @@ fn distant_centre_of_mass_is_reported() {
             .to_string()
             .contains("is 0.193 m from its frame, 6 times its radius of gyration of 0.0316 m")
     );
-    // A pendulum's bob: the link goes as far as a frame, or the next joint, says.
+    // A pendulum bob: a frame or the next joint shows that the link extends so far.
     let mut framed = at(20.0);
     framed.add_frame("bob", Some(0), Placement::from_rpy([0.0; 3], [0.0, 21.0 * radius, 0.0]));
     assert_eq!(texts(&framed), [""; 0]);
@@ -197,7 +198,7 @@ fn distant_centre_of_mass_is_reported() {
 fn extreme_mass_ratio_of_neighbours_is_reported() {
     let pair = |ratio: f64, light_first: bool| {
         let heavy = ellipsoid(2700.0, [0.1; 3]);
-        // As dense: every length is smaller by the cube root.
+        // Of the same density: every length is smaller by the cube root of the ratio.
         let light = ellipsoid(2700.0, [0.1 / ratio.cbrt(); 3]);
         let (first, second) = if light_first { (light, heavy) } else { (heavy, light) };
         let mut model = body(first);
@@ -214,7 +215,7 @@ fn extreme_mass_ratio_of_neighbours_is_reported() {
     }
 }
 
-/// Missing limits, each reported once for all joints; a floating base needs none.
+/// Checks that each missing limit is reported once for all joints; a floating base needs no limits.
 #[test]
 fn joints_without_limits_are_named() {
     let ball = ellipsoid(2700.0, [0.1; 3]);
@@ -257,6 +258,6 @@ fn implausible_joint_range_is_reported() {
         millimetres[0].contains("from 0 to 40.0 m is") && millimetres[0].contains("mm"),
         "{millimetres:?}"
     );
-    // Too wide for the difference to be finite.
+    // The range is so wide that the difference of its limits is infinite.
     assert_eq!(of(JointKind::Revolute, f64::MIN, f64::MAX).len(), 1);
 }

@@ -1,7 +1,7 @@
-//! Random trees in random states, and the comparison of their numbers.
+//! Random trees in random states, and comparisons of numbers.
 //!
-//! Trees have joints of any kind, general axes, branches, rotors, a base at any placement or floating, mimic joints,
-//! and gravity in any direction.
+//! The trees have all kinds of joints, arbitrary axes, branches, rotors, mimic joints, a fixed base at any placement or
+//! a floating base, and gravity in any direction.
 #![allow(dead_code, reason = "each file of tests uses its part")]
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, UnitQuaternion, Vector3};
@@ -13,15 +13,16 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::RngSeed;
 
-/// Tolerance relative to the size of the values compared: some thousand roundings.
+/// Relative tolerance for rounding errors: some thousand roundings.
 pub const ROUNDING: f64 = 1e-12;
-/// Tolerance of results with M inverted; its condition seldom exceeds 1e5 here.
+/// Tolerance for results that need M⁻¹; the condition number of M seldom exceeds 1e5 here.
 pub const INVERSE: f64 = 1e-11;
-/// Tolerance of central differences with [`STEP`]: half the digits cubed for the formula, the rest for cancellation.
+/// Tolerance for central differences with [`STEP`]: truncation error (of order STEP²) and cancellation error (of order
+/// ε/STEP), with a margin.
 pub const DIFFERENCE: f64 = 1e-7;
 pub const STEP: f64 = 1e-5;
 
-/// Configuration with the same cases every time, and none written to disk.
+/// Configuration that generates the same cases every time and writes none to disk.
 pub fn config(cases: u32) -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,
@@ -30,13 +31,13 @@ pub fn config(cases: u32) -> ProptestConfig {
     }
 }
 
-/// A tree and a state.
+/// A tree in a state.
 #[derive(Clone, Debug)]
 pub struct Case {
     pub model: Model,
-    /// Off the last body.
+    /// On the last body.
     pub tip: FrameId,
-    /// On any other, or on the base.
+    /// On any body, or on the base.
     pub second: FrameId,
     pub q: Vec<f64>,
     pub dq: Vec<f64>,
@@ -45,22 +46,22 @@ pub struct Case {
 }
 
 impl Case {
-    /// All that [`update`] and [`coriolis`] compute.
+    /// Returns all quantities that [`update`] and [`coriolis`] compute.
     pub fn evaluated(&self) -> Data {
         evaluated(&self.model, &self.q, &self.dq)
     }
 
-    /// Returns this case at another configuration, with the same velocities: `self.q` ⊕ `along` · `by`.
+    /// Returns this case at the configuration `self.q` ⊕ `along` · `by`, with the same velocities.
     pub fn moved(&self, along: &[f64], by: f64) -> Self {
         Self { q: moved(&self.model, &self.q, along, by), ..self.clone() }
     }
 
-    /// Excess of the length of q over that of q̇.
+    /// Length of q minus length of q̇.
     pub fn surplus_coordinates(&self) -> usize {
         self.model.nq() - self.model.n()
     }
 
-    /// The first coordinate that isn't a floating base's.
+    /// The first coordinate after those of a floating base.
     pub fn first_joint(&self) -> usize {
         first_joint(&self.model)
     }
@@ -79,8 +80,8 @@ pub struct MimicTree {
 }
 
 impl MimicTree {
-    /// Position of joint `joint` of the whole tree, with the independent joints at `left`; `offsets` is 0 for
-    /// velocities.
+    /// Position of joint `joint` of the whole tree, for the positions `left` of the independent joints. For velocities,
+    /// `left` contains velocities and `offsets` is 0; otherwise `offsets` is 1.
     fn position(&self, joint: usize, left: &[f64], offsets: f64) -> f64 {
         match self.followers.iter().find(|(follower, _)| *follower == joint) {
             Some((_, rule)) => rule.ratio * self.position(rule.leader, left, offsets) + offsets * rule.offset,
@@ -88,12 +89,12 @@ impl MimicTree {
         }
     }
 
-    /// Joints of the whole tree that are no mimic joints.
+    /// Joints of the whole tree that are not mimic joints.
     pub fn independent_joints(&self) -> Vec<usize> {
         (0..self.whole.n()).filter(|joint| self.followers.iter().all(|(f, _)| f != joint)).collect()
     }
 
-    /// The whole tree's q at `q` of the tree with mimic joints.
+    /// q of the whole tree, for `q` of the tree with mimic joints.
     pub fn whole_q(&self, q: &[f64]) -> Vec<f64> {
         let ahead = self.case.surplus_coordinates();
         let joints = (ahead.min(1) * 6..self.whole.n()).map(|joint| self.position(joint, &q[ahead..], 1.0));
@@ -101,7 +102,7 @@ impl MimicTree {
         base.iter().copied().chain(joints).collect()
     }
 
-    /// G (n' × n) with q̇' = G q̇.
+    /// Matrix G (n' × n) with q̇' = G q̇, where q̇' belongs to the whole tree.
     pub fn map(&self) -> DMatrix<f64> {
         let n = self.case.model.n();
         DMatrix::from_fn(self.whole.n(), n, |joint, i| self.position(joint, &unit(n, i), 0.0))
@@ -116,7 +117,7 @@ pub fn placement() -> impl Strategy<Value = Placement> {
     (triple(3.0), triple(0.5)).prop_map(|(rpy, xyz)| Placement::from_rpy(rpy, xyz))
 }
 
-/// A body as eight unequal point masses would make it: its moments obey the triangle inequality.
+/// A random inertia whose principal moments obey the triangle inequality.
 pub fn inertia() -> impl Strategy<Value = Inertia> {
     (0.2..3.0, triple(0.3), triple(3.0), [0.01..0.2, 0.01..0.2, 0.01..0.2]).prop_map(
         |(mass, com, rpy, spread)| {
@@ -132,7 +133,7 @@ pub fn wrench() -> impl Strategy<Value = Force> {
     (triple(20.0), triple(5.0)).prop_map(|(f, m)| Force { linear: f.into(), angular: m.into() })
 }
 
-/// A body to be put on a tree: its joint, rotor, and where it branches off.
+/// A body to be added to a tree: its joint, its rotor, and the choice of its parent.
 #[derive(Clone, Debug)]
 struct Part {
     kind: JointKind,
@@ -149,8 +150,8 @@ fn part() -> impl Strategy<Value = Part> {
         .prop_map(|(kind, origin, inertia, rotor, branch)| Part { kind, origin, inertia, rotor, branch })
 }
 
-/// The parts as a tree on `model`, a chain more often than not, so that trees are deep and branched; a frame
-/// `tip` off the last, and a frame `second` off any or the base.
+/// Adds the parts to `model` as a tree. Two thirds of the parts continue a chain, so that trees are deep and branched.
+/// Adds a frame `tip` on the last body, and a frame `second` on any body or the base.
 fn grow(mut model: Model, parts: &[Part], hand: Placement, second: (Index, Placement)) -> Model {
     let root = model.bodies().len();
     let mut rotors = model.rotor_inertia().to_vec();
@@ -167,7 +168,8 @@ fn grow(mut model: Model, parts: &[Part], hand: Placement, second: (Index, Place
     model.with_rotor_inertia(&rotors)
 }
 
-/// Strategy of one tree with as many parts as `range` says, `root` floating or none.
+/// Strategy of trees whose number of parts is in `range`; `root` is the inertia of a floating base, or `None` for a
+/// fixed base.
 fn tree(
     root: impl Strategy<Value = Option<Inertia>>,
     range: std::ops::Range<usize>,
@@ -183,7 +185,7 @@ fn tree(
                 |pick: fn(&(f64, f64, f64, f64)) -> f64| state[..model.n()].iter().map(pick).collect();
             let mut q: Vec<f64> = column(|s| s.0);
             if model.is_floating() {
-                // Turned by up to 3√3 rad: w is of either sign.
+                // Rotated by up to 3√3 rad, so that w has either sign.
                 let turned = UnitQuaternion::from_scaled_axis(Vector3::new(q[3], q[4], q[5]));
                 q.splice(3..6, turned.coords.iter().copied());
             }
@@ -205,14 +207,14 @@ pub fn fixed() -> impl Strategy<Value = Case> {
     tree(Just(None), 1..9)
 }
 
-/// Trees on a floating base; perhaps the base alone.
+/// Trees on a floating base, including the base alone.
 pub fn floating() -> impl Strategy<Value = Case> {
     tree(inertia().prop_map(Some), 0..7)
 }
 
 fn add_mimic_constraints(whole: Case, shift: Index, rules: &[(bool, Index, f64, f64)]) -> MimicTree {
     let (first, count) = (whole.first_joint(), whole.model.n() - whole.first_joint());
-    // Joints from some one on, round the tree: each may follow any before it, the last does.
+    // Joints in cyclic order from a random one: each may follow any earlier joint in this order, and the last one does.
     let order: Vec<usize> = (0..count).map(|i| first + (i + shift.index(count)) % count).collect();
     let mut followers = Vec::new();
     for (i, &(follows, leader, ratio, offset)) in rules.iter().enumerate().take(count).skip(1) {
@@ -236,12 +238,13 @@ fn mimic_trees_of(whole: impl Strategy<Value = Case>) -> impl Strategy<Value = M
         .prop_map(|(whole, shift, rules)| add_mimic_constraints(whole, shift, &rules))
 }
 
-/// Trees with mimic joints of any kind, before or behind their leaders, which may be mimic joints themselves.
+/// Trees with mimic joints of any kind, before or after their leaders in the tree. Leaders may be mimic joints
+/// themselves.
 pub fn mimic_tree() -> impl Strategy<Value = MimicTree> {
     prop_oneof![mimic_trees_of(tree(Just(None), 2..9)), mimic_trees_of(tree(inertia().prop_map(Some), 2..7))]
 }
 
-/// Strategy of trees whose coordinates are all independent joints: no floating base.
+/// Strategy of trees on a fixed base, with or without mimic joints.
 pub fn jointed() -> impl Strategy<Value = Case> {
     prop_oneof![fixed(), mimic_trees_of(tree(Just(None), 2..9)).prop_map(|f| f.case)]
 }
@@ -251,7 +254,7 @@ pub fn case() -> impl Strategy<Value = Case> {
     prop_oneof![fixed(), floating(), mimic_tree().prop_map(|f| f.case)]
 }
 
-/// All that [`update`] and [`coriolis`] compute.
+/// Returns all quantities that [`update`] and [`coriolis`] compute.
 pub fn evaluated(model: &Model, q: &[f64], dq: &[f64]) -> Data {
     let mut data = Data::new(model);
     assert!(update(model, &mut data, q, dq), "M is positive definite");
@@ -283,14 +286,15 @@ pub fn stacked(m: &Motion) -> Vec<f64> {
     m.linear.iter().chain(m.angular.iter()).copied().collect()
 }
 
-/// Result of `fill` on a Jacobian of `n` columns that is NaN before.
+/// Returns the Jacobian that `fill` writes, with `n` columns, initially NaN.
 pub fn jacobian(n: usize, fill: impl FnOnce(&mut Matrix6xX<f64>)) -> Matrix6xX<f64> {
     let mut out = Matrix6xX::repeat(n, f64::NAN);
     fill(&mut out);
     out
 }
 
-/// The largest difference relative to max(1, the larger side's largest entry) is within tolerance; NaN is not.
+/// Asserts that the largest difference, relative to max(1, largest entry of either side), is within tolerance; NaN
+/// never is.
 pub fn close<'a>(
     a: impl IntoIterator<Item = &'a f64>,
     b: impl IntoIterator<Item = &'a f64>,

@@ -1,4 +1,4 @@
-//! Robots of the files of reference numbers.
+//! Robots of the files with reference numbers.
 
 use opspace_model::{Model, UrdfOptions};
 use opspace_testing::oracle;
@@ -10,7 +10,7 @@ pub struct Oracle {
     pub model: Model,
 }
 
-/// `file` of `tests/oracles/`, and its robot.
+/// Reads `file` of `tests/oracles/`, and its robot.
 pub fn oracle(file: &str) -> Oracle {
     let oracle::Oracle { meta, samples, urdf, .. } = oracle::Oracle::read(file);
     let flag = |key: &str| meta[key].as_bool().unwrap_or(false);
