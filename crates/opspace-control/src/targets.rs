@@ -165,7 +165,7 @@ pub enum TargetError {
         /// Inputs of the task.
         known: Vec<String>,
     },
-    /// Another number of values than the input has.
+    /// A number of values that differs from that of the input.
     #[error("this input has {expected} values, not {found}")]
     Length {
         /// Number of values of the input.

@@ -105,7 +105,8 @@ impl Bounds {
     fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64) -> Self {
         let n = limits.lower.len();
         for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
-            // Even at its velocity limit (at most 1e3), a joint then stops within at least one horizon.
+            // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
+            // horizon.
             *braking = braking.min(velocity.min(1e3) / HORIZON_S);
         }
         Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
