@@ -196,13 +196,14 @@ impl OnlineMotion {
         Self { goal: reached[0], duration_s: begin_s, pieces, count }
     }
 
-    /// From `from` to rest in `duration_s`, the velocity along a cubic in time.
+    /// Returns the motion from `from` to rest in `duration_s` (s); the velocity is cubic in time.
     pub(crate) fn stop_within([x, v, a]: [f64; 3], duration_s: f64) -> Self {
         let goal = x + duration_s * (v / 2.0 + a * duration_s / 12.0);
         Self::quintic([x, v, a], goal, duration_s)
     }
 
-    /// `None` where the generator finds nothing, or nothing that joins start and goal.
+    /// Returns the time-optimal motion; `None` if the generator finds none, or one that does not connect start and
+    /// goal.
     fn limited(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Option<Self> {
         if from == [goal, 0.0, 0.0] {
             return Some(Self::rest(goal));
