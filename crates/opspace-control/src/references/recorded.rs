@@ -79,7 +79,7 @@ impl RecordedPath {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{reason}")]
 pub struct RecordedError {
-    /// The line, from 1; `None` for the file as a whole.
+    /// Line number, from 1; `None` for the file as a whole.
     pub line: Option<u64>,
     /// Reason of the error.
     pub reason: RecordedReason,
