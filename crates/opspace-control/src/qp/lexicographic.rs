@@ -107,7 +107,7 @@ pub(crate) struct HierarchicalQp {
     program: QuadraticProgram,
     active_set: ActiveSet,
     interior_point: Option<InteriorPoint>,
-    /// α of the levels so far (n).
+    /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     alpha: DVector<f64>,
     /// Square roots of M's diagonal, which scale joint accelerations and torques (n).
     scale: Vec<f64>,
@@ -189,7 +189,7 @@ impl HierarchicalQp {
         }
     }
 
-    /// α of the levels so far (n).
+    /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     pub(crate) fn alpha(&self) -> &[f64] {
         self.alpha.as_slice()
     }
