@@ -414,8 +414,9 @@ fn compliant_axis_settles_on_target_force() {
     }
 }
 
-/// Presses the hand against a wall of 5 kN/m in x for 4 s with a target of −8 N and unknown joint torques, and returns
-/// the sensed force (N) and the hand's speed (m/s). `integral` is inserted into the file's force parameters.
+/// Presses the hand against a wall of 5 kN/m in x for 4 s (or lets it move without a wall for 0.5 s) with a target of
+/// −8 N and unknown joint torques. Returns the sensed force (N) and the hand's speed (m/s). `integral` is inserted into
+/// the file's force parameters.
 fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     const UNKNOWN_NM: [f64; 4] = [0.8, -0.4, 0.3, 0.6];
     let model = four_joints();

@@ -460,8 +460,7 @@ fn active_limit_is_logged_per_joint() {
     assert!(without.signals().iter().all(|signal| !signal.name.starts_with("limit")));
 }
 
-/// Tasks that leave no null space. Compared: the first levels' accelerations at active limits with and without the
-/// posture.
+/// Tasks that leave no null space. Compared: the torques at active limits with and without the posture.
 #[test]
 fn level_without_freedom_changes_nothing() {
     let full = ELBOW.replace("z = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0", 

@@ -145,8 +145,8 @@ fn reach_is_sum_of_link_lengths() {
     }
 }
 
-/// The only axis of the second level is used by the first level: with the arm in the x-z plane, the elbow can move only
-/// in y. Torques at this pose and close to it are not larger than those of the first level and the posture.
+/// The only axis of the second level is used by the first level: with the arm in the x-z plane and the hand fixed, the
+/// elbow can move only in y. The torques at this pose and close to it are bounded.
 #[test]
 fn task_without_freedom_commands_no_torque() {
     let model = four_joints_in(1.0);
