@@ -102,7 +102,7 @@ pub enum Reason {
         "all axes are free: at least one of x, y, z, rx, ry, rz must be `motion`, `compliant` or `force`"
     )]
     NoAxis,
-    /// More axes than joints.
+    /// A task that controls, together with the tasks above, more axes than the arm has joints.
     #[error("task '{name}' controls {axes} axes{}, but this arm has only {joints} joints", beside(*above))]
     TooManyAxes {
         /// The task.

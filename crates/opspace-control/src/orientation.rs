@@ -67,8 +67,8 @@ pub fn log_about(rotation: &Matrix3<f64>, counted: [bool; 3]) -> Vector3<f64> {
 /// ω = φ̇ + B φ × φ̇ + C φ × (φ × φ̇)      B = (1 − cos θ)/θ²,  C = (θ − sin θ)/θ³,  θ = |φ|
 /// ```
 ///
-/// (the left Jacobian of SO(3); Chirikjian, *Stochastic Models, Information Theory, and Lie Groups* 2,
-/// §10.6), and its time derivative.
+/// The formula of ω is the left Jacobian of SO(3) (Chirikjian, *Stochastic Models, Information Theory, and Lie Groups*
+/// 2, §10.6); the angular acceleration is its time derivative.
 #[must_use]
 pub fn rotation_vector_rates(
     phi: &Vector3<f64>,

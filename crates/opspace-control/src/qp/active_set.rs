@@ -8,8 +8,8 @@
 //! H x + g = N u        Nᵀ x = b        u ≥ 0 for inequalities
 //! ```
 //!
-//! With H = L Lᵀ, L⁻¹ N = Q [R; 0] and J = L⁻ᵀ Q = [J₁ J₂], the step towards a violated row nᵀ x ≥ b is x + t z and u −
-//! t r with
+//! With H = L Lᵀ, L⁻¹ N = Q [R; 0] and J = L⁻ᵀ Q = [J₁ J₂], the step towards a violated row nᵀ x ≥ b changes x by t z
+//! and u by −t r:
 //!
 //! ```text
 //! d = Jᵀ n        z = J₂ d₂        r = R⁻¹ d₁
@@ -47,7 +47,7 @@ struct Active {
     /// 1 for the lower bound, −1 for the upper bound: n = sign · c and b = sign · bound.
     sign: f64,
     b: f64,
-    /// u.
+    /// Multiplier u.
     multiplier: f64,
     equality: bool,
 }
@@ -58,7 +58,7 @@ struct Violation {
     row: usize,
     /// Sign as in [`Active`].
     sign: f64,
-    /// b − nᵀ x.
+    /// Distance b − nᵀ x from the bound, in units of the row.
     gap: f64,
 }
 
@@ -264,8 +264,8 @@ impl ActiveSet {
         }
     }
 
-    /// Returns the first inequality whose multiplier decreases to zero, and its t. A decrease below `slowest`, for |c|
-    /// = 1, is rounding.
+    /// Returns the first inequality whose multiplier decreases to zero, and its t. A decrease below `slowest` is
+    /// rounding (for rows of length 1).
     fn blocking(&self, slowest: f64) -> Option<(usize, f64)> {
         let (mut first, mut least) = (None, f64::INFINITY);
         for (k, (active, &fall)) in self.active.iter().zip(self.factor.fall()).enumerate() {

@@ -61,7 +61,7 @@ pub(crate) fn default_blend_s() -> Positive {
 /// names of the limits, with true if the file contains the limit.
 ///
 /// # Errors
-/// A key that belongs to the other shape.
+/// A key that is only valid for the other shape.
 pub(crate) fn blending(
     shape: StreamedShape,
     blend_s: Option<Positive>,

@@ -118,7 +118,8 @@ pub(crate) struct StreamedJoints {
     joints: Vec<usize>,
     /// Reference of each joint (n).
     plans: Vec<Plan>,
-    /// Time at which the blend into the current target ends, s on the robot's clock.
+    /// End of the blend that follows a start, a hold or a stale target, s on the robot's clock. Blends to newer targets
+    /// do not end earlier.
     joined_s: f64,
 }
 

@@ -35,7 +35,7 @@ pub(crate) struct AxisFeedback {
     pub impedance: Option<Impedance>,
     /// Fraction of the error that is added to the integral per control period.
     pub integral_step: Vector6<f64>,
-    /// Largest integral, m or rad.
+    /// Upper bound of the integral, m or rad.
     pub integral_limit: Vector6<f64>,
     pub integral: Vector6<f64>,
     /// Integral gain, 1/s.

@@ -13,8 +13,6 @@
 //! The angle is undefined if p, l or w is zero: with a straight arm, with the wrist along v, or with the wrist at the
 //! shoulder. If |p|/|a|, |l| or |w|/|a| is below [`FADE`], Jacobian and bias fade out; they are zero below half of it.
 //! The task then has no mobility, is damped to zero smoothly, and the tasks below can use its degree of freedom.
-//! |p|/|a|, |l| or |w|/|a| is below [`FADE`], Jacobian and bias fade out; they are zero below half of it. The task then
-//! has no mobility there, is damped to zero smoothly, and leaves the freedom to the tasks below.
 
 use crate::error::ControlError;
 use crate::references::ramp::minimum_jerk;

@@ -178,7 +178,7 @@ fn lower_task_follows_its_reference() {
         measurement.time_s = 1e-3 * f64::from(tick);
         controller.update(&common::input(&model, &data, &measurement), &mut q);
         let off = frame_placement(&model, &placed(&model, &q), elbow).translation.y - start;
-        // Explicit Euler, as above.
+        // Error of explicit Euler, as above.
         assert!(off.abs() < 1e-4, "{off} m at {} s", measurement.time_s);
     }
 }
