@@ -57,7 +57,7 @@ pub trait Task: Any + Send {
     /// Number of rows, from 1 to 6.
     fn rows(&self) -> usize;
 
-    /// Computes J (6 × n) at the state of `data`; only the first [`rows`](Self::rows) rows are used.
+    /// Computes J (6 × n) at the state of `data`: the task's rows come first, the other rows are zero.
     fn jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>);
 
     /// Updates state, reference and sensed forces of this cycle.
