@@ -7,9 +7,9 @@
 //! ```
 //!
 //! In every control cycle, a damping ratio ζ is converted to a matrix D by double diagonalisation. With Λ = Q Qᵀ and
-//! K = Q diag(ω²) Qᵀ, D = 2ζ Q diag(ω) Qᵀ gives every mode of the coupled springs the same damping ratio (Albu-Schäffer,
-//! Ott, Frese and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A desired inertia m needs a
-//! force sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
+//! K = Q diag(ω²) Qᵀ, D = 2ζ Q diag(ω) Qᵀ gives every mode of the coupled springs the same damping ratio
+//! (Albu-Schäffer, Ott, Frese and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A desired
+//! inertia m needs a force sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
 //!
 //! [`AxisGains`]: crate::tasks::gains::AxisGains
 
