@@ -1,4 +1,4 @@
-//! The trait of everything that commands a robot, and its input.
+//! The [`Controller`] trait and its input.
 
 use crate::measurement::Measurement;
 use crate::targets::Targets;
@@ -10,54 +10,56 @@ use opspace_model::{Data, Model};
 pub struct ControlInput<'a> {
     /// Kinematics and dynamics of the robot, n joints.
     pub model: &'a Model,
-    /// Up to date with the measurement ([`opspace_model::update`]).
+    /// Kinematics and dynamics at the measured state, computed by [`opspace_model::update`].
     pub data: &'a Data,
-    /// State of the robot.
+    /// Measured state of the robot.
     pub measurement: &'a Measurement,
-    /// Torques that will be added to the command, Nm or N (n): friction compensation. Torque limits hold for the sum.
+    /// Feedforward torques that are added to the command, for example friction compensation (n; Nm or N). The torque
+    /// limits apply to the sum.
     pub feedforward_torque: &'a [f64],
     /// Streamed targets.
     pub targets: &'a Targets,
-    /// The robot's clock, s: the clock of the targets' time stamps.
+    /// Current time on the robot's clock, s. The time stamps of the targets use the same clock.
     pub clock_s: f64,
 }
 
-/// Measurements in, commands out. Never knows which robot it drives.
+/// A control law that computes commands from measurements, independently of the kind of robot.
 pub trait Controller: Observable + Send {
     /// Kind of the commands that [`update`](Self::update) writes.
     fn command_kind(&self) -> CommandKind;
 
-    /// Takes the robot's present state as the start: references begin here. May allocate.
+    /// Initialises the controller at the robot's present state: the references start there. May allocate.
     fn start(&mut self, input: &ControlInput<'_>);
 
-    /// Computes the command of this cycle, into `command` (n). Allocates, locks, logs and formats nothing.
+    /// Computes the command of this cycle and writes it into `command` (n; unit of
+    /// [`command_kind`](Self::command_kind)). Must not allocate, lock, log or format text.
     fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]);
 
-    /// Takes in a cycle in which it commands nothing, since the robot is held. Allocates nothing.
+    /// Processes a cycle in which the robot is held and the controller commands nothing. Must not allocate.
     fn observe_while_held(&mut self, _input: &ControlInput<'_>) {}
 
-    /// Continues after the robot was held, at rest at its present position, without a jump and back to its tasks.
-    /// Starts anew unless it is overridden; allocates nothing where it is.
+    /// Continues after a hold, with the robot at rest, without a jump in the command. The default implementation calls
+    /// [`start`](Self::start); an implementation that overrides it must not allocate.
     fn resume(&mut self, input: &ControlInput<'_>) {
         self.start(input);
     }
 
-    /// Targets for this controller, all "as configured".
+    /// Returns the row of this controller's streamed targets, with all values "as configured".
     fn targets(&self) -> Targets {
         Targets::none()
     }
 
-    /// A streamed target that is stale and whose task asks for a stop.
+    /// Returns a stale streamed target whose task requires the robot to stop, if any.
     fn stale_target(&self) -> Option<StaleTarget> {
         None
     }
 }
 
-/// A streamed target that has not been renewed in time.
+/// A streamed target that was not renewed before its timeout.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct StaleTarget {
-    /// Place of the task in the priority, from 0.
+    /// Index of the task in the priority order, from 0.
     pub task: usize,
     /// Age of the target, s.
     pub age_s: f64,

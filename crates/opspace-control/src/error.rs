@@ -1,9 +1,9 @@
-//! Errors of a task set, with the key of the file that causes them.
+//! Errors of a task set, each with the key in the task file that causes it.
 
 use opspace_model::{UnknownFrame, UnknownJoint};
 use thiserror::Error;
 
-/// A task set that can't be built for this robot.
+/// Error: the task set cannot be built for this robot.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{key}: {reason}")]
 pub struct ControlError {
@@ -12,24 +12,24 @@ pub struct ControlError {
 }
 
 impl ControlError {
-    /// An error at a key, given from the root of the task file, as `task.hand.distance.frame`.
+    /// Creates an error at a key. The key is the path from the root of the task file, for example
+    /// `task.hand.distance.frame`.
     #[must_use]
     pub fn new(key: impl Into<String>, reason: impl Into<Reason>) -> Self {
         Self { key: key.into(), reason: reason.into() }
     }
 
-    /// An error about a number out of its range.
+    /// Creates an error about a number that is out of range.
     pub(crate) fn value(key: &str, message: String) -> Self {
         Self::new(key, Reason::Value { message })
     }
 
-    /// Returns the error with its key below another one.
+    /// Returns the error with `key` prepended to its own key.
     pub(crate) fn below(self, key: &str) -> Self {
         Self { key: format!("{key}.{}", self.key), reason: self.reason }
     }
 
-    /// Path of the offending value in the task file, its parts joined by dots:
-    /// `task.hand.cartesian.frame`.
+    /// Path of the invalid value in the task file, its parts joined by dots: `task.hand.cartesian.frame`.
     #[must_use]
     pub fn key(&self) -> &str {
         &self.key
@@ -42,51 +42,51 @@ impl ControlError {
     }
 }
 
-/// Reason for which a value is refused.
+/// Reason why a value is rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Reason {
-    /// The robot has no such frame.
+    /// The robot has no frame of this name.
     #[error(transparent)]
     Frame(#[from] UnknownFrame),
-    /// The robot has no such joint.
+    /// The robot has no joint of this name.
     #[error(transparent)]
     Joint(#[from] UnknownJoint),
-    /// The robot has no such force sensor.
+    /// The robot has no force sensor of this name.
     #[error("no force sensor '{name}'; the robot's force sensors are: {}", listed(known))]
     Sensor {
-        /// The name asked for.
+        /// Requested name.
         name: String,
-        /// The names there are.
+        /// Available names.
         known: Vec<String>,
     },
-    /// `priority` names a task that isn't there.
+    /// `priority` contains the name of a task that does not exist.
     #[error("no task '{name}'; the tasks are: {}", listed(known))]
     UnknownTask {
         /// The name in `priority`.
         name: String,
-        /// The names there are.
+        /// Available names.
         known: Vec<String>,
     },
-    /// A task without a place in `priority`.
+    /// A task that is missing in `priority`.
     #[error("task '{name}' is not in `priority`: add it there, or remove the task")]
     Unranked {
         /// The task.
         name: String,
     },
-    /// A task twice in `priority`.
+    /// A task that is listed twice in `priority`.
     #[error("task '{name}' is in `priority` twice")]
     Repeated {
         /// The task.
         name: String,
     },
-    /// A name that can't be part of a key or a signal's name.
+    /// A name that is not allowed in keys and signal names.
     #[error("task name '{name}': only letters, digits, '_' and '-' are allowed")]
     Name {
         /// The name.
         name: String,
     },
-    /// A joint-space task above another task.
+    /// A task of all joints that has another task below it.
     #[error(
         "task '{name}' is in joint space and uses all remaining degrees of freedom: it must be last in \
          `priority`, but '{below}' is below it"
@@ -102,7 +102,7 @@ pub enum Reason {
         "all axes are free: at least one of x, y, z, rx, ry, rz must be `motion`, `compliant` or `force`"
     )]
     NoAxis,
-    /// More axes than joints.
+    /// A task that controls, together with the tasks above, more axes than the arm has joints.
     #[error("task '{name}' controls {axes} axes{}, but this arm has only {joints} joints", beside(*above))]
     TooManyAxes {
         /// The task.
@@ -114,7 +114,7 @@ pub enum Reason {
         /// Number of joints, n.
         joints: usize,
     },
-    /// A rotation axis for a frame that this arm cannot rotate without translating it.
+    /// A rotation axis of a frame that this arm cannot rotate without also translating it.
     #[error(
         "task '{name}' controls axis {axis}, but this arm of {joints} joints cannot rotate the frame without \
          translating it, in any configuration: leave rx, ry and rz free"
@@ -127,7 +127,7 @@ pub enum Reason {
         /// Number of joints, n.
         joints: usize,
     },
-    /// Axes that this arm cannot move together with those of the tasks above, in any configuration.
+    /// Axes that this arm cannot move together with the axes of the tasks above, in any configuration.
     #[error(
         "task '{name}' controls {axes} axes{}, but this arm can move at most {rank} of these {} at once, in any \
          configuration",
@@ -144,13 +144,13 @@ pub enum Reason {
         /// Highest rank over the sampled configurations.
         rank: usize,
     },
-    /// A per-axis table that leaves out an axis which needs a value.
+    /// A per-axis table without a value for an axis that needs one.
     #[error("no value for axis {axis}, which is not free")]
     MissingAxis {
         /// The axis.
         axis: &'static str,
     },
-    /// A target force or moment on an axis that doesn't take one.
+    /// A target force or moment on an axis that does not accept one.
     #[error("axis {axis} accepts no target {what}: it is not a compliant or force axis of that kind")]
     TargetAxis {
         /// The axis.
@@ -158,58 +158,58 @@ pub enum Reason {
         /// `force (N)` or `moment (Nm)`.
         what: &'static str,
     },
-    /// Force feedback on a task without compliant or force axis.
+    /// Force feedback for a task without a compliant or force axis.
     #[error("force feedback needs at least one axis that is `compliant` or `force`")]
     NothingCompliant,
-    /// An integral that no axis uses.
+    /// An integral gain that no axis uses.
     #[error("only `force` axes integrate the force error: remove it, or make an axis `force`")]
     NothingIntegrates,
     /// Force control without a sensor.
     #[error("a `force` axis needs a sensor and a target: force = {{ sensor = \"...\", target_n = ... }}")]
     ForceAxisUnsensed,
-    /// Axes in motion without gains.
+    /// Motion axes without gains.
     #[error(
         "axes in motion need `gains` = {{ frequency_rad_per_s, damping_ratio }}, or `impedance` = \
          {{ stiffness_n_per_m, ... }}"
     )]
     NoGains,
-    /// Gains and an impedance.
+    /// Both gains and an impedance are given.
     #[error("`gains` and `impedance` are mutually exclusive: give one of them for the axes in motion")]
     GainsTwice,
-    /// An impedance that leaves out one of its values.
+    /// An impedance without one of the values that it needs.
     #[error("these axes in motion need `{key}`")]
     ImpedanceMissing {
         /// The key.
         key: String,
     },
-    /// A damping ratio and a damping.
+    /// Both a damping ratio and a damping are given.
     #[error("`damping_ratio` and a damping are mutually exclusive: remove one")]
     DampingTwice,
-    /// A shaped inertia without a sensor.
+    /// A desired inertia without a force sensor.
     #[error("an inertia other than the arm's own needs the measured force: force = {{ sensor = \"...\" }}")]
     ShapedInertiaUnsensed,
-    /// A rotation axis of the centre of mass.
+    /// A rotation axis for the centre of mass.
     #[error("the centre of mass has no orientation: its task can have only the axes x, y and z")]
     CenterOfMassTurns,
-    /// A joint task above others that moves more joints than such a task can.
+    /// A joint task above other tasks that has more joints than allowed.
     #[error("a task of selected joints can have at most {most} joints, not {joints}")]
     TooManyJoints {
-        /// Number of joints that the task names.
+        /// Number of joints in the task.
         joints: usize,
         /// Largest number of joints.
         most: usize,
     },
-    /// A task that becomes one of another kind while it runs.
+    /// A task that has a different kind in another task set.
     #[error("task '{name}' is {was} and cannot become {is} during a run: give the new task another name")]
     KindChanged {
         /// The task.
         name: String,
-        /// Kind of the task of that name so far.
+        /// Kind of the existing task of this name.
         was: &'static str,
         /// Kind of the new task.
         is: &'static str,
     },
-    /// A task whose streamed inputs are not those of the task of its name in another task set.
+    /// A task that has different streamed inputs in another task set.
     #[error(
         "task '{name}' has different streamed inputs in another task set: give the new task another name"
     )]
@@ -217,50 +217,50 @@ pub enum Reason {
         /// The task.
         name: String,
     },
-    /// A joint task that names no joint, or one twice.
+    /// A joint task whose list of joints is empty or contains a joint twice.
     #[error("`joints` must name at least one joint, and each only once: omit it for a task of all joints")]
     JointList,
-    /// A goal that names neither a position nor an orientation.
+    /// A goal without a position and without an orientation.
     #[error("the goal names neither `position` nor `orientation`")]
     NoGoal,
-    /// An orientation to reach, but all rotation axes are free.
+    /// A goal with an orientation while all rotation axes are free.
     #[error("the goal has an orientation, but the axes rx, ry and rz are all free")]
     OrientationOfFreeAxes,
     /// A recorded path whose file has not been read.
     #[error("the recorded path has no samples: read its file into `samples`")]
     NotRead,
-    /// A list of waypoints without one.
+    /// An empty list of waypoints.
     #[error("no waypoint: at least one is needed")]
     NoWaypoint,
-    /// Waypoints that go back in time.
+    /// A waypoint that is not later than the previous one.
     #[error("waypoint {index} at {time_s} s is not after the previous one at {previous_s} s")]
     WaypointTime {
-        /// Its place in the list, from 0.
+        /// Index of the waypoint, from 0.
         index: usize,
-        /// Its time, s.
+        /// Time of the waypoint, s.
         time_s: f64,
-        /// The time before it, s.
+        /// Time of the previous waypoint, s.
         previous_s: f64,
     },
-    /// A per-joint table that leaves out a joint.
+    /// A per-joint table without a value for a joint.
     #[error("no value for joint '{joint}': give one number for all joints, or one per joint")]
     MissingJoint {
         /// The joint.
         joint: String,
     },
-    /// Inverse kinematics for a task set without a reference motion.
+    /// Inverse kinematics of a task set without a reference motion.
     #[error(
         "no task of this set has a reference motion for inverse kinematics to follow: add a cartesian or a \
          joint-tracking task"
     )]
     NoMotion,
-    /// A number out of its range.
+    /// A number that is out of range.
     #[error("{message}")]
     Value {
-        /// The range and the number.
+        /// Message that states the range and the number.
         message: String,
     },
-    /// A list without one number per joint.
+    /// A list whose length differs from the number of joints.
     #[error("{given} numbers for {joints} joints")]
     JointCount {
         /// Number of values given.

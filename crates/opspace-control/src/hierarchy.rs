@@ -1,4 +1,4 @@
-//! Strict priorities: tasks at their levels, and the freedom that each leaves.
+//! Strict task priorities: the priority levels and the null space that each level leaves.
 
 pub(crate) mod nullspace;
 pub(crate) mod priority_level;

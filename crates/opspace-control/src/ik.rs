@@ -1,15 +1,15 @@
-//! The baseline without torques: inverse kinematics, streamed as joint positions.
+//! Inverse kinematics, streamed as joint positions: the baseline without torque control.
 //!
 //! ```text
 //! q̇_ref = J⁺ (ẋ_d + 20 (x_d − x(q_ref))) + (I − J⁺ J) 2 (q_0 − q_ref)
 //! ```
 //!
-//! integrated at the robot's period, never corrected by the measured position: the robot's own servo closes the loop.
-//! Stiff by nature: a compliant axis holds its reference. With a [`ServoLead`], the lag of the servo is compensated:
-//! q_ref + q̇_ref/kp + g/(kp kv).
+//! The result is integrated with the control period and never corrected by the measured position: the robot's own
+//! position servos close the loop. The arm is therefore stiff: a compliant axis holds its reference. With a
+//! [`ServoLead`], the lag of the servos is compensated: the setpoint is q_ref + q̇_ref/kp + g/(kp kv).
 //!
-//! J⁺ is the dynamically consistent inverse of an arm whose mass matrix is the identity, damped near
-//! singularities as the torque controller's is.
+//! J⁺ is the dynamically consistent inverse for an identity mass matrix, damped near singularities like that of the
+//! torque controller.
 
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
@@ -26,18 +26,18 @@ use opspace_backend::{Observable, SignalRecorder};
 use opspace_model::{Data, JointUnits, Model, gravity, kinematics};
 use std::fmt;
 
-/// Gain with which the error of a reference decays, 1/s.
+/// Gain of the reference error, 1/s.
 pub const ERROR_GAIN_PER_S: f64 = 20.0;
 
-/// Gain with which the posture is restored where the tasks leave freedom, 1/s.
+/// Gain of the posture in the null space of the tasks, 1/s.
 pub const POSTURE_GAIN_PER_S: f64 = 2.0;
 
-/// Parameters of the joints' position servos by which their lag is compensated: one value per joint.
+/// Parameters of the joints' position servos for the compensation of their lag: one value per joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServoLead {
-    /// Gain kp of the position loop, 1/s: the servo lags q̇/kp behind.
+    /// Gain kp of the position loop, 1/s (n): the servo lags by q̇/kp.
     pub kp_per_s: Vec<f64>,
-    /// Stiffness kp kv of the servo, Nm/rad: it sags by g over it.
+    /// Stiffness kp kv of the servo, Nm/rad (n): the servo sags by g/(kp kv) under gravity.
     pub stiffness_nm_per_rad: Vec<f64>,
 }
 
@@ -46,23 +46,23 @@ pub struct InverseKinematicsController {
     schedule: TaskSchedule,
     context: ControlContext,
     lead: Option<ServoLead>,
-    /// Kinematics and gravity at the reference posture, with the identity in place of M's factor.
+    /// Kinematics and gravity at q_ref; the factor of M is replaced by the identity.
     data: Data,
     q: DVector<f64>,
     dq: DVector<f64>,
     scratch: DVector<f64>,
-    /// Joint positions streamed last, rad or m (n).
+    /// Last commanded joint positions, rad or m (n).
     streamed: DVector<f64>,
     joint_names: Vec<String>,
     units: JointUnits,
 }
 
 impl InverseKinematicsController {
-    /// A controller of the tasks in a file, with compensation of the servos' lag if a lead is given.
+    /// Creates a controller for the tasks of a task file; compensates the servo lag if `lead` is given.
     ///
     /// # Errors
-    /// As for the torque controller; tasks without a motion to follow; a lead of another length than the number of
-    /// joints.
+    /// The errors of the torque controller; tasks without a reference motion; a lead whose length differs from the
+    /// number of joints.
     pub fn new(
         model: &Model,
         parameters: &TaskSetParameters<'_>,
@@ -72,10 +72,10 @@ impl InverseKinematicsController {
         Self::from_tasks(model, TaskSet::from_parameters(model, parameters, context)?, context, lead)
     }
 
-    /// A controller of tasks that were built in code.
+    /// Creates a controller for tasks that are built in code.
     ///
     /// # Errors
-    /// Tasks without a motion to follow; a lead of another length than the number of joints.
+    /// Tasks without a reference motion; a lead whose length differs from the number of joints.
     pub fn from_tasks(
         model: &Model,
         tasks: TaskSet,
@@ -109,10 +109,10 @@ impl InverseKinematicsController {
         })
     }
 
-    /// Another task set for the same robot, to be [scheduled](Self::schedule).
+    /// Builds another task set for the same robot, to be [scheduled](Self::schedule).
     ///
     /// # Errors
-    /// As [`new`](Self::new), and a task that would change its kind.
+    /// The errors of [`new`](Self::new); a task whose kind differs from that of the existing task of the same name.
     pub fn prepare(
         &self,
         model: &Model,
@@ -123,29 +123,29 @@ impl InverseKinematicsController {
         Ok(prepared)
     }
 
-    /// MimicConstraint `tasks` from `time_s` on, s after the start.
+    /// Schedules `tasks`: they become active at `time_s`, s after the start.
     pub fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
         self.schedule.schedule(time_s, tasks);
     }
 
-    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first
-    /// one has 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in
-    /// the targets.
+    /// Adds a task set that can be activated by its number ([`Targets::choose_task_set`]) and returns the number. The
+    /// first set has number 0; scheduled sets have numbers too. Call it before the start so that the log and the
+    /// targets include its tasks.
     ///
     /// # Errors
-    /// As [`prepare`](Self::prepare).
+    /// The errors of [`prepare`](Self::prepare).
     pub fn add_task_set(&mut self, tasks: TaskSet) -> Result<u32, ControlError> {
         check_motion(&tasks.0)?;
         self.schedule.add(tasks)
     }
 
-    /// Number of the task set in force.
+    /// Number of the active task set.
     #[must_use]
     pub fn task_set(&self) -> usize {
         self.schedule.number()
     }
 
-    /// q̇_ref at q_ref and the targets that the tasks saw last.
+    /// Computes q̇_ref at q_ref for the latest targets of the tasks.
     fn solve(&mut self, model: &Model) {
         let hierarchy = self.schedule.current_mut();
         self.dq.fill(0.0);
@@ -167,7 +167,7 @@ impl InverseKinematicsController {
         }
     }
 
-    /// Computes q_ref with the compensation of the servo's lag.
+    /// Writes q_ref, with compensation of the servo lag, into `command` (n; rad or m).
     fn stream(&mut self, command: &mut [f64]) {
         for (i, out) in command.iter_mut().enumerate() {
             *out = self.q[i];
@@ -179,7 +179,7 @@ impl InverseKinematicsController {
         self.streamed.copy_from_slice(command);
     }
 
-    /// Offset of a setpoint that compensates the servo's sag under gravity at `data`'s posture, rad or m.
+    /// Setpoint offset that compensates the servo's sag under gravity at the posture of `data`, rad or m.
     fn sag(&self, joint: usize) -> f64 {
         match &self.lead {
             Some(lead) if !self.context.gravity_by_robot => {
@@ -221,7 +221,7 @@ impl Controller for InverseKinematicsController {
         self.schedule.current_mut().observe(input);
     }
 
-    /// Continues from the setpoints that held the robot, not from where they left it, so that they don't jump.
+    /// Continues from the setpoints of the hold instead of the measured position, so that they do not jump.
     fn resume(&mut self, input: &ControlInput<'_>) {
         self.schedule.advance(input);
         self.dq.fill(0.0);
@@ -239,7 +239,7 @@ impl Controller for InverseKinematicsController {
         hierarchy.observe(input);
         let in_joints = hierarchy.levels.is_empty();
         let reference = hierarchy.joint.as_ref().and_then(|task| task.reference());
-        // With nothing above it there is nothing to solve, and no integration to drift.
+        // Without tasks above the joint task nothing is solved, and integration drift is avoided.
         if in_joints && let Some((position, velocity)) = reference {
             self.q.as_mut_slice().copy_from_slice(position);
             self.dq.as_mut_slice().copy_from_slice(velocity);
@@ -266,7 +266,7 @@ impl Observable for InverseKinematicsController {
     }
 }
 
-/// There must be something to follow.
+/// Checks that there is a task to follow.
 fn check_motion(hierarchy: &TaskHierarchy) -> Result<(), ControlError> {
     let follows = hierarchy.joint.as_ref().is_some_and(|task| task.reference().is_some());
     if hierarchy.levels.is_empty() && !follows {

@@ -2,7 +2,7 @@
 //!
 //! A [`Controller`] is built from the tasks of a task file ([`TaskParameters`]) in their order of priority
 //! ([`TaskSetParameters`]): [`OperationalSpaceController`] commands torques, [`InverseKinematicsController`] joint
-//! positions. A [`Measurement`] is all that either receives from the robot. Updates do not allocate.
+//! positions. The [`Measurement`] is the only data that a controller receives from the robot. Updates do not allocate.
 //!
 //! ```
 //! use opspace_control::{
@@ -86,7 +86,7 @@ pub mod measurement;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
-// The solvers are internal; hidden rather than private for their tests and benchmarks.
+// The solvers are internal. They are hidden instead of private because tests and benchmarks use them.
 #[doc(hidden)]
 pub mod qp;
 pub mod references;

@@ -1,4 +1,4 @@
-//! Joint limits, and the commands that keep them.
+//! Joint limits and their enforcement.
 
 pub mod bounds;
 pub mod joint_limits;

@@ -1,28 +1,28 @@
-//! Orientations: the logarithm and exponential of SO(3), and errors of which only some axes count.
+//! Orientations: the logarithm and exponential of SO(3), and orientation errors on selected axes.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-/// The rotation vector (rad) of a rotation: its axis times its angle, the angle at most π.
+/// Returns the rotation vector (rad) of a rotation: its axis times its angle, which is at most π.
 ///
-/// Through the quaternion's arctangent, so that neither end of [0, π] loses digits.
+/// The angle is computed by the arctangent of the quaternion's parts, which is accurate at both ends of [0, π].
 #[must_use]
 pub fn log(rotation: &Matrix3<f64>) -> Vector3<f64> {
     log_quaternion(&quaternion(rotation))
 }
 
-/// The rotation about `vector` by its length, rad.
+/// Returns the rotation about `vector` by an angle equal to its length, rad.
 #[must_use]
 pub fn exp(vector: &Vector3<f64>) -> Matrix3<f64> {
     *UnitQuaternion::from_scaled_axis(*vector).to_rotation_matrix().matrix()
 }
 
-/// The rotation by fixed-axis roll, pitch, yaw, rad (as in URDF).
+/// Returns the rotation of fixed-axis roll, pitch and yaw, rad (as in URDF).
 #[must_use]
 pub fn from_rpy(rpy: [f64; 3]) -> Matrix3<f64> {
     *Rotation3::from_euler_angles(rpy[0], rpy[1], rpy[2]).matrix()
 }
 
-/// The unit quaternion of a rotation, its scalar part not negative.
+/// Returns the unit quaternion of a rotation, with a non-negative scalar part.
 #[must_use]
 pub fn quaternion(rotation: &Matrix3<f64>) -> Quaternion<f64> {
     let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation)).into_inner();
@@ -32,15 +32,15 @@ pub fn quaternion(rotation: &Matrix3<f64>) -> Quaternion<f64> {
 fn log_quaternion(q: &Quaternion<f64>) -> Vector3<f64> {
     let (w, v) = if q.w < 0.0 { (-q.w, -q.imag()) } else { (q.w, q.imag()) };
     let norm = v.norm();
-    // At norm = 0 the ratio has the limit 2: v may still hold what is too small to square.
+    // The ratio tends to 2 at norm = 0. v can still be non-zero, with squares that underflow.
     if norm > 0.0 { v * (2.0 * norm.atan2(w) / norm) } else { v * 2.0 }
 }
 
-/// The part of a rotation vector (rad) that counts if only the axes in `counted` do.
+/// Returns the rotation vector (rad) of `rotation`, restricted to the axes in `counted`; its other components are zero.
 ///
-/// All three: the logarithm. Two: `rotation` is split into a turn about the third axis followed by a
-/// swing about an axis across it, and the swing is the error: it doesn't change when the frame turns
-/// about the axis that doesn't count. One: the angle of the turn about it. Other components are zero.
+/// Three axes: the logarithm. Two axes: `rotation` is split into a twist about the third axis followed by a swing about
+/// an axis perpendicular to it; the swing is the error and does not change if the frame rotates about the third axis.
+/// One axis: the angle of the twist about it.
 #[must_use]
 pub fn log_about(rotation: &Matrix3<f64>, counted: [bool; 3]) -> Vector3<f64> {
     let q = quaternion(rotation);
@@ -53,21 +53,22 @@ pub fn log_about(rotation: &Matrix3<f64>, counted: [bool; 3]) -> Vector3<f64> {
         return log_quaternion(&turn);
     }
     let norm = turn.norm();
-    // A swing by π has no turn to split off.
+    // The twist is undefined for a swing by π.
     let swing = if norm > 0.0 { q * turn.conjugate() / norm } else { q };
     let mut error = log_quaternion(&swing);
     error[split] = 0.0;
     error
 }
 
-/// Angular velocity (rad/s) and acceleration (rad/s²), in the axes of φ, of exp(φ) as φ moves.
+/// Returns the angular velocity (rad/s) and angular acceleration (rad/s²) of exp(φ) from φ, φ̇ and φ̈, in the axes of
+/// φ.
 ///
 /// ```text
 /// ω = φ̇ + B φ × φ̇ + C φ × (φ × φ̇)      B = (1 − cos θ)/θ²,  C = (θ − sin θ)/θ³,  θ = |φ|
 /// ```
 ///
-/// (the left Jacobian of SO(3); Chirikjian, *Stochastic Models, Information Theory, and Lie Groups* 2,
-/// §10.6), and its time derivative.
+/// The formula of ω is the left Jacobian of SO(3) (Chirikjian, *Stochastic Models, Information Theory, and Lie Groups*
+/// 2, §10.6); the angular acceleration is its time derivative.
 #[must_use]
 pub fn rotation_vector_rates(
     phi: &Vector3<f64>,
@@ -90,7 +91,7 @@ pub fn rotation_vector_rates(
 /// B, C, (dB/dθ)/θ and (dC/dθ)/θ.
 fn left_jacobian_coefficients(theta: f64) -> [f64; 4] {
     let squared = theta * theta;
-    // Below, the closed forms cancel to fewer digits than these series, whose next terms are under 1e-12.
+    // For small θ the closed forms lose more digits by cancellation than the series, whose next terms are below 1e-12.
     if theta < 0.2 {
         let series = |a: [f64; 4]| a[0] + squared * (a[1] + squared * (a[2] + squared * a[3]));
         return [
@@ -118,7 +119,7 @@ mod tests {
         Vector3::new(0.48, -0.6, 0.64)
     }
 
-    /// Logarithm against the vector from which nalgebra's exponential (Rodrigues' formula) built the matrix.
+    /// Compared: the logarithm with the vector from which nalgebra's exponential (Rodrigues' formula) built the matrix.
     #[test]
     fn log_inverts_rodrigues_from_zero_to_pi() {
         for angle in [0.0, 1e-200, 1e-12, 1e-7, 1e-3, 0.5, 2.0, 3.0, PI - 1e-3, PI - 1e-7, PI - 1e-9] {
@@ -129,7 +130,7 @@ mod tests {
         }
     }
 
-    /// Logarithm at π, where either sign of the axis is right: its length and its line.
+    /// Compared: length and line of the logarithm at π, where both signs of the axis are correct.
     #[test]
     fn log_of_half_turn_has_length_pi() {
         for axis in [axis(), Vector3::x(), Vector3::y(), Vector3::z()] {
@@ -140,8 +141,8 @@ mod tests {
         }
     }
 
-    /// Swing and twist, composed again, against the rotation from which they were split; and the swing of the same
-    /// rotation after a further rotation of the frame about the free axis.
+    /// Compared: swing and twist, composed again, with the original rotation; and the swing before and after a further
+    /// rotation of the frame about the free axis.
     #[test]
     fn error_ignores_rotation_about_free_axis() {
         let rotation = exp(&Vector3::new(0.7, -0.4, 1.1));
@@ -163,7 +164,7 @@ mod tests {
         assert!(log_about(&rotation, [true; 3]) == log(&rotation));
     }
 
-    /// ω and ω̇ against central differences of the matrix exp(φ(t)), on both sides of the series' end.
+    /// Compared: ω and ω̇ with central differences of the matrix exp(φ(t)), on both sides of the limit of the series.
     #[test]
     fn rotation_vector_rates_match_exponential_differences() {
         let path = |size: f64, t: f64| {

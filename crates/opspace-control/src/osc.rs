@@ -4,10 +4,10 @@
 //! F_i = Λ_p (a* − J̇ q̇ − J_i M⁻¹ τ_above) + F_compliant        τ = Σ J_pᵀ F_i + τ_joint + C q̇ + g
 //! ```
 //!
-//! J_p = J_i N is the task within the freedom N that the tasks above leave it. Khatib 1987 for one task;
-//! Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral
-//! primitives*, Int. J. Humanoid Robotics 2(4), 2005, for the levels. If these torques keep within the
-//! [limits](crate::limits), they are the command; else each level comes as near to its own as the limits and the
+//! J_p = J_i N is the task Jacobian projected into the null space N of the tasks above. Khatib 1987 for one task;
+//! Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral primitives*, Int.
+//! J. Humanoid Robotics 2(4), 2005, for several priority levels. If these torques are within the
+//! [limits](crate::limits), they are the command. Otherwise each level is satisfied as closely as the limits and the
 //! levels above allow.
 
 use crate::context::ControlContext;
@@ -25,29 +25,28 @@ use opspace_backend::CommandKind;
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_model::{Data, Model};
 
-/// Tasks to torques.
+/// Controller that converts tasks to joint torques.
 pub struct OperationalSpaceController {
     schedule: TaskSchedule,
     context: ControlContext,
     compensation: Compensation,
     limiter: Option<Limiter>,
-    /// Torques of the tasks, Nm or N (n).
+    /// Task torques, Nm or N (n).
     torque: DVector<f64>,
     joint_torque: DVector<f64>,
     scratch: DVector<f64>,
-    /// Torques commanded beside those of the tasks, Nm or N (n).
+    /// Compensation torques that are added to the task torques, Nm or N (n).
     compensation_torque: DVector<f64>,
-    /// Torques commanded last, Nm or N (n).
+    /// Last commanded torques, Nm or N (n).
     commanded: DVector<f64>,
     joint_names: Vec<String>,
 }
 
 impl OperationalSpaceController {
-    /// A controller of the tasks in a file.
+    /// Creates a controller for the tasks of a task file.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, axes that it can't move, gains that are missing: see
-    /// [`Reason`](crate::error::Reason).
+    /// Unknown names, axes that the robot cannot move, missing gains: see [`Reason`](crate::error::Reason).
     pub fn new(
         model: &Model,
         parameters: &TaskSetParameters<'_>,
@@ -57,7 +56,7 @@ impl OperationalSpaceController {
         Ok(Self::from_tasks(model, tasks, context, parameters.compensation, &parameters.limits))
     }
 
-    /// A controller of tasks that were built in code.
+    /// Creates a controller for tasks that are built in code.
     #[must_use]
     pub fn from_tasks(
         model: &Model,
@@ -81,11 +80,12 @@ impl OperationalSpaceController {
         }
     }
 
-    /// Another task set for the same robot, to be [switched](Self::switch) to while running or
-    /// [scheduled](Self::schedule). Its compensation and limits aren't used: those of the first one stay.
+    /// Builds another task set for the same robot, to be [switched](Self::switch) to during the run or
+    /// [scheduled](Self::schedule). The compensation and limits of `parameters` are ignored: those of the first set
+    /// remain.
     ///
     /// # Errors
-    /// As [`new`](Self::new), and a task that would change its kind.
+    /// The errors of [`new`](Self::new); a task whose kind differs from that of the existing task of the same name.
     pub fn prepare(
         &self,
         model: &Model,
@@ -94,49 +94,50 @@ impl OperationalSpaceController {
         self.schedule.prepare(model, parameters, &self.context)
     }
 
-    /// Checks that a task set built in code can be switched to.
+    /// Checks that it is possible to switch to a task set built in code.
     ///
     /// # Errors
-    /// A task that would change its kind or its signals.
+    /// A task whose kind or signals differ from those of the existing task of the same name.
     pub fn check(&self, tasks: &TaskSet) -> Result<(), ControlError> {
         self.schedule.check(tasks)
     }
 
-    /// Carries out `tasks` from now on in place of the present ones, whose number they take, and returns those. Tasks
-    /// of the same name continue from each other; the torque moves no faster than the robot's limit allows. Allocates
-    /// nothing; only tasks that were there, or scheduled, when the signals were listed are in the log.
+    /// Replaces the active task set by `tasks`, which takes over its number, and returns the replaced set. A task
+    /// continues from the task of the same name; the torque changes no faster than the torque rate limit allows.
+    /// Allocates nothing. The log contains only tasks of the sets that were known when its signals were listed.
     pub fn switch(&mut self, tasks: TaskSet, input: &ControlInput<'_>) -> TaskSet {
         self.schedule.switch(tasks, input)
     }
 
-    /// Carries out `tasks` from `time_s` on, s after the start. Scheduled before the start, they are in the log.
+    /// Schedules `tasks`: they become active at `time_s`, s after the start. The log contains them if they are
+    /// scheduled before the start.
     pub fn schedule(&mut self, time_s: f64, tasks: TaskSet) {
         self.schedule.schedule(time_s, tasks);
     }
 
-    /// Adds a task set that can be chosen by its number ([`Targets::choose_task_set`]), which is returned: the first
-    /// one has 0, and scheduled ones have numbers as well. Before the start, so that its tasks are in the log and in
-    /// the targets.
+    /// Adds a task set that can be activated by its number ([`Targets::choose_task_set`]) and returns the number. The
+    /// first set has number 0; scheduled sets have numbers too. Call it before the start so that the log and the
+    /// targets include its tasks.
     ///
     /// # Errors
-    /// As [`prepare`](Self::prepare).
+    /// The errors of [`check`](Self::check).
     pub fn add_task_set(&mut self, tasks: TaskSet) -> Result<u32, ControlError> {
         self.schedule.add(tasks)
     }
 
-    /// Number of the task set in force.
+    /// Number of the active task set.
     #[must_use]
     pub fn task_set(&self) -> usize {
         self.schedule.number()
     }
 
-    /// The tasks in force.
+    /// The active task set.
     #[must_use]
     pub fn tasks(&self) -> &TaskSet {
         self.schedule.current()
     }
 
-    /// Takes the torques that hold the arm still as commanded last: the torque ramps in from them.
+    /// Sets the last commanded torques to the ones that hold the arm still: the torque ramps up from them.
     fn hold_still(&mut self, data: &Data) {
         for (i, commanded) in self.commanded.iter_mut().enumerate() {
             *commanded = if self.context.gravity_by_robot { 0.0 } else { data.gravity[i] };
@@ -149,7 +150,7 @@ impl OperationalSpaceController {
         self.limiter.as_ref().is_some_and(|limiter| limiter.is_limited())
     }
 
-    /// Solves every level even where no limit is in force: for tests and benches, which compare the two.
+    /// Solves the QPs of all levels even if no limit is active: tests and benchmarks compare both ways.
     #[doc(hidden)]
     pub fn always_solve(&mut self) {
         if let Some(limiter) = &mut self.limiter {
@@ -157,7 +158,7 @@ impl OperationalSpaceController {
         }
     }
 
-    /// The tasks' torques as if there were no limits.
+    /// Computes the task torques without limits.
     fn unlimited(&mut self, input: &ControlInput<'_>) {
         let data = input.data;
         let hierarchy = self.schedule.current_mut();
@@ -190,7 +191,7 @@ impl OperationalSpaceController {
         }
     }
 
-    /// The arm's own torques that the controller takes away.
+    /// Computes the compensation torques.
     fn compensate(&mut self, data: &Data) {
         let own = match self.compensation {
             Compensation::Bias => &data.bias,
@@ -202,7 +203,7 @@ impl OperationalSpaceController {
         }
     }
 
-    /// The tasks' torques, changed where a limit asks for it.
+    /// Modifies the task torques where a limit requires it.
     fn limit(&mut self, input: &ControlInput<'_>) {
         let data = input.data;
         let Some(limiter) = &mut self.limiter else {

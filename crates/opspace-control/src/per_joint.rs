@@ -1,4 +1,4 @@
-//! Values that may differ between joints, given by the joints' names.
+//! Values per joint, given by joint names.
 
 use crate::error::{ControlError, Reason};
 use opspace_model::Model;
@@ -12,21 +12,21 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-/// One value for all joints, or one for each by its name: in a file a number or a table
-/// `{ shoulder = 1.0, elbow = 2.0 }`.
+/// One value for all joints, or one value per joint name: in a file, a number or a table `{ shoulder = 1.0, elbow = 2.0
+/// }`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PerJoint<T> {
     /// One value for all joints.
     All(T),
-    /// One value for each joint, by name.
+    /// One value per joint name.
     Each(BTreeMap<String, T>),
 }
 
 impl<T: Copy> PerJoint<T> {
-    /// Returns one value per joint, in the order of q. `key` is the place of the values in the file.
+    /// Returns one value per joint, in the order of q. `key` is the path of the values in the file.
     ///
     /// # Errors
-    /// A name that is no joint's; a joint without a value.
+    /// A name that is not the name of a joint; a joint without a value.
     pub fn resolve(&self, model: &Model, key: &str) -> Result<Vec<T>, ControlError> {
         let map = match self {
             Self::All(value) => return Ok(vec![*value; model.n()]),
@@ -42,7 +42,7 @@ impl<T: Copy> PerJoint<T> {
     }
 }
 
-/// The joints that a map names, by index, in the map's order.
+/// Returns the index and the value of each joint named in `map`, in the order of the map.
 pub(crate) fn indices<'a, T>(
     model: &Model,
     key: &str,

@@ -1,4 +1,4 @@
-//! Quadratic programmes and their solvers.
+//! Quadratic programs and their solvers.
 
 pub mod active_set;
 pub mod interior_point;

@@ -1,4 +1,4 @@
-//! References: position, velocity and acceleration that a task follows.
+//! Reference motions of tasks: position, velocity and acceleration.
 
 pub(crate) mod blend;
 pub mod goal;

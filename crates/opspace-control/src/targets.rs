@@ -1,7 +1,7 @@
-//! Targets streamed to a controller, as one row of numbers.
+//! Streamed targets of a controller, stored as one row of numbers.
 //!
-//! The layout is fixed when the controller is built: for each task that has inputs a time stamp and its inputs, and for
-//! the whole controller a request to hold and the number of a task set. NaN stands for "as configured". Names are
+//! The layout is fixed when the controller is built. It has, for each task with inputs, a time stamp and the inputs;
+//! and, for the whole controller, a hold request and the number of a task set. NaN means "as configured". Names are
 //! resolved once, to handles; writing through a handle checks the values and allocates nothing.
 //!
 //! ```
@@ -23,10 +23,10 @@ use opspace_backend::{Layout, Signal};
 use std::ops::Range;
 use thiserror::Error;
 
-/// Name of the channel of targets.
+/// Name of the targets' channel.
 const CHANNEL: &str = "targets";
 
-/// Inputs of the whole controller: their names, in their places in the row.
+/// Inputs of the whole controller: their names, and their positions in the row.
 const HOLD: usize = 0;
 const TASK_SET: usize = 1;
 const GENERAL: [&str; 2] = ["target.hold", "target.task_set"];
@@ -39,7 +39,7 @@ pub struct Targets {
     tasks: Vec<TaskSlots>,
 }
 
-/// The places of a task's inputs in the row.
+/// Positions of a task's inputs in the row.
 #[derive(Clone, Debug, PartialEq)]
 struct TaskSlots {
     name: String,
@@ -48,24 +48,24 @@ struct TaskSlots {
     allowed: AllowedInputs,
 }
 
-/// Streamed values that a Cartesian task takes.
+/// Streamed values that a Cartesian task accepts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AllowedInputs {
-    /// Modes of each axis (in the order of [`AXIS_NAMES`](crate::AXIS_NAMES)): motion, compliant, force. None for an
-    /// axis that is not in the task.
+    /// Modes that each axis accepts (in the order of [`AXIS_NAMES`](crate::AXIS_NAMES)): motion, compliant, force. All
+    /// false for an axis that is not in the task.
     pub modes: [[bool; 3]; 6],
-    /// True if frequency and damping ratio can be streamed: the task follows by `gains`.
+    /// True if frequency and damping ratio can be streamed, i.e. if the task is configured with `gains`.
     pub gains: bool,
 }
 
 impl AllowedInputs {
-    /// Returns true if an axis, by its place, can take a mode.
+    /// Returns true if the axis of this index can take a mode.
     #[must_use]
     pub fn admits(&self, axis: usize, mode: AxisMode) -> bool {
         AxisMode::IN_TASK.into_iter().zip(self.modes[axis]).any(|(known, allowed)| allowed && known == mode)
     }
 
-    /// Values that either takes.
+    /// Returns the values that at least one of the two accepts.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         let modes = std::array::from_fn(|axis| {
@@ -78,30 +78,30 @@ impl AllowedInputs {
 /// Streamed inputs of one task in one cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TaskTarget<'a> {
-    /// Time stamp, s on the robot's clock; `None` before the first target.
+    /// Time stamp on the robot's clock, s; `None` before the first target.
     pub stamp_s: Option<f64>,
-    /// Values of the task's inputs, in the order in which it declares them; NaN for a value as configured. Empty if no
-    /// task of its name has inputs.
+    /// Values of the task's inputs, in the order in which the task declares them; NaN for a value as configured. Empty
+    /// if no task of this name has inputs.
     pub values: &'a [f64],
-    /// The robot's clock now, s.
+    /// Current time on the robot's clock, s.
     pub clock_s: f64,
 }
 
 impl TaskTarget<'_> {
-    /// No inputs, at `clock_s` on the robot's clock (s).
+    /// Returns a target without inputs at the time `clock_s` on the robot's clock, s.
     #[must_use]
     pub const fn none(clock_s: f64) -> Self {
         Self { stamp_s: None, values: &[], clock_s }
     }
 
-    /// Time since the stamp, s; not negative.
+    /// Time since the stamp, s; never negative.
     #[must_use]
     pub fn age_s(&self) -> Option<f64> {
         self.stamp_s.map(|stamp_s| (self.clock_s - stamp_s).max(0.0))
     }
 }
 
-/// Places of a task's stamp and inputs in a row; none by default.
+/// Positions of a task's stamp and inputs in a row; no inputs by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct TargetPlace {
     stamp: usize,
@@ -109,7 +109,7 @@ pub(crate) struct TargetPlace {
 }
 
 impl TargetPlace {
-    /// The task's inputs in `targets`. None if the row is of another layout.
+    /// Returns the task's inputs in `targets`; no inputs if the row has a different layout.
     pub(crate) fn of<'a>(&self, targets: &'a Targets, clock_s: f64) -> TaskTarget<'a> {
         if self.width == 0 {
             return TaskTarget::none(clock_s);
@@ -123,11 +123,11 @@ impl TargetPlace {
     }
 }
 
-/// A task that has inputs.
+/// Handle of a task that has inputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TaskHandle(usize);
 
-/// An input of a task.
+/// Handle of an input of a task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InputHandle {
     task: usize,
@@ -143,14 +143,14 @@ impl InputHandle {
     }
 }
 
-/// A name that is not known, or values that are no target.
+/// Error: an unknown name or an invalid target.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum TargetError {
-    /// A task without inputs, or no task at all.
+    /// A task without inputs, or an unknown task.
     #[error("no task '{name}' with inputs; the tasks with inputs are: {}", known.join(", "))]
     Task {
-        /// The name asked for.
+        /// Requested name.
         name: String,
         /// Tasks with inputs.
         known: Vec<String>,
@@ -160,17 +160,17 @@ pub enum TargetError {
     Input {
         /// The task.
         task: String,
-        /// The name asked for.
+        /// Requested name.
         name: String,
         /// Inputs of the task.
         known: Vec<String>,
     },
-    /// Another number of values than the input has.
+    /// A number of values that differs from that of the input.
     #[error("this input has {expected} values, not {found}")]
     Length {
-        /// Values of the input.
+        /// Number of values of the input.
         expected: usize,
-        /// Values given.
+        /// Number of given values.
         found: usize,
     },
     /// A value that is infinite, or a time stamp that is not finite.
@@ -182,12 +182,12 @@ pub enum TargetError {
     /// An input of another task.
     #[error("all inputs of one write must belong to the same task")]
     OtherTask,
-    /// A quaternion that is not of length 1.
+    /// A quaternion whose length is not 1.
     #[error(
         "an orientation must be a unit quaternion (w, x, y, z), of length 1 within {tolerance}; its length is {norm}"
     )]
     Quaternion {
-        /// Its length.
+        /// Length of the quaternion.
         norm: f64,
         /// Largest deviation from 1.
         tolerance: f64,
@@ -209,18 +209,18 @@ pub enum TargetError {
         task: String,
         /// The axis.
         axis: &'static str,
-        /// The mode asked for.
+        /// Requested mode.
         mode: &'static str,
         /// Modes that the axis can take.
         known: Vec<&'static str>,
     },
-    /// Gains for a task that follows by an impedance.
+    /// Gains for a task that is configured with an impedance.
     #[error("task '{task}' has no `gains`: its frequency and damping ratio cannot be streamed")]
     NoGains {
         /// The task.
         task: String,
     },
-    /// A gain out of its range.
+    /// A gain that is out of its range.
     #[error("{input} of axis {axis} must be {range}, or NaN for the configured one; got {value}")]
     Gain {
         /// The input.
@@ -235,20 +235,21 @@ pub enum TargetError {
 }
 
 impl Targets {
-    /// No inputs: a row of width 0.
+    /// Returns a row of width 0, without inputs.
     #[must_use]
     pub fn none() -> Self {
         let layout = Layout { channel: CHANNEL.to_owned(), signals: Vec::new() };
         Self { layout, row: Vec::new(), tasks: Vec::new() }
     }
 
-    /// A row for these tasks, each with its inputs, all values as configured. Width 0 if no task has an input.
+    /// Creates a row for these tasks, each with its inputs; all values are as configured. The width is 0 if no task has
+    /// an input.
     #[must_use]
     pub fn new<'a>(tasks: impl IntoIterator<Item = (&'a str, Vec<Signal>)>) -> Self {
         Self::build(tasks, false)
     }
 
-    /// As [`new`](Self::new), but with the inputs of the whole controller even if no task has one.
+    /// Creates a row like [`new`](Self::new), but always with the inputs of the whole controller.
     #[must_use]
     pub fn with_task_sets<'a>(tasks: impl IntoIterator<Item = (&'a str, Vec<Signal>)>) -> Self {
         Self::build(tasks, true)
@@ -296,10 +297,10 @@ impl Targets {
         &self.row
     }
 
-    /// Replaces all values at once: those of a log, or of another thread. Allocates nothing.
+    /// Replaces all values at once, for example by those of a log or of another thread. Allocates nothing.
     ///
     /// # Panics
-    /// If the number of values differs from the layout's width.
+    /// Panics if the number of values differs from the layout's width.
     pub fn set_row(&mut self, row: &[f64]) {
         assert_eq!(row.len(), self.row.len(), "one value for each element of the layout");
         self.row.copy_from_slice(row);
@@ -311,8 +312,9 @@ impl Targets {
         self.tasks.len()
     }
 
-    /// Takes over a row whose stamps count writes, as another thread sends it: a task whose count differs from the one
-    /// `seen` before has new inputs, which are stamped with `clock_s`, s on the robot's clock. Allocates nothing.
+    /// Copies a row from another thread, whose time stamps are counters of writes. If a task's count differs from its
+    /// entry in `seen`, its inputs are new: they are copied and stamped with `clock_s`, s on the robot's clock.
+    /// Allocates nothing.
     pub fn merge(&mut self, row: &[f64], seen: &mut [f64], clock_s: f64) {
         let general = GENERAL.len().min(row.len());
         self.row[..general].copy_from_slice(&row[..general]);
@@ -329,7 +331,7 @@ impl Targets {
         }
     }
 
-    /// The handle of a task.
+    /// Returns the handle of a task.
     ///
     /// # Errors
     /// A task that has no inputs.
@@ -341,7 +343,7 @@ impl Targets {
         })
     }
 
-    /// The handle of an input of a task.
+    /// Returns the handle of an input of a task.
     ///
     /// # Errors
     /// An input that the task does not have.
@@ -357,7 +359,7 @@ impl Targets {
         })
     }
 
-    /// Places of a task's inputs; none if the row has none for a task of this name. Allocates nothing.
+    /// Positions of a task's inputs; no inputs if the row has none for a task of this name. Allocates nothing.
     pub(crate) fn place(&self, name: &str) -> TargetPlace {
         let slots = self.tasks.iter().find(|slots| slots.name == name);
         slots.map_or_else(TargetPlace::default, |slots| TargetPlace {
@@ -366,14 +368,14 @@ impl Targets {
         })
     }
 
-    /// Sets the values that a task takes.
+    /// Sets the values that a task accepts.
     pub(crate) fn allow(&mut self, name: &str, allowed: AllowedInputs) {
         if let Some(slots) = self.tasks.iter_mut().find(|slots| slots.name == name) {
             slots.allowed = allowed;
         }
     }
 
-    /// The values that a task takes.
+    /// Values that a task accepts.
     pub(crate) fn allowed(&self, task: &TaskHandle) -> AllowedInputs {
         self.tasks[task.0].allowed
     }
@@ -384,11 +386,12 @@ impl Targets {
         &self.tasks[task.0].name
     }
 
-    /// Writes inputs of a task and stamps them with `time_s`, s on the robot's clock. All change together, or none.
+    /// Writes inputs of a task and stamps them with `time_s`, s on the robot's clock. Either all inputs change or none.
     /// Allocates nothing unless it fails.
     ///
     /// # Errors
-    /// Another number of values than an input has; an infinite value; inputs of another task.
+    /// A number of values that differs from that of an input; an infinite value; a time stamp that is not finite;
+    /// inputs of another task.
     pub fn write(
         &mut self,
         task: &TaskHandle,
@@ -416,44 +419,44 @@ impl Targets {
         Ok(())
     }
 
-    /// The time stamp of a task's inputs, s on the robot's clock; `None` before the first.
+    /// Time stamp of a task's inputs, s on the robot's clock; `None` before the first target.
     #[must_use]
     pub fn stamp(&self, task: &TaskHandle) -> Option<f64> {
         let time_s = self.row[self.tasks[task.0].stamp];
         (!time_s.is_nan()).then_some(time_s)
     }
 
-    /// The values of an input; `None` where one of them is as configured.
+    /// Values of an input; `None` if any of them is as configured.
     #[must_use]
     pub fn values(&self, input: &InputHandle) -> Option<&[f64]> {
         let values = &self.row[input.range.clone()];
         values.iter().all(|value| !value.is_nan()).then_some(values)
     }
 
-    /// Asks the robot to be held, or to go on.
+    /// Requests a hold of the robot, or its end.
     pub fn hold(&mut self, hold: bool) {
         if let Some(slot) = self.row.get_mut(HOLD) {
             *slot = f64::from(u8::from(hold));
         }
     }
 
-    /// Returns true if the robot is asked to be held.
+    /// Returns true if a hold of the robot is requested.
     #[must_use]
     pub fn is_held(&self) -> bool {
         self.row.get(HOLD).is_some_and(|&hold| hold == 1.0)
     }
 
-    /// Chooses a prepared task set by its number; 0 is the first.
+    /// Requests a prepared task set by its number; the first set has number 0.
     pub fn choose_task_set(&mut self, number: u32) {
         if let Some(slot) = self.row.get_mut(TASK_SET) {
             *slot = f64::from(number);
         }
     }
 
-    /// The number of the task set that is asked for; `None` for the scheduled one.
+    /// Number of the requested task set; `None` for the scheduled one.
     #[must_use]
     pub fn task_set(&self) -> Option<usize> {
-        // A whole number, since it was written from a u32; anything else in a row chooses nothing.
+        // `choose_task_set` writes a whole number. Any other value in a row is ignored.
         let number = *self.row.get(TASK_SET)?;
         (number >= 0.0 && number.fract() == 0.0).then_some(number as usize)
     }
@@ -472,7 +475,7 @@ mod tests {
         ])
     }
 
-    /// Compared: names and widths of the layout, and the inputs as they were given.
+    /// Compared: names and width of the layout with the given inputs.
     #[test]
     fn layout_lists_stamps_and_inputs() {
         let names: Vec<String> = targets().layout().signals.iter().map(|s| s.name.clone()).collect();

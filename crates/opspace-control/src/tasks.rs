@@ -1,4 +1,4 @@
-//! Tasks: the two traits, Cartesian tasks, and those of the joints.
+//! Tasks: the two traits, Cartesian tasks and joint tasks.
 
 pub mod axes;
 pub(crate) mod axis_feedback;

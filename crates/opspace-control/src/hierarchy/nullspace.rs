@@ -1,51 +1,51 @@
-//! Strict priorities: the nullspace that the tasks above leave, and a task within it.
+//! Strict task priorities: the null space of the tasks above, and the projection of a task into it.
 //!
-//! With N the nullspace of all tasks above (it acts on velocities, Nᵀ on torques), a task J has
+//! With N the null-space projector of all tasks above (N acts on velocities, Nᵀ on torques), a task with Jacobian J has
 //!
 //! ```text
 //! J_p = J N        Λ_p = (J_p M⁻¹ J_pᵀ)⁻¹        N ← N (I − J̄_p J_p)
 //! ```
 //!
-//! (Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral
-//! primitives*, Int. J. Humanoid Robotics 2(4), 2005). Torques J_pᵀ F then accelerate no task above.
-//! With the identity in M's place the same recursion is that of inverse kinematics.
+//! (Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral primitives*, Int.
+//! J. Humanoid Robotics 2(4), 2005). Torques J_pᵀ F then cause no acceleration of the tasks above. The same recursion
+//! with the identity instead of M is used for inverse kinematics.
 
 use crate::hierarchy::products::{add_transposed, product};
 use nalgebra::{Matrix6, Matrix6xX};
 use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
 
-/// Nullspace projector N of the tasks pushed so far: the product of one factor I − J̄_p J_p per task. The n × n
-/// matrix is never formed.
+/// Null-space projector N of the tasks pushed so far: the product of one factor I − J̄_p J_p per task. The n × n matrix
+/// is never formed.
 #[derive(Clone, Debug)]
 pub(crate) struct Nullspace {
-    /// J_p and J̄_pᵀ of each task, the first `depth` of them in force.
+    /// J_p and J̄_pᵀ (6 × n) of each task; only the first `depth` entries are in use.
     tasks: Vec<(Matrix6xX<f64>, Matrix6xX<f64>)>,
     depth: usize,
 }
 
 impl Nullspace {
-    /// A nullspace for at most `levels` tasks on a robot of `n` joints.
+    /// Null-space projector for at most `levels` tasks on a robot of `n` joints.
     pub(crate) fn new(n: usize, levels: usize) -> Self {
         Self { tasks: vec![(Matrix6xX::zeros(n), Matrix6xX::zeros(n)); levels], depth: 0 }
     }
 
-    /// Resets N to the identity, before the first task.
+    /// Resets N to the identity: no task is pushed.
     pub(crate) fn reset(&mut self) {
         self.depth = 0;
     }
 
-    /// Returns true if no task is pushed: N is the identity.
+    /// Returns true if no task is pushed, i.e. N is the identity.
     pub(crate) fn is_empty(&self) -> bool {
         self.depth == 0
     }
 
-    /// Restricts N to what the first `depth` tasks leave, of those pushed since the last [`reset`](Self::reset).
+    /// Restores N of the first `depth` of the tasks that were pushed since the last [`reset`](Self::reset).
     pub(crate) fn truncate(&mut self, depth: usize) {
         debug_assert!(depth <= self.tasks.len());
         self.depth = depth;
     }
 
-    /// Takes away what a [complete](ProjectedTask::compute_jbar) `task` uses.
+    /// Adds a [complete](ProjectedTask::compute_jbar) `task`: N excludes its motion from now on.
     pub(crate) fn push(&mut self, task: &ProjectedTask) {
         let (jacobian, jbar_transpose) = &mut self.tasks[self.depth];
         jacobian.copy_from(&task.jacobian);
@@ -57,22 +57,22 @@ impl Nullspace {
         self.tasks[..self.depth].iter()
     }
 
-    /// Nᵀ τ in place of τ.
+    /// Replaces τ by Nᵀ τ.
     pub(crate) fn project_torque(&self, torque: &mut [f64]) {
         for (jacobian, jbar_transpose) in self.tasks() {
             remove(torque, jbar_transpose, jacobian);
         }
     }
 
-    /// N v in place of v.
+    /// Replaces v by N v.
     pub(crate) fn project_velocity(&self, velocity: &mut [f64]) {
         for (jacobian, jbar_transpose) in self.tasks().rev() {
             remove(velocity, jacobian, jbar_transpose);
         }
     }
 
-    /// Nᵀ τ in place of the torques τ = M a, where `task` comes below all of these: without its J̄. N a in place of a,
-    /// but for what `task` takes.
+    /// Replaces the torques τ = M a by Nᵀ τ, where N includes `task`, which is below all pushed tasks; J̄ of `task` is
+    /// not needed. Replaces a by N a, where N does not include `task`.
     pub(crate) fn project_above(&self, task: &ProjectedTask, acceleration: &mut [f64], torque: &mut [f64]) {
         self.project_torque(torque);
         self.project_velocity(acceleration);
@@ -80,10 +80,10 @@ impl Nullspace {
         add_transposed(&task.jacobian, &-force, torque);
     }
 
-    /// J N in place of J.
+    /// Replaces J by J N.
     fn project_jacobian(&self, jacobian: &mut Matrix6xX<f64>) {
         for (above, jbar_transpose) in self.tasks() {
-            // J J̄: what of this task's motion the task above takes.
+            // J J̄: the part of this task's motion that the task above determines.
             let mut taken = Matrix6::zeros();
             for (j, inverse) in jacobian.column_iter().zip(jbar_transpose.column_iter()) {
                 for (c, &x) in inverse.iter().enumerate() {
@@ -97,16 +97,16 @@ impl Nullspace {
     }
 }
 
-/// x − Aᵀ B x in place of x.
+/// Replaces x by x − Aᵀ B x.
 fn remove(x: &mut [f64], b: &Matrix6xX<f64>, a: &Matrix6xX<f64>) {
     let sum = product(b, x);
     add_transposed(a, &-sum, x);
 }
 
-/// One Cartesian task within the freedom that is left to it.
+/// A task of at most six rows, projected into the null space of the tasks above.
 #[derive(Clone, Debug)]
 pub(crate) struct ProjectedTask {
-    /// J_p, scaled as the task's rows are.
+    /// Projected Jacobian J_p (6 × n), scaled like the task's rows.
     pub jacobian: Matrix6xX<f64>,
     pub space: OperationalSpace,
 }
@@ -117,8 +117,8 @@ impl ProjectedTask {
         Self { jacobian, space: OperationalSpace::new(n) }
     }
 
-    /// Computes all but J̄, for the first `rows` rows of `jacobian`. The threshold is relative to a `reference` that
-    /// doesn't depend on the tasks above: what they have taken counts as lost, not as the new measure.
+    /// Computes all quantities except J̄ for the first `rows` rows of `jacobian`. The singularity threshold is relative
+    /// to `reference`, which does not depend on the tasks above: a direction that they occupy counts as singular.
     pub(crate) fn update(
         &mut self,
         factor: &MassMatrixFactor,
@@ -135,7 +135,7 @@ impl ProjectedTask {
         self.space.update_inertia(factor, &self.jacobian, rows, inversion, Some(reference));
     }
 
-    /// Computes J̄ with the same factor: once after each [`update`](Self::update), if anything comes below this task.
+    /// Computes J̄ with the same factor. Call it once after each [`update`](Self::update) if there is a task below.
     pub(crate) fn compute_jbar(&mut self, factor: &MassMatrixFactor) {
         self.space.compute_jbar(factor);
     }
@@ -147,7 +147,7 @@ mod tests {
     use nalgebra::{DMatrix, Matrix3, Vector3};
     use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement, frame_jacobian, update};
 
-    /// A chain of links that are all alike, each turned against the one before.
+    /// A chain of `n` identical links, each rotated relative to the previous one.
     fn chain(n: usize) -> Model {
         let mut model = Model::new("chain");
         for i in 0..n {
@@ -166,7 +166,7 @@ mod tests {
         model.with_rotor_inertia(&vec![0.01; n])
     }
 
-    /// N, column by column; by N v and by Nᵀ τ.
+    /// N (n × n), computed column by column from N v and from Nᵀ τ.
     fn matrices(nullspace: &Nullspace, n: usize) -> [DMatrix<f64>; 2] {
         let projected = |project: &dyn Fn(&mut [f64])| {
             let mut identity = DMatrix::identity(n, n);
@@ -179,8 +179,8 @@ mod tests {
         ]
     }
 
-    /// J N against zero for every task so far, after each of three; and N M⁻¹ against its transpose, which
-    /// is what makes Nᵀ project torques. Entries of J and N are of the order of 1.
+    /// Compared, after each of three tasks: J N of every task so far with zero; and N M⁻¹ with its transpose (only if
+    /// it is symmetric does Nᵀ project torques). Entries of J and N are of the order of 1.
     #[test]
     fn nullspace_moves_no_higher_task() {
         let (n, tolerance) = (8, 1e-11);

@@ -1,4 +1,4 @@
-//! A task of at most six rows at its place in the priority: its inertia there, and its torques.
+//! A task of at most six rows at its priority level: its projected inertia and its torques.
 
 use crate::controller::ControlInput;
 use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
@@ -12,28 +12,28 @@ use opspace_backend::SignalRecorder;
 use opspace_backend::signal_names::MIN_SINGULAR_GAIN;
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
-/// A task among others.
+/// A priority level: a task with its quantities of the current cycle.
 pub(crate) struct PriorityLevel {
     pub task: Box<dyn Task>,
     pub projected: ProjectedTask,
     bounded: Option<BoundedInertia>,
-    /// Typical mobility, to which the damping thresholds are relative.
+    /// Typical mobility of the task; the damping thresholds are relative to it.
     pub typical: TypicalMobility,
-    /// J of the task's rows; zeros below them.
+    /// Task Jacobian J (6 × n); unused rows are zero.
     jacobian: Matrix6xX<f64>,
-    /// a* − J̇ q̇ of the task's rows.
+    /// Desired acceleration a* − J̇ q̇ of the task's rows.
     desired: Vector6<f64>,
     /// J̇ q̇ of the task's rows.
     bias: Vector6<f64>,
-    /// Force on the task's rows.
+    /// Commanded task force.
     force: Vector6<f64>,
-    /// A limit kept the level from its acceleration: its integrals then stand still.
+    /// True if a limit prevents the desired acceleration; the integrators of the task then stop.
     pub limited: bool,
-    /// Places of the task's streamed inputs.
+    /// Positions of the task's streamed inputs in the row of targets.
     pub target: TargetPlace,
 }
 
-/// Λ of an arm none of whose joints is lighter than a floor.
+/// Task inertia Λ of the arm with every diagonal entry of M raised to at least `floor` (kg m²).
 struct BoundedInertia {
     floor: f64,
     mass_matrix: DMatrix<f64>,
@@ -69,7 +69,7 @@ impl PriorityLevel {
         self.task.name()
     }
 
-    /// J of the task's rows, as of the last update.
+    /// Task Jacobian J (6 × n) of the last update.
     pub(crate) fn jacobian(&self) -> &Matrix6xX<f64> {
         &self.jacobian
     }
@@ -78,18 +78,18 @@ impl PriorityLevel {
         TaskInput { control: *control, limited, target: self.target.of(control.targets, control.clock_s) }
     }
 
-    /// Takes in state and reference, in a cycle without torques.
+    /// Updates state and reference in a cycle without torque command.
     pub(crate) fn observe(&mut self, input: &ControlInput<'_>) {
         self.task.observe(&self.task_input(input, true));
     }
 
-    /// Joins its reference from the state of `input.data`, at rest.
+    /// Blends from the state of `input.data`, at rest, into the task's reference.
     pub(crate) fn resume(&mut self, input: &ControlInput<'_>) {
         self.limited = false;
         self.task.resume(input);
     }
 
-    /// Computes J at the state of `data`, and Λ within the freedom that is left above; thresholds are relative to
+    /// Computes J at the state of `data`, and Λ in the null space of the tasks above. The thresholds are relative to
     /// `typical`.
     pub(crate) fn project(&mut self, model: &Model, data: &Data, above: &Nullspace, typical: f64) {
         let rows = self.task.rows();
@@ -98,7 +98,7 @@ impl PriorityLevel {
         self.projected.update(&data.mass_matrix_factor, above, &self.jacobian, rows, inversion, typical);
     }
 
-    /// Computes everything of a cycle but the torques.
+    /// Computes all quantities of a cycle except the torques.
     pub(crate) fn update(&mut self, input: &ControlInput<'_>, above: &Nullspace) {
         let ControlInput { model, data, .. } = *input;
         self.task.update(&self.task_input(input, self.limited));
@@ -111,7 +111,7 @@ impl PriorityLevel {
         }
     }
 
-    /// Computes the task's force if joint accelerations `above` (n; `None` for zero) are caused by the levels above it,
+    /// Computes the task force, given the joint accelerations `above` (n; `None` for zero) that the levels above cause,
     /// and adds its joint torques to `torque` (n).
     pub(crate) fn add_torque(&mut self, above: Option<&[f64]>, torque: &mut [f64]) {
         let mut desired = self.desired;
@@ -128,7 +128,7 @@ impl PriorityLevel {
         add_transposed(&self.projected.jacobian, &force, torque);
     }
 
-    /// Velocity of the task's rows after `horizon_s` of joint accelerations `ddq` (n).
+    /// Predicted velocity of the task's rows after `horizon_s` (s) with the joint accelerations `ddq` (n).
     pub(crate) fn predicted_velocity(&self, data: &Data, ddq: &[f64], horizon_s: f64) -> Vector6<f64> {
         let mut velocity = self.bias * horizon_s;
         for ((column, &a), &v) in self.jacobian.column_iter().zip(ddq).zip(&data.dq) {
@@ -137,11 +137,11 @@ impl PriorityLevel {
         velocity
     }
 
-    /// The bound that keeps the task's linear (`kind` 0) or angular (1) speed within its limit, where it comes near it:
-    /// `row` (n) α ≤ the value, with α the joint accelerations.
+    /// Bound `row` · α ≤ returned value on the joint accelerations α (n) that keeps the task's linear (`kind` 0) or
+    /// angular (`kind` 1) speed within its limit; `None` while the speed is at most half of the limit.
     pub(crate) fn speed_bound(&self, kind: usize, row: &mut [f64]) -> Option<f64> {
         let SpeedLimit { speed, limit, weights } = self.task.speed_limits()[kind]?;
-        // Far below its limit a speed has hardly a direction, and no need of a bound.
+        // Far below the limit, the direction of the velocity is ill-defined and no bound is needed.
         if speed.is_nan() || speed <= 0.5 * limit {
             return None;
         }
@@ -154,7 +154,7 @@ impl PriorityLevel {
         Some(upper)
     }
 
-    /// Records the task's force, if it has such a signal, and the lowest gain of its damped inverse.
+    /// Records the task force, if the task has this signal, and the lowest gain of its damped inverse.
     pub(crate) fn record_force(&self, out: &mut SignalRecorder<'_>) {
         let before = out.recorded();
         self.task.record_force(&self.force, out);
@@ -178,9 +178,9 @@ impl BoundedInertia {
             let entry = &mut self.mass_matrix[(i, i)];
             *entry = entry.max(self.floor);
         }
-        // M plus what isn't negative on its diagonal is positive definite if M is.
+        // M with non-negative terms added to its diagonal is positive definite if M is.
         if self.factor.update(&self.mass_matrix) {
-            // What is heavier is typically heavier.
+            // The typical mobility is scaled by the ratio of the mobilities.
             let [own, bounded] = [&data.mass_matrix_factor, &self.factor].map(|factor| {
                 let half = &mut self.space.jbar_transpose;
                 half.copy_from(jacobian);

@@ -7,15 +7,15 @@ use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics, update}
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Singular values below this share of the largest don't count: far above rounding, far below what an arm
-/// that can move along an axis shows at its best.
+/// Singular values below this fraction of the largest one count as zero. The value is far above rounding errors and far
+/// below the singular values of an axis that the arm can move, in its best configuration.
 const RANK_TOLERANCE: f64 = 1e-6;
 
-/// Configurations tried. A rank deficiency is either nowhere (one generic sample shows full rank) or
-/// everywhere.
+/// Number of sampled configurations. An arm is rank-deficient either in every configuration or in almost none: one
+/// generic sample is enough to show full rank.
 const SAMPLES: usize = 64;
 
-/// The highest rank of the tasks' rows, taken together, over configurations spread within the joint limits.
+/// Returns the highest rank of the tasks' stacked rows over configurations distributed within the joint limits.
 #[must_use]
 pub fn sampled_rank(model: &Model, tasks: &[&dyn Task]) -> usize {
     let rows = tasks.iter().map(|task| task.rows()).sum();
@@ -30,7 +30,7 @@ pub fn sampled_rank(model: &Model, tasks: &[&dyn Task]) -> usize {
     })
 }
 
-/// The highest rank of a Jacobian of so many rows, over sampled configurations; `fill` computes it at a state.
+/// Returns the highest rank of a Jacobian with `rows` rows over sampled configurations; `fill` computes it at a state.
 fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMatrix<f64>)) -> usize {
     let n = model.n();
     let full = rows.min(n);
@@ -49,20 +49,20 @@ fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMa
     best
 }
 
-/// Median over many postures of the mobility of a task in its hardest direction: the smallest eigenvalue of
-/// Λ⁻¹ = J M⁻¹ Jᵀ. A direction that is much harder to move than that is near a singular one, whatever the arm's masses
-/// and the task's units.
+/// Typical mobility of a task: the median, over many postures, of the smallest eigenvalue of Λ⁻¹ = J M⁻¹ Jᵀ. A
+/// direction with a much lower mobility is close to singular; this holds for any masses of the arm and units of the
+/// task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct TypicalMobility {
     /// Mobility with the arm's M, 1/kg.
     pub dynamic: f64,
-    /// Mobility with the identity in M's place: of J Jᵀ.
+    /// Mobility with the identity instead of M, from J Jᵀ.
     pub kinematic: f64,
 }
 
 impl TypicalMobility {
-    /// Typical mobility of a task's rows.
+    /// Computes the typical mobility of a task's rows.
     #[must_use]
     pub fn new(model: &Model, task: &dyn Task) -> Self {
         let n = model.n();
@@ -93,8 +93,9 @@ impl TypicalMobility {
     }
 }
 
-/// Returns true if the arm can't turn a frame without also moving it, in any configuration: the rank of position and
-/// orientation together is below the sum of their ranks. So it is with fewer than six joints, unless the arm is planar.
+/// Returns true if the arm cannot rotate a frame without also translating it, in any configuration: the rank of
+/// position and orientation together is below the sum of their ranks. This is the case for fewer than six joints,
+/// unless the arm is planar.
 #[must_use]
 pub fn orientation_is_coupled(model: &Model, controlled: ControlledFrame) -> bool {
     let mut jacobian = Matrix6xX::zeros(model.n());
@@ -117,11 +118,11 @@ fn rank(matrix: &DMatrix<f64>) -> usize {
     values.iter().filter(|&&v| v > floor).count()
 }
 
-/// The `sample`-th of a sequence that fills the space between the joint limits evenly (Roberts'
-/// generalised golden ratio).
+/// Returns the `sample`-th configuration (n; rad or m) of a sequence that evenly fills the space between the joint
+/// limits (Roberts' generalised golden ratio).
 pub(crate) fn configuration(model: &Model, sample: usize) -> Vec<f64> {
     let n = model.n();
-    // The root of x^(n+1) = x + 1.
+    // Solves x^(n+1) = x + 1.
     let ratio = (0..64).fold(2.0_f64, |x, _| (1.0 + x).powf(1.0 / (n as f64 + 1.0)));
     (model.joints().iter().enumerate())
         .map(|(i, joint)| {
@@ -133,7 +134,7 @@ pub(crate) fn configuration(model: &Model, sample: usize) -> Vec<f64> {
         .collect()
 }
 
-/// The limits of a joint; half a turn, or a metre, either way where it has none.
+/// Position range of a joint, rad or m; ±π rad or ±1 m where it has no limit.
 fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
     let far = if kind == JointKind::Prismatic { 1.0 } else { PI };
     let limited = kind != JointKind::Continuous;
@@ -141,18 +142,18 @@ fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
     (or_far(limits.lower, -far), or_far(limits.upper, far))
 }
 
-/// The length by which a task's rotations are weighed against its displacements, m: the reach of what it moves.
+/// Characteristic length that scales a task's rotations to displacements, m: the reach of the controlled frame.
 #[must_use]
 pub fn characteristic_length(model: &Model, controlled: ControlledFrame) -> f64 {
     match controlled {
         ControlledFrame::Frame(frame) | ControlledFrame::Relative { frame, .. } => reach(model, frame),
-        // It doesn't turn.
+        // The centre of mass does not rotate.
         ControlledFrame::CenterOfMass => 1.0,
     }
 }
 
-/// Largest distance of a frame from the first joint that moves it, m: the distances from joint to joint added up, with
-/// the strokes of prismatic joints. 1 m if that is nothing.
+/// Upper bound of a frame's distance from the first joint that moves it, m: the sum of the distances between
+/// consecutive joints and of the strokes of prismatic joints; 1 m if the sum is zero.
 #[must_use]
 pub fn reach(model: &Model, frame: FrameId) -> f64 {
     let mut sum = model.frame(frame).placement.translation.norm();

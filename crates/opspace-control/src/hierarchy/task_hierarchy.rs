@@ -8,17 +8,17 @@ use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{Task, TaskInput};
 use opspace_backend::Signal;
 
-/// Tasks of at most six rows, the most important first, and one of all joints below them.
+/// Tasks of at most six rows in order of priority, and at most one task of all joints below them.
 pub(crate) struct TaskHierarchy {
     pub levels: Vec<PriorityLevel>,
     pub joint: Option<Box<dyn JointTask>>,
     pub nullspace: Nullspace,
-    /// Places of the streamed inputs of the task of all joints.
+    /// Positions of the joint task's streamed inputs in the row of targets.
     joint_target: TargetPlace,
 }
 
 impl TaskHierarchy {
-    /// A hierarchy without a task, for `n` joints.
+    /// Creates an empty hierarchy for `n` joints.
     pub(crate) fn new(n: usize) -> Self {
         Self {
             levels: Vec::new(),
@@ -28,12 +28,12 @@ impl TaskHierarchy {
         }
     }
 
-    /// Tasks of at most six rows, the most important first.
+    /// Tasks of at most six rows, the highest priority first.
     pub(crate) fn tasks(&self) -> impl Iterator<Item = &dyn Task> {
         self.levels.iter().map(|level| &*level.task)
     }
 
-    /// Begins at the robot's present state.
+    /// Starts all tasks at the robot's present state.
     pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
         self.levels.iter_mut().for_each(|level| level.task.start(input));
         if let Some(task) = &mut self.joint {
@@ -41,7 +41,7 @@ impl TaskHierarchy {
         }
     }
 
-    /// Takes in state and references, in cycles without torques.
+    /// Updates states and references in a cycle without torque command.
     pub(crate) fn observe(&mut self, input: &ControlInput<'_>) {
         self.levels.iter_mut().for_each(|level| level.observe(input));
         let input = self.joint_input(input);
@@ -56,7 +56,7 @@ impl TaskHierarchy {
         TaskInput { control: *control, limited: false, target }
     }
 
-    /// Resolves the places of the tasks' inputs. Allocates nothing.
+    /// Looks up the positions of the tasks' inputs in the row of targets. Allocates nothing.
     pub(crate) fn bind(&mut self, targets: &Targets) {
         for level in &mut self.levels {
             level.target = targets.place(level.task.name());
@@ -66,21 +66,21 @@ impl TaskHierarchy {
         }
     }
 
-    /// Name and inputs of each task that has some.
+    /// Name and inputs of each task that has inputs.
     pub(crate) fn inputs(&self) -> impl Iterator<Item = (&str, Vec<Signal>, AllowedInputs)> {
         let tasks = self.tasks().map(|task| (task.name(), task.inputs(), task.allowed_inputs()));
         let joint = self.joint.iter().map(|task| (task.name(), task.inputs(), AllowedInputs::default()));
         tasks.chain(joint).filter(|(_, inputs, _)| !inputs.is_empty())
     }
 
-    /// The first stale target for which the robot is to be stopped.
+    /// Returns the first stale target that requires the robot to stop.
     pub(crate) fn stale_target(&self) -> Option<StaleTarget> {
         let ages = self.tasks().map(Task::stop_for_age_s);
         let mut ages = ages.chain(self.joint.iter().map(|task| task.stop_for_age_s())).enumerate();
         ages.find_map(|(task, age_s)| age_s.map(|age_s| StaleTarget { task, age_s }))
     }
 
-    /// Joins the references from the state of `input.data`, at rest. Allocates nothing.
+    /// Blends from the state of `input.data`, at rest, into the references. Allocates nothing.
     pub(crate) fn resume(&mut self, input: &ControlInput<'_>) {
         self.levels.iter_mut().for_each(|level| level.resume(input));
         if let Some(task) = &mut self.joint {
@@ -88,8 +88,8 @@ impl TaskHierarchy {
         }
     }
 
-    /// Continues from another hierarchy: tasks of the same name from each other, new ones at the robot's present state.
-    /// Allocates nothing.
+    /// Continues from another hierarchy: each task continues from the task of the same name in `before`; a task without
+    /// one starts at the robot's present state. Allocates nothing.
     pub(crate) fn inherit(&mut self, before: &mut Self, input: &ControlInput<'_>) {
         for level in &mut self.levels {
             level.limited = false;

@@ -1,4 +1,4 @@
-//! Parameters of a set of tasks: what a file holds.
+//! Parameters of a set of tasks, as given in a task file.
 
 use crate::context::ControlContext;
 use crate::error::ControlError;
@@ -23,7 +23,7 @@ use std::sync::Arc;
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum TaskParameters {
-    /// A frame that follows a reference on some axes and is compliant on others.
+    /// A frame follows a reference on some axes and is compliant on others.
     Cartesian(Box<CartesianParameters>),
     /// The centre of mass follows a reference.
     CenterOfMass(Box<CenterOfMassParameters>),
@@ -31,11 +31,11 @@ pub enum TaskParameters {
     Swivel(Box<SwivelParameters>),
     /// The joints follow a reference.
     JointTracking(JointTrackingParameters),
-    /// The joints are pulled to a posture by springs.
+    /// Springs pull the joints to a posture.
     JointPosture(JointPostureParameters),
-    /// The joints are braked in proportion to their speed.
+    /// The joints are damped in proportion to their velocity.
     JointDamping(JointDampingParameters),
-    /// A task of a kind that was registered.
+    /// A task of a registered kind.
     #[serde(skip)]
     Registered(RegisteredTask),
 }
@@ -56,10 +56,10 @@ impl TaskParameters {
     }
 }
 
-/// Builds a task of a name for a robot.
+/// Function that builds a task with a given name for a robot.
 type Build = dyn Fn(&str, &Model, &ControlContext) -> Result<Box<dyn Task>, ControlError> + Send + Sync;
 
-/// A task of a kind that isn't built in, with what builds it.
+/// A task of a registered kind that is not built in, with its constructor.
 #[derive(Clone)]
 pub struct RegisteredTask {
     kind: String,
@@ -68,22 +68,22 @@ pub struct RegisteredTask {
 }
 
 impl RegisteredTask {
-    /// A task of that kind. `parameters` is a text by which two tasks of the kind are compared.
+    /// Creates a task of the given kind. Two tasks of the same kind are equal if their `parameters` texts are equal.
     #[must_use]
     pub fn new(kind: impl Into<String>, parameters: impl Into<String>, build: Arc<Build>) -> Self {
         Self { kind: kind.into(), parameters: parameters.into(), build }
     }
 
-    /// Kind of the task, as it is registered.
+    /// Registered kind of the task.
     #[must_use]
     pub fn kind(&self) -> &str {
         &self.kind
     }
 
-    /// The task for a robot.
+    /// Builds the task for a robot.
     ///
     /// # Errors
-    /// Parameters that don't fit the robot.
+    /// Parameters that do not match the robot.
     pub fn task(
         &self,
         name: &str,
@@ -106,7 +106,7 @@ impl fmt::Debug for RegisteredTask {
     }
 }
 
-/// Part of the arm's own forces that the controller compensates.
+/// Part of the arm's bias forces that the controller compensates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -115,18 +115,18 @@ pub enum Compensation {
     /// Gravity, Coriolis and centrifugal forces: C q̇ + g.
     #[default]
     Bias,
-    /// Gravity alone.
+    /// Gravity g only.
     Gravity,
 }
 
-/// Tasks by name and their order.
+/// Tasks by name and their order of priority.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskSetParameters<'a> {
-    /// Names of the tasks, the most important first. A task never disturbs one above it.
+    /// Names of the tasks, the highest priority first. A task never disturbs a task above it.
     pub priority: &'a [String],
     /// The tasks by name.
     pub task: &'a BTreeMap<String, TaskParameters>,
-    /// Part of the arm's own forces that is compensated.
+    /// Part of the arm's bias forces that is compensated.
     pub compensation: Compensation,
     /// Enforcement of the robot's limits.
     pub limits: LimitParameters,

@@ -1,5 +1,4 @@
-//! The task set in force, and those scheduled: gains, goals, axis modes and the tasks themselves can change while a
-//! robot runs.
+//! The active task set and the scheduled ones: gains, goals, axis modes and tasks can change during a run.
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
@@ -12,32 +11,32 @@ use opspace_backend::signal_names::TASK_SET;
 use opspace_backend::{Observable, Signal, SignalRecorder};
 use opspace_model::Model;
 
-/// Largest time by which a cycle may precede what is scheduled and still carry it out, s: clocks add up periods, and
-/// round.
+/// Tolerance of switching times, s: a task set is activated up to this time early, because clocks that sum up periods
+/// have rounding errors.
 const EARLY_S: f64 = 5e-10;
 
-/// All task sets of a controller, by number, and the one in force.
+/// All task sets of a controller, identified by numbers, and the active one.
 pub(crate) struct TaskSchedule {
-    /// Never empty; the first one is in force at the start.
+    /// Never empty; the first one is active at the start.
     sets: Vec<TaskSet>,
     in_force: usize,
-    /// Times (s after the start) and numbers of sets to come, the next one last.
+    /// Times (s after the start) and numbers of scheduled sets, in descending order of time.
     scheduled: Vec<(f64, usize)>,
-    /// Number that the schedule asks for.
+    /// Number of the set that the schedule selects.
     due: usize,
-    /// Number that the targets ask for.
+    /// Number of the set that the targets request.
     requested: Option<usize>,
     recorded: RecordedSignals,
-    /// Fixed from the start on.
+    /// Fixed once the controller has started.
     slots: Vec<Slot>,
-    /// All as configured. Its layout is fixed from the start on.
+    /// All values "as configured". The layout is fixed once the controller has started.
     targets: Targets,
     /// True if sets can be chosen by number even if no task has inputs.
     numbered: bool,
     started: bool,
 }
 
-/// A task's place in the rows of a log, whichever task set is in force.
+/// A group of a task's signals in the log, independent of the active task set.
 #[derive(Clone, Debug)]
 struct Slot {
     name: String,
@@ -46,7 +45,7 @@ struct Slot {
     signals: Vec<Signal>,
 }
 
-/// Signals that a task records together.
+/// Groups of signals that a task records together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Group {
     Motion,
@@ -57,12 +56,12 @@ enum Group {
     JointTarget,
 }
 
-/// Signals of the tasks that a controller records.
+/// Signals of the tasks that a controller records in the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RecordedSignals {
     /// References and motion.
     Motion,
-    /// Forces as well.
+    /// References, motion and forces.
     Forces,
 }
 
@@ -84,7 +83,7 @@ impl TaskSchedule {
         new
     }
 
-    /// Fixes the signals, and the places of streamed inputs.
+    /// Determines the recorded signals and the layout of the streamed inputs.
     fn lay_out(&mut self) {
         if !self.started {
             self.slots = slots(self.recorded, self.sets.iter().map(|set| &set.0));
@@ -93,7 +92,7 @@ impl TaskSchedule {
         self.sets.iter_mut().for_each(|set| set.0.bind(&self.targets));
     }
 
-    /// Another task set, to be switched to.
+    /// Builds and checks another task set for a later switch.
     pub(crate) fn prepare(
         &self,
         model: &Model,
@@ -127,7 +126,7 @@ impl TaskSchedule {
         Ok(())
     }
 
-    /// Begins at the robot's present state.
+    /// Starts the active task set at the robot's present state.
     pub(crate) fn start(&mut self, input: &ControlInput<'_>) {
         self.started = true;
         self.current_mut().start(input);
@@ -137,17 +136,17 @@ impl TaskSchedule {
         &mut self.sets[self.in_force].0
     }
 
-    /// The task set in force.
+    /// The active task set.
     pub(crate) fn current(&self) -> &TaskSet {
         &self.sets[self.in_force]
     }
 
-    /// Number of the task set in force.
+    /// Number of the active task set.
     pub(crate) fn number(&self) -> usize {
         self.in_force
     }
 
-    /// Streamed targets, all as configured.
+    /// Streamed targets, with all values "as configured".
     pub(crate) fn targets(&self) -> &Targets {
         &self.targets
     }
@@ -172,7 +171,7 @@ impl TaskSchedule {
         self.scheduled.insert(place, (time_s, number));
     }
 
-    /// Carries out `tasks` in place of the set in force, and returns that.
+    /// Replaces the active task set by `tasks` and returns the replaced set.
     pub(crate) fn switch(&mut self, mut tasks: TaskSet, input: &ControlInput<'_>) -> TaskSet {
         tasks.0.bind(&self.targets);
         let current = &mut self.sets[self.in_force];
@@ -181,17 +180,17 @@ impl TaskSchedule {
         tasks
     }
 
-    /// Carries out the set of that number, if there is one.
+    /// Activates the set of this number; does nothing if there is none.
     fn switch_to(&mut self, number: usize, input: &ControlInput<'_>) {
-        // Fails for the set in force, and for a number without a set.
+        // Fails if the set is already active or does not exist.
         if let Ok([next, before]) = self.sets.get_disjoint_mut([number, self.in_force]) {
             next.0.inherit(&mut before.0, input);
             self.in_force = number;
         }
     }
 
-    /// Switches to the set that the targets ask for; else to what is scheduled for now. A number without a set changes
-    /// nothing. Allocates nothing.
+    /// Activates the set that the targets request, otherwise the one scheduled for now. A number without a set is
+    /// ignored. Allocates nothing.
     pub(crate) fn advance(&mut self, input: &ControlInput<'_>) {
         match input.targets.task_set() {
             None => self.requested = None,
@@ -216,7 +215,7 @@ impl TaskSchedule {
 }
 
 impl Observable for TaskSchedule {
-    /// Signals of tasks that are not in force are NaN.
+    /// Records NaN for the signals of tasks that are not active.
     fn record(&self, out: &mut SignalRecorder<'_>) {
         for slot in &self.slots {
             let before = out.recorded();
@@ -232,7 +231,7 @@ impl Observable for TaskSchedule {
 }
 
 impl Slot {
-    /// Records the signals of the task of that name, if it is in force and has them.
+    /// Records the signals of the slot's task, if it is active and has them.
     fn record(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
         let is_own = |name: &str, kind: &str| name == self.name && kind == self.kind;
         let level = hierarchy.levels.iter().find(|level| is_own(level.name(), level.task.kind()));
@@ -249,7 +248,7 @@ impl Slot {
     }
 }
 
-/// The places of all tasks of some hierarchies, each name once.
+/// Slots of all tasks of some hierarchies, without duplicates.
 fn slots<'a>(
     recorded: RecordedSignals,
     hierarchies: impl IntoIterator<Item = &'a TaskHierarchy>,
@@ -281,7 +280,7 @@ fn slots<'a>(
     slots
 }
 
-/// Targets of all tasks, each name once; all as configured.
+/// Targets of all tasks, without duplicates; all values "as configured".
 fn targets(sets: &[TaskSet], numbered: bool) -> Targets {
     let mut tasks: Vec<(&str, Vec<Signal>, AllowedInputs)> = Vec::new();
     for (name, inputs, allowed) in sets.iter().flat_map(|set| set.0.inputs()) {

@@ -17,10 +17,10 @@ use crate::tasks::tracking::Tracking;
 use opspace_model::Model;
 use std::fmt;
 
-/// Tasks in the order of their priority, checked for a robot: ready to be carried out or switched to.
+/// Tasks in order of priority, checked for a robot and ready to be executed.
 pub struct TaskSet(pub(crate) TaskHierarchy);
 
-/// A [`TaskSet`] under construction: tasks are added in the order of their priority.
+/// Builder of a [`TaskSet`]; tasks are added in order of priority.
 pub struct TaskSetBuilder<'a> {
     model: &'a Model,
     context: &'a ControlContext,
@@ -28,16 +28,16 @@ pub struct TaskSetBuilder<'a> {
 }
 
 impl TaskSet {
-    /// A set without tasks, to be extended in the order of priority.
+    /// Returns a builder without tasks; tasks are added in order of priority.
     #[must_use]
     pub fn builder<'a>(model: &'a Model, context: &'a ControlContext) -> TaskSetBuilder<'a> {
         TaskSetBuilder { model, context, hierarchy: TaskHierarchy::new(model.n()) }
     }
 
-    /// The tasks of a file.
+    /// Builds the task set of a task file.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, axes that it can't move, gains that are missing: see [`Reason`].
+    /// Unknown names, axes that the robot cannot move, missing gains: see [`Reason`].
     pub fn from_parameters(
         model: &Model,
         parameters: &TaskSetParameters<'_>,
@@ -51,17 +51,17 @@ impl TaskSet {
         Ok(builder.build())
     }
 
-    /// Tasks of at most six rows, the most important first.
+    /// Tasks of at most six rows, the highest priority first.
     pub fn tasks(&self) -> impl Iterator<Item = &dyn Task> {
         self.0.tasks()
     }
 
-    /// Typical mobilities of [`tasks`](Self::tasks), to which their thresholds of damping are relative.
+    /// Typical mobilities of [`tasks`](Self::tasks); the damping thresholds are relative to them.
     pub fn typical_mobilities(&self) -> impl Iterator<Item = TypicalMobility> {
         self.0.levels.iter().map(|level| level.typical)
     }
 
-    /// The task of all joints.
+    /// The task of all joints, if there is one.
     #[must_use]
     pub fn joint_task(&self) -> Option<&dyn JointTask> {
         self.0.joint.as_deref()
@@ -76,11 +76,11 @@ impl fmt::Debug for TaskSet {
 }
 
 impl TaskSetBuilder<'_> {
-    /// Adds a task below those added so far.
+    /// Adds a task below the tasks added so far.
     ///
     /// # Errors
-    /// A name that is taken or can't be part of a signal's name; rows that the arm can't move, or not beside those of
-    /// the tasks above; a task of all joints above it.
+    /// A name that is already used or is not allowed in signal names; rows that the arm cannot move, alone or together
+    /// with the rows of the tasks above; a task of all joints above it.
     pub fn task(mut self, task: Box<dyn Task>) -> Result<Self, ControlError> {
         self.check_name(task.name())?;
         self.hierarchy.levels.push(PriorityLevel::new(task, self.model));
@@ -88,10 +88,10 @@ impl TaskSetBuilder<'_> {
         Ok(self)
     }
 
-    /// Adds a task of all joints, the last one.
+    /// Adds the task of all joints, which must be the last one.
     ///
     /// # Errors
-    /// As [`task`](Self::task).
+    /// As for [`task`](Self::task), except for the check of the rows.
     pub fn joint_task(mut self, task: Box<dyn JointTask>) -> Result<Self, ControlError> {
         self.check_name(task.name())?;
         self.hierarchy.joint = Some(task);
@@ -101,7 +101,7 @@ impl TaskSetBuilder<'_> {
     /// Adds a task by its parameters.
     ///
     /// # Errors
-    /// Parameters that don't fit the robot, and as [`task`](Self::task).
+    /// Parameters that do not match the robot, and the errors of [`task`](Self::task).
     pub fn from_parameters(self, name: &str, parameters: &TaskParameters) -> Result<Self, ControlError> {
         let (model, context) = (self.model, self.context);
         match parameters {
@@ -120,14 +120,14 @@ impl TaskSetBuilder<'_> {
         }
     }
 
-    /// The finished set.
+    /// Returns the finished task set.
     #[must_use]
     pub fn build(mut self) -> TaskSet {
         self.hierarchy.nullspace = Nullspace::new(self.model.n(), self.hierarchy.levels.len());
         TaskSet(self.hierarchy)
     }
 
-    /// A new task's name must be plain and free; nothing may come below a task of all joints.
+    /// Checks that a new task's name is allowed and not yet used, and that no task of all joints is above it.
     fn check_name(&self, name: &str) -> Result<(), ControlError> {
         let in_priority = |reason| Err(ControlError::new("priority", reason));
         if !is_plain(name) {
@@ -143,13 +143,13 @@ impl TaskSetBuilder<'_> {
     }
 }
 
-/// Returns true if a name can be part of a key and of a signal's name.
+/// Returns true if a name can be part of a key and of a signal name.
 fn is_plain(name: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     !name.is_empty() && name.chars().all(plain)
 }
 
-/// `priority` and the tasks must name each other, one to one.
+/// Checks that `priority` and the tasks have the same names, each once.
 fn check_names(parameters: &TaskSetParameters<'_>) -> Result<(), ControlError> {
     let in_priority = |reason| Err(ControlError::new("priority", reason));
     for (place, name) in parameters.priority.iter().enumerate() {
@@ -173,7 +173,7 @@ fn check_names(parameters: &TaskSetParameters<'_>) -> Result<(), ControlError> {
     Ok(())
 }
 
-/// The last of the levels must be able to move all its rows besides those of the levels above it.
+/// Checks that the arm can move all rows of the last level together with the rows of the levels above.
 fn check_rank(model: &Model, hierarchy: &TaskHierarchy) -> Result<(), ControlError> {
     let all: Vec<&dyn Task> = hierarchy.tasks().collect();
     let Some((last, above)) = all.split_last() else {

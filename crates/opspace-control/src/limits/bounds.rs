@@ -1,18 +1,19 @@
-//! Bounds on the command of one control cycle that follow from the limits of the joints.
+//! Bounds on the command of one control cycle, derived from the joint limits.
 //!
-//! Position and velocity limits become one interval of joint acceleration a. A horizon h ahead the joint must neither
-//! be faster than its velocity limit v, nor so fast that it can't brake before its end x with its braking acceleration
-//! b:
+//! Position and velocity limits are combined into one interval of the joint acceleration a. After a horizon h, the
+//! joint must neither exceed its velocity limit v nor be too fast to stop before its position limit x with the braking
+//! acceleration b:
 //!
 //! ```text
 //! q̇ + a h ≤ v          q̇ + a h ≤ √((b h)² + 2 b (x − q − q̇ h)) − b h
 //! ```
 //!
-//! and mirrored for the other end. The second bound is the speed from which a joint that is slowed down by b once a
-//! horizon just stops at x (viability; compare Del Prete, *Joint position and velocity bounds in discrete-time
-//! acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the end it is (x − q − q̇ h)/h: the joint
-//! arrives without overshoot. A joint beyond its end returns at a bounded speed. Torque and torque rate bound the
-//! commanded torque. Where these contradict each other torques win, then what brakes.
+//! and the mirrored inequalities for the lower limit. The second bound is the velocity from which a joint that
+//! decelerates with b, in steps of one horizon, just stops at x (viability; compare Del Prete, *Joint position and
+//! velocity bounds in discrete-time acceleration/torque control of robot arms*, IEEE RA-L 3(1), 2018). Near the limit
+//! it is (x − q − q̇ h)/h: the joint arrives without overshoot. A joint beyond its limit returns at a bounded speed.
+//! Torque and torque rate limits bound the commanded torque. If these bounds contradict each other, the torque bounds
+//! take precedence, then the bounds that brake the joint.
 
 use crate::hierarchy::rank::configuration;
 use crate::limits::joint_limits::JointLimits;
@@ -20,24 +21,25 @@ use crate::measurement::Measurement;
 use nalgebra::DVector;
 use opspace_model::{Data, Model, update};
 
-/// Horizon of the bounds on the acceleration, s: well above a period, so that noise in the velocity doesn't make them
-/// jump, and well below the time in which an arm brakes.
+/// Horizon of the acceleration bounds, s: much longer than the control period, so that velocity noise does not make the
+/// bounds jump, and much shorter than the time that an arm needs to brake.
 pub const HORIZON_S: f64 = 0.02;
 
-/// Time constant with which a joint beyond the end of its range returns, s.
+/// Time constant of the return of a joint beyond its position limit, s.
 const RETURN_S: f64 = 0.2;
 
-/// Postures tried for the acceleration that a torque limit leaves.
+/// Number of postures sampled for the acceleration that a torque limit leaves.
 const SAMPLES: usize = 64;
 
-/// Acceleration with which each joint can brake, rad/s² or m/s² (n).
+/// Returns the braking acceleration of each joint, rad/s² or m/s² (n).
 fn braking(model: &Model, limits: &JointLimits) -> Vec<f64> {
     let derived = braking_accelerations(model, &limits.torque);
     limits.acceleration.iter().zip(derived).map(|(&given, derived)| given.min(derived)).collect()
 }
 
-/// Half of what the torques can do against the joint's own inertia, with gravity against them, in the worst of many
-/// postures; at least a tenth of what they could do without gravity.
+/// Returns half of the acceleration that the torque limits allow for the joint's own inertia against gravity, in the
+/// worst of many postures; the torque left besides gravity is assumed to be at least a tenth of the limit. rad/s² or
+/// m/s² (n).
 fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
     let n = model.n();
     let mut data = Data::new(model);
@@ -58,16 +60,16 @@ fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
 #[derive(Clone, Debug)]
 pub(crate) struct Bounds {
     limits: JointLimits,
-    /// Acceleration with which each joint can brake, rad/s² (n).
+    /// Braking acceleration of each joint, rad/s² or m/s² (n).
     braking: Vec<f64>,
     period_s: f64,
-    /// Bounds on joint accelerations, rad/s² (n).
+    /// Bounds on joint accelerations, rad/s² or m/s² (n).
     pub acceleration: Interval,
-    /// Bounds on commanded torques, Nm (n).
+    /// Bounds on commanded torques, Nm or N (n).
     pub torque: Interval,
 }
 
-/// An interval for each joint.
+/// One interval per joint.
 #[derive(Clone, Debug)]
 pub(crate) struct Interval {
     pub lower: DVector<f64>,
@@ -94,7 +96,7 @@ impl Interval {
 }
 
 impl Bounds {
-    /// Bounds of a robot that is commanded every `period_s`.
+    /// Creates the bounds of a robot with the control period `period_s` (s).
     pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64) -> Self {
         let braking = braking(model, &limits);
         Self::with_braking(limits, braking, period_s)
@@ -103,14 +105,16 @@ impl Bounds {
     fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64) -> Self {
         let n = limits.lower.len();
         for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
-            // Whatever brakes, within a horizon it stops.
+            // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
+            // horizon.
             *braking = braking.min(velocity.min(1e3) / HORIZON_S);
         }
         Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
     }
 
-    /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state by a test without
-    /// the roots and the rules for bounds that contradict each other: `false` if these have to be computed.
+    /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
+    /// needs neither the square roots nor the precedence rules for contradicting bounds; `false` means that the bounds
+    /// must be computed.
     pub(crate) fn is_strictly_feasible(
         &self,
         measurement: &Measurement,
@@ -122,11 +126,11 @@ impl Bounds {
         let (l, h) = (&self.limits, HORIZON_S);
         let (q, dq) = (&measurement.q, &measurement.dq);
         let mut allowed = true;
-        // Without a branch: which side of zero a speed is on can't be foreseen.
+        // Branch-free, because the sign of a velocity is unpredictable.
         for i in 0..before.len() {
             let (a, tau, braking) = (acceleration(i), torque(i), self.braking[i]);
             let (ahead, speed) = (q[i] + dq[i] * h, dq[i] + a * h);
-            // v ≤ √((b h)² + 2 b x) − b h without the root.
+            // v ≤ √((b h)² + 2 b x) − b h without the square root.
             let stops = |left: f64, speed: f64| {
                 (left > 0.0)
                     & ((speed <= 0.0) | (speed * (speed + 2.0 * braking * h) <= 2.0 * braking * left))
@@ -141,15 +145,16 @@ impl Bounds {
         allowed
     }
 
-    /// Computes the bounds in a state, after the torques `before` (n) were commanded and with those `added` to the next
-    /// command (n).
+    /// Computes the bounds for the measured state. `before` are the last commanded torques (n), `added` the torques
+    /// that will be added to the next command (n; Nm or N).
     pub(crate) fn update(&mut self, measurement: &Measurement, added: &[f64], before: &DVector<f64>) {
         let l = &self.limits;
         let (q, dq) = (&measurement.q, &measurement.dq);
         for i in 0..before.len() {
             let joint = JointState { q: q[i], dq: dq[i], velocity: l.velocity[i], braking: self.braking[i] };
             let (mut lower, mut upper) = (-joint.mirrored().highest(-l.lower[i]), joint.highest(l.upper[i]));
-            // What brakes may be harder than what speeds up; between two ends that are too near, nothing moves.
+            // Braking bounds may be stricter than accelerating ones; between two limits that are too close, nothing
+            // moves.
             if lower > upper {
                 let middle = if joint.dq > 0.0 { upper } else { lower };
                 (lower, upper) = (middle, middle);
@@ -158,17 +163,17 @@ impl Bounds {
             self.acceleration.lower[i] = lower.max(-a).min(upper);
             self.acceleration.upper[i] = upper.min(a).max(lower);
 
-            // The torque limits hold for what is added as well.
+            // The torque limits apply to the sum with the added torques.
             let (low, high) = (-l.torque[i] - added[i], l.torque[i] - added[i]);
             let step = l.torque_rate[i] * self.period_s;
-            // Without a number to start from, any torque within the limits: a NaN must not become a bound.
+            // If the last command is NaN, any torque within the limits is allowed: NaN must not become a bound.
             self.torque.lower[i] = (before[i] - step).max(low).min(high);
             self.torque.upper[i] = (before[i] + step).min(high).max(low);
         }
     }
 }
 
-/// State of a joint, without the ends of its range.
+/// State, velocity limit and braking acceleration of a joint.
 #[derive(Clone, Copy)]
 struct JointState {
     q: f64,
@@ -178,12 +183,13 @@ struct JointState {
 }
 
 impl JointState {
-    /// Returns the state with the opposite direction of the joint.
+    /// Returns the state for the opposite direction of the joint.
     fn mirrored(self) -> Self {
         Self { q: -self.q, dq: -self.dq, ..self }
     }
 
-    /// The highest acceleration with which the joint stays below its highest speed, and able to stop at `end`.
+    /// Returns the highest acceleration for which the joint stays below its velocity limit and can stop at the position
+    /// limit `end`.
     fn highest(self, end: f64) -> f64 {
         let h = HORIZON_S;
         let mut allowed = self.velocity;
@@ -217,8 +223,8 @@ mod tests {
         measurement
     }
 
-    /// One joint pushed as hard as its bounds allow, at 1 kHz: its position, speed and braking acceleration against
-    /// their limits.
+    /// Compared: position, speed and braking acceleration of a joint that accelerates at its upper bound, at 1 kHz,
+    /// with their limits.
     #[test]
     fn pushed_joint_stays_viable() {
         for (velocity, acceleration) in [(2.0, 5.0), (8.0, 30.0), (1.0, 100.0), (3.0, 1.0)] {
@@ -250,7 +256,7 @@ mod tests {
         }
     }
 
-    /// A joint that starts beyond its position limit, moving outward: it returns, and stays within.
+    /// A joint that starts beyond its position limit and moves outward returns and stays within the limit.
     #[test]
     fn joint_beyond_its_limit_returns() {
         let limits = JointLimits {
@@ -271,8 +277,8 @@ mod tests {
         assert!(q <= 1.0 + 1e-6 && q > 0.99, "{q}");
     }
 
-    /// Accelerations and torques that pass the fast test against the bounds, and the converse unless bounds
-    /// contradict each other: they don't here, for joints that start within their limits and slowly enough to stop.
+    /// Accelerations and torques that pass the fast test are within the bounds. The converse holds unless bounds
+    /// contradict each other; here they do not, for joints that start within their limits and slowly enough to stop.
     #[test]
     fn strictly_feasible_commands_are_within_bounds() {
         let limits = JointLimits {
@@ -306,7 +312,7 @@ mod tests {
         assert!(allowed > 1000 && refused > 1000, "{allowed} {refused}");
     }
 
-    /// Ratio of the lower to the upper bound of every interval, in any state: none is empty.
+    /// Compared: the lower with the upper bound of every interval, in any state: no interval is empty.
     #[test]
     fn no_interval_is_empty() {
         let limits = JointLimits {

@@ -1,4 +1,4 @@
-//! The limits of a robot's joints, and how much of them a controller uses.
+//! Limits of a robot's joints, and the part of them that a controller uses.
 
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
@@ -6,7 +6,7 @@ use opspace_model::Model;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Limits of a robot's joints: one value per joint, infinite where there is no limit.
+/// Limits of a robot's joints: one value per joint; infinite if there is no limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointLimits {
     /// Lowest position, rad or m (n).
@@ -15,13 +15,14 @@ pub struct JointLimits {
     pub upper: Vec<f64>,
     /// Highest speed, rad/s or m/s (n).
     pub velocity: Vec<f64>,
-    /// Highest acceleration, with which the joint can also brake, rad/s² or m/s² (n). Where it is infinite, joints are
-    /// braked with half of what the torque limit leaves beside gravity in the worst of many postures.
+    /// Highest acceleration, rad/s² or m/s² (n). When a joint has to brake before a position limit, its deceleration is
+    /// at most this value, and at most half of what the torque limit leaves besides gravity in the worst of many
+    /// postures.
     pub acceleration: Vec<f64>,
     /// Highest torque, Nm or N (n).
     pub torque: Vec<f64>,
-    /// Highest rate of the commanded torque, Nm/s or N/s (n). Where it is infinite and the torque is not, the whole
-    /// torque in 10 ms.
+    /// Highest rate of the commanded torque, Nm/s or N/s (n). If it is infinite and the torque is limited, the torque
+    /// may rise from zero to its limit in 10 ms.
     pub torque_rate: Vec<f64>,
 }
 
@@ -72,11 +73,11 @@ const fn whole() -> Positive {
     Positive::literal(1.0)
 }
 
-/// Time in which a command may rise to the whole torque where no rate is given, s.
+/// Rise time of the command to the torque limit if no rate is given, s.
 const TORQUE_RISE_S: f64 = 0.01;
 
 impl JointLimits {
-    /// No limit at all, for `n` joints.
+    /// Returns unlimited values for `n` joints.
     #[must_use]
     pub fn none(n: usize) -> Self {
         let none = vec![f64::INFINITY; n];
@@ -90,7 +91,7 @@ impl JointLimits {
         }
     }
 
-    /// Limits of the URDF: position, velocity and effort.
+    /// Returns the limits of the URDF: position, velocity and effort.
     #[must_use]
     pub fn of(model: &Model) -> Self {
         let each =
@@ -104,11 +105,11 @@ impl JointLimits {
         }
     }
 
-    /// Narrows the limits by margins and shares, and adds the rates that follow where none was given.
+    /// Narrows the limits by the margins and fractions, and adds the default torque rates.
     pub(crate) fn narrowed(mut self, parameters: &LimitParameters) -> Self {
         let margin = parameters.position_margin_rad.get();
         for i in 0..self.lower.len() {
-            // What is too narrow for its margins keeps its middle.
+            // A range that is narrower than its margins shrinks to its centre.
             let middle = 0.5 * (self.lower[i] + self.upper[i]);
             let keep = |end: f64| if middle.is_finite() { end } else { f64::NAN };
             self.lower[i] = (self.lower[i] + margin).min(keep(middle));

@@ -1,4 +1,4 @@
-//! Commands within the limits: the tasks' torques, changed where a limit asks for it.
+//! Enforcement of the limits: the task torques are modified where a limit requires it.
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
@@ -16,28 +16,28 @@ use opspace_model::{Data, Model};
 /// Computation of commands within the limits.
 pub(crate) struct Limiter {
     bounds: Bounds,
-    /// Bounds on torques as they were before any of the bounds was widened.
+    /// Torque bounds before the QPs widen any of them.
     torque_bounds: Interval,
     cascade: HierarchicalQp,
-    /// Bounds on the speeds of tasks; the first `speed_count` of them are in force.
+    /// Bounds on task speeds; only the first `speed_count` entries are in use.
     speeds: Vec<SpeedBound>,
     speed_count: usize,
-    /// Joint acceleration that is not caused by the tasks, rad/s² or m/s² (n).
+    /// Joint acceleration that the tasks do not cause, rad/s² or m/s² (n).
     bias_acceleration: DVector<f64>,
-    /// Bounds that each joint's command is at (n), as the sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
+    /// Active bounds of each joint's command (n): sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
     limited: DVector<f64>,
     solver: Solver,
 }
 
-/// Value in the `limited` signal: the command is at a bound of the joint's acceleration.
+/// Value in the `limited` signal: an acceleration bound of the joint is active.
 const LIMITED_ACCELERATION: f64 = 1.0;
-/// Value in the `limited` signal: the command is at a bound of the joint's torque or its rate.
+/// Value in the `limited` signal: a bound of the joint's torque or torque rate is active.
 const LIMITED_TORQUE: f64 = 2.0;
 
-/// Distance within which a command is at a bound, relative to its size and 1: far above the error of the solvers.
+/// Tolerance within which a bound counts as active, relative to the command plus 1; far above the solvers' error.
 const AT_BOUND: f64 = 1e-6;
 
-/// Bounds on the speed of tasks at most: two for each of the first eight tasks.
+/// Maximum number of bounds on task speeds: two for each of the first eight tasks.
 const MAX_SPEED_BOUNDS: usize = 16;
 
 impl Limiter {
@@ -58,7 +58,7 @@ impl Limiter {
         }
     }
 
-    /// Updates all that depends on the state, but for the joints' bounds.
+    /// Updates all state-dependent quantities except the joint bounds.
     pub(crate) fn update_state(
         &mut self,
         data: &Data,
@@ -85,8 +85,8 @@ impl Limiter {
         }
     }
 
-    /// Returns true if joint accelerations `alpha` (n), and the torques that cause them, can stay as they are after
-    /// what was `commanded` before.
+    /// Returns true if the joint accelerations `alpha` (n) and the torques that cause them need no modification.
+    /// `commanded` are the last commanded torques (n).
     pub(crate) fn is_strictly_feasible(
         &self,
         input: &ControlInput<'_>,
@@ -108,18 +108,18 @@ impl Limiter {
             && self.speeds[..self.speed_count].iter().all(|speed| speed.allows(alpha.as_slice()))
     }
 
-    /// Computes the joints' bounds in this state, after what was `commanded` before.
+    /// Computes the joint bounds in this state; `commanded` are the last commanded torques (n).
     pub(crate) fn bound(&mut self, input: &ControlInput<'_>, commanded: &DVector<f64>) {
         self.bounds.update(input.measurement, input.feedforward_torque, commanded);
         self.torque_bounds.lower.copy_from(&self.bounds.torque.lower);
         self.torque_bounds.upper.copy_from(&self.bounds.torque.upper);
     }
 
-    /// Brings what each level asks for within the limits, by what the levels above leave free, and returns the solver
-    /// that did. `scratch` (n) is overwritten.
+    /// Solves the QPs of all levels: each level satisfies its desired accelerations as closely as the limits and the
+    /// levels above allow. Returns the solver that was used. `scratch` (n) is overwritten.
     ///
     /// # Errors
-    /// At the first level for which no solver finds an answer. It and those below it count as limited.
+    /// Fails at the first level that no solver can solve. This level and all levels below count as limited.
     pub(crate) fn solve(
         &mut self,
         data: &Data,
@@ -130,7 +130,7 @@ impl Limiter {
     ) -> Result<Solver, QpError> {
         let (mut limits, cascade) = self.limits(compensation_torque);
         cascade.begin(data);
-        // No command needed it before.
+        // The unlimited command does not need J̄ of the last level.
         if let Some(level) = hierarchy.levels.last_mut() {
             level.projected.compute_jbar(&data.mass_matrix_factor);
             hierarchy.nullspace.push(&level.projected);
@@ -172,12 +172,12 @@ impl Limiter {
         (limits, &mut self.cascade)
     }
 
-    /// Cuts off torques beyond their limits: rounding, or what no solver could bring within them.
+    /// Clips torques that exceed their limits, because of rounding or because no solver succeeded.
     pub(crate) fn clip(&self, torque: &mut DVector<f64>, compensation_torque: &DVector<f64>) {
         let Interval { lower, upper } = &self.torque_bounds;
         for (i, t) in torque.iter_mut().enumerate() {
             let commanded = *t + compensation_torque[i];
-            // NaN passes: the backend refuses it by name.
+            // NaN is not clipped: the backend reports it.
             if commanded < lower[i] {
                 *t = lower[i] - compensation_torque[i];
             } else if commanded > upper[i] {
@@ -186,7 +186,7 @@ impl Limiter {
         }
     }
 
-    /// Records the bounds that the command is at.
+    /// Stores the active bounds of the command.
     pub(crate) fn record_status(
         &mut self,
         solver: Solver,
@@ -216,7 +216,7 @@ impl Limiter {
         self.solver != Solver::Unlimited
     }
 
-    /// Solves the programmes even where no limit is in force: for tests and benches, which compare the two.
+    /// Solves the QPs even if no limit is active: tests and benchmarks compare both ways.
     pub(crate) fn always_solve(&mut self) {
         self.cascade.always_solve();
     }

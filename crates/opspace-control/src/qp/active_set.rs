@@ -1,15 +1,15 @@
-//! The dual active-set method for small, dense, strictly convex quadratic programmes.
+//! Dual active-set method for small, dense, strictly convex quadratic programs.
 //!
 //! D. Goldfarb and A. Idnani, *A numerically stable dual method for solving strictly convex quadratic programs*,
-//! Mathematical Programming 27, 1983. From the minimum without constraints, violated rows are made active one by
-//! one. Every iterate is the minimum on its active rows N, with multipliers u that show it:
+//! Mathematical Programming 27, 1983. From the unconstrained minimum, violated rows are activated one by one. Every
+//! iterate is the minimum on its active rows N, with multipliers u that prove it:
 //!
 //! ```text
 //! H x + g = N u        Nᵀ x = b        u ≥ 0 for inequalities
 //! ```
 //!
-//! With H = L Lᵀ, L⁻¹ N = Q [R; 0] and J = L⁻ᵀ Q = [J₁ J₂], go towards a violated row nᵀ x ≥ b by x + t z and
-//! u − t r:
+//! With H = L Lᵀ, L⁻¹ N = Q [R; 0] and J = L⁻ᵀ Q = [J₁ J₂], the step towards a violated row nᵀ x ≥ b changes x by t z
+//! and u by −t r:
 //!
 //! ```text
 //! d = Jᵀ n        z = J₂ d₂        r = R⁻¹ d₁
@@ -17,78 +17,80 @@
 //! t₂ = (b − nᵀ x) / d₂ᵀ d₂: the row is met, and becomes active
 //! ```
 //!
-//! Where d₂ is zero, the row depends on the active ones and there is no t₂; where there is no t₁ either, no x meets
-//! them all. Beyond the paper: a row with two bounds is one row; a new row turns J₂ by a single reflection; and a
-//! Newton step on the conditions above, with residuals computed afresh, removes what rounding has gathered.
+//! If d₂ is zero, the row depends on the active ones and there is no t₂; if there is no t₁ either, no x satisfies them
+//! all. Extensions of the paper: a row with two bounds is a single row; a new row transforms J₂ by a single reflection;
+//! and a Newton step on the conditions above, with newly computed residuals, removes accumulated rounding errors.
 //!
-//! Of 240 000 random feasible programmes with many redundant rows, and condition numbers of H from 1e6 to 1e10, one
-//! was not solved, and said so; the others met the conditions to 2e-11.
+//! In a test with 240 000 random feasible programs, with many redundant rows and condition numbers of H from 1e6 to
+//! 1e10, the method reported a failure for one; the other solutions satisfied the conditions to 2e-11.
 
 mod factor;
 
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy, dot};
 use factor::Factor;
 
-/// A row counts as met within this share of what its terms could add up to, |c| |x| + |bound|.
+/// A row counts as satisfied within this fraction of the largest possible sum of its terms, |c| |x| + |bound|.
 const FEASIBILITY: f64 = 1e-11;
-/// The rounding in J, as a share of |J|: some hundred times the machine's. A row is dependent if its d₂ is no more.
+/// Rounding error of J relative to |J|: some hundred times the machine precision. A row is dependent if its d₂ is not
+/// larger.
 const DEPENDENCE: f64 = 1e-13;
-/// A multiplier that falls slower than this share of all together falls by rounding.
+/// A multiplier whose decrease is below this fraction of the sum of all decreases only decreases because of rounding.
 const SLOWEST: f64 = 1e-10;
-/// Iterations allowed for each variable and constraint. Usually there are as many as active rows, and some more.
+/// Maximum number of iterations per variable and constraint. Usually slightly more iterations than active rows are
+/// needed.
 const ITERATIONS: usize = 10;
 
-/// A row that holds as an equality at x.
+/// An active row: an equality at x.
 #[derive(Clone, Copy, Debug)]
 struct Active {
     row: usize,
-    /// 1 at the lower bound, −1 at the upper: n = sign · c, and b = sign · bound.
+    /// 1 for the lower bound, −1 for the upper bound: n = sign · c and b = sign · bound.
     sign: f64,
     b: f64,
-    /// u.
+    /// Multiplier u.
     multiplier: f64,
     equality: bool,
 }
 
-/// A bound that x is beyond.
+/// A bound that x violates.
 #[derive(Clone, Copy, Debug)]
 struct Violation {
     row: usize,
-    /// As of [`Active`].
+    /// Sign as in [`Active`].
     sign: f64,
-    /// b − nᵀ x.
+    /// Distance b − nᵀ x from the bound, in units of the row.
     gap: f64,
 }
 
-/// A solver with all the room that it needs: [`solve`](Self::solve) allocates nothing.
+/// The solver with all its buffers: [`solve`](Self::solve) allocates nothing.
 #[derive(Debug)]
 pub struct ActiveSet {
     max_variables: usize,
     max_constraints: usize,
     factor: Factor,
-    /// Present iterate x.
+    /// Current iterate x.
     point: Vec<f64>,
     active: Vec<Active>,
     is_active: Vec<bool>,
     /// |c| of each row.
     norms: Vec<f64>,
-    /// Largest d₂ of a dependent row by rounding, for |c| = 1.
+    /// Largest d₂ that rounding causes for a dependent row with |c| = 1.
     rounding: f64,
-    /// |x| without constraints.
+    /// |x| of the unconstrained minimum.
     reach: f64,
-    /// The largest |x| on the way to this one, by which its rounding is measured.
+    /// Largest |x| of all iterates, the scale of the rounding error of x.
     size: f64,
-    /// True if the active rows' conditions hold to rounding.
+    /// True if the optimality conditions of the active rows hold up to rounding.
     refined: bool,
     iterations: usize,
-    /// The rows active at the last solution, in the order in which they became so.
+    /// Active rows of the last solution, in the order of their activation.
     last: Vec<usize>,
     x: Vec<f64>,
     multipliers: Vec<f64>,
 }
 
 impl ActiveSet {
-    /// For programmes of at most so many variables and constraints.
+    /// Creates a solver for programs with at most these numbers of variables and constraints.
     #[must_use]
     pub fn new(max_variables: usize, max_constraints: usize) -> Self {
         Self {
@@ -110,30 +112,30 @@ impl ActiveSet {
         }
     }
 
-    /// The minimiser, n, of the last programme that was solved. Always finite; empty before the first.
+    /// Minimiser (n) of the last solved program. Always finite; empty before the first solution.
     #[must_use]
     pub fn x(&self) -> &[f64] {
         &self.x
     }
 
-    /// λ of H x + g + C λ = 0, m: positive where the upper bound is active, negative where the lower is, zero
-    /// where neither is. Where rows depend on each other, one choice of many.
+    /// Multipliers λ of H x + g + C λ = 0 (m): positive if the upper bound is active, negative if the lower bound is
+    /// active, zero otherwise. If rows depend on each other, they are one of many solutions.
     #[must_use]
     pub fn multipliers(&self) -> &[f64] {
         &self.multipliers
     }
 
-    /// Steps that the last call of [`solve`](Self::solve) took.
+    /// Number of steps in the last call of [`solve`](Self::solve).
     #[must_use]
     pub fn iterations(&self) -> usize {
         self.iterations
     }
 
-    /// Solves `program`. The rows that were active at the last solution are tried first, which saves steps where
-    /// programmes change little; the solution is the same but for rounding.
+    /// Solves `program`. The active rows of the last solution are tried first, which saves steps if successive programs
+    /// are similar; the solution is the same up to rounding.
     ///
     /// # Errors
-    /// [`QpError`]; [`x`](Self::x) then is still the solution of an earlier programme.
+    /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
     pub fn solve(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let m = program.constraints();
         self.iterations = 0;
@@ -167,7 +169,7 @@ impl ActiveSet {
         }
     }
 
-    /// No row active.
+    /// Starts at the unconstrained minimum, without active rows.
     fn start(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let (n, m) = (program.variables(), program.constraints());
         self.factor.start(program)?;
@@ -184,7 +186,7 @@ impl ActiveSet {
         Ok(())
     }
 
-    /// The bound that x is nearest to or farthest beyond.
+    /// Returns the bound of a row that x violates most, or that is nearest to x.
     #[inline]
     fn violation(&self, program: &QuadraticProgram, row: usize) -> Violation {
         let value = dot(program.row(row), &self.point);
@@ -193,7 +195,7 @@ impl ActiveSet {
         Violation { row, sign, gap }
     }
 
-    /// The bound that x is beyond by more than rounding.
+    /// Returns the bound of a row that x violates by more than rounding.
     #[inline]
     fn violated(&self, program: &QuadraticProgram, row: usize) -> Option<Violation> {
         let violation = self.violation(program, row);
@@ -204,7 +206,7 @@ impl ActiveSet {
         (violation.gap > 0.0 && violation.gap > rounding()).then_some(violation)
     }
 
-    /// The bound that x is farthest beyond, as a distance.
+    /// Returns the bound that x violates most, measured as a distance.
     fn most_violated(&self, program: &QuadraticProgram) -> Option<Violation> {
         let (mut worst, mut farthest) = (None, 0.0);
         for row in 0..program.constraints() {
@@ -219,7 +221,7 @@ impl ActiveSet {
         worst
     }
 
-    /// Moves x onto the bound, dropping the rows that stand in the way.
+    /// Moves x onto the bound; drops blocking rows.
     fn activate(&mut self, program: &QuadraticProgram, violation: Violation) -> Result<(), QpError> {
         let Violation { row, sign, mut gap } = violation;
         let b = sign * violation.bound(program);
@@ -228,7 +230,8 @@ impl ActiveSet {
         loop {
             self.count(program)?;
             let growth = self.factor.towards(program.row(row), sign);
-            // n is N r and a rest; where they are long beside n, so is the rounding of the rest.
+            // n is N r plus a remainder; if the terms of N r are large relative to n, so is the rounding error of the
+            // remainder.
             let terms = self.active.iter().zip(self.factor.fall()).map(|(a, r)| self.norms[a.row] * r.abs());
             let length: f64 = terms.sum();
             let independent = growth > (self.rounding * (self.norms[row] + length)).powi(2);
@@ -261,8 +264,8 @@ impl ActiveSet {
         }
     }
 
-    /// The first inequality whose multiplier falls to zero, and the t at which it does. What falls slower than
-    /// `slowest`, for |c| = 1, falls by rounding.
+    /// Returns the first inequality whose multiplier decreases to zero, and its t. A decrease below `slowest` is
+    /// rounding (for rows of length 1).
     fn blocking(&self, slowest: f64) -> Option<(usize, f64)> {
         let (mut first, mut least) = (None, f64::INFINITY);
         for (k, (active, &fall)) in self.active.iter().zip(self.factor.fall()).enumerate() {
@@ -281,7 +284,8 @@ impl ActiveSet {
         self.is_active[dropped.row] = false;
     }
 
-    /// Decides on a row that depends on active ones which can't be dropped: met but for rounding, or impossible.
+    /// Handles a row that depends on active rows which cannot be dropped: it is either satisfied up to rounding or
+    /// infeasible.
     fn contradiction(&mut self, program: &QuadraticProgram, row: usize) -> Result<(), QpError> {
         let size = self.size;
         self.refine(program)?;
@@ -293,8 +297,8 @@ impl ActiveSet {
         }
     }
 
-    /// One Newton step on the KKT conditions of the active rows. If multipliers are negative after it, the row of the
-    /// most negative one is dropped.
+    /// Takes one Newton step on the KKT conditions of the active rows. If any multipliers are negative afterwards, the
+    /// row with the most negative one is dropped.
     fn refine(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         self.count(program)?;
         let (point, active) = (&mut self.point, &mut self.active);
@@ -315,7 +319,8 @@ impl ActiveSet {
         if !change.is_finite() {
             return Err(QpError::NotFinite);
         }
-        // Where the solution is zero, no step is small beside it; one as small as the first x's rounding will do.
+        // If the solution is zero, no step is small relative to it; a step within the rounding error of the first x is
+        // accepted.
         let floor = f64::EPSILON * self.reach;
         self.size = floor.max(length + change);
         self.refined = change <= floor.max(length);
@@ -323,7 +328,7 @@ impl ActiveSet {
         Ok(())
     }
 
-    /// Drops the row whose multiplier is the most negative; sets to zero what is negative by rounding.
+    /// Drops the row with the most negative multiplier; sets multipliers that are negative by rounding to zero.
     fn drop_negative(&mut self) {
         let weight = |a: &Active| self.norms[a.row] * a.multiplier;
         let (mut least, mut largest) = ((0, 0.0), 0.0_f64);
@@ -352,7 +357,7 @@ impl ActiveSet {
     }
 
     fn publish(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
-        // An infinite tolerance would call any row met.
+        // With an infinite tolerance, any row would count as satisfied.
         let tolerances = self.norms[..program.constraints()].iter().all(|c| (c * self.size).is_finite());
         let multipliers = self.active.iter().all(|a| a.multiplier.is_finite());
         if !(tolerances && multipliers && all_finite(&self.point)) {

@@ -1,6 +1,6 @@
-//! An interior-point method, Clarabel's, for the programmes that [`ActiveSet`](crate::qp::active_set::ActiveSet)
-//! solves: another algorithm by other hands, some hundred times slower and less exact. A second opinion, not
-//! for the loop.
+//! Interior-point method of Clarabel for the programs that [`ActiveSet`](crate::qp::active_set::ActiveSet) solves: an
+//! independent implementation of another algorithm, some hundred times slower and less accurate. It is the fallback if
+//! the active-set method fails, and a reference for tests.
 //!
 //! Clarabel (P. Goulart and Y. Chen, *Clarabel: An interior-point solver for conic programs with quadratic
 //! objectives*, arXiv:2405.12762, 2024) solves
@@ -9,7 +9,8 @@
 //! min ½ xᵀ P x + qᵀ x   subject to   A x + s = b,  s ∈ {0}ᵐ × ℝ²ᵐ≥0
 //! ```
 //!
-//! It is built once, with P and A dense, and its numbers are replaced in place. Each row of ours has three of A:
+//! The solver is built once, with dense P and A, and its data are replaced in place. Each row of our program has three
+//! rows of A:
 //!
 //! ```text
 //!  c x + s =  b   in the zero cone, for an equality
@@ -17,23 +18,24 @@
 //! −c x + s = −l   in the non-negative cone, if there is a lower bound
 //! ```
 //!
-//! of which those that say nothing are zero, with s = 0 in the zero cone and s = 1 in the other. No infinity, nor a
-//! large number in its place, ever reaches the solver. Rows have length one, and P's largest diagonal entry is one:
-//! Clarabel's own equilibration would be that of the numbers it was built with.
+//! Unused rows are zero, with s = 0 in the zero cone and s = 1 in the other cone. Neither infinities nor large numbers
+//! in their place reach the solver. Rows are scaled to length one and P to a largest diagonal entry of one: Clarabel's
+//! own equilibration would use the data with which the solver was built.
 
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, dot};
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
 
-/// Gap and residuals at which Clarabel stops, relative and absolute, in the scaled programme. Where bounds barely
-/// touch, x is off by the root of the gap; hence a hundredth of Clarabel's default, which it nearly always reaches.
+/// Gap and residuals at which Clarabel stops, relative and absolute, in the scaled program. If the bounds barely
+/// intersect, the error of x is of the order of the square root of the gap; the value is therefore a hundredth of
+/// Clarabel's default, and is nearly always reached.
 const WANTED: f64 = 1e-10;
-/// Gap and residuals that are accepted where [`WANTED`] can't be reached, Clarabel's default: it then reports
+/// Gap and residuals that are accepted if [`WANTED`] cannot be reached (Clarabel's default); Clarabel then reports
 /// `AlmostSolved`.
 const ACCEPTED: f64 = 1e-8;
 
-/// Clarabel, built for programmes of up to some size. Each call of [`solve`](Self::solve) allocates once, the
-/// first one twice, inside Clarabel (0.11.1); [`new`](Self::new) some 120 times.
+/// Clarabel for programs up to a given size. Each call of [`solve`](Self::solve) allocates once inside Clarabel
+/// (0.11.1), the first one twice; [`new`](Self::new) allocates some 120 times.
 pub struct InteriorPoint {
     variables: usize,
     constraints: usize,
@@ -49,7 +51,7 @@ pub struct InteriorPoint {
 }
 
 impl InteriorPoint {
-    /// For programmes of at most so many variables and constraints.
+    /// Creates a solver for programs with at most these numbers of variables and constraints.
     ///
     /// # Errors
     /// [`QpError::Unsolved`] if Clarabel rejects the problem size.
@@ -68,7 +70,7 @@ impl InteriorPoint {
         let settings = DefaultSettings {
             verbose: false,
             max_threads: 1,
-            // Both drop what is zero now, and refuse to have it replaced later.
+            // Both options remove entries that are zero now, which cannot be replaced later.
             presolve_enable: false,
             input_sparse_dropzeros: false,
             equilibrate_enable: false,
@@ -95,17 +97,18 @@ impl InteriorPoint {
         })
     }
 
-    /// The minimiser, n: of the last programme that was solved. Finite.
+    /// Minimiser (n) of the last solved program. Always finite; empty before the first solution.
     #[must_use]
     pub fn x(&self) -> &[f64] {
         &self.solution
     }
 
-    /// Solves `program`. Only Clarabel's `Solved` and `AlmostSolved` count, of which the latter is here as good as
-    /// its `Solved` by default; with any other status its x is a certificate, or whatever came last.
+    /// Solves `program`. Only Clarabel's `Solved` and `AlmostSolved` are accepted; with the tolerances used here, the
+    /// latter is as accurate as `Solved` with Clarabel's default settings. With any other status, its x is a
+    /// certificate or the last iterate.
     ///
     /// # Errors
-    /// [`QpError`]; [`x`](Self::x) then is still the solution of an earlier programme.
+    /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
     pub fn solve(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let n = program.variables();
         if n > self.variables || program.constraints() > self.constraints {
@@ -140,7 +143,7 @@ impl InteriorPoint {
         }
     }
 
-    /// P and q; the identity and zero for variables that are not in use.
+    /// Sets P and q; they are the identity and zero for unused variables.
     fn set_cost(&mut self, program: &QuadraticProgram) {
         let n = program.variables();
         let largest = (0..n).map(|j| program.hessian_column(j)[0]).fold(0.0, f64::max);
@@ -161,7 +164,7 @@ impl InteriorPoint {
         }
     }
 
-    /// A and b.
+    /// Sets A and b.
     fn set_constraints(&mut self, program: &QuadraticProgram) {
         let m = self.constraints;
         self.a.fill(0.0);
@@ -191,7 +194,7 @@ impl InteriorPoint {
         }
     }
 
-    /// The row with the largest weight in Clarabel's certificate that there is no x.
+    /// Returns the row with the largest weight in Clarabel's infeasibility certificate.
     fn contradiction(&self) -> usize {
         let weight = |&(_, a): &(usize, &f64), &(_, b): &(usize, &f64)| a.abs().total_cmp(&b.abs());
         let heaviest = self.solver.solution.z.iter().enumerate().max_by(weight);
@@ -199,7 +202,7 @@ impl InteriorPoint {
     }
 }
 
-/// The identity, n × n, with every entry of the upper triangle stored.
+/// Returns the identity, n × n, with every entry of the upper triangle stored.
 fn upper_triangle(n: usize) -> CscMatrix<f64> {
     CscMatrix::new(
         n,

@@ -1,20 +1,22 @@
-//! Tasks within limits: lexicographic least squares, one level after the other.
+//! Tasks within limits: lexicographic least squares, one level after another.
 //!
-//! With α the joint accelerations that the tasks' torques cause, M α, level k may move what the levels above leave,
-//! α = α_above + z + N δ: z is what it asks for itself, and δ what the limits make of it. Its residual is minimal,
+//! α are the joint accelerations that the task torques M α cause. Level k may change α in the null space of the levels
+//! above: α = α_above + z + N δ, where z is the level's own demand and δ the change due to the limits. It minimises its
+//! residual,
 //!
 //! ```text
 //! min |W J_p δ|²_Λ     a_min ≤ α ≤ a_max,   τ_min ≤ M α + τ_own ≤ τ_max,   d ẋ ≤ ẋ_max
 //! ```
 //!
-//! and stays what it is at the levels below, since J_p N vanishes there. W weighs errors across the direction in which
-//! the task is going ten times as much as errors along it, which only slow it down. Among equal residuals the one
-//! nearest in kinetic energy to what was asked for is computed by proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M:
-//! without a limit in force δ is zero, exactly. The last level, of all joints, has that norm itself for its residual,
-//! and takes back what of the other levels' δ their rows don't feel.
+//! which the levels below do not change, since J_p N is zero there. W weights errors perpendicular to the task's
+//! direction of motion ten times as much as errors along it, which only slow the task down. Among solutions with equal
+//! residual, proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic
+//! energy: if no limit is active, δ is exactly zero. The last level, of all joints, minimises this norm itself, and
+//! removes the part of the other levels' δ that does not affect their rows.
 //!
-//! Where the bounds on accelerations and speeds can't be met, they are first widened as little as possible (least
-//! squares, torques never): a joint that starts beyond its end returns as hard as its torque allows.
+//! If the bounds on accelerations and speeds are infeasible, they are first widened as little as possible (least
+//! squares; torque bounds are never widened): a joint that starts beyond its position limit returns as hard as its
+//! torque allows.
 //!
 //! Sources: Kanoun, Lamiraux and Wieber, *Kinematic control of redundant manipulators: generalizing the task-priority
 //! framework to inequality task*, IEEE T-RO 27(4), 2011; Escande, Mansard and Wieber, *Hierarchical quadratic
@@ -29,29 +31,30 @@ use crate::qp::quadratic_program::{QpError, QuadraticProgram};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
 
-/// Weight of errors across the direction of a task, relative to those along it.
+/// Weight of errors perpendicular to the direction of a task, relative to errors along it.
 const ASIDE: f64 = 10.0;
 
-/// Speed at which a task begins to have a direction, m/s: more than the noise in the velocity of a hand at rest, whose
-/// every turn the torques would else follow.
+/// Speed above which a task has a direction, m/s. It exceeds the velocity noise of a hand at rest, whose random
+/// direction would otherwise affect the torques.
 const STILL: f64 = 2e-3;
 
 /// ε of the proximal steps, relative to the trace of the task's Hessian.
 const PROXIMAL: f64 = 1e-7;
 
-/// ε of the proximal steps by which bounds are widened, beside slacks of weight 1.
+/// ε of the proximal steps that widen bounds, relative to slacks of weight 1.
 const RELAXED: f64 = 1e-7;
 
-/// Proximal steps at most: one without a limit in force; with one, each leaves some 1e-4 of what the task's rows miss.
+/// Maximum number of proximal steps. One is enough if no limit is active; otherwise each step leaves about 1e-4 of the
+/// error in the task's rows.
 const STEPS: usize = 3;
 
-/// A change of δ below this share ends the steps.
+/// Relative change of δ below which the steps end.
 const SETTLED: f64 = 1e-9;
 
-/// Largest tolerated excess over a bound, relative to its own size and 1.
+/// Largest tolerated violation of a bound, relative to its value plus 1.
 const SLACK: f64 = 1e-9;
 
-/// A bound on the speed of a task: `row` α ≤ `upper`.
+/// Bound on the speed of a task: `row` (n) · α ≤ `upper`.
 #[derive(Clone, Debug)]
 pub(crate) struct SpeedBound {
     pub row: DVector<f64>,
@@ -68,28 +71,28 @@ impl SpeedBound {
 /// Solver that computed the command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Solver {
-    /// No limit was in the way.
+    /// No limit was active.
     Unlimited,
-    /// The active set.
+    /// Active-set method.
     ActiveSet,
-    /// The interior point method, after the active set had failed.
+    /// Interior-point method, after the active-set method failed.
     InteriorPoint,
-    /// None: the torques were cut off, each for itself.
+    /// No solver succeeded: the torques were clipped individually.
     Clipped,
 }
 
 /// Limits of one control cycle, on α and M α.
 pub(crate) struct Limits<'a> {
     pub bounds: &'a mut Bounds,
-    /// τ_own, the torques commanded beside M α, Nm or N (n).
+    /// τ_own, the compensation torques that are added to M α, Nm or N (n).
     pub compensation_torque: &'a DVector<f64>,
-    /// Joint acceleration besides α, rad/s² or m/s² (n).
+    /// Joint acceleration in addition to α, rad/s² or m/s² (n).
     pub bias_acceleration: &'a DVector<f64>,
     pub speeds: &'a mut [SpeedBound],
 }
 
 impl Limits<'_> {
-    /// Returns true if α and u = M α respect all limits.
+    /// Returns true if α and the torques M α respect all limits.
     pub(crate) fn allow(&self, alpha: &[f64], torque: &[f64]) -> bool {
         let joints = (0..alpha.len()).all(|i| {
             self.bounds.acceleration.contains(i, alpha[i] + self.bias_acceleration[i])
@@ -99,24 +102,24 @@ impl Limits<'_> {
     }
 }
 
-/// Buffers of the cascade for one robot.
+/// Buffers of the hierarchical QP for one robot.
 pub(crate) struct HierarchicalQp {
     program: QuadraticProgram,
     active_set: ActiveSet,
     interior_point: Option<InteriorPoint>,
-    /// α of the levels so far (n).
+    /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     alpha: DVector<f64>,
-    /// Square roots of M's diagonal, by which joint accelerations and torques are scaled.
+    /// Square roots of M's diagonal, which scale joint accelerations and torques (n).
     scale: Vec<f64>,
     nullspace: DMatrix<f64>,
     torque_rows: DMatrix<f64>,
     mass: DMatrix<f64>,
     torque: DVector<f64>,
-    /// Scaled solution δ of the last programme (n), followed by its slack variables.
+    /// Scaled solution δ of the last program (n), followed by its slack variables.
     delta: DVector<f64>,
-    /// Σ N δ of the levels so far (n).
+    /// Σ N δ of the levels solved so far (n).
     displaced: DVector<f64>,
-    /// α while bounds are widened (n).
+    /// Saved α while bounds are widened (n).
     asked: DVector<f64>,
     solver: Solver,
     shortcut: bool,
@@ -124,15 +127,14 @@ pub(crate) struct HierarchicalQp {
 
 /// Residual that a level minimises.
 pub(crate) enum Residual<'a> {
-    /// |W J_p δ|²_Λ, with the predicted velocity of the task as its heading. Rows of J_p and Λ that the task doesn't
-    /// have are zero.
+    /// |W J_p δ|²_Λ; `heading` is the predicted velocity of the task. Unused rows of J_p and Λ are zero.
     Rows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, heading: Vector6<f64> },
     /// |δ|²_M.
     Joints,
 }
 
 impl HierarchicalQp {
-    /// For `n` joints and at most `speeds` bounds on speeds.
+    /// Creates the buffers for `n` joints and at most `speeds` speed bounds.
     pub(crate) fn new(n: usize, speeds: usize) -> Self {
         let (variables, constraints) = (2 * n + speeds, 2 * n + speeds);
         let zero = DVector::zeros(n);
@@ -140,7 +142,7 @@ impl HierarchicalQp {
         Self {
             program: QuadraticProgram::new(variables, constraints),
             active_set: ActiveSet::new(variables, constraints),
-            // Without it what the active set can't solve is cut off joint by joint.
+            // Without this solver, torques are clipped if the active-set method fails.
             interior_point: InteriorPoint::new(variables, constraints).ok(),
             alpha: zero.clone(),
             scale: vec![1.0; n],
@@ -156,22 +158,22 @@ impl HierarchicalQp {
         }
     }
 
-    /// Solves every level from now on, needed or not.
+    /// Disables the shortcut: every level is solved from now on.
     pub(crate) fn always_solve(&mut self) {
         self.shortcut = false;
     }
 
-    /// Returns true if commands within the limits are left as they are, without solving.
+    /// Returns true if commands within the limits are kept without solving.
     pub(crate) fn has_shortcut(&self) -> bool {
         self.shortcut
     }
 
-    /// Returns true if α and M α can stay as they are.
+    /// Returns true if α and M α need no change.
     fn needs_no(&self, limits: &Limits<'_>, alpha: &[f64], torque: &[f64]) -> bool {
         self.shortcut && limits.allow(alpha, torque)
     }
 
-    /// Before the first level.
+    /// Resets α and the solver status, and scales M; call it before the first level.
     pub(crate) fn begin(&mut self, data: &Data) {
         self.alpha.fill(0.0);
         self.displaced.fill(0.0);
@@ -187,35 +189,35 @@ impl HierarchicalQp {
         }
     }
 
-    /// α of the levels so far (n).
+    /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     pub(crate) fn alpha(&self) -> &[f64] {
         self.alpha.as_slice()
     }
 
-    /// M α, the torques that cause it (n).
+    /// Writes the torques M α into `torque` (n).
     pub(crate) fn torque_into(&self, data: &Data, torque: &mut [f64]) {
         multiply(&data.mass_matrix, self.alpha.as_slice(), torque);
     }
 
-    /// Solver of the command.
+    /// Solver that computed the command.
     pub(crate) fn solver(&self) -> Solver {
         self.solver
     }
 
-    /// Takes in what a level asks for beside what the levels above do: `z` (n).
+    /// Adds the joint accelerations `z` (n) that a level demands to α.
     pub(crate) fn add_demand(&mut self, data: &Data, z: &[f64], limits: &mut Limits<'_>) {
-        // What stands is within the limits but for rounding.
+        // The current α is within the limits up to rounding.
         if self.solver != Solver::Unlimited {
             self.admit(data, limits);
         }
         self.alpha.iter_mut().zip(z).for_each(|(a, z)| *a += z);
     }
 
-    /// Brings the [demand](Self::add_demand) of the level within the limits, in the nullspace of `above`, and returns
-    /// true if that was needed.
+    /// Modifies the [demand](Self::add_demand) of the level to respect the limits, in the null space `above`, and
+    /// returns true if a modification was needed.
     ///
     /// # Errors
-    /// If no solver finds an answer.
+    /// An error of the solver if no solver succeeds.
     pub(crate) fn solve_level(
         &mut self,
         data: &Data,
@@ -224,7 +226,7 @@ impl HierarchicalQp {
         limits: &mut Limits<'_>,
     ) -> Result<bool, QpError> {
         if let Residual::Joints = residual {
-            // How the levels above got within the limits, where their own rows don't feel it, is no wish of theirs.
+            // Removes the part of δ that does not affect the rows of the levels above: no task demands it.
             multiply(&data.mass_matrix, self.displaced.as_slice(), self.torque.as_mut_slice());
             above.project_torque(self.torque.as_mut_slice());
             data.mass_matrix_factor.solve(self.torque.as_mut_slice());
@@ -252,7 +254,7 @@ impl HierarchicalQp {
         Ok(true)
     }
 
-    /// Widens the bounds so that what stands respects them, rounding included.
+    /// Widens the bounds to include the current α and M α, with a margin for rounding.
     fn admit(&mut self, data: &Data, limits: &mut Limits<'_>) {
         multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
         let (acceleration, torque) = (&mut limits.bounds.acceleration, &mut limits.bounds.torque);
@@ -272,7 +274,7 @@ impl HierarchicalQp {
         }
     }
 
-    /// Widens the bounds on accelerations and speeds as little as possible, so that they can be met.
+    /// Widens the bounds on accelerations and speeds as little as possible to make them feasible.
     fn relax(&mut self, data: &Data, limits: &mut Limits<'_>) -> Result<(), QpError> {
         let n = self.scale.len();
         let variables = 2 * n + limits.speeds.len();
@@ -286,7 +288,7 @@ impl HierarchicalQp {
         }
         self.constrain(limits, true);
         self.iterate_proximal(Some(RELAXED))?;
-        // The solution serves only to widen the bounds: the level starts again from where it was.
+        // The solution is only used to widen the bounds: the level restarts from the saved α.
         self.asked.copy_from(&self.alpha);
         self.displace();
         self.admit(data, limits);
@@ -295,7 +297,7 @@ impl HierarchicalQp {
         Ok(())
     }
 
-    /// Solves the programme by proximal steps of weight ε, or as it stands; δ into `delta`.
+    /// Solves the program by proximal steps of weight ε, or in one step if `proximal` is `None`; writes δ into `delta`.
     fn iterate_proximal(&mut self, proximal: Option<f64>) -> Result<(), QpError> {
         let (n, variables) = (self.scale.len(), self.program.variables());
         self.program.gradient.fill(0.0);
@@ -333,7 +335,7 @@ impl HierarchicalQp {
         }
     }
 
-    /// α ← α + N δ.
+    /// Sets α ← α + N δ.
     fn displace(&mut self) {
         let n = self.scale.len();
         for j in 0..n {
@@ -344,8 +346,9 @@ impl HierarchicalQp {
         }
     }
 
-    /// Computes N and M N of the nullspace of the levels above, as M⁻¹ Nᵀ M and Nᵀ M: equal unless more than one of those
-    /// levels is damped. The acceleration that a level asks for is M⁻¹ Nᵀ times its torques, and so can always be undone.
+    /// Computes N and M N of the null space of the levels above as M⁻¹ Nᵀ M and Nᵀ M. Both forms are equal unless more
+    /// than one of those levels is damped. A level's demand is M⁻¹ Nᵀ times its torques; with this form, δ can always
+    /// cancel it.
     fn span(&mut self, data: &Data, above: &Nullspace) {
         self.torque_rows.copy_from(&data.mass_matrix);
         if above.is_empty() {
@@ -362,7 +365,8 @@ impl HierarchicalQp {
         }
     }
 
-    /// The Hessian of a residual, in variables scaled to unit inertia, and the weight of its proximal steps.
+    /// Sets the Hessian of a residual, in variables scaled to unit inertia, and returns the weight of its proximal
+    /// steps.
     fn pose(&mut self, residual: &Residual<'_>) -> Option<f64> {
         let n = self.scale.len();
         self.program.resize(n, 2 * n);
@@ -397,7 +401,7 @@ impl HierarchicalQp {
         Some(proximal)
     }
 
-    /// The limits on δ; with a slack for each bound on an acceleration or a speed if `relaxed`.
+    /// Sets the limits on δ as constraints, with a slack variable per acceleration and speed bound if `relaxed`.
     fn constrain(&mut self, limits: &Limits<'_>, relaxed: bool) {
         let n = self.scale.len();
         let constraints = 2 * n + limits.speeds.len();
@@ -434,7 +438,7 @@ impl HierarchicalQp {
             for ((x, column), &scale) in row.iter_mut().zip(nullspace.column_iter()).zip(scale) {
                 *x = dot(speed.row.as_slice(), column.as_slice()) / scale;
             }
-            // Of length one, so that its slack compares with those of accelerations.
+            // The row is normalised so that its slack is comparable to those of accelerations.
             let length = dot(&row[..n], &row[..n]).sqrt().max(f64::MIN_POSITIVE);
             row[..n].iter_mut().for_each(|x| *x /= length);
             row[n..].fill(0.0);

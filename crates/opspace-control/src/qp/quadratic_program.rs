@@ -1,59 +1,60 @@
-//! Small, dense, strictly convex quadratic programmes, and what may be wrong with one.
+//! Small, dense, strictly convex quadratic programs, and their errors.
 //!
-//! Two solvers read them: [`ActiveSet`](crate::qp::active_set::ActiveSet), for the loop, and
-//! [`InteriorPoint`](crate::qp::interior_point::InteriorPoint), an independent second opinion.
+//! There are two solvers: [`ActiveSet`](crate::qp::active_set::ActiveSet) for the control loop, and
+//! [`InteriorPoint`](crate::qp::interior_point::InteriorPoint), an independent implementation used as fallback and
+//! reference.
 
 use nalgebra::{DMatrix, DVector};
 
-/// A pivot of the Hessian's factor below this share of the diagonal is rounding: the Hessian is not positive
+/// Pivots of the Hessian's factor below this fraction of the diagonal are rounding errors: the Hessian is not positive
 /// definite.
 const PIVOT_SHARE: f64 = 16.0 * f64::EPSILON;
 
 /// min ½ xᵀ H x + gᵀ x   subject to   l ≤ Cᵀ x ≤ u.
 ///
-/// The arrays are as large as the largest programme that they are to hold; a programme of n variables and m
-/// rows is in their leading blocks.
+/// The arrays have the size of the largest program; a program of n variables and m constraints uses their leading
+/// blocks.
 #[derive(Clone, Debug)]
 pub struct QuadraticProgram {
     /// H, n × n, symmetric positive definite. Only its lower triangle is read.
     pub hessian: DMatrix<f64>,
     /// g, n.
     pub gradient: DVector<f64>,
-    /// C, n × m: each row of the constraints is a column here, and so contiguous.
+    /// C, n × m: each constraint is a column and therefore contiguous in memory.
     pub rows: DMatrix<f64>,
-    /// l, m: −∞ where there is no bound; equal to u for an equality.
+    /// l, m: −∞ for no bound; equal to u for an equality.
     pub lower: DVector<f64>,
-    /// u, m: ∞ where there is no bound.
+    /// u, m: ∞ for no bound.
     pub upper: DVector<f64>,
     variables: usize,
     constraints: usize,
 }
 
-/// Why a quadratic programme has no answer.
+/// Reason why a quadratic program has no solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum QpError {
-    /// No x meets the constraints.
+    /// No x satisfies the constraints.
     #[error("constraint {row} is inconsistent with the other constraints")]
     Infeasible {
-        /// A row that contradicts itself or others.
+        /// A constraint that contradicts itself or others.
         row: usize,
     },
     /// The Hessian is not positive definite.
     #[error("the Hessian is not positive definite")]
     NotConvex,
-    /// A NaN or an infinity in the programme, or an overflow on the way.
+    /// NaN or infinity in the data, or an overflow during the solution.
     #[error("the problem data has a NaN or an infinity where a finite number is needed, or overflows")]
     NotFinite,
-    /// The solver's bound on its iterations.
+    /// The solver reached its maximum number of iterations.
     #[error("the solver reached its iteration limit")]
     Iterations,
-    /// Anything else, by name.
+    /// Any other error, with its description.
     #[error("the solver found no solution: {0}")]
     Unsolved(&'static str),
 }
 
 impl QuadraticProgram {
-    /// All zero, with room for `variables` and `constraints`, all of them in use.
+    /// Creates a program of zeros with `variables` and `constraints`, all in use.
     #[must_use]
     pub fn new(variables: usize, constraints: usize) -> Self {
         Self {
@@ -67,10 +68,10 @@ impl QuadraticProgram {
         }
     }
 
-    /// Takes the leading `variables` and `constraints` into use, with whatever numbers stand there.
+    /// Sets the number of variables and constraints in use; the data in the arrays do not change.
     ///
     /// # Panics
-    /// If there is no room for that many.
+    /// If the arrays are too small.
     pub fn resize(&mut self, variables: usize, constraints: usize) {
         assert!(
             variables <= self.gradient.len() && constraints <= self.lower.len(),
@@ -93,20 +94,20 @@ impl QuadraticProgram {
         self.constraints
     }
 
-    /// The coefficients of constraint `i`, n.
+    /// Coefficients of constraint `i` (n).
     #[must_use]
     pub fn row(&self, i: usize) -> &[f64] {
         let start = i * self.rows.nrows();
         &self.rows.as_slice()[start..start + self.variables]
     }
 
-    /// Constraint `i`'s coefficients, to be set.
+    /// Mutable coefficients of constraint `i` (n).
     pub fn row_mut(&mut self, i: usize) -> &mut [f64] {
         let start = i * self.rows.nrows();
         &mut self.rows.as_mut_slice()[start..start + self.variables]
     }
 
-    /// Column `j` of H from the diagonal down, n − j.
+    /// Column `j` of H, from the diagonal downwards (n − j).
     #[must_use]
     pub fn hessian_column(&self, j: usize) -> &[f64] {
         let start = j * self.hessian.nrows();
@@ -122,8 +123,8 @@ impl QuadraticProgram {
         }
     }
 
-    /// Refuses, before any arithmetic, what no solver should see: arrays that don't fit one another, a NaN, an
-    /// infinity that is not the absence of a bound, bounds that exclude each other.
+    /// Checks the data before any arithmetic: arrays that are too small, NaN, infinities other than for missing bounds,
+    /// and contradicting bounds are errors.
     pub(crate) fn check(&self) -> Result<(), QpError> {
         let (n, m) = (self.variables, self.constraints);
         let fits = self.hessian.nrows() >= n
@@ -152,8 +153,8 @@ impl QuadraticProgram {
         }
     }
 
-    /// L of H = L Lᵀ, into the lower triangle of `factor` (n × n by columns, its diagonal inverted): column by
-    /// column, each less its share of those before.
+    /// Computes L of H = L Lᵀ into the lower triangle of `factor` (n × n by columns, with the inverse of the diagonal),
+    /// column by column.
     pub(crate) fn cholesky(&self, factor: &mut [f64]) -> Result<(), QpError> {
         let n = self.variables;
         for k in 0..n {
@@ -176,19 +177,19 @@ impl QuadraticProgram {
     }
 }
 
-/// aᵀ b.
+/// Returns aᵀ b.
 #[inline]
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// y + a x in place of y.
+/// Adds a x to y.
 #[inline]
 pub(crate) fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += a * x);
 }
 
-/// Without an early exit, so that the compiler can look at several at once.
+/// Returns true if all values are finite. There is no early exit, so that the compiler can vectorise the loop.
 pub(crate) fn all_finite(values: &[f64]) -> bool {
     values.iter().fold(true, |all, x| all & x.is_finite())
 }

@@ -7,7 +7,7 @@ use crate::references::target::Target;
 use nalgebra::{Matrix3, Vector3};
 use opspace_model::{Motion, Placement};
 
-/// The fading difference of a target from its reference: a displacement (m) and a rotation vector (rad), in world axes.
+/// Fading difference between a target and its reference: a displacement (m) and a rotation vector (rad), in world axes.
 #[derive(Clone, Debug)]
 pub(crate) struct Joining {
     begin_s: f64,
@@ -17,7 +17,8 @@ pub(crate) struct Joining {
 }
 
 impl Joining {
-    /// From `from` at `begin_s` to a reference, which is `reference` then, within `lasts_s` (s).
+    /// Creates the blend from the target `from` at the time `begin_s` to a reference in `lasts_s` (s). `reference` is
+    /// its value at `begin_s`.
     pub(crate) fn new(begin_s: f64, lasts_s: f64, from: &Target, reference: &Target) -> Self {
         let line = [
             from.placement.translation - reference.placement.translation,
@@ -25,7 +26,8 @@ impl Joining {
             from.acceleration.linear - reference.acceleration.linear,
         ];
         let away = from.placement.rotation * reference.placement.rotation.transpose();
-        // ω = ω_away + E ω_reference with E = exp(φ), and its derivative; ω_away and its derivative are linear in φ̇ and φ̈.
+        // ω = ω_away + E ω_reference with E = exp(φ), and the time derivative of this equation. ω_away is linear in φ̇,
+        // its derivative is linear in φ̈.
         let phi = orientation::log(&away);
         let rotated = away * reference.velocity.angular;
         let omega = from.velocity.angular - rotated;
@@ -33,7 +35,7 @@ impl Joining {
         let zero = Vector3::zeros();
         let columns = [Vector3::x(), Vector3::y(), Vector3::z()]
             .map(|axis| rotation_vector_rates(&phi, &axis, &zero).0);
-        // Invertible up to a whole turn, and a logarithm is at most half of one.
+        // The matrix is invertible below a full turn, and the logarithm is at most half a turn.
         let inverse = Matrix3::from_columns(&columns).try_inverse().unwrap_or_else(Matrix3::identity);
         let dphi = inverse * omega;
         let ddphi = inverse * (alpha - rotation_vector_rates(&phi, &dphi, &zero).1);
@@ -42,7 +44,7 @@ impl Joining {
         Self { begin_s, end_s: begin_s + lasts_s, line: fading(line), turn: fading([phi, dphi, ddphi]) }
     }
 
-    /// The target for a reference at `time_s`.
+    /// Returns the target for the value of the reference at `time_s`.
     pub(crate) fn blended(&self, reference: &Target, time_s: f64) -> Target {
         if time_s < self.end_s { self.target(reference, time_s) } else { *reference }
     }
@@ -70,8 +72,8 @@ impl Joining {
     }
 }
 
-/// The pose `from`, displaced by a line (m) and a rotation vector (rad) with their first two derivatives, in world
-/// axes.
+/// Returns the pose `from`, displaced by a translation (m) and a rotation vector (rad) with their first two
+/// derivatives, in world axes.
 pub(crate) fn moved(from: &Placement, line: [Vector3<f64>; 3], turn: [Vector3<f64>; 3]) -> Target {
     let (omega, alpha) = rotation_vector_rates(&turn[0], &turn[1], &turn[2]);
     Target {

@@ -1,4 +1,4 @@
-//! Poses to reach, absolute or from where the run began.
+//! Goal poses, absolute or relative to the start of the run.
 
 use crate::orientation;
 use nalgebra::{Matrix3, Vector3};
@@ -8,31 +8,31 @@ use opspace_model::Placement;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// A position to reach.
+/// Goal position.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum PositionGoal {
-    /// In the world, m.
+    /// Position in the world, m.
     #[serde(rename = "absolute_m")]
     Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
-    /// From the position at the start of the run, along the task's axes, m.
+    /// Offset from the position at the start of the run, along the task's axes, m.
     #[serde(rename = "offset_m")]
     Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
-/// An orientation to reach, as roll, pitch and yaw about fixed axes, in that order.
+/// Goal orientation: roll, pitch and yaw about fixed axes, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum OrientationGoal {
-    /// Relative to the world, rad.
+    /// Orientation in the world, rad.
     #[serde(rename = "absolute_rpy_rad")]
     Absolute(#[serde(deserialize_with = "exactly")] [f64; 3]),
-    /// From the orientation at the start of the run, about the task's axes, rad.
+    /// Rotation from the orientation at the start of the run, about the task's axes, rad.
     #[serde(rename = "offset_rpy_rad")]
     Offset(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
-/// Position of a goal in the world, m; that of `before` if there is none.
+/// Position of a goal in the world, m; the position of `before` if there is no goal.
 pub(crate) fn position(
     goal: Option<&PositionGoal>,
     axes: &Matrix3<f64>,
@@ -46,7 +46,7 @@ pub(crate) fn position(
     }
 }
 
-/// Orientation of a goal in the world; that of `before` if there is none.
+/// Orientation of a goal in the world; the orientation of `before` if there is no goal.
 pub(crate) fn rotation(
     goal: Option<&OrientationGoal>,
     axes: &Matrix3<f64>,

@@ -1,7 +1,7 @@
-//! References of a joint-tracking task. Each begins, at time 0, where the reference is at that instant: at the
-//! start of a run the posture of the robot, at rest; in its midst what the reference before it asked for. A
-//! [`JointOnlineGoal`] takes over the motion too; the others set out from rest. Joints that aren't named stay
-//! there.
+//! References of a joint-tracking task. Each starts, at time 0, at the current reference: at the start of a run this is
+//! the posture of the robot, at rest; during a run it is the value of the previous reference. A [`JointOnlineGoal`]
+//! also continues the velocity and acceleration; the other references start from rest. Joints that are not named keep
+//! their position.
 
 use crate::error::{ControlError, Reason};
 use crate::per_joint::{PerJoint, indices};
@@ -32,9 +32,9 @@ pub enum JointReference {
     Sinusoid(JointSinusoid),
     /// Moves from posture to posture and stops at each.
     Waypoints(Vec<JointWaypoint>),
-    /// Moves to one posture as fast as limits allow, from any state of motion.
+    /// Moves to one posture as fast as its limits allow, from any state of motion.
     Goal(JointOnlineGoal),
-    /// Follows targets that are streamed.
+    /// Follows streamed targets.
     Streamed(StreamedJointReference),
 }
 
@@ -43,11 +43,11 @@ pub enum JointReference {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointPointToPoint {
-    /// Posture to reach.
+    /// Goal posture.
     pub goal: JointGoal,
     /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// Begin of the motion, s after the start; 0 if absent.
+    /// Start time of the motion, s after the start of the reference; 0 if absent.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -59,17 +59,17 @@ pub struct JointPointToPoint {
 pub struct JointWaypoint {
     /// Time of arrival, s after the start.
     pub time_s: Positive,
-    /// Posture to reach; joints that are not named keep their position.
+    /// Posture of the waypoint; joints that are not named keep their position.
     pub goal: JointGoal,
 }
 
-/// A motion to one posture as fast as the limits allow, from any state of motion at the start. Each joint arrives in
-/// its own time.
+/// A motion to one posture as fast as the limits allow, from any state of motion at the start. The joints arrive
+/// independently of each other.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointOnlineGoal {
-    /// Posture to reach.
+    /// Goal posture.
     pub posture: JointGoal,
     /// Highest speed, rad/s (m/s for a prismatic joint).
     pub velocity_rad_per_s: PerJoint<Positive>,
@@ -79,14 +79,14 @@ pub struct JointOnlineGoal {
     pub jerk_rad_per_s3: PerJoint<Positive>,
 }
 
-/// A posture to reach, by joint names.
+/// Goal posture, by joint names.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum JointGoal {
     /// Joint positions, rad (m for a prismatic joint).
     #[serde(rename = "absolute_rad")]
     Absolute(BTreeMap<String, f64>),
-    /// From the posture at the start of the run, rad (m for a prismatic joint).
+    /// Offsets from the posture at the start of the run, rad (m for a prismatic joint).
     #[serde(rename = "offset_rad")]
     Offset(BTreeMap<String, f64>),
 }
@@ -103,15 +103,15 @@ pub struct JointSinusoid {
     pub ramp_s: Positive,
 }
 
-/// A [`JointReference`] ready to be followed.
+/// Trajectory of a [`JointReference`].
 #[derive(Clone, Debug)]
 pub(crate) struct JointTrajectory {
-    /// The reference at the start.
+    /// Reference at the start, rad or m (n).
     from: DVector<f64>,
     path: Path,
-    /// Time at which the joints began to join the reference from elsewhere, s after the start.
+    /// Start time of the blend into the reference, s after the start.
     joining: Option<f64>,
-    /// Offset of each joint's target from the reference since then (n).
+    /// Fading offset of each joint's target from the reference (n).
     away: Vec<Quintic>,
 }
 
@@ -150,10 +150,10 @@ struct Goal {
 }
 
 impl JointTrajectory {
-    /// A trajectory of a reference; `key` is the place of the reference in the file.
+    /// Creates the trajectory of a reference; `key` is the path of the reference in the file.
     pub(crate) fn new(reference: &JointReference, model: &Model, key: &str) -> Result<Self, ControlError> {
         let path = match reference {
-            // A streamed reference is followed by the task; without a target it holds.
+            // The task itself follows a streamed reference; without a target it holds.
             JointReference::Hold | JointReference::Streamed(_) => Path::Legs(Vec::new()),
             JointReference::PointToPoint(p) => {
                 let goal = goals(&p.goal, model, &format!("{key}.point-to-point.goal"))?;
@@ -192,11 +192,11 @@ impl JointTrajectory {
         Ok(Self { from: DVector::zeros(model.n()), path, joining: None, away })
     }
 
-    /// Begins now: time 0 of [`at`](Self::at) is this instant. It doesn't allocate, so that a task may change
-    /// while it runs.
+    /// Starts now: time 0 of [`reference_at`](Self::reference_at) is this instant. Allocates nothing, so that a task
+    /// can change during a run.
     ///
-    /// `home` (n) is the posture at the start of the run, from which the offsets of goals count; `from` the
-    /// reference in force, at the start of a run `home` at rest.
+    /// `home` (n) is the posture at the start of the run, the base of the goals' offsets. `from` is the current
+    /// reference; at the start of a run it is `home`, at rest.
     pub(crate) fn start(&mut self, home: &[f64], from: &JointMotion<'_>) {
         self.from.as_mut_slice().copy_from_slice(from.position);
         self.joining = None;
@@ -224,8 +224,8 @@ impl JointTrajectory {
         }
     }
 
-    /// From now on, `time_s` after the start, the joints join the reference from `q` (n), at rest,
-    /// within [`BLEND_S`]. It doesn't allocate.
+    /// Blends from `q` (n), at rest, into the reference within [`BLEND_S`], starting `time_s` (s) after the start.
+    /// Allocates nothing.
     pub(crate) fn join(&mut self, time_s: f64, q: &[f64]) {
         for (joint, q) in q.iter().enumerate() {
             let [x, v, a] = self.reference_at(joint, time_s);
@@ -234,7 +234,8 @@ impl JointTrajectory {
         self.joining = Some(time_s);
     }
 
-    /// Offset of a joint's target from the reference, `time_s` after the start: position, velocity and acceleration.
+    /// Offset of a joint's target from the reference, `time_s` (s) after the start: position, velocity and
+    /// acceleration.
     pub(crate) fn away(&self, joint: usize, time_s: f64) -> [f64; 3] {
         match self.joining {
             Some(begin_s) if time_s < begin_s + BLEND_S => self.away[joint].at(time_s - begin_s),
@@ -242,7 +243,7 @@ impl JointTrajectory {
         }
     }
 
-    /// Returns true if it goes to a goal from any state of motion.
+    /// Returns true if it is a jerk-limited motion, which can start from any state of motion.
     pub(crate) fn is_online(&self) -> bool {
         matches!(self.path, Path::Online { .. })
     }
@@ -300,7 +301,7 @@ fn limits(goal: &JointOnlineGoal, model: &Model, key: &str) -> Result<Vec<Motion
         .collect())
 }
 
-/// Checks that waypoints exist and go forward in time. `key` is the place of their list in the file.
+/// Checks that there are waypoints and that their times increase. `key` is the path of their list in the file.
 pub(crate) fn check_times(times: impl Iterator<Item = f64>, key: &str) -> Result<(), ControlError> {
     let mut previous_s = 0.0;
     let mut count = 0;
@@ -340,8 +341,8 @@ mod tests {
     const GOAL: &str = "reference.goal = { posture = { offset_rad = { elbow = 0.5 } }, velocity_rad_per_s = 1.0, \
         acceleration_rad_per_s2 = { shoulder = 2.0, elbow = 4.0 }, jerk_rad_per_s3 = 20.0 }";
 
-    /// The state at the start against the one taken over, bit for bit; the limits of each joint at 500 instants; the
-    /// end against home and goal. The shoulder, which isn't named, returns to its initial position.
+    /// Compared: the state at the start with the initial one, bit for bit; the motion of each joint with its limits at
+    /// 500 instants; the end with home and goal. The shoulder, which is not named, returns to its initial position.
     #[test]
     fn goal_takes_over_joint_motion() {
         let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];
@@ -362,7 +363,8 @@ mod tests {
         assert_eq!(goal.reference_at(1, 9.0), [0.2 + 0.5, 0.0, 0.0]);
     }
 
-    /// References started away from home: they start at the present position, and offsets count from home.
+    /// References that start away from home: they start at the current position, and their offsets are relative to
+    /// home.
     #[test]
     fn offsets_count_from_home() {
         let from = [[0.3, -0.4], [0.6, -0.7], [1.0, 2.0]];

@@ -1,10 +1,10 @@
-//! Online trajectory generation: from any state of motion to rest at a goal, under limits of velocity,
-//! acceleration and jerk.
+//! Online trajectory generation: from any state of motion to rest at a goal, within limits of velocity, acceleration
+//! and jerk.
 //!
-//! One coordinate takes the shortest time under its limits: up to seven pieces of constant jerk, after up to two
-//! that bring a state beyond the limits within them (Berscheid and Kröger 2021, *Jerk-limited Real-time
-//! Trajectory Generation with Arbitrary Target States*; the crate `rsruckig` finds the pieces). A whole
-//! motion is computed when it starts; nothing here allocates.
+//! The motion of each coordinate is time-optimal: up to two segments bring a state beyond the limits back within them,
+//! and up to seven segments of constant jerk follow (Berscheid and Kröger 2021, *Jerk-limited Real-time Trajectory
+//! Generation with Arbitrary Target States*; the crate `rsruckig` computes the segments). The whole motion is computed
+//! when it starts; nothing allocates.
 
 use crate::references::goal::{OrientationGoal, PositionGoal};
 use crate::references::ramp::Quintic;
@@ -19,18 +19,19 @@ use serde::Deserialize;
 
 /// A motion to one pose as fast as the limits allow, from any state of motion at the start.
 ///
-/// The motion is split into its part along the line from the start to the goal and the motion of the frame across it:
-/// each has the limits to itself. So from rest the frame goes straight, and the limits hold for its speed; in a
-/// rotation likewise, for the rotation vector from the start orientation. Position and orientation arrive each in its
-/// own time. The one that has no goal stays as it is, or comes back to that within half a second. A motion beyond the
-/// limits is brought within them first, over a distance that follows from the limits.
+/// The motion is split into a part along the line from the start to the goal and a part perpendicular to it; the limits
+/// apply to each part separately. From rest, the frame therefore moves on a straight line, and the limits apply to its
+/// path velocity; likewise for a rotation, with the rotation vector from the start orientation. Position and
+/// orientation arrive independently of each other. A position or orientation without a goal keeps its start value, or
+/// returns to it within half a second. A motion beyond the limits is first brought within them, over a distance that
+/// follows from the limits.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(with = "OnlineGoalFile"))]
 #[serde(try_from = "OnlineGoalFile")]
 pub struct OnlineGoal {
-    /// Position to reach, and limits of the motion (m/s, m/s², m/s³).
+    /// Goal position and limits of the motion (m/s, m/s², m/s³).
     pub position: Option<(PositionGoal, MotionLimits)>,
-    /// Orientation to reach, and limits of the rotation (rad/s, rad/s², rad/s³).
+    /// Goal orientation and limits of the rotation (rad/s, rad/s², rad/s³).
     pub orientation: Option<(OrientationGoal, MotionLimits)>,
 }
 
@@ -45,26 +46,26 @@ pub struct MotionLimits {
     pub jerk: Positive,
 }
 
-/// [`OnlineGoal`] as it is written.
+/// File format of [`OnlineGoal`].
 #[derive(Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct OnlineGoalFile {
-    /// Position to reach; without it the frame keeps its position.
+    /// Goal position; the frame keeps its position if absent.
     position: Option<PositionGoal>,
-    /// Orientation to reach; without it the frame keeps its orientation.
+    /// Goal orientation; the frame keeps its orientation if absent.
     orientation: Option<OrientationGoal>,
-    /// Highest speed, m/s; required with `position`, refused without it.
+    /// Highest speed, m/s; required with `position`, not allowed without it.
     velocity_m_per_s: Option<Positive>,
-    /// Highest acceleration, m/s²; required with `position`, refused without it.
+    /// Highest acceleration, m/s²; required with `position`, not allowed without it.
     acceleration_m_per_s2: Option<Positive>,
-    /// Highest jerk, m/s³; required with `position`, refused without it.
+    /// Highest jerk, m/s³; required with `position`, not allowed without it.
     jerk_m_per_s3: Option<Positive>,
-    /// Highest angular speed, rad/s; required with `orientation`, refused without it.
+    /// Highest angular speed, rad/s; required with `orientation`, not allowed without it.
     angular_velocity_rad_per_s: Option<Positive>,
-    /// Highest angular acceleration, rad/s²; required with `orientation`, refused without it.
+    /// Highest angular acceleration, rad/s²; required with `orientation`, not allowed without it.
     angular_acceleration_rad_per_s2: Option<Positive>,
-    /// Highest angular jerk, rad/s³; required with `orientation`, refused without it.
+    /// Highest angular jerk, rad/s³; required with `orientation`, not allowed without it.
     angular_jerk_rad_per_s3: Option<Positive>,
 }
 
@@ -92,7 +93,7 @@ impl TryFrom<OnlineGoalFile> for OnlineGoal {
     }
 }
 
-/// A goal with its limits: all three with one, none without.
+/// Combines a goal with its limits: a goal needs all three limits; without a goal no limit is allowed.
 fn limited<T>(
     key: &str,
     goal: Option<T>,
@@ -110,24 +111,24 @@ fn limited<T>(
     Ok(Some((goal, MotionLimits { velocity: velocity?, acceleration: acceleration?, jerk: jerk? })))
 }
 
-/// The motion of one coordinate to rest at a goal.
+/// Motion of one coordinate to rest at a goal.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OnlineMotion {
     goal: f64,
     duration_s: f64,
-    /// Pieces of the motion in the order of their begins, of which the first is 0.
+    /// Segments of the motion in the order of their start times, the first of which is 0.
     pieces: [Piece; PIECES],
     count: usize,
 }
 
-/// Largest number of pieces: two that brake, seven that move.
+/// Maximum number of segments: two that brake, seven that move.
 const PIECES: usize = 9;
 
-/// A polynomial: of the third degree where the jerk is constant.
+/// A segment of the motion; its polynomial is cubic if the jerk is constant.
 #[derive(Clone, Copy, Debug, Default)]
 struct Piece {
     begin_s: f64,
-    /// Polynomial of the time since `begin_s`.
+    /// Polynomial in the time since `begin_s`.
     polynomial: Quintic,
 }
 
@@ -137,20 +138,20 @@ impl Piece {
     }
 }
 
-/// Returns true if two states are equal within the rounding of the generator; false if one is NaN.
+/// Returns true if two states are equal within the rounding errors of the generator; false if one of them is NaN.
 fn meet(one: [f64; 3], other: [f64; 3]) -> bool {
     one.iter().zip(other).all(|(a, b)| (a - b).abs() <= 1e-8 * (1.0 + b.abs()))
 }
 
 impl OnlineMotion {
-    /// A motion from `from` (position, velocity, acceleration) to rest at `goal`. If the generator computes none within
-    /// the limits (limits or states of very unlike magnitude), a smooth one that need not keep them.
+    /// Computes a motion from `from` (position, velocity, acceleration) to rest at `goal`. If the generator finds none
+    /// (for limits or states of very different magnitude), the motion is a smooth one that may exceed the limits.
     pub(crate) fn new(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Self {
         Self::limited(from, goal, limits)
             .unwrap_or_else(|| Self::quintic(from, goal, unhurried_s(from, goal, limits)))
     }
 
-    /// At rest.
+    /// Returns a motion that rests at `at`.
     pub(crate) fn rest(at: f64) -> Self {
         Self::quintic([at, 0.0, 0.0], at, 1.0)
     }
@@ -163,11 +164,11 @@ impl OnlineMotion {
         Self { goal, duration_s, pieces, count: 1 }
     }
 
-    /// From `from` to rest as fast as limits of acceleration and jerk allow, wherever that is.
+    /// Returns the motion from `from` to rest, wherever it ends, as fast as the limits of acceleration and jerk allow.
     pub(crate) fn stop(from: [f64; 3], limits: &MotionLimits) -> Self {
         let [_, v, a] = from;
         let [a_max, j_max] = [limits.acceleration, limits.jerk].map(Positive::get);
-        // The velocity once the acceleration has gone to zero: what must be braked. Its sign is that of the motion below.
+        // The sign of the velocity that remains when the acceleration has been brought to zero and that must be braked.
         let sign = if v + a * a.abs() / (2.0 * j_max) < 0.0 { -1.0 } else { 1.0 };
         let (speed, rise) = (sign * v, sign * a);
         let unlimited = (j_max * speed + 0.5 * rise * rise).max(0.0).sqrt();
@@ -195,13 +196,14 @@ impl OnlineMotion {
         Self { goal: reached[0], duration_s: begin_s, pieces, count }
     }
 
-    /// From `from` to rest in `duration_s`, the velocity along a cubic in time.
+    /// Returns the motion from `from` to rest in `duration_s` (s); the velocity is cubic in time.
     pub(crate) fn stop_within([x, v, a]: [f64; 3], duration_s: f64) -> Self {
         let goal = x + duration_s * (v / 2.0 + a * duration_s / 12.0);
         Self::quintic([x, v, a], goal, duration_s)
     }
 
-    /// `None` where the generator finds nothing, or nothing that joins start and goal.
+    /// Returns the time-optimal motion; `None` if the generator finds none, or one that does not connect start and
+    /// goal.
     fn limited(from: [f64; 3], goal: f64, limits: &MotionLimits) -> Option<Self> {
         if from == [goal, 0.0, 0.0] {
             return Some(Self::rest(goal));
@@ -256,25 +258,25 @@ impl OnlineMotion {
     }
 }
 
-/// A duration in which a quintic keeps about to the limits: to the peaks of the minimum-jerk motion over the
-/// way, and slower than the limits would brake the start's state.
+/// Returns a duration (s) in which a quintic polynomial approximately keeps the limits: the time for the peaks of the
+/// minimum-jerk motion over the distance, plus a time longer than the limits need to brake the initial state.
 fn unhurried_s([x, v, a]: [f64; 3], goal: f64, limits: &MotionLimits) -> f64 {
     let [v_max, a_max, j_max] = [limits.velocity, limits.acceleration, limits.jerk].map(Positive::get);
     let way = (goal - x).abs();
     let minimum_jerk =
         (1.875 * way / v_max).max((5.774 * way / a_max).sqrt()).max((60.0 * way / j_max).cbrt());
     let braking = (4.0 * v.abs() / a_max).max((8.0 * v.abs() / j_max).sqrt()).max(4.0 * a.abs() / j_max);
-    // Shorter than any control cycle, and not zero: the polynomial divides by it.
+    // The lower bound is at most a control period; it avoids a division by zero in the polynomial.
     (minimum_jerk + braking).clamp(1e-3, 1e9)
 }
 
-/// Time in which a quantity without a goal comes back to where it was, if it moves at the start, s.
+/// Time in which a quantity without a goal returns to its start value if it moves at the start, s.
 const RETURN_S: f64 = 0.5;
 
-/// The motion of a displacement or a rotation vector, from zero.
+/// Motion of a displacement or a rotation vector, from zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OnlineVector {
-    /// Directions along the way and two across it, one per column.
+    /// Orthonormal directions, one per column: the first along the path, the others perpendicular to it.
     directions: Matrix3<f64>,
     motions: [OnlineMotion; 3],
 }
@@ -284,7 +286,7 @@ impl OnlineVector {
         Self { directions: Matrix3::identity(), motions: [OnlineMotion::rest(0.0); 3] }
     }
 
-    /// From zero, with `velocity` and `acceleration`, to rest at `goal`.
+    /// Creates the motion from zero, with `velocity` and `acceleration`, to rest at `goal`.
     pub(crate) fn new(
         velocity: &Vector3<f64>,
         acceleration: &Vector3<f64>,
@@ -298,13 +300,14 @@ impl OnlineVector {
         Self { directions, motions: [motion(0), motion(1), motion(2)] }
     }
 
-    /// From zero, with `velocity` and `acceleration`, back to rest at zero.
+    /// Creates the motion from zero, with `velocity` and `acceleration`, back to rest at zero.
     pub(crate) fn back(velocity: &Vector3<f64>, acceleration: &Vector3<f64>) -> Self {
         let motion = |i: usize| OnlineMotion::quintic([0.0, velocity[i], acceleration[i]], 0.0, RETURN_S);
         Self { directions: Matrix3::identity(), motions: [motion(0), motion(1), motion(2)] }
     }
 
-    /// From zero, with `velocity` and `acceleration`, to rest as fast as limits of acceleration and jerk allow.
+    /// Creates the motion from zero, with `velocity` and `acceleration`, to rest as fast as limits of acceleration and
+    /// jerk allow.
     pub(crate) fn stop(velocity: &Vector3<f64>, acceleration: &Vector3<f64>, limits: &MotionLimits) -> Self {
         let directions = directions(velocity, acceleration, &Vector3::zeros());
         let [v, a] = [velocity, acceleration].map(|vector| directions.tr_mul(vector));
@@ -312,20 +315,22 @@ impl OnlineVector {
         Self { directions, motions: [motion(0), motion(1), motion(2)] }
     }
 
-    /// From zero, with `velocity` and `acceleration`, to rest in `duration_s`, the velocity along a cubic in time.
+    /// Creates the motion from zero, with `velocity` and `acceleration`, to rest in `duration_s` (s); the velocity is
+    /// cubic in time.
     pub(crate) fn stop_within(velocity: &Vector3<f64>, acceleration: &Vector3<f64>, duration_s: f64) -> Self {
         let motion = |i: usize| OnlineMotion::stop_within([0.0, velocity[i], acceleration[i]], duration_s);
         Self { directions: Matrix3::identity(), motions: [motion(0), motion(1), motion(2)] }
     }
 
-    /// The vector and its first two derivatives at `time_s` after the start.
+    /// Vector and its first two derivatives at `time_s` (s) after the start.
     pub(crate) fn at(&self, time_s: f64) -> [Vector3<f64>; 3] {
         let along = self.motions.map(|motion| motion.at(time_s));
         [0, 1, 2].map(|k| self.directions * Vector3::new(along[0][k], along[1][k], along[2][k]))
     }
 }
 
-/// Orthonormal: along the first, then along what the others do across it.
+/// Returns orthonormal directions: along `first`, then along the parts of the other vectors that are perpendicular to
+/// it.
 fn directions(first: &Vector3<f64>, second: &Vector3<f64>, third: &Vector3<f64>) -> Matrix3<f64> {
     let mut basis = [Vector3::zeros(); 3];
     let mut found = 0;
@@ -333,7 +338,8 @@ fn directions(first: &Vector3<f64>, second: &Vector3<f64>, third: &Vector3<f64>)
         if found == 3 {
             break;
         }
-        // Twice: once would leave a vector almost along the others at an angle to them.
+        // The orthogonalisation is repeated because a single pass is inaccurate for a vector that is nearly parallel to
+        // the others.
         let mut across = *vector;
         for _ in 0..2 {
             for known in &basis[..found] {
@@ -359,16 +365,17 @@ mod tests {
         MotionLimits { velocity, acceleration, jerk }
     }
 
-    /// Two decades of each about what arms do.
+    /// Limits within two decades around the values of typical arms.
     fn any_limits() -> impl Strategy<Value = [f64; 3]> {
         [-1.0..1.0, -1.0..1.0, -1.0..1.0]
             .prop_map(|d: [f64; 3]| [0.5 * 10f64.powf(d[0]), 2.0 * 10f64.powf(d[1]), 20.0 * 10f64.powf(d[2])])
     }
 
-    /// By how much a joint of two pieces may be off, as the generator's own tolerances.
+    /// Tolerance of the step between two segments, like that of the generator.
     const SEAM: f64 = 1e-8;
 
-    /// Velocity and acceleration against central differences, where no piece ends; and no jump where one does.
+    /// Compared: velocity and acceleration with central differences within the segments; values on both sides of each
+    /// boundary between segments.
     fn check_smooth(motion: &OnlineMotion, jerk: f64) {
         let h = motion.duration_s * 1e-4;
         for k in 0..100 {
@@ -376,10 +383,10 @@ mod tests {
             let [before, now, after] = [t - h, t, t + h].map(|t| motion.at(t));
             let scale = 1.0 + now.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
             let velocity = (after[0] - before[0]) / (2.0 * h);
-            // Third derivative: at most 2 jerk h²/6, seams over h.
+            // The error of the difference is at most 2 jerk h²/6, plus the tolerance of a boundary over h.
             let tolerance = jerk * h * h + SEAM * scale * (1.0 + 1.0 / h);
             assert!((now[1] - velocity).abs() <= tolerance, "{motion:?} at {t}");
-            // A piece that ends within h changes the difference by at most 2 jerk h/2.
+            // A segment that ends within h changes the difference by at most 2 jerk h/2.
             let change = (after[2] - before[2]).abs();
             assert!(change <= 2.0 * jerk * h * (1.0 + 1e-9) + SEAM * scale, "{motion:?} at {t}");
             let acceleration = (after[1] - before[1]) / (2.0 * h);
@@ -388,8 +395,8 @@ mod tests {
     }
 
     proptest! {
-        /// Motions from any state that need not leave the limits: the start's state, the limits at 200 instants, the
-        /// goal at rest; the jerk as the difference of accelerations.
+        /// Compared: motions from initial states that can stay within the limits with the initial state, with the
+        /// limits at 200 instants (the jerk as a difference of accelerations) and with the goal at rest.
         #[test]
         fn limits_hold_throughout_the_motion(
             limit in any_limits(),
@@ -397,7 +404,7 @@ mod tests {
             [v, a] in [-1.0..1.0, -1.0..1.0f64],
         ) {
             let [v_max, a_max, j_max] = limit;
-            // What a0 adds to the speed before it can be undone, a0²/2j, is kept free.
+            // The speed that a0 adds until it is zero, a0²/2j, is reserved.
             let a = a * a_max.min((v_max * j_max).sqrt());
             let v = v * (v_max - a * a / (2.0 * j_max));
             let goal = x + way;
@@ -417,7 +424,7 @@ mod tests {
             check_smooth(&motion, j_max);
         }
 
-        /// Motions from beyond the limits: back within them, with the jerk always within its own.
+        /// Motions that start beyond the limits return within them; the jerk is always within its limit.
         #[test]
         fn start_beyond_limits_is_braked(
             limit in any_limits(),
@@ -428,7 +435,7 @@ mod tests {
             let motion = OnlineMotion::limited(start, way, &limits(limit)).expect("a motion");
             prop_assert_eq!(motion.at(0.0), start);
             prop_assert_eq!(motion.at(motion.duration_s), [way, 0.0, 0.0]);
-            // The longest braking: the acceleration to its far limit and back, then the speed at it.
+            // Longest braking: the acceleration changes to its opposite limit and back, then brakes the speed.
             let beyond = 2.0 * v_max + 4.0 * a_max * a_max * 2.0 / j_max;
             let braked_s = 8.0 * a_max / j_max + (beyond + 3.0 * v_max) / a_max;
             for k in 0..200 {
@@ -440,7 +447,7 @@ mod tests {
             check_smooth(&motion, j_max);
         }
 
-        /// Motions of any magnitude: they start at the given state, arrive, and are finite in between.
+        /// Motions of any magnitude start at the given state, arrive, and are finite in between.
         #[test]
         fn extreme_magnitudes_cause_no_jump(
             decades in [-9.0..9.0, -9.0..9.0, -9.0..9.0f64],
@@ -457,7 +464,7 @@ mod tests {
             }
         }
 
-        /// The polynomial at its ends against the states that it joins, and its derivatives against differences.
+        /// Compared: the polynomial at its ends with the states that it connects, and its derivatives with differences.
         #[test]
         fn fallback_motion_is_smooth(
             [x, v, a, goal] in [-2.0..2.0, -2.0..2.0, -2.0..2.0, -2.0..2.0f64],
@@ -470,12 +477,12 @@ mod tests {
             for (end, wanted) in end.iter().zip([goal, 0.0, 0.0]) {
                 prop_assert!((end - wanted).abs() < 1e-9 * scale, "{:?}", motion);
             }
-            // Sixty times the way, and the state's share, over the cube of the duration.
+            // Sixty times the distance, plus the part of the initial state, divided by the cube of the duration.
             check_smooth(&motion, 60.0 * (4.0 + 2.0 * duration_s + duration_s * duration_s) / duration_s.powi(3));
         }
     }
 
-    /// The fallback's duration: long enough for its peaks to stay within the limits from rest.
+    /// The fallback's duration is long enough for its peaks to stay within the limits, from rest.
     #[test]
     fn fallback_motion_from_rest_keeps_limits() {
         for limit in [[0.5, 2.0, 20.0], [5.0, 1.0, 100.0], [5.0, 20.0, 1.0]] {
@@ -489,7 +496,7 @@ mod tests {
     }
 
     proptest! {
-        /// Compared: state at the end of a stop and rest; its accelerations and their changes, and the limits.
+        /// Compared: state at the end of a stop with rest; its accelerations and their changes with the limits.
         #[test]
         fn stop_ends_at_rest_within_limits(
             limit in any_limits(),

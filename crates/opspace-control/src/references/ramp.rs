@@ -1,9 +1,9 @@
-//! The minimum-jerk ramp, the product rule that brings it into a reference, and the quintic that joins any state.
+//! The minimum-jerk ramp, the product rule that applies it to a reference, and the quintic polynomial from any state.
 //!
-//! A quantity and its first and second time derivative stand together as `[x, ẋ, ẍ]`.
+//! A quantity and its first two time derivatives are stored as `[x, ẋ, ẍ]`.
 
-/// s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, and its derivatives (1/s, 1/s²): from 0 to 1, at rest and
-/// without acceleration at both ends.
+/// Minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, and its derivatives (1/s, 1/s²): from 0 to 1, with zero
+/// velocity and acceleration at both ends. `t` and `duration` in s.
 #[must_use]
 pub fn minimum_jerk(t: f64, duration: f64) -> [f64; 3] {
     if t <= 0.0 {
@@ -20,13 +20,13 @@ pub fn minimum_jerk(t: f64, duration: f64) -> [f64; 3] {
     ]
 }
 
-/// a b, (a b)˙, (a b)¨.
+/// Returns a b, (a b)˙ and (a b)¨.
 #[must_use]
 pub fn product(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + 2.0 * a[1] * b[1] + a[0] * b[2]]
 }
 
-/// The polynomial of the fifth degree from any state to rest.
+/// Quintic polynomial from any state to rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Quintic {
     /// Coefficients of t⁰ to t⁵.
@@ -34,11 +34,12 @@ pub(crate) struct Quintic {
 }
 
 impl Quintic {
-    /// From `from` (position, velocity, acceleration) to rest at `goal` in `duration`.
+    /// Creates the polynomial from `from` (position, velocity, acceleration) to rest at `goal` in `duration` (s).
     pub(crate) fn new(from: [f64; 3], goal: f64, duration: f64) -> Self {
         let [x, v, a] = from;
         let t = duration;
-        // In u = t/duration: what is left of the way, and of the velocity, once the start's state has run on.
+        // In u = t/duration: the distance, velocity and acceleration that remain if the initial state is extrapolated
+        // to the end.
         let way = goal - x - v * t - 0.5 * a * t * t;
         let speed = -(v + a * t) * t;
         let bend = -a * t * t;
@@ -49,7 +50,7 @@ impl Quintic {
         Self { coefficients: [x, v, 0.5 * a, c3 / cubed, c4 / (cubed * t), c5 / (cubed * t * t)] }
     }
 
-    /// Position, velocity and acceleration at `t` after the start.
+    /// Position, velocity and acceleration at `t` (s) after the start.
     pub(crate) fn at(&self, t: f64) -> [f64; 3] {
         let [c0, c1, c2, c3, c4, c5] = self.coefficients;
         [

@@ -1,7 +1,7 @@
-//! Recorded paths: poses at instants, read from CSV and joined by splines.
+//! Recorded paths: timed poses read from CSV and interpolated by splines.
 //!
-//! This crate touches no file: the reader of a task file also reads the recorded file that it names, by [`parse`], into
-//! [`RecordedPath::samples`].
+//! This crate reads no files: the reader of a task file also reads the recorded file that the task file names, with
+//! [`parse`], into [`RecordedPath::samples`].
 
 use crate::orientation;
 use crate::orientation::rotation_vector_rates;
@@ -16,24 +16,24 @@ use serde::Deserialize;
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// A recorded path to follow, its first sample at the start.
+/// A recorded path to follow. Its first sample is at the start.
 ///
-/// The path is the C² cubic spline through the samples, at rest and without acceleration at both ends. Record it
-/// from rest to rest: motion that is already under way at its first sample is caught up within the first two
-/// intervals, at any speed that this requires.
+/// The path is the C² cubic spline through the samples, with zero velocity and acceleration at both ends. It should be
+/// recorded from rest to rest: a motion that is already in progress at the first sample is caught up within the first
+/// two intervals, at any velocity that this requires.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RecordedPath {
-    /// A CSV file with the columns `time_s,x_m,y_m,z_m` and, if the frame turns, `qw,qx,qy,qz`; the path counts
-    /// from this file.
+    /// CSV file with the columns `time_s,x_m,y_m,z_m` and, if the frame rotates, `qw,qx,qy,qz`. A relative path is
+    /// relative to the task file.
     pub file: PathBuf,
-    /// True (the default) if the path is moved so that it begins at the start pose, with its recorded translations
-    /// and rotations taken relative to the task's axes; false if it is followed in world coordinates, as recorded.
+    /// True (the default) if the path is moved to begin at the start pose, with its translations and rotations relative
+    /// to the task's axes; false if it is followed in world coordinates, as recorded.
     #[serde(default = "yes")]
     pub relative: bool,
-    /// Duration over which the way from the start pose to a path that isn't relative is faded out by the minimum-jerk
-    /// ramp, s; 1 if absent.
+    /// Duration over which the offset of the start pose from a path that is not relative is faded out by the
+    /// minimum-jerk ramp, s; 1 if absent.
     #[serde(default = "default_approach_s")]
     pub approach_s: Positive,
     /// Samples in the file.
@@ -41,7 +41,7 @@ pub struct RecordedPath {
     pub samples: Vec<PoseSample>,
 }
 
-/// Two paths are the same if they are of the same file: a comparison in a control loop can't walk all samples.
+/// Compares file and options but not the samples, because the comparison runs in the control loop.
 impl PartialEq for RecordedPath {
     fn eq(&self, other: &Self) -> bool {
         self.file == other.file && self.relative == other.relative && self.approach_s == other.approach_s
@@ -56,40 +56,40 @@ fn default_approach_s() -> Positive {
     Positive::literal(1.0)
 }
 
-/// A pose at an instant.
+/// A timed pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseSample {
-    /// Time, s; only differences count.
+    /// Time, s; only differences matter.
     pub time_s: f64,
     /// Position, m.
     pub position: [f64; 3],
-    /// Orientation: a unit quaternion w, x, y, z; either sign.
+    /// Orientation: a unit quaternion (w, x, y, z) of either sign.
     pub quaternion: Option<[f64; 4]>,
 }
 
 impl RecordedPath {
-    /// Returns true if its samples make a path: two or more, forward in time.
+    /// Returns true if there are at least two samples, with increasing times.
     #[must_use]
     pub fn is_read(&self) -> bool {
         self.samples.len() > 1 && self.samples.windows(2).all(|pair| pair[0].time_s < pair[1].time_s)
     }
 }
 
-/// Error in a recorded path's file.
+/// Error in the file of a recorded path.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{reason}")]
 pub struct RecordedError {
-    /// The line, from 1; `None` for the file as a whole.
+    /// Line number, from 1; `None` for the file as a whole.
     pub line: Option<u64>,
     /// Reason of the error.
     pub reason: RecordedReason,
 }
 
-/// Reason for which a recorded path is refused.
+/// Reason why a recorded path is rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum RecordedReason {
-    /// The first line doesn't name a column that must be there.
+    /// The first line lacks a required column.
     #[error(
         "no column `{name}`: a recorded path has the columns time_s, x_m, y_m, z_m and, for an orientation, all of \
          qw, qx, qy, qz"
@@ -98,7 +98,7 @@ pub enum RecordedReason {
         /// The column.
         name: &'static str,
     },
-    /// The first line names a column that is not known.
+    /// The first line contains an unknown column.
     #[error(
         "unknown column `{name}`: a recorded path has the columns time_s, x_m, y_m, z_m and, for an orientation, \
          qw, qx, qy, qz"
@@ -107,13 +107,13 @@ pub enum RecordedReason {
         /// The column.
         name: String,
     },
-    /// The first line names a column twice.
+    /// The first line contains a column twice.
     #[error("column `{name}` is given twice")]
     RepeatedColumn {
         /// The column.
         name: String,
     },
-    /// A line with more or fewer values than there are columns.
+    /// The number of values in a line differs from the number of columns.
     #[error("{values} values for {columns} columns")]
     Values {
         /// Number of values in the line.
@@ -124,32 +124,32 @@ pub enum RecordedReason {
     /// A value that is not a finite number.
     #[error("column `{column}`: expected a finite number, got '{value}'")]
     Number {
-        /// Its column.
+        /// Column of the value.
         column: &'static str,
-        /// As it is written.
+        /// Text in the file.
         value: String,
     },
-    /// A sample not after the one before.
+    /// A sample that is not later than the previous one.
     #[error("column `time_s`: {time_s} s is not after the previous {previous_s} s")]
     Time {
-        /// Its time, s.
+        /// Time of the sample, s.
         time_s: f64,
-        /// The time before it, s.
+        /// Time of the previous sample, s.
         previous_s: f64,
     },
-    /// A quaternion that is not one of a rotation.
+    /// A quaternion whose length is not 1.
     #[error("columns `qw`, `qx`, `qy`, `qz`: the quaternion's length is {length}, not 1")]
     Length {
-        /// Its length.
+        /// Length of the quaternion.
         length: f64,
     },
-    /// A turn too large to tell which way it went.
+    /// A rotation between two samples that is too large to determine its direction.
     #[error(
         "columns `qw`, `qx`, `qy`, `qz`: {angle_rad:.3} rad from the previous orientation; sample more often: \
          consecutive orientations must differ by less than a quarter turn"
     )]
     Turn {
-        /// The angle between the two, rad.
+        /// Angle between the two orientations, rad.
         angle_rad: f64,
     },
     /// Fewer than two samples.
@@ -158,7 +158,7 @@ pub enum RecordedReason {
         /// Number of samples.
         count: usize,
     },
-    /// Not CSV.
+    /// Invalid CSV syntax.
     #[error("{message}")]
     Syntax {
         /// Message of the CSV reader.
@@ -166,16 +166,16 @@ pub enum RecordedReason {
     },
 }
 
-/// The columns of a recorded path's file; the last four stand there all or not at all.
+/// Columns in the file of a recorded path; the last four are all present or all absent.
 pub const COLUMNS: [&str; 8] = ["time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
 
-/// By how much a quaternion's length may be off 1: written with four digits it is by less.
+/// Tolerance of a quaternion's length; the error of a quaternion written with four digits is smaller.
 const LENGTH_TOLERANCE: f64 = 1e-3;
 
-/// The samples in a CSV text, whose first line names the columns, in any order.
+/// Reads the samples from a CSV text whose first line contains the column names, in any order.
 ///
 /// # Errors
-/// The first thing that is wrong, with its line.
+/// The first error in the text, with its line.
 pub fn parse(text: &str) -> Result<Vec<PoseSample>, RecordedError> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
     let headers = reader.headers().map_err(|e| syntax(text, &e))?.clone();
@@ -206,7 +206,7 @@ pub fn parse(text: &str) -> Result<Vec<PoseSample>, RecordedError> {
     Ok(samples)
 }
 
-/// Places of the [`COLUMNS`] in the file: all four of the quaternion, or none.
+/// Indices of the [`COLUMNS`] in the file; the quaternion has all four or none.
 fn places(headers: &csv::StringRecord) -> Result<[Option<usize>; COLUMNS.len()], RecordedReason> {
     let mut places = [None; COLUMNS.len()];
     for (place, name) in headers.iter().enumerate() {
@@ -225,7 +225,7 @@ fn places(headers: &csv::StringRecord) -> Result<[Option<usize>; COLUMNS.len()],
     }
 }
 
-/// The quaternion at length 1.
+/// Returns the normalised quaternion.
 fn unit(q: [f64; 4]) -> Result<[f64; 4], RecordedReason> {
     let length = Vector4::from(q).norm();
     if (length - 1.0).abs() > LENGTH_TOLERANCE {
@@ -249,7 +249,8 @@ fn follows(sample: &PoseSample, previous: &PoseSample) -> Result<(), RecordedRea
     Ok(())
 }
 
-/// The line, from 1, of a record that the reader began to read at a byte: it counts empty lines to it.
+/// Returns the line number, from 1, of a record that starts at a byte position of the reader, which includes preceding
+/// empty lines.
 fn line_at(text: &str, byte: u64) -> u64 {
     let bytes = text.as_bytes();
     let from = usize::try_from(byte).map_or(bytes.len(), |byte| byte.min(bytes.len()));
@@ -271,24 +272,24 @@ fn syntax(text: &str, error: &csv::Error) -> RecordedError {
 /// Position (m) and quaternion (w, x, y, z).
 type Row = SVector<f64, 7>;
 
-/// The C² cubic spline through a path's samples, at rest and without acceleration at both ends; its quaternion
-/// is the spline through the components, brought to length 1.
+/// C² cubic spline through the samples of a path, with zero velocity and acceleration at both ends. Its quaternion is
+/// the normalised spline through the components.
 ///
-/// A cubic spline has two conditions to spare, and rest at both ends takes four: the two others are bought by
-/// a knot more within the first and the last interval, free in value (Biagiotti and Melchiorri 2008,
-/// *Trajectory Planning for Automatic Machines and Robots*, §4.4.4).
+/// A cubic spline has two free conditions, but zero velocity and acceleration at both ends are four. The other two
+/// degrees of freedom come from an additional knot, with a free value, within each of the first and the last interval
+/// (Biagiotti and Melchiorri 2008, *Trajectory Planning for Automatic Machines and Robots*, §4.4.4).
 #[derive(Clone, Debug)]
 pub(crate) struct Spline {
     turns: bool,
-    /// From the first sample on, s.
+    /// Times of the knots after the first sample, s.
     times: Vec<f64>,
     values: Vec<Row>,
-    /// Second derivatives.
+    /// Second derivatives at the knots.
     bends: Vec<Row>,
 }
 
 impl Spline {
-    /// `None` of a path whose samples don't make one.
+    /// Creates the spline; `None` if the samples are not a valid path.
     pub(crate) fn new(path: &RecordedPath) -> Option<Self> {
         if !path.is_read() {
             return None;
@@ -300,7 +301,7 @@ impl Spline {
         let mut before = Vector4::new(1.0, 0.0, 0.0, 0.0);
         for sample in samples {
             let mut q = sample.quaternion.filter(|_| turns).map_or(before, Vector4::from);
-            // Of the two signs the one on the side of the last.
+            // Selects the sign that is closer to the previous quaternion.
             if q.dot(&before) < 0.0 {
                 q = -q;
             }
@@ -311,7 +312,7 @@ impl Spline {
         }
         let last = times.len() - 1;
         let (first_value, last_value) = (values[0], values[last]);
-        // The free knots: their values are those of the ends, plus a share of the bend that is sought.
+        // The values of the free knots are those of the ends plus a multiple of the unknown second derivative.
         let (begin, end) = if last == 1 {
             (times[1] / 3.0, times[1] * 2.0 / 3.0)
         } else {
@@ -325,7 +326,7 @@ impl Spline {
         Some(Self { turns, times, values, bends })
     }
 
-    /// The row and its first two derivatives.
+    /// Interpolated row and its first two derivatives.
     fn row(&self, time_s: f64) -> [Row; 3] {
         let last = self.times.len() - 1;
         let next = self.times.partition_point(|t| *t <= time_s);
@@ -345,13 +346,14 @@ impl Spline {
         ]
     }
 
-    /// As it was recorded.
+    /// Recorded target at `time_s` (s) after the first sample.
     fn at(&self, time_s: f64) -> Target {
         let [row, velocity, acceleration] = self.row(time_s);
         let linear = |row: &Row| row.fixed_rows::<3>(0).into_owned();
         let quaternion = |row: &Row| Quaternion::new(row[3], row[4], row[5], row[6]);
         let [q, dq, ddq] = [quaternion(&row), quaternion(&velocity), quaternion(&acceleration)];
-        // ω = 2 q̇ q*/|q|² but for its scalar part, which is that of |q|; its derivative likewise.
+        // ω is the vector part of 2 q̇ q*/|q|²; the scalar part is due to the change of |q|. The derivative is
+        // analogous.
         let squared = q.norm_squared();
         let omega = (dq * q.conjugate()).imag() * (2.0 / squared);
         let alpha = (ddq * q.conjugate()).imag() * (2.0 / squared) - omega * (2.0 * q.dot(&dq) / squared);
@@ -366,8 +368,8 @@ impl Spline {
     }
 }
 
-/// The second derivatives M of a spline at its knots, zero at both ends; the values of the second and the last
-/// but one knot are moved to where the ends are at rest.
+/// Computes the second derivatives M of a spline at its knots, with zero at both ends, and moves the values of the
+/// second and the second-last knot so that the ends are at rest.
 ///
 /// ```text
 /// h₋ M₋ + 2(h₋ + h) M + h M₊ = 6 ((y₊ − y)/h − (y − y₋)/h₋)     at each knot within
@@ -408,7 +410,7 @@ fn bends(times: &[f64], values: &mut [Row]) -> Vec<Row> {
     bends
 }
 
-/// A recorded path on its way from where it was started.
+/// A recorded path that starts at a given pose.
 #[derive(Clone, Debug)]
 pub(crate) struct RecordedMotion {
     spline: Spline,
@@ -417,10 +419,10 @@ pub(crate) struct RecordedMotion {
     join: Join,
 }
 
-/// Transition from the pose at the start to a path.
+/// Connection of a path to the start pose.
 #[derive(Clone, Copy, Debug)]
 enum Join {
-    /// Laid on it: `turn` and `shift` take the path's positions there, `turn` and `own` its orientations.
+    /// Rigid displacement of the path: `turn` and `shift` transform its positions, `turn` and `own` its orientations.
     Laid { turn: Matrix3<f64>, shift: Vector3<f64>, own: Matrix3<f64> },
     /// The offset of the start pose from the path's first pose (`line` in m, `turn` as a rotation vector in rad) is
     /// added to the path and faded out.
@@ -428,7 +430,7 @@ enum Join {
 }
 
 impl RecordedMotion {
-    /// `None` of a path whose samples don't make one.
+    /// Creates the motion; `None` if the samples are not a valid path.
     pub(crate) fn new(path: &RecordedPath) -> Option<Self> {
         let nowhere = Vector3::zeros();
         Some(Self {
@@ -462,7 +464,7 @@ impl RecordedMotion {
             Join::Faded { line, turn } => {
                 let [s, ds, dds] = minimum_jerk(time_s, self.approach_s);
                 let left = [1.0 - s, -ds, -dds];
-                // A path without orientations leaves the frame's as it is.
+                // A path without orientations does not change the frame's orientation.
                 let turned = if self.spline.turns { left } else { [1.0, 0.0, 0.0] };
                 displaced(&recorded, left.map(|s| line * s), turned.map(|s| turn * s))
             }
@@ -470,7 +472,8 @@ impl RecordedMotion {
     }
 }
 
-/// `target`, its world rotated by `turn` and moved by `shift`, its own axes rotated by `own`.
+/// Returns `target` after a rotation by `turn` and a translation by `shift` in the world, and a rotation of its own
+/// axes by `own`.
 fn laid(target: &Target, turn: &Matrix3<f64>, shift: &Vector3<f64>, own: &Matrix3<f64>) -> Target {
     let Target { placement, velocity, acceleration } = target;
     let turned = |motion: &Motion| Motion { linear: turn * motion.linear, angular: turn * motion.angular };
@@ -484,7 +487,7 @@ fn laid(target: &Target, turn: &Matrix3<f64>, shift: &Vector3<f64>, own: &Matrix
     }
 }
 
-/// `target`, displaced by a line (m) and turned by a rotation vector (rad) with their first two derivatives.
+/// Returns `target`, displaced by a translation (m) and a rotation vector (rad) with their first two derivatives.
 fn displaced(target: &Target, line: [Vector3<f64>; 3], turn: [Vector3<f64>; 3]) -> Target {
     let Target { placement, velocity, acceleration } = target;
     let (omega, alpha) = rotation_vector_rates(&turn[0], &turn[1], &turn[2]);

@@ -1,8 +1,8 @@
-//! References of a Cartesian task: pose, velocity and acceleration that its frame follows.
+//! References of a Cartesian task: pose, velocity and acceleration of its frame.
 //!
-//! Every reference begins, at time 0, where the target is at that instant: at the start of a run at the
-//! frame's pose, at rest; in its midst at what the reference before it asked for. An [`OnlineGoal`] takes over the
-//! motion too; the others set out from rest.
+//! Every reference starts, at time 0, at the current target: at the start of a run this is the frame's pose, at rest;
+//! during a run it is the target of the previous reference. An [`OnlineGoal`] also continues the velocity and
+//! acceleration; the other references start from rest.
 
 use crate::orientation;
 use crate::references::blend::{Joining, moved};
@@ -34,11 +34,11 @@ pub enum CartesianReference {
     Sinusoid(Sinusoid),
     /// Moves from pose to pose along straight lines and single-axis rotations, and stops at each.
     Waypoints(Vec<Waypoint>),
-    /// Moves to one pose as fast as limits allow, from any state of motion.
+    /// Moves to one pose as fast as its limits allow, from any state of motion.
     Goal(OnlineGoal),
     /// Follows a recorded path.
     Recorded(RecordedPath),
-    /// Follows targets that are streamed.
+    /// Follows streamed targets.
     Streamed(StreamedReference),
 }
 
@@ -47,15 +47,15 @@ pub enum CartesianReference {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PointToPoint {
-    /// Position to reach; the start position if absent.
+    /// Goal position; the start position if absent.
     #[serde(default)]
     pub position: Option<PositionGoal>,
-    /// Orientation to reach; the start orientation if absent.
+    /// Goal orientation; the start orientation if absent.
     #[serde(default)]
     pub orientation: Option<OrientationGoal>,
     /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// Begin of the motion, s after the start; 0 if absent.
+    /// Start time of the motion, s after the start of the reference; 0 if absent.
     #[serde(default)]
     pub start_s: NonNegative,
 }
@@ -67,10 +67,10 @@ pub struct PointToPoint {
 pub struct Waypoint {
     /// Time of arrival, s after the start.
     pub time_s: Positive,
-    /// Position to reach; that of the waypoint before if absent.
+    /// Position of the waypoint; that of the previous waypoint if absent.
     #[serde(default)]
     pub position: Option<PositionGoal>,
-    /// Orientation to reach; that of the waypoint before if absent.
+    /// Orientation of the waypoint; that of the previous waypoint if absent.
     #[serde(default)]
     pub orientation: Option<OrientationGoal>,
 }
@@ -105,8 +105,8 @@ pub struct Sinusoid {
 }
 
 impl CartesianReference {
-    /// Returns true if it asks for a rotation. A recorded path doesn't: its orientations are recorded along with the
-    /// positions, also where rotations are free.
+    /// Returns true if the reference contains a rotation. It is false for a recorded path, whose orientations are
+    /// recorded with the positions even if the rotation axes are free.
     #[must_use]
     pub fn turns(&self) -> bool {
         match self {
@@ -119,12 +119,12 @@ impl CartesianReference {
     }
 }
 
-/// A [`CartesianReference`] ready to be followed.
+/// Trajectory of a [`CartesianReference`].
 #[derive(Clone, Debug)]
 pub struct Trajectory {
-    /// The task's axes in the world, at the start.
+    /// Task axes in the world at the start, one per column.
     axes: Matrix3<f64>,
-    /// The target at the start.
+    /// Target pose at the start.
     from: Placement,
     path: Path,
     joining: Option<Joining>,
@@ -138,7 +138,7 @@ enum Path {
     Recorded(Box<RecordedMotion>),
 }
 
-/// An online goal, and the ways to it: a displacement and a rotation vector, in world axes.
+/// An online goal and the motions to it: a displacement and a rotation vector, in world axes.
 #[derive(Clone, Debug)]
 struct OnlinePose {
     goal: OnlineGoal,
@@ -146,7 +146,7 @@ struct OnlinePose {
     turn: OnlineVector,
 }
 
-/// A pose to reach, its offsets still from a start that isn't known.
+/// A goal pose whose offsets are not yet resolved, because the start pose is unknown.
 #[derive(Clone, Copy, Debug)]
 struct Goal {
     begin_s: f64,
@@ -155,7 +155,7 @@ struct Goal {
     orientation: Option<OrientationGoal>,
 }
 
-/// A straight line and a turn about one axis, both in world axes.
+/// A straight line (m) and a rotation vector (rad), both in world axes.
 #[derive(Clone, Copy, Debug)]
 struct Leg {
     begin_s: f64,
@@ -166,12 +166,12 @@ struct Leg {
 }
 
 impl Trajectory {
-    /// It stays at the world's origin until [`start`](Self::start).
+    /// Creates the trajectory. It stays at the world's origin until [`start`](Self::start).
     #[must_use]
     pub fn new(reference: &CartesianReference) -> Self {
         let goals = |goals: Vec<Goal>| Path::Legs { legs: Vec::with_capacity(goals.len()), goals };
         let path = match reference {
-            // A streamed reference is followed by the task; without a target it holds.
+            // The task itself follows a streamed reference; without a target it holds.
             CartesianReference::Hold | CartesianReference::Streamed(_) => goals(Vec::new()),
             CartesianReference::PointToPoint(p) => goals(vec![Goal {
                 begin_s: p.start_s.get(),
@@ -215,12 +215,12 @@ impl Trajectory {
         Self { axes: Matrix3::identity(), from: Placement::identity(), path, joining: None }
     }
 
-    /// Begins now: time 0 of [`at`](Self::at) is this instant. It doesn't allocate, so that a task may change
-    /// while it runs.
+    /// Starts now: time 0 of [`at`](Self::at) is this instant. Allocates nothing, so that a task can change during a
+    /// run.
     ///
-    /// `home` is the frame's pose at the start of the run, from which the offsets of goals count; `from` the
-    /// target in force, `axes` the task's axes, one a column: all in the world. At the start of a run `from`
-    /// is at rest at `home`.
+    /// `home` is the frame's pose at the start of the run, the base of the goals' offsets; `from` is the current
+    /// target; `axes` are the task axes, one per column. All are in world coordinates. At the start of a run, `from` is
+    /// at rest at `home`.
     pub fn start(&mut self, home: &Placement, from: &Target, axes: &Matrix3<f64>) {
         self.axes = *axes;
         self.from = from.placement;
@@ -250,19 +250,19 @@ impl Trajectory {
         }
     }
 
-    /// From now on, `time_s` after the start, the target joins the reference from `from`: within [`BLEND_S`], and
-    /// without a jump in velocity or acceleration. It doesn't allocate.
+    /// Blends from the target `from` into the reference, starting `time_s` (s) after the start: within [`BLEND_S`] and
+    /// without a jump in velocity or acceleration. Allocates nothing.
     pub fn join(&mut self, time_s: f64, from: &Target) {
         self.joining = Some(Joining::new(time_s, BLEND_S, from, &self.reference_at(time_s)));
     }
 
-    /// The target at `time_s` after the start.
+    /// Target at `time_s` (s) after the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Target {
         self.blended(&self.reference_at(time_s), time_s)
     }
 
-    /// The target for a reference at `time_s` after the start.
+    /// Returns the target for the value of the reference at `time_s` (s) after the start.
     pub(crate) fn blended(&self, reference: &Target, time_s: f64) -> Target {
         match &self.joining {
             Some(joining) => joining.blended(reference, time_s),
@@ -270,7 +270,7 @@ impl Trajectory {
         }
     }
 
-    /// Reference itself, `time_s` after the start.
+    /// Reference at `time_s` (s) after the start, without blending.
     #[must_use]
     pub fn reference_at(&self, time_s: f64) -> Target {
         match &self.path {
@@ -308,7 +308,7 @@ impl OnlinePose {
                 OnlineVector::new(&velocity.linear, &acceleration.linear, &way, limits)
             }
         };
-        // A rotation vector at zero moves as the frame turns.
+        // At zero, the derivatives of a rotation vector equal the angular velocity and acceleration.
         self.turn = match &self.goal.orientation {
             None => OnlineVector::back(&velocity.angular, &acceleration.angular),
             Some((goal, limits)) => {

@@ -1,6 +1,6 @@
-//! References of a single number, such as an angle: its value, rate and acceleration.
+//! References of a scalar, such as an angle: its value, first and second derivative.
 //!
-//! Every reference begins, at time 0, at the value in force at that instant.
+//! Every reference starts, at time 0, at the current value.
 
 use crate::references::online::{MotionLimits, OnlineMotion};
 use crate::references::ramp::{Quintic, minimum_jerk, product};
@@ -37,19 +37,19 @@ pub struct ScalarPointToPoint {
     pub goal: ScalarGoal,
     /// Duration of the motion, s.
     pub duration_s: Positive,
-    /// Begin of the motion, s after the start; 0 if absent.
+    /// Start time of the motion, s after the start of the reference; 0 if absent.
     #[serde(default)]
     pub start_s: NonNegative,
 }
 
-/// A value to reach.
+/// Goal value.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum ScalarGoal {
-    /// The value itself, rad (m for a length); an angle takes the shorter way.
+    /// Absolute value, rad (m for a length); an angle moves the shorter way.
     #[serde(rename = "absolute_rad")]
     Absolute(f64),
-    /// From the value at the start of the run, rad (m for a length).
+    /// Offset from the value at the start of the run, rad (m for a length).
     #[serde(rename = "offset_rad")]
     Offset(f64),
 }
@@ -81,12 +81,12 @@ pub struct ScalarOnlineGoal {
     pub jerk_rad_per_s3: Positive,
 }
 
-/// A [`ScalarReference`] ready to be followed: value, rate and acceleration stand together.
+/// Trajectory of a [`ScalarReference`]: values, first and second derivatives are stored together.
 #[derive(Clone, Debug)]
 pub(crate) struct ScalarTrajectory {
     from: f64,
     path: Path,
-    /// Time at which the target began to join the reference from elsewhere, s, and its distance from it since.
+    /// Start time of the blend into the reference, s, and the fading distance from the reference.
     joining: Option<(f64, Quintic)>,
 }
 
@@ -124,8 +124,8 @@ impl ScalarTrajectory {
         Self { from: 0.0, path, joining: None }
     }
 
-    /// Begins now, at the state `from`. `home` is the value at the start of the run; `difference` is that from the
-    /// second value to the first. Allocates nothing.
+    /// Starts now from the state `from`. `home` is the value at the start of the run; `difference(a, b)` returns a − b.
+    /// Allocates nothing.
     pub(crate) fn start(&mut self, home: f64, from: [f64; 3], difference: impl Fn(f64, f64) -> f64) {
         let way = |goal: &ScalarGoal| match goal {
             ScalarGoal::Absolute(value) => difference(*value, from[0]),
@@ -142,19 +142,19 @@ impl ScalarTrajectory {
         }
     }
 
-    /// From `time_s` after the start on, joins the reference within [`BLEND_S`] from a value at rest, which is `away`
-    /// from it. Allocates nothing.
+    /// Starts a blend, at `time_s` (s) after the start, into the reference within [`BLEND_S`] from a value at rest with
+    /// the offset `away` from the reference. Allocates nothing.
     pub(crate) fn join(&mut self, time_s: f64, away: f64) {
         let [_, rate, acceleration] = self.reference_at(time_s);
         self.joining = Some((time_s, Quintic::new([away, -rate, -acceleration], 0.0, BLEND_S)));
     }
 
-    /// Returns true if it goes to a goal from any state of motion.
+    /// Returns true if it is a jerk-limited motion, which can start from any state of motion.
     pub(crate) fn is_online(&self) -> bool {
         matches!(self.path, Path::Online { .. })
     }
 
-    /// The target at `time_s` after the start.
+    /// Target at `time_s` (s) after the start.
     pub(crate) fn at(&self, time_s: f64) -> [f64; 3] {
         let reference = self.reference_at(time_s);
         match &self.joining {
@@ -166,7 +166,7 @@ impl ScalarTrajectory {
         }
     }
 
-    /// The reference itself at `time_s` after the start.
+    /// Reference at `time_s` (s) after the start, without blending.
     pub(crate) fn reference_at(&self, time_s: f64) -> [f64; 3] {
         match &self.path {
             Path::Hold => [self.from, 0.0, 0.0],

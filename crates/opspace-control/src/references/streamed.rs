@@ -1,14 +1,14 @@
-//! Streamed references: the motion between arrivals of targets, and after the last one.
+//! Streamed references: the motion between the arrivals of targets and after the last one.
 //!
-//! A new target never makes the reference jump. `extrapolated` follows pose + twist Δt + acceleration Δt²/2, with Δt
-//! the target's age. What the reference is away from that in position and velocity when a target arrives fades along a
-//! quintic within `blend_s`; acceleration changes as the sender's does. `generated` goes to the target's pose, at rest
-//! there, under limits of speed, acceleration and jerk.
+//! A new target never makes the reference jump. `extrapolated` follows pose + twist Δt + acceleration Δt²/2, where Δt
+//! is the target's age. When a target arrives, the difference in position and velocity between the reference and this
+//! motion fades along a quintic polynomial within `blend_s`; the acceleration changes as the sender's does. `generated`
+//! moves to the target's pose, at rest there, within limits of velocity, acceleration and jerk.
 //!
-//! A target that is older than `timeout_s` is stale: the reference comes to rest and holds. An extrapolated one brakes
-//! within [`STOP_S`], its velocity along a cubic in time and its acceleration without a step; a generated one as fast
-//! as its limits allow. The next fresh target, like the first one and the first after the robot was held, is joined
-//! within [`BLEND_S`](crate::references::target::BLEND_S), without a step in acceleration either.
+//! A target older than `timeout_s` is stale: the reference comes to rest and holds. An extrapolated reference brakes
+//! within [`STOP_S`], with a velocity that is cubic in time and without a step in acceleration; a generated one brakes
+//! as fast as its limits allow. After a stale target or a hold, and for the first target, the reference blends into the
+//! target's motion within [`BLEND_S`](crate::references::target::BLEND_S), also without a step in acceleration.
 
 use crate::targets::TaskTarget;
 use opspace_backend::SignalRecorder;
@@ -18,20 +18,20 @@ use opspace_backend::signal_names::{TARGET_AGE_S, TARGET_STALE};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Time in which an extrapolated reference comes to rest when its target is stale, s. From a constant speed v the way
-/// is 0.125 s · v, and the highest deceleration 6 /s · v.
+/// Time in which an extrapolated reference comes to rest after its target becomes stale, s. From a constant velocity v,
+/// the stopping distance is 0.125 s · v and the highest deceleration 6 1/s · v.
 pub const STOP_S: f64 = 0.25;
 
-/// Reaction to a target that is not renewed in time.
+/// Reaction to a target that is not updated in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum OnTimeout {
-    /// The reference comes to rest and holds until a fresh target comes.
+    /// The reference comes to rest and holds until a fresh target arrives.
     #[default]
     Hold,
-    /// The run is stopped by a fault, at once.
+    /// A fault stops the run at once.
     Stop,
 }
 
@@ -44,8 +44,8 @@ pub enum StreamedShape {
     /// Follows position, velocity and acceleration of the last target.
     #[default]
     Extrapolated,
-    /// Moves to the position of the last target under limits of speed, acceleration and jerk; its velocity and
-    /// acceleration are not used.
+    /// Moves to the position of the last target within limits of velocity, acceleration and jerk; the target's velocity
+    /// and acceleration are not used.
     Generated,
 }
 
@@ -57,11 +57,11 @@ pub(crate) fn default_blend_s() -> Positive {
     Positive::literal(0.1)
 }
 
-/// Time in which differences to a new target fade, s; `None` for a generated motion. `given` has for each limit of the
-/// file its name and true if it is there.
+/// Returns the time in which differences to a new target fade, s; `None` for a generated motion. `given` lists the
+/// names of the limits, with true if the file contains the limit.
 ///
 /// # Errors
-/// A key that belongs to the other shape.
+/// A key that is only valid for the other shape.
 pub(crate) fn blending(
     shape: StreamedShape,
     blend_s: Option<Positive>,
@@ -82,20 +82,20 @@ pub(crate) fn blending(
 /// Arrival of a target in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Arrival {
-    /// None yet, or the one before.
+    /// No target yet, or the previous one.
     Nothing,
-    /// A new one. `rejoins` after none, or a stale one.
+    /// A new target. `rejoins` is true after no target or a stale one.
     Fresh { rejoins: bool },
-    /// The one before has just become stale.
+    /// The previous target has just become stale.
     Expired,
 }
 
-/// Age of a task's target.
+/// Check of the age of a task's target.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Freshness {
     timeout_s: f64,
     on_timeout: OnTimeout,
-    /// Stamp of the target that is followed.
+    /// Time stamp of the current target, s.
     followed_s: Option<f64>,
     age_s: Option<f64>,
     stale: bool,
@@ -106,7 +106,7 @@ impl Freshness {
         Self { timeout_s: timeout_s.get(), on_timeout, followed_s: None, age_s: None, stale: false }
     }
 
-    /// Forgets the target that is followed: a fresh one is joined anew.
+    /// Discards the current target: the reference blends into the next fresh one.
     pub(crate) fn reset(&mut self) {
         self.followed_s = None;
     }
@@ -125,7 +125,7 @@ impl Freshness {
         Arrival::Fresh { rejoins }
     }
 
-    /// Age of a stale target, s, for which the robot is to be stopped.
+    /// Age of a stale target that requires the robot to stop, s.
     pub(crate) fn stop_for_age_s(&self) -> Option<f64> {
         self.age_s.filter(|_| self.stale && self.on_timeout == OnTimeout::Stop)
     }
@@ -136,7 +136,7 @@ impl Freshness {
     }
 }
 
-/// N values from a place on, if all are finite.
+/// Returns N values from the position `at` on, if all are finite.
 pub(crate) fn given<const N: usize>(values: &[f64], at: usize) -> Option<[f64; N]> {
     let values: [f64; N] = values.get(at..at + N)?.try_into().ok()?;
     values.iter().all(|value| value.is_finite()).then_some(values)

@@ -15,13 +15,13 @@ use opspace_model::Model;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// A reference for joints whose targets are streamed by a program. Until the first target arrives,
-/// the joints hold their start positions.
+/// A joint reference whose targets a program streams. Until the first target arrives, the joints hold their start
+/// positions.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(with = "StreamedJointsFile"))]
 #[serde(try_from = "StreamedJointsFile")]
 pub struct StreamedJointReference {
-    /// Age from which a target is stale, s.
+    /// Age above which a target is stale, s.
     pub timeout_s: Positive,
     /// Reaction to a stale target.
     pub on_timeout: OnTimeout,
@@ -37,7 +37,7 @@ pub enum JointShape {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
     },
-    /// Goes to the last target's position under limits.
+    /// Moves to the last target's position within limits.
     Generated {
         /// Highest speed, rad/s (m/s for a prismatic joint).
         velocity: PerJoint<Positive>,
@@ -58,12 +58,12 @@ impl Default for StreamedJointReference {
     }
 }
 
-/// [`StreamedJointReference`] as it is written.
+/// File format of [`StreamedJointReference`].
 #[derive(Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct StreamedJointsFile {
-    /// Age from which a target is stale, s; 0.1 if absent.
+    /// Age above which a target is stale, s; 0.1 if absent.
     #[serde(default = "default_timeout_s")]
     timeout_s: Positive,
     /// Reaction to a stale target; `hold` if absent.
@@ -72,13 +72,13 @@ struct StreamedJointsFile {
     /// Motion between targets; `extrapolated` if absent.
     #[serde(default)]
     shape: StreamedShape,
-    /// Time in which the difference to a new target fades, s; 0.1 if absent. With `extrapolated`.
+    /// Time in which the difference to a new target fades, s; 0.1 if absent. Only with `extrapolated`.
     blend_s: Option<Positive>,
-    /// Highest speed, rad/s (m/s for a prismatic joint); with `generated`.
+    /// Highest speed, rad/s (m/s for a prismatic joint); only with `generated`.
     velocity_rad_per_s: Option<PerJoint<Positive>>,
-    /// Highest acceleration, rad/s² (m/s²); with `generated`.
+    /// Highest acceleration, rad/s² (m/s²); only with `generated`.
     acceleration_rad_per_s2: Option<PerJoint<Positive>>,
-    /// Highest jerk, rad/s³ (m/s³); with `generated`.
+    /// Highest jerk, rad/s³ (m/s³); only with `generated`.
     jerk_rad_per_s3: Option<PerJoint<Positive>>,
 }
 
@@ -107,18 +107,19 @@ impl TryFrom<StreamedJointsFile> for StreamedJointReference {
     }
 }
 
-/// A [`StreamedJointReference`] that is followed. Nothing but [`new`](Self::new) allocates.
+/// Generator of a [`StreamedJointReference`]. Only [`new`](Self::new) allocates.
 #[derive(Clone, Debug)]
 pub(crate) struct StreamedJoints {
     blend_s: f64,
-    /// Limits of each joint (n), if the motion is generated.
+    /// Limits of each joint (n) if the motion is generated.
     limits: Option<Vec<MotionLimits>>,
     freshness: Freshness,
     /// Joints in the order of the inputs.
     joints: Vec<usize>,
     /// Reference of each joint (n).
     plans: Vec<Plan>,
-    /// Time at which the target that is followed must be joined, s on the robot's clock.
+    /// End of the blend that follows a start, a hold or a stale target, s on the robot's clock. Blends to newer targets
+    /// do not end earlier.
     joined_s: f64,
 }
 
@@ -126,9 +127,9 @@ pub(crate) struct StreamedJoints {
 #[derive(Clone, Copy, Debug)]
 #[expect(clippy::large_enum_variant, reason = "changes while running, where nothing may be allocated")]
 enum Plan {
-    /// To rest, or to a position.
+    /// Motion to rest or to a position.
     Move { begin_s: f64, motion: OnlineMotion, stopping: bool },
-    /// Extrapolation of a target, with what the reference is away from it.
+    /// Extrapolation of a target, with the fading offset of the reference from it.
     Follow { stamp_s: f64, raw: [f64; 3], begin_s: f64, end_s: f64, away: Quintic },
 }
 
@@ -146,7 +147,8 @@ impl Plan {
 }
 
 impl StreamedJoints {
-    /// For `joints` of the robot, in the order of the inputs. `key` is the place of the reference in the file.
+    /// Creates the generator for `joints` of the robot, in the order of the inputs. `key` is the path of the reference
+    /// in the file.
     pub(crate) fn new(
         reference: &StreamedJointReference,
         joints: Vec<usize>,
@@ -182,8 +184,8 @@ impl StreamedJoints {
         &self.freshness
     }
 
-    /// Begins at position, velocity and acceleration of each joint, given by `from`; from there they come to rest
-    /// unless a fresh target is there.
+    /// Starts at the position, velocity and acceleration of each joint given by `from`. From there, the joints come to
+    /// rest unless a fresh target is available.
     pub(crate) fn begin(&mut self, clock_s: f64, from: impl Fn(usize) -> [f64; 3]) {
         self.freshness.reset();
         for joint in 0..self.plans.len() {
@@ -196,7 +198,7 @@ impl StreamedJoints {
         self.plans[joint].at(clock_s)
     }
 
-    /// Takes in the target of a cycle.
+    /// Processes the target of a cycle.
     pub(crate) fn update(&mut self, target: &TaskTarget<'_>) {
         match self.freshness.update(target) {
             Arrival::Nothing => {}
@@ -217,7 +219,7 @@ impl StreamedJoints {
         }
     }
 
-    /// Follows the new target of the joint at a place among the inputs.
+    /// Follows the new target of the joint at index `place` of the inputs.
     fn follow(&mut self, place: usize, target: &TaskTarget<'_>, rejoins: bool) {
         let (joint, clock_s, count) = (self.joints[place], target.clock_s, self.joints.len());
         let now = self.at(joint, clock_s);
@@ -242,7 +244,7 @@ impl StreamedJoints {
         if let Plan::Follow { raw, .. } = &self.plans[joint]
             && !rejoins
         {
-            // The sender's acceleration is followed at once.
+            // The sender's acceleration applies at once.
             a += reference[2] - raw[2];
         }
         let lasts_s = self.blend_s.max(self.joined_s - clock_s);
@@ -250,7 +252,7 @@ impl StreamedJoints {
         self.plans[joint] = Plan::Follow { stamp_s, raw, begin_s: clock_s, end_s: clock_s + lasts_s, away };
     }
 
-    /// Comes to rest from a state.
+    /// Brings a joint to rest from the state `from`.
     fn stop(&mut self, joint: usize, from: [f64; 3], clock_s: f64) {
         let motion = match &self.limits {
             _ if from[1..] == [0.0; 2] => OnlineMotion::rest(from[0]),
@@ -261,7 +263,7 @@ impl StreamedJoints {
     }
 }
 
-/// A target `age_s` after its stamp.
+/// Extrapolates a target to `age_s` (s) after its time stamp.
 fn extrapolated([x, v, a]: &[f64; 3], age_s: f64) -> [f64; 3] {
     [x + age_s * (v + 0.5 * age_s * a), v + age_s * a, *a]
 }

@@ -15,16 +15,15 @@ use opspace_model::{Motion, Placement};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Largest deviation from 1 of a quaternion's length.
+/// Tolerance of the length of a unit quaternion.
 pub const QUATERNION_TOLERANCE: f64 = 1e-3;
 
-/// A reference whose targets are streamed by a program. Before the first target the frame holds
-/// where it started.
+/// A pose reference whose targets a program streams. Until the first target arrives, the frame holds its start pose.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema), schemars(with = "StreamedPoseFile"))]
 #[serde(try_from = "StreamedPoseFile")]
 pub struct StreamedReference {
-    /// Age from which a target is stale, s.
+    /// Age above which a target is stale, s.
     pub timeout_s: Positive,
     /// Reaction to a stale target.
     pub on_timeout: OnTimeout,
@@ -40,7 +39,7 @@ pub enum PoseShape {
         /// Time in which the difference to a new target fades, s.
         blend_s: Positive,
     },
-    /// Goes to the last target's pose under limits. Without `linear` the frame is not displaced, without `angular` it
+    /// Moves to the last target's pose within limits. Without `linear` the frame is not displaced, without `angular` it
     /// is not rotated.
     Generated {
         /// Limits of the displacement (m/s, m/s², m/s³).
@@ -60,12 +59,12 @@ impl Default for StreamedReference {
     }
 }
 
-/// [`StreamedReference`] as it is written.
+/// File format of [`StreamedReference`].
 #[derive(Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 struct StreamedPoseFile {
-    /// Age from which a target is stale, s; 0.1 if absent.
+    /// Age above which a target is stale, s; 0.1 if absent.
     #[serde(default = "default_timeout_s")]
     timeout_s: Positive,
     /// Reaction to a stale target; `hold` if absent.
@@ -74,19 +73,19 @@ struct StreamedPoseFile {
     /// Motion between targets; `extrapolated` if absent.
     #[serde(default)]
     shape: StreamedShape,
-    /// Time in which the difference to a new target fades, s; 0.1 if absent. With `extrapolated`.
+    /// Time in which the difference to a new target fades, s; 0.1 if absent. Only with `extrapolated`.
     blend_s: Option<Positive>,
-    /// Highest speed, m/s; with `generated`.
+    /// Highest speed, m/s; only with `generated`.
     velocity_m_per_s: Option<Positive>,
-    /// Highest acceleration, m/s²; with `generated`.
+    /// Highest acceleration, m/s²; only with `generated`.
     acceleration_m_per_s2: Option<Positive>,
-    /// Highest jerk, m/s³; with `generated`.
+    /// Highest jerk, m/s³; only with `generated`.
     jerk_m_per_s3: Option<Positive>,
-    /// Highest angular speed, rad/s; with `generated`.
+    /// Highest angular speed, rad/s; only with `generated`.
     angular_velocity_rad_per_s: Option<Positive>,
-    /// Highest angular acceleration, rad/s²; with `generated`.
+    /// Highest angular acceleration, rad/s²; only with `generated`.
     angular_acceleration_rad_per_s2: Option<Positive>,
-    /// Highest angular jerk, rad/s³; with `generated`.
+    /// Highest angular jerk, rad/s³; only with `generated`.
     angular_jerk_rad_per_s3: Option<Positive>,
 }
 
@@ -124,7 +123,7 @@ impl TryFrom<StreamedPoseFile> for StreamedReference {
     }
 }
 
-/// All three limits, or none.
+/// Returns all three limits, or `None` if none is given.
 fn limits(limits: [(&str, Option<Positive>); 3]) -> Result<Option<MotionLimits>, String> {
     if limits.iter().all(|(_, limit)| limit.is_none()) {
         return Ok(None);
@@ -135,12 +134,12 @@ fn limits(limits: [(&str, Option<Positive>); 3]) -> Result<Option<MotionLimits>,
     Ok(Some(MotionLimits { velocity: velocity?, acceleration: acceleration?, jerk: jerk? }))
 }
 
-/// Places of pose, twist and acceleration among a Cartesian task's inputs.
+/// Indices of pose, twist and acceleration in a Cartesian task's inputs.
 pub(crate) const POSE: usize = 0;
 pub(crate) const TWIST: usize = 7;
 pub(crate) const ACCELERATION: usize = 13;
 
-/// A [`StreamedReference`] that is followed. Nothing here allocates.
+/// Generator of a [`StreamedReference`]. Allocates nothing.
 #[derive(Clone, Debug)]
 pub(crate) struct StreamedPose {
     shape: PoseShape,
@@ -149,9 +148,10 @@ pub(crate) struct StreamedPose {
     /// Displacement and rotation vector of [`Plan::Move`].
     line: OnlineVector,
     turn: OnlineVector,
-    /// True if it comes to rest, or is at rest.
+    /// True if the reference is stopping or at rest.
     stopping: bool,
-    /// Time at which the target that is followed must be joined, s on the robot's clock.
+    /// End of the blend that follows a start, a hold or a stale target, s on the robot's clock. Blends to newer targets
+    /// do not end earlier.
     joined_s: f64,
 }
 
@@ -160,9 +160,9 @@ pub(crate) struct StreamedPose {
 enum Plan {
     /// At rest.
     Hold(Placement),
-    /// From a pose, along `line` and `turn`.
+    /// Motion from a pose along `line` and `turn`.
     Move { begin_s: f64, from: Placement },
-    /// Extrapolation of a target, with what the reference is away from it.
+    /// Extrapolation of a target, with the fading offset of the reference from it.
     Follow { stamp_s: f64, raw: Target, joining: Joining },
 }
 
@@ -183,13 +183,13 @@ impl StreamedPose {
         &self.freshness
     }
 
-    /// Begins at `from`, from which it comes to rest unless a fresh target is there.
+    /// Starts at `from` and comes to rest unless a fresh target is available.
     pub(crate) fn begin(&mut self, from: &Target, clock_s: f64) {
         self.freshness.reset();
         self.stop(from, clock_s);
     }
 
-    /// The reference at `clock_s`, s on the robot's clock.
+    /// Reference at `clock_s`, s on the robot's clock.
     pub(crate) fn at(&self, clock_s: f64) -> Target {
         match &self.plan {
             Plan::Hold(placement) => Target::at_rest(*placement),
@@ -203,7 +203,7 @@ impl StreamedPose {
         }
     }
 
-    /// Takes in the target of a cycle.
+    /// Processes the target of a cycle.
     pub(crate) fn update(&mut self, target: &TaskTarget<'_>) {
         let clock_s = target.clock_s;
         match self.freshness.update(target) {
@@ -238,7 +238,7 @@ impl StreamedPose {
         let reference = extrapolated(&raw, clock_s - stamp_s);
         let mut from = now;
         match &self.plan {
-            // The sender's acceleration is followed at once.
+            // The sender's acceleration applies at once.
             Plan::Follow { stamp_s, raw, .. } if !rejoins => {
                 let before = extrapolated(raw, clock_s - stamp_s).acceleration;
                 from.acceleration.linear += reference.acceleration.linear - before.linear;
@@ -251,7 +251,7 @@ impl StreamedPose {
         self.plan = Plan::Follow { stamp_s, raw, joining };
     }
 
-    /// Goes from `now` to a pose, under limits.
+    /// Moves from `now` to the pose `to` within limits.
     fn generate(
         &mut self,
         now: &Target,
@@ -269,12 +269,12 @@ impl StreamedPose {
                 None => OnlineVector::stop_within(velocity, acceleration, STOP_S),
             };
         self.line = toward(&velocity.linear, &acceleration.linear, &way, linear);
-        // A rotation vector at zero moves as the frame turns.
+        // At zero, the derivatives of a rotation vector equal the angular velocity and acceleration.
         self.turn = toward(&velocity.angular, &acceleration.angular, &turn, angular);
         self.plan = Plan::Move { begin_s: clock_s, from: *placement };
     }
 
-    /// Comes to rest.
+    /// Brings the reference to rest.
     fn stop(&mut self, now: &Target, clock_s: f64) {
         self.stopping = true;
         if now.velocity == Motion::zero() && now.acceleration == Motion::zero() {
@@ -295,7 +295,7 @@ impl StreamedPose {
     }
 }
 
-/// A target `age_s` after its stamp.
+/// Extrapolates a target to `age_s` (s) after its time stamp.
 fn extrapolated(raw: &Target, age_s: f64) -> Target {
     let along = |velocity: &Vector3<f64>, acceleration: &Vector3<f64>| {
         let displacement = velocity * age_s + acceleration * (0.5 * age_s * age_s);
@@ -306,8 +306,8 @@ fn extrapolated(raw: &Target, age_s: f64) -> Target {
     moved(&raw.placement, line, turn)
 }
 
-/// The target in a task's inputs: what has no position or orientation is `now`'s. `None` if it has neither pose nor
-/// twist.
+/// Reads the target from a task's inputs; a missing position or orientation is replaced by that of `now`. `None` if
+/// there is neither a pose nor a twist.
 fn read(values: &[f64], now: &Placement) -> Option<Target> {
     let vector = |at: usize| given::<3>(values, at).map(Vector3::from);
     let position = vector(POSE);
@@ -328,7 +328,7 @@ fn read(values: &[f64], now: &Placement) -> Option<Target> {
     })
 }
 
-/// The rotation of a quaternion (w, x, y, z); `None` if its length is not 1 within [`QUATERNION_TOLERANCE`].
+/// Returns the rotation of a quaternion (w, x, y, z); `None` if its length is not 1 within [`QUATERNION_TOLERANCE`].
 fn rotation([w, x, y, z]: [f64; 4]) -> Option<Matrix3<f64>> {
     let quaternion = Quaternion::new(w, x, y, z);
     let unit = (quaternion.norm() - 1.0).abs() <= QUATERNION_TOLERANCE;

@@ -1,9 +1,9 @@
-//! A frame's target: pose, velocity and acceleration.
+//! Target of a frame: pose, velocity and acceleration.
 
 use opspace_model::{Motion, Placement};
 
-/// Time in which a target joins its reference from elsewhere, s: a way of 0.1 m then has a speed of 0.19 m/s and an
-/// acceleration of 0.6 m/s² at most.
+/// Duration of the blend of a target into its reference, s. A distance of 0.1 m then needs at most a speed of 0.19 m/s
+/// and an acceleration of 0.6 m/s².
 pub const BLEND_S: f64 = 1.0;
 
 /// Target of a frame, in world axes.
@@ -13,12 +13,12 @@ pub struct Target {
     pub placement: Placement,
     /// Velocity of the frame's origin (m/s) and angular velocity of the frame (rad/s).
     pub velocity: Motion,
-    /// The rate of change of `velocity` (m/s², rad/s²).
+    /// Time derivative of `velocity` (m/s², rad/s²).
     pub acceleration: Motion,
 }
 
 impl Target {
-    /// At rest at a pose.
+    /// Returns a target at rest at a pose.
     #[must_use]
     pub fn at_rest(placement: Placement) -> Self {
         Self { placement, velocity: Motion::zero(), acceleration: Motion::zero() }

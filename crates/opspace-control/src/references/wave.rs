@@ -1,4 +1,4 @@
-//! Sums of sines, from which circles, Lissajous figures and sweeps are made.
+//! Sums of sines, for circles, Lissajous figures and sweeps.
 
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]
@@ -40,7 +40,7 @@ pub struct AngularWave {
     pub offset_rad: f64,
 }
 
-/// A sine ready to be evaluated.
+/// A sine with the angular frequency in rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Wave {
     amplitude: f64,
@@ -63,7 +63,7 @@ impl From<&AngularWave> for Wave {
     }
 }
 
-/// The sum of the waves and its first two time derivatives.
+/// Returns the sum of the waves and its first two derivatives at the time `t` (s).
 pub(crate) fn sum(waves: &[Wave], t: f64) -> [f64; 3] {
     waves.iter().fold([0.0; 3], |[x, dx, ddx], w| {
         let (sin, cos) = (w.omega * t + w.phase).sin_cos();

@@ -1,4 +1,4 @@
-//! The six axes of a Cartesian task: their modes, their directions, and values that may differ between them.
+//! The six axes of a Cartesian task: modes, directions and per-axis values.
 
 use crate::error::Reason;
 use crate::orientation;
@@ -15,7 +15,7 @@ use std::borrow::Cow;
 use std::fmt;
 use std::marker::PhantomData;
 
-/// The names of the axes: three directions, then the rotations about them.
+/// Names of the axes: three translations, then the rotations about them.
 pub const AXIS_NAMES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 
 /// One of [`AXIS_NAMES`], as a key.
@@ -37,13 +37,12 @@ enum Axis {
 pub enum AxisMode {
     /// Follows the reference.
     Motion,
-    /// Compliant: regulated to a force (zero, if no force is set) instead of a position; lower priorities cannot use the
-    /// axis.
+    /// Compliant: a force (zero, if none is set) is commanded instead of a position; tasks below cannot use the axis.
     Compliant,
-    /// Force control to the target force: as `compliant`, with an integral of the
-    /// force error, so that friction and an inertia that is not the nominal one leave no error.
+    /// Force control: as `compliant`, with an integral of the force error that removes the error caused by friction and
+    /// by an inertia that differs from the model.
     Force,
-    /// Not in the task: lower tasks may use it.
+    /// Not in the task: tasks below can use the axis.
     #[default]
     Free,
 }
@@ -63,7 +62,7 @@ impl AxisMode {
         }
     }
 
-    /// The mode of an axis in a task with that number.
+    /// Returns the mode with this code, for an axis in a task.
     #[must_use]
     pub fn from_code(code: f64) -> Option<Self> {
         Self::IN_TASK.into_iter().find(|mode| mode.code() == code)
@@ -81,7 +80,7 @@ impl AxisMode {
     }
 }
 
-/// The mode of each axis. An axis that is left out is free.
+/// Mode of each axis; `free` if absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -107,19 +106,19 @@ pub struct Axes {
 }
 
 impl Axes {
-    /// x, y and z in one mode; no rotation.
+    /// Returns axes with x, y and z in one mode and all rotations free.
     #[must_use]
     pub fn position(mode: AxisMode) -> Self {
         Self { x: mode, y: mode, z: mode, ..Self::default() }
     }
 
-    /// Rotations about x, y and z in one mode; no displacement.
+    /// Returns axes with the rotations about x, y and z in one mode and all translations free.
     #[must_use]
     pub fn orientation(mode: AxisMode) -> Self {
         Self { rx: mode, ry: mode, rz: mode, ..Self::default() }
     }
 
-    /// All six axes in one mode.
+    /// Returns axes with all six in one mode.
     #[must_use]
     pub fn pose(mode: AxisMode) -> Self {
         Self { rx: mode, ry: mode, rz: mode, ..Self::position(mode) }
@@ -131,7 +130,7 @@ impl Axes {
         [self.x, self.y, self.z, self.rx, self.ry, self.rz]
     }
 
-    /// Returns true for each axis of that mode, in the order of [`AXIS_NAMES`].
+    /// Returns true for each axis in `mode`, in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn with_mode(&self, mode: AxisMode) -> [bool; 6] {
         self.modes().map(|m| m == mode)
@@ -143,14 +142,14 @@ impl Axes {
         self.modes().map(|mode| matches!(mode, AxisMode::Compliant | AxisMode::Force))
     }
 
-    /// Returns true for each axis that belongs to the task, being not free, in the order of [`AXIS_NAMES`].
+    /// Returns true for each axis that belongs to the task, i.e. is not free, in the order of [`AXIS_NAMES`].
     #[must_use]
     pub fn active_axes(&self) -> [bool; 6] {
         self.modes().map(|m| m != AxisMode::Free)
     }
 }
 
-/// The directions of a task's axes.
+/// Directions of a task's axes.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 pub enum AxesFrameParameter {
@@ -172,20 +171,20 @@ pub enum AxesFrameParameter {
     RpyRad(#[serde(deserialize_with = "exactly")] [f64; 3]),
 }
 
-/// Axes of one robot: fixed, or those of a frame.
+/// Task axes of one robot: fixed, or those of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AxesFrame {
-    /// Fixed, in the coordinates of the controlled frame: one axis a column.
+    /// Fixed axes in the coordinates of the controlled frame, one per column.
     Fixed(Matrix3<f64>),
-    /// Those of a frame.
+    /// Axes of a frame.
     Body(FrameId),
 }
 
 impl AxesFrameParameter {
-    /// The axes on a robot, for a task that moves `controlled`.
+    /// Resolves the axes for a robot and the controlled frame of the task.
     ///
     /// # Errors
-    /// A frame that the robot doesn't have.
+    /// An unknown frame.
     pub fn resolve(&self, model: &Model, controlled: ControlledFrame) -> Result<AxesFrame, UnknownFrame> {
         Ok(match self {
             Self::World => AxesFrame::Fixed(Matrix3::identity()),
@@ -206,7 +205,7 @@ impl AxesFrameParameter {
 }
 
 impl AxesFrame {
-    /// Axes before the first state of the robot: those of the coordinates where they turn.
+    /// Axes before the first state of the robot is known; the identity for axes that rotate.
     pub(crate) fn at_rest(&self) -> Matrix3<f64> {
         match self {
             Self::Fixed(rotation) => *rotation,
@@ -214,7 +213,7 @@ impl AxesFrame {
         }
     }
 
-    /// Axes in the coordinates of `controlled`, one a column.
+    /// Axes in the coordinates of `controlled`, one per column.
     #[must_use]
     pub fn rotation(&self, model: &Model, data: &Data, controlled: ControlledFrame) -> Matrix3<f64> {
         match self {
@@ -230,18 +229,18 @@ impl AxesFrame {
     }
 }
 
-/// One value for all axes, or one for each: in a file a number, `[x, y, z]`, `[x, y, z, rx, ry, rz]`, or a
-/// table `{ x = 1.0, rz = 2.0 }`.
+/// One value for all axes, or one value per axis: in a file, a number, `[x, y, z]`, `[x, y, z, rx, ry, rz]`, or a table
+/// `{ x = 1.0, rz = 2.0 }`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PerAxis<T> {
     /// One value for all axes.
     All(T),
-    /// One value for each axis, in the order of [`AXIS_NAMES`]; `None` where nothing was given.
+    /// One value per axis, in the order of [`AXIS_NAMES`]; `None` if none was given.
     Each([Option<T>; 6]),
 }
 
 impl<T: Copy> PerAxis<T> {
-    /// The value of an axis, by its place in [`AXIS_NAMES`].
+    /// Value of an axis, by its index in [`AXIS_NAMES`].
     ///
     /// # Panics
     /// If `axis` is more than 5.
@@ -253,7 +252,7 @@ impl<T: Copy> PerAxis<T> {
         }
     }
 
-    /// Passes each value through `of`.
+    /// Applies `of` to each value.
     pub(crate) fn map<U>(self, of: impl Fn(T) -> U) -> PerAxis<U> {
         match self {
             Self::All(value) => PerAxis::All(of(value)),
@@ -261,7 +260,7 @@ impl<T: Copy> PerAxis<T> {
         }
     }
 
-    /// The axes that were given a value of their own.
+    /// Indices of the axes that have an individual value.
     pub(crate) fn named(&self) -> impl Iterator<Item = usize> + '_ {
         (0..6).filter(|&axis| matches!(self, Self::Each(values) if values[axis].is_some()))
     }
@@ -346,7 +345,7 @@ impl<T: JsonSchema> JsonSchema for PerAxis<T> {
     }
 }
 
-/// The value of an axis that must have one.
+/// Returns the value of an axis, or an error if there is none.
 pub(crate) fn required<T: Copy>(values: &PerAxis<T>, axis: usize) -> Result<T, Reason> {
     values.get(axis).ok_or(Reason::MissingAxis { axis: AXIS_NAMES[axis] })
 }

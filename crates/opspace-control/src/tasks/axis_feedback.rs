@@ -1,4 +1,4 @@
-//! The feedback law of a Cartesian task: stiffness, damping and integral of each axis.
+//! Feedback law of a Cartesian task: stiffness, damping and integral of each axis.
 
 use crate::error::{ControlError, Reason};
 use crate::tasks::axes::{AxisMode, required};
@@ -9,7 +9,7 @@ use crate::tasks::impedance::Impedance;
 use nalgebra::Vector6;
 use opspace_backend::quantity::NonNegative;
 
-/// Damping of an axis that was not compliant in its file and has none there, 1/s.
+/// Damping of an axis that a streamed mode makes compliant and for which the file gives no damping, 1/s.
 const COMPLIANT_DAMPING_PER_S: f64 = 2.0;
 
 impl MotionGains {
@@ -28,25 +28,25 @@ impl MotionGains {
 /// Feedback of a task's axes.
 #[derive(Clone, Debug)]
 pub(crate) struct AxisFeedback {
-    /// Stiffness on the error in the order of the axes, 1/s².
+    /// Stiffness of the axes, 1/s².
     pub stiffness: Vector6<f64>,
-    /// Damping on the velocity in the order of the axes, 1/s.
+    /// Damping of the axes, 1/s.
     pub damping: Vector6<f64>,
     pub impedance: Option<Impedance>,
-    /// Share of the error that is added to the integral in a period.
+    /// Fraction of the error that is added to the integral per control period.
     pub integral_step: Vector6<f64>,
-    /// Largest integral, m or rad.
+    /// Upper bound of the integral, m or rad.
     pub integral_limit: Vector6<f64>,
     pub integral: Vector6<f64>,
     /// Integral gain, 1/s.
     pub integral_per_s: Vector6<f64>,
-    /// Gains in motion, of axes for which they are given.
+    /// Motion gains of the axes that have them.
     motion: [Option<MotionGains>; 6],
     /// Damping of an axis that is compliant or in force control, 1/s.
     compliant_damping: Vector6<f64>,
 }
 
-/// Gains of an axis in motion.
+/// Gains of a motion axis.
 #[derive(Clone, Copy, Debug)]
 struct MotionGains {
     frequency_rad_per_s: f64,
@@ -105,13 +105,13 @@ impl AxisFeedback {
         Ok(feedback)
     }
 
-    /// Returns true if gains of an axis in motion are known.
+    /// Returns true if the axis has motion gains.
     pub(crate) fn can_follow(&self, axis: usize) -> bool {
         self.motion[axis].is_some()
     }
 
-    /// Gives an axis the gains of a mode, with streamed ones in place of the configured ones. The integral starts anew
-    /// where an axis is not in motion.
+    /// Sets the gains of an axis for a mode; streamed gains replace the configured ones. Resets the integral of an axis
+    /// that is not in motion.
     pub(crate) fn set(&mut self, axis: usize, mode: AxisMode, streamed: &AxisSettings) {
         let motion = self.motion[axis].filter(|_| mode == AxisMode::Motion);
         let [stiffness, damping] = match (&motion, mode) {
@@ -146,7 +146,7 @@ impl AxisFeedback {
         let zeta = required(&gains.damping_ratio, axis).map_err(at("damping_ratio"))?.get();
         self.stiffness[axis] = omega * omega;
         self.damping[axis] = 2.0 * zeta * omega;
-        // An axis that isn't named has none.
+        // An axis that is not named has no integral gain.
         self.integral_per_s[axis] = gains.integral_per_s.get(axis).map_or(0.0, NonNegative::get);
         self.integral_step[axis] = self.integral_per_s[axis] * period_s;
         if self.integral_step[axis] > 0.0 {

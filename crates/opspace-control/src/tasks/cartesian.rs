@@ -1,6 +1,6 @@
 //! The Cartesian task: a frame that follows a reference on some axes and is compliant on others.
 //!
-//! On its task axes, with x the frame's pose and v its velocity (Khatib 1987, with unit-mass gains):
+//! On the task axes, with x the frame's pose and v its velocity (Khatib 1987, with unit-mass gains):
 //!
 //! ```text
 //! motion     a* = ẍ_d + 2ζω (ẋ_d − v) + ω² (x_d − x + ∫ integral gain (x_d − x) dt, bounded)
@@ -8,12 +8,12 @@
 //! force      a* = −c v                                 the same, and  ∫ integral gain (f − f_target) dt, bounded
 //! ```
 //!
-//! f is the sensed force ON the robot: with gain 0 the axis pushes with the target open loop, and the
-//! gain makes the hand feel 1 + gain times lighter. Moments on rotation axes likewise. In place of the unit
-//! mass an [`impedance`](crate::tasks::impedance) may be given, in newtons and metres.
+//! f is the sensed force ON the robot. With gain 0, the axis pushes with the target force in open loop; the gain makes
+//! the hand appear 1 + gain times lighter. The same holds for moments on rotation axes. An
+//! [`impedance`](crate::tasks::impedance) in N/m and Ns/m can replace the unit mass.
 //!
-//! A speed limit ẋ_max bounds the speed that is asked for, and keeps its direction (Khatib 1987, §VI): with the
-//! damping 2ζω taken out, a* = 2ζω (ν ẋ* − v) with ẋ* = ẋ_d + ω/(2ζ) (x_d − x) and ν = min(1, ẋ_max/|ẋ*|).
+//! A speed limit ẋ_max bounds the desired speed and keeps its direction (Khatib 1987, §VI): with the damping 2ζω
+//! factored out, a* = 2ζω (ν ẋ* − v) with ẋ* = ẋ_d + ω/(2ζ) (x_d − x) and ν = min(1, ẋ_max/|ẋ*|).
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
@@ -45,7 +45,7 @@ use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Inversion, Model, Placement};
 use std::any::Any;
 
-/// A frame, or the centre of mass, that follows a reference on some axes and yields to forces on others: see
+/// A task of a frame, or of the centre of mass, that follows a reference on some axes and is compliant on others: see
 /// [`CartesianParameters`].
 #[derive(Clone, Debug)]
 pub struct CartesianTask {
@@ -57,41 +57,41 @@ pub struct CartesianTask {
     axes_frame: AxesFrame,
     modes: [AxisMode; 6],
     feedback: AxisFeedback,
-    /// Speed limits, m/s and rad/s; infinite where there is none.
+    /// Speed limits, m/s and rad/s; infinite if there is none.
     speed_limits: [f64; 2],
     force: Option<ForceFeedback>,
     reference: CartesianReference,
     trajectory: Trajectory,
-    /// Streamed reference in place of the trajectory.
+    /// Streamed reference, used instead of the trajectory.
     streamed: Option<Box<StreamedPose>>,
-    /// Stamp of the streamed settings in force, s.
+    /// Time stamp of the current streamed settings, s.
     settings_s: Option<f64>,
     configured_modes: [AxisMode; 6],
-    /// Streamed target force of axes under force control of a task without a sensor (N, Nm).
+    /// Streamed target force (N, Nm) on compliant axes of a task without a sensor.
     streamed_force: Vector6<f64>,
-    /// Begin of the trajectory, s.
+    /// Start time of the trajectory, s.
     start_s: f64,
     /// Pose at the start of the run.
     home: Placement,
-    /// Coordinates of the controlled frame.
+    /// Target in the coordinates of the controlled frame.
     target: Target,
-    /// The configured reference, whether or not the target has joined it.
+    /// Reference without blending.
     path: Target,
     placement: Placement,
-    /// Velocity of the controlled frame, in the task's axes (m/s, rad/s).
+    /// Velocity of the controlled frame in the task axes (m/s, rad/s).
     velocity: Vector6<f64>,
-    /// Velocity of the controlled frame's origin, in its coordinates, m/s.
+    /// Velocity of the controlled frame's origin in its coordinates, m/s.
     linear_velocity: Vector3<f64>,
-    /// Error in the task's axes, m and rad. Displacements on all three axes; rotations only about those in motion,
-    /// since the others would mix into them.
+    /// Error in the task axes, m and rad: displacements along all three axes, but rotations only about the motion axes,
+    /// because a rotation about another axis would affect the error about these.
     error: Vector6<f64>,
 }
 
 impl CartesianTask {
-    /// A task of a frame, from its parameters.
+    /// Creates a task of a frame from its parameters.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, values that are missing or contradict each other.
+    /// Unknown names, missing or contradicting values.
     pub fn new(
         name: &str,
         parameters: &CartesianParameters,
@@ -103,10 +103,10 @@ impl CartesianTask {
         Self::of_controlled(name, &key, parameters, controlled, model, context)
     }
 
-    /// A task of the centre of mass, from its parameters.
+    /// Creates a task of the centre of mass from its parameters.
     ///
     /// # Errors
-    /// As [`new`](Self::new), and an axis of rotation.
+    /// The errors of [`new`](Self::new); a rotation axis that is not free.
     pub fn of_center_of_mass(
         name: &str,
         parameters: &CenterOfMassParameters,
@@ -190,8 +190,8 @@ impl CartesianTask {
         })
     }
 
-    /// The target, with where the frame is, at rest, in place of it along those `axes` that `began`; the frame's own
-    /// orientation if any turn began.
+    /// Returns the target, replaced by the frame's position at rest along the `axes` for which `began` is true, and by
+    /// the frame's orientation at rest if `began` is true for any rotation.
     fn target_at_rest_along(&self, axes: &Matrix3<f64>, began: impl Fn(usize) -> bool) -> Target {
         let mut target = self.target;
         for axis in (0..3).filter(|&axis| began(axis)) {
@@ -210,7 +210,8 @@ impl CartesianTask {
         target
     }
 
-    /// Error of the target against `placement` (m, rad; task axes). Rotations count about the axes of `counted` only.
+    /// Returns the error of the target relative to `placement` (m, rad; task axes). Only rotations about the axes in
+    /// `counted` are included.
     fn error_at(&self, axes: &Matrix3<f64>, placement: &Placement, counted: [bool; 6]) -> Vector6<f64> {
         let linear = axes.tr_mul(&(self.target.placement.translation - placement.translation));
         let counted = [counted[3], counted[4], counted[5]];
@@ -222,7 +223,7 @@ impl CartesianTask {
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// Reduces a* of the axes in motion to the speed that is allowed.
+    /// Reduces a* of the motion axes such that the desired speed respects the limit.
     fn saturate_speed(&self, a: &mut Vector6<f64>, wanted_velocity: &Vector6<f64>) {
         let feedback = &self.feedback;
         for (kind, &limit) in self.speed_limits.iter().enumerate() {
@@ -271,7 +272,7 @@ impl CartesianTask {
         self.follow(input);
     }
 
-    /// The reference begins at `from`, with the task's axes as they are now.
+    /// Starts the reference at `from`, with the current task axes.
     fn begin(&mut self, from: &Target, axes: &Matrix3<f64>, input: &ControlInput<'_>) {
         self.trajectory.start(&self.home, from, axes);
         self.start_s = input.measurement.time_s;
@@ -280,7 +281,7 @@ impl CartesianTask {
         }
     }
 
-    /// Values that can be streamed: modes for which each axis is configured.
+    /// Returns the values that can be streamed, including the modes for which each axis is configured.
     fn allowed(&self) -> AllowedInputs {
         let unit_mass = self.feedback.impedance.is_none();
         let mut allowed = AllowedInputs { gains: unit_mass, ..AllowedInputs::default() };
@@ -292,7 +293,7 @@ impl CartesianTask {
         allowed
     }
 
-    /// Gives an axis a mode, with streamed values in place of the configured ones.
+    /// Sets the mode of an axis; streamed values replace the configured ones.
     fn set_axis(&mut self, axis: usize, mode: AxisMode, settings: &AxisSettings) {
         self.modes[axis] = mode;
         self.feedback.set(axis, mode, settings);
@@ -303,7 +304,7 @@ impl CartesianTask {
         }
     }
 
-    /// Leaves all axes as configured.
+    /// Resets all axes to their configured settings.
     fn reset_settings(&mut self) {
         if self.streamed.is_none() {
             return;
@@ -315,7 +316,7 @@ impl CartesianTask {
         }
     }
 
-    /// Takes over the modes of the task before, where both have streamed ones.
+    /// Takes over the modes of the previous task if both tasks have streamed modes.
     fn inherit_modes(&mut self, before: &Self) {
         self.reset_settings();
         if self.streamed.is_none() || before.streamed.is_none() {
@@ -330,7 +331,7 @@ impl CartesianTask {
         }
     }
 
-    /// Takes in the streamed target of a cycle: first modes, gains and forces, then the reference.
+    /// Processes the streamed target of a cycle: first modes, gains and forces, then the reference.
     fn take_target(&mut self, input: &TaskInput<'_>) {
         if self.streamed.is_none() {
             return;
@@ -344,7 +345,7 @@ impl CartesianTask {
         }
     }
 
-    /// Changes modes, gains and forces. The reference begins anew, where the frame is, on axes that come into motion.
+    /// Changes modes, gains and forces. On axes that become motion axes, the reference restarts at the frame's pose.
     fn apply(&mut self, settings: &[AxisSettings; 6], input: &ControlInput<'_>) {
         let (before, allowed) = (self.modes, self.allowed());
         for place in 0..self.axes.rows() {
@@ -368,7 +369,7 @@ impl CartesianTask {
         }
     }
 
-    /// Takes in the state and the reference.
+    /// Updates the state and the reference.
     fn follow(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, measurement, .. } = *input;
         let controlled = self.axes.controlled;
@@ -389,13 +390,13 @@ impl CartesianTask {
             self.error_at(&self.axes.rotation, &self.placement, self.modes.map(|m| m == AxisMode::Motion));
     }
 
-    /// Axes and rows at the state of `data`.
+    /// Returns the axes and rows at the state of `data`.
     fn axes_at(&self, model: &Model, data: &Data) -> TaskAxes {
         let rotation = self.axes_frame.rotation(model, data, self.axes.controlled);
         self.axes.with_rotation(rotation)
     }
 
-    /// Takes in the sensed force, and lets integrals grow unless `hold`. After [`observe`](Task::observe).
+    /// Updates the sensed force, and the integrals unless `hold` is true. Call it after [`observe`](Task::observe).
     fn sense(&mut self, input: &ControlInput<'_>, hold: bool) {
         let ControlInput { model, data, measurement, .. } = *input;
         if !hold {
@@ -409,7 +410,7 @@ impl CartesianTask {
         }
     }
 
-    /// The speed along (`kind` 0) or about (1) the axes in motion.
+    /// Returns the speed along (`kind` 0) or about (`kind` 1) the motion axes, with its limit.
     fn speed_limit(&self, kind: usize, limit: f64) -> SpeedLimit {
         let counts = |axis: usize| axis / 3 == kind && self.modes[axis] == AxisMode::Motion;
         let speed =
@@ -421,7 +422,7 @@ impl CartesianTask {
         SpeedLimit { speed, limit, weights }
     }
 
-    /// Force that is added to that of the inertia (on the task's rows, scaled). `task_inertia` is Λ of these rows.
+    /// Returns the force that is added to Λ (a* − J̇ q̇), on the task's scaled rows. `task_inertia` is Λ of these rows.
     fn added_force(&self, task_inertia: &Matrix6<f64>) -> Vector6<f64> {
         let mut force =
             self.force.as_ref().map_or_else(|| Vector6::zeros() - self.streamed_force, ForceFeedback::added);
@@ -430,7 +431,7 @@ impl CartesianTask {
         };
         let in_motion = |i: usize| self.modes[i] == AxisMode::Motion;
         if impedance.inertia.is_some() {
-            // What the shaped inertia answers to must not act twice.
+            // The desired inertia already responds to the sensed force: it must not act twice.
             if let Some(sensed) = self.force.as_ref().map(|f| f.sensed) {
                 (0..6).filter(|&i| in_motion(i)).for_each(|i| force[i] -= sensed[i]);
             }
@@ -474,7 +475,7 @@ impl Task for CartesianTask {
         axes.rows_of(&axes.of_motion(&axes.controlled.bias_acceleration(model, data)))
     }
 
-    /// Every axis of the task counts, as if it were in motion.
+    /// All axes of the task count as motion axes.
     fn kinematic_target(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64> {
         let axes = self.axes_at(model, data);
         let mut active = [false; 6];
@@ -536,8 +537,8 @@ impl Task for CartesianTask {
         self.follow(&input.control);
     }
 
-    /// Plans a goal or streamed reference again from the present pose at rest, lets any other reference rejoin from
-    /// there, and resets the integrals.
+    /// Replans a goal or streamed reference from the current pose at rest, blends from there into any other reference,
+    /// and resets the integrals.
     fn resume(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, measurement, .. } = *input;
         let controlled = self.axes.controlled;
@@ -555,8 +556,8 @@ impl Task for CartesianTask {
         self.follow(input);
     }
 
-    /// A reference that is the same continues; another one begins where that one was, and where the frame is on axes
-    /// that weren't in motion.
+    /// An unchanged reference continues. A different one starts at the previous target; on axes that were not motion
+    /// axes, it starts at the frame's pose.
     fn inherit(&mut self, before: &mut dyn Task, input: &ControlInput<'_>) {
         match (before as &mut dyn Any).downcast_mut::<Self>() {
             Some(before) if before.axes.controlled == self.axes.controlled => {
@@ -566,7 +567,7 @@ impl Task for CartesianTask {
         }
     }
 
-    /// Springs and dampers of an impedance, and force feedback of axes under force control.
+    /// Returns the forces of an impedance's springs and dampers, and the force feedback of compliant and force axes.
     fn force(&self, task_inertia: &Matrix6<f64>) -> Option<Vector6<f64>> {
         let adds_force = self.force.is_some()
             || self.feedback.impedance.is_some()

@@ -15,7 +15,7 @@ use opspace_model::{Inversion, Model};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// A frame that follows a reference on some axes and is compliant on others.
+/// A frame follows a reference on some axes and is compliant on others.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -23,58 +23,58 @@ use serde::Deserialize;
 pub struct CartesianParameters {
     /// The controlled frame: a link of the URDF.
     pub frame: String,
-    /// A frame in whose coordinates pose and reference are given, though it moves as well; the world if absent.
+    /// Frame in whose coordinates pose and reference are given; it can move too. The world if absent.
     #[serde(default)]
     pub relative_to: Option<String>,
-    /// Modes of the axes; axes that are left out are free.
+    /// Modes of the axes; `free` if absent.
     pub axes: Axes,
     /// Directions of the axes: `"world"`, `"base"`, `"task-frame"`, `{ frame = "NAME" }`, or `{ rpy_rad = [...] }`
-    /// against the world.
+    /// relative to the world.
     #[serde(default)]
     pub axes_frame: AxesFrameParameter,
     /// Reference of the frame.
     pub reference: CartesianReference,
-    /// Gains of the axes in motion, for unit mass.
+    /// Gains of the motion axes, for unit mass.
     #[serde(default)]
     pub gains: Option<AxisGains>,
-    /// Impedance with which axes in motion follow the reference, as a spring and a damper: in place of `gains`.
+    /// Impedance of the motion axes, as a spring and a damper; instead of `gains`.
     #[serde(default)]
     pub impedance: Option<ImpedanceParameters>,
-    /// Force feedback of the compliant and force axes; without it the compliant ones' force is zero, open loop.
+    /// Force feedback of the compliant and force axes. Without it, the force on compliant axes is zero, in open loop.
     #[serde(default)]
     pub force: Option<ForceParameters>,
-    /// Damping of the compliant and force axes, as acceleration over velocity, 1/s; 2 if absent.
+    /// Damping of the compliant and force axes (acceleration per velocity), 1/s; 2 if absent.
     #[serde(default = "default_compliant_damping")]
     pub compliant_damping_per_s: PerAxis<NonNegative>,
-    /// Inertia that turns accelerations into forces; the arm's own if absent.
+    /// Inertia that converts accelerations to forces; the arm's own if absent.
     #[serde(default)]
     pub decoupling: Decoupling,
-    /// Highest speed along the axes in motion, m/s; none if absent.
+    /// Highest speed along the motion axes, m/s; unlimited if absent.
     #[serde(default)]
     pub speed_limit_m_per_s: Option<Positive>,
-    /// Highest speed about the axes in motion, rad/s; none if absent.
+    /// Highest speed about the motion axes, rad/s; unlimited if absent.
     #[serde(default)]
     pub speed_limit_rad_per_s: Option<Positive>,
-    /// Handling of directions in which the arm can hardly move the frame; damped if absent.
+    /// Handling of singular directions, in which the arm can hardly move the frame; damped if absent.
     #[serde(default)]
     pub singularities: SingularityHandling,
-    /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to the median over many postures of that of the hardest
-    /// direction, below which directions are damped; 0.3 if absent.
+    /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
+    /// lowest mobility over many postures; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
     pub singularity_threshold: Positive,
-    /// Length by which rotations are weighed against displacements in the search for singular directions, m; the arm's
-    /// reach if absent.
+    /// Characteristic length that scales rotations to displacements in the detection of singular directions, m; the
+    /// arm's reach if absent.
     #[serde(default)]
     pub characteristic_length_m: Option<Positive>,
 }
 
-/// The centre of mass, which follows a reference on some axes. It doesn't turn.
+/// The centre of mass follows a reference on some axes. It has no orientation.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct CenterOfMassParameters {
-    /// Modes of x, y and z; axes that are left out are free.
+    /// Modes of x, y and z; `free` if absent.
     pub axes: Axes,
     /// Directions of the axes, as in a Cartesian task.
     #[serde(default)]
@@ -83,30 +83,30 @@ pub struct CenterOfMassParameters {
     pub reference: CartesianReference,
     /// Gains of the centre of mass, for unit mass.
     pub gains: AxisGains,
-    /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to the median over many postures of that of the hardest
-    /// direction, below which directions are damped; 0.3 if absent.
+    /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
+    /// lowest mobility over many postures; 0.3 if absent.
     #[serde(default = "default_singularity_threshold")]
     pub singularity_threshold: Positive,
 }
 
-/// Inertia that turns a task's accelerations into forces.
+/// Inertia that converts a task's accelerations to forces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum Decoupling {
-    /// Λ: every axis answers as if it were alone.
+    /// Λ of the arm: all axes are decoupled.
     #[default]
     Full,
-    /// Λ of an arm none of whose joints is lighter than a floor: light wrists, whose friction is larger than what
-    /// their inertia asks for, are pushed harder than by Λ.
+    /// Λ of the arm with a lower bound on the joint inertias: larger forces for light wrists, whose friction exceeds
+    /// the torques that their own inertia requires.
     Bounded {
-        /// Least inertia on the diagonal of M, kg m².
+        /// Lower bound of the diagonal of M, kg m².
         inertia_floor_kg_m2: Positive,
     },
 }
 
-/// Handling of directions in which an arm can hardly move a frame. See [`Inversion`].
+/// Handling of directions in which an arm can hardly move a frame; see [`Inversion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -116,7 +116,7 @@ pub enum SingularityHandling {
     /// Directions are damped smoothly below the threshold, down to zero; above it there is no damping.
     #[default]
     Damped,
-    /// No damping: Λ unchanged. For comparisons.
+    /// No damping: Λ is unchanged. For comparisons.
     #[serde(rename = "plain")]
     None,
     /// Damped least squares: all directions are damped in all configurations. For comparisons.
@@ -147,7 +147,7 @@ fn default_singularity_threshold() -> Positive {
 }
 
 impl CartesianParameters {
-    /// A task of `frame` that holds its pose at the start: everything else as in a file without other keys.
+    /// Creates a task of `frame` that holds its start pose; all other parameters have the default values of files.
     #[must_use]
     pub fn new(frame: impl Into<String>, axes: Axes, gains: AxisGains) -> Self {
         Self {
@@ -181,16 +181,16 @@ impl CartesianParameters {
         self.axes.with_mode(AxisMode::Motion)
     }
 
-    /// Returns true for each axis that is held to a force: those that are compliant, and those in force control.
+    /// Returns true for each compliant or force axis, in the order of [`AXIS_NAMES`](crate::AXIS_NAMES).
     #[must_use]
     pub fn force_axes(&self) -> [bool; 6] {
         self.axes.force_axes()
     }
 
-    /// The controlled frame on a robot.
+    /// Resolves the controlled frame for a robot.
     ///
     /// # Errors
-    /// A frame that the robot doesn't have, with the key by which it is named.
+    /// An unknown frame, with its key in the file.
     pub fn controlled_frame(&self, model: &Model) -> Result<ControlledFrame, ControlError> {
         let frame =
             |key: &str, name: &str| model.frame_id(name).map_err(|unknown| ControlError::new(key, unknown));
@@ -201,21 +201,21 @@ impl CartesianParameters {
         })
     }
 
-    /// The force (N) and moment (Nm) that the environment should exert ON the robot, in the task's axes: 0 on axes that
-    /// are not held to a force or without force feedback.
+    /// Force (N) and moment (Nm) that the environment should exert ON the robot, in the task axes; 0 on other than
+    /// compliant and force axes, and without force feedback.
     #[must_use]
     pub fn target_force(&self) -> Vector6<f64> {
         self.force.as_ref().map_or_else(Vector6::zeros, |force| force.target(&self.axes))
     }
 
-    /// Returns true if the arm is to show another inertia than its own.
+    /// Returns true if a desired inertia is given.
     pub(crate) fn shapes_inertia(&self) -> bool {
         self.impedance.is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
     }
 }
 
 impl CenterOfMassParameters {
-    /// A task that holds the centre of mass at its position at the start.
+    /// Creates a task that holds the centre of mass at its start position.
     #[must_use]
     pub fn new(axes: Axes, gains: AxisGains) -> Self {
         Self {
@@ -227,7 +227,7 @@ impl CenterOfMassParameters {
         }
     }
 
-    /// As a Cartesian task whose frame is the centre of mass.
+    /// Returns the parameters of the equivalent Cartesian task, whose frame is the centre of mass.
     #[must_use]
     pub fn as_cartesian(&self) -> CartesianParameters {
         CartesianParameters {

@@ -1,4 +1,4 @@
-//! Streamed target of a Cartesian task: its inputs, and a typed handle.
+//! Inputs of a Cartesian task's streamed target, and a typed handle for it.
 
 use crate::orientation;
 use crate::references::streamed::given;
@@ -9,7 +9,7 @@ use opspace_backend::Signal;
 use opspace_model::Placement;
 use std::ops::Range;
 
-/// Places of the other inputs among all values.
+/// Indices of the other inputs among all values.
 const WRENCH: usize = 19;
 const FREQUENCY: usize = 25;
 const DAMPING_RATIO: usize = 31;
@@ -18,11 +18,11 @@ const WIDTH: usize = 43;
 
 const POSE_ELEMENTS: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
 
-/// An input: its name, unit and elements, and its first place.
+/// An input: its name, unit, elements and first index.
 type Input = (&'static str, &'static str, &'static [&'static str], usize);
 
 /// Inputs of a task with a streamed reference. The wrench is the target force that the environment should exert ON the
-/// robot, on compliant and force axes; it, gains and modes are in the task's axes.
+/// robot on compliant and force axes. Wrench, gains and modes are in the task axes.
 const INPUTS: [Input; 7] = [
     ("pose", "m,1", &POSE_ELEMENTS, POSE),
     ("twist", "m/s,rad/s", &AXIS_NAMES, TWIST),
@@ -38,7 +38,7 @@ pub(crate) fn inputs() -> Vec<Signal> {
     INPUTS.map(|(name, unit, elements, _)| Signal::new(name, unit, elements)).into()
 }
 
-/// Streamed settings of one axis; `None` where it is as configured, or not a setting.
+/// Streamed settings of one axis; `None` for the configured value.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct AxisSettings {
     pub mode: Option<AxisMode>,
@@ -48,7 +48,7 @@ pub(crate) struct AxisSettings {
     pub damping_ratio: Option<f64>,
 }
 
-/// The settings in a task's values.
+/// Reads the settings from a task's values.
 pub(crate) fn settings(values: &[f64]) -> [AxisSettings; 6] {
     let value = |at: usize| given::<1>(values, at).map(|[value]| value);
     std::array::from_fn(|axis| AxisSettings {
@@ -61,8 +61,8 @@ pub(crate) fn settings(values: &[f64]) -> [AxisSettings; 6] {
 
 /// Streamed target of a Cartesian or centre-of-mass task with a streamed reference.
 ///
-/// Values are collected here and written together; those that were never set are as configured. Setters and
-/// [`write`](Self::write) allocate nothing unless they fail.
+/// Setters collect values, and [`write`](Self::write) writes them all at once; values that were never set are as
+/// configured. Neither allocates unless it fails.
 #[derive(Clone, Debug)]
 pub struct CartesianTarget {
     task: TaskHandle,
@@ -73,10 +73,10 @@ pub struct CartesianTarget {
 }
 
 impl CartesianTarget {
-    /// A handle for the task of that name.
+    /// Creates a handle for the task of this name.
     ///
     /// # Errors
-    /// A task that has no such inputs.
+    /// An unknown task, or a task without these inputs.
     pub fn of(targets: &Targets, name: &str) -> Result<Self, TargetError> {
         let task = targets.task(name)?;
         let find = |(input, _, elements, _): Input| {
@@ -94,7 +94,7 @@ impl CartesianTarget {
         })
     }
 
-    /// Sets position (m) and orientation (unit quaternion w, x, y, z); forgets twist and acceleration.
+    /// Sets position (m) and orientation (unit quaternion w, x, y, z), and clears twist and acceleration.
     ///
     /// # Errors
     /// A value that is not finite; a quaternion whose length is not 1 within [`QUATERNION_TOLERANCE`].
@@ -110,7 +110,7 @@ impl CartesianTarget {
         Ok(self.forget(TWIST..ACCELERATION + 6))
     }
 
-    /// Sets the pose; forgets twist and acceleration.
+    /// Sets the pose, and clears twist and acceleration.
     ///
     /// # Errors
     /// As [`pose`](Self::pose).
@@ -119,7 +119,7 @@ impl CartesianTarget {
         self.pose(placement.translation.into(), [q.w, q.i, q.j, q.k])
     }
 
-    /// Sets the position alone, m: the orientation of the reference stays. Forgets twist and acceleration.
+    /// Sets only the position, m; the orientation of the reference does not change. Clears twist and acceleration.
     ///
     /// # Errors
     /// A value that is not finite.
@@ -129,8 +129,8 @@ impl CartesianTarget {
         Ok(self.forget(POSE + 3..ACCELERATION + 6))
     }
 
-    /// Sets linear (m/s) and angular velocity (rad/s), world axes. Without a pose the reference moves on from where it
-    /// is.
+    /// Sets linear (m/s) and angular velocity (rad/s), world axes. Without a pose, the reference continues from its
+    /// current pose.
     ///
     /// # Errors
     /// A value that is not finite.
@@ -149,7 +149,7 @@ impl CartesianTarget {
     }
 
     /// Sets the force (N) and moment (Nm) that the environment should exert ON the robot on compliant and force axes,
-    /// task axes; NaN for the configured one.
+    /// in task axes; NaN for the configured value.
     ///
     /// # Errors
     /// An infinite value.
@@ -160,10 +160,10 @@ impl CartesianTarget {
         Ok(self.put(WRENCH, &wrench))
     }
 
-    /// Sets natural frequency (rad/s) and damping ratio of axes in motion; NaN for the configured one.
+    /// Sets natural frequency (rad/s) and damping ratio of motion axes; NaN for the configured value.
     ///
     /// # Errors
-    /// A frequency that is not above zero, a ratio below zero; a task that doesn't follow by `gains`.
+    /// A frequency that is not positive, a negative ratio, a task that is not configured with `gains`.
     pub fn gains(
         &mut self,
         frequency_rad_per_s: [f64; 6],
@@ -178,11 +178,11 @@ impl CartesianTarget {
         Ok(self.put(DAMPING_RATIO, &damping_ratio))
     }
 
-    /// Sets the mode of each axis (in the order of [`AXIS_NAMES`]); `None` for the configured one.
+    /// Sets the mode of each axis (in the order of [`AXIS_NAMES`]); `None` for the configured mode.
     ///
     /// # Errors
-    /// The mode `free`, an axis that is not in the task, a mode for which the axis is not configured. All modes stay
-    /// then.
+    /// The mode `free`, an axis that is not in the task, or a mode for which the axis is not configured. Then no mode
+    /// changes.
     pub fn modes(&mut self, modes: [Option<AxisMode>; 6]) -> Result<&mut Self, TargetError> {
         let mut codes = [f64::NAN; 6];
         for (axis, mode) in modes.into_iter().enumerate() {
@@ -208,18 +208,18 @@ impl CartesianTarget {
         Err(TargetError::Mode { task: self.name.clone(), axis: AXIS_NAMES[axis], mode: mode.name(), known })
     }
 
-    /// Leaves everything as configured again.
+    /// Resets all values to "as configured".
     pub fn clear(&mut self) -> &mut Self {
         self.forget(0..WIDTH)
     }
 
-    /// The task.
+    /// Handle of the task.
     #[must_use]
     pub fn task(&self) -> &TaskHandle {
         &self.task
     }
 
-    /// The collected values, as [`Targets::write`] takes them.
+    /// Collected values in the form that [`Targets::write`] takes.
     #[must_use]
     pub fn inputs(&self) -> [(&InputHandle, &[f64]); 7] {
         std::array::from_fn(|i| {
@@ -228,7 +228,7 @@ impl CartesianTarget {
         })
     }
 
-    /// Writes all collected values, stamped with `clock_s` (s, the robot's clock).
+    /// Writes all collected values with the time stamp `clock_s`, s on the robot's clock.
     ///
     /// # Errors
     /// As [`Targets::write`].

@@ -11,19 +11,19 @@ use opspace_model::{
 pub enum ControlledFrame {
     /// A frame in the world.
     Frame(FrameId),
-    /// A frame in the coordinates of another one, which moves as well.
+    /// A frame in the coordinates of another frame, which can move too.
     Relative {
         /// The controlled frame.
         frame: FrameId,
-        /// The frame from which it is seen.
+        /// Frame in whose coordinates the pose is expressed.
         from: FrameId,
     },
-    /// The centre of mass of all that moves, in the world. It doesn't turn.
+    /// The centre of mass of all moving bodies, in the world. It has no orientation.
     CenterOfMass,
 }
 
 impl ControlledFrame {
-    /// The axes of its coordinates in the world, one a column.
+    /// Axes of the coordinates in the world, one per column.
     #[must_use]
     pub fn coordinates(&self, model: &Model, data: &Data) -> Matrix3<f64> {
         match self {
@@ -32,7 +32,7 @@ impl ControlledFrame {
         }
     }
 
-    /// Its pose (m).
+    /// Pose of the controlled frame, m.
     #[must_use]
     pub fn placement(&self, model: &Model, data: &Data) -> Placement {
         match self {
@@ -51,7 +51,7 @@ impl ControlledFrame {
         }
     }
 
-    /// Its velocity (m/s, rad/s).
+    /// Velocity of the controlled frame, m/s and rad/s.
     #[must_use]
     pub fn velocity(&self, model: &Model, data: &Data) -> Motion {
         match self {
@@ -61,7 +61,7 @@ impl ControlledFrame {
         }
     }
 
-    /// J̇ q̇ (m/s², rad/s²): the rate of its [`velocity`](Self::velocity) with q̈ = 0.
+    /// Bias acceleration J̇ q̇, m/s² and rad/s²: the time derivative of [`velocity`](Self::velocity) with q̈ = 0.
     #[must_use]
     pub fn bias_acceleration(&self, model: &Model, data: &Data) -> Motion {
         match self {
@@ -75,10 +75,10 @@ impl ControlledFrame {
         }
     }
 
-    /// J (6 × n), linear rows first: J q̇ is its [`velocity`](Self::velocity).
+    /// Computes J (6 × n), linear rows first: J q̇ is the [`velocity`](Self::velocity).
     ///
     /// # Panics
-    /// If `jacobian` doesn't have n columns.
+    /// If `jacobian` does not have n columns.
     pub fn jacobian(&self, model: &Model, data: &Data, jacobian: &mut Matrix6xX<f64>) {
         match self {
             Self::Frame(frame) => frame_jacobian(model, data, *frame, jacobian),
@@ -98,14 +98,14 @@ impl ControlledFrame {
         }
     }
 
-    /// Returns true if it can turn at all.
+    /// Returns true if the controlled frame has an orientation.
     #[must_use]
     pub fn turns(&self) -> bool {
         *self != Self::CenterOfMass
     }
 }
 
-/// A frame and the one that it is seen from, in world axes.
+/// Motion of a frame and of the frame that it is relative to, in world axes.
 struct Between {
     axes: Matrix3<f64>,
     lever: Vector3<f64>,
@@ -124,7 +124,7 @@ impl Between {
         }
     }
 
-    /// Velocity of the frame's origin relative to the other frame, which may turn, m/s; world axes.
+    /// Velocity of the frame's origin relative to the other frame, which can rotate, m/s; world axes.
     fn seen(&self) -> Vector3<f64> {
         self.frame.linear - self.from.linear - self.from.angular.cross(&self.lever)
     }
@@ -148,8 +148,8 @@ impl Between {
     }
 }
 
-/// Computes the Jacobian of the centre of mass above three rows of zeros. Each body adds to the columns of its own
-/// joint and of all parents.
+/// Computes the Jacobian of the centre of mass (first three rows; the others are zero). Each body contributes to the
+/// columns of its own joint and of all joints above it in the tree.
 fn com_rows(model: &Model, data: &Data, jacobian: &mut Matrix6xX<f64>) {
     assert_eq!(jacobian.ncols(), model.n(), "one Jacobian column a joint");
     jacobian.fill(0.0);

@@ -1,10 +1,10 @@
-//! The task of a [`Coordinate`]: up to six functions of the joint positions follow references.
+//! Task of a [`Coordinate`]: up to six functions of the joint positions follow references.
 //!
 //! ```text
 //! a* = ẍ_d + 2ζω (ẋ_d − ẋ) + ω² (x_d − x + ∫ integral gain (x_d − x) dt, bounded)
 //! ```
 //!
-//! A speed limit bounds the speed that is asked for, and keeps its direction, as in a Cartesian task.
+//! A speed limit bounds the desired speed and keeps its direction, as in a Cartesian task.
 
 use crate::controller::ControlInput;
 use crate::error::ControlError;
@@ -21,7 +21,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::any::Any;
 
-/// Feedback of a coordinate: a unit mass on a spring and a damper, whatever the arm's inertia.
+/// Feedback of a coordinate: a unit mass with a spring and a damper, independent of the arm's inertia.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -31,10 +31,10 @@ pub struct CoordinateGains {
     pub frequency_rad_per_s: Positive,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: NonNegative,
-    /// Integral gain: part of the error that is added to it each second, 1/s; 0 if absent.
+    /// Integral gain, 1/s: fraction of the error that is added to the integral per second; 0 if absent.
     #[serde(default)]
     pub integral_per_s: NonNegative,
-    /// Highest value of the integral, rad (m for a length); 0.2 if absent.
+    /// Upper bound of the integral, rad (m for a length); 0.2 if absent.
     #[serde(default = "default_integral_limit")]
     pub integral_limit_rad: NonNegative,
 }
@@ -44,10 +44,10 @@ fn default_integral_limit() -> NonNegative {
 }
 
 impl CoordinateGains {
-    /// A natural frequency (rad/s) and a damping ratio, without integral.
+    /// Creates gains with a natural frequency (rad/s) and a damping ratio, without integral.
     ///
     /// # Errors
-    /// A frequency that is not above zero, a ratio below zero.
+    /// A frequency that is not positive, a negative ratio.
     pub fn new(frequency_rad_per_s: f64, damping_ratio: f64) -> Result<Self, ControlError> {
         let frequency = Positive::try_from(frequency_rad_per_s);
         let ratio = NonNegative::try_from(damping_ratio);
@@ -66,17 +66,17 @@ pub struct CoordinateTask<C> {
     name: String,
     rows_key: String,
     coordinate: C,
-    /// Names of the elements; the next two fields are their units and the units of their rates.
+    /// Names of the elements; the next two fields are the units of the elements and of their derivatives.
     elements: Vec<&'static str>,
     units: Vec<&'static str>,
     rate_units: Vec<String>,
     references: Vec<ScalarReference>,
     trajectories: Vec<ScalarTrajectory>,
     gains: CoordinateGains,
-    /// Infinite where there is none.
+    /// Speed limit, rad/s or m/s; infinite if there is none.
     speed_limit: f64,
     singularity_threshold: f64,
-    /// Begin of the trajectories, s.
+    /// Start time of the trajectories, s.
     start_s: f64,
     /// Values at the start of the run.
     home: Vector6<f64>,
@@ -84,9 +84,9 @@ pub struct CoordinateTask<C> {
     updated_s: f64,
     value: Vector6<f64>,
     velocity: Vector6<f64>,
-    /// Target, its rate and its acceleration.
+    /// Target and its first two derivatives.
     target: [Vector6<f64>; 3],
-    /// References, whether or not the targets have joined them, and their rates.
+    /// References without blending, and their derivatives.
     path: [Vector6<f64>; 2],
     error: Vector6<f64>,
     integral: Vector6<f64>,
@@ -94,7 +94,7 @@ pub struct CoordinateTask<C> {
 }
 
 impl<C: Coordinate> CoordinateTask<C> {
-    /// A task that holds the coordinate at its value at the start.
+    /// Creates a task that holds the coordinate at its start value.
     #[must_use]
     pub fn new(name: impl Into<String>, coordinate: C, gains: CoordinateGains) -> Self {
         let rows = coordinate.rows();
@@ -126,7 +126,7 @@ impl<C: Coordinate> CoordinateTask<C> {
         }
     }
 
-    /// Sets one reference for each element, in their order; elements beyond the list hold.
+    /// Sets one reference per element, in order; elements without a reference hold their start value.
     #[must_use]
     pub fn with_references(mut self, references: impl IntoIterator<Item = ScalarReference>) -> Self {
         self.references = references.into_iter().take(self.coordinate.rows()).collect();
@@ -135,7 +135,7 @@ impl<C: Coordinate> CoordinateTask<C> {
         self
     }
 
-    /// Sets a limit of the speed over all elements, rad/s (m/s).
+    /// Sets the limit of the norm of the elements' velocities, rad/s (m/s).
     #[must_use]
     pub fn with_speed_limit(self, speed_limit: Positive) -> Self {
         Self { speed_limit: speed_limit.get(), ..self }
@@ -166,7 +166,7 @@ impl<C: Coordinate> CoordinateTask<C> {
         self.updated_s = input.measurement.time_s;
     }
 
-    /// Takes in value, velocity and target.
+    /// Updates value, velocity and target.
     fn update_state(&mut self, input: &ControlInput<'_>) {
         let ControlInput { model, data, measurement, .. } = *input;
         self.value = self.coordinate.value(model, data);
@@ -188,7 +188,7 @@ impl<C: Coordinate> CoordinateTask<C> {
         }
     }
 
-    /// At the place of an angular speed if the first element is an angle, else at that of a linear one.
+    /// Returns `speed` as the angular speed if the first element is an angle, otherwise as the linear speed.
     fn linear_or_angular<T>(&self, speed: Option<T>) -> [Option<T>; 2] {
         if self.coordinate.element(0).1 == "rad" { [None, speed] } else { [speed, None] }
     }
@@ -268,7 +268,7 @@ impl<C: Coordinate> Task for CoordinateTask<C> {
         self.observe_state(&input.control);
     }
 
-    /// Goals are approached anew; integrals are forgotten.
+    /// Replans goals from the current value at rest, blends into other references, and resets the integrals.
     fn resume(&mut self, input: &ControlInput<'_>) {
         let value = self.coordinate.value(input.model, input.data);
         let time_s = input.measurement.time_s;
@@ -286,7 +286,7 @@ impl<C: Coordinate> Task for CoordinateTask<C> {
         self.update_state(input);
     }
 
-    /// References that are the same continue; others begin where those were.
+    /// Unchanged references continue; different ones start at the previous targets.
     fn inherit(&mut self, before: &mut dyn Task, input: &ControlInput<'_>) {
         let same_rows = before.rows() == self.rows();
         let Some(before) = (before as &mut dyn Any).downcast_mut::<Self>().filter(|_| same_rows) else {

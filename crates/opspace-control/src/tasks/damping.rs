@@ -1,4 +1,4 @@
-//! Damping: the joints are braked in proportion to their speed, in the freedom that the other tasks leave.
+//! Damping: the joints are damped in proportion to their velocity, in the null space of the other tasks.
 //!
 //! ```text
 //! τ = −Nᵀ D q̇
@@ -11,19 +11,19 @@ use crate::tasks::task::{RowGains, TaskInput};
 use opspace_backend::quantity::NonNegative;
 use opspace_model::Model;
 
-/// Joints that are braked: see [`JointDampingParameters`].
+/// Joint damping task: see [`JointDampingParameters`].
 #[derive(Clone, Debug)]
 pub struct Damping {
     name: String,
-    /// Nms/rad.
+    /// Damping of each joint, Nms/rad or Ns/m (n).
     damping: Vec<f64>,
 }
 
 impl Damping {
-    /// A task from its parameters.
+    /// Creates a task from its parameters.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, values that are missing.
+    /// Unknown names, missing values.
     pub fn new(name: &str, parameters: &JointDampingParameters, model: &Model) -> Result<Self, ControlError> {
         let key = format!("task.{name}.joint-damping.damping_nms_per_rad");
         let damping = parameters.damping_nms_per_rad.resolve(model, &key)?;

@@ -1,4 +1,4 @@
-//! Force feedback of a Cartesian task: the force that a sensor's reading adds on axes that are held to a force.
+//! Force feedback of a Cartesian task: the force that is added on compliant and force axes.
 
 use crate::context::ControlContext;
 use crate::error::{ControlError, Reason};
@@ -19,26 +19,26 @@ use serde::Deserialize;
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ForceParameters {
-    /// The robot's sensor, by name.
+    /// Name of the robot's force sensor.
     pub sensor: String,
-    /// The force that the environment should exert ON the robot along these axes, N; 0 if absent.
+    /// Force that the environment should exert ON the robot along these axes, N; 0 if absent.
     #[serde(default = "no_target")]
     pub target_n: PerAxis<f64>,
-    /// The moment that the environment should exert ON the robot about these axes, Nm; 0 if absent.
+    /// Moment that the environment should exert ON the robot about these axes, Nm; 0 if absent.
     #[serde(default = "no_target")]
     pub target_nm: PerAxis<f64>,
-    /// Gain with which the force error is added to the task's force; 2 if absent.
+    /// Gain of the force error; 2 if absent.
     #[serde(default = "default_force_gain")]
     pub gain: PerAxis<NonNegative>,
-    /// Integral gain of a force axis, 1/s: share of the force error that is added to its force each second; 5 if
+    /// Integral gain of a force axis, 1/s: fraction of the force error that is added to the force per second; 5 if
     /// absent.
     #[serde(default)]
     pub integral_per_s: Option<PerAxis<NonNegative>>,
-    /// Largest integral of a force axis, so that a missing wall doesn't wind it up, N or Nm; as much as the target if
-    /// absent.
+    /// Upper bound of the integral of a force axis, which prevents windup without contact, N or Nm; the magnitude of
+    /// the target if absent.
     #[serde(default)]
     pub integral_limit: Option<PerAxis<NonNegative>>,
-    /// −3 dB point of the low-pass on the sensed force, Hz; 100 if absent.
+    /// −3 dB frequency of the low-pass filter of the sensed force, Hz; 100 if absent.
     #[serde(default = "default_filter_hz")]
     pub filter_hz: Positive,
 }
@@ -70,7 +70,7 @@ impl ForceParameters {
         }
     }
 
-    /// Force (N) and moment (Nm) that the environment should exert ON the robot, in the task's axes; 0 on axes that are
+    /// Force (N) and moment (Nm) that the environment should exert ON the robot, in the task axes; 0 on axes that are
     /// neither compliant nor in force control.
     #[must_use]
     pub fn target(&self, axes: &Axes) -> Vector6<f64> {
@@ -82,10 +82,10 @@ impl ForceParameters {
     }
 }
 
-/// Force gain where the file gives no other.
+/// Default force gain.
 const FORCE_GAIN: f64 = 2.0;
 
-/// Integral gain of force axes whose file gives no other, 1/s.
+/// Default integral gain of force axes, 1/s.
 const INTEGRAL_PER_S: f64 = 5.0;
 
 /// Settings of an axis that is compliant or in force control.
@@ -94,7 +94,7 @@ struct AxisForce {
     target: f64,
     gain: f64,
     integral_step: f64,
-    /// Largest value of the force integral; the magnitude of the target if `None`.
+    /// Upper bound of the force integral, N or Nm; `None` for the magnitude of the target.
     integral_limit: Option<f64>,
 }
 
@@ -111,24 +111,24 @@ impl AxisForce {
     }
 }
 
-/// Force feedback of one robot's task, and what it saw last.
+/// Force feedback of a task, with its state.
 #[derive(Clone, Debug)]
 pub(crate) struct ForceFeedback {
     sensor: usize,
     frame: FrameId,
     target: Vector6<f64>,
-    /// 0 on axes that are not held to a force.
+    /// Force gain; 0 on axes that are not compliant or force axes.
     gain: Vector6<f64>,
     held: [bool; 6],
-    /// Share of the error that is added to the integral in a period: 0 but on force axes.
+    /// Fraction of the error that is added to the integral per control period; 0 except on force axes.
     integral_step: Vector6<f64>,
-    /// Largest integral, N or Nm: 0 but on force axes.
+    /// Upper bound of the integral, N or Nm; 0 except on force axes.
     integral_limit: Vector6<f64>,
     integral: Vector6<f64>,
     filter: LowPass<6>,
     /// Settings of each axis, for any mode.
     axes: [AxisForce; 6],
-    /// Sensed force at the task frame's origin, task axes (N, Nm).
+    /// Sensed force at the task frame's origin, in the task axes (N, Nm).
     pub(crate) sensed: Vector6<f64>,
 }
 
@@ -198,8 +198,8 @@ impl ForceFeedback {
         })
     }
 
-    /// Gives an axis the settings of a mode, with a streamed target force (N, Nm) in place of the configured one. The
-    /// integral starts anew where an axis is not in force control.
+    /// Sets the settings of an axis for a mode; a streamed target force (N, Nm) replaces the configured one. Resets the
+    /// integral of an axis that is not in force control.
     pub(crate) fn set(&mut self, axis: usize, mode: AxisMode, target: Option<f64>) {
         let configured = &self.axes[axis];
         let held = matches!(mode, AxisMode::Compliant | AxisMode::Force);
@@ -215,15 +215,15 @@ impl ForceFeedback {
         }
     }
 
-    /// Settled on what is sensed now, nothing integrated.
+    /// Initialises the filter with the current measurement and resets the integrals.
     pub(crate) fn start(&mut self, measurement: &Measurement) {
         let raw = self.raw(measurement);
         self.filter.reset(&raw);
         self.integral.fill(0.0);
     }
 
-    /// Continues from the feedback of another task set: its filter, if it is of the same sensor, and its integral on
-    /// axes that stay in force control.
+    /// Continues from the force feedback of another task set: takes over the filter state if the sensor is the same,
+    /// and the integral on axes that remain in force control.
     pub(crate) fn inherit_state(&mut self, before: &Self, measurement: &Measurement) {
         self.start(measurement);
         if self.sensor == before.sensor {
@@ -240,7 +240,8 @@ impl ForceFeedback {
         [f.linear.x, f.linear.y, f.linear.z, f.angular.x, f.angular.y, f.angular.z]
     }
 
-    /// Takes in the sensed force at `point` (m, world), in `axes` (world). Integrals stand still while `hold`.
+    /// Updates the sensed force at `point` (m, world), in `axes` (world). The integrals do not change while `hold` is
+    /// true.
     pub(crate) fn update(
         &mut self,
         model: &Model,
@@ -264,7 +265,7 @@ impl ForceFeedback {
         integrate(&mut self.integral, &error, &self.integral_step, &self.integral_limit);
     }
 
-    /// Force that is added to the task's force (N, Nm; task axes).
+    /// Returns the force that is added to the task force (N, Nm; task axes).
     pub(crate) fn added(&self) -> Vector6<f64> {
         Vector6::from_fn(|i, _| {
             if !self.held[i] {

@@ -1,4 +1,4 @@
-//! Gains of axes in motion, and the integral of an error.
+//! Gains of motion axes, and the integration of an error.
 
 use crate::error::ControlError;
 use crate::tasks::axes::PerAxis;
@@ -8,7 +8,7 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Feedback of an axis in motion: a unit mass on a spring and a damper, whatever the arm's inertia.
+/// Feedback of a motion axis: a unit mass with a spring and a damper, independent of the arm's inertia.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -18,23 +18,23 @@ pub struct AxisGains {
     pub frequency_rad_per_s: PerAxis<Positive>,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: PerAxis<NonNegative>,
-    /// Integral gain, 1/s: share of the error that is added to it each second, until what friction and a wrong model
-    /// leave is gone; 0 if absent. Up to a quarter of ω or so.
+    /// Integral gain, 1/s: fraction of the error that is added to the integral per second; 0 if absent. It removes
+    /// errors caused by friction and model errors; at most about a quarter of the natural frequency is recommended.
     #[serde(default = "no_integral")]
     pub integral_per_s: PerAxis<NonNegative>,
-    /// Largest integral along an axis, m; 0.05 if absent.
+    /// Upper bound of the integral along an axis, m; 0.05 if absent.
     #[serde(default = "default_integral_limit")]
     pub integral_limit_m: PerAxis<NonNegative>,
-    /// Largest integral about an axis, rad; 0.2 if absent.
+    /// Upper bound of the integral about an axis, rad; 0.2 if absent.
     #[serde(default = "default_integral_limit_rad")]
     pub integral_limit_rad: PerAxis<NonNegative>,
 }
 
 impl AxisGains {
-    /// One natural frequency (rad/s) and one damping ratio for all axes, without integral.
+    /// Creates gains with one natural frequency (rad/s) and one damping ratio for all axes, without integral.
     ///
     /// # Errors
-    /// A frequency that is not above zero, a ratio below zero.
+    /// A frequency that is not positive, a negative ratio.
     pub fn new(frequency_rad_per_s: f64, damping_ratio: f64) -> Result<Self, ControlError> {
         let frequency = Positive::try_from(frequency_rad_per_s);
         let ratio = NonNegative::try_from(damping_ratio);
@@ -64,8 +64,8 @@ fn default_integral_limit_rad() -> PerAxis<NonNegative> {
     PerAxis::All(NonNegative::literal(0.2))
 }
 
-/// Adds the `step`-fold of an error to its integral, up to ±`limit`. An error that isn't finite adds nothing, so that
-/// it has no effect after its cycle.
+/// Adds `step` times an error to its integral, bounded by ±`limit`. An error that is not finite is ignored, so that it
+/// has no effect on later cycles.
 pub(crate) fn integrate(
     integral: &mut Vector6<f64>,
     error: &Vector6<f64>,

@@ -1,15 +1,15 @@
-//! Impedance: a spring and a damper in newtons and metres, in place of the unit mass of [`AxisGains`].
+//! Impedance: a spring and a damper in N/m and Ns/m, instead of the unit mass of [`AxisGains`].
 //!
-//! With the arm's own inertia Λ left as it is, the hand then answers a force f on it by
+//! With the arm's own inertia Λ, the hand responds to an external force f by
 //!
 //! ```text
 //! Λ (ẍ − ẍ_d) + D (ẋ − ẋ_d) + K (x − x_d) = f
 //! ```
 //!
-//! A damping ratio ζ becomes a matrix D in every control cycle, by double diagonalisation: with Q of Λ = Q Qᵀ and
-//! K = Q diag(ω²) Qᵀ, D = 2ζ Q diag(ω) Qᵀ damps every mode of the coupled springs alike (Albu-Schäffer, Ott, Frese
-//! and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A shaped inertia m needs a force
-//! sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
+//! In every control cycle, a damping ratio ζ is converted to a matrix D by double diagonalisation. With Λ = Q Qᵀ and
+//! K = Q diag(ω²) Qᵀ, D = 2ζ Q diag(ω) Qᵀ gives every mode of the coupled springs the same damping ratio
+//! (Albu-Schäffer, Ott, Frese and Hirzinger, *Cartesian impedance control of redundant robots*, ICRA 2003). A desired
+//! inertia m needs a force sensor: m (ẍ − ẍ_d) + d (ẋ − ẋ_d) + k (x − x_d) = f.
 //!
 //! [`AxisGains`]: crate::tasks::gains::AxisGains
 
@@ -21,25 +21,25 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// A spring and a damper on each axis in motion.
+/// A spring and a damper on each motion axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ImpedanceParameters {
-    /// Stiffness along axes in motion, N/m.
+    /// Stiffness along motion axes, N/m.
     #[serde(default)]
     pub stiffness_n_per_m: Option<PerAxis<NonNegative>>,
-    /// Stiffness about axes in motion, Nm/rad.
+    /// Stiffness about motion axes, Nm/rad.
     #[serde(default)]
     pub stiffness_nm_per_rad: Option<PerAxis<NonNegative>>,
     /// Damping ratio of every mode; 0.7 if neither this nor a damping is given.
     #[serde(default)]
     pub damping_ratio: Option<NonNegative>,
-    /// Damping along axes in motion, Ns/m: in place of a ratio.
+    /// Damping along motion axes, Ns/m; instead of a ratio.
     #[serde(default)]
     pub damping_ns_per_m: Option<PerAxis<NonNegative>>,
-    /// Damping about axes in motion, Nms/rad: in place of a ratio.
+    /// Damping about motion axes, Nms/rad; instead of a ratio.
     #[serde(default)]
     pub damping_nms_per_rad: Option<PerAxis<NonNegative>>,
     /// Apparent mass of the axes, kg; the arm's own if absent. Needs `force`.
@@ -50,15 +50,15 @@ pub struct ImpedanceParameters {
     pub inertia_kg_m2: Option<PerAxis<Positive>>,
 }
 
-/// Damping ratio of every mode, where the file gives neither a ratio nor a damping.
+/// Damping ratio of every mode if the file gives neither a ratio nor a damping.
 const DAMPING_RATIO: f64 = 0.7;
 
-/// The impedance of one task; zero on axes that aren't in motion.
+/// Impedance of one task; zero on axes that are not in motion.
 #[derive(Clone, Debug)]
 pub(crate) struct Impedance {
     pub stiffness: Vector6<f64>,
     damping: Damping,
-    /// Inertia to show, where it is shaped.
+    /// Desired inertia (kg, kg m²); `None` for the arm's own.
     pub inertia: Option<Vector6<f64>>,
 }
 
@@ -78,7 +78,7 @@ impl Impedance {
         key: &str,
     ) -> Result<Self, ControlError> {
         let p = parameters;
-        // One value an axis in motion, from the keys of its kind.
+        // Returns one value per motion axis, from the key for linear or angular axes.
         let values = |linear: &Option<PerAxis<f64>>, angular: &Option<PerAxis<f64>>, keys: [&str; 2]| {
             let mut out = Vector6::zeros();
             for axis in (0..6).filter(|&axis| motion[axis]) {
@@ -114,7 +114,7 @@ impl Impedance {
             }
             let keys = ["inertia_kg", "inertia_kg_m2"];
             let mut inertia = values(&positive(&p.inertia_kg), &positive(&p.inertia_kg_m2), keys)?;
-            // Axes that aren't in motion aren't asked for theirs.
+            // Axes that are not in motion need no value in the file; 1 avoids a division by zero.
             inertia.iter_mut().filter(|m| **m == 0.0).for_each(|m| *m = 1.0);
             Some(inertia)
         } else {
@@ -123,7 +123,7 @@ impl Impedance {
         Ok(Self { stiffness, damping, inertia })
     }
 
-    /// Damping (Ns/m, Nms/rad) of each axis whose inertia is shaped.
+    /// Damping of each axis for a desired inertia, Ns/m or Nms/rad.
     pub(crate) fn shaped_damping(&self, inertia: &Vector6<f64>) -> Vector6<f64> {
         match &self.damping {
             Damping::Axes(damping) => *damping,
@@ -133,8 +133,8 @@ impl Impedance {
         }
     }
 
-    /// D ẋ (N, Nm) for a velocity error on the first `rows` of a task whose rows are `axes`, with Λ of these rows;
-    /// `scale` is what each row is multiplied by.
+    /// Returns the damping force D ẋ on the task's rows for a velocity error `velocity`. Row i belongs to the axis
+    /// `axes[i]` and is multiplied by the axis's entry in `scale`; `task_inertia` is Λ of these rows.
     pub(crate) fn damping_force(
         &self,
         task_inertia: &Matrix6<f64>,
@@ -161,7 +161,8 @@ impl Impedance {
     }
 }
 
-/// D of a damping ratio, by double diagonalisation. Directions that Λ has lost (eigenvalue 0) get none.
+/// Returns the damping matrix D of a damping ratio, by double diagonalisation. Directions in which Λ is singular
+/// (eigenvalue 0) are not damped.
 #[must_use]
 pub fn designed_damping(inertia: &Matrix6<f64>, stiffness: &Matrix6<f64>, ratio: f64) -> Matrix6<f64> {
     let spectrum = SymmetricEigen::new(*inertia);
@@ -176,7 +177,7 @@ pub fn designed_damping(inertia: &Matrix6<f64>, stiffness: &Matrix6<f64>, ratio:
         root.column_mut(i).scale_mut(size);
         inverse_root.column_mut(i).scale_mut(if kept { 1.0 / size } else { 0.0 });
     }
-    // In the modes of Λ, of unit mass, the springs are inverse_rootᵀ K inverse_root.
+    // In the modes of Λ with unit mass, the stiffness is inverse_rootᵀ K inverse_root.
     let springs = SymmetricEigen::new(inverse_root.transpose() * stiffness * inverse_root);
     let modes = root * springs.eigenvectors;
     let mut damped = modes;

@@ -16,17 +16,17 @@ use std::collections::BTreeMap;
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct JointTrackingParameters {
-    /// The joints that belong to the task, six at most: tasks below it may use the others. All of them if absent, and
-    /// the task must then be the last.
+    /// The joints of the task, at most six: tasks below can use the others. All joints if absent; the task must then be
+    /// the last.
     #[serde(default)]
     pub joints: Option<Vec<String>>,
     /// Reference of the joints.
     pub reference: JointReference,
-    /// Gains with which the joints follow the reference.
+    /// Gains of the tracking error.
     pub gains: JointGains,
 }
 
-/// Feedback of a joint: a unit inertia on a spring and a damper, whatever the arm's inertia.
+/// Feedback of a joint: a unit inertia with a spring and a damper, independent of the arm's inertia.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -37,14 +37,13 @@ pub struct JointGains {
     pub damping_ratio: PerJoint<NonNegative>,
 }
 
-/// The joints are pulled to a posture by springs.
+/// Springs pull the joints to a posture.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct JointPostureParameters {
-    /// The posture by joint names, rad (m for a prismatic joint); the start posture for joints that are
-    /// not named.
+    /// Posture by joint names, rad (m for a prismatic joint); joints that are not named keep their start position.
     #[serde(default)]
     pub posture_rad: BTreeMap<String, f64>,
     /// Natural frequency ω of the error, rad/s: the stiffness is ω² (1/s²).
@@ -53,7 +52,7 @@ pub struct JointPostureParameters {
     pub damping_ratio: PerJoint<NonNegative>,
 }
 
-/// The joints are braked in proportion to their speed.
+/// The joints are damped in proportion to their velocity.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -64,10 +63,10 @@ pub struct JointDampingParameters {
 }
 
 impl JointGains {
-    /// One natural frequency (rad/s) and one damping ratio for all joints.
+    /// Creates gains with one natural frequency (rad/s) and one damping ratio for all joints.
     ///
     /// # Errors
-    /// A frequency that is not above zero, a ratio below zero.
+    /// A frequency that is not positive, a negative ratio.
     pub fn new(frequency_rad_per_s: f64, damping_ratio: f64) -> Result<Self, ControlError> {
         let frequency = Positive::try_from(frequency_rad_per_s);
         let ratio = NonNegative::try_from(damping_ratio);
@@ -83,7 +82,7 @@ impl JointGains {
 }
 
 impl JointTrackingParameters {
-    /// A task of all joints.
+    /// Creates a task of all joints.
     #[must_use]
     pub fn new(reference: JointReference, gains: JointGains) -> Self {
         Self { joints: None, reference, gains }
@@ -91,7 +90,7 @@ impl JointTrackingParameters {
 }
 
 impl JointPostureParameters {
-    /// The posture at the start.
+    /// Creates a task that holds the start posture.
     #[must_use]
     pub fn new(gains: JointGains) -> Self {
         let JointGains { frequency_rad_per_s, damping_ratio } = gains;
@@ -100,10 +99,10 @@ impl JointPostureParameters {
 }
 
 impl JointDampingParameters {
-    /// One damping for all joints, Nms/rad or Ns/m.
+    /// Creates a task with one damping for all joints, Nms/rad or Ns/m.
     ///
     /// # Errors
-    /// A damping below zero.
+    /// A negative damping.
     pub fn new(damping_nms_per_rad: f64) -> Result<Self, ControlError> {
         let damping = NonNegative::try_from(damping_nms_per_rad);
         let damping = damping.map_err(|message| ControlError::value("damping_nms_per_rad", message))?;

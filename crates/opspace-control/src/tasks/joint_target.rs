@@ -1,19 +1,19 @@
-//! Streamed target of a joint-tracking task: a typed handle.
+//! Typed handle for the streamed target of a joint-tracking task.
 
 use crate::targets::{InputHandle, TargetError, Targets, TaskHandle};
 use opspace_model::JointUnits;
 
-/// An input: its name, and its units for all joints of a robot.
+/// An input: its name and its units per joint.
 pub(crate) type Input = (&'static str, fn(&JointUnits) -> &[&'static str]);
 
-/// The inputs, one value for each joint of the task: position, velocity, acceleration.
+/// Inputs with one value per joint of the task: position, velocity, acceleration.
 pub(crate) const JOINT_INPUTS: [Input; 3] =
     [("q", |units| &units.position), ("dq", |units| &units.velocity), ("ddq", |units| &units.acceleration)];
 
 /// Streamed target of a joint-tracking task with a streamed reference.
 ///
-/// Values are collected here and written together; those that were never set are as configured. Setters and
-/// [`write`](Self::write) allocate nothing unless they fail.
+/// Setters collect values, and [`write`](Self::write) writes them all at once; values that were never set are as
+/// configured. Neither allocates unless it fails.
 #[derive(Clone, Debug)]
 pub struct JointTarget {
     task: TaskHandle,
@@ -22,10 +22,10 @@ pub struct JointTarget {
 }
 
 impl JointTarget {
-    /// A handle for the task of that name.
+    /// Creates a handle for the task of this name.
     ///
     /// # Errors
-    /// A task that has no such inputs.
+    /// An unknown task, or a task without these inputs.
     pub fn of(targets: &Targets, name: &str) -> Result<Self, TargetError> {
         let task = targets.task(name)?;
         let [q, dq, ddq] = JOINT_INPUTS.map(|(input, _)| targets.input(&task, input));
@@ -34,10 +34,11 @@ impl JointTarget {
         Ok(Self { task, inputs, values })
     }
 
-    /// Sets the positions of the joints of the task, rad or m; forgets velocities and accelerations.
+    /// Sets the positions of the task's joints, rad or m, and clears velocities and accelerations. NaN lets a joint
+    /// come to rest.
     ///
     /// # Errors
-    /// Another number of values, or an infinite one. NaN lets a joint come to rest.
+    /// A wrong number of values, or an infinite value.
     pub fn position(&mut self, q: &[f64]) -> Result<&mut Self, TargetError> {
         self.set(0, q)?;
         self.values[1].fill(f64::NAN);
@@ -48,7 +49,7 @@ impl JointTarget {
     /// Sets the velocities, rad/s or m/s.
     ///
     /// # Errors
-    /// Another number of values, or an infinite one.
+    /// A wrong number of values, or an infinite value.
     pub fn velocity(&mut self, dq: &[f64]) -> Result<&mut Self, TargetError> {
         self.set(1, dq)
     }
@@ -56,7 +57,7 @@ impl JointTarget {
     /// Sets the accelerations, rad/s² or m/s².
     ///
     /// # Errors
-    /// Another number of values, or an infinite one.
+    /// A wrong number of values, or an infinite value.
     pub fn acceleration(&mut self, ddq: &[f64]) -> Result<&mut Self, TargetError> {
         self.set(2, ddq)
     }
@@ -73,19 +74,19 @@ impl JointTarget {
         Ok(self)
     }
 
-    /// The task.
+    /// Handle of the task.
     #[must_use]
     pub fn task(&self) -> &TaskHandle {
         &self.task
     }
 
-    /// The collected values, as [`Targets::write`] takes them.
+    /// Collected values in the form that [`Targets::write`] takes.
     #[must_use]
     pub fn inputs(&self) -> [(&InputHandle, &[f64]); 3] {
         std::array::from_fn(|i| (&self.inputs[i], self.values[i].as_slice()))
     }
 
-    /// Writes all collected values, stamped with `clock_s` (s, the robot's clock).
+    /// Writes all collected values with the time stamp `clock_s`, s on the robot's clock.
     ///
     /// # Errors
     /// As [`Targets::write`].

@@ -1,22 +1,23 @@
-//! The trait of a task of all joints, in the freedom that the other tasks leave.
+//! The trait of a task of all joints, in the null space of the other tasks.
 
 use crate::controller::ControlInput;
 use crate::tasks::task::{RowGains, TaskInput};
 use opspace_backend::{Signal, SignalRecorder};
 use std::any::Any;
 
-/// A task of all n joints, last in the priority.
+/// A task of all n joints, the last one in the priority order.
 ///
-/// Nothing called per cycle may allocate.
+/// Methods that are called in every cycle must not allocate.
 pub trait JointTask: Any + Send {
-    /// Name in the priority; unique among the tasks.
+    /// Name of the task, unique in the task set.
     fn name(&self) -> &str;
 
-    /// Computes joint accelerations (n) and the torques (n; Nm, N) that cause them, before projection.
+    /// Computes joint accelerations (n; rad/s² or m/s²) and the torques (n; Nm or N) that cause them, before
+    /// projection.
     fn update(&mut self, input: &TaskInput<'_>, acceleration: &mut [f64], torque: &mut [f64]);
 
-    /// Computes the joint velocities (n) that return to the target from `q` (n); `false` if the task asks for none. A
-    /// [reference](Self::reference) is approached with `gain_per_s`, a posture with `posture_gain_per_s`.
+    /// Computes the joint velocities (n; rad/s or m/s) from `q` (n) to the target; returns `false` if the task has
+    /// none. The gain is `gain_per_s` for a [reference](Self::reference) and `posture_gain_per_s` for a posture.
     fn kinematic_target(
         &self,
         q: &[f64],
@@ -25,19 +26,19 @@ pub trait JointTask: Any + Send {
         velocity: &mut [f64],
     ) -> bool;
 
-    /// Begins at the robot's present state. May allocate.
+    /// Starts at the robot's present state. May allocate.
     fn start(&mut self, _input: &ControlInput<'_>) {}
 
-    /// Takes in the state and the reference, in cycles without torques.
+    /// Updates state and reference in a cycle without torque command.
     fn observe(&mut self, _input: &TaskInput<'_>) {}
 
-    /// Inputs that can be streamed to the task, their names without the task's. Fixed; the same in all task sets in
-    /// which a task of this name has inputs.
+    /// Inputs that can be streamed to the task; their names do not contain the task's name. They are constant, and
+    /// equal in all task sets in which a task of this name has inputs.
     fn inputs(&self) -> Vec<Signal> {
         Vec::new()
     }
 
-    /// Age of a stale target, s, if the robot is to be stopped for it.
+    /// Age of a stale target, s, if the target requires the robot to stop.
     fn stop_for_age_s(&self) -> Option<f64> {
         None
     }
@@ -45,31 +46,31 @@ pub trait JointTask: Any + Send {
     /// Records the signals of the streamed target.
     fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
 
-    /// Joins the reference from the state of `input.data`, at rest, after the robot was held. Allocates nothing.
+    /// Blends from the state of `input.data`, at rest, into the reference after a hold. Allocates nothing.
     fn resume(&mut self, _input: &ControlInput<'_>) {}
 
-    /// Continues from the task of this name in the task set before; `(before as &mut dyn Any).downcast_mut()` finds one
-    /// of the same type. Allocates nothing.
+    /// Continues from the task of the same name in the previous task set; `(before as &mut dyn Any).downcast_mut()`
+    /// gives it if it has the same type. Allocates nothing.
     fn inherit(&mut self, _before: &mut dyn JointTask, input: &ControlInput<'_>) {
         self.start(input);
     }
 
-    /// Reference position and velocity of the joints (n each), if the task follows a motion.
+    /// Reference position (rad or m) and velocity of the joints (n each), if the task follows a motion.
     fn reference(&self) -> Option<(&[f64], &[f64])> {
         None
     }
 
-    /// Linearised gains of a joint whose inertia with its drive is `inertia` (kg m² or kg); `None` if the task doesn't
-    /// tell.
+    /// Linearised gains of a joint with the inertia `inertia`, including its drive (kg m² or kg); `None` if they are
+    /// unknown.
     fn gains(&self, _joint: usize, _inertia: f64) -> Option<RowGains> {
         None
     }
 
-    /// Kind of the task, for errors. A task keeps its kind when task sets are switched.
+    /// Kind of the task, for error messages. It must be the same in all task sets.
     fn kind(&self) -> &'static str {
         "task of all joints"
     }
 
-    /// Records the signals of reference and motion, always the same ones.
+    /// Records the signals of reference and motion. The signals must be the same in every cycle.
     fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }

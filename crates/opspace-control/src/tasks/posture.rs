@@ -1,4 +1,4 @@
-//! Posture: the joints are drawn to a posture, in the freedom that the other tasks leave.
+//! Posture: the joints are pulled to a posture, in the null space of the other tasks.
 //!
 //! ```text
 //! τ = Nᵀ M (ω² (q_0 − q) − 2ζω q̇)
@@ -15,7 +15,7 @@ use nalgebra::DVector;
 use opspace_model::{Data, Model};
 use std::any::Any;
 
-/// Joints that are drawn to a posture: see [`JointPostureParameters`].
+/// Joint posture task: see [`JointPostureParameters`].
 #[derive(Clone, Debug)]
 pub struct Posture {
     name: String,
@@ -26,10 +26,10 @@ pub struct Posture {
 }
 
 impl Posture {
-    /// A task from its parameters.
+    /// Creates a task from its parameters.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, values that are missing.
+    /// Unknown names, missing values.
     pub fn new(name: &str, parameters: &JointPostureParameters, model: &Model) -> Result<Self, ControlError> {
         let key = format!("task.{name}.joint-posture");
         let fixed = indices(model, &format!("{key}.posture_rad"), &parameters.posture_rad)?;
@@ -47,7 +47,7 @@ impl Posture {
         })
     }
 
-    /// Continues with the posture at the start of the run for joints that aren't named.
+    /// Continues with the posture at the start of the run for joints that are not named.
     fn continue_from(&mut self, before: &Self) {
         self.posture.copy_from(&before.start);
         self.start.copy_from(&before.start);

@@ -1,4 +1,4 @@
-//! Some joints that follow a reference, as rows of a task that may stand above others.
+//! A task of up to six selected joints that follow a reference; other tasks can be below it.
 
 use crate::controller::ControlInput;
 use crate::error::{ControlError, Reason};
@@ -11,10 +11,11 @@ use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Inversion, Model};
 use std::any::Any;
 
-/// Share of the joints' typical mobility below which directions are damped, once tasks above have taken the rest.
+/// Damping threshold: a direction is damped if the tasks above reduce its mobility below this fraction of the joints'
+/// typical mobility.
 pub const JOINTS_SINGULARITY_THRESHOLD: f64 = 1e-3;
 
-/// Some joints that follow a reference, as rows of a task that may stand above others.
+/// A task of up to six selected joints that follow a reference; other tasks can be below it.
 #[derive(Clone, Debug)]
 pub struct SelectedJoints {
     tracking: Tracking,
@@ -23,10 +24,10 @@ pub struct SelectedJoints {
 }
 
 impl SelectedJoints {
-    /// A task of the joints named, in that order.
+    /// Creates a task of the joints `names`, in this order.
     ///
     /// # Errors
-    /// No joint, more than six, one twice, or one that the robot doesn't have.
+    /// An empty list, more than six joints, a joint that is listed twice, an unknown joint.
     pub fn new(
         name: &str,
         names: &[String],
@@ -126,7 +127,7 @@ impl Task for SelectedJoints {
         self.tracking.record_target(out);
     }
 
-    /// A joint alone is never singular: only rows that tasks above have taken are.
+    /// A joint row is singular only if the tasks above use the joint.
     fn inversion(&self) -> Inversion {
         Inversion::Damped(JOINTS_SINGULARITY_THRESHOLD)
     }

@@ -10,9 +10,9 @@
 //! ψ̇ = t_p · ȧ/|p| − ((n · a) t_p/|p| − (n · v) t_l/|l|) · ẇ/|w|        t_p = n × p/|p|,  t_l = n × l/|l|
 //! ```
 //!
-//! The angle is undefined where p, l or w vanish: with the arm straight, its wrist along v, or at the shoulder. Where
-//! |p|/|a|, |l| or |w|/|a| is below [`FADE`], Jacobian and bias fade out; they are zero below half of it. The task then
-//! has no mobility there, is damped to zero smoothly, and leaves the freedom to the tasks below.
+//! The angle is undefined if p, l or w is zero: with a straight arm, with the wrist along v, or with the wrist at the
+//! shoulder. If |p|/|a|, |l| or |w|/|a| is below [`FADE`], Jacobian and bias fade out; they are zero below half of it.
+//! The task then has no mobility, is damped to zero smoothly, and the tasks below can use its degree of freedom.
 
 use crate::error::ControlError;
 use crate::references::ramp::minimum_jerk;
@@ -27,10 +27,11 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::{PI, TAU};
 
-/// Relative distance from a singularity of the angle below which its Jacobian fades out: a bend of 2.3°.
+/// Relative distance from a singularity of the angle below which its Jacobian fades out; it corresponds to a bend of
+/// 2.3°.
 pub const FADE: f64 = 0.04;
 
-/// The swivel angle of three frames.
+/// Swivel angle of three frames.
 #[derive(Clone, Debug)]
 pub struct SwivelAngle {
     shoulder: FrameId,
@@ -50,18 +51,18 @@ pub struct SwivelParameters {
     pub elbow: String,
     /// Frame at the wrist.
     pub wrist: String,
-    /// Direction from which the angle counts, in world axes; any length but 0. The world's z axis if absent.
+    /// Direction of angle zero in world axes; any length except 0. The world's z axis if absent.
     #[serde(default = "upwards", deserialize_with = "exactly")]
     pub direction: [f64; 3],
     /// Reference of the angle.
     pub reference: ScalarReference,
     /// Feedback of the angle.
     pub gains: CoordinateGains,
-    /// Highest angular speed, rad/s; none if absent.
+    /// Highest angular speed, rad/s; unlimited if absent.
     #[serde(default)]
     pub speed_limit_rad_per_s: Option<Positive>,
-    /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to that in the middle of many postures, below which the
-    /// task is damped; 0.3 if absent.
+    /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to its median over many postures, below which the task
+    /// is damped; 0.3 if absent.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,
 }
@@ -71,7 +72,7 @@ const fn upwards() -> [f64; 3] {
 }
 
 impl SwivelParameters {
-    /// A task that holds the angle at the start, counted from the world's z axis.
+    /// Creates a task that holds the start angle, measured from the world's z axis.
     #[must_use]
     pub fn new(shoulder: &str, elbow: &str, wrist: &str, gains: CoordinateGains) -> Self {
         Self {
@@ -86,10 +87,10 @@ impl SwivelParameters {
         }
     }
 
-    /// The task on a robot.
+    /// Builds the task for a robot.
     ///
     /// # Errors
-    /// A frame that the robot doesn't have, a direction of length 0.
+    /// An unknown frame, a direction of length 0.
     pub fn task(&self, name: &str, model: &Model) -> Result<CoordinateTask<SwivelAngle>, ControlError> {
         let key = format!("task.{name}.swivel");
         let angle = SwivelAngle::new(
@@ -111,7 +112,7 @@ impl SwivelParameters {
     }
 }
 
-/// Vectors of the angle at a state.
+/// Vectors that define the angle at a state.
 struct Geometry {
     /// From shoulder to elbow, m.
     a: Vector3<f64>,
@@ -123,12 +124,12 @@ struct Geometry {
     l: Vector3<f64>,
     by_p: Vector3<f64>,
     by_l: Vector3<f64>,
-    /// From 0 at a singularity to 1 away from all.
+    /// Fade factor: 0 near a singularity, 1 away from all.
     fade: f64,
 }
 
 impl Geometry {
-    /// `None` where the fade is 0.
+    /// Creates the vectors; `None` if the fade factor is 0.
     fn new(a: Vector3<f64>, w: &Vector3<f64>, v: &Vector3<f64>) -> Option<Self> {
         let (upper_arm, reach) = (a.norm(), w.norm());
         if !(upper_arm > 0.0 && reach > 0.5 * FADE * upper_arm) {
@@ -144,13 +145,13 @@ impl Geometry {
         (fade > 0.0).then_some(Self { a, n, reach, p, l, by_p, by_l, fade })
     }
 
-    /// Weights of ȧ and ẇ in ψ̇, without fade.
+    /// Weights of ȧ and ẇ in ψ̇, without the fade factor.
     fn weights(&self, v: &Vector3<f64>) -> [Vector3<f64>; 2] {
         let (along_a, along_v) = (self.n.dot(&self.a), self.n.dot(v));
         [self.by_p, -(self.by_p * along_a - self.by_l * along_v) / self.reach]
     }
 
-    /// Rates of [`weights`](Self::weights), for ȧ and ẇ.
+    /// Time derivatives of the [`weights`](Self::weights), for ȧ and ẇ.
     fn weight_rates(&self, v: &Vector3<f64>, da: &Vector3<f64>, dw: &Vector3<f64>) -> [Vector3<f64>; 2] {
         let n = &self.n;
         let dreach = n.dot(dw);
@@ -159,7 +160,7 @@ impl Geometry {
         let (dalong_a, dalong_v) = (dn.dot(&self.a) + n.dot(da), dn.dot(v));
         let dp = da - dn * along_a - n * dalong_a;
         let dl = -dn * along_v - n * dalong_v;
-        // (n × x)/|x|²
+        // Time derivative of (n × x)/|x|².
         let rate = |x: &Vector3<f64>, dx: &Vector3<f64>, by_x: &Vector3<f64>| {
             (dn.cross(x) + n.cross(dx) - by_x * (2.0 * x.dot(dx))) / x.norm_squared()
         };
@@ -171,10 +172,10 @@ impl Geometry {
 }
 
 impl SwivelAngle {
-    /// The angle of the frames at shoulder, elbow and wrist, counted from a direction in world axes.
+    /// Creates the angle of the frames `frames` (shoulder, elbow, wrist), measured from a direction in world axes.
     ///
     /// # Errors
-    /// A frame that the robot doesn't have, a direction of length 0.
+    /// An unknown frame, a direction of length 0.
     pub fn new(model: &Model, frames: [&str; 3], direction: Vector3<f64>) -> Result<Self, ControlError> {
         let frame = |key: &str, name: &str| model.frame_id(name).map_err(|e| ControlError::new(key, e));
         let length = direction.norm();
@@ -208,7 +209,7 @@ impl Coordinate for SwivelAngle {
         1
     }
 
-    /// ψ in rad, from −π to π; 0 where it is undefined.
+    /// ψ in rad, from −π to π; 0 if it is undefined.
     fn value(&self, model: &Model, data: &Data) -> Vector6<f64> {
         let [a, w] = self.vectors(model, data);
         let reach = w.norm();
@@ -249,7 +250,7 @@ impl Coordinate for SwivelAngle {
         Vector6::x() * (geometry.fade * bias)
     }
 
-    /// The shorter way round, rad.
+    /// Difference along the shorter direction of rotation, rad.
     fn difference(&self, _row: usize, to: f64, from: f64) -> f64 {
         let difference = (to - from).rem_euclid(TAU);
         if difference > PI { difference - TAU } else { difference }

@@ -1,4 +1,4 @@
-//! The trait of a task of up to six rows at a place in the priority.
+//! The trait of a task of up to six rows at a priority level.
 
 use crate::controller::ControlInput;
 use crate::error::ControlError;
@@ -16,13 +16,13 @@ pub const SINGULARITY_THRESHOLD: f64 = 0.3;
 pub struct TaskInput<'a> {
     /// Input of the controller.
     pub control: ControlInput<'a>,
-    /// A limit kept the task from its acceleration in the last cycle: integrals stand still.
+    /// True if a limit prevented the task's desired acceleration in the last cycle: the integrators must stop.
     pub limited: bool,
     /// Streamed inputs of the task.
     pub target: TaskTarget<'a>,
 }
 
-/// Feedback gains of one row, linearised: ẍ* = … + k (e + i ∫ e dt) + d ė.
+/// Linearised feedback gains of one row: ẍ* = … + k (e + i ∫ e dt) + d ė.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowGains {
     /// Stiffness k, 1/s².
@@ -33,35 +33,34 @@ pub struct RowGains {
     pub integral_per_s: f64,
 }
 
-/// Speed of some rows of a task, and its limit.
+/// Speed of some of a task's rows, and its limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedLimit {
-    /// Present speed v, in the unit of the limit.
+    /// Current speed v, m/s or rad/s.
     pub speed: f64,
-    /// Highest speed.
+    /// Highest speed, in the unit of `speed`.
     pub limit: f64,
-    /// Weights w of the rows: w · (J q̇) is the speed.
+    /// Weights w of the rows: the speed is w · (J q̇).
     pub weights: Vector6<f64>,
 }
 
-/// A task of up to six rows: ẍ = J q̈ + J̇ q̇ follows a desired acceleration within the freedom that the tasks above
-/// leave.
+/// A task of up to six rows: ẍ = J q̈ + J̇ q̇ follows a desired acceleration in the null space of the tasks above.
 ///
 /// The number of rows is fixed. [`start`](Self::start) is called once before the first cycle; then, in every cycle,
-/// [`update`](Self::update) before [`acceleration`](Self::acceleration) and [`force`](Self::force). Methods that take
-/// a state (`model` and `data`) hold at any state, and use of the task only what the last update left.
-/// Nothing called per cycle may allocate.
+/// [`update`](Self::update) is called before [`acceleration`](Self::acceleration) and [`force`](Self::force). Methods
+/// with a state (`model` and `data`) must be valid at any state, and may depend otherwise only on the last update.
+/// Methods that are called in every cycle must not allocate.
 pub trait Task: Any + Send {
-    /// Name in the priority; unique among the tasks.
+    /// Name of the task, unique in the task set.
     fn name(&self) -> &str;
 
     /// Number of rows, from 1 to 6.
     fn rows(&self) -> usize;
 
-    /// Computes J (6 × n) at the state of `data`: the task's rows come first.
+    /// Computes J (6 × n) at the state of `data`: the task's rows come first, the other rows are zero.
     fn jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>);
 
-    /// Takes in the state, the reference and sensed forces of this cycle.
+    /// Updates state, reference and sensed forces of this cycle.
     fn update(&mut self, input: &TaskInput<'_>);
 
     /// J̇ q̇ of the rows at the state of `data`.
@@ -70,30 +69,30 @@ pub trait Task: Any + Send {
     /// Velocity ẋ_d + gain (x_d − x) of the rows, with x at the state of `data` and x_d as of the last update.
     fn kinematic_target(&self, model: &Model, data: &Data, gain_per_s: f64) -> Vector6<f64>;
 
-    /// Desired acceleration a* of the rows, as of the last update.
+    /// Desired acceleration a* of the rows, computed by the last update.
     fn acceleration(&self) -> Vector6<f64>;
 
-    /// Begins at the robot's present state. May allocate.
+    /// Starts at the robot's present state. May allocate.
     fn start(&mut self, _input: &ControlInput<'_>) {}
 
-    /// Takes in the state and the reference, but neither sensed forces nor integrals: for cycles without torques, in
-    /// which `input.limited` is true.
+    /// Updates state and reference, but neither sensed forces nor integrals, in a cycle without torque command;
+    /// `input.limited` is true.
     fn observe(&mut self, input: &TaskInput<'_>) {
         self.update(input);
     }
 
-    /// Inputs that can be streamed to the task, their names without the task's. Fixed; the same in all task sets in
-    /// which a task of this name has inputs.
+    /// Inputs that can be streamed to the task; their names do not contain the task's name. They are constant, and
+    /// equal in all task sets in which a task of this name has inputs.
     fn inputs(&self) -> Vec<Signal> {
         Vec::new()
     }
 
-    /// Streamed values that the task takes; only a Cartesian task's handle asks for them.
+    /// Streamed values that the task accepts; used only by the handle of a Cartesian task.
     fn allowed_inputs(&self) -> AllowedInputs {
         AllowedInputs::default()
     }
 
-    /// Age of a stale target, s, if the robot is to be stopped for it.
+    /// Age of a stale target, s, if the target requires the robot to stop.
     fn stop_for_age_s(&self) -> Option<f64> {
         None
     }
@@ -101,63 +100,63 @@ pub trait Task: Any + Send {
     /// Records the signals of the streamed target.
     fn record_target(&self, _out: &mut SignalRecorder<'_>) {}
 
-    /// Joins the reference from the state of `input.data`, at rest, after the robot was held. Allocates nothing.
+    /// Blends from the state of `input.data`, at rest, into the reference after a hold. Allocates nothing.
     fn resume(&mut self, input: &ControlInput<'_>) {
         self.start(input);
     }
 
-    /// Continues from the task of this name in the task set before; `(before as &mut dyn Any).downcast_mut()` finds one
-    /// of the same type. Allocates nothing.
+    /// Continues from the task of the same name in the previous task set; `(before as &mut dyn Any).downcast_mut()`
+    /// gives it if it has the same type. Allocates nothing.
     fn inherit(&mut self, _before: &mut dyn Task, input: &ControlInput<'_>) {
         self.start(input);
     }
 
-    /// Force on the rows that is added to Λ (a* − J̇ q̇), given Λ.
+    /// Returns a force on the rows that is added to Λ (a* − J̇ q̇); `task_inertia` is Λ.
     fn force(&self, _task_inertia: &Matrix6<f64>) -> Option<Vector6<f64>> {
         None
     }
 
-    /// Inversion of Λ⁻¹ near singularities; thresholds are relative to the typical mobility.
+    /// Method for the inversion of Λ⁻¹ near singularities; its thresholds are relative to the typical mobility.
     fn inversion(&self) -> Inversion {
         Inversion::Damped(SINGULARITY_THRESHOLD)
     }
 
-    /// Least inertia on the diagonal of M with which accelerations become forces, kg m²; the arm's own M if `None`.
+    /// Lower bound of M's diagonal in the Λ that converts accelerations to forces, kg m²; `None` for the arm's own M.
     fn inertia_floor_kg_m2(&self) -> Option<f64> {
         None
     }
 
-    /// Linear and angular speed, where they have a limit.
+    /// Linear and angular speed, if they are limited.
     fn speed_limits(&self) -> [Option<SpeedLimit>; 2] {
         [None; 2]
     }
 
-    /// J in axes that don't turn with the robot, from which rank and typical mobility are sampled.
+    /// Computes J in axes that do not rotate with the robot, for the sampling of rank and typical mobility.
     fn sampled_jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
         self.jacobian(model, data, rows);
     }
 
-    /// An error if the rows can't be independent on this robot, whatever the state, and the task knows why.
+    /// Returns an error if the task knows a reason why its rows cannot be independent on this robot, in any state.
     fn infeasibility(&self, _model: &Model) -> Option<ControlError> {
         None
     }
 
-    /// Key of the rows in a task file, for errors.
+    /// Key of the rows in a task file, for error messages.
     fn rows_key(&self) -> String {
         format!("task.{}", self.name())
     }
 
-    /// Kind of the task, for errors. A task keeps its kind when task sets are switched.
+    /// Kind of the task, for error messages. It must be the same in all task sets.
     fn kind(&self) -> &'static str {
         "task"
     }
 
-    /// Name of each row, for messages and signals.
+    /// Name of each row, for error messages and signals.
     fn row_names(&self) -> Vec<String> {
         (0..self.rows()).map(|row| format!("row{row}")).collect()
     }
 
-    /// Returns true if a row follows a reference; a compliant or force row doesn't.
+    /// Returns true if a row follows a reference; false for a compliant or force row.
     fn follows_reference(&self, _row: usize) -> bool {
         true
     }
@@ -167,18 +166,19 @@ pub trait Task: Any + Send {
         ("1", 1.0)
     }
 
-    /// Linear (m/s) and angular (rad/s) speed of the reference as of the last update, over the rows that follow it;
-    /// `None` where there are no such rows.
+    /// Linear (m/s) and angular (rad/s) speed of the reference at the last update, over the rows that follow it; `None`
+    /// if there are no such rows.
     fn reference_speeds(&self) -> [Option<f64>; 2] {
         [None; 2]
     }
 
-    /// Linearised gains of a row; `None` if the task doesn't tell.
+    /// Linearised gains of a row; `None` if they are unknown.
     fn gains(&self, _row: usize) -> Option<RowGains> {
         None
     }
 
-    /// Records the signals of reference and motion, always the same ones: each with its name, unit, elements and values.
+    /// Records the signals of reference and motion, each with its name, unit, elements and values. The signals must be
+    /// the same in every cycle.
     ///
     /// ```
     /// # use opspace_backend::SignalRecorder;
@@ -191,7 +191,7 @@ pub trait Task: Any + Send {
     /// ```
     fn record(&self, _out: &mut SignalRecorder<'_>) {}
 
-    /// Records the signal of the force on the rows, where torques are commanded.
+    /// Records the force on the rows; only for torque control.
     fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {
         let signal = || {
             let units: Vec<&str> = (0..self.rows()).map(|row| force_unit(self.row_unit(row).0)).collect();
@@ -200,11 +200,11 @@ pub trait Task: Any + Send {
         out.signal_with(signal, &force.as_slice()[..self.rows()]);
     }
 
-    /// Records the signal of what the task senses, where torques are commanded.
+    /// Records the quantities that the task senses; only for torque control.
     fn record_sensed(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
-/// Unit of the force that does work on a coordinate.
+/// Unit of the force that is conjugate to a coordinate.
 fn force_unit(coordinate: &str) -> &'static str {
     if coordinate == "m" { "N" } else { "Nm" }
 }

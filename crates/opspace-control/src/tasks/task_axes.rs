@@ -1,16 +1,16 @@
-//! The rows of a Cartesian task: the axes of a motion that belong to it, scaled to one unit.
+//! Rows of a Cartesian task: the axes that belong to it, scaled to a common unit.
 
 use crate::tasks::controlled_frame::ControlledFrame;
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
 use opspace_model::Motion;
 
-/// Directions of a motion. Rotations are multiplied by a length, so that a spectrum over linear
-/// and angular rows means the same in any unit of length.
+/// Task axes of a motion. Rotations are multiplied by a characteristic length, so that eigenvalues over linear and
+/// angular rows do not depend on the unit of length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaskAxes {
     /// The controlled frame.
     pub controlled: ControlledFrame,
-    /// The axes in the controlled frame's coordinates, one a column.
+    /// Task axes in the coordinates of the controlled frame, one per column.
     pub rotation: Matrix3<f64>,
     /// Factors of the six axes: 1, or the characteristic length (m) for rotations.
     pub scale: [f64; 6],
@@ -19,8 +19,8 @@ pub struct TaskAxes {
 }
 
 impl TaskAxes {
-    /// Those axes of `controlled` that are in the task, by their place in
-    /// [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES).
+    /// Creates the axes of `controlled`; `in_task` marks those in the task, in the order of
+    /// [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES). `length_m` is the characteristic length, m.
     #[must_use]
     pub fn new(
         controlled: ControlledFrame,
@@ -50,17 +50,17 @@ impl TaskAxes {
         self.count
     }
 
-    /// Axes in the task by their place in [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES), in the order of the rows.
+    /// Indices in [`AXIS_NAMES`](crate::tasks::axes::AXIS_NAMES) of the axes in the task, in the order of the rows.
     #[must_use]
     pub fn axes(&self) -> &[usize] {
         &self.rows[..self.count]
     }
 
-    /// The rows of the task, scaled, from the controlled frame's Jacobian: into the first rows of `selected`
-    /// (6 × n).
+    /// Computes the scaled rows of the task from the controlled frame's Jacobian `world` (6 × n), and writes them to
+    /// the first rows of `selected` (6 × n).
     ///
     /// # Panics
-    /// If the two differ in size.
+    /// If the two matrices differ in size.
     pub fn select(&self, world: &Matrix6xX<f64>, selected: &mut Matrix6xX<f64>) {
         assert_eq!(world.ncols(), selected.ncols(), "one column a joint");
         let (columns, _) = world.as_slice().as_chunks::<6>();
@@ -76,7 +76,7 @@ impl TaskAxes {
         }
     }
 
-    /// As [`select`](Self::select), of the Jacobian `rows` in place (6 × n); zeros below the task's rows.
+    /// Replaces the Jacobian `rows` (6 × n) by the result of [`select`](Self::select); unused rows are zero.
     pub fn select_in_place(&self, rows: &mut Matrix6xX<f64>) {
         let (columns, _) = rows.as_mut_slice().as_chunks_mut::<6>();
         for column in columns {
@@ -91,14 +91,14 @@ impl TaskAxes {
         }
     }
 
-    /// A motion in the controlled frame's coordinates, in the task's axes.
+    /// Converts a motion from the controlled frame's coordinates to the task axes.
     #[must_use]
     pub fn of_motion(&self, m: &Motion) -> Vector6<f64> {
         let (linear, angular) = (self.rotation.tr_mul(&m.linear), self.rotation.tr_mul(&m.angular));
         Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
-    /// Computes the task's rows, scaled, of a quantity of motion given axis by axis.
+    /// Computes the task's scaled rows of a motion quantity given per axis.
     #[must_use]
     pub fn rows_of(&self, axes: &Vector6<f64>) -> Vector6<f64> {
         let mut rows = Vector6::zeros();
@@ -108,8 +108,8 @@ impl TaskAxes {
         rows
     }
 
-    /// Computes the task's force rows from a force given axis by axis. They are divided by the scale that multiplies
-    /// the motion rows, so that power is preserved.
+    /// Computes the task's force rows from a force given per axis. They are divided by the scale that multiplies the
+    /// motion rows, so that power is preserved.
     #[must_use]
     pub fn rows_of_force(&self, axes: &Vector6<f64>) -> Vector6<f64> {
         let mut rows = Vector6::zeros();
@@ -119,8 +119,7 @@ impl TaskAxes {
         rows
     }
 
-    /// Computes a force axis by axis (N, Nm) from one given row by row: the reverse of
-    /// [`rows_of_force`](Self::rows_of_force).
+    /// Computes the force per axis (N, Nm) from the force rows: the inverse of [`rows_of_force`](Self::rows_of_force).
     #[must_use]
     pub fn force_of_rows(&self, rows: &Vector6<f64>) -> Vector6<f64> {
         let mut axes = Vector6::zeros();

@@ -1,4 +1,4 @@
-//! Tracking: all joints follow a reference, in the freedom that the other tasks leave.
+//! Tracking: the joints follow a reference, in the null space of the other tasks.
 //!
 //! ```text
 //! τ = Nᵀ M (q̈_d + 2ζω (q̇_d − q̇) + ω² (q_d − q))
@@ -20,7 +20,7 @@ use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, JointUnits, Model};
 use std::any::Any;
 
-/// Joints that follow a reference: see [`JointTrackingParameters`].
+/// Joint tracking task: see [`JointTrackingParameters`].
 #[derive(Clone, Debug)]
 pub struct Tracking {
     name: String,
@@ -28,11 +28,11 @@ pub struct Tracking {
     units: JointUnits,
     parameters: JointReference,
     trajectory: JointTrajectory,
-    /// Streamed reference in place of the trajectory.
+    /// Streamed reference, used instead of the trajectory.
     streamed: Option<StreamedJoints>,
     /// Joints of the streamed inputs.
     joints: Vec<usize>,
-    /// Begin of the trajectory, s.
+    /// Start time of the trajectory, s.
     start_s: f64,
     /// Posture at the start of the run (n).
     home: DVector<f64>,
@@ -41,16 +41,16 @@ pub struct Tracking {
     reference_velocity: DVector<f64>,
     reference_acceleration: DVector<f64>,
     error: DVector<f64>,
-    /// Reference of the file, whether or not the joints have joined it.
+    /// Reference without blending (n).
     path: DVector<f64>,
     path_velocity: DVector<f64>,
 }
 
 impl Tracking {
-    /// A task of all joints, from its parameters.
+    /// Creates a task of all joints from its parameters.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, values that are missing.
+    /// Unknown names, missing values.
     pub fn new(
         name: &str,
         parameters: &JointTrackingParameters,
@@ -59,7 +59,7 @@ impl Tracking {
         Self::of_joints(name, parameters, model, (0..model.n()).collect())
     }
 
-    /// As [`new`](Self::new), with streamed inputs of some `joints` alone.
+    /// Creates a task like [`new`](Self::new), but with streamed inputs for `joints` only.
     pub(crate) fn of_joints(
         name: &str,
         parameters: &JointTrackingParameters,
@@ -103,14 +103,14 @@ impl Tracking {
         self.begin(q.as_slice(), input);
     }
 
-    /// Puts the reference at rest at `q` (n).
+    /// Sets the reference to rest at `q` (n).
     fn rest_at(&mut self, q: &[f64]) {
         self.reference.copy_from_slice(q);
         self.reference_velocity.fill(0.0);
         self.reference_acceleration.fill(0.0);
     }
 
-    /// Joins the reference from `q` (n), at rest; sets out for a goal anew.
+    /// Blends from `q` (n), at rest, into the reference; replans a goal or streamed reference from there.
     fn rejoin(&mut self, q: &[f64], input: &ControlInput<'_>) {
         if self.trajectory.is_online() || self.streamed.is_some() {
             self.rest_at(q);
@@ -121,7 +121,7 @@ impl Tracking {
         }
     }
 
-    /// Continues a reference that is the same; begins another one where that one was.
+    /// Continues an unchanged reference; starts a different one at the previous reference.
     pub(crate) fn continue_from(&mut self, before: &mut Self, input: &ControlInput<'_>) {
         let q = input.measurement.q.as_slice();
         before.update_reference(q, input);
@@ -139,7 +139,7 @@ impl Tracking {
         self.begin(q, input);
     }
 
-    /// The trajectory begins at the reference as it stands.
+    /// Starts the trajectory at the current reference.
     fn begin(&mut self, q: &[f64], input: &ControlInput<'_>) {
         self.start_s = input.measurement.time_s;
         let (x, v, a) = (&self.reference, &self.reference_velocity, &self.reference_acceleration);
@@ -151,7 +151,7 @@ impl Tracking {
         self.update_reference(q, input);
     }
 
-    /// Takes in the streamed target of a cycle.
+    /// Processes the streamed target of a cycle.
     fn take_target(&mut self, target: &TaskTarget<'_>) {
         if let Some(streamed) = &mut self.streamed {
             streamed.update(target);
@@ -198,14 +198,14 @@ impl Tracking {
         }
     }
 
-    /// q̈* of a joint, rad/s².
+    /// Desired acceleration q̈* of a joint, rad/s² or m/s².
     pub(crate) fn desired_acceleration(&self, data: &Data, i: usize) -> f64 {
         self.reference_acceleration[i]
             + self.gains.damping[i] * (self.reference_velocity[i] - data.dq[i])
             + self.gains.stiffness[i] * self.error[i]
     }
 
-    /// Reference velocity plus gain times error, of a joint at `q`.
+    /// Reference velocity plus gain times error, of a joint at `q` (rad/s or m/s).
     pub(crate) fn kinematic_target_of(&self, joint: usize, q: f64, gain_per_s: f64) -> f64 {
         self.reference_velocity[joint] + gain_per_s * (self.reference[joint] - q)
     }

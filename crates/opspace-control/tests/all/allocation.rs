@@ -1,12 +1,12 @@
-//! Allocations of every update: none, with every kind of task, reference and axis mode, in regular and singular
-//! poses, by both controllers.
+//! No update allocates: every kind of task, reference and axis mode, in regular and singular poses, for both
+//! controllers.
 
 use crate::common::{self, File, Q0, at_state, control_context, four_joints, seven_joints};
 use opspace_control::{Controller, InverseKinematicsController, OperationalSpaceController, ServoLead};
 use opspace_model::Model;
 use opspace_testing::allocation::allocations;
 
-/// Counts over updates and samples at several times, at a start pose and at a singular one.
+/// Counts allocations in updates and samples at several times, at a start pose and at a singular one.
 fn check(model: &Model, controller: &mut dyn Controller, start: &[f64], singular: &[f64]) {
     let n = model.n();
     let (data, measurement) = at_state(model, start, &vec![0.0; n], 0.0);

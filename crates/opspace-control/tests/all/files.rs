@@ -1,4 +1,4 @@
-//! Task files with errors: the text of every error and the key that it points at.
+//! Task files with errors: the message of each error and the key that it refers to.
 
 use crate::common::{File, build_error, control_context, four_joints, seven_joints};
 use opspace_control::{InverseKinematicsController, OperationalSpaceController, ServoLead, TaskParameters};
@@ -20,7 +20,7 @@ damping_ratio = 0.8
 
 const AXES: &str = r#"axes = { x = "compliant", y = "motion", z = "motion" }"#;
 
-/// Each change to a valid file against the key and the message of its error.
+/// Compared: the error of each change to a valid file with the expected key and message.
 #[test]
 fn errors_name_value_and_choices() {
     let gains = "gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }";
@@ -135,8 +135,8 @@ fn errors_name_value_and_choices() {
     }
 }
 
-/// Lists of joints that are empty, repeat a joint, name a missing one or are too long, against their errors; an
-/// omitted list means all joints.
+/// Compared: errors of lists of joints that are empty, repeat a joint, contain an unknown one or are too long, with the
+/// expected ones. Without a list, the task has all joints.
 #[test]
 fn invalid_joint_lists_are_refused() {
     let build = |joints: &str| {
@@ -166,7 +166,7 @@ fn invalid_joint_lists_are_refused() {
     assert_eq!(build(r#"joints = ["j4", "j2"]"#), Ok(()));
 }
 
-/// Each typo against the start of serde's message.
+/// Compared: the message of serde for each typo with the expected start of it.
 #[test]
 fn typos_are_refused_by_the_parser() {
     let cases = [
@@ -222,7 +222,8 @@ fn force_axis_without_sensor_is_refused() {
     assert!(error.to_string().contains("a `force` axis needs a sensor and a target"), "{error}");
 }
 
-/// A second task below a first: axes that the arm can't have together, by number and by rank.
+/// A second task whose axes the arm cannot move together with those of the first, because of their number or their
+/// rank.
 #[test]
 fn infeasible_task_axes_are_refused() {
     let second = |frame: &str, axes: &str| {
@@ -271,7 +272,7 @@ fn every_schema_key_is_described() {
     fn visit(value: &serde_json::Value, undescribed: &mut Vec<String>) {
         let properties = value.get("properties").and_then(|p| p.as_object());
         for (name, property) in properties.into_iter().flatten() {
-            // The axes of a per-axis table and the content of an enum's variant explain themselves.
+            // The axes of a per-axis table and the contents of an enum variant need no description.
             let plain = ["x", "y", "z", "rx", "ry", "rz"].contains(&name.as_str());
             if !plain && property.get("description").is_none() && value.get("description").is_none() {
                 undescribed.push(name.clone());

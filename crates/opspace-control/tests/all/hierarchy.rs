@@ -1,5 +1,5 @@
-//! Random task sets on random arms: the effects of each level on itself and on the others, by forward dynamics (the
-//! articulated-body algorithm) and by formulas written out here.
+//! Random task sets on random arms: the effects of each level on itself and on the others, computed by forward dynamics
+//! (the articulated-body algorithm) and by the formulas in this file.
 
 use crate::common::{
     self, File, Numbers, accelerations, any_arm, at_state, control_context, jacobian, sampled, six,
@@ -13,21 +13,21 @@ use opspace_model::{
 use std::f64::consts::TAU;
 use std::fmt::Write;
 
-/// Two ways of computing an acceleration or a torque, relative to the largest joint acceleration or torque, through
-/// inverses of matrices whose condition numbers are up to 1e4.
+/// Tolerance of an acceleration or a torque that is computed in two ways, relative to the largest joint acceleration or
+/// torque; both invert matrices with condition numbers of up to 1e4.
 const ROUNDING: f64 = 1e-9;
 
-/// Two products for the same power, relative to the sum of the sizes of their terms.
+/// Tolerance of two formulas for the same power, relative to the sum of the magnitudes of their terms.
 const POWER: f64 = 1e-10;
 
-/// Singular values of all rows taken together that are further apart make a state irregular: squared, well within
-/// what [`ROUNDING`] allows for.
+/// Least ratio of the smallest to the largest singular value of all stacked rows in a regular state: its square is
+/// compatible with [`ROUNDING`].
 const REGULAR: f64 = 0.02;
 
-/// Least size of an effect: far above rounding, far below what task sets ask for (1 to 100).
+/// Smallest effect that counts: far above rounding, far below the accelerations that the tasks desire (1 to 100).
 const EFFECT: f64 = 1e-3;
 
-/// Number of regular task sets of every test.
+/// Number of regular task sets in each test.
 const COUNT: usize = 400;
 
 /// Time of the state in which the law is evaluated, s after the start: the sinusoids are faded in by then.
@@ -57,7 +57,7 @@ enum Lie {
     Of(&'static str),
 }
 
-/// A task as the file says it, from which both the file and the expectation are made.
+/// Description of a task, from which both the file and the expected values are computed.
 #[derive(Clone, Debug)]
 struct Task {
     name: String,
@@ -71,7 +71,7 @@ struct Task {
     wave: (usize, f64, f64),
 }
 
-/// The task of all joints, below the others.
+/// The task of all joints below the other tasks.
 #[derive(Clone, Copy, Debug)]
 enum Rest {
     Nothing,
@@ -122,7 +122,7 @@ impl Task {
             modes,
             omega: numbers.between(5.0, 15.0),
             zeta: numbers.between(0.4, 1.2),
-            // Of the centre of mass it can't be chosen.
+            // Fixed for the centre of mass.
             compliance: 2.0,
             wave: (numbers.below(3), numbers.between(0.01, 0.1), numbers.between(0.3, 1.5)),
         }
@@ -179,7 +179,7 @@ impl Task {
         text
     }
 
-    /// The task's axes in the coordinates of what moves.
+    /// Task axes in the coordinates of the controlled frame.
     fn axes(&self, model: &Model, data: &Data) -> Matrix3<f64> {
         let of = |frame: &str| frame_placement(model, data, model.frame_id(frame).expect("frame")).rotation;
         let seen = |rotation: Matrix3<f64>| match self.what {
@@ -195,7 +195,7 @@ impl Task {
         }
     }
 
-    /// Pose, velocity, J and J̇ q̇ of what moves, in its coordinates.
+    /// Pose, velocity, J and J̇ q̇ of the controlled frame, in its coordinates.
     fn motion(&self, model: &Model, data: &Data) -> (Placement, Vector6<f64>, DMatrix<f64>, Vector6<f64>) {
         let id = |frame: &str| model.frame_id(frame).expect("frame");
         match &self.what {
@@ -222,7 +222,8 @@ impl Task {
                 )
             }
             What::Relative(frame, from) => {
-                // p = Rᵀ r with r from origin to origin in the world, differentiated twice by the product rule.
+                // p = Rᵀ r, where r is the vector between the origins in the world, differentiated twice by the product
+                // rule.
                 let place = |frame: &str| frame_placement(model, data, id(frame));
                 let speed = |frame: &str| frame_velocity(model, data, id(frame));
                 let bias = |frame: &str| frame_bias_acceleration(model, data, id(frame));
@@ -255,7 +256,7 @@ impl Task {
         }
     }
 
-    /// J and J̇ q̇ of the task's rows, and where they should go: a*.
+    /// J and J̇ q̇ of the task's rows, and their desired acceleration a*.
     fn law(&self, model: &Model, start: &Data, data: &Data) -> (DMatrix<f64>, DVector<f64>, DVector<f64>) {
         let (stiffness, damping) = (self.omega * self.omega, 2.0 * self.zeta * self.omega);
         if let What::Joints(joints) = &self.what {
@@ -270,7 +271,7 @@ impl Task {
             let (v, w) = (axes.tr_mul(&v.fixed_rows::<3>(0)), axes.tr_mul(&v.fixed_rows::<3>(3)));
             Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
         };
-        // The sinusoid lies along an axis as it was at the start.
+        // The sinusoid is along an axis at its start orientation.
         let (axis, amplitude, frequency) = self.wave;
         let direction = self.axes(model, start).column(axis).into_owned();
         let (w, (sin, cos)) = (TAU * frequency, (TAU * frequency * TIME_S).sin_cos());
@@ -285,7 +286,7 @@ impl Task {
         let turning = (3..6).filter(|&i| self.modes[i] == Mode::Motion);
         let angle = match turning.clone().count() {
             1 => {
-                // The part of the turn about that axis alone.
+                // Only the part of the rotation about this axis.
                 let q = UnitQuaternion::from_matrix(&turn).into_inner();
                 let q = if q.w < 0.0 { -q } else { q };
                 let axis = turning.clone().next().expect("one") - 3;
@@ -336,7 +337,7 @@ impl Rest {
         }
     }
 
-    /// Joint accelerations that it desires without tasks above it, rad/s².
+    /// Desired joint accelerations without tasks above, rad/s².
     fn desired_acceleration(self, start: &Data, data: &Data) -> DVector<f64> {
         match self {
             Self::Nothing => DVector::zeros(data.q.len()),
@@ -351,7 +352,7 @@ impl Rest {
     }
 }
 
-/// A task set on an arm, the state at its start and the present one.
+/// A task set on an arm, the start state and the current one.
 struct Case {
     model: Model,
     tasks: Vec<Task>,
@@ -363,9 +364,9 @@ struct Case {
 }
 
 impl Case {
-    /// `None` if the arm can't do it, or is too near to a singular pose of it.
+    /// Creates a case; `None` if the arm cannot perform the tasks or is too close to a singular pose.
     fn random(numbers: &mut Numbers) -> Option<Self> {
-        // More joints, more levels.
+        // Arms with more joints are drawn more often, because they allow more levels.
         let n = [4, 5, 6, 7, 8, 8, 9, 9][numbers.below(8)];
         let model = any_arm(n, numbers);
         let mut tasks = Vec::new();
@@ -399,7 +400,8 @@ impl Case {
         for (task, (jacobian, ..)) in self.tasks.iter().zip(&self.laws) {
             let half = factor.l().solve_lower_triangular(&jacobian.transpose()).expect("regular");
             all.columns_mut(first, half.ncols()).copy_from(&half);
-            // What the levels above leave of joints must be above the threshold that these can't be given.
+            // The mobility that the levels above leave to the joints must exceed the damping threshold of joint tasks,
+            // which cannot be configured.
             if matches!(task.what, What::Joints(_)) && first > 0 {
                 let above = all.columns(0, first).into_owned();
                 let Some(inverse) = (above.tr_mul(&above)).try_inverse() else { return false };
@@ -422,7 +424,7 @@ impl Case {
             .all(|task| sampled(&ran.controller, &format!("{}.min_singular_gain", task.name)) == [1.0])
     }
 
-    /// Runs the first `levels` of the task set, with what is below all of them or without.
+    /// Runs the first `levels` of the task set, with or without the task of all joints.
     fn run(&self, levels: usize, with_rest: bool) -> Option<Ran> {
         let with_rest = with_rest && !matches!(self.rest, Rest::Nothing);
         let mut names: Vec<String> = self.tasks[..levels].iter().map(|t| format!("\"{}\"", t.name)).collect();
@@ -456,7 +458,7 @@ impl Case {
         Some(self.evaluate(controller, &self.data))
     }
 
-    /// The torques in a state.
+    /// Computes the torques in a state.
     fn evaluate(&self, mut controller: OperationalSpaceController, data: &Data) -> Ran {
         let (data, measurement) = at_state(&self.model, data.q.as_slice(), data.dq.as_slice(), TIME_S);
         let mut tau = vec![0.0; self.model.n()];
@@ -465,7 +467,7 @@ impl Case {
         Ran { controller, tau: DVector::from_vec(tau), ddq }
     }
 
-    /// The acceleration of a task's rows.
+    /// Returns the acceleration of a task's rows.
     fn task_acceleration(&self, level: usize, ran: &Ran) -> DVector<f64> {
         let (jacobian, bias, _) = &self.laws[level];
         jacobian * &ran.ddq + bias
@@ -478,13 +480,13 @@ struct Ran {
     ddq: DVector<f64>,
 }
 
-/// `count` cases, and which of all that were drawn each is.
+/// Returns `count` cases, each with its index among all cases that were drawn.
 fn cases(seed: u64, count: usize) -> impl Iterator<Item = (usize, Case)> {
     let mut numbers = Numbers::new(seed);
     (0..40 * count).filter_map(move |i| Case::random(&mut numbers).map(|case| (i, case))).take(count)
 }
 
-/// Counts the cases that the other tests are run on: every kind of task and of axes, at the top and below.
+/// Counts the kinds of cases in the other tests: every kind of task and axes must occur, at the first level and below.
 #[test]
 fn random_task_sets_cover_every_kind() {
     let mut kinds = std::collections::BTreeMap::new();
@@ -504,11 +506,11 @@ fn random_task_sets_cover_every_kind() {
         }
     }
     let missing = kinds.values().any(|&count| count < 10);
-    // 4 depths, 4 lowest tasks, 4 kinds of tasks at 2 places, 5 of axes, 0, 1 or 3 turns.
+    // 4 numbers of levels, 4 joint tasks, 4 kinds of tasks at 2 positions, 5 kinds of axes, 0, 1 or 3 rotations.
     assert!(kinds.len() == 24 && !missing, "{kinds:?}");
 }
 
-/// The accelerations of each task under its task set as far as the task, against those under all of the task set.
+/// Compared: the acceleration of each task in a task set that ends with this task, with that in the whole task set.
 #[test]
 fn lower_levels_do_not_accelerate_higher_levels() {
     let (mut seen, mut moved) = (0, 0);
@@ -530,8 +532,8 @@ fn lower_levels_do_not_accelerate_higher_levels() {
     );
 }
 
-/// The acceleration of every task against the a* of its law, the effects of all other levels on it compensated;
-/// without its own torque it would differ.
+/// Compared: the acceleration of every task with a* of its law: the effects of all other levels on it are compensated.
+/// Without the level's own torque it would differ.
 #[test]
 fn every_level_follows_its_control_law() {
     let (mut lower, mut disturbed) = (0, 0);
@@ -552,8 +554,9 @@ fn every_level_follows_its_control_law() {
     assert!(lower > 80 && 2 * disturbed > lower, "{disturbed} of {lower} levels were disturbed from above");
 }
 
-/// The torques of a task set against Gauss' principle of least constraint: the joint accelerations are, in the metric
-/// of M, the nearest to those desired by the lowest task among all that give every row above it its a*.
+/// Compared: the torques of a task set with Gauss' principle of least constraint. Among all joint accelerations that
+/// give every row its a*, the result is the one nearest, in the metric of M, to the desired one of the task of all
+/// joints.
 #[test]
 fn feasible_task_set_satisfies_gauss_principle() {
     for (i, case) in cases(13, COUNT) {
@@ -579,8 +582,8 @@ fn feasible_task_set_satisfies_gauss_principle() {
     }
 }
 
-/// The power of what a level adds to the torques, in a motion that leaves the levels above it still, against that of
-/// its force on the motion of its axes.
+/// Compared: the power of the torques that a level adds, in a motion that does not move the levels above, with the
+/// power of the level's force in the motion of its axes.
 #[test]
 fn task_torque_power_equals_task_force_power() {
     let (mut seen, mut lower) = (0, 0);
@@ -591,7 +594,7 @@ fn task_torque_power_equals_task_force_power() {
         if matches!(case.tasks[level].what, What::Joints(_)) {
             continue;
         }
-        // Any velocity, without what moves the tasks above.
+        // A random velocity without the part that moves the tasks above.
         let mut dq = DVector::from_vec(numbers.vector(n, 1.0));
         let above: usize = case.laws[..level].iter().map(|(j, ..)| j.nrows()).sum();
         if above == n {

@@ -1,5 +1,5 @@
-//! Springs, dampers and shaped inertias against the motion that forward dynamics makes of them under a force; the
-//! inertia that is applied; integral action; the speed limit.
+//! Springs, dampers and desired inertias, compared with the motion that forward dynamics computes under a force;
+//! bounded decoupling; integral action; the speed limit.
 
 use crate::common::{
     self, File, Numbers, Q0, accelerations, any_arm, at_state, control_context, four_joints, jacobian,
@@ -12,14 +12,14 @@ use opspace_model::{
     Data, Force, Model, aba_external, frame_bias_acceleration, frame_placement, frame_velocity,
 };
 
-/// Two ways of computing the same acceleration or force, relative to its size, through inverses of matrices with
+/// Tolerance of an acceleration or force that is computed in two ways, relative to its size; both invert matrices with
 /// condition numbers around 1e4.
 const ROUNDING: f64 = 1e-9;
 
-/// Poles as eigenvalues of a matrix that isn't symmetric, relative to their size.
+/// Tolerance of poles, computed as eigenvalues of a non-symmetric matrix, relative to their size.
 const POLES: f64 = 1e-6;
 
-/// Λ, K (with springs on some axes only, if `loose`) of a task with `rows` rows; the rest is zero.
+/// Random Λ and K of a task with `rows` rows; only some axes have springs if `loose`.
 fn random_inertia_and_stiffness(
     numbers: &mut Numbers,
     rows: usize,
@@ -41,8 +41,8 @@ fn padded(matrix: &DMatrix<f64>) -> Matrix6<f64> {
     out
 }
 
-/// D symmetric, without a negative eigenvalue, nothing outside the task's rows; and L⁻¹ D L⁻ᵀ with Λ = L Lᵀ squared
-/// against 4ζ² L⁻¹ K L⁻ᵀ: of all D without negative eigenvalues only one does that.
+/// D is symmetric, has no negative eigenvalue and is zero outside the task's rows. Compared: the square of L⁻¹ D L⁻ᵀ,
+/// with Λ = L Lᵀ, with 4ζ² L⁻¹ K L⁻ᵀ; the D without negative eigenvalues that satisfies this is unique.
 #[test]
 fn designed_damping_is_square_root_of_stiffness() {
     let mut numbers = Numbers::new(31);
@@ -69,7 +69,8 @@ fn designed_damping_is_square_root_of_stiffness() {
     }
 }
 
-/// The poles of Λ ẍ + D ẋ + K x = 0, as eigenvalues of its companion matrix: each lies at the angle of the ratio.
+/// The angle of each pole of Λ ẍ + D ẋ + K x = 0, an eigenvalue of the companion matrix, corresponds to the damping
+/// ratio.
 #[test]
 fn every_mode_has_requested_damping_ratio() {
     let mut numbers = Numbers::new(32);
@@ -94,23 +95,23 @@ fn every_mode_has_requested_damping_ratio() {
     }
 }
 
-/// A hand controlled by an impedance, off its place and moving, with a force on it.
+/// A moving hand under impedance control, displaced from its reference, with a force on it.
 struct Held {
     model: Model,
     axes: &'static [usize],
     data: Data,
     measurement: Measurement,
     controller: OperationalSpaceController,
-    /// x − x_d, ẋ, J and J̇ q̇ of the axes.
+    /// Displacement x − x_d, velocity ẋ, J and J̇ q̇ of the axes.
     off: DVector<f64>,
     velocity: DVector<f64>,
     jacobian: DMatrix<f64>,
     bias: DVector<f64>,
-    /// On the axes, N and Nm.
+    /// Force on the axes, N and Nm.
     force: DVector<f64>,
 }
 
-/// Some axes of a random arm's hand under `keys`, the joints moving at up to `speed` (rad/s).
+/// Creates a case: `axes` of a random arm's hand with the parameters `keys`; the joints move at up to `speed` (rad/s).
 fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -> Held {
     let n = 7 + numbers.below(3);
     let model = any_arm(n, numbers);
@@ -131,7 +132,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
     let home = frame_placement(&model, &data, hand);
     let mut force = DVector::zeros(axes.len());
     force.iter_mut().for_each(|f| *f = 10.0 * numbers.next());
-    // The same wrench, as the sensor at the wrist has it.
+    // The wrench, transformed to the sensor at the wrist.
     let q: Vec<f64> = start.iter().map(|q| q + 0.1 * numbers.next()).collect();
     let (now, mut later) = at_state(&model, &q, &numbers.vector(n, speed), 0.3);
     let mut wrench = Vector6::zeros();
@@ -141,7 +142,7 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
     let lever =
         frame_placement(&model, &now, hand).translation - frame_placement(&model, &now, wrist).translation;
     let sensed = Force { linear, angular: moment + lever.cross(&linear) };
-    // Settled on this wrench, so that the filter passes it on.
+    // The filter is initialised with this wrench, so that it does not change it.
     measurement.wrenches[0] = sensed;
     later.wrenches[0] = sensed;
     controller.start(&common::input(&model, &data, &measurement));
@@ -167,13 +168,13 @@ fn held(numbers: &mut Numbers, axes: &'static [usize], keys: &str, speed: f64) -
 }
 
 impl Held {
-    /// Λ by plain inverses.
+    /// Λ, computed by matrix inverses.
     fn inertia(&self) -> DMatrix<f64> {
         let inverse = self.data.mass_matrix.clone().try_inverse().expect("regular");
         (&self.jacobian * inverse * self.jacobian.transpose()).try_inverse().expect("regular")
     }
 
-    /// The acceleration of the axes under the law's torques and the force; `None` near singular poses.
+    /// Returns the acceleration of the axes under the controller's torques and the force; `None` near singular poses.
     fn acceleration(&mut self) -> Option<DVector<f64>> {
         let mut tau = vec![0.0; self.model.n()];
         self.controller.update(&common::input(&self.model, &self.data, &self.measurement), &mut tau);
@@ -203,8 +204,8 @@ fn springs(axes: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(axes.len(), axes.len(), |r, c| if r == c { all[axes[r]] } else { 0.0 })
 }
 
-/// Λ ẍ + D ẋ + K (x − x_d) against the force, with D computed as in
-/// [`designed_damping_is_square_root_of_stiffness`] from Λ by plain inverses, or as given.
+/// Compared: Λ ẍ + D ẋ + K (x − x_d) with the force. D is computed like in
+/// [`designed_damping_is_square_root_of_stiffness`], from Λ by matrix inverses, or is given.
 #[test]
 fn hand_responds_as_spring_and_damper() {
     let mut numbers = Numbers::new(33);
@@ -241,8 +242,7 @@ fn hand_responds_as_spring_and_damper() {
     assert!(seen > 50, "{seen} states were regular");
 }
 
-/// A hand at rest, displaced to where its springs balance a force: it stays at rest, and without the force it
-/// doesn't.
+/// A hand at rest, displaced such that its springs balance a force, stays at rest; without the force it does not.
 #[test]
 fn pushed_hand_rests_at_spring_equilibrium() {
     let mut numbers = Numbers::new(34);
@@ -261,8 +261,8 @@ fn pushed_hand_rests_at_spring_equilibrium() {
     assert!(seen > 30, "{seen} states were regular");
 }
 
-/// m ẍ + d ẋ + k (x − x_d) against the force, which is sensed at another point of the hand: independent of the arm's
-/// own inertia, which alone would respond differently.
+/// Compared: m ẍ + d ẋ + k (x − x_d) with the force, which is sensed at another point of the hand. The response is
+/// independent of the arm's own inertia, which would cause a different one.
 #[test]
 fn shaped_inertia_determines_response_to_force() {
     let mut numbers = Numbers::new(35);
@@ -298,8 +298,8 @@ fn shaped_inertia_determines_response_to_force() {
     assert!(seen > 50 && 2 * shaped > seen, "{shaped} of {seen} inertias were others");
 }
 
-/// Torques with a floor below every joint's inertia against those of full decoupling; and with one above some of them
-/// the task's force against (J (M + added inertia)⁻¹ Jᵀ)⁻¹ (a* − J̇ q̇), written out.
+/// Compared: torques with a floor below every joint's inertia with those of full decoupling; and, with a floor above
+/// some of the inertias, the task force with (J (M + added inertia)⁻¹ Jᵀ)⁻¹ (a* − J̇ q̇), computed here.
 #[test]
 fn bounded_decoupling_raises_light_joint_inertias() {
     let mut numbers = Numbers::new(36);
@@ -374,7 +374,8 @@ fn integrating(integral: &str) -> String {
     )
 }
 
-/// The hand's acceleration in a constant state, cycle by cycle, against ω² times the error and its sum, bounded.
+/// Compared: the hand's acceleration in a constant state, cycle by cycle, with ω² times the sum of the error and its
+/// bounded integral.
 #[test]
 fn integral_accumulates_error_up_to_its_limit() {
     let model = four_joints();
@@ -402,7 +403,7 @@ fn integral_accumulates_error_up_to_its_limit() {
     assert!(error.amax() * per_s * 0.05 > limit, "the limit is reached");
 }
 
-/// The hand's error (m) after three seconds under unknown joint torques.
+/// Returns the hand's error (m) after three seconds with unknown joint torques.
 fn remaining_error(integral: &str) -> f64 {
     const UNKNOWN_NM: [f64; 4] = [1.2, -0.8, 0.5, 0.9];
     let model = four_joints();
@@ -423,24 +424,24 @@ fn remaining_error(integral: &str) -> f64 {
     Vector3::new(error[0], error[1], error[2]).norm()
 }
 
-/// Remaining error with an integral against that without, and with one whose bound is too tight: smaller by the
-/// bound.
+/// Compared: the remaining error with an integral, without one, and with an integral whose bound is too small: the
+/// bound is the difference.
 #[test]
 fn integral_removes_constant_disturbance() {
     let without = remaining_error("");
     let with = remaining_error(", integral_per_s = 4.0");
     let tight = remaining_error(", integral_per_s = 4.0, integral_limit_m = 0.001");
-    // Some ten of its time constants of a quarter of a second.
+    // About ten time constants of a quarter of a second.
     assert!(without > 4e-3 && with < 1e-3 * without, "{with} m of {without} m are left");
-    // The bound holds for each axis.
+    // The bound applies to each axis.
     assert!(
         tight < without - 0.9e-3 && tight > without - 1.1e-3 * 3.0_f64.sqrt(),
         "{tight} m of {without} m"
     );
 }
 
-/// The hand's acceleration against 2ζω (ν ẋ* − v), along and about the axes, with ẋ* computed from the error: the
-/// desired speed, not the acceleration, has the limit's size and the error's direction.
+/// Compared: the hand's acceleration with 2ζω (ν ẋ* − v), along and about the axes, with ẋ* computed from the error.
+/// The desired velocity, not the acceleration, has the size of the limit and the direction of the error.
 #[test]
 fn desired_speed_is_bounded_and_keeps_direction() {
     let mut numbers = Numbers::new(37);
@@ -497,8 +498,7 @@ fn desired_speed_is_bounded_and_keeps_direction() {
     }
 }
 
-/// A hand with a distant goal, integrated: it accelerates to its limit, not beyond it, on the straight line to its
-/// goal.
+/// A simulated hand with a distant goal accelerates to its speed limit, not beyond it, on a straight line to the goal.
 #[test]
 fn distant_goal_is_approached_straight_within_speed_limit() {
     let model = four_joints();
@@ -524,7 +524,7 @@ fn distant_goal_is_approached_straight_within_speed_limit() {
         aside = aside.max((frame_placement(&model, &data, hand).translation - home).cross(&line).norm());
     }
     let left = sampled(&controller, "hand.error")[..3].iter().map(|e| e * e).sum::<f64>().sqrt();
-    // A period of Euler's method: its length times the accelerations (4 m/s²) times the speed's share.
+    // Error of Euler's method per period: the period times the acceleration (4 m/s²), relative to the speed.
     assert!(fastest > 0.99 * limit && fastest < 1.01 * limit, "{fastest} m/s");
     assert!(aside < 1e-3 && left < 1e-4, "{aside} m off the line, {left} m left");
 }

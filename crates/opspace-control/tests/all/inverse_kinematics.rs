@@ -1,5 +1,5 @@
-//! The inverse kinematics baseline: forward kinematics of the streamed joint positions against the reference, and the
-//! lead against its formula.
+//! The inverse kinematics baseline. Compared: forward kinematics of the streamed joint positions with the reference,
+//! and the servo lead with its formula.
 
 use crate::common::{self, File, Q0, at_state, control_context, four_joints, seven_joints};
 use nalgebra::Vector3;
@@ -78,11 +78,11 @@ fn streamed_positions_follow_reference_with_servo_lead() {
             worst = worst.max((frame_placement(&model, &at, hand).translation - start - figure).norm());
         }
     }
-    // Explicit Euler lags by T ẍ/2 over the error gain: 1e-3 · 2 / 2 / 20.
+    // The error of explicit Euler is T ẍ/2 divided by the error gain: 1e-3 · 2 / 2 / 20.
     assert!(worst < 1e-4, "{worst} m");
 }
 
-/// Orientation and position on seven joints; a robot that compensates gravity gets no lead for it.
+/// Orientation and position on seven joints, for a robot that compensates gravity itself: no sag is compensated.
 #[test]
 fn pose_is_reached() {
     let model = seven_joints();
@@ -120,8 +120,8 @@ fn pose_is_reached() {
     assert!(orientation::log(&turn).norm() < 1e-6);
 }
 
-/// With the hand held, the elbow moves until the posture desires no more motion that the hand allows: the remaining
-/// difference to the posture has no component in the kernel of J.
+/// While the hand holds its position, the elbow moves until the posture desires no motion in the null space of the
+/// hand: the remaining difference to the posture has no component in the kernel of J.
 #[test]
 fn posture_task_does_not_move_the_hand() {
     let model = four_joints();
@@ -151,7 +151,7 @@ fn posture_task_does_not_move_the_hand() {
     assert!((kernel * left).norm() < 1e-6, "the posture is as near as it gets");
 }
 
-/// Two tasks that move simultaneously: the second compensates the effect of the first on it.
+/// Two tasks that move simultaneously: the second one compensates the effect of the first one.
 #[test]
 fn lower_task_follows_its_reference() {
     let model = four_joints();
@@ -178,7 +178,7 @@ fn lower_task_follows_its_reference() {
         measurement.time_s = 1e-3 * f64::from(tick);
         controller.update(&common::input(&model, &data, &measurement), &mut q);
         let off = frame_placement(&model, &placed(&model, &q), elbow).translation.y - start;
-        // Explicit Euler, as above.
+        // Error of explicit Euler, as above.
         assert!(off.abs() < 1e-4, "{off} m at {} s", measurement.time_s);
     }
 }

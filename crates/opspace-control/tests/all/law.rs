@@ -1,5 +1,5 @@
-//! The torque law against the textbook's, written out with plain inverses, and against the motion that
-//! forward dynamics (the articulated-body algorithm) makes of its torques.
+//! The torque law, compared with textbook formulas using matrix inverses, and with the motion that forward dynamics
+//! (the articulated-body algorithm) computes from its torques.
 
 use crate::common::{
     self, File, Numbers, Q0, accelerations, at_state, control_context, four_joints, frame_acceleration,
@@ -10,8 +10,8 @@ use opspace_control::{Controller, OperationalSpaceController};
 use opspace_model::{Force, frame_bias_acceleration, frame_placement, frame_velocity};
 use std::f64::consts::PI;
 
-/// Two ways of computing the same torque (some 10 Nm) or acceleration through inverses of matrices with
-/// condition numbers around 1e3.
+/// Tolerance of a torque (some 10 Nm) or acceleration that is computed in two ways; both invert matrices with condition
+/// numbers around 1e3.
 const ROUNDING: f64 = 1e-9;
 
 const TRACKING: &str = r#"
@@ -42,7 +42,7 @@ frequency_rad_per_s = 6.324555320336759
 damping_ratio = 0.7905694150420949
 "#;
 
-/// The ramp and its derivatives from the polynomial's coefficients.
+/// Returns the minimum-jerk ramp and its derivatives from the polynomial's coefficients.
 fn ramp(u: f64) -> [f64; 3] {
     [
         10.0 * u.powi(3) - 15.0 * u.powi(4) + 6.0 * u.powi(5),
@@ -51,7 +51,7 @@ fn ramp(u: f64) -> [f64; 3] {
     ]
 }
 
-/// Jᵀ F + Nᵀ M (40 (Q0 − q) − 10 q̇) + h with F = Λ (a − J̇ q̇) + `added`, for the hand's position.
+/// Returns Jᵀ F + Nᵀ M (40 (Q0 − q) − 10 q̇) + h with F = Λ (a − J̇ q̇) + `added`, for the hand's position.
 fn textbook(
     model: &opspace_model::Model,
     data: &opspace_model::Data,
@@ -206,8 +206,8 @@ fn joint_tracking_acceleration_and_gravity_compensation_are_exact() {
     }
 }
 
-/// The orientation part: the angular acceleration by forward dynamics against ω² log + 2ζω ω with nalgebra's
-/// logarithm, in task axes that are rotated relative to the world.
+/// Compared: the angular acceleration from forward dynamics with ω² log + 2ζω ω, computed with nalgebra's logarithm, in
+/// task axes that are rotated relative to the world.
 #[test]
 fn pose_task_produces_desired_acceleration() {
     let model = seven_joints();
@@ -282,8 +282,7 @@ frequency_rad_per_s = 3.0
 damping_ratio = 0.7
 "#;
 
-/// One state under three task sets: the effects of a level do not appear in the accelerations of those above it, and
-/// appear in its own.
+/// One state with three task sets: a level affects its own acceleration but not those of the levels above.
 #[test]
 fn lower_tasks_do_not_accelerate_higher_tasks() {
     let model = seven_joints();
@@ -333,7 +332,7 @@ fn lower_tasks_do_not_accelerate_higher_tasks() {
     assert!(regular > 25, "only {regular} of 50 states were regular");
 }
 
-/// The second level's acceleration against its own law: the first level's effect on it is compensated.
+/// Compared: the second level's acceleration with its own law. The effect of the first level is compensated.
 #[test]
 fn lower_task_follows_its_law_in_nullspace() {
     let model = seven_joints();
@@ -360,7 +359,7 @@ fn lower_task_follows_its_law_in_nullspace() {
     }
 }
 
-/// The arm under its own law, integrated: it follows the Lissajous figure, and no direction is damped.
+/// The simulated arm follows the Lissajous figure, and no direction is damped.
 #[test]
 fn arm_follows_its_reference() {
     let model = four_joints();
@@ -381,17 +380,17 @@ fn arm_follows_its_reference() {
         let error = signal(&controller, "hand.error");
         worst = worst.max(Vector3::new(error[0], error[1], error[2]).norm());
         opspace_model::aba(&model, &mut data, &tau);
-        // Torques held over a period; semi-implicit Euler.
+        // Torques are constant over a period; semi-implicit Euler.
         measurement.dq.axpy(period_s, &data.ddq, 1.0);
         let dq = measurement.dq.clone();
         measurement.q.axpy(period_s, &dq, 1.0);
     }
-    // The step's own error: half a period of the highest acceleration (2 m/s²) against a stiffness of 200/s².
+    // Discretisation error: half a period of the largest acceleration (2 m/s²), with a stiffness of 200 1/s².
     assert!(worst < 2e-4, "{worst} m");
     assert!(worst > 0.0);
 }
 
-/// Static force regulation: on a stiff wall the sensed force settles on its target for any gain.
+/// Static force regulation: at a stiff wall, the sensed force converges to its target for any gain.
 #[test]
 fn compliant_axis_settles_on_target_force() {
     let model = four_joints();
@@ -415,8 +414,9 @@ fn compliant_axis_settles_on_target_force() {
     }
 }
 
-/// The hand against a wall of 5 kN/m in x after 4 s, with torques at the joints that nobody knows of: the force that it
-/// feels (N), for a target of −8 N. `integral` goes into the file's force.
+/// Presses the hand against a wall of 5 kN/m in x for 4 s (or lets it move without a wall for 0.5 s) with a target of
+/// −8 N and unknown joint torques. Returns the sensed force (N) and the hand's speed (m/s). `integral` is inserted into
+/// the file's force parameters.
 fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     const UNKNOWN_NM: [f64; 4] = [0.8, -0.4, 0.3, 0.6];
     let model = four_joints();
@@ -436,7 +436,7 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     let hand = model.frame_id("hand").expect("hand");
     let surface = frame_placement(&model, &data, hand).translation.x;
     let mut tau = [0.0; 4];
-    // A tenth of a period for the wall, which is stiff; the law at its own rate.
+    // The simulation step is a tenth of a period, because the wall is stiff; the controller runs at its own rate.
     for step in 0..40_000 {
         assert!(opspace_model::update(
             &model,
@@ -465,11 +465,10 @@ fn pressed_force(mode: &str, integral: &str, wall: bool) -> (f64, f64) {
     (measurement.wrenches[0].linear.x, frame_velocity(&model, &data, hand).linear.x)
 }
 
-/// Largest force error that the integral leaves after 4 s, N: some e-folds of its time constant, below the sensor's
-/// noise.
+/// Largest force error with an integral after 4 s, N: several time constants, below the sensor's noise.
 const SETTLED_N: f64 = 1e-3;
 
-/// Force control against its target, and against the force of a compliant axis under the same disturbance.
+/// Compared: the force of a force axis with its target, and with that of a compliant axis under the same disturbance.
 #[test]
 fn force_axis_removes_error_of_compliant_axis() {
     let (compliant, _) = pressed_force("compliant", "", true);
@@ -478,8 +477,8 @@ fn force_axis_removes_error_of_compliant_axis() {
     assert!((force + 8.0).abs() < SETTLED_N, "{force} N");
 }
 
-/// Bound of the integral: too small for the disturbance it leaves an error again, and without a wall the hand drifts
-/// no faster than it allows.
+/// If the bound of the integral is too small for the disturbance, an error remains; without a wall, the bound limits
+/// the hand's drift speed.
 #[test]
 fn force_axis_integral_is_bounded() {
     let (short, _) = pressed_force("force", ", integral_limit = 0.05", true);
@@ -510,7 +509,7 @@ fn joint_damping_brakes_every_joint() {
     }
 }
 
-/// Torques and task force added by a sensed moment, against Jᵀ of the gain times it.
+/// Compared: the torques and the task force that a sensed moment adds with Jᵀ times the gain and the moment.
 #[test]
 fn sensed_moment_is_fed_back_on_compliant_axis() {
     let model = seven_joints();
@@ -545,8 +544,8 @@ fn sensed_moment_is_fed_back_on_compliant_axis() {
     assert!((force - no_force - DVector::from_vec(vec![0.0, 0.0, 0.0, 0.0, 6.0, 0.0])).amax() < 1e-12);
 }
 
-/// The power of the sensed wrench on the motion of the task's frame against that of the sensor's own on the
-/// motion of the sensor's frame: both are on one body.
+/// Compared: the power of the wrench at the task frame, in the task frame's motion, with that of the wrench at the
+/// sensor, in the sensor frame's motion: both frames are on one body.
 #[test]
 fn wrench_is_shifted_from_sensor_to_task_frame() {
     let model = four_joints();
@@ -561,7 +560,7 @@ fn wrench_is_shifted_from_sensor_to_task_frame() {
         let (data, mut measurement) = at_state(&model, &q, &numbers.vector(4, 2.0), 0.0);
         let mut random = || Vector3::new(numbers.next(), numbers.next(), numbers.next()) * 10.0;
         measurement.wrenches[0] = Force { linear: random(), angular: random() };
-        // Settled on this wrench, so that the filter passes it on.
+        // The filter is initialised with this wrench, so that it does not change it.
         controller.start(&common::input(&model, &data, &measurement));
         controller.update(&common::input(&model, &data, &measurement), &mut [0.0; 4]);
         let velocity = |name: &str| frame_velocity(&model, &data, model.frame_id(name).expect("frame"));

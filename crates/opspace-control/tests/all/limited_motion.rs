@@ -1,5 +1,5 @@
-//! Arms that move under limits: they return within them, stop at position limits, keep their direction, and forget
-//! NaN measurements. Compared with the motion that forward dynamics computes from the commands.
+//! Moving arms with limits: they return within them, stop at position limits, keep their direction, and recover from
+//! NaN measurements. The motion is computed from the commands by forward dynamics.
 
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, POSE, without_limits};
 use crate::common::{self, File, Link, Numbers, arm, at_state, control_context, sampled, seven_joints};
@@ -7,11 +7,10 @@ use nalgebra::{DVector, Vector3};
 use opspace_control::{ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
 
-/// By what share of itself a bound is widened between levels, some times over, and so how far a command may be beyond
-/// it.
+/// Relative tolerance of a bound: the bounds are widened slightly several times between levels.
 const ROUNDING: f64 = 1e-8;
 
-/// An arm under its law, integrated at 1 kHz with torques held.
+/// A simulated arm with its controller, at 1 kHz with torques constant over a period.
 struct Run {
     model: Model,
     controller: OperationalSpaceController,
@@ -66,8 +65,8 @@ fn moderate_limits() -> JointLimits {
 
 const REACHED: [f64; 7] = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
 
-/// Starts that no robot should be in: beyond position limits and faster than allowed. Commands are always finite and
-/// within the torque limits and their rate; after a second everything is within limits, and stays there.
+/// Starts beyond position limits and with excessive speeds. Commands are always finite and within the limits of torque
+/// and torque rate; after one second, all quantities are within their limits and stay there.
 #[test]
 fn start_beyond_limits_returns_within_them() {
     let (limits, mut numbers) = (moderate_limits(), Numbers::new(17));
@@ -104,7 +103,7 @@ fn start_beyond_limits_returns_within_them() {
     assert!(beyond > 30, "{beyond} joints start beyond a limit");
 }
 
-/// A robot that was commanded beyond its torque limit: immediately within the limit, whatever the rate limit.
+/// After a command beyond the torque limit, the next command is within the limit, regardless of the rate limit.
 #[test]
 fn torque_beyond_limit_returns_immediately() {
     let (model, q) = (seven_joints(), [0.3, 1.2, -0.4, 0.9, 0.2, -0.8, 0.5]);
@@ -127,7 +126,7 @@ fn torque_beyond_limit_returns_immediately() {
     }
 }
 
-/// A hand whose goal the arm's joints can't reach: every joint against its position limit.
+/// A hand with an unreachable goal: every joint stays within its position limit.
 #[test]
 fn joints_stop_at_position_limits() {
     let mut stopped = 0;
@@ -156,13 +155,13 @@ fn joints_stop_at_position_limits() {
         }
         assert!(worst < 1e-4, "{text}: {worst} rad beyond");
         stopped += (0..7).filter(|&i| (run.measurement.q[i] - REACHED[i]).abs() > 0.239).count();
-        // Pressed against their ends, not beating against them.
+        // The joints rest at their limits without chattering.
         assert!(jump < 0.05, "{text}: torques change by {jump} Nm from tick to tick");
     }
     assert!(stopped > 5, "joints stand at the ends of their ranges: {stopped}");
 }
 
-/// Displacement of the hand if the joints are displaced by `offset` (rad), m.
+/// Returns the displacement of the hand for joint displacements `offset` (rad), m.
 fn hand_displacement(offset: &[f64; 7]) -> Vector3<f64> {
     let model = seven_joints();
     let hand = |q: &[f64]| {
@@ -173,8 +172,9 @@ fn hand_displacement(offset: &[f64; 7]) -> Vector3<f64> {
     hand(&q) - hand(&REACHED)
 }
 
-/// Motion of a hand that is asked for far more than it may do: the largest speed (m/s), the largest angle (°) between
-/// its velocity and the straight way while it is faster than 0.1 m/s, and the rest of the way after `seconds` (m).
+/// Simulates a hand whose reference is much faster than its limits allow, and returns the largest speed (m/s), the
+/// largest angle (°) between its velocity and the straight path at speeds above 0.1 m/s, and the remaining distance
+/// after `seconds` (m).
 fn hurried_motion(limits: &JointLimits, more: &str, duration_s: f64, seconds: f64) -> (f64, f64, f64) {
     let way = hand_displacement(&[0.3, -0.2, 0.1, 0.4, -0.2, 0.3, 0.1]);
     let offset = way.as_slice();
@@ -199,16 +199,16 @@ fn hurried_motion(limits: &JointLimits, more: &str, duration_s: f64, seconds: f6
     (fastest, aside.to_degrees(), (start + way - run.hand().0).norm())
 }
 
-/// Limits that bind only in fast motions.
+/// Limits that are active only in fast motions.
 fn generous_limits() -> JointLimits {
     JointLimits { lower: vec![-3.0; 7], upper: vec![3.0; 7], velocity: vec![20.0; 7], ..moderate_limits() }
 }
 
-/// Largest angle (°) to the straight way under limits that slowing down alone would respect: the weight of errors
-/// across the way is ten times, not infinitely, that of errors along it.
+/// Largest angle (°) to the straight path under limits that slowing down alone would satisfy: the weight of errors
+/// perpendicular to the path is finite, ten times that of errors along it.
 const ASIDE_DEG: f64 = 10.0;
 
-/// The hand's speed against the limit of its task, and its direction against the straight line.
+/// Compared: the hand's speed with the limit of its task, and its direction with the straight line.
 #[test]
 fn hand_keeps_speed_limit_and_direction() {
     for duration_s in [0.2, 0.5] {
@@ -220,8 +220,7 @@ fn hand_keeps_speed_limit_and_direction() {
     }
 }
 
-/// The direction of the hand's velocity against the straight line if joints are too slow, too weak, or must not
-/// accelerate as desired; and that it arrives.
+/// The hand moves along the straight line and arrives, if joints are too slow, too weak, or limited in acceleration.
 #[test]
 fn limits_slow_hand_without_lateral_deviation() {
     for limits in [
@@ -235,8 +234,8 @@ fn limits_slow_hand_without_lateral_deviation() {
     }
 }
 
-/// One arm held at one state for half a second: with a load that saturates a joint meanwhile, its integral equals one
-/// that has just started; without the load it has grown.
+/// An arm is kept in a constant state for half a second. With a load that saturates a joint in the meantime, its
+/// integral is equal to one that has just started; without the load, the integral has grown.
 #[test]
 fn integrals_freeze_while_limit_is_active() {
     let motion =
@@ -256,7 +255,7 @@ fn integrals_freeze_while_limit_is_active() {
             let (mut tau, mut seen) = (DVector::zeros(7), run.measurement.clone());
             seen.time_s = 2.0;
             for tick in 0..=ticks {
-                // More than the motor of the second joint has, then nothing.
+                // A load that exceeds the torque of the second joint's motor, then none.
                 let mut feedforward_torque = [0.0; 7];
                 feedforward_torque[1] = if tick == 0 || tick == ticks { 0.0 } else { load };
                 let input = common::input(&run.model, &run.data, &seen);
@@ -266,7 +265,7 @@ fn integrals_freeze_while_limit_is_active() {
             }
             tau
         };
-        // Two cycles integrate: the first, and the one in which the limit comes to be known.
+        // Two cycles integrate: the first one, and the one that detects the active limit.
         let (begun, held, free) = (after(1, 0.0), after(500, 400.0), after(500, 0.0));
         let size = (&free - &begun).amax();
         assert!(size > 1.0, "half a second of integral is {size} Nm");
@@ -275,8 +274,8 @@ fn integrals_freeze_while_limit_is_active() {
     }
 }
 
-/// NaN anywhere in the measurements: the command is NaN too, for the backend to refuse; there is no panic, and after
-/// another start the command is finite again.
+/// If any measurement is NaN, the command is NaN too, for the backend to reject; there is no panic, and the command is
+/// finite again after a restart.
 #[test]
 fn nan_measurement_gives_no_command() {
     type Break = fn(&mut Measurement);
@@ -290,7 +289,7 @@ fn nan_measurement_gives_no_command() {
             let mut bad = good.clone();
             spoil(&mut bad);
             for _ in 0..3 {
-                // Whether M can be factored is for the backend to judge.
+                // The backend checks that M can be factored.
                 let _ = update(&run.model, &mut run.data, bad.q.as_slice(), bad.dq.as_slice());
                 run.controller.update(&common::input(&run.model, &run.data, &bad), run.tau.as_mut_slice());
                 assert!(run.tau.iter().any(|t| !t.is_finite()), "{text}: {}", run.tau);
@@ -319,8 +318,8 @@ fn nan_measurement_gives_no_command() {
     }
 }
 
-/// NaN measurements without another start: their effect ends with their cycle, whatever the law filters and
-/// integrates. Without limits, a wrench that is lost for a cycle against a controller that was not evaluated in that
+/// NaN measurements have no effect after their cycle, without a restart and for any filters and integrals. Compared,
+/// without limits: a controller whose wrench is lost in one cycle with a controller that is not evaluated in that
 /// cycle.
 #[test]
 fn nan_measurement_is_forgotten_after_its_cycle() {
@@ -346,7 +345,7 @@ fn nan_measurement_is_forgotten_after_its_cycle() {
     for (text, limits) in [(both, Some(moderate_limits())), (without_limits(&force), None)] {
         let robot_limits = limits.clone().unwrap_or_else(|| JointLimits::none(7));
         let command = |run: &mut Run, seen: &Measurement| {
-            // Whether M can be factored is for the backend to judge.
+            // The backend checks that M can be factored.
             let _ = update(&run.model, &mut run.data, seen.q.as_slice(), seen.dq.as_slice());
             run.controller.update(&common::input(&run.model, &run.data, seen), run.tau.as_mut_slice());
         };
@@ -376,7 +375,7 @@ fn nan_measurement_is_forgotten_after_its_cycle() {
     }
 }
 
-/// Ranges of zero width: the joints keep their positions, whatever the hand's task.
+/// With ranges of zero width, the joints keep their positions for any task of the hand.
 #[test]
 fn zero_width_range_holds_its_joint() {
     let limits = JointLimits { lower: REACHED.to_vec(), upper: REACHED.to_vec(), ..moderate_limits() };
@@ -391,7 +390,7 @@ fn zero_width_range_holds_its_joint() {
     assert!(away < 1e-4, "{away} rad from where the range is");
 }
 
-/// Two joints in a plane at their limits of speed, torque and position together: they stay within all three.
+/// A planar arm with two joints at their limits of speed, torque and position stays within all three limits.
 #[test]
 fn planar_arm_keeps_its_limits() {
     let link = |name, origin| Link {
@@ -441,8 +440,8 @@ fn planar_arm_keeps_its_limits() {
     assert!(limited > 100, "{limited} ticks were limited");
 }
 
-/// A hand faster than its speed limit and joints too weak to brake it as desired: it is braked as hard as they can,
-/// against the time that its own law alone takes.
+/// A hand exceeds its speed limit, and its joints are too weak for the desired deceleration: they brake as hard as they
+/// can. Compared: the braking time with that of the task's law alone.
 #[test]
 fn too_fast_hand_is_braked_at_torque_limits() {
     let slow_law = DAMPED.replace("frequency_rad_per_s = 14.0", "frequency_rad_per_s = 0.5");
@@ -464,8 +463,8 @@ fn too_fast_hand_is_braked_at_torque_limits() {
     );
 }
 
-/// An arm too weak to hold itself, with noise in its velocities: the changes of the torques from cycle to cycle,
-/// against the size of the noise.
+/// Compared: changes of the torques from cycle to cycle with the size of the velocity noise, for an arm that is too
+/// weak to hold itself.
 #[test]
 fn velocity_noise_does_not_shake_saturated_torques() {
     let jump = |text: &str, noise: f64| {

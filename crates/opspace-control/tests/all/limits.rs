@@ -1,5 +1,5 @@
-//! Commands within the robot's limits, against the tasks' own torques if no limit is active, against an independent
-//! hierarchy of least-squares problems otherwise.
+//! Commands within the robot's limits, compared with the task torques if no limit is active, otherwise with an
+//! independent hierarchy of least-squares problems.
 
 use crate::common::stacks::{COMPLIANT, DAMPED, ELBOW, LENGTH_M, POSE, without_limits};
 use crate::common::{
@@ -13,25 +13,25 @@ use opspace_control::{ControlContext, Controller, JointLimits, Measurement, Oper
 use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity};
 
 // Tolerances are ten times the largest measured error.
-/// Torques of one optimum by two ways, relative to their size: measured 5.2e-15.
+/// Torques of the same optimum computed in two ways, relative to their size: measured 5.2e-15.
 const TORQUES: f64 = 5e-14;
-/// Slope of a level's error that is left at its optimum, relative to that at rest: measured 1.9e-8.
+/// Remaining slope of a level's error at its optimum, relative to that at zero acceleration: measured 1.9e-8.
 const SLOPES: f64 = 2e-7;
-/// Excess beyond a bound, relative to its size: measured 7.0e-9.
+/// Violation of a bound, relative to its size: measured 7.0e-9.
 const EXCESS: f64 = 7e-8;
 /// Acceleration of a level with and without the levels below it, relative to its size: measured 4.1e-9.
 const LEVELS: f64 = 4e-8;
 
-/// Distance from a bound, relative to its size, within which a command is said to be at it.
+/// Relative distance from a bound below which a command counts as being at the bound.
 const AT_BOUND: f64 = 1e-6;
 
-/// Distance from a bound of a command that a level above wanted there: what the widening between levels lets the lower
-/// ones do where rows are nearly parallel.
+/// Distance from a bound that a level above has reached: the widening between levels lets the lower levels use it if
+/// rows are nearly parallel.
 const MET: f64 = 1e-4;
 
 const HAND_POSE: &[usize] = &[0, 1, 2, 3, 4, 5];
 
-/// A task set, the number of joints of its arm, and the rows of its levels: frames and axes.
+/// A task set, the number of joints of its arm, and the frames and axes of its levels.
 struct Case {
     text: &'static str,
     joints: usize,
@@ -48,7 +48,7 @@ const CASES: [Case; 7] = [
     Case { text: COMPLIANT, joints: 6, levels: &[("hand", &[0, 1, 2, 5])] },
 ];
 
-/// An arm on its way: where it was started, and where it is.
+/// A moving arm: its start posture and its current state.
 struct Scene {
     model: Model,
     start: Vec<f64>,
@@ -57,7 +57,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// A random arm that has moved by some `far`, rad.
+    /// Creates a random arm that has moved by at most `far`, rad.
     fn new(joints: usize, far: f64, numbers: &mut Numbers) -> Self {
         let model = random_arm(joints, numbers);
         let start = numbers.vector(joints, 1.2);
@@ -74,7 +74,7 @@ impl Scene {
         control_context(&self.model, "hand")
     }
 
-    /// A controller that was started where the scene was.
+    /// Returns a controller that was started at the scene's start.
     fn controller(&self, text: &str, limits: &JointLimits) -> OperationalSpaceController {
         let (file, mut robot) = (File::read(text), self.robot());
         robot.limits = limits.clone();
@@ -96,14 +96,14 @@ impl Scene {
         self.torque(&mut self.controller(&without_limits(text), &JointLimits::none(self.model.n())))
     }
 
-    /// Torques commanded when the arm was started: gravity's there.
+    /// Commanded torques at the start: gravity torques.
     fn before(&self) -> DVector<f64> {
         at_state(&self.model, &self.start, &vec![0.0; self.model.n()], 0.0).0.gravity
     }
 }
 
-/// The torques of a task set without limits against those of the whole cascade with limits that are never reached, also
-/// where the tasks damp directions near a singularity.
+/// Compared: the torques of a task set without limits with those of all QPs with limits that are never reached, also if
+/// the tasks damp directions near a singularity.
 #[test]
 fn unreached_limits_change_nothing() {
     let mut numbers = Numbers::new(11);
@@ -136,8 +136,7 @@ fn unreached_limits_change_nothing() {
     assert!(damped > 20, "only {damped} poses were near a singularity");
 }
 
-/// A level as an independent reader of the documentation would write it: |J x + b − a|² in the metric WᵀΛW, with x the
-/// joint accelerations.
+/// A level, implemented from the documentation: |J x + b − a|² in the metric WᵀΛW, where x are the joint accelerations.
 struct Rows {
     jacobian: DMatrix<f64>,
     bias: DVector<f64>,
@@ -146,7 +145,7 @@ struct Rows {
 }
 
 impl Rows {
-    /// The levels of a case, with their frames' accelerations under the torques of the task set without limits.
+    /// Returns the levels of a case, with the accelerations of their frames under the torques without limits.
     fn of(scene: &Scene, case: &Case, unlimited: &DVector<f64>) -> Vec<Self> {
         let mass_inverse = scene.data.mass_matrix.clone().try_inverse().expect("M is regular");
         let mut nullspace = DMatrix::identity(case.joints, case.joints);
@@ -157,8 +156,8 @@ impl Rows {
             let mobility = &projected * &mass_inverse * projected.transpose();
             let inertia = mobility.try_inverse().expect("no singularity");
             nullspace -= &mass_inverse * projected.transpose() * &inertia * &projected;
-            // Along where the task would be going after the horizon; aside of it, at right angles in the metric Λ, weighs
-            // ten times as much.
+            // Errors perpendicular, in the metric Λ, to the predicted direction of motion have ten times the weight of
+            // errors along it.
             let frame = scene.model.frame_id(frame).expect("frame");
             let velocity = pick(axes, &six(frame_velocity(&scene.model, &scene.data, frame)));
             let heading = velocity + &rows.asked * HORIZON_S;
@@ -184,12 +183,12 @@ impl Rows {
     }
 }
 
-/// By what a row is multiplied.
+/// Scale of a row.
 fn row_scale(axis: usize) -> f64 {
     if axis < 3 { 1.0 } else { LENGTH_M }
 }
 
-/// Rows of a task among all six of a motion.
+/// Selects the rows of a task from all six of a motion.
 fn pick(axes: &[usize], whole: &DVector<f64>) -> DVector<f64> {
     DVector::from_iterator(axes.len(), axes.iter().map(|&i| row_scale(i) * whole[i]))
 }
@@ -205,7 +204,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// Bounds that the limits leave at the scene's state, by their documentation: no position limits.
+    /// Computes the documented bounds at the scene's state; there are no position limits.
     fn new(scene: &Scene, limits: &JointLimits) -> Self {
         let (n, dq, before) = (scene.model.n(), &scene.data.dq, scene.before());
         let side = |sign: f64| {
@@ -223,7 +222,7 @@ impl Bounds {
         Self { acceleration: [a, b], torque: [t, u] }
     }
 
-    /// By how much a motion under torques is beyond the bounds, relative to its size.
+    /// Returns the violation of the bounds by a motion under torques, relative to its size.
     fn excess(&self, ddq: &DVector<f64>, tau: &DVector<f64>) -> f64 {
         let beyond = |[lower, upper]: &[DVector<f64>; 2], x: &DVector<f64>| {
             (lower - x).max().max((x - upper).max()) / (1.0 + x.amax())
@@ -232,8 +231,8 @@ impl Bounds {
     }
 }
 
-/// The smallest |E w − f| with w ≥ 0: Lawson and Hanson, *Solving least squares problems*, 1974, ch. 23. Columns of E
-/// have length one.
+/// Returns the minimum of |E w − f| with w ≥ 0: Lawson and Hanson, *Solving least squares problems*, 1974, ch. 23.
+/// Columns of E have length one.
 fn non_negative_distance(e: &DMatrix<f64>, f: &DVector<f64>) -> f64 {
     let mut w = DVector::zeros(e.ncols());
     let mut passive: Vec<usize> = Vec::new();
@@ -264,9 +263,9 @@ fn non_negative_distance(e: &DMatrix<f64>, f: &DVector<f64>) -> f64 {
     rest(&w).norm()
 }
 
-/// By how much each level's residual, then the distance to the `posture` in kinetic energy, could still fall at `ddq`
-/// (Karush, Kuhn and Tucker): what of its gradient neither the rows above nor the bounds that are met hold back, with
-/// the gradient and what it would be at rest. Scaled to unit inertia.
+/// Checks optimality at `ddq` (Karush, Kuhn and Tucker) of each level's residual, then of the distance to the `posture`
+/// in kinetic energy. For each, returns the part of the gradient that neither the rows above nor the active bounds
+/// balance, the gradient, and the gradient at zero acceleration. Scaled to unit inertia.
 fn slopes(
     scene: &Scene,
     levels: &[Rows],
@@ -309,7 +308,7 @@ fn slopes(
         normals.column_iter_mut().for_each(|mut c| c /= c.norm().max(1e-9));
         slopes.push([non_negative_distance(&normals, &free.tr_mul(&gradient)), gradient.norm(), at_rest]);
         if let Some(rows) = levels.get(level) {
-            // What doesn't move this level's rows: the smallest eigenvalues of their square.
+            // The null space of this level's rows: the smallest eigenvalues of their square.
             let square = &rows.jacobian * &unscale * &free;
             let spectrum = square.tr_mul(&square).symmetric_eigen();
             let mut order: Vec<usize> = (0..free.ncols()).collect();
@@ -320,15 +319,15 @@ fn slopes(
     slopes
 }
 
-/// Limits that bind on a scene, and that some motion near the one asked for respects: random ones of torque, torque
-/// rate, velocity and acceleration.
+/// Returns random limits of torque, torque rate, velocity and acceleration that are active in a scene, and that a
+/// motion near the desired one satisfies.
 fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers) -> JointLimits {
     let n = scene.model.n();
     let ddq = accelerations(&scene.model, &scene.data, unlimited.as_slice());
     let (size, share) = (ddq.amax(), 0.5 + 0.3 * numbers.next());
     let possible = DVector::from_fn(n, |i, _| share * ddq[i] + 0.2 * size * numbers.next());
     let tau = &scene.data.mass_matrix * &possible + &scene.data.bias;
-    // Many limits leave the lower levels nothing, few do.
+    // With many limits, the lower levels have no freedom; with few limits, they have.
     let rare = if numbers.next() > 0.0 { 0.8 } else { 0.1 };
     let mut limits = JointLimits::none(n);
     for i in 0..n {
@@ -347,8 +346,8 @@ fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers
     limits
 }
 
-/// Runs `check` on random scenes with limits that bind, of each task set: scene, case, limits, the torque without
-/// limits and the controller after its cycle, with its torque.
+/// Runs `check` on random scenes of each task set with active limits. Its arguments: scene, case, limits, torque
+/// without limits, and the controller after its cycle, with its torque.
 fn on_bound_scenes(
     seed: u64,
     count: usize,
@@ -380,9 +379,8 @@ fn on_bound_scenes(
     }
 }
 
-/// The gradient of each level's documented residual against its part that the bounds and the levels above balance: no
-/// remainder by which the residual could fall. For the last level, whose metric is M, the remainder bounds the
-/// distance to the optimum.
+/// The bounds and the levels above balance the gradient of each level's documented residual, so that the residual
+/// cannot decrease. For the last level, whose metric is M, the unbalanced part bounds the distance to the optimum.
 #[test]
 fn each_level_is_optimal_within_limits_and_priorities() {
     let mut missed = [0; 3];
@@ -403,13 +401,13 @@ fn each_level_is_optimal_within_limits_and_priorities() {
     assert!(missed[0] > 40 && missed[1] > 40 && missed[2] > 15, "levels that limits hold off: {missed:?}");
 }
 
-/// The task set's text with its first level alone.
+/// Returns the task set's text with only its first level.
 fn first_level(text: &str) -> String {
     let first = text.split("[task.").nth(1).expect("the file has a task");
     format!("priority = [\"hand\"]\n[task.{first}")
 }
 
-/// The acceleration of the first level's rows with the other levels below it, and without them.
+/// Compared: the acceleration of the first level's rows with and without the other levels.
 #[test]
 fn lower_levels_do_not_affect_higher_at_limits() {
     let mut moved = 0;
@@ -427,7 +425,7 @@ fn lower_levels_do_not_affect_higher_at_limits() {
     assert!(moved > 15, "the levels below do something: {moved}");
 }
 
-/// The logged signals against the bounds at which the command is, each bound from both sides of its tolerance.
+/// Compared: the logged signals with the bounds that the command reaches, at both ends of the tolerance.
 #[test]
 fn active_limit_is_logged_per_joint() {
     let mut seen = [0; 4];
@@ -462,7 +460,7 @@ fn active_limit_is_logged_per_joint() {
     assert!(without.signals().iter().all(|signal| !signal.name.starts_with("limit")));
 }
 
-/// Tasks that leave no freedom: limits that bind against the first levels' acceleration without the posture.
+/// Tasks that leave no null space. Compared: the torques at active limits with and without the posture.
 #[test]
 fn level_without_freedom_changes_nothing() {
     let full = ELBOW.replace("z = \"motion\" }\nreference = \"hold\"\ngains = { frequency_rad_per_s = 14.0", 

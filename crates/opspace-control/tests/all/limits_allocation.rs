@@ -1,5 +1,5 @@
-//! No control cycle allocates that has to bring its command within limits: limits that bind, bounds that must be
-//! widened, poses from regular to singular and back. The active set solves them all.
+//! Control cycles whose command is modified by limits do not allocate: active limits, bounds that must be widened,
+//! poses from regular to singular and back. The active-set method solves all of them.
 
 use crate::common::{self, File, at_state, control_context, sampled, seven_joints};
 use opspace_backend::Observable;
@@ -28,8 +28,8 @@ frequency_rad_per_s = 8.0
 damping_ratio = 0.8
 "#;
 
-/// Allocations in each of 3000 cycles against none, along a path from one pose through the stretched arm, where the
-/// hand's rows are dependent, to beyond the joints' position limits.
+/// No allocation in any of 3000 cycles along a path from one pose through the stretched arm, where the hand's rows are
+/// dependent, to poses beyond the joints' position limits.
 #[test]
 fn no_limited_cycle_allocates() {
     let (model, file) = (seven_joints(), File::read(STACK));

@@ -1,6 +1,7 @@
-//! Two solvers of quadratic programmes, by different algorithms and hands, against each other; the active set's
-//! solutions against the conditions that define a minimum, and against minima computed by hand. The random programmes
-//! have equalities, rows that depend on others, bounds that meet in one point, and Hessians up to 1e8 from singular.
+//! Two independent solvers of quadratic programs with different algorithms, compared with each other; solutions of the
+//! active-set method, compared with the optimality conditions and with minima computed by hand. The random programs
+//! have equalities, dependent rows, bounds that intersect in one point, and Hessians with condition numbers of up to
+//! 1e8.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DMatrix, DVector};
@@ -11,29 +12,30 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::RngSeed;
 
-/// Conditions of the minimum, relative to the terms that cancel: rounding, much of it in Cᵀ x of nearly singular
-/// active rows. Ten times the largest measured one, 6.5e-14.
+/// Optimality conditions, relative to the terms that cancel: rounding, mainly in Cᵀ x of nearly singular active rows.
+/// Ten times the largest measured value, 6.5e-14.
 const CONDITIONS: f64 = 6.5e-13;
-/// The two solvers' x, relative to 1 + |x|: the interior point's part. Ten times the largest measured one, 3.5e-9.
+/// Difference of the two solvers' x, relative to 1 + |x|: the error of the interior-point method. Ten times the largest
+/// measured value, 3.5e-9.
 const AGREEMENT: f64 = 3.5e-8;
-/// x of the same programme by another order of the rows, relative to 1 + |x|: rounding, times the root of the
-/// Hessian's condition. Ten times the largest measured one, 8.1e-12.
+/// Difference of x for another order of the same program's rows, relative to 1 + |x|: rounding, times the square root
+/// of the Hessian's condition number. Ten times the largest measured value, 8.1e-12.
 const ORDER: f64 = 8e-11;
-/// Numbers computed by hand.
+/// Tolerance for comparison with numbers computed by hand.
 const ROUNDING: f64 = 16.0 * f64::EPSILON;
 
 fn config(cases: u32) -> ProptestConfig {
     ProptestConfig { cases, rng_seed: RngSeed::Fixed(6), failure_persistence: None, ..Default::default() }
 }
 
-/// A row of C, with bounds around the value that some common x gives it.
+/// A row of C, with bounds around its value at a common feasible x.
 #[derive(Clone, Debug)]
 struct RowCase {
     bounds: Bounds,
-    /// Combination of rows before, with their weights: in place of the coefficients.
+    /// Linear combination of previous rows, with weights; replaces the coefficients.
     depends: Option<[(Index, f64); 2]>,
     coefficients: Vec<f64>,
-    /// From the value to the lower and the upper bound.
+    /// Distances of the lower and the upper bound from the value.
     room: [f64; 2],
 }
 
@@ -54,7 +56,7 @@ fn row(n: usize) -> impl Strategy<Value = RowCase> {
         3 => Just(Bounds::Both),
         1 => Just(Bounds::Equal),
     ];
-    // Of one row, or two, or none: a row of zeros.
+    // A combination of one row, two rows or none (a row of zeros).
     let weighted = || (any::<Index>(), prop_oneof![1 => Just(0.0), 3 => -2.0..2.0]);
     let depends = prop::option::weighted(0.25, [weighted(), weighted()]);
     let general = (-1.0..1.0, prop::collection::vec(-1.0..1.0, n))
@@ -65,15 +67,15 @@ fn row(n: usize) -> impl Strategy<Value = RowCase> {
         .prop_map(|(bounds, depends, coefficients, room)| RowCase { bounds, depends, coefficients, room })
 }
 
-/// H = Q D Qᵀ, of condition 10^`decades`.
+/// H = Q D Qᵀ with a condition number of 10^`decades`.
 fn hessian(entries: &[f64], n: usize, decades: f64) -> DMatrix<f64> {
     let q = DMatrix::from_column_slice(n, n, entries).qr().q();
     let eigenvalue = |i: usize| 10.0_f64.powf(-decades * i as f64 / (n.max(2) - 1) as f64);
     &q * DMatrix::from_diagonal(&DVector::from_fn(n, |i, _| eigenvalue(i))) * q.transpose()
 }
 
-/// A programme that some x meets. `at_a_point`: only one does, or those on a cone or a subspace; the Hessian then is
-/// the worst, too.
+/// A feasible program. If `at_a_point`, the feasible set is a point, a cone or a subspace, and the Hessian has the
+/// largest condition numbers.
 fn programme(at_a_point: bool) -> impl Strategy<Value = QuadraticProgram> {
     let decades = if at_a_point { 7.0..8.0 } else { 0.0..8.0 };
     (1..=10_usize, 0..=32_usize).prop_flat_map(move |(n, m)| {
@@ -113,7 +115,7 @@ fn set_row(program: &mut QuadraticProgram, i: usize, case: &RowCase, feasible: &
     };
 }
 
-/// `program` with three rows more, a + 2 b contradicting a and b.
+/// Returns `program` with three more rows, of which a + 2 b contradicts a and b.
 fn with_contradiction(program: &QuadraticProgram, a: &[f64], b: &[f64], gap: f64) -> QuadraticProgram {
     let (n, m) = (program.variables(), program.constraints());
     let mut worse = QuadraticProgram::new(n, m + 3);
@@ -151,8 +153,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     (&a - b).norm() / (1.0 + a.norm())
 }
 
-/// Distance of x and λ from a minimum: H x + g + C λ = 0, l ≤ Cᵀ x ≤ u, and λ positive only where Cᵀ x = u, negative
-/// only where Cᵀ x = l. Each relative to the terms of its sum.
+/// Violation of the optimality conditions by x and λ: H x + g + C λ = 0, l ≤ Cᵀ x ≤ u, λ positive only if Cᵀ x = u,
+/// negative only if Cᵀ x = l. Each is relative to the terms of its sum.
 fn violation_of_conditions(program: &QuadraticProgram, solver: &ActiveSet) -> f64 {
     let (x, multipliers) =
         (DVector::from_column_slice(solver.x()), DVector::from_column_slice(solver.multipliers()));
@@ -169,7 +171,7 @@ fn violation_of_conditions(program: &QuadraticProgram, solver: &ActiveSet) -> f6
             m if m < 0.0 => (value[i] - lower).abs(),
             _ => 0.0,
         };
-        // The common x is of the order of 1, and the bounds are so with it.
+        // The common x, and therefore the bounds, are of the order of 1.
         let terms = program.rows.column(i).norm() * (1.0 + x.norm());
         worst = worst.max(beyond.max(away) / terms.max(f64::MIN_POSITIVE));
     }
@@ -187,7 +189,7 @@ proptest! {
         prop_assert!(worst < CONDITIONS, "{}", worst);
     }
 
-    /// A solver that has just solved another programme starts with that one's active rows.
+    /// A solver that has solved another program starts with the active rows of that program.
     #[test]
     fn warm_start_does_not_change_the_solution(program in programme(false), change in prop::collection::vec(-0.3..0.3, 10)) {
         let (_, mut solver) = active_set(&program);
@@ -203,7 +205,7 @@ proptest! {
 }
 
 proptest! {
-    // Few of them are hard.
+    // Only few of the programs are difficult.
     #![proptest_config(config(20_000))]
 
     #[test]
@@ -242,7 +244,7 @@ proptest! {
         prop_assert!(named(second), "interior point: {:?}", second);
     }
 
-    /// One NaN anywhere; the next programme is solved as if there had been none.
+    /// After a program with one NaN or infinity, the next program is solved as if there had been none.
     #[test]
     fn both_solvers_refuse_nan(
         program in programme(false),
@@ -268,7 +270,7 @@ proptest! {
         prop_assert_eq!((a.x(), b.x()), (fresh_a.x(), fresh_b.x()));
     }
 
-    /// The leading block of larger arrays, NaN elsewhere, in a larger solver.
+    /// Only the leading blocks of larger arrays are read, by a larger solver; the other entries are NaN.
     #[test]
     fn only_leading_block_is_read(program in programme(false)) {
         let (n, m) = (program.variables(), program.constraints());
@@ -300,7 +302,7 @@ proptest! {
     }
 }
 
-/// The point nearest to (1, 2) within bounds: n = 2, by rows (coefficients, lower, upper).
+/// Program for the point nearest to (1, 2) within bounds: n = 2, rows as (coefficients, lower, upper).
 fn nearest(rows: &[([f64; 2], f64, f64)]) -> QuadraticProgram {
     let mut program = QuadraticProgram::new(2, rows.len());
     program.hessian.fill_with_identity();
@@ -312,7 +314,7 @@ fn nearest(rows: &[([f64; 2], f64, f64)]) -> QuadraticProgram {
     program
 }
 
-/// Minima and multipliers against those computed by hand, including the signs of the latter.
+/// Compared: minima and multipliers, including their signs, with values computed by hand.
 #[test]
 fn nearest_point_matches_hand_computed_minima() {
     let free = f64::INFINITY;
@@ -323,7 +325,7 @@ fn nearest_point_matches_hand_computed_minima() {
         (&[([1.0, 1.0], 5.0, 6.0)], [2.0, 3.0], &[-1.0]),
         (&[([1.0, 0.0], -1.0, 2.0), ([0.0, 1.0], -1.0, 0.5)], [1.0, 0.5], &[0.0, 1.5]),
         (&[([2.0, 0.0], 3.0, 3.0), ([0.0, -1.0], -free, -4.0)], [1.5, 4.0], &[-0.25, 2.0]),
-        // On the way to the second row the first one is dropped.
+        // The first row is active temporarily and is dropped before the second one is reached.
         (&[([0.0, 1.0], -free, 0.0), ([1.0, 1.0], -free, -3.0)], [-2.0, -1.0], &[0.0, 3.0]),
     ];
     for (rows, x, multipliers) in cases {
@@ -342,7 +344,7 @@ fn nearest_point_matches_hand_computed_minima() {
     }
 }
 
-/// The row in the error against the rows that contradict each other, among others that don't.
+/// The error names one of the rows that contradict each other, among other rows that do not.
 #[test]
 fn infeasible_row_is_named() {
     let free = f64::INFINITY;
@@ -377,7 +379,7 @@ fn both_solvers_refuse_indefinite_hessian() {
     }
 }
 
-/// Finite numbers whose products overflow, in the cost and in the rows.
+/// Finite numbers whose products overflow, in the objective and in the rows.
 #[test]
 fn overflow_is_an_error() {
     for (cost, row) in [(1e200, 1.0), (1e200, 1e200), (1e150, 1e160), (1e308, 1e308), (-2.0, 1e308)] {
@@ -402,8 +404,8 @@ fn empty_programs_solve_and_oversized_ones_fail() {
     assert!(matches!(active_set(&program).0, Err(QpError::Unsolved(_))));
 }
 
-/// Steps with the last active rows tried first, against steps from scratch, along a programme that changes slowly:
-/// the box around the nearest point rotates.
+/// Compared: the number of steps of a warm start and of a cold start, for a program that changes slowly: the box around
+/// the nearest point rotates.
 #[test]
 fn warm_start_saves_steps() {
     let n = 7;

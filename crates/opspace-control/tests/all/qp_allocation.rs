@@ -1,4 +1,4 @@
-//! No active-set solution allocates, nor does a failure; the interior point allocates what its documentation says.
+//! The active-set method never allocates, not even in a failure; the interior-point method allocates as documented.
 
 use nalgebra::{DMatrix, DVector};
 use opspace_control::qp::active_set::ActiveSet;
@@ -6,7 +6,7 @@ use opspace_control::qp::interior_point::InteriorPoint;
 use opspace_control::qp::quadratic_program::{QpError, QuadraticProgram};
 use opspace_testing::allocation::counted;
 
-/// n variables within a box, with n rows across it, the first of them an equality.
+/// A program with n variables in a box and n further rows, the first of which is an equality.
 fn programme(n: usize, tick: usize) -> QuadraticProgram {
     let mut program = QuadraticProgram::new(n, 2 * n);
     let a = DMatrix::from_fn(n, n, |i, k| (1.7 * (i * n + k) as f64).sin());
@@ -22,7 +22,7 @@ fn programme(n: usize, tick: usize) -> QuadraticProgram {
     program
 }
 
-/// Allocations over programmes of several sizes and changing active rows, and after each kind of failure.
+/// Counts allocations for programs of several sizes and with changing active rows, and after each kind of failure.
 #[test]
 fn active_set_allocates_nothing() {
     let mut solver = ActiveSet::new(12, 24);

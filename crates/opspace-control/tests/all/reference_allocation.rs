@@ -1,5 +1,4 @@
-//! Allocations of references when they start anew or are evaluated: none, since a task may change within the control
-//! loop.
+//! References do not allocate when they start or are evaluated, since a task can change within the control loop.
 
 use crate::common::{self, File, Q0, at_state, control_context, four_joints};
 use nalgebra::Vector3;
@@ -32,7 +31,7 @@ fn cartesian_references_do_not_allocate() {
          { time_s = 2.0, orientation = { offset_rpy_rad = [0.1, 0.0, 0.0] } }] }"
             .to_owned(),
         format!("{{ goal = {{ position = {{ offset_m = [0.1, 0.2, 0.0] }}, {LIMITS} }} }}"),
-        // Limits of so unlike magnitude that no motion within them is found.
+        // Limits of very different magnitudes, for which no motion within the limits is found.
         "{ goal = { position = { absolute_m = [0.7, 0.0, 0.0] }, velocity_m_per_s = 2.5e-9, \
          acceleration_m_per_s2 = 4e-8, jerk_m_per_s3 = 1e-6 } }"
             .to_owned(),
@@ -65,7 +64,7 @@ fn cartesian_references_do_not_allocate() {
     }
 }
 
-/// Allocations of joint references through their task: a controller starts anew.
+/// Joint references do not allocate when their task starts with the controller.
 #[test]
 fn joint_reference_start_does_not_allocate() {
     let model = four_joints();

@@ -1,5 +1,5 @@
-//! References: velocities and accelerations against central differences of the poses and velocities, and
-//! poses against the shapes that the file asks for.
+//! References. Compared: velocities and accelerations with central differences of poses and velocities, and poses with
+//! the shapes given in the file.
 
 use crate::common::{self, File, Q0, at_state, control_context, four_joints};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
@@ -24,7 +24,7 @@ fn axes() -> Matrix3<f64> {
     *Rotation3::from_euler_angles(0.2, 0.5, -0.8).matrix()
 }
 
-/// A path with its samples far from evenly apart, its first not at time 0, its quaternions of either sign.
+/// A path with very unequal intervals, whose first sample is not at time 0, and with quaternions of either sign.
 const RECORDED: &str = "time_s,x_m,y_m,z_m,qw,qx,qy,qz
     2.0,  0.30, -0.50, 1.70,  0.9848, 0.1736,  0.0,    0.0
     2.35, 0.35, -0.45, 1.72, -0.9063, -0.4226, 0.0,    0.0
@@ -32,7 +32,7 @@ const RECORDED: &str = "time_s,x_m,y_m,z_m,qw,qx,qy,qz
     3.3,  0.30, -0.35, 1.75,  0.6428, 0.6634,  0.2298, 0.3067
     3.9,  0.41, -0.44, 1.60,  0.8192, 0.3584, -0.1792, 0.4096";
 
-/// Not begun.
+/// Returns a trajectory that is not started.
 fn read(text: &str) -> Trajectory {
     let mut file: Only = toml::from_str(text).unwrap_or_else(|e| panic!("{e}"));
     if let CartesianReference::Recorded(path) = &mut file.reference {
@@ -47,7 +47,7 @@ fn trajectory(text: &str) -> Trajectory {
     trajectory
 }
 
-/// Each but the last begins at the start pose.
+/// References; all except the last one start at the start pose.
 const REFERENCES: [&str; 7] = [
     r#"reference = "hold""#,
     "[reference.point-to-point]
@@ -87,7 +87,7 @@ const GOAL: &str = "[reference.goal]
      angular_jerk_rad_per_s3 = 40.0";
 const GOAL_LIMITS: [[f64; 3]; 2] = [[0.5, 2.0, 20.0], [1.0, 4.0, 40.0]];
 
-/// A state of motion, of a frame that is not at the start pose.
+/// Returns the target of a moving frame that is not at the start pose.
 fn moving() -> Target {
     Target {
         placement: Placement::from_rpy([0.5, -0.6, 1.7], [0.1, 0.4, -0.5]),
@@ -96,10 +96,10 @@ fn moving() -> Target {
     }
 }
 
-/// Velocity and acceleration against central differences at 42 instants.
+/// Compares velocities and accelerations with central differences at 42 instants.
 fn check_derivatives(trajectory: &Trajectory, what: &str) {
     let h = 1e-5;
-    // h² times a third derivative of up to 2e3, and rounding over h.
+    // h² times a third derivative of up to 2e3, plus rounding errors divided by h.
     let tolerance = 2e-7;
     for k in 1..43 {
         let t = 0.05 * f64::from(k) + 0.013;
@@ -127,11 +127,11 @@ fn velocities_and_accelerations_are_derivatives() {
     }
 }
 
-/// Differences of targets a millisecond apart against those that a bounded jerk allows: jumps, of the accelerations
-/// too, between the instants of the derivatives' test.
+/// Compared: differences of targets one millisecond apart with those that a bounded jerk allows. This detects jumps,
+/// also of the acceleration, between the instants of the test of the derivatives.
 #[test]
 fn accelerations_are_continuous() {
-    // The largest jerk: of the recorded path within its short intervals and of the waypoints' ramps.
+    // Largest jerk, of the recorded path in its short intervals and of the ramps between waypoints.
     let (step, jerk) = (1e-3, 400.0);
     for text in REFERENCES {
         let trajectory = trajectory(text);
@@ -154,7 +154,7 @@ fn difference(a: &Motion, b: &Motion) -> f64 {
 /// second later with the reference itself; in between, its derivatives with differences.
 #[test]
 fn reference_blend_has_no_jump() {
-    /// Before the first instant at which derivatives are looked at.
+    /// Start of the blend, s: before the first instant at which derivatives are checked.
     const JOINED_S: f64 = 0.05;
     for text in REFERENCES {
         let alone = trajectory(text);
@@ -176,7 +176,7 @@ fn reference_blend_has_no_jump() {
     }
 }
 
-/// Pose, velocity and acceleration at time 0 against the start's, at rest.
+/// Compared: pose, velocity and acceleration at time 0 with the start pose at rest.
 #[test]
 fn every_reference_starts_at_rest_at_start_pose() {
     for text in REFERENCES {
@@ -209,8 +209,8 @@ fn goals_are_reached_on_time() {
     assert!((third.rotation - start().rotation).norm() < 1e-14);
 }
 
-/// Offsets count from the pose at the start of the run, absolute goals from the world, and axes without a goal keep
-/// their pose; started in motion, away from the start pose.
+/// Goals started in motion, away from the start pose: offsets are relative to the pose at the start of the run,
+/// absolute goals to the world; axes without a goal keep their pose.
 #[test]
 fn goals_started_in_motion_count_from_home() {
     let from = moving();
@@ -241,8 +241,8 @@ fn goals_started_in_motion_count_from_home() {
     }
 }
 
-/// A goal started at rest: straight to it and about one axis, no faster than the limits, and arrived; against the
-/// line and axis that join the poses.
+/// A goal started at rest moves along the straight line and about one axis between the poses, within the limits, and
+/// arrives.
 #[test]
 fn online_goal_moves_straight_within_limits() {
     let goal = trajectory(GOAL);
@@ -266,13 +266,14 @@ fn online_goal_moves_straight_within_limits() {
             fastest[kind] = fastest[kind].max(v.norm() / velocity);
         }
     }
-    // The way is long enough for full speed; a generator that dawdles would pass the limits.
+    // The distance is long enough to reach the full speed; a generator that is too slow would pass the checks of the
+    // limits.
     assert!(fastest.iter().all(|speed| *speed > 0.999), "{fastest:?}");
 }
 
 proptest! {
-    /// A goal started at any state of motion, and at any instant of any other reference: no jump in pose, velocity or
-    /// acceleration; the limits along and across the path; the goal at the end.
+    /// A goal that starts from any state of motion, at any instant of any other reference: no jump in pose, velocity or
+    /// acceleration; the limits hold along and across the path; the motion ends at the goal.
     #[test]
     fn online_goal_takes_over_any_motion(
         reference in 0..REFERENCES.len(),
@@ -284,7 +285,8 @@ proptest! {
         let mut state = moving();
         state.placement.rotation = orientation::exp(&Vector3::from(turn));
         for (kind, [v, a, _]) in GOAL_LIMITS.into_iter().enumerate() {
-            // √3: a component may lie wholly along one direction. The rest keeps what the acceleration adds.
+            // √3: a component can be entirely along one direction. The margin of the velocity is for the acceleration's
+            // contribution.
             let velocity = Vector3::from(velocity) * (0.6 * v / 3f64.sqrt());
             let acceleration = Vector3::from(acceleration) * (a / 3f64.sqrt());
             if kind == 0 {
@@ -301,7 +303,7 @@ proptest! {
             prop_assert!((begin.placement.rotation - from.placement.rotation).norm() < 1e-14);
             prop_assert!(difference(&begin.velocity, &from.velocity) < 1e-14);
             prop_assert!(difference(&begin.acceleration, &from.acceleration) < 1e-13);
-            // A state far beyond the limits leads far away before it is back within them.
+            // A state far beyond the limits causes a long displacement before it is back within them.
             let end = goal.at(1e5);
             let turned =
                 axes() * orientation::from_rpy([0.6, -0.5, 1.0]) * axes().transpose() * start().rotation;
@@ -314,7 +316,7 @@ proptest! {
                 let now = goal.at(0.01 * f64::from(k));
                 let step = now.placement.translation - before.placement.translation;
                 let mean = (now.velocity.linear + before.velocity.linear) * 0.005;
-                // The trapezium's rule is off by (0.01 s)³/12 times a jerk of three components.
+                // The error of the trapezoidal rule is (0.01 s)³/12 times a jerk with three components.
                 prop_assert!((step - mean).norm() < 1e-6 * 20.0 * 3f64.sqrt() / 12.0 + 1e-8);
                 let change = now.acceleration.linear - before.acceleration.linear;
                 prop_assert!(change.norm() <= 20.0 * 0.01 * 3f64.sqrt() * (1.0 + 1e-6));
@@ -325,7 +327,7 @@ proptest! {
                         let across = (motion - line * along).norm();
                         prop_assert!(across <= limit * 2f64.sqrt() * (1.0 + 1e-9), "{across} at {k}");
                     }
-                    // |ω| is at most the rotation vector's rate.
+                    // |ω| is at most the norm of the rotation vector's time derivative.
                     prop_assert!(now.velocity.angular.norm() <= 3f64.sqrt() * (1.0 + 1e-9));
                 }
                 before = now;
@@ -334,7 +336,7 @@ proptest! {
     }
 }
 
-/// Keys that a goal's table lacks or has in excess.
+/// Errors for missing and superfluous keys in a goal's table.
 #[test]
 fn goal_requires_its_limits() {
     let linear = "velocity_m_per_s = 0.5\nacceleration_m_per_s2 = 2.0\njerk_m_per_s3 = 20.0";
@@ -355,8 +357,8 @@ fn goal_requires_its_limits() {
     }
 }
 
-/// The path at its samples' times against the samples: placed on the start pose in the task's axes, and, once the
-/// approach has faded, as recorded.
+/// Compared: the path at the sample times with the samples: moved to the start pose in the task axes, and as recorded
+/// after the approach is faded out.
 #[test]
 fn recorded_path_passes_through_its_samples() {
     let samples = recorded::parse(RECORDED).unwrap_or_else(|e| panic!("{e}"));
@@ -388,8 +390,8 @@ fn recorded_path_passes_through_its_samples() {
     }
 }
 
-/// Samples of a known motion from rest to rest, a straight line and a rotation by two revolutions about a slanted
-/// axis: the spline against the motion, velocities too.
+/// Compared: the spline through samples of a known motion with this motion and its velocities: from rest to rest, a
+/// straight line and a rotation by two revolutions about a slanted axis.
 #[test]
 fn recorded_path_approximates_recorded_motion() {
     let (line, axis) = (Vector3::new(0.3, -0.2, 0.5), Vector3::new(0.48, -0.6, 0.64));
@@ -413,7 +415,7 @@ fn recorded_path_approximates_recorded_motion() {
         let [s, ds, _] = minimum_jerk(t, duration_s);
         let now = trajectory.at(t);
         let place = now.placement.translation - start().translation - line * s;
-        // A cubic spline's error is of h⁴ times the fourth derivative: 0.02⁴ · 5/384 · (2π)⁴ · …
+        // Error of a cubic spline, h⁴ times the fourth derivative: 0.02⁴ · 5/384 · (2π)⁴ · …
         assert!(place.norm() < 1e-6 && (now.velocity.linear - line * ds).norm() < 1e-4, "at {t}");
         let wanted = orientation::exp(&(axis * (angle * s))) * start().rotation;
         let off = orientation::log(&(now.placement.rotation * wanted.transpose())).norm();
@@ -422,7 +424,7 @@ fn recorded_path_approximates_recorded_motion() {
     }
 }
 
-/// A path from two samples: rest to rest.
+/// A path with two samples, from rest to rest.
 #[test]
 fn two_samples_make_a_path() {
     let mut file: Only = toml::from_str(REFERENCES[5]).unwrap_or_else(|e| panic!("{e}"));
@@ -473,7 +475,7 @@ fn recorded_path_errors_name_the_line() {
     assert!(recorded::parse(&turn("-0.708,0,0,-0.706")).is_ok(), "just less than a quarter turn");
 }
 
-/// The ramp against central differences and its ends.
+/// Compared: the ramp with central differences and with its end values.
 #[test]
 fn ramp_is_smooth() {
     let h = 1e-5;
@@ -487,8 +489,8 @@ fn ramp_is_smooth() {
     assert!((minimum_jerk(1.0, 2.0)[0] - 0.5).abs() < 1e-15);
 }
 
-/// The joint references, observed through the signals of their task: reference velocity against central differences,
-/// and the goals.
+/// Joint references, observed through the signals of their task. Compared: the reference velocity with central
+/// differences, and the end with the goals.
 #[test]
 fn joint_references_reach_their_goals() {
     let references = [

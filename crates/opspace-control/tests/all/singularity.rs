@@ -19,8 +19,8 @@ frequency_rad_per_s = 6.0
 damping_ratio = 0.8
 "#;
 
-/// Torques on the way of the elbow from `from` to `to` (rad) in `steps`, and the largest change between
-/// two steps (Nm).
+/// Moves the elbow from `from` to `to` (rad) in `steps`, and returns the largest torque and the largest change of a
+/// torque between two steps (Nm).
 fn elbow_sweep(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
     let model = four_joints();
     let file = File::read(text);
@@ -45,22 +45,22 @@ fn elbow_sweep(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
     (largest, jump)
 }
 
-/// The torques through a straight elbow against those of the same law without damping, and steps of one
-/// size against steps of half: a jump would not shrink with them.
+/// Compared: torques along a path through the straight elbow with those of the same law without damping, and changes
+/// per step for two step sizes: a jump would not shrink with the step size.
 #[test]
 fn torques_are_bounded_and_continuous_through_singularity() {
     let (largest, coarse) = elbow_sweep(POSITION, -0.3, 0.3, 40_000);
     let (_, fine) = elbow_sweep(POSITION, -0.3, 0.3, 80_000);
     let undamped = POSITION.replace("singularity_threshold = 0.03", "singularity_threshold = 1e-30");
     let (exploding, _) = elbow_sweep(&undamped, -0.3, 0.3, 40_001);
-    // √λ_max(M) |a| / √(threshold λ_max(Λ⁻¹)), with |a| up to 70 m/s² on this way.
+    // Bound √λ_max(M) |a| / √(threshold λ_max(Λ⁻¹)), with |a| up to 70 m/s² on this path.
     assert!(largest < 2000.0, "{largest} Nm");
     assert!(exploding > 1e3 * largest, "without damping only {exploding} Nm: the test shows nothing");
     assert!(coarse < 1.0, "a step of {coarse} Nm");
     assert!((0.45..0.55).contains(&(fine / coarse)), "steps of {coarse} Nm shrink to {fine} Nm");
 }
 
-/// Bits of the torque at a pose above the threshold against those with hardly any threshold.
+/// Compared: the torque at a pose above the threshold with that for a negligible threshold, bit for bit.
 #[test]
 fn no_damping_above_singularity_threshold() {
     let model = four_joints();
@@ -80,7 +80,7 @@ fn no_damping_above_singularity_threshold() {
     assert_eq!(damped.map(f64::to_bits), undamped.map(f64::to_bits));
 }
 
-/// Torques at `states` (q, q̇), half a second after a start at `start`.
+/// Returns the torques at `states` (q, q̇), half a second after a start at `start`.
 fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f64>)]) -> Vec<Vec<f64>> {
     let file = File::read(text);
     let mut controller =
@@ -98,8 +98,8 @@ fn torques(model: &Model, text: &str, start: &[f64], states: &[(Vec<f64>, Vec<f6
         .collect()
 }
 
-/// A pose task on an arm given in metres against the same arm given in millimetres, at random poses and
-/// at one with a straight elbow: torques in kg mm²/s² are a million times those in Nm.
+/// Compared: torques of a pose task on an arm given in metres with those on the same arm given in millimetres, at
+/// random poses and at one with a straight elbow: torques in kg mm²/s² are a million times those in Nm.
 #[test]
 fn torques_are_independent_of_length_unit() {
     let text = r#"
@@ -126,7 +126,7 @@ fn torques_are_independent_of_length_unit() {
             assert!((m - mm * 1e-6).abs() < 1e-8 * size, "{m} Nm against {} Nm", mm * 1e-6);
         }
     }
-    // The same with a length that doesn't follow the unit: the test above could fail.
+    // With a fixed characteristic length, the torques depend on the unit: the test above is able to fail.
     let fixed = text.replace("reference = ", "characteristic_length_m = 1.0\nreference = ");
     let metres = torques(&seven_joints_in(1.0), &fixed, &start, &states);
     let millimetres = torques(&seven_joints_in(1e3), &fixed, &start, &states);
@@ -135,7 +135,7 @@ fn torques_are_independent_of_length_unit() {
     assert!(metres.iter().zip(&millimetres).any(differ));
 }
 
-/// The reach against the lengths of the links: independent of the base's placement.
+/// Compared: the reach with the lengths of the links; it is independent of the base's placement.
 #[test]
 fn reach_is_sum_of_link_lengths() {
     let model = four_joints();
@@ -145,8 +145,8 @@ fn reach_is_sum_of_link_lengths() {
     }
 }
 
-/// A second level whose only axis the first has taken: with the arm in the x-z plane the elbow can move in y alone.
-/// Torques at that pose and beside it against those of the first level and the posture's size.
+/// The only axis of the second level is used by the first level: with the arm in the x-z plane and the hand fixed, the
+/// elbow can move only in y. The torques at this pose and close to it are bounded.
 #[test]
 fn task_without_freedom_commands_no_torque() {
     let model = four_joints_in(1.0);
@@ -172,8 +172,8 @@ fn task_without_freedom_commands_no_torque() {
     }
 }
 
-/// Fraction that a nullspace transmits to the task above it, along each eigenvector of Λ⁻¹: one less the damping's λ
-/// g(λ), by the formula of the spectrum, below the threshold; nothing above it.
+/// Compared: the fraction that a null-space projector transmits to the task above, along each eigenvector of Λ⁻¹, with
+/// its formula: below the threshold 1 minus λ g(λ) of the damping, above it zero.
 #[test]
 fn nullspace_leak_equals_damping_fraction() {
     let (model, threshold, tolerance) = (seven_joints_in(1.0), 0.2, 1e-10);

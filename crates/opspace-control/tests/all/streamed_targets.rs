@@ -1,4 +1,4 @@
-//! Streamed targets: the motion of tasks with, between and without targets; task sets by number.
+//! Streamed targets: motion of tasks with targets, between targets and without targets; task sets selected by number.
 
 use crate::common::{self, File, Numbers, at_state, control_context, sampled, seven_joints};
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 
 const PERIOD_S: f64 = 1e-3;
 
-/// Rest of a difference half a second after it was to be joined, m: targets in every cycle restart its fading, which
+/// Remaining difference half a second after the end of the blend, m: targets in every cycle restart the blend, which
 /// then is an exponential decay.
 const JOINED: f64 = 1e-9;
 
@@ -25,7 +25,7 @@ const XYZ: &str = r#"{ x = "motion", y = "motion", z = "motion" }"#;
 const LIMITS: &str = "shape = 'generated', velocity_m_per_s = 0.5, acceleration_m_per_s2 = 2.0, jerk_m_per_s3 = 20.0, \
     angular_velocity_rad_per_s = 1.0, angular_acceleration_rad_per_s2 = 4.0, angular_jerk_rad_per_s3 = 40.0";
 
-/// A hand with a reference, above joint damping.
+/// Task set of a hand with a reference, above joint damping.
 fn hand(axes: &str, reference: &str, more: &str) -> String {
     format!(
         "priority = [\"hand\", \"rest\"]\n[task.hand.cartesian]\nframe = \"hand\"\naxes = {axes}\n\
@@ -38,7 +38,7 @@ fn streamed(axes: &str, more: &str) -> String {
     hand(axes, &format!("streamed = {{ {more} }}"), "")
 }
 
-/// All joints at a reference.
+/// Task set of all joints with a reference.
 fn joints(reference: &str) -> String {
     format!(
         "priority = [\"all\"]\n[task.all.joint-tracking]\nreference.{reference}\n\
@@ -64,7 +64,7 @@ struct Bench {
     period_s: f64,
 }
 
-/// Clock of the robot at the start, s.
+/// The robot's clock at the start, s.
 const CLOCK_S: f64 = 40.0;
 
 impl Bench {
@@ -101,7 +101,7 @@ impl Bench {
         frame_placement(&self.model, &self.data, self.model.frame_id("hand").expect("a frame"))
     }
 
-    /// One cycle. The arm stays where it is.
+    /// Runs one cycle; the arm does not move.
     fn cycle(&mut self) {
         let base = common::input(&self.model, &self.data, &self.measurement);
         let input = ControlInput { targets: &self.targets, clock_s: self.clock_s, ..base };
@@ -160,14 +160,14 @@ fn write(hand: &mut CartesianTarget, target: &Target, targets: &mut Targets, sta
 const SINUSOID: &str = "sinusoid = { ramp_s = 0.5, x = [{ amplitude_m = 0.05, frequency_hz = 0.5 }], \
     z = [{ amplitude_m = 0.03, frequency_hz = 0.8 }], ry = [{ amplitude_rad = 0.1, frequency_hz = 0.5 }] }";
 
-/// Compared: desired accelerations of a task that has the sinusoid in its file, and of one to which the same poses,
-/// twists and accelerations are streamed in every cycle. Extrapolation doesn't know the jerk, so they differ by what
-/// the largest jerk changes in a few periods, and by half of that in periods of half the length.
+/// Compared: desired accelerations of a task with a sinusoid in its file with those of a task to which the same poses,
+/// twists and accelerations are streamed in every cycle. The extrapolation does not know the jerk: the difference is at
+/// most the change of acceleration by the largest jerk in a few periods, and half of that for half the period.
 #[test]
 fn streamed_motion_matches_file_reference_acceleration() {
-    /// Difference over the change of acceleration in a period.
+    /// Bound of the difference, in multiples of the change of acceleration in a period.
     const PERIODS: f64 = 2.0;
-    /// Difference with half the period over that with the whole: 0.5 for a difference of first order.
+    /// Range of the ratio of the differences for half and whole period: 0.5 for a first-order difference.
     const HALVED: [f64; 2] = [0.4, 0.6];
     let [whole, half] = [PERIOD_S, 0.5 * PERIOD_S].map(streamed_and_filed);
     for [difference, change, largest] in [whole, half] {
@@ -178,8 +178,8 @@ fn streamed_motion_matches_file_reference_acceleration() {
     assert!((HALVED[0]..HALVED[1]).contains(&ratio), "{ratio}");
 }
 
-/// Largest difference between the desired accelerations of a filed and a streamed sinusoid, largest change of the filed
-/// one in a period, and its largest value.
+/// Returns the largest difference between the desired accelerations of a sinusoid from a file and a streamed one, and,
+/// of the former, the largest change in a period and the largest value.
 fn streamed_and_filed(period_s: f64) -> [f64; 3] {
     let (mut of_file, mut of_stream) = (Bench::new(&hand(ALL, SINUSOID, "")), Bench::new(&streamed(ALL, "")));
     (of_file.period_s, of_stream.period_s) = (period_s, period_s);
@@ -206,19 +206,19 @@ fn streamed_and_filed(period_s: f64) -> [f64; 3] {
     [difference, change, largest]
 }
 
-/// Reference of a bench in a cycle: position and velocity.
+/// Returns the reference position and velocity of a bench in a cycle.
 fn reference(bench: &Bench) -> [Vector3<f64>; 2] {
     ["hand.reference", "hand.reference_velocity"].map(|name| Vector3::from_column_slice(&bench.signal(name)))
 }
 
-/// Compared: changes of the reference and of its velocity from cycle to cycle under random targets, pauses and returns,
-/// and a bound: limits of the generator, or 60 d/T³ and 5.8 d/T² of a difference d that fades within T.
+/// Compared: changes of the reference and of its velocity between cycles, under random targets, pauses and returns,
+/// with a bound: the limits of the generator, or 60 d/T³ and 5.8 d/T² for a difference d that fades within T.
 #[test]
 fn reference_never_jumps_under_random_targets() {
-    // Targets lie within 0.1 m of the start in each direction, 0.35 m of each other.
+    // The targets are within 0.1 m of the start in each direction, and within 0.35 m of each other.
     let (away, blend_s) = (0.35, 0.1);
     let peak_acceleration = 2.0 * 5.8 * away / (blend_s * blend_s);
-    // Restarts of blending within a blend add up to no more than twice.
+    // Restarts during a blend at most double the values.
     for (shape, velocity, acceleration) in
         [("", 2.0 * 1.9 * away / blend_s, peak_acceleration), (LIMITS, 0.9, 3.5)]
     {
@@ -254,8 +254,9 @@ fn reference_never_jumps_under_random_targets() {
     }
 }
 
-/// Compared: position and velocity of the reference of a stale target after the documented time, and rest; its
-/// displacement, and half the speed times that time; then the reference some time after the return, and the target.
+/// Compared: after a target becomes stale, the reference velocity after the documented time with zero, and the
+/// displacement with half the speed times that time; later, the reference some time after the return of the target with
+/// the target.
 #[test]
 fn stale_target_stops_reference_until_renewed() {
     let mut bench = Bench::new(&streamed(ALL, "timeout_s = 0.05"));
@@ -304,7 +305,7 @@ fn stale_target_stops_reference_until_renewed() {
     assert!((reference(&bench)[0] - home.translation).norm() < JOINED, "joined again");
 }
 
-/// Compared: the task and age reported, and the place of the task and the time since its stamp.
+/// Compared: the reported task and age with the index of the task and the time since its stamp.
 #[test]
 fn stale_target_stop_request_is_reported() {
     let mut bench = Bench::new(&streamed(ALL, "timeout_s = 0.05, on_timeout = 'stop'"));
@@ -325,7 +326,8 @@ fn stale_target_stop_request_is_reported() {
     assert!(stale.age_s > 0.05 && stale.age_s < 0.052);
 }
 
-/// Compared: the reference without a target, with a target during a hold, and right after it, and the hand's position.
+/// Compared: the reference without a target, with a target during a hold, and directly after the hold, with the
+/// position of the hand.
 #[test]
 fn reference_holds_before_target_and_resumes_at_hand() {
     let mut bench = Bench::new(&streamed(ALL, ""));
@@ -350,8 +352,8 @@ fn reference_holds_before_target_and_resumes_at_hand() {
     assert!((reference(&bench)[0] - home.translation).norm() < 1e-9);
 }
 
-/// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force, and of a
-/// controller whose file has these.
+/// Compared: desired accelerations and forces in a cycle with streamed modes, gains and target force with those of a
+/// controller whose file contains these values.
 #[test]
 fn streamed_modes_gains_and_forces_apply_immediately() {
     const SENSOR: &str =
@@ -361,7 +363,7 @@ fn streamed_modes_gains_and_forces_apply_immediately() {
     bench.measurement.wrenches[0].linear = Vector3::new(1.0, 2.0, 3.0);
     bench.measurement.dq.fill(0.1);
     assert!(opspace_model::update(&bench.model, &mut bench.data, &Q, &[0.1; 7]));
-    // Until the force filter has settled.
+    // Waits until the force filter has settled.
     for _ in 0..100 {
         bench.cycle();
     }
@@ -390,15 +392,15 @@ fn streamed_modes_gains_and_forces_apply_immediately() {
     for (a, b) in bench.signal("hand.force").iter().zip(other.signal("hand.force")) {
         assert!((a - b).abs() < 1e-9, "{a} and {b}");
     }
-    // As configured again.
+    // Return to the configured values.
     target.clear();
     target.write(&mut bench.targets, bench.clock_s).expect("good values");
     bench.cycle();
     assert_eq!(bench.signal("hand.modes"), [2.0, 0.0, 0.0, 3.0, 3.0, 3.0]);
 }
 
-/// Compared: the reference in the cycle in which a compliant axis is switched to motion, far from its earlier
-/// reference, and the hand.
+/// Compared: the reference in the cycle in which a compliant axis, far from its earlier reference, is switched to
+/// motion, with the position of the hand.
 #[test]
 fn axis_switched_to_motion_starts_at_hand() {
     let axes = r#"{ x = "compliant", y = "motion", z = "motion" }"#;
@@ -445,7 +447,7 @@ fn refused_inputs_name_allowed_values() {
     assert!(JointTarget::of(&bench.targets, "hand").is_err());
 }
 
-/// Compared: the reference under values that no setter lets pass, and the start: they are ignored.
+/// Compared: the reference under invalid raw values with the start: they are ignored.
 #[test]
 fn invalid_raw_targets_are_ignored() {
     let mut bench = Bench::new(&streamed(XYZ, ""));
@@ -469,7 +471,8 @@ fn invalid_raw_targets_are_ignored() {
     assert!(bench.torque.iter().all(|torque| torque.is_finite()));
 }
 
-/// Compared: joint references that are streamed in every cycle, and the motion itself; then rest after the last target.
+/// Compared: joint references that are streamed in every cycle with the motion itself, and the velocity after the last
+/// target with zero.
 #[test]
 fn streamed_joint_references_follow_and_stop() {
     const TOLERANCE: f64 = 1e-4;
@@ -490,7 +493,7 @@ fn streamed_joint_references_follow_and_stop() {
             bench.cycle();
             let (reference, speed) = (bench.signal("all.reference"), bench.signal("all.reference_velocity"));
             for (place, &joint) in places.iter().enumerate() {
-                // The first target is joined within a second: its acceleration begins with a step.
+                // The blend to the first target takes one second: its acceleration starts with a step.
                 let settled = k > 1100;
                 assert!(
                     !settled || (reference[joint] - q[place]).abs() < TOLERANCE,
@@ -513,7 +516,7 @@ fn streamed_joint_references_follow_and_stop() {
     }
 }
 
-/// Compared: the reference of the position controller under a constant pose, and the pose.
+/// Compared: the pose of the position controller under a constant streamed pose with this pose.
 #[test]
 fn position_controller_follows_streamed_poses() {
     let model = seven_joints();
@@ -541,7 +544,7 @@ fn position_controller_follows_streamed_poses() {
     assert!((reached.translation - goal.translation).norm() < 1e-6, "{reached:?}");
 }
 
-/// Compared: active numbers and the tasks' references, and the requested numbers.
+/// Compared: the numbers of the active task sets and the tasks' references with the requested numbers.
 #[test]
 fn task_sets_are_selected_by_number() {
     let model = seven_joints();
@@ -570,13 +573,13 @@ fn task_sets_are_selected_by_number() {
         bench.cycle();
     }
     assert_eq!(in_force(&bench).0, 1, "the number asked for stays in force");
-    // As scheduled.
+    // Return to the schedule.
     bench.targets.set_row(&vec![f64::NAN; bench.targets.row().len()]);
     bench.cycle();
     assert_eq!(in_force(&bench).0, 3, "the scheduled one");
 }
 
-/// Compared: torque steps at a switch by number, and the robot's torque rate.
+/// Compared: torque steps when a task set is selected by number with the robot's torque rate limit.
 #[test]
 fn torque_rate_is_limited_at_task_set_switch() {
     const RATE: f64 = 200.0;
@@ -606,7 +609,7 @@ fn torque_rate_is_limited_at_task_set_switch() {
     assert!(largest > 0.5 * RATE * PERIOD_S && largest <= RATE * PERIOD_S * (1.0 + 1e-6), "{largest}");
 }
 
-/// A task of one name with other inputs in another set is an error; one without inputs is not.
+/// A task with other inputs than the task of the same name in another set is an error; one without inputs is not.
 #[test]
 fn equally_named_tasks_need_equal_inputs() {
     let model = seven_joints();
@@ -625,7 +628,7 @@ fn equally_named_tasks_need_equal_inputs() {
     );
 }
 
-/// Compared: torques of a run, and of a second one whose targets are the rows of the first; bit by bit.
+/// Compared: torques of a run with those of a second run whose targets are the rows of the first, bit for bit.
 #[test]
 fn replayed_target_rows_reproduce_torques() {
     let text = streamed(XYZ, "");
@@ -661,7 +664,8 @@ fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
-/// Counts over cycles with new targets, changed modes and gains, stale targets, task-set switches, a hold and a resume.
+/// Counts allocations in cycles with new targets, changed modes and gains, stale targets, task-set switches, a hold and
+/// a resume.
 #[test]
 fn streamed_targets_allocate_nothing() {
     for shape in ["", LIMITS] {

@@ -1,5 +1,5 @@
-//! Controlled frames: velocities, accelerations and Jacobians against differences of poses along random motions and
-//! against the model's own functions; and axes that rotate with the robot.
+//! Controlled frames. Compared: velocities, accelerations and Jacobians with differences of poses along random motions
+//! and with the model's own functions. Also task axes that rotate with the robot.
 
 use crate::common::{self, File, Numbers, accelerations, any_arm, at_state, control_context, sampled, six};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Matrix6xX, Rotation3, Vector6};
@@ -9,17 +9,17 @@ use opspace_model::{
     frame_velocity, relative_jacobian,
 };
 
-/// Two formulas for the same quantity, relative to its size or 1.
+/// Tolerance of two formulas for the same quantity, relative to its size, at least 1.
 const ROUNDING: f64 = 1e-11;
 
 /// Step of central differences, s.
 const STEP_S: f64 = 1e-4;
 
-/// Central differences against derivatives, relative to the square of the joints' speeds and so on (here up to 10):
-/// what a step of 1e-4 s leaves of the third derivative (some 1e2 per s³) and of rounding.
+/// Tolerance of central differences, relative to the square of the joint velocities and similar terms (here up to 10):
+/// the error of a step of 1e-4 s with a third derivative of some 1e2 per s³, and rounding.
 const DIFFERENCE: f64 = 1e-5;
 
-/// A moving arm: its joints' accelerations are its own.
+/// A moving arm with constant joint accelerations.
 struct Motion {
     model: Model,
     q: DVector<f64>,
@@ -40,7 +40,7 @@ impl Motion {
         at_state(&self.model, q.as_slice(), dq.as_slice(), 0.0).0
     }
 
-    /// The rate of a quantity, by central differences.
+    /// Returns the time derivative of a quantity, by central differences.
     fn rate<const N: usize>(
         &self,
         of: impl Fn(&Data) -> nalgebra::SVector<f64, N>,
@@ -80,8 +80,8 @@ where
     a.iter().zip(b.iter()).fold(0.0_f64, |off, (a, b)| off.max((a - b).abs())) / size
 }
 
-/// Velocity against the differences of poses, J q̇ against velocity, and J q̈ + J̇ q̇ against the differences of
-/// velocities; of frames as well, which shows that the comparison is right.
+/// Compared: velocity with differences of poses, J q̇ with velocity, and J q̈ + J̇ q̇ with differences of velocities;
+/// for plain frames too, which validates the comparison.
 #[test]
 fn velocities_and_accelerations_match_differences() {
     let mut numbers = Numbers::new(21);
@@ -110,8 +110,8 @@ fn velocities_and_accelerations_match_differences() {
     }
 }
 
-/// A frame relative to another against the placements' product and the model's relative Jacobian; relative to the
-/// base against the frame in the world, rotated; relative to itself against zero.
+/// Compared: a frame relative to another one with the product of the placements and with the model's relative Jacobian;
+/// relative to the base with the rotated frame in the world; relative to itself with zero.
 #[test]
 fn relative_frame_matches_model() {
     let mut numbers = Numbers::new(22);
@@ -152,7 +152,8 @@ fn relative_frame_matches_model() {
     }
 }
 
-/// The centre of mass against the momentum of the whole arm, and its Jacobian against the model's two.
+/// Compared: the motion of the centre of mass with the momentum of the whole arm, and its Jacobian with the model's
+/// two.
 #[test]
 fn com_motion_matches_momentum() {
     let mut numbers = Numbers::new(23);
@@ -177,9 +178,9 @@ fn com_motion_matches_momentum() {
     }
 }
 
-/// Acceleration of a task whose axes rotate with the robot, along its axes at that instant: differenced from
-/// velocities that result from forward dynamics, against a* computed from pose and velocity. The axes rotate, so that
-/// the rate of the velocity *in* them is another.
+/// Compared: the acceleration of a task whose axes rotate with the robot, along the axes at that instant, from
+/// differences of velocities under forward dynamics, with a* computed from pose and velocity. The axes rotate, so that
+/// the time derivative of the velocity components in them is different.
 #[test]
 fn rotating_axes_are_used_at_current_orientation() {
     let mut numbers = Numbers::new(24);
@@ -225,7 +226,7 @@ fn rotating_axes_are_used_at_current_orientation() {
         }
         seen += 1;
 
-        // The axes in the coordinates of what moves, as they lie now.
+        // The current axes in the coordinates of the controlled frame.
         let now = axes_of(&model, &data, subject, of);
         let pose = subject.placement(&model, &data);
         let velocity = six(&subject.velocity(&model, &data));
@@ -263,7 +264,7 @@ fn controlled_frame(model: &Model, relative: bool) -> ControlledFrame {
     if relative { ControlledFrame::Relative { frame: hand, from: j1 } } else { ControlledFrame::Frame(hand) }
 }
 
-/// The axes of a frame in the coordinates of a controlled frame.
+/// Returns the axes of a frame in the coordinates of a controlled frame.
 fn axes_of(model: &Model, data: &Data, subject: ControlledFrame, frame: &str) -> Matrix3<f64> {
     let rotation = frame_placement(model, data, model.frame_id(frame).expect("frame")).rotation;
     match subject {

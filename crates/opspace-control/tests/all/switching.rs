@@ -1,5 +1,5 @@
-//! Task sets that change while the robot moves: steps of the torques, references that continue or start anew,
-//! contents of the log, and allocations.
+//! Task sets that change while the robot moves: torque steps, references that continue or restart, contents of the log,
+//! and allocations.
 
 use crate::common::{
     self, File, Numbers, accelerations, at_state, control_context, frame_acceleration, sampled, seven_joints,
@@ -16,21 +16,21 @@ fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
-/// Rounding of an acceleration, relative to its size or 1.
+/// Tolerance of an acceleration, relative to its size, at least 1.
 const ROUNDING: f64 = 1e-9;
 
-/// By how much a torque may overstep its rate, relative to its size and 1: a billionth for each time that a level takes
-/// in what those above it have settled.
+/// Tolerance of the torque rate limit, relative to the torque plus 1: a billionth for each time that a level widens the
+/// bounds to include the result of the levels above.
 const SLACK: f64 = 1e-8;
 
-/// The robot's clock.
+/// Control period, s.
 const PERIOD_S: f64 = 1e-3;
 
 const START: [f64; 7] = [0.3, 0.7, -0.4, -1.1, 0.2, 0.9, 0.5];
 
 const SINUSOID: &str = "sinusoid = { ramp_s = 0.1, x = [{ amplitude_m = 0.05, frequency_hz = 1.0 }], z = [{ amplitude_m = 0.08, frequency_hz = 0.7 }] }";
 
-/// A task set of `hand`, and what is under it.
+/// Task set of `hand` and a joint task below it.
 fn hand(axes: &str, reference: &str, law: &str, rest: &str) -> String {
     format!(
         "priority = [\"hand\", \"rest\"]\n\
@@ -89,7 +89,7 @@ fn robot(model: &Model, torque_rate: f64) -> ControlContext {
     ControlContext { limits, ..control_context(model, "hand") }
 }
 
-/// A change to another task set: its cycle, the number of the set, and true if it comes by schedule.
+/// A switch to another task set: its cycle, the number of the set, and true if it is scheduled.
 #[derive(Clone, Copy, Debug)]
 struct Change {
     tick: usize,
@@ -97,8 +97,8 @@ struct Change {
     scheduled: bool,
 }
 
-/// The arm under one task set after the other, integrated: the largest step of a torque (Nm) at the `changes`, and in
-/// any cycle. Nothing allocates in an update or a switch.
+/// Simulates the arm under successive task sets. Returns the largest step of a torque (Nm) at the `changes` and in any
+/// cycle. No update or switch allocates.
 fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks: usize) -> [f64; 2] {
     let files: Vec<File> = task_sets().iter().map(|text| File::read(text)).collect();
     let robot = robot(model, torque_rate);
@@ -112,7 +112,7 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     }
     let (mut data, mut measurement) = at_state(model, &START, &[0.0; 7], 0.0);
     controller.start(&common::input(model, &data, &measurement));
-    // The torque ramps in from holding still.
+    // The torque starts from the torques that hold the arm still.
     let mut before = data.gravity.clone();
     let (mut tau, mut steps) = ([0.0; 7], [0.0_f64; 2]);
     for tick in 0..ticks {
@@ -139,8 +139,8 @@ fn run(model: &Model, torque_rate: f64, first: usize, changes: &[Change], ticks:
     steps
 }
 
-/// The step of each torque from cycle to cycle against the rate limit, for any change at any moment. Without the
-/// limit the same changes step further.
+/// Compared: the step of each torque between cycles with the rate limit, for random changes at random times. Without
+/// the limit, the same changes cause larger steps.
 #[test]
 fn task_set_changes_respect_torque_rate() {
     let model = seven_joints();
@@ -166,7 +166,7 @@ fn task_set_changes_respect_torque_rate() {
     assert!(jumped > 15, "only {jumped} of 30 jumped without a limit: the test shows little");
 }
 
-/// A controller at its start, and the state it started in.
+/// Returns a controller that was started at `START`.
 fn started_controller(model: &Model, text: &str) -> OperationalSpaceController {
     let file = File::read(text);
     let mut controller =
@@ -177,7 +177,7 @@ fn started_controller(model: &Model, text: &str) -> OperationalSpaceController {
     controller
 }
 
-/// The torques at a time, in a state that doesn't matter.
+/// Returns the torques at a time; the state is arbitrary.
 fn tick(controller: &mut OperationalSpaceController, model: &Model, time_s: f64) -> [f64; 7] {
     let (data, measurement) = at_state(model, &START.map(|q| q + 0.02), &[0.1; 7], time_s);
     let mut tau = [0.0; 7];
@@ -209,8 +209,8 @@ reference.sinusoid.joints.j1 = [{ amplitude_rad = 0.2, frequency_hz = 0.9 }]
 gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
 "#;
 
-/// Bits of all references under gains that change twice, then with a compliant axis, against those of a run without a
-/// change.
+/// Compared: all references in a run whose gains change twice, and then an axis mode, with those in a run without
+/// changes, bit for bit.
 #[test]
 fn gain_changes_do_not_affect_references() {
     let model = seven_joints();
@@ -247,8 +247,8 @@ fn gain_changes_do_not_affect_references() {
     }
 }
 
-/// Across a change at `time_s` of what is named `task.reference`: how far the reference itself steps, its velocity, and
-/// its acceleration by differences on both sides (m, s).
+/// Returns the steps of the reference of `task` (m, s) across a change at `time_s`: of its position, its velocity and
+/// its acceleration, which is computed by differences on both sides.
 fn steps(model: &Model, before: &str, after: &str, task: &str, time_s: f64) -> [f64; 3] {
     const SIDE_S: f64 = 1e-5;
     let mut controller = started_controller(model, before);
@@ -268,9 +268,9 @@ fn steps(model: &Model, before: &str, after: &str, task: &str, time_s: f64) -> [
     [(new_place - place).amax(), (new_velocity - velocity).amax(), (right - left).amax()]
 }
 
-/// A goal that changes in mid-motion, or takes over from a sinusoid: position and velocity of the reference to
-/// rounding, its acceleration to what the jerks (up to 50 m/s³ or rad/s³ on either side) make of two hundredths of a
-/// millisecond. A point-to-point motion in its place sets out from rest: the test can fail.
+/// A goal that changes during a motion, or follows a sinusoid: position and velocity of the reference are continuous up
+/// to rounding, the acceleration up to the change by the jerks (up to 50 m/s³ or rad/s³ on either side) in 0.02 ms. A
+/// point-to-point motion instead starts from rest, which shows that the test can fail.
 #[test]
 fn new_goal_takes_over_the_motion() {
     let model = seven_joints();
@@ -319,8 +319,9 @@ fn new_goal_takes_over_the_motion() {
     assert!(moving > 30, "{moving} of 40 changes were in mid-motion");
 }
 
-/// The hand drifts along a compliant axis, and about one; then both are switched to motion again: their reference
-/// starts at the hand, at rest. The others' continues from its value, though the hand isn't there.
+/// The hand drifts along a compliant axis and about another one. When both are switched back to motion, their reference
+/// starts at the hand, at rest. The reference of the other axes continues from its value, although the hand is not
+/// there.
 #[test]
 fn reactivated_axis_starts_at_hand() {
     let model = seven_joints();
@@ -367,7 +368,7 @@ fn reactivated_axis_starts_at_hand() {
         let [wanted, is] =
             ["hand.reference_orientation", "hand.orientation"].map(|name| sampled(&controller, name));
         assert!(wanted == is, "case {case}: {wanted:?} against {is:?}");
-        // So nothing but its speed brakes the axis: its acceleration against −2ζω v.
+        // Only the damping acts on the axis: its acceleration is −2ζω v.
         let moved = frame_acceleration(&model, &data, "hand", &tau);
         let moved = axes.tr_mul(&moved.fixed_rows::<3>(0)).x;
         let speed = axes.tr_mul(&opspace_model::frame_velocity(&model, &data, hand).linear).x;
@@ -378,7 +379,7 @@ fn reactivated_axis_starts_at_hand() {
     }
 }
 
-/// All values of a row of the log, with its signals.
+/// Returns all values of a row of the log, by signal.
 fn row(controller: &OperationalSpaceController) -> Vec<(String, Vec<f64>)> {
     let signals = controller.signals();
     let mut values = vec![0.0; signals.iter().map(Signal::len).sum()];
@@ -393,8 +394,8 @@ fn row(controller: &OperationalSpaceController) -> Vec<(String, Vec<f64>)> {
         .collect()
 }
 
-/// The layout of the log before, between and after scheduled task sets; and which of its values are numbers: those of
-/// the active tasks, and no others.
+/// The layout of the log is the same before, between and after scheduled task sets. Only the values of active tasks are
+/// numbers.
 #[test]
 fn log_layout_is_fixed_and_inactive_tasks_are_nan() {
     let model = seven_joints();
@@ -403,7 +404,7 @@ fn log_layout_is_fixed_and_inactive_tasks_are_nan() {
     let files: Vec<File> = order.iter().map(|&stack| File::read(&stacks[stack])).collect();
     let mut controller = OperationalSpaceController::new(&model, &files[0].task_set(), &robot(&model, 500.0))
         .expect("a good stack");
-    // Not in the order of time.
+    // Not in chronological order.
     for k in [2, 1, 4, 3] {
         let stack = controller.prepare(&model, &files[k].task_set()).expect("a good stack");
         controller.schedule(k as f64, stack);
@@ -431,7 +432,8 @@ fn log_layout_is_fixed_and_inactive_tasks_are_nan() {
             }
         }
     }
-    // A task set that wasn't there when the signals were listed: its tasks aren't in the log, and nothing moves.
+    // A task set that did not exist when the signals were listed: its tasks are not in the log, and the layout does not
+    // change.
     switch(&mut controller, &model, &SWINGING.replace("elbow", "new"), 6.0);
     tick(&mut controller, &model, 6.0);
     assert_eq!(controller.signals(), signals);

@@ -1,4 +1,4 @@
-//! The swivel angle: its derivatives, its singularities, and a task that follows a reference in it.
+//! The swivel angle: its derivatives, its singularities, and a task that controls it.
 
 use crate::common::{self, Link, Numbers, arm, at_state, control_context, sampled, seven_joints};
 use nalgebra::{Matrix6xX, Vector3};
@@ -10,11 +10,11 @@ use opspace_control::{
 };
 use opspace_model::{Data, Model, aba, frame_placement, update};
 
-/// Step of the central differences, rad: their error is of its square, and of rounding over it.
+/// Step of the central differences, rad. Their error is proportional to its square, plus rounding errors divided by it.
 const STEP: f64 = 1e-5;
 
-/// Error of the differences relative to the size of what they approximate, with third derivatives of the order of the
-/// cube of the inverse distance from a singularity.
+/// Tolerance of the differences, relative to the derivative; the third derivatives are of the order of the cube of the
+/// inverse distance from a singularity.
 const OF_DIFFERENCES: f64 = 1e-5;
 
 fn panda() -> Model {
@@ -30,7 +30,7 @@ fn angle(model: &Model) -> SwivelAngle {
     SwivelAngle::new(model, FRAMES, DIRECTION).expect("the frames exist")
 }
 
-/// A posture within the Panda's limits, and speeds of up to 1 rad/s.
+/// Returns a posture within the Panda's limits and joint velocities of up to 1 rad/s.
 fn state(model: &Model, numbers: &mut Numbers) -> (Vec<f64>, Vec<f64>) {
     let q = model.joints().iter().map(|joint| {
         let (lower, upper) = (joint.limits.lower, joint.limits.upper);
@@ -45,7 +45,8 @@ fn moved(q: &[f64], dq: &[f64], time_s: f64) -> Vec<f64> {
     q.iter().zip(dq).map(|(q, dq)| q + time_s * dq).collect()
 }
 
-/// Sine of the angle between shoulder-wrist and the direction, or shoulder-elbow if that is smaller.
+/// Returns the sine of the angle between the line from shoulder to wrist and the direction, or the line from shoulder
+/// to elbow, whichever is smaller.
 fn distance(model: &Model, data: &Data) -> f64 {
     let [shoulder, elbow, wrist] =
         FRAMES.map(|name| frame_placement(model, data, model.frame_id(name).expect("a frame")).translation);
@@ -60,8 +61,8 @@ fn data_at(model: &Model, q: &[f64], dq: &[f64]) -> Data {
     data
 }
 
-/// J q̇ against the central difference of the angle along q + q̇ t, and q̇ᵀ-derivative of J q̇ against J̇ q̇, on random
-/// postures of the Panda: analytic derivatives against the value alone, and against J alone.
+/// Compared, on random postures of the Panda: J q̇ with the central difference of the angle along q + q̇ t, and J̇ q̇
+/// with the central difference of J q̇. The first uses only the value, the second only J.
 #[test]
 fn jacobian_and_bias_equal_central_differences() {
     let model = panda();
@@ -99,8 +100,8 @@ fn jacobian_and_bias_equal_central_differences() {
     assert!(compared > 180, "few postures are near a singularity: {compared}");
 }
 
-/// The angle against the rotation of the elbow about the line from shoulder to wrist, by Rodrigues' formula: the part
-/// of the direction that is perpendicular to the line, rotated by the angle, points to the elbow.
+/// Compared: the angle with the rotation of the elbow about the line from shoulder to wrist, by Rodrigues' formula: the
+/// component of the direction perpendicular to the line, rotated by the angle, points to the elbow.
 #[test]
 fn angle_rotates_reference_direction_to_elbow() {
     let model = panda();
@@ -136,12 +137,12 @@ fn straight_arm() -> Model {
     arm(&links, &[("wrist", 3, [0.0, 0.0, 0.35])], 1.0)
 }
 
-/// Bends of the elbow down to zero: value, Jacobian and bias are finite, the Jacobian is zero with the arm straight,
-/// and the torque of a task far from its reference is finite and vanishes with the bend.
+/// For bends of the elbow down to zero, value, Jacobian and bias are finite; the Jacobian is zero with the arm
+/// straight; and the torque of a task far from its reference is finite and vanishes with the bend.
 #[test]
 fn straight_arm_gives_finite_torque() {
     const TORQUE_OF_NOTHING_NM: f64 = 1e-9;
-    // With forearm 0.35 m and upper arm 0.4 m, |p|/|a| is then half of what it fades below.
+    // With a forearm of 0.35 m and an upper arm of 0.4 m, |p|/|a| is then half of the fade threshold.
     const UNDEFINED_RAD: f64 = 0.5 * FADE * 0.75 / 0.35;
     let model = straight_arm();
     let context = control_context(&model, "wrist");
@@ -181,13 +182,13 @@ fn straight_arm_gives_finite_torque() {
     }
 }
 
-/// The three vectors of the angle made parallel: the elbow on the line, the direction along it, the wrist at the
+/// The three vectors of the angle are parallel: the elbow on the line, the direction along it, or the wrist at the
 /// shoulder.
 #[test]
 fn jacobian_is_zero_if_angle_is_undefined() {
     let model = seven_joints();
     let mut jacobian = Matrix6xX::zeros(model.n());
-    // A frame taken twice is on the line, and at its end.
+    // A frame that is used twice is on the line and at its end.
     for frames in [["upper", "upper", "hand"], ["upper", "hand", "hand"], ["upper", "hand", "upper"]] {
         let angle = SwivelAngle::new(&model, frames, Vector3::z()).expect("the frames exist");
         let data = data_at(&model, &[0.3; 7], &[1.0; 7]);
@@ -198,8 +199,8 @@ fn jacobian_is_zero_if_angle_is_undefined() {
     }
 }
 
-/// The angle two seconds after a motion of half a radian began, by the controller's signal and by the coordinate
-/// itself, against the goal; and the hand's pose above it in the priority against that at the start.
+/// Compared: the angle two seconds after the start of a motion by half a radian, from the controller's signal and from
+/// the coordinate itself, with the goal; and the hand's pose, which has higher priority, with that at the start.
 #[test]
 fn swivel_task_moves_elbow_but_not_hand() {
     const SETTLED: f64 = 2e-3;

@@ -1,4 +1,4 @@
-//! Tasks built in code: the same torques as from a file, and a user's own task beside the built-in ones.
+//! Tasks built in code: the same torques as from a file, and a user-defined task together with built-in ones.
 
 use crate::common::{self, File, at_state, control_context, sampled, seven_joints};
 use nalgebra::{Matrix6xX, Vector6};
@@ -28,7 +28,7 @@ fn hand() -> CartesianParameters {
     CartesianParameters::new("hand", Axes::position(AxisMode::Motion), gains)
 }
 
-/// Torques at a few states along a motion.
+/// Returns the torques at a few states along a motion.
 fn torques(model: &Model, mut controller: OperationalSpaceController) -> Vec<f64> {
     let (data, measurement) = at_state(model, &Q, &[0.0; 7], 0.0);
     controller.start(&common::input(model, &data, &measurement));
@@ -44,7 +44,7 @@ fn torques(model: &Model, mut controller: OperationalSpaceController) -> Vec<f64
     torques
 }
 
-/// Torques of tasks built in code against those of the same tasks in a file, bit by bit.
+/// Compared: torques of tasks built in code with those of the same tasks from a file, bit for bit.
 #[test]
 fn tasks_in_code_equal_tasks_from_file() {
     let model = seven_joints();
@@ -66,7 +66,7 @@ fn controller(model: &Model, tasks: TaskSet, context: &ControlContext) -> Operat
     OperationalSpaceController::from_tasks(model, tasks, context, Compensation::Bias, &limits)
 }
 
-/// A user's task: the sum of two joints' positions is held at a value.
+/// A user-defined task that controls the sum of two joint positions to a value.
 struct JointSum {
     value: f64,
     error: f64,
@@ -114,8 +114,8 @@ impl Task for JointSum {
     }
 }
 
-/// The sum of two joints after two seconds against its reference, and the position of the hand above it in the
-/// priority, by forward kinematics, against that at the start.
+/// Compared: the sum of two joint positions after two seconds with its reference; and the final with the initial
+/// position of the hand, which has higher priority, by forward kinematics.
 #[test]
 fn user_task_runs_below_built_in_task() {
     const SETTLED: f64 = 1e-4;
@@ -150,7 +150,7 @@ fn user_task_runs_below_built_in_task() {
     assert_eq!(sampled(&controller, "sum.force").len(), 1, "its force is in the log");
 }
 
-/// Refusal of a repeated name, a task below one of all joints, and a frequency of zero. The task trait is
+/// A repeated name, a task below a task of all joints, and a frequency of zero are rejected. The task trait is
 /// object-safe.
 #[test]
 fn names_and_priority_are_checked() {

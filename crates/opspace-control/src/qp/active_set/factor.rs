@@ -1,4 +1,4 @@
-//! J and R of the active rows N, and the steps that come from them.
+//! The matrices J and R of the active rows N, and the steps computed with them.
 //!
 //! ```text
 //! H = L Lᵀ        L⁻¹ N = Q [R; 0]        J = L⁻ᵀ Q = [J₁ J₂]        Jᵀ H J = I        Jᵀ N = [R; 0]
@@ -6,14 +6,14 @@
 
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy, dot};
 
-/// For n variables and q active rows.
+/// Factors for n variables and q active rows.
 #[derive(Debug)]
 pub(super) struct Factor {
     n: usize,
     q: usize,
     /// J, n × n by columns.
     j: Vec<f64>,
-    /// R, in the upper triangle of n × n by columns; at the start, L.
+    /// R, in the upper triangle of n × n by columns; initially L.
     r: Vec<f64>,
     d: Vec<f64>,
     step: Vec<f64>,
@@ -35,7 +35,7 @@ impl Factor {
         }
     }
 
-    /// J = L⁻ᵀ, no row active.
+    /// Sets J = L⁻ᵀ without active rows.
     pub(super) fn start(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let n = program.variables();
         (self.n, self.q) = (n, 0);
@@ -52,7 +52,7 @@ impl Factor {
         Ok(())
     }
 
-    /// x = −H⁻¹ g; returns |J|, in the norm of Frobenius. For J as at the start.
+    /// Computes x = −H⁻¹ g and returns the Frobenius norm |J|. Call it directly after [`start`](Self::start).
     pub(super) fn minimum(&self, gradient: &[f64], x: &mut [f64]) -> f64 {
         x.fill(0.0);
         let mut squares = 0.0;
@@ -64,8 +64,8 @@ impl Factor {
         squares.sqrt()
     }
 
-    /// Towards n = sign · row: d = Jᵀ n, the step J₂ d₂ of x and the fall R⁻¹ d₁ of the multipliers. Returns
-    /// d₂ᵀ d₂, by which nᵀ x grows.
+    /// Computes, for n = sign · row, d = Jᵀ n, the step J₂ d₂ of x and the decrease R⁻¹ d₁ of the multipliers. Returns
+    /// d₂ᵀ d₂, the increase of nᵀ x.
     pub(super) fn towards(&mut self, row: &[f64], sign: f64) -> f64 {
         let (n, q) = (self.n, self.q);
         for (d, column) in self.d[..n].iter_mut().zip(columns(&self.j, n)) {
@@ -82,18 +82,18 @@ impl Factor {
         growth
     }
 
-    /// The step of x, n.
+    /// Step of x (n).
     pub(super) fn step(&self) -> &[f64] {
         &self.step[..self.n]
     }
 
-    /// Decrease of the multipliers in a step, q.
+    /// Decrease of the multipliers in a step (q).
     pub(super) fn fall(&self) -> &[f64] {
         &self.fall[..self.q]
     }
 
-    /// Makes the row active that [`towards`](Self::towards) was called for last. The reflection I − β v vᵀ that
-    /// takes d₂ to δ e₁ makes [R; 0] with d triangular, and J₂ v is the step less δ J₂ e₁.
+    /// Activates the row of the last call of [`towards`](Self::towards). The reflection I − β v vᵀ that maps d₂ to δ e₁
+    /// makes [R; 0] with d triangular, and J₂ v is the step minus δ J₂ e₁.
     pub(super) fn add(&mut self) {
         let (n, q) = (self.n, self.q);
         let v = &mut self.d[q..n];
@@ -112,8 +112,7 @@ impl Factor {
         self.q += 1;
     }
 
-    /// Takes out the k-th active row. R without a column is triangular again after a rotation for each column
-    /// behind it.
+    /// Removes the k-th active row. One rotation per following column makes R without its column triangular again.
     pub(super) fn drop(&mut self, k: usize) {
         self.q -= 1;
         let (n, q) = (self.n, self.q);
@@ -134,14 +133,14 @@ impl Factor {
         }
     }
 
-    /// The step of x and the fall of u that solve, by Δx = J y,
+    /// Computes the step of x and the decrease of u, with Δx = J y, from
     ///
     /// ```text
     /// H Δx − N Δu = −e        Nᵀ Δx = f
     /// Rᵀ y₁ = f               y₂ = −J₂ᵀ e        R Δu = y₁ + J₁ᵀ e
     /// ```
     ///
-    /// with e (n) put into the step before by `gradient`, and f by `gap` for each active row.
+    /// with e (n), which `gradient` first writes into the step, and f, which `gap` gives for each active row.
     pub(super) fn correct(&mut self, gradient: impl FnOnce(&mut [f64]), gap: impl Fn(usize) -> f64) {
         let (n, q) = (self.n, self.q);
         let step = &mut self.step[..n];
@@ -164,7 +163,7 @@ impl Factor {
         self.solve_r();
     }
 
-    /// R⁻¹ times the fall in its place.
+    /// Replaces the decrease of the multipliers by R⁻¹ times it.
     fn solve_r(&mut self) {
         for i in (0..self.q).rev() {
             let column = &self.r[i * self.n..=i * self.n + i];
@@ -175,7 +174,7 @@ impl Factor {
     }
 }
 
-/// Without variables there is no column; a length of zero would panic.
+/// Columns of an n × n matrix. The chunk length is at least 1, because a length of zero panics.
 fn columns(matrix: &[f64], n: usize) -> impl Iterator<Item = &[f64]> {
     matrix.chunks_exact(n.max(1))
 }

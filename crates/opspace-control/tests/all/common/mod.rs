@@ -16,7 +16,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-/// A revolute joint as a URDF would give it: axis and inertia in axes parallel to the world's at q = 0.
+/// A revolute joint and its link, as in a URDF: axis and inertia in axes that are parallel to the world's at q = 0.
 pub struct Link {
     pub name: &'static str,
     pub axis: [f64; 3],
@@ -28,8 +28,8 @@ pub struct Link {
     pub rotor: f64,
 }
 
-/// A serial arm from its links; all lengths multiplied by `length`. Frames: one a link, named
-/// after it, and those in `frames` (name, link, place).
+/// Builds a serial arm from its links; all lengths are multiplied by `length`. Its frames are one per link, with the
+/// link's name, and those in `frames` (name, link, position).
 pub fn arm(links: &[Link], frames: &[(&str, usize, [f64; 3])], length: f64) -> Model {
     let body = |i: usize| rotation_z_to(&Unit::new_normalize(Vector3::from(links[i].axis)));
     let mut model = Model::new("arm").with_gravity(Vector3::new(0.0, 0.0, -9.81 * length));
@@ -73,7 +73,7 @@ pub fn four_joints() -> Model {
     four_joints_in(1.0)
 }
 
-/// The four-joint arm with a metre of `length` units.
+/// The four-joint arm with lengths in units of 1/`length` m.
 pub fn four_joints_in(length: f64) -> Model {
     let (pitch, roll, yaw) = ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
     let link = |name, axis, origin, mass, com, inertia, limits: [f64; 2], rotor| Link {
@@ -114,12 +114,12 @@ pub fn four_joints_in(length: f64) -> Model {
     arm(&links, &[("hand", 3, [0.0, 0.0, -0.275]), ("wrist", 3, [0.0, 0.01, -0.245])], length)
 }
 
-/// A seven-joint arm with offsets everywhere, so that no term is zero by symmetry.
+/// A seven-joint arm with offsets in all directions, so that no term is zero by symmetry.
 pub fn seven_joints() -> Model {
     seven_joints_in(1.0)
 }
 
-/// The seven-joint arm with a metre of `length` units.
+/// The seven-joint arm with lengths in units of 1/`length` m.
 pub fn seven_joints_in(length: f64) -> Model {
     let names = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
     let axes = [
@@ -149,7 +149,7 @@ pub fn seven_joints_in(length: f64) -> Model {
     arm(&links, &[("hand", 6, [0.05, 0.02, 0.1]), ("upper", 3, [0.03, 0.05, 0.04])], length)
 }
 
-/// A task set as a task file holds it.
+/// A task set in the format of a task file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct File {
@@ -176,7 +176,7 @@ impl File {
     }
 }
 
-/// A robot with one sensor at its frame `sensor`, at 1 kHz, without limits.
+/// Context of a robot with one force sensor at the frame `sensor`, a period of 1 ms and no limits.
 pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
     let frame = model.frame_id(sensor).expect("the sensor's frame exists");
     ControlContext {
@@ -187,7 +187,7 @@ pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
     }
 }
 
-/// `data` and `measurement` at a state.
+/// Returns `Data` and measurement at a state.
 pub fn at_state(model: &Model, q: &[f64], dq: &[f64], time_s: f64) -> (Data, Measurement) {
     let mut data = Data::new(model);
     assert!(opspace_model::update(model, &mut data, q, dq), "the mass matrix is positive definite");
@@ -198,7 +198,7 @@ pub fn at_state(model: &Model, q: &[f64], dq: &[f64], time_s: f64) -> (Data, Mea
     (data, measurement)
 }
 
-/// Controller input without feed-forward torques and streamed targets.
+/// Controller input without feedforward torques and streamed targets.
 pub fn input<'a>(model: &'a Model, data: &'a Data, measurement: &'a Measurement) -> ControlInput<'a> {
     static NO_TARGETS: LazyLock<Targets> = LazyLock::new(Targets::none);
     static NO_FEEDFORWARD: [f64; 32] = [0.0; 32];
@@ -212,7 +212,7 @@ pub fn input<'a>(model: &'a Model, data: &'a Data, measurement: &'a Measurement)
     }
 }
 
-/// Numbers that look random, the same ones every time, in [-1, 1].
+/// Reproducible pseudo-random numbers in [-1, 1].
 pub struct Numbers(u64);
 
 impl Numbers {
@@ -232,7 +232,7 @@ impl Numbers {
     }
 }
 
-/// J of a frame, freshly allocated.
+/// Jacobian of a frame, newly allocated.
 pub fn jacobian(model: &Model, data: &Data, frame: &str) -> DMatrix<f64> {
     let mut j = Matrix6xX::zeros(model.n());
     opspace_model::frame_jacobian(model, data, model.frame_id(frame).expect("frame"), &mut j);
@@ -254,7 +254,7 @@ pub fn frame_acceleration(model: &Model, data: &Data, frame: &str, tau: &[f64]) 
     caused + DVector::from_vec(bias)
 }
 
-/// The error of building the torque controller of a file for a model with a sensor at `hand`.
+/// Returns the error that occurs when the torque controller of a file is built for a model with a sensor at `hand`.
 pub fn build_error(model: &Model, text: &str) -> ControlError {
     let file = File::read(text);
     let built = opspace_control::OperationalSpaceController::new(
@@ -265,13 +265,13 @@ pub fn build_error(model: &Model, text: &str) -> ControlError {
     built.err().expect("the stack is wrong")
 }
 
-/// An arm of six or seven joints whose every length, axis and mass is drawn from `numbers`, with frames `hand` at its
-/// end and `upper` behind its fourth joint.
+/// An arm of six or seven joints with lengths, axes and masses from `numbers`, a frame `hand` at its end and a frame
+/// `upper` on its fourth link.
 pub fn random_arm(n: usize, numbers: &mut Numbers) -> Model {
     const NAMES: [&str; 7] = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
     let links: Vec<Link> = (0..n)
         .map(|i| {
-            // Light links at the end of an arm.
+            // Links become lighter towards the end of the arm.
             let weight = 1.0 - 0.12 * i as f64;
             let mut random = || 0.5 + 0.5 * numbers.next();
             let [a, b, c, d, e, f] = [0; 6].map(|_| random());
@@ -290,7 +290,7 @@ pub fn random_arm(n: usize, numbers: &mut Numbers) -> Model {
     arm(&links, &[("hand", n - 1, [0.05, 0.02, 0.1]), ("upper", 3, [0.03, 0.05, 0.08])], 1.0)
 }
 
-/// The values of one signal.
+/// Returns the values of a signal.
 pub fn sampled(observable: &dyn Observable, name: &str) -> Vec<f64> {
     let signals = observable.signals();
     let mut values = vec![0.0; signals.iter().map(|s| s.len()).sum()];
@@ -301,12 +301,12 @@ pub fn sampled(observable: &dyn Observable, name: &str) -> Vec<f64> {
 }
 
 impl Numbers {
-    /// One of 0, 1, ... below `count`.
+    /// Returns an integer from 0 to `count` − 1.
     pub fn below(&mut self, count: usize) -> usize {
         ((0.5 + 0.5 * self.next()) * count as f64) as usize
     }
 
-    /// Between `low` and `high`.
+    /// Returns a number between `low` and `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (0.5 + 0.5 * self.next())
     }
@@ -315,14 +315,14 @@ impl Numbers {
         Vector3::from_fn(|_, _| size * self.next())
     }
 
-    /// Any orientation, up to `size` from the origin.
+    /// Returns a placement with a random orientation and a position whose coordinates are at most `size`.
     pub fn placement(&mut self, size: f64) -> Placement {
         Placement::from_rpy([0; 3].map(|_| 1.5 * self.next()), [0; 3].map(|_| size * self.next()))
     }
 }
 
-/// An arm of `n` joints (9 at most) whose axes, offsets and inertias point anywhere. Frames beside the links, all
-/// turned: `hand` and `wrist` on the last link, `mid` half way up, `base` on the base, which is turned as well.
+/// An arm of `n` joints (at most 9) with random axes, offsets and inertias. Its frames besides the links, all rotated:
+/// `hand` and `wrist` on the last link, `mid` on the middle link, and `base` on the base, which is rotated too.
 pub fn any_arm(n: usize, numbers: &mut Numbers) -> Model {
     const NAMES: [&str; 9] = ["j1", "j2", "j3", "j4", "j5", "j6", "j7", "j8", "j9"];
     let links: Vec<Link> = (NAMES[..n].iter())
@@ -350,13 +350,14 @@ pub fn any_arm(n: usize, numbers: &mut Numbers) -> Model {
     model
 }
 
-/// A motion as six numbers, linear first.
+/// Returns a motion as six numbers, linear part first.
 pub fn six(motion: &opspace_model::Motion) -> nalgebra::Vector6<f64> {
     let (v, w) = (&motion.linear, &motion.angular);
     nalgebra::Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
 }
 
-/// One period of joint accelerations `ddq` (n): semi-implicit Euler, and `data` at the resulting state.
+/// Integrates joint accelerations `ddq` (n) over one period by semi-implicit Euler, and updates `data` to the new
+/// state.
 pub fn step(
     model: &Model,
     data: &mut Data,

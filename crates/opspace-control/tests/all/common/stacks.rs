@@ -1,6 +1,6 @@
-//! Task sets of an arm with a hand, and one with a hand and an upper arm.
+//! Task sets of a hand, and of a hand and an upper arm.
 
-/// A length by which rotations are weighed, m, that the files below share.
+/// Characteristic length of the files below, m.
 pub const LENGTH_M: f64 = 0.4;
 
 pub const POSE: &str = r#"
