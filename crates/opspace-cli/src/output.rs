@@ -1,4 +1,4 @@
-//! Folder of a run. Recorded results are never overwritten unless requested.
+//! Output folder. Recorded results are only overwritten on request.
 
 use crate::cli::{JsonArgs, OutputArgs};
 use crate::console::{Console, Exit, Failure, print};
@@ -9,18 +9,18 @@ use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Name of the folder, within that of a run, for the motion to the start.
+/// Name of the subfolder of a run for the motion to the start.
 pub const MOVE_TO_START: &str = "move-to-start";
-/// File name of a suite's rows.
+/// File name of the results of a suite.
 pub const ROWS: &str = "bench.json";
-/// File name of an identification's numbers.
+/// File name of the results of an identification.
 pub const IDENTIFICATION: &str = "identification.json";
-/// File name of a robot file's identified keys.
+/// File name of the identified keys of a robot file.
 pub const SERVO_FILE: &str = "servo.toml";
-/// File name of a robot file with the identified keys.
+/// File name of a complete robot file with the identified keys.
 pub const ROBOT_FILE: &str = "robot.toml";
 
-/// Creates the folder for results. An existing default folder with results is moved aside; one given by the user is
+/// Creates the folder for results. An existing default folder with results is renamed; a folder given by the user is
 /// only reused with `--force`.
 pub fn prepare(args: &OutputArgs, default: &Path, console: Console) -> Result<PathBuf, Failure> {
     let folder = args.out.clone().unwrap_or_else(|| default.to_owned());
@@ -43,7 +43,7 @@ fn holds_results(folder: &Path) -> bool {
     named || folder.join(MOVE_TO_START).join(LOG).exists()
 }
 
-/// Moves a folder to NAME.previous, or NAME.previous-2 and so on if that is taken.
+/// Renames a folder to NAME.previous, or to NAME.previous-2 and so on if this name is in use.
 fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
     let free = (1..)
@@ -58,7 +58,7 @@ fn set_aside(folder: &Path, console: Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Removes the files that a run, a suite or an identification wrote, and nothing else.
+/// Removes only the files that a run, a suite or an identification has written.
 fn clear(folder: &Path) -> Result<(), Failure> {
     let motion = folder.join(MOVE_TO_START);
     if holds_results(&motion) {
@@ -68,7 +68,7 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     let logs = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let ours = logs.filter(|path| {
         let named = |names: &[&str]| names.iter().any(|name| path.ends_with(name));
-        // A robot file is ours only beside an identification.
+        // robot.toml is a result only if the folder contains an identification.
         named(&[LOG, REPORT, SUMMARY, ROWS, IDENTIFICATION])
             || identified && named(&[SERVO_FILE, ROBOT_FILE])
             || path.extension().is_some_and(|e| e == "mcap")
@@ -79,13 +79,13 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes a file of results.
+/// Writes a result file.
 pub fn write(path: &Path, text: &str) -> Result<(), Failure> {
     fs::write(path, text).map_err(|e| Failure::io("cannot be written", path, &e))
 }
 
 impl JsonArgs {
-    /// Writes the results where `--json` requests them, and prints them as text unless the JSON is printed instead.
+    /// Writes the JSON to the file given by `--json`, and prints the text; with `--json -`, prints only the JSON.
     pub fn print(&self, json: impl FnOnce() -> String, text: impl FnOnce() -> String) -> Result<(), Failure> {
         match &self.json {
             Some(path) if path == Path::new("-") => return print(&json()),
@@ -96,18 +96,18 @@ impl JsonArgs {
     }
 }
 
-/// Formats JSON for a reader.
+/// Formats JSON for human readers.
 pub fn pretty(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
 
-/// Reads the log that a path denotes: a folder stands for the `run.mcap` in it.
+/// Reads the log at a path; for a folder, the `run.mcap` in it.
 pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
     let path = if path.is_dir() { path.join(LOG) } else { path.to_owned() };
     match Recording::read(&path) {
         Ok(recording) => Ok((path, recording)),
         Err(error) => match Source::read(&path) {
-            // It can't be opened at all: in the same words as for any other file.
+            // The file cannot be opened: use the same message as for any other file.
             Err(unread) if matches!(error, LogError::Read { .. }) => Err(unread.into()),
             _ => Err(Failure::Other(format!("{}: {error}", path.display()), Exit::Bad)),
         },

@@ -1,4 +1,4 @@
-//! `opspace bench`: a suite, one table.
+//! `opspace bench`: runs a suite and prints one table.
 
 use crate::cli::BenchArgs;
 use crate::commands::run::{exit_code, style};
@@ -44,7 +44,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     for Done { shown: one, .. } in done {
         let Some((one, log)) = one else { continue };
         let name = format!("{}-{}", one.summary.task, one.summary.backend);
-        // Two tasks of a suite may have one name.
+        // Two tasks of a suite can have the same name.
         let same = shown.iter().filter(|s: &&RunSection| s.summary.task == one.summary.task).count();
         let path =
             folder.join(if same == 0 { format!("{name}.mcap") } else { format!("{name}-{}.mcap", same + 1) });
@@ -73,7 +73,7 @@ const LEAD: &str = "Each task file runs unchanged on position and velocity robot
                     1:5 means a setpoint every five servo ticks. The operator is a simulated person whose hand pulls at \
                     the robot.";
 
-/// Runs the experiments, several at once, each on one thread; the results are in the order of the experiments.
+/// Runs the experiments in parallel, each on one thread; the results are in the order of the experiments.
 fn run_all(
     experiments: &[Experiment],
     jobs: usize,
@@ -109,7 +109,7 @@ fn run_all(
     bar.finish_and_clear();
     let mut done = Vec::new();
     for slot in results {
-        // An empty slot is a run that an interrupt kept from starting.
+        // An empty slot belongs to a run that did not start because of an interrupt.
         if let Some(result) = slot.into_inner().unwrap_or_default() {
             done.push(result?);
         }
@@ -123,7 +123,7 @@ fn run_all(
     Ok(done)
 }
 
-/// Indices of the runs that are drawn and keep their log: the first of each task.
+/// Indices of the runs that are shown in the report and whose logs are kept: the first run of each task.
 fn shown(experiments: &[Experiment]) -> BTreeSet<usize> {
     let mut tasks = BTreeSet::new();
     (0..experiments.len()).filter(|&i| tasks.insert(experiments[i].task().source.name().to_owned())).collect()

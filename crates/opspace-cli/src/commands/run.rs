@@ -1,4 +1,4 @@
-//! `opspace run`: one task on one robot.
+//! `opspace run`: executes one task on one robot.
 
 use crate::cli::RunArgs;
 use crate::commands::own_backend;
@@ -59,7 +59,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     Ok(exit_code(&summary))
 }
 
-/// Prints the reason of a run that ended early.
+/// Prints the reason why a run ended early.
 fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
@@ -70,7 +70,7 @@ fn say_end(summary: &Summary, console: Console) {
     }
 }
 
-/// Exit code of a run; 1 outranks 130, which outranks 3.
+/// Exit code of a run; 1 takes precedence over 130, and 130 over 3.
 pub fn exit_code(summary: &Summary) -> Exit {
     if summary.faulted.is_some() {
         Exit::Failed
