@@ -197,8 +197,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
-    /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s. Obstacles
-    /// are not avoided: keep the workspace clear.
+    /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s.
+    /// Obstacles are not avoided: keep the workspace clear.
     #[arg(long, conflicts_with = "simulate")]
     pub move_to_start: bool,
 

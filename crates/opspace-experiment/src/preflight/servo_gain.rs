@@ -5,7 +5,8 @@
 //! motion. Together with all other damping of the joints, a run stays bounded as long as
 //!
 //! ```text
-//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite    t̄ = (d + (R−1)/2) Ts, 0 where held setpoints are emulated
+//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite
+//! t̄ = (d + (R−1)/2) Ts, or 0 if held setpoints are emulated
 //! ```
 //!
 //! where Kv and Kp are the nominal gains, B is the viscous friction, B̂ its compensated part and D = −∂τ/∂q̇ the
