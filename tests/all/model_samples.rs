@@ -1,5 +1,5 @@
-//! Compared: `opspace model --samples` and values of Pinocchio, like by a user who checks the model with another
-//! library. See `tests/oracles/pinocchio/README.md`.
+//! Compared: `opspace model --samples`, used as by a user who checks the model with another library, and values of
+//! Pinocchio. See `tests/oracles/pinocchio/README.md`.
 
 #![expect(clippy::unwrap_used, reason = "a test")]
 

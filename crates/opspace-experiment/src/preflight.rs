@@ -6,7 +6,7 @@
 //! | file | finds |
 //! |---|---|
 //! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
-//! | `speeds` | references faster than the joints or the task's own speed limit |
+//! | `speeds` | references faster than the joints or the speed limit of the task |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
 //! | `freedom` | a start at a singularity; undamped degrees of freedom |

@@ -1,4 +1,4 @@
-//! The program, started like by its users.
+//! Helpers that start the program as its users do.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 

@@ -1,4 +1,4 @@
-//! Metrics of a run, computed from its log alone.
+//! Metrics of a run, computed only from its log.
 //!
 //! Statistics cover the time from `settle_s` after the first control cycle to the last control cycle; the start of
 //! the robot's clock does not matter. Positions are the true ones if the log contains them (simulation), otherwise

@@ -25,7 +25,7 @@ pub enum Cell {
     Text(String),
     /// A measured or computed value.
     Number(f64),
-    /// A whole number, shown in full: a seed, a count.
+    /// An integer, shown in full: a seed or a count.
     Count(u64),
     /// A criterion that is met, with a short text.
     Pass(String),

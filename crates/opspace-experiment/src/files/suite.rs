@@ -55,7 +55,7 @@ pub struct SuiteRun {
     /// Profiles that replace those of the suite.
     #[serde(default)]
     pub profiles: Option<Vec<String>>,
-    /// Seeds: each run is executed once per seed; with the seed of its task if absent.
+    /// Seeds: each run is executed with each of them; with the seed of its task if absent.
     #[serde(default)]
     pub seeds: Vec<u64>,
     /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task

@@ -38,7 +38,7 @@ pub struct TaskFile {
     /// Parameters of the tasks, by name.
     #[serde(default)]
     pub task: BTreeMap<String, TaskParameters>,
-    /// Compensation of the arm's own torques.
+    /// Compensation of gravity, and of Coriolis and centrifugal forces.
     #[serde(default)]
     pub compensation: Compensation,
     /// Enforcement of the robot's limits.

@@ -65,7 +65,8 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
 /// Value of `Spectrum::share` above which a task has full mobility.
 const WHOLE: f64 = 1.0 - 1e-9;
 
-/// Mobility of a task in its weakest direction.
+/// Mobility of a task in its weakest direction; `share` is its remaining fraction, 1 if nothing is lost, 0 if it is
+/// lost.
 struct Spectrum {
     /// Name of the task.
     name: String,

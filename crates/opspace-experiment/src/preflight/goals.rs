@@ -1,4 +1,4 @@
-//! References that the arm can't reach.
+//! References that are out of reach of the arm.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};

@@ -422,7 +422,7 @@ pub fn decimate(x: &[f64], y: &[f64], range: (f64, f64), columns: usize) -> Vec<
     stretches
 }
 
-/// Moves the first, lowest, highest and last sample of a run to `kept`, in their order.
+/// Moves the first, lowest, highest and last sample of a run to `kept`, in order.
 fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
     let by_height = |a: &(usize, f64), b: &(usize, f64)| a.1.total_cmp(&b.1);
     let heights = || run.iter().map(|&(_, y)| y).enumerate();

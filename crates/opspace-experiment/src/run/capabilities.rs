@@ -64,7 +64,7 @@ impl Experiment {
     }
 }
 
-/// Names of the quantities measured besides positions.
+/// Names of the measured quantities except positions.
 fn measured(capabilities: &Capabilities) -> Vec<&'static str> {
     let quantities = [
         ("velocity", capabilities.measures_velocity),

@@ -38,7 +38,7 @@ impl Experiment {
     /// Rejects options that are only for comparisons.
     ///
     /// # Errors
-    /// The first such option, at its key.
+    /// The first of these options, at its key.
     pub(super) fn refuse_comparison_options(&self) -> Result<(), FileError> {
         let kind = self.transformer_kind();
         if let Some(kind) =

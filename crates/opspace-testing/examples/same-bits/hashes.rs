@@ -63,7 +63,7 @@ pub fn signals(data: &ChannelData) -> impl Iterator<Item = &str> {
     data.layout.signals.iter().map(|signal| signal.name.as_str()).filter(|name| *name != WALL_CLOCK)
 }
 
-/// Bits of a number; all NaNs have the same bits.
+/// Bits of a number; every NaN gives the same bits.
 #[must_use]
 pub fn bits(number: f64) -> u64 {
     if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }
