@@ -1,8 +1,8 @@
-//! Bounds that the experiments must keep, read from files of `opspace bench --json` that the environment names.
-//! `.ci/run acceptance` runs the suites, then these tests.
+//! Bounds on the results of the experiments, read from files of `opspace bench --json` that environment variables
+//! name. `.ci/run acceptance` runs the suites, then these tests.
 //!
-//! Compared: medians over seeds of this simulation, and figures of one written independently, in another
-//! language (25 % about its medians over ten seeds), or fixed bounds.
+//! Compared: medians of this simulation over seeds, and values of an independent simulation in another language (25 %
+//! around its medians over ten seeds), or fixed bounds.
 
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -15,7 +15,7 @@ struct Bench {
     rows: Vec<Value>,
 }
 
-/// Key of a group of runs that differ only in their seed.
+/// Key of a group of runs that differ only in the seed.
 #[derive(Clone, Copy, Debug)]
 struct Group<'a> {
     task: &'a str,
@@ -23,12 +23,12 @@ struct Group<'a> {
     controller: &'a str,
     profile: &'a str,
     ratio: u64,
-    /// Name of the transformer; empty where torques or positions pass without one.
+    /// Name of the transformer; empty without a transformer.
     transformer: &'a str,
 }
 
 impl<'a> Group<'a> {
-    /// Creates the key of runs with the paper's transformer, for a position or velocity robot under torque control.
+    /// Creates the key of runs; a position or velocity robot under torque control uses the paper's transformer.
     fn new(task: &'a str, backend: &'a str, controller: &'a str, profile: &'a str) -> Self {
         let transformer = if backend != "torque" && controller == "osc" { "paper" } else { "" };
         Self { task, backend, controller, profile, ratio: 5, transformer }
@@ -40,7 +40,7 @@ impl<'a> Group<'a> {
 }
 
 impl Bench {
-    /// Reads the paper's suite from the file that the environment names.
+    /// Reads the paper's suite from the file that the environment variable names.
     fn read() -> Self {
         Self::read_from(FILE)
     }
@@ -71,7 +71,7 @@ impl Bench {
         rows
     }
 
-    /// The median of a metric over the seeds of a group.
+    /// Median of a metric over the seeds of a group.
     fn median(&self, group: Group<'_>, metric: &str) -> f64 {
         let value = |row: &Value| row["metrics"][metric].as_f64();
         let mut values: Vec<f64> = self.group(group).into_iter().filter_map(value).collect();
@@ -180,9 +180,9 @@ fn operator_moves_compliant_arm_but_not_stiff_arm() {
     }
 }
 
-/// Compared: the displacement of a spring of 400 N/m by a slow push of 20 N, at twelve postures
-/// (tasks/suites/stiffness.toml, run into the file that `OPSPACE_STIFFNESS_JSON` names), and 50 mm, within 1 % on the
-/// torque robot and 10 % on the position robot.
+/// Compared: the displacement of a spring of 400 N/m by a slow push of 20 N at twelve postures
+/// (tasks/suites/stiffness.toml, with results in the file named by `OPSPACE_STIFFNESS_JSON`), and 50 mm: within 1 %
+/// on the torque robot and 10 % on the position robot.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_STIFFNESS_JSON: .ci/run acceptance"]
 fn stiffness_matches_requested_value() {
@@ -202,11 +202,12 @@ fn stiffness_matches_requested_value() {
     }
 }
 
-/// Rows of a suite's file that the environment names, found by their settings.
+/// Rows of a suite's file that an environment variable names; they are selected by their settings.
 struct Rows(Bench);
 
 impl Rows {
-    /// Median and worst of a metric over the seeds of a row: task, robot and control, profile and label.
+    /// Median and worst value of a metric over the seeds of a row, which is given by task, robot and control, profile
+    /// and label.
     fn values(&self, task: &str, control: [&str; 3], profile: &str, label: &str, metric: &str) -> (f64, f64) {
         let [backend, controller, transformer] = control;
         let same = |row: &&Value| {
@@ -230,8 +231,8 @@ impl Rows {
         (median, values[values.len() - 1])
     }
 
-    /// Ratio of a metric of two kinds of control with the same seed, the first over the second: the median over the
-    /// seeds that both have.
+    /// Ratio of a metric between two kinds of control with the same seed (first divided by second): the median over
+    /// the seeds that both have.
     fn median_ratio(&self, controls: [[&str; 3]; 2], row: (&str, &str), metric: &str) -> f64 {
         let (task, profile) = row;
         let by_seed = controls.map(|[backend, controller, transformer]| {
@@ -253,7 +254,7 @@ impl Rows {
         0.5 * (ratios[(ratios.len() - 1) / 2] + ratios[ratios.len() / 2])
     }
 
-    /// Checks that the median of a metric is at most `bound`, and each seed's value at most one and a half times it.
+    /// Checks that the median of a metric is at most `bound`, and the value of each seed at most 1.5 times `bound`.
     fn below(&self, bound: f64, row: (&str, [&str; 3], &str, &str), metric: &str) {
         let (task, control, profile, label) = row;
         let (median, worst) = self.values(task, control, profile, label, metric);
@@ -271,8 +272,8 @@ fn through(transformer: &str) -> [&str; 3] {
     ["position", "osc", transformer]
 }
 
-/// Tasks of the paper's suite, each with the largest acceptable torque error of interval means: those of the position
-/// rows; joint tracking as Cartesian tracking.
+/// Largest acceptable torque error of interval means for each task of the paper's suite, as for the position rows;
+/// the value of joint tracking is that of Cartesian tracking.
 const INTERVAL_BARS: [(&str, f64); 4] = [
     ("gravity-compensation", 0.05),
     ("joint-tracking", 0.05),
@@ -284,8 +285,8 @@ fn velocity(transformer: &str) -> [&str; 3] {
     ["velocity", "osc", transformer]
 }
 
-/// Compared: torque errors of the velocity rows of the paper's suite, and fixed bounds; those through `paper` and those
-/// through `emulation+current`.
+/// Compared: torque errors of the velocity rows of the paper's suite with `paper` and with `emulation+current`, and
+/// fixed bounds.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
 fn velocity_robots_produce_desired_torques() {
@@ -302,8 +303,9 @@ fn velocity_robots_produce_desired_torques() {
     }
 }
 
-/// Compared: tracking, the operator's force and motion, and the motion across it, of the velocity robot through
-/// `emulation+current` and of the torque robot, seed by seed: medians over ten seeds (three of joint tracking).
+/// Compared: tracking, force and motion of the operator, and the motion perpendicular to it, of the velocity robot
+/// with `emulation+current` and of the torque robot, for equal seeds: medians over ten seeds (three for joint
+/// tracking).
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
 fn velocity_robots_track_and_comply_like_torque_robots() {
@@ -327,8 +329,8 @@ fn velocity_robots_track_and_comply_like_torque_robots() {
     }
 }
 
-/// Compared: torque errors and tracking of each transformer on the experiments of the paper, in the file that
-/// `OPSPACE_TRANSFORMER_JSON` names, and fixed bounds, the torque robot and inverse kinematics.
+/// Compared: torque errors and tracking of each transformer in the experiments of the paper, in the file named by
+/// `OPSPACE_TRANSFORMER_JSON`, and fixed bounds, the torque robot and inverse kinematics.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_TRANSFORMER_JSON: .ci/run acceptance"]
 fn servo_emulation_produces_desired_torques() {
@@ -369,9 +371,9 @@ fn servo_emulation_produces_desired_torques() {
     }
 }
 
-/// Compared: the ripple that a held setpoint leaves within an interval, and the one that the drive's timing predicts.
-/// Compliant-x on the stiff drives is left out: it moves so slowly that the encoder counts in the servo's own velocity
-/// have an effect as large.
+/// Compared: the ripple that a held setpoint causes within an interval, and the ripple predicted from the timing of
+/// the drive. Compliant-x on the stiff drives is excluded: it moves so slowly that the encoder quantisation in the
+/// servo's velocity has an effect of the same size.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_TRANSFORMER_JSON: .ci/run acceptance"]
 fn remaining_error_is_held_setpoint_ripple() {
@@ -390,8 +392,8 @@ fn remaining_error_is_held_setpoint_ripple() {
     }
 }
 
-/// Compared: torque errors in the same suite and fixed bounds, with known delays, other ratios, wrong gains without and
-/// with their refinement, other servos, and other robots.
+/// Compared: torque errors in the same suite, and fixed bounds: with known delays, other ratios, wrong gains with and
+/// without refinement, other servos, and other robots.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_TRANSFORMER_JSON: .ci/run acceptance"]
 fn desired_torques_are_produced_by_all_drives() {
@@ -426,9 +428,9 @@ fn desired_torques_are_produced_by_all_drives() {
     }
 }
 
-/// Runs of the suite of deviations, in the file that `OPSPACE_ROBUSTNESS_JSON` names. With the motors' current every
-/// run ends, the hand within 15 mm of its path unless the bus was dead or the motors too weak; without it a position
-/// loop that is 30 % too stiff is stopped, and the cause is named.
+/// Runs of the suite of deviations, in the file named by `OPSPACE_ROBUSTNESS_JSON`. With measured motor currents,
+/// every run completes, with the hand within 15 mm of its path unless the bus fails or the motors are too weak.
+/// Without them, a position loop that is 30 % too stiff is stopped with its cause.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_ROBUSTNESS_JSON: .ci/run acceptance"]
 fn single_deviations_are_tolerated() {

@@ -1,9 +1,9 @@
-//! Allocations in a cycle: none in every experiment of every suite on every robot and controller, with tasks defined by
-//! the user and with streamed targets, during the run, on a stop by a fault of its own or of the device, and on an
-//! interruption.
+//! Allocations in a control cycle: there must be none in any experiment of any suite, on any robot and controller,
+//! with tasks defined by the user and with streamed targets; during the run, at a stop after a fault of the loop or
+//! of the device, and at an interruption.
 //!
-//! Compared: the allocator's own count at two successive cycles. It counts this thread only, and the whole
-//! loop runs on it: plant, drives and sensors of the simulated robot included.
+//! Compared: the counts of the allocator after two successive cycles. It counts only this thread, on which the whole
+//! loop runs, including plant, drives and sensors of the simulated robot.
 
 use crate::common::{self, ik, load, osc, positions, torque, torques};
 use nalgebra::{Matrix6xX, Vector6};
@@ -25,10 +25,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Phase of each cycle, with the allocator's count at its end.
+/// Phase of each cycle, with the allocation count at its end.
 type Counts = Vec<(f64, usize)>;
 
-/// A sink that counts allocations, and interrupts the run after some cycles.
+/// Sink that counts allocations and interrupts the run after some cycles.
 struct Counter<'a> {
     counts: Counts,
     interrupt_after: Option<usize>,
@@ -47,7 +47,7 @@ impl Sink for Counter<'_> {
     }
 }
 
-/// Index of the signal `phase` in a row of the loop.
+/// Index of the signal `phase` in a tick row.
 const PHASE: usize = 3;
 
 fn count(
@@ -59,7 +59,7 @@ fn count(
     count_on(&mut arm, experiment, controller, interrupt_after, |_| ())
 }
 
-/// Runs a controller on `robot` and counts the allocations; `prepare` gets the run before its first cycle.
+/// Runs a controller on `robot` and counts the allocations; `prepare` is called with the run before its first cycle.
 fn count_on(
     robot: &mut dyn Backend,
     experiment: &Experiment,
@@ -77,12 +77,12 @@ fn count_on(
     (sink.counts, outcome)
 }
 
-/// Builds the experiment's own controller.
+/// Builds the controller of the experiment.
 fn experiment_controller(experiment: &Experiment) -> Box<dyn Controller> {
     experiment.controller().unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Checks every cycle but the first: only the controller's start may allocate.
+/// Checks every cycle except the first: only the start of the controller may allocate.
 fn check(counts: &Counts, name: &str) {
     const CONTROL: f64 = 1.0;
     assert!(counts.iter().filter(|(phase, _)| *phase == CONTROL).count() > 50, "{name}");
@@ -93,7 +93,7 @@ fn check(counts: &Counts, name: &str) {
     }
 }
 
-/// Shortens an experiment to half a second: longer than the torque's ramp and several periods of all filters.
+/// Shortens an experiment to `duration_s`, without settling time.
 fn short(experiment: &Experiment, duration_s: f64) -> Experiment {
     let mut task = experiment.task().clone();
     task.file.settle_s = NonNegative::default();
@@ -106,9 +106,9 @@ fn allocation_counter_counts() {
     assert_eq!(allocations(|| drop(std::hint::black_box(vec![0_u8; 16]))), 1);
 }
 
-/// Runs each experiment of a suite once, whatever its seeds, until after its last event. Returns how many there are.
+/// Runs each experiment of a suite with one seed until after its last event. Returns the number of experiments.
 fn no_cycle_allocates_in(suite: &str) -> usize {
-    /// Duration longer than the torque's ramp, s, and a number of cycles larger than any delay line's.
+    /// Duration longer than the torque ramp, s, and a number of cycles larger than the length of any delay line.
     const SHORT_S: f64 = 0.3;
     const CYCLES: f64 = 80.0;
     let path =
@@ -165,7 +165,7 @@ fn no_cycle_of_robustness_suite_allocates() {
     assert!(no_cycle_allocates_in("robustness") >= 50);
 }
 
-/// A user's coordinate: the sum of two joints' positions, rad.
+/// Coordinate of the user: the sum of two joint positions, rad.
 struct Sum;
 
 impl Coordinate for Sum {
@@ -192,8 +192,8 @@ impl Coordinate for Sum {
     }
 }
 
-/// A user's task above a hand whose targets come from another thread, with pauses in which they become stale, on all
-/// three kinds of robot; the device fails when it is read, or when it is written to.
+/// A task of the user above a hand task whose targets come from another thread, with pauses in which they become
+/// stale, on all three kinds of robot; the device fails when it is read, or when it is written.
 #[test]
 fn no_cycle_with_user_task_and_streamed_targets_allocates() {
     const TASK: &str = r#"
@@ -248,7 +248,7 @@ fn no_cycle_with_user_task_and_streamed_targets_allocates() {
     }
 }
 
-/// Streams targets until the run has ended, with a pause after every fifth.
+/// Streams targets until the run has ended, with a pause after every fifth target.
 fn stream(mut sender: TargetSender) -> usize {
     let mut hand = CartesianTarget::of(sender.targets(), "hand").expect("the hand is streamed");
     let mut sent = 0;
@@ -260,14 +260,14 @@ fn stream(mut sender: TargetSender) -> usize {
     sent
 }
 
-/// A simulated arm that fails after a number of reads or writes.
+/// Simulated arm that fails after a number of reads or writes.
 struct Failing {
     arm: SimulatedArm,
     reads: usize,
     writes: usize,
 }
 
-/// Decrements a counter; a fault if it is zero.
+/// Decrements a counter; returns a fault if it is zero.
 fn take_one(left: &mut usize) -> Result<(), DeviceFault> {
     *left = left.checked_sub(1).ok_or(DeviceFault::new(17, "the cable was pulled"))?;
     Ok(())
@@ -291,7 +291,7 @@ impl Backend for Failing {
     }
 }
 
-/// Stops and interruptions: the cycles of the stop and after it don't allocate either.
+/// Stops and interruptions: the stop cycle and the following cycles do not allocate either.
 #[test]
 fn no_cycle_of_faulting_or_interrupted_run_allocates() {
     for options in [osc("a-med"), torque("a-med")] {
@@ -321,7 +321,7 @@ fn no_cycle_of_faulting_or_interrupted_run_allocates() {
     check(&counts, "a jump");
 }
 
-/// Missed cycles that are tolerated, a dropout from which the run resumes, and one that is too long.
+/// Tolerated missed cycles, a dropout after which the run resumes, and a dropout that is too long.
 #[test]
 fn no_cycle_of_run_with_missed_cycles_allocates() {
     let dropouts =
@@ -339,7 +339,7 @@ fn no_cycle_of_run_with_missed_cycles_allocates() {
         assert!(matches!(ending, RunOutcome::Faulted { fault: Fault::Dropout { .. }, .. }), "{ending:?}");
         let phase = |phase: Phase| counts.iter().filter(|(p, _)| *p == phase.code()).count();
         assert!(phase(Phase::Held) > 9 && phase(Phase::Resuming) > 30, "{task}: it was held, and resumed");
-        // After the ramp it is in control again: no start, which alone may allocate.
+        // After the ramp, the run is in control again without a new start, and only a start may allocate.
         let start = counts.iter().position(|(p, _)| *p == Phase::Control.code()).expect("control");
         let after = &counts[start..];
         let allocated = after.last().map_or(0, |last| last.1) - after[0].1;
@@ -347,7 +347,8 @@ fn no_cycle_of_run_with_missed_cycles_allocates() {
     }
 }
 
-/// Every transformer that an arm can have; the literal ones are for a single joint, and refused on an arm.
+/// All transformers that are possible on an arm; the literal ones support only a single joint and are refused on an
+/// arm.
 #[test]
 fn no_cycle_of_any_transformer_allocates() {
     let closed_loop = "closed_loop={numerator=[1.0],denominator=[1.0,0.02,6.6e-5]}";

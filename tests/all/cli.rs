@@ -1,4 +1,4 @@
-//! The command line from the user's side: output, its place, and the exit code.
+//! The command line as users see it: output, where it is written, and exit code.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -141,8 +141,8 @@ fn summary_states_selected_options() {
     );
 }
 
-/// Runs of the same file, seed and binary: the same bits in every signal but the wall clock's. Another seed: other
-/// bits.
+/// Runs with the same file, seed and binary have the same bits in all signals except wall-clock time; runs with
+/// another seed have other bits.
 #[test]
 fn run_is_reproducible() {
     let folder = scratch();
@@ -225,7 +225,7 @@ fn quiet_prints_only_results() {
     assert!(ran.stdout.contains("compliant-x") && !ran.stdout.contains("simulation"), "{}", ran.stdout);
 }
 
-/// A reader that closes its pipe: the program ends without a message, and the results are on the disk.
+/// A reader that closes its pipe: the program ends without a message, and the results are complete on disk.
 #[test]
 fn closed_pipe_ends_quietly() {
     let folder = scratch();
@@ -251,7 +251,7 @@ fn closed_pipe_ends_quietly() {
 
 const ROOT_ROBOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/asimo-arm");
 
-/// Starts a run too long to end by itself, and returns it once its log holds some seconds.
+/// Starts a run that is too long to end by itself, and returns it when its log contains several seconds.
 fn long_run(folder: &Path) -> (Child, PathBuf) {
     let task = task("compliant-x");
     let mut run = command(folder, &["run", &task, "--duration-s", "2000", "--out", "out"]);
@@ -281,7 +281,7 @@ fn interrupt_stops_run_and_closes_log() {
     opspace(folder.path(), &["report", "out"]).exits(0);
 }
 
-/// A process killed during the run: the file holds the beginning of the run, to the bit.
+/// A process killed during the run: the file contains the beginning of the run, with equal bits.
 #[test]
 fn killed_run_leaves_readable_log() {
     let folder = scratch();
@@ -303,7 +303,7 @@ fn killed_run_leaves_readable_log() {
     assert!((0..1000).all(|k| a.row(k) == b.row(k)), "the same run, cut short");
 }
 
-/// Exit codes of a suite's runs: a fault outranks success.
+/// A run with a fault: the program exits with 1 and prints the cause, and the log is complete.
 #[test]
 fn fault_exits_with_1_and_its_cause() {
     let folder = scratch();
@@ -393,7 +393,7 @@ fn report_accepts_logs_and_folders() {
     assert_eq!(said, "both.html\n");
     let page = read(folder.path().join("both.html"));
     assert!(page.contains("position robot") && page.contains("torque robot"));
-    // Said from the log against said after the run: the same but for what only the clock knew.
+    // The results from the log equal those printed after the run, except for values that depend on the clock.
     let rows = read_json(folder.path().join("both.json"));
     for (row, name) in rows.as_array().unwrap().iter().zip(["a", "b"]) {
         let summary = read_json(folder.path().join(name).join("summary.json"));
@@ -419,7 +419,7 @@ fn robot_is_printed_as_table_or_json() {
     for name in names("joints").iter().chain(&names("frames")) {
         assert!(table.contains(name), "{name}");
     }
-    // The URDF alone knows no rotors.
+    // The URDF alone contains no rotor inertias.
     let urdf = opspace(folder.path(), &["model", &format!("{ROOT_ROBOT}/asimo-arm.urdf"), "--json", "-"]);
     assert_eq!(urdf.exits(0).json()["joints"][0]["rotor_inertia"], 0.0);
     assert!((json["joints"][0]["rotor_inertia"].as_f64().unwrap() - 120.0 * 120.0 * 1.6e-5).abs() < 1e-12);
@@ -429,7 +429,7 @@ fn numbers(list: &Value) -> Vec<f64> {
     list.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
-/// Compared: masses, centres and offsets, and the text of the file.
+/// Compared: masses, centres of mass and offsets, and the text of the file.
 #[test]
 fn robot_table_matches_its_file() {
     let folder = scratch();
@@ -446,7 +446,7 @@ fn robot_table_matches_its_file() {
     let table = opspace(folder.path(), &["model", &urdf]).exits(0);
     assert!(table.stdout.contains("7 moving joints on a fixed base, 16.822 kg moving, 17.452 kg in total"));
     assert_eq!(table.stderr, "", "nothing is wrong with it");
-    // A robot whose axes are not along z: places are in the links' axes all the same, not in the model's.
+    // A robot whose axes are not along z: offsets are given in link axes and not in model axes.
     let urdf = project("tests/oracles/pinocchio/urdf/ur5.urdf");
     let shown = opspace(folder.path(), &["model", &urdf, "--json", "-"]).exits(0).json();
     let text = read(&urdf);
@@ -469,7 +469,7 @@ fn robot_table_matches_its_file() {
     assert_near(&tool["offset_m"], "<joint name=\"ee_fixed_joint\"");
 }
 
-/// Warnings of the reader, and of the model as a whole: on stderr with the file, and as JSON.
+/// Warnings of the URDF parser and about the whole model: on stderr with the file name, and as JSON.
 #[test]
 fn robot_warnings_are_printed() {
     let folder = scratch();
@@ -508,7 +508,7 @@ fn urdf_can_float_and_enforce_mimic_joints() {
     assert_eq!((count(&fixed, "joints"), count(&fixed, "bodies"), &fixed["base"]), (9, 9, &"fixed".into()));
     let folded = shown(&["--enforce-mimic"]).json();
     assert_eq!((count(&folded, "joints"), count(&folded, "bodies"), count(&folded, "warnings")), (8, 9, 0));
-    // Both fingers hang on the joint that is left.
+    // Both fingers move with the remaining joint.
     let fingers = 2.0 * fixed["joints"][8]["mass_kg"].as_f64().unwrap();
     assert!((folded["joints"][7]["mass_kg"].as_f64().unwrap() - fingers).abs() < 1e-12);
     let floating = shown(&["--floating"]).json();
@@ -521,7 +521,8 @@ fn urdf_can_float_and_enforce_mimic_joints() {
     let table = opspace(folder.path(), &["model", &urdf, "--floating", "--enforce-mimic"]).exits(0).stdout;
     assert!(table.contains("8 moving joints on a floating base, 17.452 kg moving, 17.452 kg in total"));
     assert!(table.contains("base.angular.z") && table.contains("the base (floating)"), "{table}");
-    // A state then has a position and a quaternion first: with them it computes, without it says how many it wants.
+    // A state then begins with position and quaternion of the base. With them the command succeeds; without them the
+    // error gives the required number.
     let sample = |nq: usize| {
         let list = |length: usize, at: usize| -> Vec<f64> {
             (0..length).map(|i| if i == at { 1.0 } else { 0.0 }).collect()
@@ -537,11 +538,11 @@ fn urdf_can_float_and_enforce_mimic_joints() {
         )
     };
     let quantities = sample(16).exits(0).json();
-    // Free in space it weighs all its mass: the third row of gravity is m g.
+    // The floating robot has its full weight: the third component of gravity is m g.
     let weight = quantities["g"][2].as_f64().unwrap();
     assert!((weight - 9.81 * floating["total_mass_kg"].as_f64().unwrap()).abs() < 1e-9, "{weight}");
     sample(15).exits(2).says(&["16"]);
-    // What is controlled is the robot of its folder.
+    // These options are only for a URDF and not for a robot folder.
     for option in ["--floating", "--enforce-mimic"] {
         let refused = opspace(folder.path(), &["model", ROOT_ROBOT, option]).exits(2);
         refused.says(&[option, "asimo-arm.urdf"]);
@@ -554,7 +555,7 @@ const SCHEMAS: [(&str, &str); 3] = [
     ("suite", "tasks/suite.schema.json"),
 ];
 
-/// Compared: the schemas beside the files, which editors read, and the program's present output.
+/// Compared: the committed schemas, which editors use, and the current output of the program.
 #[test]
 fn committed_schemas_match_the_program() {
     let folder = scratch();
@@ -569,7 +570,7 @@ fn committed_schemas_match_the_program() {
     opspace(folder.path(), &["schema", "robots"]).exits(2).says(&["robot"]);
 }
 
-/// Returns the violation of a schema by a value: unknown or missing keys, or the wrong kind of a value.
+/// Returns the schema violation of a value: unknown or missing keys, or a value of the wrong type.
 fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<String> {
     if let Some(reference) = schema["$ref"].as_str() {
         let name = reference.strip_prefix("#/$defs/").unwrap();
@@ -630,8 +631,8 @@ fn refused(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<Stri
     elements.filter_map(|element| refused(root, &schema["items"], element, at)).next()
 }
 
-/// Validation of the project's files by the schemas; with an additional key, or without a required one, they are
-/// refused.
+/// Compared: files of the project, which the schemas accept, and the same files with an additional key or without a
+/// required key, which they refuse.
 #[test]
 fn schemas_accept_project_files_and_refuse_invalid_ones() {
     let files = [
@@ -670,7 +671,7 @@ fn every_shell_has_a_completion() {
     opspace(folder.path(), &["completion", "csh"]).exits(2).says(&["bash"]);
 }
 
-/// The gain margin that is reported for a task, for the kind of robot that its robot file states.
+/// The reported gain margin of a task is that for the command interface declared in the robot file.
 #[test]
 fn check_uses_robot_kind_of_the_file() {
     let folder = scratch();
@@ -681,7 +682,7 @@ fn check_uses_robot_kind_of_the_file() {
         fs::copy(project(file), folder.path().join(file)).unwrap();
     }
     let text = read(project("robots/asimo-arm/robot.toml"));
-    // What a robot does on a missed cycle follows from what it takes.
+    // The behaviour at a missed cycle must match the command interface.
     let text: String =
         text.split_inclusive('\n').filter(|line| !line.starts_with("on_missed_cycle")).collect();
     for (command, margin) in
@@ -716,7 +717,7 @@ fn check_recognises_file_kinds() {
     );
     assert!(at("tasks/suites/paper.toml").contains(": a suite of "));
 
-    // Several files: each is reported, and one with a mistake is enough.
+    // Several files: each is reported, and one mistake is enough for the exit code.
     fs::write(folder.path().join("bad.toml"), "robot = \".\"\nduration_s = 1.0\n").unwrap();
     fs::write(folder.path().join("other.toml"), "[package]\nname = \"x\"\n").unwrap();
     let arguments = ["check", ROOT_ROBOT, "bad.toml", "other.toml", "none.toml", "--json", "-"];
@@ -749,7 +750,7 @@ fn file_of_wrong_kind_is_refused() {
     opspace(folder.path(), &swapped).exits(2).says(&["is a task file; a robot file is expected here"]);
 }
 
-/// Writing of results: a file is written only if all states are valid; the samples are never overwritten.
+/// A file is written only if all states are valid; the file with the samples is never overwritten.
 #[test]
 fn invalid_samples_write_no_file() {
     let folder = scratch();
@@ -771,7 +772,7 @@ fn invalid_samples_write_no_file() {
     assert!(read(path("new.jsonl")).contains("tau_rnea"));
 }
 
-/// The table of a robot without moving joints.
+/// Table of a robot without moving joints.
 #[test]
 fn robot_without_joints_has_a_table() {
     let folder = scratch();
@@ -780,7 +781,7 @@ fn robot_without_joints_has_a_table() {
     assert!(ran.stdout.contains("0 moving joints on a fixed base"), "{}", ran.stdout);
 }
 
-/// Output for a task with an impedance, whose gains depend on the arm's inertia.
+/// Output for a task with an impedance, whose gains depend on the inertia of the arm.
 #[test]
 fn check_lists_unchecked_tasks() {
     let arguments = ["check", "tasks/panda-impedance.toml"];
@@ -794,7 +795,7 @@ fn check_lists_unchecked_tasks() {
     );
 }
 
-/// Compared: the kind of robot in the summary, and the one that robot.toml states, or that an option requests.
+/// Compared: the command interface in the summary, and the one declared in robot.toml or requested by an option.
 #[test]
 fn run_uses_robot_kind_of_robot_toml() {
     let folder = scratch();

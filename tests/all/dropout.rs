@@ -1,6 +1,6 @@
-//! Buses that lose cycles, in whole experiments: the servos hold the arm, and control resumes without a jump.
+//! Buses that lose cycles, in complete experiments: the servos hold the arm, and control resumes without a jump.
 //!
-//! Compared throughout: the arm's true motion in the log, and that on a good bus.
+//! Compared in all tests: the true motion of the arm in the log, and the motion with a good bus.
 
 use crate::common::{self, Run, ik, load, osc, run, torque};
 use opspace_experiment::evaluate::metrics::metrics;
@@ -9,7 +9,7 @@ use opspace_log::Recording;
 use opspace_loop::{Fault, Phase, RunOutcome};
 use opspace_transformer::TransformerKind;
 
-/// Interval in which the bus is dead, s.
+/// Interval in which the bus is interrupted, s.
 const DEAD: (f64, f64) = (3.0, 3.3);
 const DROPOUT: &str = "robot.simulated.bus.dropouts=[{ at_s = 3.0, duration_s = 0.3 }]";
 
@@ -19,27 +19,27 @@ fn tracking(options: RunOptions, transformer: &str, settings: &[&str]) -> Experi
     load("cartesian-tracking", options, settings)
 }
 
-/// Largest magnitude of a signal of a channel between two times.
+/// Largest magnitude of a signal of a channel between two times (s).
 fn largest(run: &Run, channel: &str, signal: &str, from_s: f64, to_s: f64) -> f64 {
     let rows = run.channel(channel).time_s.iter().zip(run.signal(channel, signal).rows());
     let within = rows.filter(|(t, _)| (from_s..to_s).contains(*t)).flat_map(|(_, row)| row);
     within.fold(0.0, |max: f64, v| max.max(v.abs()))
 }
 
-/// True joint positions at a time.
+/// True joint positions at a time (rad; n).
 fn joints(run: &Run, time_s: f64) -> Vec<f64> {
     let k = run.channel("truth").time_s.partition_point(|&t| t < time_s - 1e-9);
     run.signal("truth", "q").row(k).to_vec()
 }
 
-/// Number of cycles of a phase, and the time of the first.
+/// Number of cycles in a phase, and the time of the first one, s.
 fn ticks(run: &Run, phase: Phase) -> (usize, f64) {
     let phases = run.signal("tick", "phase");
     let found: Vec<usize> = (0..phases.len()).filter(|&k| phases.row(k)[0] == phase.code()).collect();
     (found.len(), found.first().map_or(f64::NAN, |&k| run.channel("tick").time_s[k]))
 }
 
-/// Tracking error of the hand from a time on, rms, m.
+/// Rms tracking error of the hand from a time on, m.
 fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> f64 {
     let mut task = experiment.task().clone();
     task.file.settle_s = serde_json::from_value(from_s.into()).expect("a time");
@@ -48,8 +48,9 @@ fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> 
     metrics(&late, recording).position_rms_m.expect("a Cartesian task")
 }
 
-/// Dropout of 0.3 s at the fastest instant of the stroke. Compared besides: the distance that each joint continues, and
-/// the distance of its last setpoint, (τ/kv + q̇)/kp: 40 mrad of the stiff servo and 80 mrad of the soft one.
+/// Dropout of 0.3 s at the fastest instant of the stroke. Also compared: the distance that each joint continues to
+/// move, and the distance of its last setpoint, (τ/kv + q̇)/kp: 40 mrad for the stiff servo and 80 mrad for the soft
+/// one.
 #[test]
 fn dropout_is_held_and_resumed_without_jump() {
     for profile in ["a-med", "b-soft"] {
@@ -61,7 +62,7 @@ fn dropout_is_held_and_resumed_without_jump() {
         let missed: f64 = run.signal("tick", "missed_cycles").rows().map(|row| row[0]).sum();
         assert!((missed * period_s - 0.3).abs() < 1.5 * period_s, "{profile}: {missed} cycles");
 
-        // How far it went on by itself, and that it stood.
+        // The distance that the joint continued to move, and that it then stood still.
         let [began, ended] = [DEAD.0, DEAD.1].map(|time_s| joints(&run, time_s));
         let k = run.channel("truth").time_s.partition_point(|&t| t < DEAD.0 - 1e-9);
         let (dq, tau) = (run.signal("truth", "dq").row(k), run.signal("servo", "motor_torque"));
@@ -86,7 +87,7 @@ fn dropout_is_held_and_resumed_without_jump() {
         assert!((held as f64 * period_s - 0.05).abs() < 2.5 * period_s, "{profile}: {held} ticks");
         assert!((resuming as f64 * period_s - 0.2).abs() < 2.5 * period_s, "{profile}: {resuming} ticks");
 
-        // Torques and speeds no higher than on a good bus: 40 and 22 Nm would be saturation.
+        // Torques and speeds are not higher than with a good bus: saturation is at 40 and 22 Nm.
         let torque = largest(&run, "tick", "torque_desired", resumed_s, 6.0);
         let usual = largest(&good, "tick", "torque_desired", 0.0, 6.0);
         assert!(torque < 1.2 * usual, "{profile}: {torque} Nm for {usual} Nm");
@@ -94,17 +95,17 @@ fn dropout_is_held_and_resumed_without_jump() {
         let speed = largest(&run, "truth", "dq", DEAD.1, 6.0);
         let usual = largest(&good, "truth", "dq", 0.0, 6.0);
         assert!(speed < 1.2 * usual, "{profile}: {speed} rad/s for {usual} rad/s");
-        // Joints that friction had kept from where the weight alone would hold them give half a milliradian.
+        // Joints that friction held away from their equilibrium under gravity move by half a milliradian.
         let jolt = largest(&run, "truth", "dq", resumed_s, resumed_s + 0.02);
         assert!(jolt < 0.1, "{profile}: {jolt} rad/s within 20 ms of resuming");
 
-        // Back on its path a second later, as if nothing had been.
+        // One second later, the hand is on its path again as without the dropout.
         let [after, before] = [&run, &good].map(|run| tracking_rms(&experiment, &run.recording, 4.6));
         assert!(after < before + 1e-3, "{profile}: {after} m for {before} m");
     }
 }
 
-/// Resumption of inverse kinematics from the setpoints that held the arm, and of joint references likewise.
+/// Inverse kinematics and joint references resume from the setpoints that held the arm.
 #[test]
 fn other_controllers_resume_without_jump() {
     for (task, options) in [
@@ -118,7 +119,7 @@ fn other_controllers_resume_without_jump() {
         let run = run(&load(task, options.clone(), &[DROPOUT]));
         assert_eq!(run.ending, RunOutcome::Completed, "{task} {options:?}");
         let resumed_s = ticks(&run, Phase::Resuming).1;
-        // Setpoints move no faster than they do all the while, and the arm hardly more.
+        // Setpoints do not move faster than usual, and the arm only slightly faster.
         for (channel, signal) in [("tick", "setpoint_speed"), ("truth", "dq")] {
             let [after, usual] =
                 [(&run, resumed_s), (&good, 0.5)].map(|(run, t)| largest(run, channel, signal, t, 5.0));
@@ -130,7 +131,7 @@ fn other_controllers_resume_without_jump() {
     }
 }
 
-/// Dropout of a torque robot: the drives hold the last torque, the arm moves on, and its brakes stop it.
+/// Dropout on a torque robot: the drives hold the last torque, the arm continues to move, and its brakes stop it.
 #[test]
 fn torque_robot_is_braked_before_resuming() {
     let experiment = load(
@@ -146,7 +147,7 @@ fn torque_robot_is_braked_before_resuming() {
     assert!(after < 2e-3, "{after} m");
 }
 
-/// Compared: tracking with occasionally lost cycles, all of them tolerated, and without.
+/// Compared: tracking with occasional lost cycles, which are all tolerated, and tracking without lost cycles.
 #[test]
 fn lost_cycles_are_tolerated() {
     for profile in ["a-med", "b-soft"] {
@@ -162,7 +163,7 @@ fn lost_cycles_are_tolerated() {
     }
 }
 
-/// Dropout longer than the longest tolerated one: the run is stopped where the arm was held.
+/// Dropout longer than the maximum: the run is stopped in the position in which the arm was held.
 #[test]
 fn too_long_dropout_stops_the_run() {
     let dead = "robot.simulated.bus.dropouts=[{ at_s = 2.0, duration_s = 1.2 }]";
@@ -177,8 +178,8 @@ fn too_long_dropout_stops_the_run() {
     assert!(moved < 2e-3, "it stayed where the servos had held it: {moved} rad");
 }
 
-/// A servo whose kp is 30 % higher than the paper's transformer assumes is unstable: the power of its motors reveals it
-/// before it is too fast.
+/// A servo whose kp is 30 % higher than assumed by the paper's transformer is unstable: its motor power reveals this
+/// before it becomes too fast.
 #[test]
 fn unstable_servo_faults_by_excess_power() {
     for profile in ["a-med", "b-soft"] {

@@ -1,5 +1,5 @@
-//! Exactness of the paper's transformer where its conditions hold, and its errors elsewhere, against those that follow
-//! from the timing of servo and interface.
+//! Exactness of the paper's transformer under its conditions, and its errors otherwise, compared with errors
+//! predicted from the timing of servo and interface.
 
 use crate::common::{Run, experiment, ideal, load, osc, robot, run, task};
 use nalgebra::{Matrix2, Vector2};
@@ -8,7 +8,7 @@ use opspace_loop::RunOutcome;
 use opspace_transformer::{CascadedServo, ProfileParameters, ServoParameters};
 use std::f64::consts::TAU;
 
-/// Rounding of kv kp (q_desired − q) with kv kp < 5000 Nm/rad and |q| < 2 rad: below 1e-11 Nm.
+/// Bound on rounding of kv kp (q_desired − q): for kv kp < 5000 Nm/rad and |q| < 2 rad it is below 1e-11 Nm.
 const EXACT_NM: f64 = 1e-9;
 
 fn cascade(servo: &ServoParameters) -> CascadedServo {
@@ -16,7 +16,7 @@ fn cascade(servo: &ServoParameters) -> CascadedServo {
     *servo
 }
 
-/// Cartesian tracking on ideal drives, with the transformer's velocity the servo's own.
+/// Cartesian tracking on ideal drives; the transformer uses the same velocity as the servo.
 fn exact(profile: &str, duration_s: f64, settings: &[String]) -> Experiment {
     let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
     let mut robot = ideal(robot(&settings));
@@ -28,8 +28,8 @@ fn exact(profile: &str, duration_s: f64, settings: &[String]) -> Experiment {
     experiment(robot, task("cartesian-tracking", &["settle_s=0"]), options)
 }
 
-/// The largest |τ_servo − τ_s| over all servo ticks and joints after the first command. On ideal drives the
-/// motor's torque is the servo's.
+/// Largest |τ_servo − τ_s| over all servo ticks and joints after the first command, Nm. On ideal drives the motor
+/// torque equals the servo torque.
 fn largest_error(run: &Run) -> f64 {
     let desired = run.signal("servo", "torque_desired").rows();
     let actual = run.signal("servo", "motor_torque").rows();
@@ -40,8 +40,8 @@ fn largest_error(run: &Run) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Compared: torques that the simulated servos produced from positions, and torques asked for before any
-/// transformer. Nothing joins them but equation (K10) and the simulated servo's own code.
+/// Compared: torques that the simulated servos produce from positions, and desired torques before any transformer.
+/// Only equation (K10) and the code of the simulated servo connect them.
 #[test]
 fn servo_rate_setpoints_give_exact_torques() {
     for (profile, duration_s) in [("a-med", 2.5), ("b-soft", 8.0)] {
@@ -56,7 +56,7 @@ fn servo_rate_setpoints_give_exact_torques() {
     }
 }
 
-/// Compared: the same two torques, each time with one of the conditions violated; the test above would fail.
+/// Compared: the same torques with one of the conditions violated in each case; the test above would fail.
 #[test]
 fn each_exactness_condition_is_necessary() {
     let ratio = "robot.profile.b-soft.servo_ticks_per_cycle=1".to_owned();
@@ -73,8 +73,8 @@ fn each_exactness_condition_is_necessary() {
     }
 }
 
-/// Artificial damping and inertia of the paper's transformer, from the timing alone (first order in a period): with
-/// velocity v and acceleration a at the interface cycle,
+/// Artificial damping and inertia of the paper's transformer, computed only from the timing (first order in a
+/// period), with the velocity v and the acceleration a at the interface cycle:
 ///
 /// ```text
 /// mean(τ_motor) − τ_desired = −b v − m a
@@ -82,8 +82,8 @@ fn each_exactness_condition_is_necessary() {
 /// m = kv (t_e + t̄ − t_w) + kv kp ⟨t²⟩/2
 /// ```
 ///
-/// where t_e and t_w are the lags of the interface's and the servo's velocity, each that of a finite
-/// difference (half its period) and of a first-order low-pass, (1 − α)/α periods.
+/// where t_e and t_w are the lags of the velocities in the interface and in the servo. Each is the lag of a finite
+/// difference (half its period) plus that of a first-order low-pass filter, (1 − α)/α periods.
 fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
     let servo = cascade(&profile.servo[joint]);
     let (kp, kv) = (servo.kp_per_s.get(), servo.kv_nms_per_rad.get());
@@ -101,8 +101,8 @@ fn artefacts(profile: &ProfileParameters, joint: &str) -> (f64, f64) {
     (kv * kp * age, kv * (estimate + age - own) + 0.5 * kv * kp * age_squared)
 }
 
-/// Least squares of the torque error, mean over the time that a command acts, on −v and −a of one joint at the
-/// interface cycle in which it was given: (b, m) and the share of the error that they explain.
+/// Least-squares fit of the torque error of one joint, averaged over the time during which a command acts, to −v and
+/// −a at the interface cycle of the command: (b, m) and the explained fraction of the error.
 fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f64) {
     let (ratio, period_s) = (profile.servo_ticks_per_cycle.get() as usize, profile.period_s());
     let delay = profile.delay() as usize;
@@ -134,11 +134,11 @@ fn regress(run: &Run, profile: &ProfileParameters, joint: usize) -> (f64, f64, f
     (solution[0], solution[1], 1.0 - left / size)
 }
 
-/// Compared: a regression over simulated motion, and the formulas above, which know nothing of the simulator
-/// but its timing. Without encoder counts and current loop, which the formulas leave out.
+/// Compared: a regression over simulated motion, and the formulas above, which contain only the timing of the
+/// simulator. Without encoder quantisation and current loop, which the formulas do not include.
 #[test]
 fn held_setpoint_adds_predicted_damping_and_inertia() {
-    // Terms of higher order in a period, and friction's jumps at reversals.
+    // Terms of higher order in a period, and jumps of friction at reversals.
     const DAMPING: f64 = 0.03;
     const INERTIA: f64 = 0.05;
     for (name, delay) in [("a-med", 0), ("a-med", 3), ("b-soft", 0)] {

@@ -1,7 +1,7 @@
-//! Whole experiments: performance of each robot and controller, and reproducibility of a run.
+//! Complete experiments: performance of each robot and controller, and reproducibility of a run.
 //!
-//! Two bands are used. The published ones are of a simulation written independently, in another language; runs
-//! here are of single seeds, so they are looked up in the range over ten of them.
+//! The published bounds are those of an independent simulation in another language. The runs here have single seeds,
+//! so they are compared with the range over ten seeds.
 
 use crate::common::{ik, load, measure, osc, run, torque};
 use opspace_experiment::{ControllerKind, Experiment, Metrics, RunOptions};
@@ -15,7 +15,7 @@ fn present(value: Option<f64>) -> f64 {
     value.expect("the metric has a meaning for this run")
 }
 
-/// Compared: the true path of the hand, and the reference of the file.
+/// Compared: the true path of the hand, and the reference in the file.
 #[test]
 fn torque_control_and_leading_kinematics_track_to_millimetres() {
     const BOUND_M: f64 = 1.5e-3;
@@ -34,7 +34,7 @@ fn interval_error(task: &str, profile: &str, seed: u64) -> f64 {
     present(measure(&load(task, seeded(osc(profile), seed), &[])).torque_error_interval)
 }
 
-/// Compared: the torque error of this simulation, and that of an independent one (25 % about its figures).
+/// Compared: the torque error of this simulation, and that of an independent simulation (25 % around its values).
 #[test]
 fn paper_transformer_path_error_matches_publication() {
     for (profile, published) in [("a-med", 0.25), ("b-soft", 0.30)] {
@@ -43,8 +43,8 @@ fn paper_transformer_path_error_matches_publication() {
     }
 }
 
-/// Compared: the same two, where each seed is another hand: over the published range of ten hands, widened by
-/// a tenth as the hands here are others.
+/// Compared: the same two errors where each seed is another operator: the published range over ten operators,
+/// extended by 10 % because the operators here are different.
 #[test]
 fn paper_transformer_operator_error_matches_publication() {
     const OTHER_HANDS: f64 = 0.10;
@@ -61,7 +61,7 @@ fn paper_transformer_operator_error_matches_publication() {
     }
 }
 
-/// Compared: setpoints once in five servo ticks and at every one, on the same arm.
+/// Compared: setpoints at every fifth servo tick and at every servo tick, on the same arm.
 #[test]
 fn servo_rate_setpoints_nearly_remove_the_error() {
     let settings = ["robot.profile.b-soft.servo_ticks_per_cycle=1"];
@@ -71,7 +71,7 @@ fn servo_rate_setpoints_nearly_remove_the_error() {
     assert_eq!(metrics.torque_error_servo, metrics.torque_error_interval, "an interval is a servo tick");
 }
 
-/// Compared: the same hand, spring and path for three controllers on one arm, and for two kinds of robot.
+/// Compared: three controllers on one arm, and two kinds of robot, with the same operator, spring and path.
 #[test]
 fn operator_moves_compliant_arm_but_not_stiff_arm() {
     let compliant = |options| measure(&load("compliant-x", seeded(options, 2), &[]));
@@ -90,7 +90,7 @@ fn operator_moves_compliant_arm_but_not_stiff_arm() {
     assert!(through > without, "the transformer's damping is felt: {through} N for {without} N");
 }
 
-/// The first number in which two logs differ; wall-clock time doesn't count.
+/// First number that differs between two logs; wall-clock time is ignored.
 fn difference(a: &Recording, b: &Recording) -> Option<String> {
     for (one, other) in a.channels.iter().zip(&b.channels) {
         if one.layout != other.layout || one.len() != other.len() {
@@ -116,7 +116,7 @@ fn short(task: &str, options: RunOptions, seed: u64) -> Experiment {
     load(task, options, &[])
 }
 
-/// Compared: every bit of two runs, put together anew from the same files.
+/// Compared: all bits of two runs that were created independently from the same files.
 #[test]
 fn same_seed_gives_same_bits() {
     for options in [osc("a-med"), torque("b-soft"), ik("b-soft", ControllerKind::IkLead)] {
@@ -126,7 +126,7 @@ fn same_seed_gives_same_bits() {
     }
 }
 
-/// Compared: two seeds; what is random must follow them, and what is not must not.
+/// Compared: two seeds; random values must depend on the seed, all others must not.
 #[test]
 fn seed_changes_operator_but_not_start() {
     let [one, other] = [7, 8].map(|seed| run(&short("compliant-x", osc("a-med"), seed)));

@@ -1,5 +1,5 @@
-//! Files with mistakes: each is refused with exit code 2, the file and its line, the mistake and the remedy; no content
-//! of a file makes the program panic. Files that `opspace new` makes: once filled in, they run.
+//! Files with mistakes are refused with exit code 2, file, line, mistake and remedy; no file content makes the
+//! program panic. Files created by `opspace new` run once they are completed.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -20,7 +20,7 @@ fn arm() -> tempfile::TempDir {
     folder
 }
 
-/// Checks `file` with `old` replaced by `new`; `line` of that file is named, and all of `words`.
+/// Checks `file` with `old` replaced by `new`: the error must contain `line` of this file and all `words`.
 #[track_caller]
 fn refused(file: &str, old: &str, new: &str, line: Option<&str>, words: &[&str]) -> Ran {
     let folder = arm();
@@ -122,7 +122,7 @@ refused! {
         ["asimo-arn.urdf`: there is no such file", "did you mean `./asimo-arm.urdf`?"];
 }
 
-/// Names of files near the missing one, and their folder.
+/// Similar file names in the folder of a missing file.
 #[test]
 fn missing_file_error_names_similar_files() {
     let folder = arm();
@@ -197,13 +197,13 @@ fn unsupported_transformer_is_refused() {
     refused("identified", &[&one], &["joint 'shoulder_roll'", "missing"]);
 }
 
-/// Checks the arm's URDF with one mistake.
+/// Checks the URDF of the arm with one mistake.
 #[track_caller]
 fn urdf(old: &str, new: &str, line: Option<&str>, words: &[&str]) {
     refused("asimo-arm.urdf", old, new, line, words);
 }
 
-/// Checks a whole URDF that is invalid.
+/// Checks an invalid URDF.
 #[track_caller]
 fn whole_urdf(text: &str, words: &[&str]) -> Ran {
     let folder = scratch();
@@ -260,7 +260,7 @@ fn urdf_without_tree_structure_is_refused() {
 #[test]
 fn urdf_with_impossible_numbers_is_refused() {
     let text = read(project("robots/asimo-arm/asimo-arm.urdf"));
-    // The first of its kind, whatever the robot.
+    // First element with this tag, for any robot.
     let first = |tag: &str| {
         let begin = text.find(&format!("<{tag} ")).unwrap_or_else(|| panic!("<{tag}>"));
         let end = begin + text[begin..].find("/>").unwrap() + 2;
@@ -321,8 +321,8 @@ fn non_urdf_files_are_refused() {
     opspace(folder.path(), &["check", "a.urdf"]).exits(2).says(&["a.urdf: is not UTF-8 (line 1)", "UTF-8"]);
 }
 
-/// Files that are cut off, with bytes changed, and with lines removed, as an editor or a disk may leave them. They are
-/// accepted or refused with a message; `opspace` itself checks for panics.
+/// Truncated files, files with changed bytes, and files with removed lines, as an editor or a disk may produce them.
+/// They are accepted, or refused with a message; the helper `opspace` checks for panics.
 #[test]
 fn corrupted_file_never_panics() {
     let folder = arm();
@@ -358,7 +358,7 @@ fn corrupted_file_never_panics() {
     }
 }
 
-/// Returns a possible value, of no particular robot, for each key that `opspace new` asks for.
+/// Returns a valid value for each key that `opspace new` leaves open; the values belong to no particular robot.
 fn value_of(key: &str) -> &'static str {
     match key {
         "command" => "\"position\"",
@@ -389,13 +389,13 @@ fn value_of(key: &str) -> &'static str {
     }
 }
 
-/// Returns the line without its `#` and its key, if it stands for a value to be written.
+/// Returns the key of a commented-out line that requires a value; `None` for other lines.
 fn to_fill(line: &str) -> Option<&str> {
     let (key, _) = line.strip_prefix("# ")?.split_once(" =")?;
     key.chars().all(|c| c.is_ascii_alphanumeric() || c == '_').then_some(key)
 }
 
-/// `opspace new`, then each value written as `check` asks for it, then a run as a position robot and as a torque robot.
+/// Calls `opspace new`, then writes each value that `check` requests, then runs a position robot and a torque robot.
 #[track_caller]
 fn new_filled_and_run(robot: &str) {
     let folder = scratch();
@@ -407,7 +407,7 @@ fn new_filled_and_run(robot: &str) {
     let path = folder.path().join("mine/robot.toml");
     let mut lines: Vec<String> = read(&path).lines().map(str::to_owned).collect();
     let mut asked = 0;
-    // The keys with a default are filled in at the end: check doesn't ask for them.
+    // Keys with a default are filled in at the end, because `check` does not request them.
     loop {
         let ran = opspace(folder.path(), &["check", "mine", "-q"]);
         if ran.code == 0 {
@@ -423,7 +423,7 @@ fn new_filled_and_run(robot: &str) {
         let line = lines[begin..].iter().position(|line| to_fill(line) == Some(key)).expect(&message) + begin;
         lines[line] = format!("{key} = {}", value_of(key));
         asked += 1;
-        // One robot is asked for each value in turn; the larger ones only begin so.
+        // For the smallest robot, each value is requested individually; for larger ones only the first 40.
         if asked == 40 {
             fill(&mut lines);
         }
@@ -477,14 +477,14 @@ fn new_robot_keeps_existing_files() {
     assert!(!folder.path().join("other/robot.toml").exists());
     new("third", "none.urdf").exits(2).says(&["none.urdf: there is no such file"]);
     assert!(!folder.path().join("third").exists(), "nothing is made of nothing");
-    // The URDF may lie in the folder already.
+    // The URDF may already be in the folder.
     fs::create_dir(folder.path().join("fourth")).unwrap();
     fs::copy(&urdf, folder.path().join("fourth/ur5.urdf")).unwrap();
     new("fourth", "fourth/ur5.urdf").exits(0);
     assert!(Path::new(&folder.path().join("fourth/robot.toml")).exists());
 }
 
-/// Values that a run needs and a URDF may lack: reported at once, by joint.
+/// Values that a run requires and a URDF may lack: reported immediately, by joint.
 #[test]
 fn new_robot_lists_values_missing_from_urdf() {
     let folder = scratch();
@@ -501,7 +501,7 @@ fn new_robot_lists_values_missing_from_urdf() {
         .says(&["joint 'joint1' has no velocity limit", "velocity="]);
 }
 
-/// Names that TOML must quote.
+/// Names that must be quoted in TOML.
 #[test]
 fn new_robot_accepts_any_names() {
     let folder = scratch();

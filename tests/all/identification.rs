@@ -1,4 +1,5 @@
-//! A joint of the simulated arm identified through its interface, against the parameters that the simulation runs with.
+//! Compared: the parameters of a joint of the simulated arm, identified through its interface, and those of the
+//! simulation.
 
 use opspace_experiment::Progress;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
@@ -34,8 +35,8 @@ struct Bar {
     kv: f64,
 }
 
-/// Compared: the identified parameters and those of the plant in the file, whatever the nominal ones: kp and kv
-/// relative, the delay in servo ticks.
+/// Compared: the identified parameters, and those of the plant in the file, independent of the nominal ones: relative
+/// errors of kp and kv, and the delay in servo ticks.
 #[track_caller]
 fn assert_identified(
     profile: &str,
@@ -65,7 +66,7 @@ fn fast_servo_is_identified() {
     // Coulomb and viscous friction of the plant.
     assert!((friction.coulomb / 1.1 - 1.0).abs() < 0.1, "{friction:?}");
     assert!((friction.viscous / 1.2 - 1.0).abs() < 0.1, "{friction:?}");
-    // The inertia of the model of which the plant is made.
+    // Inertia according to the model from which the plant is built.
     let trust = joint.fit_quality.as_ref().expect("trust");
     assert!((trust.inertia_over_urdf.expect("a rotor") - 1.0).abs() < 0.1, "{trust:?}");
     assert!(trust.bandwidth_hz > 50.0, "{trust:?}");
@@ -94,7 +95,8 @@ fn interpolating_drive_is_identified() {
     assert!(found.servo_toml().contains("elbow = { pid = {"), "{}", found.servo_toml());
 }
 
-/// Identification without current: the scale comes from the inertia, here the true one; viscous friction is within kv.
+/// Identification without motor current: the scale comes from the inertia, which is the true one here; kv includes
+/// viscous friction.
 #[test]
 fn scale_comes_from_inertia_without_current() {
     const KP: f64 = 0.10;
@@ -124,7 +126,7 @@ fn only_ratios_are_written_without_current_and_rotor() {
 
 #[test]
 fn immobile_joint_is_refused_with_reason() {
-    // It sticks with more than its motor gives.
+    // Its static friction exceeds the torque of its motor.
     let settings = ["robot.simulated.true_over_nominal.friction=40.0"];
     let found = identify(robot(&settings), short("a-med"));
     let joint = &found.joints[0];
@@ -133,7 +135,7 @@ fn immobile_joint_is_refused_with_reason() {
     assert_eq!(found.robot_toml("arm.urdf").expect("it can be edited"), None);
 }
 
-/// Refusal of a servo that is declared as a cascade of gains while its velocity loop integrates.
+/// Refusal of a servo that is declared as cascaded gains although its velocity loop has integral action.
 #[test]
 fn wrongly_declared_servo_is_refused() {
     let settings = [
@@ -144,8 +146,8 @@ fn wrongly_declared_servo_is_refused() {
     assert!(reason.contains("no cascaded servo fits"), "{reason}");
 }
 
-/// The written robot file: its plant is that of the original file, and its nominal parameters are the identified
-/// ones.
+/// Compared: the written robot file and the original file: its plant is the original one, and its nominal parameters
+/// are the identified ones.
 #[test]
 fn written_robot_keeps_plant_and_identified_parameters() {
     const ROUNDING: f64 = 1e-3;

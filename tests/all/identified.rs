@@ -1,8 +1,9 @@
-//! Bounds on the results of `opspace identify robots/asimo-arm`, read from the folder that it wrote and
-//! `OPSPACE_IDENTIFIED` names. `.ci/run acceptance` identifies both profiles, and runs these tests after each.
+//! Bounds on the results of `opspace identify robots/asimo-arm`, read from its output folder, which
+//! `OPSPACE_IDENTIFIED` names. `.ci/run acceptance` identifies both profiles, and runs these tests after each of
+//! them.
 //!
-//! Compared: identified parameters with those that the simulation runs with, and a run with the identified nominal
-//! parameters with one with the true ones.
+//! Compared: identified parameters and those of the simulation; a run with identified nominal parameters and a run
+//! with the true ones.
 
 use crate::cli_common::{opspace, project, read, read_json, scratch};
 use serde_json::Value;
@@ -20,7 +21,7 @@ fn tolerances(profile: &str) -> [f64; 2] {
     }
 }
 
-/// Returns the folder that the environment names, and its identification.
+/// Returns the folder that the environment variable names, and its identification.
 fn identified() -> (PathBuf, Value) {
     let folder = std::env::var_os(FOLDER).map(PathBuf::from);
     let folder = folder.unwrap_or_else(|| panic!("{FOLDER} names no folder of `opspace identify`"));
@@ -60,7 +61,7 @@ fn every_joint_is_identified_within_tolerance() {
     }
 }
 
-/// The torque error (interval means) of cartesian-tracking through a transformer on a robot.
+/// Torque error (interval means) of cartesian-tracking with a transformer on a robot.
 fn torque_error(profile: &str, robot: &str, transformer: &str) -> f64 {
     let scratch = scratch();
     let task = project("tasks/cartesian-tracking.toml");
@@ -71,8 +72,8 @@ fn torque_error(profile: &str, robot: &str, transformer: &str) -> f64 {
     summary["metrics"]["torque_error_interval"].as_f64().expect("a number")
 }
 
-/// Compared: torque errors with identified and with true nominal parameters, of the emulated servo, and of equation
-/// (K10) with gains split from the fitted closed loop alone, beside the true ones.
+/// Compared: torque errors with identified and with true nominal parameters: of the emulated servo, and of equation
+/// (K10) with gains that are split from the fitted closed loop alone.
 #[test]
 #[ignore = "needs the results of an identification, OPSPACE_IDENTIFIED: .ci/run acceptance"]
 fn identified_parameters_control_like_true_ones() {

@@ -1,4 +1,4 @@
-//! The whole of opspace: experiments, the command line, logs, robots and suites.
+//! Tests of the complete program: experiments, command line, logs, robots and suites.
 
 mod acceptance;
 mod allocation;

@@ -1,5 +1,5 @@
-//! Compared: `opspace model --samples` and Pinocchio's numbers, as by a user who checks our model with another library.
-//! See `tests/oracles/pinocchio/README.md`.
+//! Compared: `opspace model --samples`, used as by a user who checks the model with another library, and values of
+//! Pinocchio. See `tests/oracles/pinocchio/README.md`.
 
 #![expect(clippy::unwrap_used, reason = "a test")]
 
@@ -11,10 +11,11 @@ use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-/// Largest error of an entry relative to max(1, the reference's largest): ten times the largest measured one, 5.1e-15.
+/// Largest error of an entry relative to max(1, largest reference value): ten times the largest measured one,
+/// 5.1e-15.
 const TOLERANCE: f64 = 5e-14;
-/// Largest relative error of an entry where the mass matrix or the task's inertia is inverted: ten times the largest
-/// measured one, 3.7e-11.
+/// Largest relative error of an entry that requires the inverse of the mass matrix or of the task's inertia: ten
+/// times the largest measured one, 3.7e-11.
 const INVERSE_TOLERANCE: f64 = 4e-10;
 
 const INPUTS: [&str; 5] = ["q", "dq", "ddq", "tau_in", "f_tip"];
@@ -83,14 +84,14 @@ fn from_stdin(folder: &Path, arguments: &[&str], input: &str) -> Ran {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // It may end before it has read everything.
+    // The program may end before it has read the whole input.
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let output = child.wait_with_output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     Ran { code: output.status.code().unwrap(), stdout: text(output.stdout), stderr: text(output.stderr) }
 }
 
-/// Equal lines for states from a file, from standard input, and with results into a file.
+/// Compared: lines for states from a file and from standard input, and with results written to a file.
 #[test]
 fn states_come_from_file_or_stdin() {
     let States { urdf, tip, lines, .. } = states("ur5");

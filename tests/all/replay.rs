@@ -1,5 +1,5 @@
-//! `opspace replay`: every run is reproduced bit for bit, and a log that differs from the run is detected, to the
-//! number.
+//! `opspace replay`: all runs are reproduced bit for bit, and a difference between log and run is detected and
+//! located at the number.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -13,7 +13,7 @@ fn replay(log: &Path) -> Ran {
     opspace(log.parent().unwrap(), &["replay", log.to_str().unwrap()])
 }
 
-/// Every command, recomputed from the log's measurements, against the log.
+/// Compared: all commands recomputed from the measurements in the log, and the log.
 #[track_caller]
 fn check_replay(task: &str, options: &[&str]) {
     let folder = scratch();
@@ -63,7 +63,7 @@ fn run_with_missed_cycles_replays() {
     check_replay("joint-tracking", &["--set", dead, "--controller", "ik-lead"]);
 }
 
-/// Settings of a push that exceeds the arm's torques.
+/// Settings of a push that exceeds the torques of the arm.
 const PUSH: [&str; 2] = [
     "environment.operator.spring.motion.random.rms_m=2.0",
     "environment.operator.spring.stiffness_n_per_m=3000",
@@ -81,7 +81,7 @@ fn faulted_run_replays_with_its_fault() {
     }
 }
 
-/// Records a recording again as a log, with its rows changed by `change`.
+/// Writes a recording as a new log, with rows modified by `change`.
 fn rewritten(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelData)) -> PathBuf {
     let own = |name: &str| name != LOG && name != GAPS;
     let header = Header {
@@ -114,7 +114,7 @@ fn place(channel: &ChannelData, signal: &str, element: &str) -> usize {
     offset + within.expect(element)
 }
 
-/// Adds to one number of the channel `tick`.
+/// Adds `by` to one number of the channel `tick`.
 fn nudge(tick: usize, signal: &'static str, element: &'static str, by: f64) -> impl Fn(&mut ChannelData) {
     move |channel| {
         if channel.layout.channel == "tick" {
@@ -157,7 +157,7 @@ fn changed_command_is_reported_exactly() {
     assert_eq!((first["logged"].as_f64(), first["recomputed"].as_f64()), (Some(was), Some(is)));
 }
 
-/// A changed measurement: all values computed from it differ in the replay.
+/// A modified measurement: all values computed from it differ in the replay.
 #[test]
 fn changed_measurement_is_located_by_cycle_and_joint() {
     let folder = scratch();
@@ -172,7 +172,7 @@ fn changed_measurement_is_located_by_cycle_and_joint() {
     }
 }
 
-/// A log that differs and is corrupted: the difference outranks the corruption.
+/// A log that differs and is corrupted: the difference takes precedence over the corruption.
 #[test]
 fn differing_truncated_log_fails() {
     let folder = scratch();
@@ -185,8 +185,8 @@ fn differing_truncated_log_fails() {
     replay(&changed).exits(1).says(&["damaged"]);
 }
 
-/// A byte changed anywhere, or the end missing: the log never counts as complete. Its intact part is compared, and is
-/// equal.
+/// A modified byte at any position, or a missing end: the log is never reported as complete. Its intact part is
+/// compared and is equal.
 #[test]
 fn corruption_is_reported_and_intact_part_compared() {
     let folder = scratch();
@@ -208,7 +208,7 @@ fn corruption_is_reported_and_intact_part_compared() {
             codes.push(ran.code);
         }
     }
-    // Only what comes before the first row can make a log unreadable as a whole.
+    // Only corruption before the first row can make a log completely unreadable.
     assert!(codes.iter().filter(|c| **c == 3).count() > 40, "{codes:?}");
 }
 
@@ -221,7 +221,7 @@ fn replay_of_another_task_is_marked_what_if() {
     assert!(said.starts_with("open loop: commands of 'cartesian-tracking'"), "{said}");
     assert!(said.contains("torque_desired of 'elbow'") && said.contains(" Nm rms"), "{said}");
 
-    // The task of the log against the log: no difference in any joint. Another one: some in all.
+    // The task of the log gives no difference in any joint, another task gives differences in all joints.
     let own = project("tasks/compliant-x.toml");
     let difference = |task: &str| {
         let json = opspace(folder.path(), &["replay", "out", "--task", task, "--json", "-"]).exits(0).json();
@@ -248,7 +248,7 @@ fn non_log_file_is_refused_by_name() {
     }
 }
 
-/// A log written by opspace 0.1.0: the message names the version that reads it, and the log is unchanged.
+/// A log written by opspace 0.1.0: the message contains the version that can read it, and the log is not changed.
 #[test]
 fn old_log_error_names_version_that_reads_it() {
     let folder = scratch();

@@ -1,5 +1,5 @@
-//! The report of a run in a browser: everything is laid out and drawn, without messages on the console. `.ci/run browser`
-//! installs Chromium, and runs these tests.
+//! Report of a run in a browser: everything is laid out and drawn, without messages on the console. `.ci/run browser`
+//! installs Chromium and runs these tests.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test")]
 
@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Script that writes the browser's layout of the page into its DOM: each figure's size and texts, and every error.
+/// Script that writes the layout of the page into its DOM: size and texts of each figure, and all errors.
 const PROBE: &str = r#"
 <script>
 const errors = [];
@@ -67,7 +67,7 @@ fn probed(browser: &str, page: &Path) -> Value {
     serde_json::from_str(&json).expect("what the probe says")
 }
 
-/// Checks that every figure is drawn, and returns the captions.
+/// Checks that all figures are drawn, and returns their captions.
 fn captions(probe: &Value) -> Vec<String> {
     assert_eq!(probe["errors"], serde_json::json!([]));
     assert!(

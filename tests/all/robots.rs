@@ -1,5 +1,5 @@
-//! Robots of the project: every folder under `robots/` is valid and its robot does its task, as a position robot and as
-//! a torque robot; the values in each URDF are those of its source.
+//! Robots of the project: every folder in `robots/` is valid, and its robot executes its task as a position robot and
+//! as a torque robot. The values in each URDF equal those of its source.
 
 #![expect(clippy::unwrap_used, reason = "a test")]
 
@@ -13,11 +13,11 @@ use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Largest difference of two computations of the same quantity, relative to its largest entry or 1: the URDFs round
-/// their right angles to the nearest double.
+/// Largest difference between two computations of the same quantity, relative to max(1, largest entry): the URDFs
+/// round right angles to the nearest double.
 const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
-/// The robots of the project, by their folders' names.
+/// Robots of the project, by folder name.
 fn robots() -> Vec<String> {
     let folders = fs::read_dir(project("robots")).unwrap().map(|entry| entry.unwrap().path());
     let robots = folders.filter(|folder| folder.join("robot.toml").exists());
@@ -27,8 +27,7 @@ fn robots() -> Vec<String> {
     names
 }
 
-/// Path of a task that a robot can do: the one in which it reaches for something; else the first one for it, by file
-/// name.
+/// Path of a task for a robot: its reaching task, or else its first task by file name.
 fn first_task(robot: &str) -> PathBuf {
     let files = fs::read_dir(project("tasks")).unwrap().map(|entry| entry.unwrap().path());
     let mut tasks: Vec<PathBuf> =
@@ -42,7 +41,7 @@ fn first_task(robot: &str) -> PathBuf {
     tasks.into_iter().find(is_for).unwrap_or_else(|| panic!("no task is for {robot}"))
 }
 
-/// Checks by `opspace check`: no finding on a robot, its URDF and a task for it.
+/// Checks a robot, its URDF and a task for it with `opspace check`: there must be no diagnostic.
 #[test]
 fn every_robot_passes_check() {
     let names = robots();
@@ -54,13 +53,14 @@ fn every_robot_passes_check() {
         let task = first_task(&name);
         let arguments = ["check", &files[0], &files[1], task.to_str().unwrap()];
         let ran = opspace(Path::new(&project(".")), &arguments).exits(0);
-        // A line per file, and one on how much more gain the task tolerates.
+        // One line per file, and one line with the gain margin of the task.
         assert_eq!((ran.stdout.lines().count(), ran.stderr.as_str()), (4, ""), "{name}");
     }
 }
 
-/// Compared: the true path of the hand and the reference of the task, which moves by more than a decimetre. The error
-/// of the transformer through held setpoints shows on the position robot, that of friction on both.
+/// Compared: the true path of the hand, and the reference of the task, which moves by more than 0.1 m. The error on
+/// the position robot includes that of the transformer with held setpoints, the error on both robots that of
+/// friction.
 #[test]
 fn every_robot_tracks_its_task_on_both_backends() {
     const POSITION_ROBOT_M: f64 = 0.015;
@@ -97,7 +97,7 @@ fn pose(model: &Model, data: &Data, frame: &str) -> Placement {
     frame_placement(model, data, model.frame_id(frame).unwrap_or_else(|e| panic!("{e}")))
 }
 
-/// Numbers for joint angles: none zero, none alike.
+/// Joint angles for tests: none is zero, and all are different.
 fn states(n: usize) -> impl Iterator<Item = Vec<f64>> {
     (0..5).map(move |state| {
         (0..n).map(|i| (1.7 * f64::from(state) + 0.9 * i as f64 + 0.4).sin() * 2.0).collect()
@@ -118,7 +118,7 @@ fn close<'a>(
     assert!(wrong.is_none(), "{what}: {a:?} is not {b:?}");
 }
 
-/// Compared: the composite-body algorithm and gravity on the URDF, and the textbooks' closed form.
+/// Compared: the composite-rigid-body algorithm and gravity with the URDF, and the closed form in textbooks.
 #[test]
 fn planar_arm_matches_textbook() {
     let model = urdf("planar-2-link");
@@ -137,8 +137,8 @@ fn planar_arm_matches_textbook() {
     }
 }
 
-/// Compared: our URDF, from the published tables, and the one in wide use, without its hand. Poses, masses, centres and
-/// inertias all count in M and g; only link 1's z doesn't, and there the two do differ.
+/// Compared: the project's URDF, from published tables, and the widely used URDF without its hand. Poses, masses,
+/// centres of mass and inertias affect M and g; only z of link 1 does not, and it differs between the two.
 #[test]
 fn panda_matches_widely_used_urdf() {
     let foreign = read(project("tests/oracles/pinocchio/urdf/panda_arm7.urdf"));
@@ -159,7 +159,7 @@ fn panda_matches_widely_used_urdf() {
     }
 }
 
-/// A row of Universal Robots' table: a and d (m), α (rad), mass (kg) and its centre in the row's own frame (m).
+/// Row of the table of Universal Robots: a and d (m), α (rad), mass (kg), and its centre in the frame of the row (m).
 type Row = (f64, f64, f64, f64, [f64; 3]);
 
 /// "DH parameters for calculations of kinematics and dynamics", UR5e.
@@ -172,7 +172,7 @@ const UR5E: [Row; 6] = [
     (0.0, 0.0996, 0.0, 0.365, [0.0, 0.0, -0.001159]),
 ];
 
-/// The flange by the table, and the sum of the links' masses times their centres, kg m.
+/// Pose of the flange according to the table, and the sum of mass times centre of mass over the links, kg m.
 fn from_manufacturer_table(q: &[f64]) -> (Isometry3<f64>, Vector3<f64>) {
     let mut frame = Isometry3::identity();
     let mut moment = Vector3::zeros();
@@ -185,13 +185,13 @@ fn from_manufacturer_table(q: &[f64]) -> (Isometry3<f64>, Vector3<f64>) {
     (frame, moment)
 }
 
-/// Compared: our URDF, whose link frames lie at their own joints, and the manufacturer's table, whose frames lie at
-/// the next ones: the flange's pose, and gravity as the slope of the table's potential energy. The arm is mounted at
-/// an angle, since upright no torque depends on the positions of the masses along its vertical and level axes.
+/// Compared: the project's URDF, with link frames at the joints of the links, and the manufacturer's table, with
+/// frames at the next joints: the pose of the flange, and gravity as the gradient of the table's potential energy.
+/// The arm is mounted at an angle, because in upright mounting some positions of the masses affect no torque.
 #[test]
 fn ur5e_matches_manufacturer_table() {
     const STEP_RAD: f64 = 1e-4;
-    /// A central difference errs by a sixth of step² times a third derivative, which is about the torque itself.
+    /// Error of a central difference: step²/6 times a third derivative, which is about as large as the torque.
     const DIFFERENCE: f64 = STEP_RAD * STEP_RAD;
     let down = Vector3::new(4.0, -5.0, -7.0);
     let model = urdf("ur5e").with_gravity(down);
@@ -217,7 +217,7 @@ fn ur5e_matches_manufacturer_table() {
     }
 }
 
-/// The planar arm with lines added to its robot.toml.
+/// The planar arm with additional lines in its robot.toml.
 fn planar_with(lines: &str) -> Result<RobotDefinition, String> {
     let source = |file: &str, more: &str| {
         let path = project(&format!("robots/planar-2-link/{file}"));
@@ -227,8 +227,9 @@ fn planar_with(lines: &str) -> Result<RobotDefinition, String> {
         .map_err(|e| e.to_string())
 }
 
-/// A tool of mass m, its centre 0.1 m beyond the tip and moments of its own, against the closed form of a body there:
-/// M grows by m Jᵀ J of its centre and by I about y, g by m g times the centre's rise.
+/// Compared: a tool of mass m with its centre 0.1 m beyond the tip and with rotational inertia, and the closed form
+/// of a body there: M increases by m Jᵀ J of its centre and by I about y, g by m g times the vertical motion of the
+/// centre.
 #[test]
 fn tool_adds_inertia_and_frame() {
     let (mass, out, about_y) = (0.7, 1.1, 0.02);
@@ -241,7 +242,7 @@ fn tool_adds_inertia_and_frame() {
     for q in states(2) {
         let (with, without) = (at(&robot.model, &q), at(&bare.model, &q));
         let (a, b) = (q[0], q[0] + q[1]);
-        // How the centre moves in x and z with each joint.
+        // Derivatives of the centre's x and z with respect to each joint.
         let second = Vector2::new(-out * b.sin(), out * b.cos());
         let first = second + Vector2::new(-a.sin(), a.cos());
         let j = Matrix2::from_columns(&[first, second]);

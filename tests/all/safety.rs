@@ -1,7 +1,7 @@
-//! Starts and stops of the simulated arm: no jump at the start, and a stop at rest, whatever the cause.
+//! Starts and stops of the simulated arm: no jump at the start, and a stop at rest for any cause.
 //!
-//! Compared throughout: the arm's true motion in the log, and the bounds that a safe start and stop keep. A scripted
-//! robot, for faults that a simulation doesn't have, is in the tests of opspace-loop.
+//! Compared in all tests: the true motion of the arm in the log, and the bounds of a safe start and stop. The tests
+//! of opspace-loop contain a scripted robot for faults that a simulation does not have.
 
 use crate::common::{Run, experiment, ik, load, osc, positions, robot, run, run_with, task, torque, torques};
 use nalgebra::DVector;
@@ -15,7 +15,7 @@ use opspace_sim::EnvironmentObjectParameters;
 const START: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
 const STOPPED: f64 = 2.0;
 
-/// An experiment of one second without friction compensation, on the arm with its own parameters.
+/// Experiment of one second without friction compensation, on the arm with its own parameters.
 fn holding_experiment(options: RunOptions) -> Experiment {
     let options = RunOptions { duration_s: Some(1.0), ..options };
     load("gravity-compensation", options, &["settle_s=0", "friction_compensation.gain=0"])
@@ -26,7 +26,7 @@ fn with_duration(duration_s: f64, from: &Experiment) -> Experiment {
     experiment(from.robot().clone(), from.task().clone(), options)
 }
 
-/// The gradient of potential energy: joint torques against gravity, without any dynamics algorithm.
+/// Gradient of the potential energy: joint torques against gravity, computed without a dynamics algorithm.
 fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
     const STEP: f64 = 1e-5;
     let mut data = Data::new(model);
@@ -43,24 +43,24 @@ fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
     })
 }
 
-/// Index of the first cycle of control.
+/// Index of the first control cycle.
 fn first(run: &Run) -> usize {
     run.signal("tick", "phase").rows().position(|p| p[0] == 1.0).expect("control began")
 }
 
-/// Compared: the first setpoint, and the one at which the servos hold the weight by potential energy; the true speed
-/// over the start, and a person's slowest.
+/// Compared: the first setpoint, and the setpoint at which the servos hold the weight according to the potential
+/// energy; the true speed during the start, and a slow human motion.
 #[test]
 fn start_from_hold_has_no_jump() {
     for options in [osc("a-med"), osc("b-soft"), torque("a-med")] {
         let experiment = load("cartesian-tracking", RunOptions { duration_s: Some(2.0), ..options }, &[]);
         let run = run(&experiment);
         let k = first(&run);
-        // Where it stands: brakes give a little.
+        // At the actual position, because brakes yield slightly.
         let weight = weight(&experiment.robot().model, run.signal("truth", "q").row(k));
         let torque = run.signal("tick", "torque_desired").row(k);
         for j in 0..4 {
-            // An encoder count is 4 µrad: the weight changes by less than 1e-4 Nm over it.
+            // An encoder count is 4 µrad, which changes the weight torque by less than 1e-4 Nm.
             assert!((torque[j] - weight[j]).abs() < 1e-4, "joint {j}: {} for {}", torque[j], weight[j]);
         }
         if let Some(setpoint) = run.channel("tick").signal("q_desired") {
@@ -76,13 +76,13 @@ fn start_from_hold_has_no_jump() {
         let period_s = experiment.profile().1.period_s();
         let soon = k + (0.05 / period_s) as usize;
         let fastest = (k..soon).flat_map(|k| speed.row(k)).fold(0.0, |max: f64, v| max.max(v.abs()));
-        // Brakes that let go of the weight make the most of it.
+        // The release of the weight by the brakes causes most of this speed.
         assert!(fastest < 0.03, "{fastest} rad/s within 50 ms");
     }
 }
 
-/// Compared: the logged desired torque of a controller that demands 5 Nm more from the first cycle on, and the straight
-/// line from the weight to it over 0.2 s.
+/// Compared: the logged desired torque of a controller that demands 5 Nm more from the first cycle on, and a linear
+/// increase from the weight torque over 0.2 s.
 #[test]
 fn torque_ramps_in_linearly() {
     for options in [osc("a-med"), torque("a-med")] {
@@ -109,7 +109,7 @@ fn torque_ramps_in_linearly() {
     }
 }
 
-/// Checks that a run was stopped for a cause, says so in its log, and left the arm at rest.
+/// Checks that a run was stopped for a cause, that its log contains the cause, and that the arm is at rest.
 fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
     let RunOutcome::Faulted { fault, time_s } = &run.ending else { panic!("{name}: {:?}", run.ending) };
     let (phase, code) = (run.signal("tick", "phase"), run.signal("tick", "fault"));
@@ -124,12 +124,13 @@ fn check_stop(experiment: &Experiment, run: &Run, name: &str) -> Fault {
     fault.clone()
 }
 
-/// Checks that the log continues for 0.2 s after the stop, at the end of which nothing moves any more, and that the arm
-/// is held: it has not moved on from where it came to rest.
+/// Checks that the log continues for 0.2 s after the stop, that the arm is at rest at the end, and that it is held:
+/// it has not moved away from where it came to rest.
 fn check_at_rest(experiment: &Experiment, run: &Run, name: &str) {
     /// Largest remaining speed of a joint, rad/s.
     const STILL: f64 = 0.03;
-    /// Largest braking distance from 1 to 2 rad/s: a position servo of kp = 25/s stops within 1/kp of the speed.
+    /// Largest braking distance from 1 to 2 rad/s: a position servo with kp = 25/s stops within a distance of
+    /// speed/kp.
     const STOPPING_RAD: f64 = 0.1;
     let phase = run.signal("tick", "phase");
     let stop = phase.rows().position(|p| p[0] == STOPPED).expect("it was stopped");
@@ -151,7 +152,7 @@ fn joint_limit_stops_the_arm() {
         robot.file.safety.limit_margin_rad = NonNegative::default();
         let still = with_duration(3.0, &holding_experiment(options));
         let experiment = experiment(robot, still.task().clone(), still.options().clone());
-        // Opens the elbow, damped to 1.5 rad/s, until it meets its limit of 0.
+        // Opens the elbow at up to 1.5 rad/s until it reaches its limit of 0.
         let controller = Box::new(torques(|data, measurement, tau| {
             tau.copy_from_slice(data.gravity.as_slice());
             tau[3] += 12.0 - 6.0 * measurement.dq[3];
@@ -163,7 +164,7 @@ fn joint_limit_stops_the_arm() {
     }
 }
 
-/// The robot with a lower speed limit.
+/// The robot with a lower velocity limit, rad/s.
 fn slow_robot(limit: f64) -> RobotDefinition {
     let robot = robot(&[]);
     let urdf = robot.urdf.text().replace("velocity=\"8\"", &format!("velocity=\"{limit}\""));
@@ -206,7 +207,7 @@ fn blocked_arm_is_stopped() {
     let still = holding_experiment(osc("a-med"));
     let mut task = task("gravity-compensation", &["settle_s=0"]);
     task.file.environment.clear();
-    // The hand stands at z = -0.157 m; the shoulder swings it up against a ceiling.
+    // The hand is at z = -0.157 m; the shoulder moves it up against a ceiling.
     let wall: EnvironmentObjectParameters = serde_json::from_str(
         r#"{ "wall": { "frame": "hand", "point_m": [0.0, 0.0, -0.12], "normal": [0.0, 0.0, -1.0],
              "stiffness_n_per_m": 50000.0, "damping_ns_per_m": 100.0 } }"#,
@@ -285,11 +286,11 @@ fn interrupt_stops_a_moving_arm() {
         let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
         let run = run_with(&experiment, controller, Some(ticks));
         let RunOutcome::Interrupted { time_s } = &run.ending else { panic!("{:?}", run.ending) };
-        // The request comes after a cycle's command was written: the next cycle is the last.
+        // The request arrives after the command of a cycle was written, so the next cycle is the last.
         let expected_s = 2.25 + extra as f64 * period_s;
         assert!((time_s - expected_s).abs() < 1e-9, "in the next cycle: {time_s} s");
         assert!(run.signal("tick", "fault").rows().all(|f| f[0] == 0.0), "no fault");
-        // The last command of all is the stop, which asks for no torque.
+        // The last command is the stop, which has no desired torque.
         let asked = run.signal("servo", "torque_desired");
         assert!(asked.row(asked.len() - 1)[0].is_nan(), "the stop was overtaken by the command before it");
         check_at_rest(&experiment, &run, "interrupt");

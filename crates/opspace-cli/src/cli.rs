@@ -1,4 +1,4 @@
-//! The command-line arguments, and nothing else.
+//! Command-line arguments.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -197,8 +197,8 @@ pub struct RunArgs {
     #[arg(long)]
     pub simulate: bool,
 
-    /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s. Obstacles
-    /// are not avoided: keep the workspace clear.
+    /// First move a real robot to the task's start_rad, along a straight line in joint space at up to 0.2 rad/s.
+    /// Obstacles are not avoided: keep the workspace clear.
     #[arg(long, conflicts_with = "simulate")]
     pub move_to_start: bool,
 
@@ -365,13 +365,13 @@ pub enum SchemaKind {
     Suite,
 }
 
-/// Parser of the transformers' names.
+/// Parser of transformer names.
 fn transformers() -> impl TypedValueParser<Value = TransformerKind> {
     let values = TransformerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
     PossibleValuesParser::new(values).try_map(|name| TransformerKind::named(&name).ok_or("unknown"))
 }
 
-/// Parser of the kinds of robots.
+/// Parser of command interfaces.
 fn commands() -> impl TypedValueParser<Value = CommandKind> {
     let values = CommandKind::ALL.map(|kind| {
         PossibleValue::new(kind.name()).help(match kind {
@@ -388,7 +388,7 @@ fn commands() -> impl TypedValueParser<Value = CommandKind> {
     PossibleValuesParser::new(values).try_map(named)
 }
 
-/// Parser of the controllers' names.
+/// Parser of controller names.
 fn controllers() -> impl TypedValueParser<Value = ControllerKind> {
     let values = ControllerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.description()));
     let named =

@@ -1,4 +1,4 @@
-//! Results to stdout, everything else to stderr; a closed pipe ends the program quietly.
+//! Output: results to stdout, everything else to stderr. A closed pipe ends the program without a message.
 
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
@@ -11,29 +11,29 @@ use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
-/// Reason for which a command failed.
+/// Reason why a command failed.
 #[derive(Debug)]
 pub enum Failure {
     /// A mistake in a file.
     File(FileError),
-    /// An error without a place in a file: the message, and the exit code.
+    /// An error without a place in a file: message and exit code.
     Other(String, Exit),
     /// The reader of the output has closed the pipe.
     ClosedPipe,
 }
 
-/// Exit of a command.
+/// Exit status of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
     /// Success.
     Done,
-    /// The run failed: a fault, a divergence, a difference.
+    /// The run failed: a fault, divergence or difference.
     Failed,
-    /// Bad arguments, or a bad file.
+    /// Invalid arguments, or an invalid file.
     Bad,
-    /// Done, but data was lost or a log is damaged.
+    /// Success, but data was lost or a log is damaged.
     DataLost,
-    /// Interrupted, with the log closed.
+    /// Interrupted; the log was closed.
     Interrupted,
 }
 
@@ -71,7 +71,8 @@ impl From<RunError> for Failure {
 }
 
 impl Failure {
-    /// An error of a file that can't be written or created, with the system's message.
+    /// Creates an error about a file that cannot be read, written or created, with the message of the operating
+    /// system.
     pub fn io(what: &str, path: &std::path::Path, error: &io::Error) -> Self {
         Self::Other(format!("{}: {what}: {error}", path.display()), Exit::Bad)
     }
@@ -149,8 +150,8 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     text
 }
 
-/// Renders a table as text. Columns that don't fit into the terminal's width follow below, with the first column
-/// repeated.
+/// Renders a table as text. Columns that do not fit into the width of the terminal follow below, after a repeated
+/// first column.
 pub fn render(table: &Table) -> String {
     let texts = table.texts();
     let heads: Vec<String> = (0..table.columns.len()).map(|place| head(table, place)).collect();
@@ -165,7 +166,7 @@ pub fn render(table: &Table) -> String {
     drawn.join("\n")
 }
 
-/// Renders a column's head: above numbers one word per line, since these columns are narrow.
+/// Renders the head of a column. Above numbers it has one word per line, because these columns are narrow.
 fn head(table: &Table, place: usize) -> String {
     let column = &table.columns[place];
     let mut lines = column.title.replace(' ', if is_numeric(table, place) { "\n" } else { " " });
@@ -179,13 +180,13 @@ fn is_numeric(table: &Table, place: usize) -> bool {
     table.rows.iter().filter_map(|row| row.get(place)).all(Cell::is_numeric)
 }
 
-/// Style of a table: a line below the heads, blanks between columns.
+/// Style of a table: a line below the heads, and spaces between columns.
 const STYLE: TableStyle = TableStyle::new().header_separator(LineStyle::none().fill('─'));
 
-/// Padding of a cell: a blank on each side.
+/// Padding of a cell: one space on each side.
 const PADDING: usize = 2;
 
-/// Groups of columns that are drawn side by side: as many as fit, each group with the first column.
+/// Groups of columns that fit side by side; each group begins with the first column.
 fn blocks(widths: &[usize], most: Option<usize>) -> Vec<Vec<usize>> {
     let most = most.unwrap_or(usize::MAX);
     let first = widths.first().copied().unwrap_or(0);
@@ -221,7 +222,7 @@ fn draw(table: &Table, texts: &[Vec<String>], heads: &[String], places: &[usize]
     drawn.lines().map(|line| line.trim_end().to_owned() + "\n").collect()
 }
 
-/// Prints an error to stderr: one line, then the place in its file and the remedy.
+/// Prints an error to stderr: one line, then its place in the file and the suggested correction.
 pub fn report(failure: &Failure) -> Exit {
     let mut err = io::stderr().lock();
     match failure {
@@ -243,7 +244,8 @@ pub fn report(failure: &Failure) -> Exit {
     }
 }
 
-/// Renders the line of a mistake in a file, underlined, and the remedy; `None` if the mistake has no line.
+/// Renders the line of a mistake in a file, underlined, and the suggested correction; `None` if the mistake has no
+/// line.
 fn excerpt(error: &FileError, colours: bool) -> Option<String> {
     let (text, span) = error.excerpt().filter(|_| error.line().is_some())?;
     let line =
@@ -262,10 +264,10 @@ fn excerpt(error: &FileError, colours: bool) -> Option<String> {
     Some(renderer.decor_style(DecorStyle::Unicode).term_width(width).render(&[group]))
 }
 
-/// Columns left of a help's text: the line's number, of up to four digits, and `help: `.
+/// Columns to the left of a help text: a line number of up to four digits, and `help: `.
 const HELP_INDENT: usize = 12;
 
-/// True if a stream takes colours.
+/// True if a stream supports colours.
 fn colours(stream: &impl IsTerminal) -> bool {
     stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
@@ -298,8 +300,8 @@ mod tests {
     use opspace_experiment::{FileError, Source};
     use std::borrow::Cow;
 
-    /// Checks that the line, its place and the help are there and that the underline stands below the mistake; without
-    /// colours, no escape sequence.
+    /// Checks that the line, its place and the help are shown, that the underline is below the mistake, and that
+    /// there are no escape sequences without colours.
     #[test]
     fn a_mistake_is_shown_underlined_in_its_line() {
         let source = Source::new("tasks/x.toml", "robot = 1\n\tname = \"\u{e9}lan\" # two\n");

@@ -1,4 +1,4 @@
-//! The `opspace` command line, and [`main_with`]: the same command line in your own program, with your own drivers
+//! The `opspace` command line, and [`main_with`]: the same command line in a user's program, with additional drivers
 //! and tasks.
 //!
 //! ```no_run
@@ -26,8 +26,8 @@ use console::{Console, Exit};
 pub use opspace_experiment::Extensions;
 use std::process::ExitCode;
 
-/// Runs the whole command line, with drivers and tasks defined by the user. Reads the program's arguments; the result
-/// is its exit code.
+/// Runs the complete command line with the given drivers and tasks. Reads the arguments of the program and returns
+/// its exit code.
 #[must_use]
 pub fn main_with(extensions: &Extensions) -> ExitCode {
     let cli = Cli::parse();

@@ -1,4 +1,4 @@
-//! The `opspace` program: the command line without drivers or tasks of a user's own.
+//! The `opspace` program: the command line without additional drivers or tasks.
 
 use opspace_cli::{Extensions, main_with};
 use std::process::ExitCode;

@@ -1,4 +1,4 @@
-//! Files that a command writes, and the logs that it reads.
+//! Output folder. Recorded results are only overwritten on request.
 
 use crate::cli::JsonArgs;
 use crate::console::{Exit, Failure, print, print_exactly};
@@ -76,7 +76,7 @@ impl JsonArgs {
     }
 }
 
-/// Formats JSON for a reader.
+/// Formats JSON for human readers.
 pub fn pretty(value: &impl Serialize) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
@@ -92,7 +92,7 @@ pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
     match Recording::read(&path) {
         Ok(recording) => Ok((path, recording)),
         Err(error) => match Source::read(&path) {
-            // It can't be opened at all: in the same words as for any other file.
+            // The file cannot be opened: use the same message as for any other file.
             Err(unread) if matches!(error, LogError::Read { .. }) => Err(unread.into()),
             _ => Err(Failure::Other(format!("{}: {error}", path.display()), Exit::Bad)),
         },

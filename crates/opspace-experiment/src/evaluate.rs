@@ -1,4 +1,4 @@
-//! Metrics of a run, and tables of them.
+//! Metrics of runs, and tables of these metrics.
 
 pub mod metrics;
 pub mod results;

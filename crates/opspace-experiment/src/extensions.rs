@@ -4,18 +4,18 @@ use crate::files::task_kinds::TaskKinds;
 use opspace_backend::Driver;
 use std::fmt;
 
-/// Drivers that `[driver]` of robot.toml may name, and kinds of tasks that task files may use.
+/// Drivers that `[driver]` of robot.toml can select, and task kinds that task files can use.
 #[derive(Default)]
 #[non_exhaustive]
 pub struct Extensions {
-    /// Drivers of robots.
+    /// Robot drivers.
     pub drivers: Vec<Box<dyn Driver>>,
-    /// Kinds of tasks beside the built-in ones.
+    /// Task kinds in addition to the built-in ones.
     pub tasks: TaskKinds,
 }
 
 impl Extensions {
-    /// Replaces the kinds of tasks.
+    /// Replaces the additional task kinds.
     #[must_use]
     pub fn with_tasks(self, tasks: TaskKinds) -> Self {
         Self { tasks, ..self }

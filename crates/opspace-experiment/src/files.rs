@@ -1,4 +1,4 @@
-//! Robot, task and suite files: reading them, and describing the mistakes in them.
+//! Robot, task and suite files: reading, and descriptions of the mistakes in them.
 
 pub(crate) mod explain;
 pub mod interface;

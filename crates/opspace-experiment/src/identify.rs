@@ -1,7 +1,7 @@
-//! `opspace identify`: identification of a robot's servos by moving its joints, and the files that hold the results.
+//! `opspace identify`: identification of a robot's servos by moving its joints, and the files with the results.
 //!
-//! The identification itself is [`opspace_identify`]; here it is given a robot from its file, and its
-//! results become a section of that file, a whole file, numbers, and a page.
+//! [`opspace_identify`] performs the identification. This module reads the robot from its file, and writes the
+//! results as a section of robot.toml, as a complete robot.toml, as JSON and as an HTML page.
 
 mod html;
 mod toml_output;
@@ -27,18 +27,18 @@ use std::sync::atomic::Ordering;
 /// Request for an identification.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// The robot's profile; its default one if absent.
+    /// Profile of the robot; the default profile if `None`.
     pub profile: Option<String>,
-    /// The joint to identify; all of them if absent.
+    /// Joint to identify; all joints if `None`.
     pub joint: Option<String>,
-    /// Joint positions during the identification, by name, rad or m; the middle of the range for joints that aren't
-    /// named.
+    /// Joint positions during the identification, by name, rad or m. Joints that are not listed are at the middle of
+    /// their range.
     pub start_rad: Vec<(String, f64)>,
     /// Excitation of the joints.
     pub plan: ExcitationPlan,
 }
 
-/// A robot whose servos are to be identified, with everything checked.
+/// Checked request for an identification of a robot's servos.
 #[derive(Clone, Debug)]
 pub struct IdentificationJob {
     robot: RobotDefinition,
@@ -56,32 +56,32 @@ pub struct JointIdentification {
     /// Name of the joint.
     #[serde(skip)]
     pub name: String,
-    /// Parameters of the joint that are known beforehand.
+    /// Parameters of the joint that are known before the identification.
     #[serde(skip)]
     pub known: KnownParameters,
-    /// Structure of the servo as robot.toml states it.
+    /// Structure of the servo according to robot.toml.
     #[serde(skip)]
     pub structure: Structure,
     /// Position of the joint before its excitation, rad (m).
     pub position_rad: f64,
-    /// Inertia of the joint from URDF and rotor, with the other joints free and held, kg m² (kg).
+    /// Inertia of the joint from URDF and rotor, kg m² (kg): with the other joints free, and with them held.
     pub urdf_inertia_kg_m2: Option<[f64; 2]>,
     /// Result of the identification.
     #[serde(flatten)]
     pub found: Identification,
-    /// D* as measured at the largest amplitude, Nm/rad: frequency (Hz), real and imaginary part.
+    /// D* measured at the largest amplitude: frequency (Hz), real and imaginary part (Nm/rad).
     pub effective_servo: Vec<[f64; 3]>,
-    /// Reason why the joint can't be driven by torques; null if it can.
+    /// Reason why the joint cannot be driven by torques; null if it can.
     pub no_torque_mode: Option<String>,
 }
 
-/// The structures of servos that can be identified.
+/// Servo structures that can be identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Structure {
     /// A proportional velocity loop within a proportional position loop.
     Cascaded,
-    /// A cascade with its gains multiplied out: stiffness and damping.
+    /// The cascade in the form of stiffness and damping gains.
     Pid,
 }
 
@@ -93,12 +93,12 @@ pub struct IdentificationResults {
     profile: ProfileParameters,
     /// Identified joints, in the order of identification.
     pub joints: Vec<JointIdentification>,
-    /// Duration of the robot's motion, s on the robot's own clock.
+    /// Duration of the robot's motion, measured by the robot's clock, s.
     pub robot_s: f64,
     seed: u64,
 }
 
-/// `identification.json`.
+/// Contents of `identification.json`.
 #[derive(Serialize)]
 struct Json<'a> {
     schema: &'static str,
@@ -109,7 +109,7 @@ struct Json<'a> {
     ratio: u32,
     seed: u64,
     robot_s: f64,
-    /// Delay of the servos, servo ticks; null where the joints don't agree.
+    /// Delay of the servos, servo ticks; null if it differs between joints.
     delay_servo_ticks: Option<u32>,
     joints: BTreeMap<&'a str, &'a JointIdentification>,
 }
@@ -118,8 +118,8 @@ impl IdentificationJob {
     /// Checks a request against the robot.
     ///
     /// # Errors
-    /// Names that the robot doesn't have, positions outside its limits, a robot that takes no positions, and servos of
-    /// a structure that can't be identified.
+    /// Unknown names, positions outside the limits, a robot that does not accept positions, and servos with a
+    /// structure that cannot be identified.
     pub fn new(robot: RobotDefinition, request: Request) -> Result<Self, FileError> {
         let (name, profile) = robot.profile(request.profile.as_deref())?;
         let (profile_name, profile) = (name.to_owned(), profile.clone());
@@ -165,13 +165,13 @@ impl IdentificationJob {
         &self.robot
     }
 
-    /// The joints that will be identified.
+    /// Number of joints that will be identified.
     #[must_use]
     pub fn joints(&self) -> usize {
         self.joints.len()
     }
 
-    /// Returns the simulated robot, at rest in the posture of the identification.
+    /// Returns the simulated robot, at rest in the start posture of the identification.
     ///
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
@@ -199,11 +199,11 @@ impl IdentificationJob {
         SimulatedArm::new(setup).map_err(|e| FileError::of_file(robot.source.name(), e.to_string(), None))
     }
 
-    /// Identifies the joints, one after the other, on any robot that stands in the posture of the identification.
-    /// `begun` gets the name of each.
+    /// Identifies the joints one after the other, on any robot that is in the start posture of the identification.
+    /// Calls `begun` with the name of each joint before its identification.
     ///
     /// # Errors
-    /// The fault of the robot, or the interruption, that ended it.
+    /// The fault of the robot, or the interruption, that ended the identification.
     pub fn run(
         &self,
         robot: &mut dyn Backend,
@@ -243,7 +243,8 @@ impl IdentificationJob {
         })
     }
 
-    /// Returns what is known of a joint beforehand: neither its servo's gains, nor its friction, nor the delay.
+    /// Returns the parameters of a joint that are known before the identification: not servo gains, friction or
+    /// delay.
     fn known_parameters(&self, joint: usize) -> KnownParameters {
         let limits = &self.robot.model.joints()[joint].limits;
         let drive = &self.robot.joints()[joint];
@@ -262,7 +263,7 @@ impl IdentificationJob {
         }
     }
 
-    /// Inertia of a joint in the posture of the robot: with the others free, 1/(M⁻¹)_ii, and held, M_ii.
+    /// Inertia of a joint in the start posture, kg m² (kg): with the other joints free, 1/(M⁻¹)_ii, and held, M_ii.
     fn inertia(&self, joint: usize) -> [f64; 2] {
         let model = &self.robot.model;
         let mut data = Data::new(model);
@@ -313,7 +314,7 @@ impl IdentificationResults {
         self.joints.iter().all(|j| j.no_torque_mode.is_none())
     }
 
-    /// Returns the delay that is identified for most joints, servo ticks, and true if all joints have it.
+    /// Returns the delay of most joints, servo ticks, and true if all joints have this delay.
     fn delay(&self) -> Option<(u32, bool)> {
         let delays: Vec<u32> =
             self.joints.iter().filter_map(|j| j.found.servo.as_ref()).map(|s| s.delay).collect();
@@ -322,7 +323,7 @@ impl IdentificationResults {
         Some((most, count(most) == delays.len()))
     }
 
-    /// Table of the identified parameters, joint by joint.
+    /// Table of the identified parameters of all joints.
     #[must_use]
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
@@ -376,7 +377,7 @@ impl IdentificationResults {
         table
     }
 
-    /// All numbers, in the form of `identification.json`.
+    /// All results in the format of `identification.json`.
     #[must_use]
     pub fn json(&self) -> impl Serialize + '_ {
         Json {

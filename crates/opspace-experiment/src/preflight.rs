@@ -1,19 +1,20 @@
-//! Findings on a task and its robot before anything moves: what will go wrong when the task runs.
+//! Diagnostics: problems of a task and its robot that are predicted before the robot moves.
 //!
-//! A task that can't be built is an error of [`Experiment::new`]. A finding concerns a task that can run, but will
-//! not do what its author expects; it states the offending value and a remedy. One file per kind:
+//! A task that cannot be built is an error of [`Experiment::new`]. A diagnostic concerns a task that can run but will
+//! not behave as intended; it gives the value at fault and a remedy. There is one file per kind:
 //!
 //! | file | finds |
 //! |---|---|
 //! | `goals` | references that are out of reach, or reachable only beyond the joint position limits |
-//! | `speeds` | references faster than the joints or the task's own speed limit |
+//! | `speeds` | references faster than the joints or the speed limit of the task |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
-//! | `freedom` | a start at a singularity; freedom that nothing damps |
-//! | `servo_gain` | position or velocity loops that tolerate hardly more gain than the nominal one |
-//! | `times` | events and references that the run is too short for |
+//! | `freedom` | a start at a singularity; undamped degrees of freedom |
+//! | `servo_gain` | position or velocity loops with a small gain margin |
+//! | `times` | events and references that end after the run |
 //!
-//! The robot is the nominal one, at the task's start posture; its tasks are followed without error.
+//! All checks use the nominal robot, which starts in the start posture of the task and follows the references without
+//! error.
 
 mod case;
 mod diagnostic;
@@ -33,8 +34,8 @@ pub use diagnostic::Diagnostic;
 use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 
-/// Computes all findings that need no run; empty for most tasks. The finding of a gain margin comes from
-/// [`GainMargin::finding`].
+/// Computes all diagnostics that need no simulation; most tasks have none. [`GainMargin::finding`] gives the
+/// diagnostic about the gain margin.
 #[must_use]
 pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     let Some(case) = PreflightCase::new(experiment) else {
@@ -49,7 +50,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     }
     found.extend(limits::of_postures(&case, &followed));
     let out_of_reach = goals::out_of_reach(&case, &followed);
-    // What can't be reached asks for any speed and any torque on the way.
+    // References that are out of reach would require arbitrary speeds and torques.
     if out_of_reach.is_empty() {
         found.extend(speeds::of_joints(&case, &followed));
         found.extend(limits::on_the_way(&case, &followed));
@@ -60,7 +61,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     found
 }
 
-/// Lists the tasks that do not report what [`diagnostics`] needs: their diagnostics are incomplete.
+/// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.
 #[must_use]
 pub fn not_checked(experiment: &Experiment) -> Vec<Diagnostic> {
     let torques = experiment.options().controller == ControllerKind::Osc;

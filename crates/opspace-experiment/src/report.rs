@@ -1,4 +1,4 @@
-//! Reports: figures, and the page they stand on.
+//! Reports: figures and HTML pages.
 
 pub mod document;
 pub mod figure;

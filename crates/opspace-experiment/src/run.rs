@@ -1,4 +1,4 @@
-//! Experiments: a task on a robot, run on a simulated or a real one, or replayed from a log.
+//! Experiments: a task executed by a simulated or real robot, or replayed from a log.
 
 mod capabilities;
 pub mod error;

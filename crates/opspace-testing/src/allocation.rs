@@ -1,18 +1,18 @@
-//! An allocator that counts, thread by thread: the test harness has threads of its own.
+//! Allocator that counts requests per thread, because the test harness has threads of its own.
 #![expect(unsafe_code, reason = "an allocator can't be written without")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
 
-/// Requests to the allocator.
+/// Numbers of requests to the allocator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Count {
-    /// Number of allocations, reallocations included.
+    /// Number of allocations, including reallocations.
     pub allocations: usize,
-    /// Number of frees.
+    /// Number of deallocations.
     pub frees: usize,
-    /// Size of the largest piece, bytes.
+    /// Size of the largest allocation, bytes.
     pub largest: usize,
 }
 
@@ -20,11 +20,12 @@ thread_local! {
     static COUNT: Cell<Count> = const { Cell::new(Count { allocations: 0, frees: 0, largest: 0 }) };
 }
 
-/// The system's allocator, with a count of requests for each thread; a test binary makes it its `#[global_allocator]`.
+/// System allocator that counts the requests of each thread; a test binary must declare it as its
+/// `#[global_allocator]`.
 pub struct CountingAllocator;
 
 fn note(change: impl FnOnce(&mut Count)) {
-    // Fails only while a thread ends.
+    // This fails only while a thread ends.
     let _ = COUNT.try_with(|cell| {
         let mut count = cell.get();
         change(&mut count);
@@ -39,29 +40,29 @@ fn note_allocation(size: usize) {
     });
 }
 
-// SAFETY: everything is passed on to the system's allocator.
+// SAFETY: all requests are forwarded to the system allocator.
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note_allocation(layout.size());
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the same conditions.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         note_allocation(layout.size());
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the same conditions.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         note_allocation(size);
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the same conditions.
         unsafe { System.realloc(block, layout, size) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         note(|count| count.frees += 1);
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller guarantees the same conditions.
         unsafe { System.dealloc(block, layout) }
     }
 }
@@ -72,7 +73,7 @@ pub fn allocations_so_far() -> usize {
     COUNT.get().allocations
 }
 
-/// Returns the result of `work`, and its requests to the allocator on this thread.
+/// Returns the result of `work`, and the requests of this thread to the allocator during `work`.
 ///
 /// # Panics
 /// If [`CountingAllocator`] is not the global allocator of this binary.
@@ -92,7 +93,7 @@ pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Count) {
     (result, count)
 }
 
-/// Number of allocations of `work` on this thread.
+/// Number of allocations that `work` makes on this thread.
 pub fn allocations(work: impl FnOnce()) -> usize {
     counted(work).1.allocations
 }

@@ -1,15 +1,15 @@
-//! Numbers of foreign programs in `tests/oracles/`, the URDFs that they are of, and the error relative to them.
+//! Reference values of other programs in `tests/oracles/`, the URDFs to which they belong, and relative errors.
 
 use serde_json::Value;
 use std::fs;
 
 const ORACLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/oracles");
 
-/// A file of numbers, matched to its URDF.
+/// File of reference values with its URDF.
 pub struct Oracle {
-    /// Facts that hold for all samples: the robot's file, its frames, its joints.
+    /// Facts about all samples: file, frames and joints of the robot.
     pub meta: Value,
-    /// States, each with inputs and the foreign results.
+    /// States, each with inputs and reference results.
     pub samples: Vec<Value>,
     /// Path of the URDF.
     pub urdf_path: String,
@@ -21,7 +21,7 @@ impl Oracle {
     /// Reads a file of `tests/oracles/`.
     ///
     /// # Panics
-    /// If a file is missing or malformed, or the URDF is another one than the numbers are of.
+    /// If a file is missing or malformed, or if the URDF is not the one for which the values were computed.
     #[must_use]
     pub fn read(file: &str) -> Self {
         let mut numbers: Value = serde_json::from_str(&read(&format!("{ORACLES}/{file}"))).expect(file);
@@ -35,13 +35,13 @@ impl Oracle {
     }
 }
 
-/// Path of a URDF of `tests/oracles/`, named without its extension.
+/// Path of a URDF in `tests/oracles/`, given by its name without extension.
 #[must_use]
 pub fn urdf_path(robot: &str) -> String {
     format!("{ORACLES}/pinocchio/urdf/{robot}.urdf")
 }
 
-/// Text of a URDF of `tests/oracles/`, named without its extension.
+/// Text of a URDF in `tests/oracles/`, given by its name without extension.
 ///
 /// # Panics
 /// If there is no such file.
@@ -50,7 +50,7 @@ pub fn urdf(robot: &str) -> String {
     read(&urdf_path(robot))
 }
 
-/// One number, or a list of them.
+/// Converts a JSON number or a list of numbers.
 ///
 /// # Panics
 /// If the value is neither.
@@ -62,7 +62,7 @@ pub fn numbers(value: &Value) -> Vec<f64> {
     }
 }
 
-/// Largest error of any entry relative to max(1, the reference's largest); NaN if an error is none.
+/// Largest error of any entry, relative to max(1, largest reference value); NaN if any error is NaN.
 ///
 /// # Panics
 /// If the lengths differ.
@@ -70,7 +70,7 @@ pub fn numbers(value: &Value) -> Vec<f64> {
 pub fn relative_error(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     let scale = theirs.iter().fold(1.0, |m: f64, x| m.max(x.abs()));
-    // Not f64::max, which would drop a NaN.
+    // f64::max would ignore a NaN.
     let errors = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs() / scale);
     errors.fold(0.0, |m: f64, e| if e > m || e.is_nan() { e } else { m })
 }

@@ -1,4 +1,4 @@
-//! The program, started as its users start it.
+//! Helpers that start the program as its users do.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 
 pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
-/// A path in the project, as text.
+/// Path in the project, as text.
 pub fn project(path: &str) -> String {
     format!("{ROOT}/{path}")
 }
@@ -42,7 +42,7 @@ impl Ran {
     }
 }
 
-/// The program, to be started in a folder, without a terminal.
+/// Returns a command that starts the program in a folder, without a terminal.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_opspace"));
     command.args(arguments).current_dir(folder).stdin(Stdio::null());
@@ -65,7 +65,7 @@ pub fn scratch() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
 
-/// Runs a task of the project for two seconds into `folder/name`, and returns the log's path.
+/// Runs a task of the project for two seconds into `folder/name`, and returns the path of the log.
 #[track_caller]
 pub fn run(folder: &Path, name: &str, task: &str, options: &[&str]) -> PathBuf {
     let task = project(&format!("tasks/{task}.toml"));

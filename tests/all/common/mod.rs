@@ -1,4 +1,4 @@
-//! Experiments of the files embedded in the program, run into memory.
+//! Experiments with the files embedded in the program, run in memory.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
@@ -18,18 +18,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 pub const ROBOT: &str = "robots/asimo-arm";
 
-/// Position robot, operational-space control, in a profile.
+/// Options of a position robot with operational-space control in a profile.
 pub fn osc(profile: &str) -> RunOptions {
     let transformer = TransformerKind::named("paper");
     RunOptions { profile: Some(profile.to_owned()), transformer, ..RunOptions::default() }
 }
 
-/// Torque robot at the rates of a profile.
+/// Options of a torque robot with the rates of a profile.
 pub fn torque(profile: &str) -> RunOptions {
     RunOptions { backend: CommandKind::Torque, ..osc(profile) }
 }
 
-/// Position robot, inverse kinematics, with or without velocity lead.
+/// Options of a position robot with inverse kinematics, with or without velocity lead.
 pub fn ik(profile: &str, controller: ControllerKind) -> RunOptions {
     RunOptions { controller, ..osc(profile) }
 }
@@ -49,7 +49,7 @@ pub fn experiment(robot: RobotDefinition, task: TaskDefinition, options: RunOpti
     Experiment::new(robot, task, options, Vec::new()).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// A task of the paper on its robot, with settings as on the command line.
+/// Loads a task of the paper on its robot, with settings as on the command line.
 pub fn load(name: &str, options: RunOptions, settings: &[&str]) -> Experiment {
     let path = format!("tasks/{name}.toml");
     Experiment::load(Files::Embedded, Path::new(&path), None, options, &owned(settings))
@@ -60,7 +60,7 @@ fn owned(settings: &[&str]) -> Vec<String> {
     settings.iter().map(|s| (*s).to_owned()).collect()
 }
 
-/// Returns the robot with ideal drives: no current loop, encoder counts, noise or torque limit.
+/// Returns the robot with ideal drives: without current loop, encoder quantisation, noise and torque limit.
 pub fn ideal(mut robot: RobotDefinition) -> RobotDefinition {
     let simulated = robot.file.simulated.as_mut().expect("the arm can be simulated");
     simulated.current_loop_hz = None;
@@ -86,10 +86,10 @@ impl Run {
     }
 }
 
-/// A sink that keeps the rows in memory.
+/// Sink that stores the rows in memory.
 pub struct Memory {
     pub recording: Recording,
-    /// Number of cycles after which the flag is raised.
+    /// Number of cycles after which the interrupt flag is set.
     pub interrupt_after: Option<u64>,
     ticks: u64,
 }
@@ -102,7 +102,7 @@ impl Memory {
     }
 }
 
-/// A [`Memory`] with the flag that it raises.
+/// A [`Memory`] with the interrupt flag that it sets.
 struct Flagged<'a>(&'a mut Memory, &'a AtomicBool);
 
 impl Sink for Flagged<'_> {
@@ -120,7 +120,7 @@ impl Sink for Flagged<'_> {
     }
 }
 
-/// Runs an experiment with its own controller.
+/// Runs an experiment with the controller of its task.
 pub fn run(experiment: &Experiment) -> Run {
     let controller = experiment.controller().unwrap_or_else(|e| panic!("{e}"));
     run_with(experiment, controller, None)
@@ -133,7 +133,7 @@ pub fn measure(experiment: &Experiment) -> Metrics {
     metrics(experiment, &run.recording)
 }
 
-/// Runs any controller on the simulated robot of an experiment, interrupted after some cycles.
+/// Runs a given controller on the simulated robot of an experiment, optionally interrupted after some cycles.
 pub fn run_with(
     experiment: &Experiment,
     controller: Box<dyn Controller>,
@@ -151,13 +151,13 @@ pub fn run_with(
     Run { ending, recording: memory.recording }
 }
 
-/// The control loop of an experiment with another controller.
+/// Builds the control loop of an experiment with another controller.
 pub fn control_loop(experiment: &Experiment, controller: Box<dyn Controller>) -> ControlLoop {
     let config = experiment.loop_config().unwrap_or_else(|e| panic!("{e}"));
     ControlLoop::new(LoopConfig { controller, ..config }).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// A controller made of a function of the measurement: its commands are those of the test.
+/// Controller whose commands are computed by a function of the test.
 pub struct Told<F> {
     pub kind: CommandKind,
     pub command: F,
@@ -179,12 +179,12 @@ impl<F> Observable for Told<F> {
     fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
-/// A controller of torques.
+/// Creates a torque controller from a function.
 pub fn torques<F: FnMut(&Data, &Measurement, &mut [f64]) + Send>(command: F) -> Told<F> {
     Told { kind: CommandKind::Torque, command }
 }
 
-/// A controller of positions.
+/// Creates a position controller from a function.
 pub fn positions<F: FnMut(&Data, &Measurement, &mut [f64]) + Send>(command: F) -> Told<F> {
     Told { kind: CommandKind::Position, command }
 }

@@ -1,4 +1,4 @@
-//! `opspace bench`: a suite, one table.
+//! `opspace bench`: runs a suite and prints one table.
 
 use crate::cli::BenchArgs;
 use crate::commands::run::{exit_code, style};
@@ -81,7 +81,7 @@ const LEAD: &str = "Each task file runs unchanged on position and velocity robot
                     1:5 means a setpoint every five servo ticks. The operator is a simulated person whose hand pulls at \
                     the robot.";
 
-/// Runs the experiments, several at once, each on one thread; the results are in the order of the experiments.
+/// Runs the experiments in parallel, each on one thread; the results are in the order of the experiments.
 fn run_all(
     experiments: &[Experiment],
     logs: &BTreeMap<usize, String>,
@@ -117,7 +117,7 @@ fn run_all(
     bar.finish_and_clear();
     let mut done = Vec::new();
     for slot in results {
-        // An empty slot is a run that an interrupt kept from starting.
+        // An empty slot belongs to a run that did not start because of an interrupt.
         if let Some(result) = slot.into_inner().unwrap_or_default() {
             done.push(result?);
         }

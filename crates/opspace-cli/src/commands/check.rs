@@ -1,5 +1,5 @@
-//! `opspace check`: checks files, alone and against each other, without running anything, and reports predicted
-//! failures of a task before anything moves.
+//! `opspace check`: checks files, individually and against each other, without running anything, and reports
+//! predicted problems of a task.
 
 use crate::cli::CheckArgs;
 use crate::commands::own_backend;
@@ -39,7 +39,7 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
     Ok(exit)
 }
 
-/// A valid file, and the predicted failures of its task.
+/// Valid file with the predicted problems of its task.
 struct Checked {
     /// Kind of the file.
     what: String,
@@ -56,7 +56,7 @@ impl Checked {
     }
 }
 
-/// A finding and its place.
+/// Diagnostic with its place.
 struct Found {
     finding: Diagnostic,
     place: FileError,
@@ -69,14 +69,15 @@ impl Found {
     }
 }
 
-/// Finds the findings of these experiments, each once: runs that differ only in unrelated settings have the same ones.
+/// Collects the diagnostics of these experiments without duplicates: runs that differ only in unrelated settings have
+/// the same ones.
 fn find<'a>(
     experiments: impl IntoIterator<Item = &'a Experiment>,
     diagnostics: fn(&Experiment) -> Vec<Diagnostic>,
 ) -> Vec<Found> {
     let (mut looked_at, mut found) = (HashSet::new(), Vec::<Found>::new());
     for experiment in experiments {
-        // All but the seed and the transformer, which no finding depends on.
+        // All options except the seed and the transformer, which do not affect any diagnostic.
         let RunOptions { backend, controller, duration_s, .. } = experiment.options();
         let sources = [&experiment.task().source, &experiment.robot().source].map(|s| s.text().to_owned());
         let profile = experiment.profile().0.to_owned();
@@ -140,7 +141,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             Ok(Checked { what, margin, found, skipped })
         }
         Some(Kind::Robot) => robot(),
-        // What a folder stands for is a robot.
+        // A folder denotes a robot.
         None if path.is_dir() => robot(),
         None => {
             let help =
@@ -183,7 +184,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         Err(error) => json!({
             "file": path,
             "ok": false,
-            // The fault may stand in a file that this one names.
+            // The mistake may be in a file to which this file refers.
             "at": error.path(),
             "line": error.line(),
             "message": error.message(),

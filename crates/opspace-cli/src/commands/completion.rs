@@ -1,4 +1,4 @@
-//! `opspace completion`: a shell's completion script.
+//! `opspace completion`: completion script of a shell.
 
 use crate::cli::Cli;
 use crate::console::{Exit, Outcome, print_exactly};

@@ -57,7 +57,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     Ok(if identified.is_complete() { Exit::Done } else { Exit::Failed })
 }
 
-/// Writes all results, and returns their paths.
+/// Writes all results and returns their paths.
 fn write_results(folder: &Path, identified: &IdentificationResults) -> Result<Vec<String>, Failure> {
     let mut files = vec![
         (SERVO_FILE.to_owned(), identified.servo_toml()),
@@ -78,7 +78,7 @@ fn write_results(folder: &Path, identified: &IdentificationResults) -> Result<Ve
     Ok(paths)
 }
 
-/// Shows which joint is being identified. The bar counts joints, since the duration depends on the joint.
+/// Shows the joint that is being identified. The bar counts joints, because the duration differs between joints.
 fn with_progress<T>(
     identifying: &IdentificationJob,
     console: Console,

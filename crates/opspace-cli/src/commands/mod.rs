@@ -1,4 +1,4 @@
-//! The commands, one file each.
+//! Commands, one file each.
 
 pub mod bench;
 pub mod check;
@@ -15,7 +15,7 @@ use opspace_backend::CommandKind;
 use opspace_experiment::{Experiment, Extensions, Files};
 use std::path::Path;
 
-/// The kind of robot that robot.toml states.
+/// Returns the command interface declared in robot.toml.
 fn own_backend(
     task: &Path,
     robot: Option<&Path>,

@@ -1,4 +1,4 @@
-//! `opspace model`: a robot as tables, with warnings about it; or its kinematics and dynamics at given states.
+//! `opspace model`: tables of a robot and warnings about it, or its kinematics and dynamics at given states.
 
 use crate::cli::ModelArgs;
 use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render};
@@ -27,14 +27,14 @@ pub fn model(args: &ModelArgs, console: Console) -> Outcome {
     Ok(Exit::Done)
 }
 
-/// A model and the warnings about it.
+/// Model with warnings about it.
 struct ModelView {
     /// Name of the URDF.
     file: String,
     model: Model,
-    /// Mass of the links that can't move, kg; the model contains none of them.
+    /// Mass of the links that cannot move, kg; they are not part of the model.
     standing_kg: f64,
-    /// Warnings of the reader, then those about the model as a whole.
+    /// Warnings of the URDF parser, then warnings about the whole model.
     warnings: Vec<String>,
 }
 
@@ -91,7 +91,7 @@ fn joint_table(model: &Model) -> Table {
         ("velocity", "/s"),
         ("effort", ""),
     ];
-    // A URDF alone knows none.
+    // A URDF alone contains no rotor inertias.
     let rotors = model.rotor_inertia().iter().any(|&rotor| rotor != 0.0);
     if rotors {
         columns.push(("rotor", "kg m²"));
@@ -169,13 +169,13 @@ fn frame_table(model: &Model) -> Table {
     table
 }
 
-/// Bodies with their numbers; of a floating base's six only the last, which is the base itself.
+/// Bodies with their indices. Of the six bodies of a floating base, only the last one is included, which is the base.
 fn bodies(model: &Model) -> impl Iterator<Item = (usize, &Body)> {
     let first = if model.is_floating() { 5 } else { 0 };
     model.bodies().iter().enumerate().skip(first)
 }
 
-/// Frame of the link that a body is named after: the one that its joint moves.
+/// Frame of the link after which a body is named: the child link of its joint.
 fn link_frame(model: &Model, body: Option<usize>) -> Option<&Frame> {
     model.frames().iter().find(|frame| frame.body == body)
 }
@@ -184,7 +184,8 @@ fn link(model: &Model, body: Option<usize>) -> &str {
     link_frame(model, body).map_or("the base", |frame| &frame.name)
 }
 
-/// Parent link of a joint; with several bodies that follow the joint, that of its own body. `None` for a floating base.
+/// Parent link of a joint; if several bodies follow the joint, the parent of the joint's own body. `None` for a
+/// floating base.
 fn parent_link(model: &Model, joint: usize) -> Option<&str> {
     if model.joints()[joint].kind == JointKind::Floating {
         return None;
@@ -193,7 +194,7 @@ fn parent_link(model: &Model, joint: usize) -> Option<&str> {
     own.map(|body| link(model, body.parent))
 }
 
-/// Joint of a body, with the ratio and offset to the joint's position if the body follows it.
+/// Name of a body's joint, with ratio and offset to the joint's position if the body follows it (mimic joint).
 fn mover(model: &Model, body: &Body) -> String {
     let name = &model.joints()[body.joint].name;
     match (body.kind, body.ratio, body.offset) {
@@ -204,7 +205,7 @@ fn mover(model: &Model, body: &Body) -> String {
     }
 }
 
-/// Largest position that is rounding of zero, m; for moments relative to the largest.
+/// Largest position that counts as zero because of rounding, m; for moments relative to the largest moment.
 const ROUNDING: f64 = 1e-9;
 
 fn rounded(value: f64, scale: f64) -> f64 {
@@ -233,7 +234,7 @@ fn offset(model: &Model, frame: &Frame) -> [f64; 3] {
 
 fn as_json(shown: &ModelView) -> Value {
     let model = &shown.model;
-    // JSON has no infinity: null is no limit.
+    // JSON has no infinity: null means no limit.
     let joints: Vec<Value> = (model.joints().iter().enumerate())
         .map(|(i, joint)| {
             let moved = model.bodies().iter().filter(|body| body.joint == i);

@@ -1,4 +1,4 @@
-//! `opspace new`: a folder for a user's own robot.
+//! `opspace new`: creates a folder for a new robot.
 
 use crate::cli::{NewArgs, SchemaKind};
 use crate::commands::schema::text as schema_text;
@@ -23,7 +23,7 @@ pub fn new(args: &NewArgs, console: Console) -> Outcome {
     let urdf = args.urdf.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let copy = args.dir.join(&urdf);
     match fs::read_to_string(&copy) {
-        // It is there already, or is the very file.
+        // The copy already exists, or is the same file.
         Ok(text) if text == source.text() => {}
         Ok(_) => {
             let text = format!("{}: already exists and differs from {}", copy.display(), source.name());

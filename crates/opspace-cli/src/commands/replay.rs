@@ -50,7 +50,7 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     })
 }
 
-/// Describes the result of a replay: equal bits, or the first difference.
+/// Describes the result of a replay: equality of all bits, or the first difference.
 fn verdict(log: &Path, replayed: &ReplayReport) -> String {
     let (log, ReplayReport { compared, logged, differing, .. }) = (log.display(), replayed);
     match &replayed.first_difference {
@@ -69,7 +69,7 @@ fn verdict(log: &Path, replayed: &ReplayReport) -> String {
     }
 }
 
-/// Describes the commands that another task would have given.
+/// Describes the commands that another task would have computed.
 fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayReport) -> String {
     let (name, compared) = (experiment.task().name(), replayed.compared);
     let mut text = format!(

@@ -1,4 +1,4 @@
-//! `opspace report`: one page about logs.
+//! `opspace report`: creates one page about logs.
 
 use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};

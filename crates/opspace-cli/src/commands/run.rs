@@ -1,4 +1,4 @@
-//! `opspace run`: one task on one robot.
+//! `opspace run`: executes one task on one robot.
 
 use crate::cli::RunArgs;
 use crate::commands::own_backend;
@@ -65,7 +65,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     Ok(exit_code(&summary))
 }
 
-/// Prints the reason of a run that ended early, and what could not be saved.
+/// Prints the reason why a run ended early.
 fn say_end(summary: &Summary, console: Console) {
     if let Some(time_s) = summary.interrupted_time_s {
         console.note(&format!("interrupted at {time_s:.3} s; the log is closed"));
@@ -79,7 +79,7 @@ fn say_end(summary: &Summary, console: Console) {
     }
 }
 
-/// Exit code of a run; 1 outranks 130, which outranks 3.
+/// Exit code of a run; 1 takes precedence over 130, and 130 over 3.
 pub fn exit_code(summary: &Summary) -> Exit {
     if summary.faulted.is_some() {
         Exit::Failed

@@ -13,7 +13,7 @@ pub fn schema(kind: SchemaKind) -> Outcome {
     Ok(Exit::Done)
 }
 
-/// The schema of a kind of file.
+/// Returns the schema of a kind of file.
 pub fn text(kind: SchemaKind) -> String {
     pretty(&match kind {
         SchemaKind::Robot => schema_for!(RobotFile),

@@ -1,7 +1,8 @@
-//! Metrics of a run, computed from its log alone.
+//! Metrics of a run, computed only from its log.
 //!
-//! Statistics count from `settle_s` after the first cycle of control to the last, whatever the robot's clock says.
-//! Positions are the true ones where the log has them (a simulation), else the measured ones.
+//! Statistics cover the time from `settle_s` after the first control cycle to the last control cycle; the start of
+//! the robot's clock does not matter. Positions are the true ones if the log contains them (simulation), otherwise
+//! the measured ones.
 
 mod ripple;
 
@@ -22,7 +23,7 @@ use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
 use serde::Serialize;
 
-/// Metrics of a run; `None` where a metric doesn't apply to it.
+/// Metrics of a run; a metric that does not apply to the run is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Metrics {
@@ -48,14 +49,14 @@ pub struct Metrics {
     pub torque_error_interval: Option<f64>,
     /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
     pub torque_error_tick: Option<f64>,
-    /// Torque error within the interface intervals, √(e_servo² − e_interval²) in Nm, over the ripple that a held
-    /// setpoint must leave there at the speeds of the run; `None` where no setpoint is held.
+    /// Torque error within the interface intervals, √(e_servo² − e_interval²) in Nm, relative to the ripple that a
+    /// held setpoint inevitably causes there at the speeds of the run; `None` if no setpoint is held.
     pub hold_ripple: Option<f64>,
     /// Highest speed of a position setpoint, rad/s.
     pub setpoint_speed_max_rad_per_s: Option<f64>,
     /// Highest acceleration of a velocity setpoint, rad/s².
     pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
-    /// Share of interface cycles in which a desired torque was saturated.
+    /// Fraction of interface cycles in which a desired torque was saturated.
     pub torque_saturated_share: Option<f64>,
     /// Largest torque that the controller commanded to a joint, before saturation, Nm.
     pub torque_commanded_max_nm: Option<f64>,
@@ -67,7 +68,7 @@ pub struct Metrics {
     pub limited_share: Option<f64>,
 }
 
-/// Computing times of a run: not reproducible.
+/// Computing times of a run; they are not reproducible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Timing {
@@ -77,7 +78,7 @@ pub struct Timing {
     pub tick_ns_p99: f64,
     /// Largest duration of a control cycle with estimator, model, control and transformer, ns.
     pub tick_ns_max: f64,
-    /// Simulated time over wall time.
+    /// Ratio of robot time to wall-clock time.
     pub realtime_factor: Option<f64>,
 }
 
@@ -131,18 +132,19 @@ pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
     }
 }
 
-/// A log being evaluated.
+/// Log that is evaluated, with its experiment.
 struct Run<'a> {
     experiment: &'a Experiment,
     recording: &'a Recording,
     tick: &'a ChannelData,
-    /// Times and positions of the joints: the true ones if the log has them, else the measured ones.
+    /// Times (s) and positions (n; rad or m) of the joints: true ones if the log contains them, otherwise measured
+    /// ones.
     joints: (&'a [f64], Column<'a>),
     /// Time of the first cycle of control on the robot's clock, s.
     start_s: f64,
     from_s: f64,
     to_s: f64,
-    /// Times that differ by less are the same: they are multiples of a servo period, rounded, s.
+    /// Tolerance within which two times are equal, s: times are rounded multiples of a servo period.
     same_s: f64,
 }
 
@@ -167,14 +169,14 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Indices of the times that count: after settling, up to the last cycle of control.
+    /// Indices of the times in the evaluated interval: after settling, up to the last control cycle.
     fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
         let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
         let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
     }
 
-    /// Interface cycle of row `k` of the joints; `None` where the cycle was missed.
+    /// Index of the interface cycle at row `k` of the joints; `None` if the cycle was missed.
     fn tick_of(&self, k: usize) -> Option<usize> {
         let (times, _) = self.joints;
         let ticks = &self.tick.time_s;
@@ -182,7 +184,7 @@ impl<'a> Run<'a> {
         ticks.get(tick).is_some_and(|&t| t <= times[k] + self.same_s).then_some(tick)
     }
 
-    /// Pose of a task's subject and the task's axes at each settled row of the joints, with the row's index.
+    /// Pose of a task's controlled frame and the task's axes at each evaluated row of the joints, with the row index.
     fn poses(
         &self,
         subject: ControlledFrame,
@@ -205,7 +207,7 @@ impl<'a> Run<'a> {
         self.following(name, task, subject, metrics);
     }
 
-    /// Computes the distance and the angle of a task's subject from its reference, over the task's motion axes.
+    /// Computes the distance and the angle of a task's controlled frame from its reference, along the motion axes.
     fn following(
         &self,
         name: &str,
@@ -236,14 +238,14 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Largest magnitude of a signal of the cycles, over its elements; `None` without the signal.
+    /// Largest magnitude among the elements of a tick signal; `None` if the signal is missing.
     fn largest(&self, signal: &str) -> Option<f64> {
         let values = self.tick.signal(signal)?;
         let settled = self.settled(&self.tick.time_s);
         Some(settled.flat_map(|k| values.row(k)).fold(0.0, |max: f64, v| max.max(v.abs())))
     }
 
-    /// Computes the largest torques and speeds, and the share of limited cycles.
+    /// Computes the largest torques and speeds, and the fraction of limited cycles.
     fn peaks(&self, metrics: &mut Metrics) {
         let largest = |values: &mut dyn Iterator<Item = f64>| {
             values.filter(|v| v.is_finite()).map(f64::abs).reduce(f64::max)
@@ -316,7 +318,8 @@ impl<'a> Run<'a> {
         Some(frame_placement(model, &data, frame))
     }
 
-    /// √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo periods.
+    /// Computes torque errors √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo
+    /// periods.
     fn torque_errors(&self) -> Metrics {
         let mut metrics = Metrics::default();
         let Some(servo) = self.recording.channel(SERVO_CHANNEL) else { return metrics };
@@ -329,9 +332,9 @@ impl<'a> Run<'a> {
         let n = motor.elements().len();
         let mut sums = vec![(0.0, 0.0); n];
         let settled = self.settled(&servo.time_s);
-        // Rows come an interface interval at a time, and begin with an interval.
+        // The rows consist of whole interface intervals; the first row begins an interval.
         let first = settled.start.div_ceil(ratio) * ratio;
-        // Before the first command acts, and after a stop, no torque is asked for.
+        // There is no desired torque before the first command takes effect, and none after a stop.
         let asked = |k: usize| desired.row(k).iter().all(|d| d.is_finite());
         let whole = |k: &usize| k + ratio <= settled.end && (*k..k + ratio).all(asked);
         for interval in (first..settled.end).step_by(ratio).filter(whole) {
@@ -357,9 +360,9 @@ impl<'a> Run<'a> {
         metrics
     }
 
-    /// √(Σ_j mean e_j²) of the torque that held setpoints leave within interface intervals at the speeds of the run,
-    /// Nm; `None` where none is held for longer than a servo tick, and for velocity robots, whose torque within an
-    /// interval follows acceleration and not speed.
+    /// Ripple √(Σ_j mean e_j²) of the torque that held setpoints cause within interface intervals at the speeds of
+    /// the run, Nm. `None` if no setpoint is held for longer than a servo tick, and for velocity robots, whose torque
+    /// within an interval depends on acceleration and not on speed.
     fn held_ripple_nm(&self) -> Option<f64> {
         self.experiment.transformer_kind()?;
         if self.experiment.command_kind() != CommandKind::Position {
@@ -391,13 +394,13 @@ impl<'a> Run<'a> {
     }
 }
 
-/// A logged orientation: a quaternion, real part first.
+/// Converts a logged orientation: a quaternion, real part first.
 fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
     let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
     UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }
 
-/// Squares of an error and of what it is relative to.
+/// Sums of the squares of an error and of the quantity to which it is relative.
 #[derive(Default)]
 struct Relative {
     error: f64,
@@ -425,7 +428,7 @@ fn finite(number: f64) -> Option<f64> {
     number.is_finite().then_some(number)
 }
 
-/// The norm over those elements that count.
+/// Norm over the selected elements.
 fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
     v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
 }

@@ -1,4 +1,4 @@
-//! Summaries side by side: the table that every command prints.
+//! Comparison of summaries: the table that all commands print.
 
 use crate::evaluate::table::{Cell, Table};
 use crate::run::summary::Summary;
@@ -22,7 +22,7 @@ const OF_TORQUE_ERRORS: &str = "Torque error: rms of motor torque minus desired 
                                 at servo rate, of the means over each interval between two setpoints, and in the first servo \
                                 period after each control cycle ('tick'), which does not show the torque between setpoints.";
 
-/// The notes under a table of results.
+/// Notes under a table of results.
 #[must_use]
 pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
     let simulated = summaries.iter().any(|summary| summary.simulated).then_some(OF_SIMULATION);
@@ -35,7 +35,7 @@ pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
     [simulated, real, operator, torque_errors].into_iter().flatten().collect()
 }
 
-/// Summaries that differ only in their seed, and the medians of their numbers.
+/// Summaries that differ only in the seed, and the medians of their numbers.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Group<'a> {
@@ -44,13 +44,13 @@ pub struct Group<'a> {
 }
 
 impl<'a> Group<'a> {
-    /// Returns the first run of the group: all but the seed and the numbers is common to the others.
+    /// Returns the first run of the group; the others differ from it only in the seed and in the results.
     #[must_use]
     pub fn first(&self) -> &'a Summary {
         self.runs[0]
     }
 
-    /// Median over the runs that have the number.
+    /// Median of a number over the runs that have it.
     pub fn median(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<f64> {
         let mut values: Vec<f64> = self.runs.iter().filter_map(|run| number(run)).collect();
         values.sort_by(f64::total_cmp);
@@ -63,7 +63,7 @@ impl<'a> Group<'a> {
     }
 }
 
-/// Groups runs that differ only in their seed; tasks and, within them, profiles are kept together.
+/// Groups runs that differ only in the seed. The groups are ordered by robot and task, then by profile.
 #[must_use]
 pub fn group(summaries: &[Summary]) -> Vec<Group<'_>> {
     let mut groups: Vec<Group<'_>> = Vec::new();
@@ -109,7 +109,7 @@ pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
     for group in group(summaries) {
         let first = group.first();
         if task.replace((&first.task, &first.robot)) != Some((&first.task, &first.robot)) {
-            // The cells that are missing in a short row stay blank.
+            // Missing cells at the end of a row stay blank.
             table.push(vec![first.task.clone().into()]);
         }
         let runs = group.runs.len();
@@ -138,7 +138,7 @@ fn profile(summary: &Summary) -> String {
     format!("{} 1:{}", summary.profile, summary.ratio)
 }
 
-/// A column of measured numbers.
+/// Column of a table of results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -166,7 +166,7 @@ pub enum Measure {
     TorqueErrorInterval,
     /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
     TorqueErrorTick,
-    /// Torque error within interface intervals, over the ripple that held setpoints must leave there.
+    /// Torque error within interface intervals, relative to the ripple that held setpoints inevitably cause.
     HoldRipple,
     /// Largest torque that the controller commanded.
     TorqueMax,
@@ -178,11 +178,11 @@ pub enum Measure {
     Limited,
     /// Median duration of a control cycle.
     TickTime,
-    /// Simulated time over wall time.
+    /// Ratio of robot time to wall-clock time.
     RealTime,
 }
 
-/// Columns of a table for which no others are chosen.
+/// Default columns of a table.
 pub const MEASURES: &[Measure] = &[
     Measure::PositionRms,
     Measure::JointRms,
@@ -195,7 +195,7 @@ pub const MEASURES: &[Measure] = &[
     Measure::RealTime,
 ];
 
-/// Title and unit of a column, the factor from SI units to it, and its value in a summary.
+/// Title and unit of a column, factor from SI units to this unit, and function that reads the value from a summary.
 struct Row(&'static str, &'static str, f64, fn(&Summary) -> Option<f64>);
 
 impl Measure {
@@ -322,7 +322,7 @@ mod tests {
         assert!(!titles.contains(&"operator force".to_owned()));
     }
 
-    /// The rows against rows written by hand: the task above its rows, the median in its column.
+    /// Compared: the rows of a table, and rows written by hand: the task is above its rows, the median in its column.
     #[test]
     fn task_heading_precedes_its_rows() {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];

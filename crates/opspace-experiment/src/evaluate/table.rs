@@ -1,6 +1,6 @@
-//! A table of results, as data: the terminal and the report each draw it in their own way.
+//! Table of results as data; the terminal and the report render it differently.
 
-/// Column heads and rows.
+/// Table: column heads and rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
     /// Heads of the columns, left to right.
@@ -9,12 +9,12 @@ pub struct Table {
     pub rows: Vec<Vec<Cell>>,
 }
 
-/// The head of a column.
+/// Head of a column.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Column {
     /// Quantity in the column.
     pub title: String,
-    /// Unit of the quantity as printed (`N·m`); empty where there is none.
+    /// Unit of the quantity as printed (`N·m`); empty if it has none.
     pub unit: String,
 }
 
@@ -25,18 +25,18 @@ pub enum Cell {
     Text(String),
     /// A measured or computed value.
     Number(f64),
-    /// A whole number, shown in full: a seed, a count.
+    /// An integer, shown in full: a seed or a count.
     Count(u64),
-    /// A bar that was met; the text says by what.
+    /// A criterion that is met, with a short text.
     Pass(String),
-    /// A bar that was missed, or a fault.
+    /// A criterion that is not met or a fault, with a short text.
     Fail(String),
-    /// A quantity that doesn't exist in this row.
+    /// A quantity that does not exist in this row.
     Empty,
 }
 
 impl Table {
-    /// A table without rows; heads are (title, unit).
+    /// Creates a table without rows; `columns` contains (title, unit).
     #[must_use]
     pub fn new(columns: &[(&str, &str)]) -> Self {
         let column =
@@ -44,7 +44,7 @@ impl Table {
         Self { columns: columns.iter().map(column).collect(), rows: Vec::new() }
     }
 
-    /// Texts of all cells, a column's numbers with the same number of decimals.
+    /// Texts of all cells; the numbers of a column have the same number of decimals.
     #[must_use]
     pub fn texts(&self) -> Vec<Vec<String>> {
         let width = self.rows.iter().map(Vec::len).max().unwrap_or(0);
@@ -58,8 +58,8 @@ impl Table {
         self.rows.iter().map(|row| row.iter().enumerate().map(text).collect()).collect()
     }
 
-    /// Decimals that show four digits of a column's largest number and two of its smallest; `None` where the
-    /// two are too far apart for that.
+    /// Number of decimals that shows four digits of a column's largest number and two of its smallest; `None` if
+    /// their ratio is too large for that.
     fn decimals(&self, place: usize) -> Option<usize> {
         let numbers = self.rows.iter().filter_map(|row| match row.get(place) {
             Some(Cell::Number(number)) if number.is_finite() && *number != 0.0 => Some(number.abs()),
@@ -88,7 +88,7 @@ impl Column {
 }
 
 impl Cell {
-    /// Text of the cell on its own; numbers have four significant digits.
+    /// Text of the cell independent of its column; numbers have four significant digits.
     #[must_use]
     pub fn text(&self) -> String {
         match self {
@@ -158,7 +158,7 @@ fn format_digits(number: f64, digits: usize) -> String {
     if number == 0.0 {
         return "0".to_owned();
     }
-    // Rounded first: 0.99999 is 1.000, not 0.9999 or 1.0000.
+    // The exponent is determined after rounding: 0.99999 becomes 1.000, not 0.9999 or 1.0000.
     let rounded = format!("{number:.*e}", digits - 1);
     let (_, exponent) = rounded.split_once('e').unwrap_or((&rounded, "0"));
     match exponent.parse::<i32>().unwrap_or(0) {

@@ -1,4 +1,4 @@
-//! Errors of the TOML reader and of serde, translated into words that a user can act on.
+//! Translation of TOML and serde errors into messages that a user can act on.
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ pub(crate) struct Words {
     pub(crate) part: Part,
 }
 
-/// Translates a message of serde or toml into the user's words.
+/// Translates a message of serde or toml into a message for the user.
 pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[String]) -> Words {
     let value = |message: String, help: Option<String>| Words { message, help, part: Part::Value };
     let key = |message: String, help: Option<String>| Words { message, help, part: Part::Key };
@@ -44,7 +44,8 @@ pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[Strin
     }
     if raw.starts_with("wanted exactly 1 element") {
         let mut held = keys_at(document, path);
-        // The file's own kind is the one meant; a setting may have put another before it.
+        // The kind in the file comes first, because it is probably the intended one; a setting may have added
+        // another.
         let own = DeTable::parse(base).map(|base| keys_at(base.get_ref(), path)).unwrap_or_default();
         held.sort_by_key(|key| !own.contains(key));
         let found = if held.is_empty() { "is empty".to_owned() } else { format!("has {}", list(&held)) };
@@ -72,7 +73,7 @@ pub(crate) fn words(raw: &str, base: &str, document: &DeTable<'_>, path: &[Strin
     value(raw.trim_end().to_owned(), None)
 }
 
-/// Splits `unknown field `x`, expected one of `a`, `b``: the name, and the allowed ones.
+/// Splits a message like `unknown field x, expected one of a, b` into the unknown name and the allowed names.
 fn unknown<'a>(raw: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
     let rest = raw.strip_prefix(prefix)?;
     if let Some((name, _)) = rest.rsplit_once("`, there are no ") {
@@ -101,7 +102,7 @@ pub(crate) fn list<S: AsRef<str>>(names: &[S]) -> String {
     suggest::list(quoted.iter().map(String::as_str))
 }
 
-/// Describes a Rust type in words.
+/// Returns a plain name for a Rust type.
 fn plain(expected: &str) -> &str {
     match expected {
         "f64" | "f32" => "a number",
@@ -151,7 +152,7 @@ fn type_help(found: &DeValue<'_>, expected: &str, path: &[String]) -> Option<Str
     }
 }
 
-/// Splits `400 N/m` into the number and the text after it.
+/// Splits text such as `400 N/m` into the number and the text after it.
 fn leading_number(text: &str) -> Option<(&str, &str)> {
     let text = text.trim();
     let ends = text.char_indices().map(|(index, _)| index).chain([text.len()]);
@@ -177,4 +178,4 @@ pub(crate) fn syntax_words(raw: &str, text: &str, span: &Range<usize>) -> (Strin
     (format!("not TOML: {raw}"), None)
 }
 
-// ---- near names ----
+// ---- similar names ----

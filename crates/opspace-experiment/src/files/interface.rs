@@ -1,4 +1,4 @@
-//! `[interface]` of robot.toml: the commands that a robot accepts, and the quantities that it measures.
+//! `[interface]` of robot.toml: the commands that a robot accepts and the quantities that it measures.
 
 use opspace_backend::{CommandKind, GravityCompensation, Measured, MissedCycle, Setpoints};
 #[cfg(feature = "schema")]

@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 pub enum Files {
     /// The disk, relative to the working directory.
     Disk,
-    /// The paper's robot, tasks and suite, embedded in the binary under the paths they have in the project.
+    /// The paper's robot, tasks and suite, embedded in the binary under their paths in the project.
     Embedded,
 }
 
@@ -19,7 +19,7 @@ macro_rules! embedded {
     };
 }
 
-/// Names and texts of the copies in `embedded/` of this crate.
+/// Paths and contents of the files in `embedded/` of this crate.
 const EMBEDDED: &[(&str, &str)] = embedded![
     "robots/asimo-arm/asimo-arm.urdf",
     "robots/asimo-arm/robot.toml",
@@ -51,7 +51,7 @@ impl Files {
         }
     }
 
-    /// Reads a text file that another file names at `key`; a missing one is an error of that other file.
+    /// Reads a text file to which `by` refers at `key`; an error about the file is reported at this key.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -62,7 +62,7 @@ impl Files {
         })
     }
 
-    /// Returns the path of a robot's file: a folder stands for the `robot.toml` in it.
+    /// Returns the path of a robot file; for a folder, the path of the `robot.toml` in it.
     #[must_use]
     pub fn robot_file(self, path: &Path) -> PathBuf {
         let folder = match self {
@@ -85,8 +85,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Returns the kind whose own keys are at the top of a text, which need not be valid otherwise; `None` if there are
-    /// none, or keys of several kinds.
+    /// Returns the kind to which the top-level keys of a text belong; the rest of the text may be invalid. `None` if
+    /// the text has no such keys, or keys of several kinds.
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {
         const KEYS: [(Kind, &[&str]); 3] = [
@@ -122,10 +122,10 @@ impl Kind {
         }
     }
 
-    /// Checks that a text is of this kind, or of no recognisable kind.
+    /// Checks that a text is of this kind, or that its kind cannot be determined.
     ///
     /// # Errors
-    /// If it clearly is of another.
+    /// If the text is clearly of another kind.
     pub(crate) fn require(self, source: &Source) -> Result<(), FileError> {
         match Self::of(source.text()) {
             Some(kind) if kind != self => {
@@ -137,14 +137,14 @@ impl Kind {
     }
 }
 
-/// Resolves a path that a file gives relative to its own folder.
+/// Resolves a path in `file` that is relative to the folder of `file`.
 #[must_use]
 pub fn beside(file: &Path, relative: &Path) -> PathBuf {
     let mut path = file.parent().unwrap_or(Path::new("")).to_owned();
     for part in relative.components() {
         match part {
             Component::CurDir => {}
-            // Only what is a plain folder can be stepped back from without asking the disk.
+            // `..` can cancel a plain folder name without access to the disk, but no other component.
             Component::ParentDir if matches!(path.components().next_back(), Some(Component::Normal(_))) => {
                 path.pop();
             }

@@ -1,8 +1,8 @@
 //! Settings from the command line: `--set task.hand.gains.damping_ratio=0.7`.
 //!
-//! A setting edits the text of a file, so that its values are read and refused exactly as if the file contained them.
-//! The tag of a kind may be left out: where a key is missing from a table that holds one table and nothing else, the
-//! search continues in that one (`[task.hand.cartesian]` in the example).
+//! A setting edits the text of a file, so its value is parsed and checked exactly as if it were in the file. The name
+//! of a kind can be omitted: if a key is missing in a table that contains one inner table and nothing else, the
+//! search continues in the inner table (`[task.hand.cartesian]` in the example).
 
 use std::ops::Range;
 
@@ -12,23 +12,23 @@ use crate::files::source::{FileError, Setting, Source, check_syntax};
 use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, dotted};
 
-/// Largest depth of a key: files are flat, and a deeper key is a mistake.
+/// Maximum depth of a key. Files are flat, so a deeper key is a mistake.
 const MAX_DEPTH: usize = 32;
 
 /// Applies `key=value` settings, in order; a later one wins.
 ///
-/// A value is TOML; a bare word stands for itself as text. Keys that are not there are added: whether they
-/// may be is for [`crate::files::source::parse`] to judge.
+/// A value is TOML; a bare word is read as text. Missing keys are added: [`crate::files::source::parse`] checks later
+/// if they are allowed.
 ///
 /// # Errors
-/// A file that is not TOML; a setting without `=`, or whose key passes through a value that holds no keys.
+/// A file that is not TOML; a setting without `=`; a key that passes through a value that is not a table or an array.
 /// The error names the setting.
 pub fn apply(source: &Source, settings: &[String]) -> Result<Source, FileError> {
     edit(source, settings, None)
 }
 
-/// As [`apply`], for settings that all begin with `root.`: the rest of the key is the key in this file, and
-/// errors name the setting as it was written.
+/// Applies settings that all begin with `root.`, like [`apply`]: the rest of the key is the key in this file. Errors
+/// show the setting as the user wrote it.
 ///
 /// # Errors
 /// As [`apply`], and if a setting does not begin with `root.`.
@@ -66,7 +66,7 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
         }
         let value =
             value_of(&spelling[setting.key.end + 1..]).map_err(|e| refuse(&setting, Part::Value, e))?;
-        // `check_syntax` read the same text with the same grammar.
+        // This cannot fail: `check_syntax` has parsed the same text with the same grammar.
         let mut document: DocumentMut = source
             .text()
             .parse()
@@ -83,7 +83,7 @@ fn edit(source: &Source, settings: &[String], root: Option<&str>) -> Result<Sour
 /// Message and help of an error.
 type OverrideError = (String, Option<String>);
 
-/// Returns the key of a setting and its bytes; `=` may be within quotes.
+/// Returns the key of a setting and its byte range; a quoted key may contain `=`.
 fn key_of(spelling: &str) -> Result<(Vec<String>, Range<usize>), FileError> {
     let equals = spelling.match_indices('=').map(|(index, _)| index);
     for end in equals.clone() {
@@ -111,7 +111,7 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     if let Ok(value) = text.parse::<Value>() {
         return Ok(value);
     }
-    // `.7` and `1.` are not TOML, and clear.
+    // `.7` and `1.` are not TOML, but their meaning is clear.
     if let Ok(number) = text.parse::<f64>() {
         return Ok(number.into());
     }
@@ -125,7 +125,7 @@ fn value_of(text: &str) -> Result<Value, OverrideError> {
     Err((format!("`{text}` is neither a TOML value nor a single word"), Some(help.to_owned())))
 }
 
-/// Part of a document below which a key can continue.
+/// Node of a document, by the way in which a key path continues below it.
 enum Node<'a> {
     Table(&'a mut dyn TableLike),
     Array(&'a mut Array),
@@ -150,7 +150,7 @@ fn within_value(value: &mut Value) -> Node<'_> {
     }
 }
 
-/// Writes `value` at `keys` under `node`; the keys passed through, tags included, are added to `path`.
+/// Writes `value` at `keys` below `node`. Adds the keys on the way to `path`, including omitted names of kinds.
 fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -> Result<(), OverrideError> {
     let Some((key, rest)) = keys.split_first() else { return Ok(()) };
     let mut table = match node {
@@ -209,9 +209,9 @@ fn put(node: Node<'_>, keys: &[String], value: &Value, path: &mut Vec<String>) -
     }
 }
 
-/// Tags between this table and `key` that a setting left out.
+/// Names of kinds between this table and `key` that a setting omitted.
 fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) -> Vec<String> {
-    // At the root no kind is chosen.
+    // There are no kinds at the root.
     if path.is_empty() || table.contains_key(key) {
         return Vec::new();
     }
@@ -224,14 +224,14 @@ fn tags_left_out(table: &dyn TableLike, key: &str, last: bool, path: &[String]) 
             return tags;
         }
     }
-    // The key is nowhere. A value is added where it was said; a table to hold it, within the kind, unless
-    // the tag itself was misspelt.
+    // The key does not exist. If it is the last one of the setting, the value is added to this table. Otherwise a new
+    // table is added inside the kind, unless the key is a misspelling of the kind's name.
     tags.truncate(1);
     tags.retain(|tag| !last && nearest(key, [tag.as_str()]).is_none());
     tags
 }
 
-/// Returns the one table that this one holds, if it holds nothing else.
+/// Returns the only entry of a table, if this entry is a table.
 fn sole_table(table: &dyn TableLike) -> Option<(&str, &dyn TableLike)> {
     let mut entries = table.iter().filter(|(_, item)| !item.is_none());
     match (entries.next(), entries.next()) {

@@ -1,4 +1,4 @@
-//! Keys that had other names before version 0.2.0: an error about an old one names the new one.
+//! Keys that were renamed in version 0.2.0: an error about an old name gives the new one.
 
 /// Old and new names of the keys of robot, task and suite files.
 pub(crate) const RENAMED: &[(&str, &str)] = &[
@@ -21,7 +21,7 @@ pub(crate) const RENAMED: &[(&str, &str)] = &[
     ("within", "max_relative_change"),
 ];
 
-/// Returns the present name of a key, if it had the name `old` in a table that allows these keys.
+/// Returns the new name of the key that was called `old`, if `allowed` contains it.
 pub(crate) fn present_name(old: &str, allowed: &[&str]) -> Option<&'static str> {
     RENAMED.iter().find(|(name, new)| *name == old && allowed.contains(new)).map(|(_, new)| *new)
 }
@@ -34,7 +34,7 @@ mod tests {
     use crate::files::suite::SuiteFile;
     use crate::files::task::TaskFile;
 
-    /// A file with one old key, as far as it must be written for the key to be read.
+    /// Kind of file, old key, and a text with this key that contains only the tables required to reach it.
     const OLD_FILES: &[(&str, &str, &str)] = &[
         ("task", "axes_in", "[task.hand.cartesian]\naxes_in = \"world\"\n"),
         ("robot", "bridged_cycles", "[safety]\nbridged_cycles = 3\n"),

@@ -1,4 +1,4 @@
-//! robot.toml: the nominal parameters of a robot, and those of its simulation.
+//! robot.toml: nominal parameters of a robot, and parameters of its simulation.
 
 use crate::files::interface::InterfaceParameters;
 use crate::files::origin::{Files, Kind, beside};
@@ -19,7 +19,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A robot file, as it is written.
+/// Contents of a robot file.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 pub struct RobotFile {
     /// URDF of the robot; the path is relative to this file.
     pub urdf: PathBuf,
-    /// Name of the profile that is used by default.
+    /// Name of the default profile.
     pub default_profile: String,
     /// Interface of the robot: commands, measurements and behaviour of the drives.
     pub interface: InterfaceParameters,
@@ -44,11 +44,11 @@ pub struct RobotFile {
     /// Safety parameters: torque ramp, rest before the start, limit margin, missed cycles and watchdog.
     #[serde(default)]
     pub safety: SafetyParameters,
-    /// Connection to the real robot: `name` is that of a driver in the program, the other keys are the driver's.
-    /// Without it the robot is simulated.
+    /// Connection to the real robot: `name` selects a driver in the program, the other keys are settings of the
+    /// driver. If absent, the robot is simulated.
     #[serde(default)]
     pub driver: Option<BTreeMap<String, Setting>>,
-    /// Parameters of the simulated robot; without them the robot can't be simulated.
+    /// Parameters of the simulated robot; if absent, the robot cannot be simulated.
     pub simulated: Option<SimulatedParameters>,
 }
 
@@ -58,30 +58,30 @@ pub struct RobotFile {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ForceSensorFile {
-    /// URDF link at whose origin, and in whose axes, the sensor measures.
+    /// URDF link whose origin and axes are those of the measurements.
     pub frame: String,
 }
 
-/// A robot, read and checked.
+/// Robot definition, read from its files and checked.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct RobotDefinition {
-    /// Text of the robot's file, settings applied.
+    /// Text of the robot file, with settings applied.
     pub source: Source,
     /// Text of the URDF.
     pub urdf: Source,
-    /// Parameters in the robot's file.
+    /// Parameters in the robot file.
     pub file: RobotFile,
-    /// Rigid-body model, rotors and tools included.
+    /// Rigid-body model, including rotors and tools.
     pub model: Model,
     /// Warnings about the URDF.
     pub warnings: Vec<UrdfWarning>,
-    /// Force sensors, in the order of their names.
+    /// Force sensors, sorted by name.
     pub sensors: Vec<(String, FrameId)>,
 }
 
 impl RobotDefinition {
-    /// Reads a robot: a folder with a `robot.toml`, or that file. `settings` change values in it.
+    /// Reads a robot from its folder or its `robot.toml`. `settings` change values in the file.
     ///
     /// # Errors
     /// Mistakes in the file or its URDF, each with its place.
@@ -95,7 +95,7 @@ impl RobotDefinition {
         Self::new(source, file, urdf)
     }
 
-    /// A robot from the texts of its files.
+    /// Creates a robot definition from the texts of its files.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -134,15 +134,15 @@ impl RobotDefinition {
         Ok(robot)
     }
 
-    /// Name of the robot: that of its folder, or of its URDF.
+    /// Name of the robot: that of its folder, or else that of its URDF.
     #[must_use]
     pub fn name(&self) -> String {
         let folder = Path::new(self.source.name()).parent().and_then(Path::file_name);
         folder.map_or_else(|| self.model.name().to_owned(), |n| n.to_string_lossy().into_owned())
     }
 
-    /// Capabilities that the file states of the robot as one that takes such commands. Besides the kind that its
-    /// interface states, any arm can be simulated as a torque or velocity robot.
+    /// Capabilities of the robot according to its file, with the given command interface and interface period (s). In
+    /// addition to the interface that the file declares, any arm can be simulated as a torque or velocity robot.
     #[must_use]
     pub fn capabilities(&self, command: CommandKind, period_s: f64) -> Capabilities {
         let interface = &self.file.interface;
@@ -158,7 +158,7 @@ impl RobotDefinition {
         })
     }
 
-    /// Returns a profile by its name, or the default one, with its name.
+    /// Returns the name and the parameters of a profile; the default profile if `name` is `None`.
     ///
     /// # Errors
     /// An unknown name.
@@ -175,29 +175,29 @@ impl RobotDefinition {
         })
     }
 
-    /// The drives, in the model's joint order.
+    /// Drives, in the model's joint order.
     #[must_use]
     pub fn joints(&self) -> Vec<JointParameters> {
         self.in_order(&self.file.joint)
     }
 
-    /// The position servos of a profile, in the model's joint order; empty if it has none.
+    /// Position servos of a profile, in the model's joint order; empty if it has none.
     #[must_use]
     pub fn servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
         self.in_order(&profile.servo)
     }
 
-    /// The velocity servos of a profile, in the model's joint order; empty if it has none.
+    /// Velocity servos of a profile, in the model's joint order; empty if it has none.
     #[must_use]
     pub fn velocity_servos(&self, profile: &ProfileParameters) -> Vec<ServoParameters> {
         self.in_order(&profile.velocity_servo).into_iter().map(ServoParameters::Velocity).collect()
     }
 
-    /// Returns the servos that drive a robot that takes such commands, in the model's joint order. Those of a torque
-    /// robot, which may hold it without commands, are its position servos if it has them.
+    /// Returns the servos that a robot with the given command interface uses, in the model's joint order. For a
+    /// torque robot these are its position servos, if any: they may hold it when no command arrives.
     ///
     /// # Errors
-    /// If the profile has none of that kind.
+    /// If the profile has no servos of that kind.
     pub fn servos_for(
         &self,
         profile_name: &str,
@@ -224,13 +224,13 @@ impl RobotDefinition {
         Ok(servos)
     }
 
-    /// Measured closed loops of a profile's joints, in the model's joint order; empty if it has none.
+    /// Identified closed-loop models of a profile's joints, in the model's joint order; empty if it has none.
     #[must_use]
     pub fn identified(&self, profile: &ProfileParameters) -> Vec<ClosedLoopModel> {
         self.in_order(&profile.identified)
     }
 
-    /// The drives' torque limits, in the model's joint order, Nm (N).
+    /// Torque limits of the drives, in the model's joint order (n; Nm or N).
     #[must_use]
     pub fn torque_limits(&self) -> Vec<f64> {
         self.joints().iter().map(|j| j.torque_limit_nm.get()).collect()
@@ -257,7 +257,7 @@ impl RobotDefinition {
     }
 }
 
-/// A URDF with its warnings.
+/// Parses a URDF; the result includes warnings.
 ///
 /// # Errors
 /// Mistakes in the URDF, with the line.
@@ -302,10 +302,10 @@ fn check_servos(
     Ok(())
 }
 
-/// Largest number of servo ticks per interface cycle: more is a mistake in a rate.
+/// Maximum number of servo ticks per interface cycle; a larger number indicates a mistake in a rate.
 const MAX_RATIO: u32 = 10_000;
 
-/// Longest rest before a start, s: more is a mistake in a unit.
+/// Maximum rest period before a start, s; a longer one indicates a mistake in a unit.
 const MAX_TARE_S: f64 = 60.0;
 
 /// Checks values that depend on each other.
@@ -350,8 +350,8 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
     Ok(())
 }
 
-/// Returns the values of a map by joint name in the model's order, and checks that there is one for each joint and no
-/// other.
+/// Returns the values of a map by joint name, in the model's joint order. Checks that its keys are exactly the joints
+/// of the model.
 fn joints_of<'a, T>(
     source: &Source,
     model: &Model,

@@ -1,8 +1,8 @@
 //! The text of a file, and errors that point into it.
 //!
-//! [`parse`] reads TOML strictly: finite numbers only, unknown keys refused. A mistake that only a later step detects
-//! (a frame that the robot does not have) is reported by [`FileError::at_key`] at the line of its key. Errors of
-//! settings from the command line ([`crate::files::overrides`]) use the same words.
+//! [`parse`] reads TOML strictly: it rejects numbers that are not finite, and unknown keys. [`FileError::at_key`]
+//! reports a mistake that is only detected later, such as an unknown frame, at the line of its key. Errors about
+//! settings from the command line ([`crate::files::overrides`]) have the same wording.
 
 use std::fmt;
 use std::io::Read;
@@ -17,7 +17,7 @@ use crate::files::explain::{list, syntax_words, words};
 use crate::files::suggest::nearest;
 use crate::files::toml_path::{Part, depth_of, dotted, keys_at, path_at, span_of};
 
-/// Largest size of a file: files are written by hand, and a larger one is a log or a mesh given by mistake.
+/// Maximum size of a file. A larger file is probably a log or a mesh given by mistake.
 const MAX_BYTES: u64 = 4 << 20;
 
 /// A file's text and its origin.
@@ -25,24 +25,24 @@ const MAX_BYTES: u64 = 4 << 20;
 pub struct Source {
     name: String,
     text: Arc<str>,
-    /// Text as read, before settings: an error outside them is shown at its line in the file.
+    /// Text of the file before settings; errors that no setting causes are shown at their line in this text.
     pub(crate) base: Arc<str>,
     settings: Vec<Setting>,
 }
 
-/// A `--set` that was applied to a [`Source`].
+/// `--set` option that was applied to a [`Source`].
 #[derive(Clone, Debug)]
 pub(crate) struct Setting {
     /// The setting as the user wrote it.
     pub(crate) spelling: String,
-    /// Bytes of `spelling` left of `=`.
+    /// Byte range of `spelling` left of `=`.
     pub(crate) key: Range<usize>,
-    /// Keys in the file that it set, tags included.
+    /// Path of the key that it set, including omitted names of kinds.
     pub(crate) path: Vec<String>,
 }
 
 impl Source {
-    /// A text under a name: a path as the user wrote it, or another name known to the user.
+    /// Creates a source from a text and its name: a path as the user wrote it, or another name known to the user.
     pub fn new(name: impl Into<String>, text: impl Into<Arc<str>>) -> Self {
         let text = text.into();
         Self { name: name.into(), base: Arc::clone(&text), text, settings: Vec::new() }
@@ -51,8 +51,8 @@ impl Source {
     /// Reads a text file.
     ///
     /// # Errors
-    /// If it is missing (near names in its folder are suggested), a folder, unreadable, not UTF-8 or larger
-    /// than 4 MiB.
+    /// If the file is missing (similar names in its folder are suggested), is a folder, is unreadable, is not UTF-8,
+    /// or is larger than 4 MiB.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, FileError> {
         let path = path.as_ref();
         let name = path.display().to_string();
@@ -83,13 +83,13 @@ impl Source {
         }
     }
 
-    /// Name of the text for the user: a path.
+    /// Name of the text in messages: a path.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Text, settings applied.
+    /// Text with settings applied.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
@@ -102,10 +102,10 @@ impl Source {
     }
 }
 
-/// A mistake in a file or a setting: the place, the text there, and the remedy.
+/// Mistake in a file or a setting: its place, the text at this place, and the suggested correction.
 ///
-/// Displays as one line, `tasks/reach.toml:7: unknown key ...`; [`excerpt`](Self::excerpt) and [`help`](Self::help) serve
-/// to show the line itself, underlined, and the remedy.
+/// Displays as one line, `tasks/reach.toml:7: unknown key ...`. Use [`excerpt`](Self::excerpt) to show and underline
+/// the text, and [`help`](Self::help) for the suggested correction.
 pub struct FileError(Box<Inner>);
 
 struct Inner {
@@ -118,7 +118,7 @@ struct Inner {
 }
 
 impl FileError {
-    /// An error of a file as a whole.
+    /// Creates an error about a whole file.
     pub fn of_file(path: impl Into<String>, message: impl Into<String>, help: Option<String>) -> Self {
         let path = path.into();
         Self(Box::new(Inner {
@@ -131,7 +131,7 @@ impl FileError {
         }))
     }
 
-    /// An error at a line of a text (from 1) that is not TOML, or of the text as a whole.
+    /// Creates an error at a line (from 1) of a text that is not TOML, or about the whole text if `line` is `None`.
     #[must_use]
     pub fn at_line(
         source: &Source,
@@ -151,9 +151,10 @@ impl FileError {
         Self(Box::new(Inner { path, text, span, line, message: message.into(), help }))
     }
 
-    /// An error detected after parsing, at a key: `"task.hand.cartesian.frame"`, or its segments where a key may hold
-    /// dots: `["joint", "arm.1"]`. An array's element is its index, from 0. If the key is not there, the error points
-    /// at the nearest table around it; if a setting wrote it, at the setting.
+    /// Creates an error at a key after parsing. The key is a dotted string (`"task.hand.cartesian.frame"`) or a list
+    /// of segments, which may contain dots (`["joint", "arm.1"]`). The key of an array element is its index, from 0.
+    /// If the key does not exist, the error points at the nearest enclosing table; if a setting wrote the key, it
+    /// points at the setting.
     pub fn at_key(
         source: &Source,
         key: impl KeyPath,
@@ -170,7 +171,7 @@ impl FileError {
         Self::in_base(source, &path, Part::Value, message, join(help, note))
     }
 
-    /// An error at `span` of `text`.
+    /// Creates an error at `span` (bytes) of `text`.
     fn at_span(
         name: &str,
         text: &Arc<str>,
@@ -191,7 +192,7 @@ impl FileError {
         Self(Box::new(inner))
     }
 
-    /// An error at a key of the file as it was read; settings may have shifted the lines of the parsed text.
+    /// Creates an error at a key of the file before settings: settings may have shifted the lines of the parsed text.
     fn in_base(source: &Source, path: &[String], part: Part, message: String, help: Option<String>) -> Self {
         let span = DeTable::parse(&source.base).ok().map(|document| span_of(document.get_ref(), path, part));
         match span.flatten() {
@@ -216,13 +217,13 @@ impl FileError {
         Self(Box::new(inner))
     }
 
-    /// Name of the file, as the user gave it; `--set` for a setting.
+    /// Name of the file as the user gave it; `--set` for a setting.
     #[must_use]
     pub fn path(&self) -> &str {
         &self.0.path
     }
 
-    /// Number of the line, from 1; `None` for a setting and for a file as a whole.
+    /// Line number, from 1; `None` for a setting or a whole file.
     #[must_use]
     pub fn line(&self) -> Option<usize> {
         self.0.line
@@ -234,13 +235,13 @@ impl FileError {
         &self.0.message
     }
 
-    /// Remedy.
+    /// Suggested correction.
     #[must_use]
     pub fn help(&self) -> Option<&str> {
         self.0.help.as_deref()
     }
 
-    /// Text in which the mistake stands and its bytes there; `None` for a file as a whole.
+    /// Text that contains the mistake, and the byte range of the mistake; `None` for a whole file.
     #[must_use]
     pub fn excerpt(&self) -> Option<(&str, Range<usize>)> {
         Some((&self.0.text, self.0.span.clone()?))
@@ -266,13 +267,13 @@ impl fmt::Debug for FileError {
 
 impl std::error::Error for FileError {}
 
-/// Path of a key within nested tables.
+/// Path of a key through nested tables.
 pub trait KeyPath {
-    /// Keys from the file's root inwards.
+    /// Returns the keys, from the root of the file to the innermost.
     fn segments(&self) -> Vec<String>;
 }
 
-/// A dotted key as TOML writes it; a segment that holds dots is quoted: `joint."arm.1"`.
+/// Dotted key as in TOML; a segment that contains dots is quoted: `joint."arm.1"`.
 impl KeyPath for str {
     fn segments(&self) -> Vec<String> {
         match toml_edit::Key::parse(self) {
@@ -312,20 +313,20 @@ impl<K: KeyPath + ?Sized> KeyPath for &K {
     }
 }
 
-/// Reads a TOML text into `T`.
+/// Parses a TOML text into a `T`.
 ///
-/// `T` decides on unknown keys (`#[serde(deny_unknown_fields)]`); enums must be tagged externally, or the
-/// line of an error is lost.
+/// `T` determines if unknown keys are rejected (`#[serde(deny_unknown_fields)]`). Enums must be externally tagged;
+/// otherwise errors have no line.
 ///
 /// # Errors
-/// Text that is not TOML, a number that is not finite, and what `T` refuses, each at its place.
+/// Text that is not TOML, a number that is not finite, or a value that `T` rejects, each with its place.
 pub fn parse<T: DeserializeOwned>(source: &Source) -> Result<T, FileError> {
     let document = checked(source)?;
     T::deserialize(toml::de::Deserializer::from(document.clone()))
         .map_err(|error| explain::<T>(source, document.get_ref(), &error))
 }
 
-/// A document, its values with their places in the text.
+/// Parsed document; each value has its byte range in the text.
 pub(crate) type Document<'a> = toml::Spanned<DeTable<'a>>;
 
 /// Parses the document and checks that its numbers are finite.
@@ -337,7 +338,7 @@ pub(crate) fn checked(source: &Source) -> Result<Document<'_>, FileError> {
     Ok(document)
 }
 
-/// Parses the document; the error is placed where it is not TOML.
+/// Parses the document; an error points at the invalid TOML.
 pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
     DeTable::parse(&source.text).map_err(|error| {
         let span = error.span().unwrap_or(0..0);
@@ -346,7 +347,7 @@ pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
     })
 }
 
-/// Returns the key path and text of the first number that is not finite, as an error.
+/// Returns an error with the key path and the text of the first number that is not finite.
 fn check_finite(table: &DeTable<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
     for (key, value) in table {
         path.push(key.get_ref().to_string());
@@ -358,7 +359,7 @@ fn check_finite(table: &DeTable<'_>, path: &mut Vec<String>) -> Result<(), (Vec<
 
 fn check_finite_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
     match value {
-        // 1e400 is TOML, and parses to infinity.
+        // 1e400 is valid TOML and is parsed to infinity.
         DeValue::Float(number) if !number.as_str().parse().is_ok_and(f64::is_finite) => {
             Err((path.clone(), number.as_str().to_owned()))
         }
@@ -375,7 +376,7 @@ fn check_finite_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(),
     }
 }
 
-/// Translates a deserialiser's error into the user's words and places it.
+/// Translates a deserializer error into a message for the user, with its place.
 pub(crate) fn explain<T: DeserializeOwned>(
     source: &Source,
     document: &DeTable<'_>,
@@ -386,7 +387,7 @@ pub(crate) fn explain<T: DeserializeOwned>(
     let words = words(error.message(), &source.base, document, &path);
     let (message, help, part) = (words.message, words.help, words.part);
     if source.settings.is_empty() {
-        // An empty span is the root's: the file as a whole.
+        // An empty span denotes the root, that is, the whole file.
         if span.is_empty() {
             return FileError::of_file(source.name.clone(), message, help);
         }
@@ -395,7 +396,8 @@ pub(crate) fn explain<T: DeserializeOwned>(
     if let Some(setting) = setting_at(source, &path) {
         return FileError::of_setting(setting, part, message, join(help, made_here(source, setting)));
     }
-    // A key too many spoils the table around it, which stands in the file.
+    // An extra key makes the enclosing table invalid. If the file without settings is valid, a setting in this table
+    // is wrong.
     let inside = source.settings.iter().rfind(|setting| setting.path.starts_with(&path));
     if let Some(setting) = inside
         && parse::<T>(&Source::new(source.name.clone(), Arc::clone(&source.base))).is_ok()
@@ -418,7 +420,7 @@ fn setting_at<'a>(source: &'a Source, path: &[String]) -> Option<&'a Setting> {
     })
 }
 
-/// Describes the place at which a setting made a table that the file does not have: likely a mistake in its name.
+/// Describes where a setting created a table that the file does not have, probably because of a misspelt name.
 fn made_here(source: &Source, setting: &Setting) -> Option<String> {
     let base = DeTable::parse(&source.base).ok()?;
     let depth = depth_of(base.get_ref(), &setting.path);
@@ -455,7 +457,7 @@ fn missing_file(path: &Path, name: String) -> FileError {
     let wanted = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let present = names_in(&folder);
     let whole = nearest(&wanted, &present);
-    // `compliant-x` for `compliant-x.toml`.
+    // The file extension may be missing: `compliant-x` for `compliant-x.toml`.
     let near = whole.or_else(|| {
         present.iter().map(String::as_str).find(|other| Path::new(other).file_stem() == path.file_name())
     });
@@ -474,7 +476,7 @@ fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Lists the TOML files of a folder, as a help.
+/// Lists the TOML files of a folder as a hint.
 fn files_in(folder: &Path) -> Option<String> {
     let mut names = names_in(folder);
     names.retain(|name| name.ends_with(".toml"));

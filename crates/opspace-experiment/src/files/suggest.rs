@@ -1,9 +1,9 @@
-//! Near names, lists of names, and the units at the end of keys.
+//! Similar names, lists of names, and the units at the end of keys.
 
-/// Returns the candidate that a name was likely meant to be, if one is near.
+/// Returns the candidate that is most similar to a name, if any is similar enough.
 ///
-/// Near is a Damerau-Levenshtein distance of at most a third of the name, or a Jaro-Winkler similarity of at
-/// least 0.9; case, `-` and `_` do not count.
+/// Similar enough means a Jaro-Winkler similarity of at least 0.9, or a Damerau-Levenshtein distance of at most a
+/// third of the length of the name and a similarity above 0.5. Case is ignored, and `-` equals `_`.
 pub fn nearest<'a, S, I>(name: &str, candidates: I) -> Option<&'a str>
 where
     S: AsRef<str> + ?Sized + 'a,
@@ -16,7 +16,7 @@ where
         let other = fold(candidate);
         let distance = strsim::damerau_levenshtein(&name, &other);
         let similarity = strsim::jaro_winkler(&name, &other);
-        // Two short names share no letter and are still one edit apart: `x` is not meant by `y`.
+        // Short names such as `x` and `y` are one edit apart without a common letter: they are not similar.
         let near = distance == 0 || similarity >= 0.9 || (distance <= limit && similarity > 0.5);
         near.then_some((candidate, distance, similarity))
     });
@@ -24,7 +24,7 @@ where
     best.map(|(candidate, ..)| candidate)
 }
 
-/// Describes the nearest of the known names, and lists all of them.
+/// Returns a hint with the most similar of the known names and a list of all of them.
 pub(crate) fn choices<'a, S: AsRef<str> + ?Sized + 'a>(
     name: &str,
     known: impl IntoIterator<Item = &'a S>,
@@ -46,7 +46,7 @@ pub(crate) fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
 pub(crate) struct Unit {
     pub(crate) suffix: &'static str,
     pub(crate) symbol: &'static str,
-    /// Quantity measured in the unit; two units of one quantity convert by the quotient of their `si`.
+    /// Physical quantity; the ratio of the `si` of two units of the same quantity is their conversion factor.
     pub(crate) quantity: &'static str,
     pub(crate) si: f64,
 }
@@ -55,7 +55,7 @@ const fn unit(suffix: &'static str, symbol: &'static str, quantity: &'static str
     Unit { suffix, symbol, quantity, si }
 }
 
-/// Units as key names end; a suffix that is the end of a longer one comes after it.
+/// Units by the suffix of key names. A suffix that is the end of a longer one comes after it.
 const UNITS: &[Unit] = {
     use std::f64::consts::{PI, TAU};
     &[
@@ -112,12 +112,12 @@ pub(crate) fn stem(key: &str) -> &str {
     unit_of(key).map_or(key, |unit| &key[..key.len() - unit.suffix.len() - 1])
 }
 
-/// Returns the allowed key for the same quantity in another unit, or with the unit that was left out.
+/// Returns the allowed key for the same quantity with another unit, or with the unit that `name` omits.
 pub(crate) fn same_but_unit<'a>(name: &str, allowed: &[&'a str]) -> Option<&'a str> {
     allowed.iter().copied().find(|candidate| *candidate != name && stem(candidate) == stem(name))
 }
 
-/// Hint on renaming a key to one in another unit; `None` where the unit is the same.
+/// Hint about the different units of two keys; `None` if the units are equal.
 pub(crate) fn units_differ(name: &str, meant: &str) -> Option<String> {
     let to = unit_of(meant)?;
     match unit_of(name) {

@@ -1,4 +1,4 @@
-//! Suites: lists of tasks, with the robots and controllers on which they run.
+//! Suites: lists of tasks with the robots and controllers that execute them.
 
 use crate::evaluate::results::{MEASURES, Measure};
 use crate::extensions::Extensions;
@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// A suite file, as it is written.
+/// Contents of a suite file.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -20,10 +20,10 @@ use std::path::{Path, PathBuf};
 pub struct SuiteFile {
     /// Subject of the suite, in one line.
     pub title: String,
-    /// Profiles of the robot for each run; its default one if absent.
+    /// Robot profiles with which each run is executed; the default profile if absent.
     #[serde(default)]
     pub profiles: Vec<String>,
-    /// Columns of the suite's table; those of every table if absent.
+    /// Columns of the suite's table; the default columns if absent.
     #[serde(default = "every_table")]
     pub columns: Vec<Measure>,
     /// Runs of the suite.
@@ -42,35 +42,35 @@ fn every_table() -> Vec<Measure> {
 pub struct SuiteRun {
     /// Task files; the paths are relative to the suite file.
     pub tasks: Vec<PathBuf>,
-    /// Robot in place of the tasks' own; the path is relative to the suite file.
+    /// Robot that replaces those of the tasks; the path is relative to the suite file.
     #[serde(default)]
     pub robot: Option<PathBuf>,
     /// Kind of robot: `position`, `velocity` or `torque`.
     pub backend: CommandKind,
     /// Controller: `osc`, `ik` or `ik-lead`.
     pub controller: ControllerKind,
-    /// Transformer in place of the profile's.
+    /// Transformer that replaces the one of the profile.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
-    /// Profiles in place of the suite's.
+    /// Profiles that replace those of the suite.
     #[serde(default)]
     pub profiles: Option<Vec<String>>,
-    /// Seeds, one run for each; the tasks' own if absent.
+    /// Seeds: each run is executed with each of them; with the seed of its task if absent.
     #[serde(default)]
     pub seeds: Vec<u64>,
-    /// Settings as on the command line: those that begin with `robot.` change the robot file, others the task.
-    /// `{profile}` in them stands for the profile's name.
+    /// Settings as on the command line: those that begin with `robot.` change the robot file, all others the task
+    /// file. `{profile}` is replaced by the name of the profile.
     #[serde(default, rename = "override")]
     pub overrides: Vec<String>,
     /// Name of these settings in the table.
     #[serde(default)]
     pub label: Option<String>,
-    /// Variants of the runs, each with further settings; the runs unchanged if absent.
+    /// Variants of the runs, each with additional settings; if absent, the runs are executed without change.
     #[serde(default)]
     pub variant: Vec<SuiteVariant>,
 }
 
-/// Further settings for the runs of a suite.
+/// Additional settings for the runs of a suite.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -78,12 +78,12 @@ pub struct SuiteRun {
 pub struct SuiteVariant {
     /// Name of the settings in the table.
     pub label: String,
-    /// Settings, written as those of the run.
+    /// Settings, in the same notation as those of the run.
     #[serde(rename = "override")]
     pub overrides: Vec<String>,
 }
 
-/// A suite, read, with every experiment in it checked.
+/// Suite, read from its files, with all its experiments checked.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Suite {
@@ -106,7 +106,7 @@ impl Suite {
         Self::load_with(&Extensions::default(), files, path)
     }
 
-    /// As [`load`](Self::load), with tasks of a user's own.
+    /// Reads a suite like [`load`](Self::load), with tasks defined by the user.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -181,7 +181,7 @@ impl SuiteRun {
     }
 }
 
-/// Returns each item of the list, or one `None` if it is empty.
+/// Returns the items of the list, or a single `None` if it is empty.
 fn or_default<T: Clone>(list: &[T]) -> Vec<Option<T>> {
     if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
 }

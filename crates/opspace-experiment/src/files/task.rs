@@ -17,7 +17,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A task file, as it is written.
+/// Contents of a task file.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -27,18 +27,18 @@ pub struct TaskFile {
     pub robot: PathBuf,
     /// Duration of control, s.
     pub duration_s: Positive,
-    /// Time from which statistics count, s after the controller's start.
+    /// Start of the statistics, s after the start of control.
     #[serde(default)]
     pub settle_s: NonNegative,
     /// Seed of all random numbers in a simulation.
     #[serde(default = "one")]
     pub seed: u64,
-    /// Tasks by name, in the order of priority; empty leaves only the compensation.
+    /// Names of the tasks, in order of decreasing priority; if empty, only the compensation acts.
     pub priority: Vec<String>,
     /// Parameters of the tasks, by name.
     #[serde(default)]
     pub task: BTreeMap<String, TaskParameters>,
-    /// Compensation of the arm's own torques.
+    /// Compensation of gravity, and of Coriolis and centrifugal forces.
     #[serde(default)]
     pub compensation: Compensation,
     /// Enforcement of the robot's limits.
@@ -47,11 +47,11 @@ pub struct TaskFile {
     /// Compensation of friction.
     #[serde(default)]
     pub friction_compensation: FrictionCompensationParameters,
-    /// Joint positions at the start by joint name, rad (m); 0 for joints left out. A simulated robot is put there, at
-    /// rest; a real one must be there, or be moved there (`run --move-to-start`).
+    /// Start positions of the joints by joint name, rad (m); 0 for omitted joints. A simulated robot starts there at
+    /// rest; a real robot must already be there, or be moved there with `run --move-to-start`.
     #[serde(default)]
     pub start_rad: BTreeMap<String, f64>,
-    /// Changes of the tasks during the run, in the order of time.
+    /// Changes of the tasks during the run, in order of time.
     #[serde(default)]
     pub event: Vec<EventFile>,
     /// Objects in the environment of a simulated robot, by name.
@@ -65,19 +65,19 @@ pub struct TaskFile {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct EventFile {
-    /// Time of the change, s after the controller's start.
+    /// Time of the change, s after the start of control.
     pub time_s: Positive,
-    /// Settings from then on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
+    /// Settings from this time on, written as on the command line: `"task.hand.cartesian.axes.x=compliant"`,
     /// `"priority=[\"hand\"]"`. Only `task` and `priority` can change.
     pub set: Vec<String>,
 }
 
-/// A task set that is in force from a given time.
+/// Task set that is active from a given time.
 #[derive(Clone, Debug)]
 pub struct StackFile {
-    /// Time from which the set is in force, s after the controller's start.
+    /// Time from which the set is active, s after the start of control.
     pub time_s: f64,
-    /// Tasks by name, in the order of priority.
+    /// Names of the tasks, in order of decreasing priority.
     pub priority: Vec<String>,
     /// Parameters of the tasks, by name.
     pub task: BTreeMap<String, TaskParameters>,
@@ -87,22 +87,22 @@ const fn one() -> u64 {
     1
 }
 
-/// A task, read and parsed.
+/// Task definition, read from its files and parsed.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct TaskDefinition {
-    /// Text of the task's file, settings applied.
+    /// Text of the task file, with settings applied.
     pub source: Source,
-    /// Parameters in the task's file.
+    /// Parameters in the task file.
     pub file: TaskFile,
-    /// Recorded paths that the tasks follow, by the path as the file gives it.
+    /// Recorded paths that the tasks follow, by file path as written in the task file.
     pub recordings: BTreeMap<PathBuf, Source>,
     /// Task sets after each of the file's events.
     pub events: Vec<StackFile>,
 }
 
 impl TaskDefinition {
-    /// Reads a task, and the recorded paths that it names. `settings` change values in it.
+    /// Reads a task and the recorded paths to which it refers. `settings` change values in the task file.
     ///
     /// # Errors
     /// Mistakes in the files, each with its place.
@@ -110,7 +110,7 @@ impl TaskDefinition {
         Self::load_with(&TaskKinds::new(), files, path, settings)
     }
 
-    /// Reads a task like [`load`](Self::load), with kinds of tasks beside the built-in ones.
+    /// Reads a task like [`load`](Self::load), with task kinds in addition to the built-in ones.
     ///
     /// # Errors
     /// As [`load`](Self::load).
@@ -126,7 +126,7 @@ impl TaskDefinition {
         Self::from_sources_with(kinds, source, |named| files.read_named(&named.path, named.by, named.key))
     }
 
-    /// Reads a task from its text; `read` reads the recorded paths that it names.
+    /// Reads a task from its text; `read` reads the recorded paths to which it refers.
     ///
     /// # Errors
     /// As [`load`](Self::load), and those of `read`.
@@ -137,7 +137,7 @@ impl TaskDefinition {
         Self::from_sources_with(&TaskKinds::new(), source, read)
     }
 
-    /// Reads a task like [`from_sources`](Self::from_sources), with kinds of tasks beside the built-in ones.
+    /// Reads a task like [`from_sources`](Self::from_sources), with task kinds in addition to the built-in ones.
     ///
     /// # Errors
     /// As [`from_sources`](Self::from_sources).
@@ -168,7 +168,7 @@ impl TaskDefinition {
         Ok(Self { source, file, recordings, events })
     }
 
-    /// Name of the task: that of its file.
+    /// Name of the task: its file name without extension.
     #[must_use]
     pub fn name(&self) -> String {
         let stem = Path::new(self.source.name()).file_stem();
@@ -182,17 +182,17 @@ impl TaskDefinition {
     }
 }
 
-/// A recorded path that a task names.
+/// Recorded path to which a task refers.
 pub struct NamedRecording<'a> {
-    /// File of the recording, as the task file gives it.
+    /// Path of the recording, as written in the task file.
     pub file: &'a Path,
-    /// Path of the file.
+    /// Path of the recording, resolved relative to the folder of the task file.
     pub path: PathBuf,
     by: &'a Source,
     key: [&'a str; 6],
 }
 
-/// Parses a task file, with tasks of built-in and of registered kinds.
+/// Parses a task file with tasks of built-in and registered kinds.
 fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError> {
     let mut document = checked(source)?;
     let whole = document.clone();
@@ -203,7 +203,7 @@ fn parse_task(source: &Source, kinds: &TaskKinds) -> Result<TaskFile, FileError>
     Ok(file)
 }
 
-/// Returns the task sets after each event: an event changes the set that the one before it has left.
+/// Returns the task set after each event; each event changes the set left by the previous one.
 fn after_events(source: &Source, file: &TaskFile, kinds: &TaskKinds) -> Result<Vec<StackFile>, FileError> {
     let mut stacks: Vec<StackFile> = Vec::new();
     let mut settings = Vec::new();

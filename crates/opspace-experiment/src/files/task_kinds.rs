@@ -1,4 +1,4 @@
-//! Kinds of tasks that files may name beside the built-in ones.
+//! Registry of task kinds in addition to the built-in ones.
 
 use crate::files::source::{Document, FileError, Source, explain};
 use crate::files::suggest::nearest;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use thiserror::Error;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
-/// Kinds built into opspace.
+/// Names of the built-in kinds.
 pub const BUILT_IN: [&str; 6] =
     ["cartesian", "center-of-mass", "swivel", "joint-tracking", "joint-posture", "joint-damping"];
 
@@ -23,11 +23,11 @@ pub struct TaskKinds(BTreeMap<String, Parser>);
 type Build = Arc<dyn Fn(&str, &Model, &ControlContext) -> Result<Box<dyn Task>, ControlError> + Send + Sync>;
 type Parser = Arc<dyn Fn(ValueDeserializer<'_>) -> Result<Build, toml::de::Error> + Send + Sync>;
 
-/// A kind that can't be registered.
+/// Reason why a task kind cannot be registered.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TaskKindError {
-    /// The name is that of a built-in kind, or of one that is registered.
+    /// The name is that of a built-in or already registered kind.
     #[error("the task kind '{kind}' already exists")]
     Taken {
         /// Name of the kind.
@@ -36,14 +36,15 @@ pub enum TaskKindError {
 }
 
 impl TaskKinds {
-    /// Creates a list of the built-in kinds alone.
+    /// Creates a registry without additional kinds.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Registers a kind: its table in a file is read into `P`, from which `build` makes the task of a name for a robot.
-    /// `P` decides on unknown keys (`#[serde(deny_unknown_fields)]`). Keys of errors count from the file's root.
+    /// Registers a kind. Its table in a file is parsed into a `P`; `build` creates the task from this `P`, the task's
+    /// name, the model and the context. `P` determines if unknown keys are rejected
+    /// (`#[serde(deny_unknown_fields)]`). Keys in errors are relative to the root of the file.
     ///
     /// # Errors
     /// A name that is already in use.
@@ -126,7 +127,7 @@ impl fmt::Debug for TaskKinds {
     }
 }
 
-/// The table at a key of a table.
+/// Returns the table at a key of a table.
 fn table_mut<'a, 'i>(table: &'a mut DeTable<'i>, key: &str) -> Option<&'a mut DeTable<'i>> {
     match table.get_mut(key)?.get_mut() {
         DeValue::Table(table) => Some(table),

@@ -1,10 +1,10 @@
-//! Template files for a user's own robot: they list every value that must be known, and guess none.
+//! Templates of the files of a new robot. They list all required values and guess none.
 
 use opspace_model::{Joint, JointKind, Model};
 use std::fmt::Write as _;
 use toml_edit::{Key, Value};
 
-/// Returns a robot.toml for the joints of a URDF. Values that only the robot's maker knows are commented out.
+/// Returns a robot.toml for the joints of a URDF. Values that only the manufacturer knows are commented out.
 #[must_use]
 pub fn robot_toml(urdf: &str, model: &Model) -> String {
     let mut text = format!(
@@ -62,7 +62,7 @@ setpoints = "held"            # commands of position or velocity servos: "held" 
     text
 }
 
-/// Parameters of a simulated plant. It has no values per joint: a stiffness here applies to all.
+/// Template of the parameters of a simulated plant; they apply to all joints.
 const SIMULATED: &str = r"
 # Simulated plant: parameters in addition to those above. Without this section the robot cannot be simulated.
 [simulated]
@@ -82,7 +82,7 @@ const SIMULATED: &str = r"
 # damping_nms_per_rad =
 ";
 
-/// Units of a joint: of torque, speed, torque per speed, and the gear ratio in words.
+/// Units of a joint: torque, speed and viscous friction, and a description of the gear ratio.
 struct Units {
     torque: &'static str,
     speed: &'static str,
@@ -144,12 +144,12 @@ fn servo(joint: &Joint) -> String {
     )
 }
 
-/// Replaces the control characters of a name by spaces, so that it stays on the line of its comment.
+/// Replaces the control characters of a name by spaces, so that the name stays on one comment line.
 fn one_line(name: &str) -> String {
     name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// Returns a first task for that robot: it holds its posture, softly.
+/// Returns a first task for the robot, which holds its posture with low gains.
 #[must_use]
 pub fn task_toml(model: &Model) -> String {
     let mut text = String::from(

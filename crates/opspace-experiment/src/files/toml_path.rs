@@ -1,10 +1,10 @@
-//! Places of keys in a TOML document, and keys at a place.
+//! Byte ranges of keys in a TOML document, and keys at a position.
 
 use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// Writes a path as TOML does.
+/// Formats a path as a TOML key.
 pub(crate) fn dotted(path: &[String]) -> String {
     let bare =
         |key: &str| !key.is_empty() && key.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c));
@@ -12,14 +12,14 @@ pub(crate) fn dotted(path: &[String]) -> String {
     path.iter().map(quoted).collect::<Vec<_>>().join(".")
 }
 
-/// Half of `key = value` that an error concerns.
+/// Part of `key = value` to which an error refers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
     Key,
     Value,
 }
 
-/// Key and value of one child.
+/// Key span and value of a child.
 pub(crate) fn child<'a, 'i>(
     value: &'a DeValue<'i>,
     segment: &str,
@@ -41,7 +41,7 @@ pub(crate) fn entry<'a, 'i>(
     table.iter().find(|(name, _)| name.get_ref() == key).map(|(name, value)| (name.span(), value))
 }
 
-/// Spans of the keys and values along `path`, as far as it exists.
+/// Key spans and values along `path`, as far as the path exists.
 pub(crate) fn along<'a, 'i>(
     document: &'a DeTable<'i>,
     path: &[String],
@@ -69,7 +69,7 @@ pub(crate) fn value_at<'a, 'i>(document: &'a DeTable<'i>, path: &[String]) -> Op
     if steps.len() < path.len() { None } else { steps.last().map(|(_, value)| value.get_ref()) }
 }
 
-/// Span of a key or its value, or of the nearest table around it; `None` at the root.
+/// Span of a key or its value, or of the nearest enclosing table; `None` at the root.
 pub(crate) fn span_of(document: &DeTable<'_>, path: &[String], part: Part) -> Option<Range<usize>> {
     let steps = along(document, path);
     let whole = steps.len() == path.len();
@@ -81,7 +81,7 @@ pub(crate) fn span_of(document: &DeTable<'_>, path: &[String], part: Part) -> Op
     }
 }
 
-/// Path to the smallest key or value around a span's start.
+/// Path of the smallest key or value that contains the start of a span.
 pub(crate) fn path_at(document: &DeTable<'_>, span: &Range<usize>) -> Vec<String> {
     let mut best = (usize::MAX, Vec::new());
     if !span.is_empty() {
@@ -100,7 +100,7 @@ fn narrow(
     path: &mut Vec<String>,
     best: &mut (usize, Vec<String>),
 ) {
-    // A table's span is its header, not its content: every child is asked.
+    // The span of a table covers only its header, so all children are searched.
     for around in [key, value.span()] {
         if around.contains(&offset) && around.len() <= best.0 {
             *best = (around.len(), path.clone());
@@ -122,7 +122,7 @@ fn narrow(
     }
 }
 
-/// Keys of the table at `path`, the root's for an empty path.
+/// Keys of the table at `path`; of the root for an empty path.
 pub(crate) fn keys_at(document: &DeTable<'_>, path: &[String]) -> Vec<String> {
     let table = match value_at(document, path) {
         Some(DeValue::Table(table)) => table,

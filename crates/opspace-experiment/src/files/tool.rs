@@ -1,4 +1,4 @@
-//! Tools and loads mounted on a robot: mass, and the frame at the tip.
+//! Tools and loads mounted on a robot: mass properties and the frame at the tip.
 
 use crate::files::source::{FileError, Source};
 use crate::files::suggest::choices;
@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// A rigid body that is fixed to a link. Tasks can control its frame, which has its name.
+/// Rigid body fixed to a link, with a frame of the same name that tasks can control.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -24,10 +24,10 @@ pub struct ToolFile {
     /// Orientation of the tool's frame relative to that link: roll, pitch and yaw as in a URDF, rad; none if absent.
     #[serde(default, deserialize_with = "exactly")]
     pub rpy_rad: [f64; 3],
-    /// Mass, kg; zero if absent, which leaves only a frame.
+    /// Mass, kg; zero if absent: the tool is then only a frame.
     #[serde(default)]
     pub mass_kg: NonNegative,
-    /// Centre of mass, from the link's origin in the link's axes, m; the link's origin if absent.
+    /// Centre of mass relative to the link's origin, in the link's axes, m; the link's origin if absent.
     #[serde(default, deserialize_with = "exactly")]
     pub com_m: [f64; 3],
     /// Inertia xx, xy, xz, yy, yz, zz about the centre of mass, in the link's axes, kg m²; a point mass if absent.
@@ -35,7 +35,7 @@ pub struct ToolFile {
     pub inertia_kg_m2: [f64; 6],
 }
 
-/// Tolerance of comparisons of moments, relative to the largest: data sheets print few digits.
+/// Tolerance for comparisons of principal moments, relative to the largest; data sheets give few digits.
 const INERTIA_TOLERANCE: f64 = 1e-3;
 
 impl ToolFile {
@@ -50,7 +50,7 @@ impl ToolFile {
     }
 }
 
-/// Mounts every tool of a robot file: adds its mass to the body of its link, and its frame under its name.
+/// Mounts all tools of a robot file: adds their inertia to the bodies of their links, and a frame for each tool.
 pub(crate) fn mount(
     source: &Source,
     model: &mut Model,

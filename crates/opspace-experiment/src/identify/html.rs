@@ -1,4 +1,4 @@
-//! The page of an identification: Bode plots of T and D*, joint by joint, and friction over speed.
+//! Page about an identification: Bode plots of T and D* for each joint, and friction over speed.
 
 use super::{IdentificationResults, JointIdentification};
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
@@ -6,7 +6,7 @@ use crate::report::html::Page;
 use nalgebra::Complex;
 use opspace_identify::TorqueScale;
 
-/// Points of a drawn curve.
+/// Number of points of a drawn curve.
 const CURVE: usize = 300;
 
 impl IdentificationResults {
@@ -95,7 +95,7 @@ impl IdentificationResults {
     }
 }
 
-/// T, measured and modelled.
+/// Bode plot of T, measured and modelled.
 fn position(joint: &JointIdentification) -> Figure {
     let mut curves = measured(joint, |_, t| Some(t));
     let hz = frequencies(joint);
@@ -113,7 +113,7 @@ fn position(joint: &JointIdentification) -> Figure {
     }
 }
 
-/// D*, from measured and modelled T.
+/// Bode plot of D*, computed from measured and modelled T.
 fn effective(joint: &JointIdentification) -> Figure {
     let found = &joint.found;
     let mut curves = measured(joint, |hz, t| found.effective_servo(hz, t));
@@ -138,7 +138,7 @@ fn effective(joint: &JointIdentification) -> Figure {
     }
 }
 
-/// Label, style, and values over frequency, Hz.
+/// Label, style, and values over frequency (Hz).
 type Curve = (String, Style, Vec<(f64, Option<Complex<f64>>)>);
 
 /// Curves of a quantity computed from the measured T, one per amplitude.
@@ -158,7 +158,7 @@ fn curve(label: &str, style: Style, hz: &[f64], of: impl Fn(f64) -> Option<Compl
     (label.to_owned(), style, hz.iter().map(|&hz| (hz, of(hz))).collect())
 }
 
-/// Frequencies of a drawn curve, Hz: evenly spread over the excited decades.
+/// Frequencies of a drawn curve, Hz: logarithmically spaced over the excited range.
 fn frequencies(joint: &JointIdentification) -> Vec<f64> {
     let points = joint.found.measured.first().map_or(&[][..], |m| &m.position);
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
@@ -190,7 +190,7 @@ fn bode(curves: Vec<Curve>, magnitude: &str) -> Vec<Panel> {
     ]
 }
 
-/// Phases without the jumps of a whole turn.
+/// Unwraps phases: removes jumps of 360°. All phases in degrees.
 fn unwrapped(mut degrees: Vec<f64>) -> Vec<f64> {
     for k in 1..degrees.len() {
         let turns = ((degrees[k] - degrees[k - 1]) / 360.0).round();

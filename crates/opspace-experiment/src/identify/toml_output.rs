@@ -1,4 +1,4 @@
-//! Identification results in the form of robot.toml: the section of the servos, and a whole file.
+//! Identification results in the format of robot.toml: the servo section, and a complete file.
 
 use super::{IdentificationResults, JointIdentification, Structure};
 use crate::files::source::FileError;
@@ -8,8 +8,8 @@ use std::path::Path;
 use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, Value};
 
 impl IdentificationResults {
-    /// The identified keys of robot.toml, to be copied there. Comments state what is known of the joints that can't be
-    /// driven by torques, and the reason.
+    /// Identified keys, to be copied into robot.toml. For joints that cannot be driven by torques, comments give the
+    /// reason and the values that are known.
     #[must_use]
     pub fn servo_toml(&self) -> String {
         let profile = &self.profile_name;
@@ -51,12 +51,12 @@ impl IdentificationResults {
         text
     }
 
-    /// The robot's whole file with the identified values in place of the nominal ones, beside a URDF of the name
-    /// `urdf`. The plant of the simulation is unchanged: the former nominal values are written into `[simulated]`.
-    /// `None` if a joint can't be driven by torques.
+    /// Returns the complete robot file with identified values in place of the nominal ones, for a URDF with the file
+    /// name `urdf` in the same folder. The simulated plant does not change: the previous nominal values are written
+    /// to `[simulated]`. `None` if any joint cannot be driven by torques.
     ///
     /// # Errors
-    /// If the robot's file can't be edited, which it can if it was read.
+    /// If the robot file cannot be edited; this does not occur if it was read without error.
     pub fn robot_toml(&self, urdf: &str) -> Result<Option<String>, FileError> {
         if !self.is_complete() {
             return Ok(None);
@@ -79,7 +79,7 @@ impl IdentificationResults {
         for joint in &self.joints {
             put(servos, &joint.name, servo(joint));
         }
-        // All joints or none: a transformer takes them together.
+        // All joints or none, because a transformer needs the models of all joints.
         let measured: Option<Vec<Table>> = self.joints.iter().map(identified).collect();
         if let Some(measured) = measured.filter(|measured| measured.len() == self.robot.model.n()) {
             let mut joints = Table::new();
@@ -103,20 +103,20 @@ impl IdentificationResults {
         Ok(Some(head + &without_schema(&document.to_string())))
     }
 
-    /// The name of the URDF's copy.
+    /// File name of the copy of the URDF.
     #[must_use]
     pub fn urdf_name(&self) -> String {
         let name = Path::new(self.robot.urdf.name()).file_name().unwrap_or_default();
         name.to_string_lossy().into_owned()
     }
 
-    /// The URDF's text.
+    /// Text of the URDF.
     #[must_use]
     pub fn urdf(&self) -> &str {
         self.robot.urdf.text()
     }
 
-    /// Writes the former nominal values into `[simulated]`, except where it states values already.
+    /// Writes the previous nominal values to `[simulated]`, except for values that it already contains.
     fn keep_plant(&self, file: &mut Table) -> Option<()> {
         let mut servos = Vec::new();
         let mut frictions = Vec::new();
@@ -139,7 +139,7 @@ impl IdentificationResults {
     }
 }
 
-/// Returns a table below another; inline ones become tables of their own.
+/// Returns an inner table; an inline table is first converted to a standard table.
 fn table<'a>(parent: &'a mut Table, key: &str) -> Option<&'a mut Table> {
     let item = parent.get_mut(key)?;
     if item.is_inline_table() {
@@ -156,12 +156,12 @@ fn inline(item: Item) -> Option<InlineTable> {
     })
 }
 
-/// Replaces a value and drops the comment beside it, which described the old value.
+/// Replaces a value and drops its comment, which described the old value.
 fn put(table: &mut Table, key: &str, value: Value) {
     table.insert(key, Item::Value(value));
 }
 
-/// Removes the line that names a schema for editors: there is none beside the new file.
+/// Removes the `#:schema` line for editors, because there is no schema in the new folder.
 fn without_schema(text: &str) -> String {
     text.lines().filter(|line| !line.starts_with("#:schema")).map(|line| line.to_owned() + "\n").collect()
 }
@@ -223,13 +223,14 @@ fn ratios(joint: &JointIdentification) -> String {
     )
 }
 
-/// T as fitted, behind hold and delay, and the ideal joint G* of equation (K5): for the transformers `identified`. T is
-/// scaled to T(0) = 1, since a joint without load moves to its setpoint.
+/// Parameters of the `identified` transformers: the fitted T without hold and delay, and the ideal joint G* of equation
+/// (K5). T is scaled to T(0) = 1, because a joint without load moves to its setpoint.
 fn identified(joint: &JointIdentification) -> Option<Table> {
     let (servo, t) = (joint.found.servo.as_ref()?, joint.found.rational.as_ref()?);
     let trusted_hz = joint.found.fit_quality.as_ref()?.bandwidth_hz;
     let from_hz = joint.found.measured.first()?.position.first()?.hz;
-    // Linear friction alone, as equation (K5) has it: what Coulomb friction adds to T at one amplitude is not the servo's.
+    // Only linear friction, as in equation (K5): the contribution of Coulomb friction to T at one amplitude is not
+    // part of the servo.
     let viscous = servo.friction.map_or(0.0, |friction| friction.viscous);
     let static_gain = t.rational.numerator.first()? / t.rational.denominator.first()?;
     let polynomials = |numerator: &[f64], denominator: &[f64]| {
@@ -258,7 +259,7 @@ fn friction(joint: &JointIdentification) -> Option<Value> {
     Some(values.into())
 }
 
-/// Rounds to four digits: the measurement yields no more.
+/// Rounds to four significant digits, which is the accuracy of the measurement.
 fn rounded(value: f64) -> Value {
     if value == 0.0 || !value.is_finite() {
         return 0.0.into();

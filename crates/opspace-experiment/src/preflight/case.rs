@@ -1,4 +1,4 @@
-//! An experiment at its start, and its successive task sets.
+//! Experiment in its start posture, with its successive task sets.
 
 use super::motion::{Motion, motions};
 use crate::run::experiment::Experiment;
@@ -6,7 +6,7 @@ use opspace_control::{ControlInput, Measurement, Targets, TaskParameters, TaskSe
 use opspace_model::{Data, Model, update};
 use std::collections::BTreeMap;
 
-/// Controller input whose clock counts from the start of control.
+/// Returns the controller input at a measurement; its clock starts with control.
 pub(super) fn input<'a>(
     model: &'a Model,
     data: &'a Data,
@@ -17,7 +17,7 @@ pub(super) fn input<'a>(
     ControlInput { model, data, measurement, feedforward_torque, targets, clock_s: measurement.time_s }
 }
 
-/// An experiment at its start.
+/// Experiment in its start posture.
 pub(super) struct PreflightCase<'a> {
     pub(super) experiment: &'a Experiment,
     pub(super) model: &'a Model,
@@ -25,16 +25,16 @@ pub(super) struct PreflightCase<'a> {
     pub(super) start: Vec<f64>,
     /// Kinematics and dynamics at the start, at rest.
     pub(super) data: Data,
-    /// Task sets that come into force during the run, in the order of time.
+    /// Task sets of the run, in order of time.
     pub(super) task_sets: Vec<ActiveTasks<'a>>,
 }
 
-/// A task set, in force from one event to the next.
+/// Task set that is active from one event to the next.
 pub(super) struct ActiveTasks<'a> {
     pub(super) from_s: f64,
     pub(super) priority: &'a [String],
     pub(super) task: &'a BTreeMap<String, TaskParameters>,
-    /// The tasks themselves, not started.
+    /// Tasks of the set, before their start.
     pub(super) tasks: TaskSet,
     /// Tasks that control a frame or the centre of mass, in the order of priority.
     pub(super) motions: Vec<Motion<'a>>,
@@ -60,8 +60,8 @@ impl<'a> PreflightCase<'a> {
         Some(Self { experiment, model, start, data, task_sets: stacks })
     }
 
-    /// Key of a task's value: in the task itself, or in the last event that changed the task before its set came into
-    /// force.
+    /// Key of a value of a task in task set `stack`: in the task itself, or in the last event up to this set that
+    /// changed the task.
     pub(super) fn key(&self, stack: usize, name: &str, rest: &[&str]) -> Vec<String> {
         let changed = (1..=stack)
             .rev()
@@ -78,21 +78,21 @@ impl<'a> PreflightCase<'a> {
         self.key(stack, name, &[kind, "reference"])
     }
 
-    /// Time at which the reference of a task in that set begins, s: that of the set's own event, or that of the
-    /// earliest event since which it hasn't changed.
+    /// Start time of a task's reference in task set `stack`, s: the time of the earliest event since which the
+    /// reference has not changed.
     pub(super) fn begin_s(&self, stack: usize, same: impl Fn(&ActiveTasks<'_>) -> bool) -> f64 {
         let first = (0..=stack).rev().take_while(|&k| same(&self.task_sets[k])).last();
         self.task_sets[first.unwrap_or(stack)].from_s
     }
 
-    /// The range in which a joint is kept, rad or m.
+    /// Allowed range of a joint (lower, upper), rad or m.
     pub(super) fn range(&self, joint: usize) -> (f64, f64) {
         let limits = &self.model.joints()[joint].limits;
         let margin = self.margin();
         (limits.lower + margin, limits.upper - margin)
     }
 
-    /// Distance of the joints' allowed range from their position limits, rad or m.
+    /// Margin between the allowed range of a joint and its position limits, rad or m.
     pub(super) fn margin(&self) -> f64 {
         let limits = &self.experiment.task().file.limits;
         if limits.enforce { limits.position_margin_rad.get() } else { 0.0 }

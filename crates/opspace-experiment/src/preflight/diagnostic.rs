@@ -18,7 +18,7 @@ pub struct Diagnostic {
     file: File,
 }
 
-/// The file in which a finding's key stands.
+/// File that contains the key of a diagnostic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum File {
     Task,
@@ -35,7 +35,7 @@ impl Diagnostic {
         Self { file: File::Robot, ..self }
     }
 
-    /// Returns the finding with its place in the files of its experiment.
+    /// Returns the diagnostic with its place in the files of the experiment.
     #[must_use]
     pub fn placed(&self, experiment: &Experiment) -> FileError {
         let source = match self.file {

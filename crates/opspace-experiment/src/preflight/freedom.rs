@@ -1,4 +1,4 @@
-//! Directions in which a task cannot move at its start (singularities), and degrees of freedom that nothing damps.
+//! Directions in which a task cannot move at its start (singularities), and undamped degrees of freedom.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
@@ -6,11 +6,11 @@ use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
 use opspace_control::tasks::task::SINGULARITY_THRESHOLD;
 use opspace_model::{Data, Inversion, OperationalSpace, update};
 
-/// Step and largest number of steps by which a joint is bent in the search for a better start, rad or m.
+/// Step (rad or m) and maximum number of steps by which a joint is displaced in the search for a better start.
 const BEND: f64 = 0.05;
 const FARTHEST_BENDS: u32 = 30;
 
-/// Finds joints that no task moves or damps.
+/// Finds degrees of freedom that no task controls or damps.
 pub(crate) fn undamped(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     let n = case.model.n();
     (0..case.task_sets.len()).find_map(|number| {
@@ -38,7 +38,7 @@ pub(crate) fn undamped(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     })
 }
 
-/// Finds tasks that at the start can hardly move in some direction, with the tasks of higher priority in force.
+/// Finds tasks that can hardly move in a direction at the start, given the tasks of higher priority.
 pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let spectra = spectra(case, &case.data);
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
@@ -62,10 +62,11 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     .collect()
 }
 
-/// Share from which on nothing is lost.
+/// Value of `Spectrum::share` above which a task has full mobility.
 const WHOLE: f64 = 1.0 - 1e-9;
 
-/// Mobility of a task in its weakest direction.
+/// Mobility of a task in its weakest direction; `share` is its remaining fraction, 1 if nothing is lost, 0 if it is
+/// lost.
 struct Spectrum {
     /// Name of the task.
     name: String,
@@ -74,7 +75,7 @@ struct Spectrum {
     direction: String,
 }
 
-/// Spectra of the tasks at a state, each within the freedom that the tasks of higher priority leave, computed as by the
+/// Spectra of the tasks at a state, each in the null space of the tasks of higher priority, computed as in the
 /// controller.
 fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
     let (model, n, tasks) = (case.model, case.model.n(), &case.task_sets[0].tasks);
@@ -100,7 +101,7 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
     found
 }
 
-/// Threshold of damping, or the one that a task without damping would have.
+/// Singularity threshold of an inversion; the default threshold if it has no damping.
 fn threshold(inversion: Inversion) -> f64 {
     match inversion {
         Inversion::Damped(threshold) | Inversion::LeastSquares(threshold) | Inversion::Clamped(threshold) => {
@@ -110,9 +111,9 @@ fn threshold(inversion: Inversion) -> f64 {
     }
 }
 
-/// A direction in words: `z`, or `0.71 x - 0.71 rz`.
+/// Describes a direction: `z`, or `0.71 x - 0.71 rz`.
 fn direction(direction: &[f64], names: &[String]) -> String {
-    // Either way is the same direction: the largest part is positive.
+    // The sign of a direction is arbitrary: the largest component is made positive.
     let largest = direction.iter().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a });
     let sign = largest.map_or(1.0, f64::signum);
     let mut text = String::new();
@@ -136,7 +137,7 @@ fn direction(direction: &[f64], names: &[String]) -> String {
     text
 }
 
-/// Smallest bend of one joint at which the task and those of higher priority lose nothing.
+/// Smallest displacement of one joint that gives full mobility to the task and to those of higher priority.
 fn bend(case: &PreflightCase<'_>, level: usize) -> Option<String> {
     let mut data = case.data.clone();
     let rest = vec![0.0; case.model.n()];

@@ -1,4 +1,4 @@
-//! References that the arm can't reach.
+//! References that are out of reach of the arm.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
@@ -9,13 +9,13 @@ use opspace_control::rank::reach;
 use opspace_control::{AXIS_NAMES, CartesianReference, ControlledFrame, Task, TaskParameters};
 use opspace_model::{Data, FrameId, kinematics};
 
-/// Largest error at which a goal counts as reached: m, with rotations scaled to it.
+/// Largest error at which a goal counts as reached, m; rotations are scaled to m.
 const REACHED_M: f64 = 1e-3;
 
 /// Number of parts into which a run's instants are divided; the worst instant of each part is examined.
 const PARTS: usize = 8;
 
-/// Findings, one for each task whose reference the arm can't reach.
+/// Returns a diagnostic for each task whose reference is out of reach.
 pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut names: Vec<&str> = Vec::new();
     for task in case.task_sets.iter().flat_map(|stack| stack.tasks.tasks()) {
@@ -41,7 +41,7 @@ pub(crate) fn out_of_reach(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<
 struct Asked<'a> {
     instant: &'a Instant,
     name: &'a str,
-    /// Index among the tasks in force.
+    /// Index among the active tasks.
     place: usize,
 }
 
@@ -78,7 +78,7 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Finds references farther from the first joint than the sum of all links.
+/// Finds references whose distance from the first joint is larger than the length of all links.
 fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> {
     let (mut worst, mut most) = (None, 1.0 + 1e-6);
     for asked in asked {
@@ -105,8 +105,8 @@ fn too_far(case: &PreflightCase<'_>, asked: &[Asked<'_>]) -> Option<Diagnostic> 
     Some(Diagnostic::new(&asked.key(case), message, help))
 }
 
-/// First joint that moves a frame, and the distance of the target from it, m: along the axes in motion, since along the
-/// others the frame may be anywhere.
+/// First joint that moves a frame, and the distance of the target from this joint, m. Only the motion axes count,
+/// because the position along the other axes is free.
 fn distance<'a>(
     case: &'a PreflightCase<'_>,
     asked: &Asked<'_>,
@@ -126,7 +126,7 @@ fn distance<'a>(
     Some((case.joint(first.joint), parts.map(|part| part * part).sum::<f64>().sqrt()))
 }
 
-/// Instants of a task at which freely following joints miss it most or leave their ranges.
+/// Instants at which the rollout misses the reference of a task most, or leaves the joint ranges.
 fn doubtful<'a>(case: &PreflightCase<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>> {
     let length = asked.len().div_ceil(PARTS).max(1);
     let worst = asked.chunks(length).filter_map(|part| {
@@ -136,7 +136,7 @@ fn doubtful<'a>(case: &PreflightCase<'_>, asked: &[Asked<'a>]) -> Vec<Asked<'a>>
     worst.collect()
 }
 
-/// Nearest postures at each task's doubtful instants.
+/// Nearest postures at the doubtful instants of each task.
 fn nearest_postures<'a>(
     case: &PreflightCase<'_>,
     doubtful: &[Vec<Asked<'a>>],
@@ -155,7 +155,7 @@ fn nearest_postures<'a>(
     nearest
 }
 
-/// Finds references within the arm's length for which the search yields no posture within the joints' ranges.
+/// Finds references within the arm's length for which the search finds no posture within the joint ranges.
 fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) -> Option<Diagnostic> {
     let (asked, nearest) = first_of_largest(nearest.into_iter().map(|tried| (tried.1.missed, tried)))?;
     if nearest.missed <= REACHED_M {
@@ -195,8 +195,8 @@ fn first_of_largest<T>(all: impl Iterator<Item = (f64, T)>) -> Option<T> {
     all.reduce(larger).map(|(_, largest)| largest)
 }
 
-/// Error of freely following joints, or their distance beyond their ranges if larger; zero if they reach it within
-/// their ranges.
+/// Error of the rollout, or its largest excess beyond a joint range if this is larger. Zero if it reaches the
+/// reference within the joint ranges.
 fn doubt(case: &PreflightCase<'_>, asked: &Asked<'_>) -> f64 {
     let missed = asked.error().norm();
     let missed = if missed > REACHED_M { missed } else { 0.0 };
@@ -209,9 +209,9 @@ fn doubt(case: &PreflightCase<'_>, asked: &Asked<'_>) -> f64 {
 
 /// Posture that comes nearest to a task's reference.
 struct Nearest {
-    /// Norm of the rows' error: m, with rotations scaled to it.
+    /// Norm of the error over all rows, m; rotations are scaled to m.
     missed: f64,
-    /// Error along all rows, m, and about all rows, rad.
+    /// Norms of the error of the rows in m and of the rows in rad.
     missed_by: [f64; 2],
     /// Joints at an end of their range.
     at_ends: Vec<String>,
@@ -239,7 +239,7 @@ impl Nearest {
     }
 }
 
-/// Norm of an error's rows that are in that unit, unscaled.
+/// Norm of the error over the rows with the given unit, in this unit.
 fn in_unit(task: &dyn Task, error: &Vector6<f64>, unit: &str) -> f64 {
     let rows = (0..task.rows()).filter(|&row| task.row_unit(row).0 == unit);
     rows.map(|row| (error[row] / task.row_unit(row).1).powi(2)).sum::<f64>().sqrt()
@@ -253,8 +253,8 @@ fn at_ends(case: &PreflightCase<'_>, data: &Data) -> Vec<String> {
     (0..case.model.n()).filter(at_end).map(|joint| format!("joint '{}'", case.joint(joint))).collect()
 }
 
-/// Start postures of the search: where the joints would be, the start of the run, and some spread over the joints'
-/// ranges.
+/// Start postures of the search: the posture of the rollout, the start posture of the run, and postures distributed
+/// over the joint ranges.
 fn starts(case: &PreflightCase<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
     const SPREAD: usize = 18;
     let mut starts = vec![followed.to_vec(), case.start.clone()];
@@ -262,7 +262,8 @@ fn starts(case: &PreflightCase<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
         (0..case.model.n())
             .map(|joint| {
                 let (lower, upper) = case.range(joint);
-                // Multiples of powers of the golden ratio's inverse fill an interval evenly, each joint's its own way.
+                // Multiples of a power of the inverse golden ratio, modulo 1, fill the interval evenly; each joint
+                // has another power.
                 let share = (0.5 + 0.618_034_f64.powi(joint as i32 + 1) * k as f64).fract();
                 if (upper - lower).is_finite() { lower + share * (upper - lower) } else { case.start[joint] }
             })
@@ -271,14 +272,14 @@ fn starts(case: &PreflightCase<'_>, followed: &[f64]) -> Vec<Vec<f64>> {
     starts
 }
 
-/// Inverse kinematics within the joints' ranges by damped least squares (Levenberg and Marquardt); joints that are at
-/// an end and would go beyond it are left out.
+/// Inverse kinematics within the joint ranges by damped least squares (Levenberg and Marquardt). Joints that are at
+/// an end of their range and would move beyond it are excluded.
 fn solve(case: &PreflightCase<'_>, task: &dyn Task, start: Vec<f64>) -> Data {
     const ITERATIONS: usize = 300;
     let (model, n) = (case.model, case.model.n());
     let clamped = |joint: usize, q: f64| {
         let (lower, upper) = case.range(joint);
-        // A range that its margins leave nothing of keeps its middle.
+        // If the margins leave no range, the middle is used.
         if lower < upper { q.clamp(lower, upper) } else { 0.5 * (lower + upper) }
     };
     let rest = vec![0.0; n];
@@ -353,9 +354,9 @@ mod tests {
         task
     }
 
-    /// Compared: poses of the Panda's flange by forward kinematics, from postures spread over the joints' ranges with
-    /// two joints at an end of theirs, and the postures that the search yields: every pose that has a posture must get
-    /// one.
+    /// Compared: poses of the Panda's flange by forward kinematics, and the postures that the search finds for them:
+    /// it must find a posture for every pose. The poses come from postures distributed over the joint ranges, with
+    /// two joints at an end of their range.
     #[test]
     fn every_reachable_pose_gets_a_posture() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-reach.toml");

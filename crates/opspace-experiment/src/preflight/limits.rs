@@ -8,7 +8,7 @@ use opspace_control::TaskParameters;
 use opspace_model::JointKind;
 use std::collections::BTreeSet;
 
-/// Findings that need the start alone.
+/// Diagnostics that depend only on the start posture.
 pub(crate) fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
     found.extend(shares(case));
@@ -20,7 +20,7 @@ pub(crate) fn of_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     found
 }
 
-/// Finds shares of more than the whole, which count as the whole.
+/// Finds limit fractions above 1, which count as 1.
 fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let limits = case.experiment.task().file.limits;
     let all = [("velocity_fraction", limits.velocity_fraction), ("torque_fraction", limits.torque_fraction)];
@@ -34,7 +34,7 @@ fn shares(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
         .collect()
 }
 
-/// Finds a range that the margins use up.
+/// Finds a joint range that is not larger than its two margins.
 fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let limits = &case.model.joints()[joint].limits;
     let (width, margin) = (limits.upper - limits.lower, case.margin());
@@ -51,7 +51,7 @@ fn range(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     Some(Diagnostic::new(&["limits", "position_margin_rad"], message, help))
 }
 
-/// Finds a start within the margin, from which the joint is moved away at once.
+/// Finds a start position within the margin; the joint moves away from there immediately.
 fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let (q, (lower, upper)) = (case.start[joint], case.range(joint));
     if q >= lower && q <= upper {
@@ -71,7 +71,8 @@ fn start_in_margin(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic>
     Some(Diagnostic::new(&["start_rad", case.joint(joint)], message, help))
 }
 
-/// Finds a joint whose torque can't hold the arm's weight: at the start, or on the references at a time.
+/// Finds a joint whose torque limit is too low for the weight of the arm: at the start, or at a time on the
+/// references.
 fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f64>) -> Option<Diagnostic> {
     if case.experiment.robot().file.interface.gravity_compensated_by == GravityCompensation::Robot {
         return None;
@@ -107,7 +108,7 @@ fn weight(case: &PreflightCase<'_>, joint: usize, gravity: f64, time_s: Option<f
     Some(Diagnostic::new(&["joint", name, "torque_limit_nm"], message, help).of_robot())
 }
 
-/// Finds an acceleration limit so low that braking from the joint's highest speed takes more than its range.
+/// Finds an acceleration limit so low that braking from the velocity limit requires more than the joint range.
 fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     let acceleration = case.experiment.robot().joint_limits().acceleration[joint];
     let limits = &case.model.joints()[joint].limits;
@@ -133,7 +134,7 @@ fn braking(case: &PreflightCase<'_>, joint: usize) -> Option<Diagnostic> {
     )
 }
 
-/// Finds demanded postures outside the joints' ranges: of posture tasks, and of joint references.
+/// Finds target positions of posture tasks and joint references outside the joint ranges.
 pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
     let mut seen = BTreeSet::new();
@@ -164,7 +165,7 @@ pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<D
                 if let Some((asked, time_s)) =
                     farthest.filter(|(asked, _)| outside(case, joint, *asked) > 1e-9)
                 {
-                    // The start posture is reported as the start.
+                    // A target at the start position is already reported as the start.
                     if (asked - case.start[joint]).abs() > 1e-12 {
                         let kind = stack.task.get(name).map_or("", TaskParameters::kind);
                         note(number, name, &[kind, "reference"], joint, asked, Some(time_s));
@@ -176,7 +177,7 @@ pub(crate) fn of_postures(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<D
     found
 }
 
-/// Distance of a position from the range in which a joint is kept: negative inside.
+/// Distance of a position from the allowed range of a joint, rad or m; negative inside.
 fn outside(case: &PreflightCase<'_>, joint: usize, asked: f64) -> f64 {
     let (lower, upper) = case.range(joint);
     (lower - asked).max(asked - upper)
@@ -212,7 +213,8 @@ fn beyond(
     Diagnostic::new(&key, message, help)
 }
 
-/// Findings along the references: weight that a joint can't hold, or whose change its torque can't follow.
+/// Diagnostics along the references: weight above the torque limit of a joint, or changing faster than its torque
+/// rate limit.
 pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     for joint in 0..case.model.n() {
@@ -228,7 +230,7 @@ pub(crate) fn on_the_way(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Di
     found
 }
 
-/// Finds weight that shifts onto a joint faster than its torque may change.
+/// Finds a joint whose gravity torque changes faster than its torque rate limit.
 fn torque_rate(case: &PreflightCase<'_>, followed: &Rollout, joint: usize) -> Option<Diagnostic> {
     let rate = case.experiment.robot().joint_limits().torque_rate[joint];
     if rate == f64::INFINITY

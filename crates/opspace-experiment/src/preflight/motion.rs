@@ -1,4 +1,4 @@
-//! Tasks that control a frame or the centre of mass, in the form that the other checks need.
+//! Tasks that control a frame or the centre of mass, in the form required by the other checks.
 
 use nalgebra::Matrix3;
 use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame, TaskParameters};

@@ -1,12 +1,12 @@
-//! The task's references, and joints that follow them without error, limits or forces.
+//! Kinematic rollout: the references of a task, and joints that follow them without error, limits or forces.
 //!
-//! The references are those of the controller itself, events included. The joints follow by damped least squares:
+//! The references are those of the controller, including events. The joints follow by damped least squares:
 //!
 //! ```text
 //! q̇ = J⁺ (ẋ_d + 20 (x_d − x)) + (I − J⁺ J) q̇_0        J⁺ = Jᵀ (J Jᵀ + μ² I)⁻¹
 //! ```
 //!
-//! with the rows of all tasks that follow a reference in J, and the velocities of the task of all joints in q̇_0.
+//! J contains the rows of all tasks that follow a reference, q̇_0 the velocities of the joint task.
 
 use super::case::{PreflightCase, input};
 use nalgebra::{DMatrix, DVector, Matrix6xX, Vector6};
@@ -18,24 +18,24 @@ use std::collections::BTreeMap;
 /// Longest step, s: errors decay with a time constant of 0.05 s.
 const LONGEST_STEP_S: f64 = 0.01;
 
-/// Number of steps in which a run is followed, if they are not longer than the longest step.
+/// Number of steps of a run, unless they would be longer than `LONGEST_STEP_S`.
 const STEPS: f64 = 2000.0;
 
-/// Largest number of steps: ten minutes of the longest, so that the check of a run of days ends soon.
+/// Maximum number of steps, which is ten minutes at `LONGEST_STEP_S`: it limits the computing time of long runs.
 const MAX_STEPS: usize = 60_000;
 
-/// Largest number of instants that are kept.
+/// Maximum number of instants that are stored.
 const KEPT: usize = 4000;
 
 /// μ² relative to the trace of J Jᵀ.
 const DAMPING: f64 = 1e-6;
 
-/// Largest motion of a joint in a step, rad or m: a goal out of reach demands more.
+/// Largest motion of a joint in a step, rad or m: a goal out of reach would require more.
 const LARGEST_STEP: f64 = 0.2;
 
-/// A run whose references the joints follow.
+/// Rollout of a run.
 pub(crate) struct Rollout {
-    /// Instants in the order of time; none where the task can't be followed.
+    /// Instants in order of time; empty if the references cannot be followed.
     pub instants: Vec<Instant>,
     /// True if the last instant is the end of the run.
     pub to_the_end: bool,
@@ -46,7 +46,7 @@ pub(crate) struct Instant {
     pub time_s: f64,
     /// Number of the step, from 0.
     pub step: usize,
-    /// Number of the task set in force.
+    /// Index of the active task set.
     pub task_set: usize,
     /// Joint positions, rad or m (n).
     pub q: Vec<f64>,
@@ -54,7 +54,7 @@ pub(crate) struct Instant {
     pub dq: Vec<f64>,
     /// Torques of gravity, Nm or N (n).
     pub gravity: Vec<f64>,
-    /// Demands of the tasks of at most six rows, in the order of priority.
+    /// Demands of the tasks with at most six rows, in order of priority.
     pub tasks: Vec<TaskInstant>,
     /// Targets of joints, by the name of the task that sets them.
     pub joints: BTreeMap<String, Vec<JointTarget>>,
@@ -62,12 +62,12 @@ pub(crate) struct Instant {
 
 /// Demand of a task at an instant.
 pub(crate) struct TaskInstant {
-    /// Norm of the velocity of its rows.
+    /// Norm of the velocity that it demands, over its rows.
     pub velocity: f64,
     /// Linear (m/s) and angular (rad/s) speed of its reference, and their limits.
     pub speeds: [Option<f64>; 2],
     pub speed_limits: [Option<f64>; 2],
-    /// Error of its rows, zero where they follow no reference.
+    /// Error of its rows; zero for rows without a reference.
     pub error: Vector6<f64>,
 }
 
@@ -81,7 +81,7 @@ pub(crate) struct JointTarget {
     pub velocity: f64,
 }
 
-/// Error of a task's rows at the state of `data`, zero where they follow no reference.
+/// Error of a task's rows at the state of `data`; zero for rows without a reference.
 pub(crate) fn error(task: &dyn Task, model: &Model, data: &Data) -> Vector6<f64> {
     let [velocity, with_error] = [0.0, 1.0].map(|gain| task.kinematic_target(model, data, gain));
     let error = with_error - velocity;
@@ -91,7 +91,7 @@ pub(crate) fn error(task: &dyn Task, model: &Model, data: &Data) -> Vector6<f64>
 /// Steps of a run.
 struct Steps {
     length_s: f64,
-    /// Number of steps of the whole run, and number of those that are followed.
+    /// Number of steps of the whole run, and number of steps that are computed.
     all: usize,
     count: usize,
 }
@@ -123,7 +123,7 @@ impl Rollout {
         Self { instants, to_the_end: followed == steps.all }
     }
 
-    /// Follows the run once more, and passes the tasks at the given steps to `visit`, in the order of time.
+    /// Repeats the rollout and passes the tasks at the given steps to `visit`, in order of time.
     pub(crate) fn revisit(case: &PreflightCase<'_>, steps: &[usize], mut visit: impl FnMut(usize, &TaskSet)) {
         let Some(&last) = steps.iter().max() else { return };
         let Some(mut follower) = RolloutState::new(case, Steps::new(case).length_s) else { return };
@@ -172,7 +172,7 @@ impl<'a> RolloutState<'a> {
         })
     }
 
-    /// Computes the demands at that step, then lets the joints follow; `None` where they can't be computed.
+    /// Computes the demands at a step, then moves the joints; `None` if the demands cannot be computed.
     fn step(&mut self, step: usize) -> Option<Instant> {
         let (case, model) = (self.case, self.case.model);
         let time_s = step as f64 * self.step_s;
@@ -186,7 +186,7 @@ impl<'a> RolloutState<'a> {
             self.started = true;
         }
         self.controller.update(&input, &mut self.torque);
-        // As the controller counts: half a nanosecond early is in time.
+        // Same rule as in the controller: an event takes effect up to half a nanosecond early.
         let stack = case.task_sets.iter().rposition(|stack| stack.from_s <= time_s + 5e-10).unwrap_or(0);
 
         let mut wanted = DemandedMotion::new(model.n());
@@ -248,7 +248,7 @@ impl<'a> RolloutState<'a> {
     }
 }
 
-/// Joint whose position is the row of a Jacobian; `None` for other rows.
+/// Joint to which a row of a Jacobian belongs, if the row selects a single joint; `None` for other rows.
 fn single_joint(row: impl Iterator<Item = f64>) -> Option<usize> {
     let mut used = row.enumerate().filter(|(_, x)| *x != 0.0);
     let (joint, x) = used.next()?;
@@ -309,8 +309,8 @@ mod tests {
     use crate::{Experiment, Files, RunOptions};
     use std::path::Path;
 
-    /// Compared: joint positions by forward kinematics, and the reference, all along a way out and back. Joints that
-    /// follow velocities without feedback miss it by 1.4 mm.
+    /// Compared: poses by forward kinematics of the joint positions, and the reference, along a motion out and back.
+    /// Joints that follow velocities without feedback would miss the reference by 1.4 mm.
     #[test]
     fn joints_follow_the_reference() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/ur5e-reach.toml");

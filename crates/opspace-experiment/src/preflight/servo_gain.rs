@@ -1,34 +1,37 @@
 //! Gain margin of position or velocity loops: the largest excess over the nominal gains at which a run stays bounded.
 //!
-//! A transformer cancels the servo's own stiffness and damping. For a position loop whose gain is (1 + ε) kp instead of
-//! kp, it cancels too little position feedback, which leaves ε kv q̇ in the direction of motion. With everything else
-//! that damps the joints, a run stays bounded as long as
+//! A transformer cancels the stiffness and damping of the servo. If the gain of a position loop is (1 + ε) kp instead
+//! of kp, the transformer cancels too little position feedback, and a torque ε kv q̇ remains in the direction of
+//! motion. Together with all other damping of the joints, a run stays bounded as long as
 //!
 //! ```text
-//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite        t̄ = (d + (R−1)/2) Ts, 0 where held setpoints are emulated
+//! (1 + ε) Kv Kp t̄ + B − B̂ + D − ε Kv  is positive definite
+//! t̄ = (d + (R−1)/2) Ts, or 0 if held setpoints are emulated
 //! ```
 //!
-//! with Kv, Kp the nominal gains, B the viscous friction, B̂ the part of it that is compensated and D = −∂τ/∂q̇ of the
-//! task's law (n × n, the others diagonal); for one joint
+//! where Kv and Kp are the nominal gains, B is the viscous friction, B̂ its compensated part and D = −∂τ/∂q̇ the
+//! damping of the task's control law (n × n; the other matrices are diagonal). For one joint this is
 //!
 //! ```text
 //! 1 + ε < 1 + (1 + ε) kp t̄ + (b − b̂ + d)/kv
 //! ```
 //!
-//! A velocity robot has no position loop that could be too stiff: a velocity loop of (1 + ε) kv produces (1 + ε) times
-//! every desired torque. The part of a compensation that then exceeds the friction drives the joint:
+//! A velocity robot has no position loop. A velocity loop with a gain of (1 + ε) kv produces (1 + ε) times the
+//! desired torque. A friction compensation can then exceed the friction and drive the joint; a run stays bounded as
+//! long as
 //!
 //! ```text
 //! B + (1 + ε) (D − B̂)  is positive definite
 //! ```
 //!
-//! The reported bound is not the formula's but that of a run: the experiment's own backend and transformer on a
-//! simulated arm without gravity, Coulomb friction, limits and noise at the task's start, nudged, under −D q̇ and the
-//! compensation of B, with one ε for all joints, narrowed down between decay and growth of the motion. The effect of
-//! a disturbance observer on the motors' current is therefore included.
+//! The reported bound is not computed from these formulas but by simulation, with the backend and the transformer of
+//! the experiment. The simulated arm starts in the start posture of the task, without gravity, Coulomb friction,
+//! limits and noise. A short push (nudge) starts a motion under −D q̇ and the compensation of B, with the same ε for
+//! all joints; the bound on ε between decay and growth is found by bisection. The result therefore includes the
+//! effect of a disturbance observer on the motor current.
 //!
-//! Not included: Coulomb friction, which only ever brakes while the compensation does not exceed it; the slope of a
-//! compensation at rest, Fc/v₀, is a negative damping as long as the joint only moves its bristles.
+//! Coulomb friction is not included: it only brakes as long as the compensation does not exceed it. However, the
+//! slope of a compensation at rest, Fc/v₀, is a negative damping while the joint moves only in presliding.
 
 use super::case::input;
 use super::diagnostic::{Diagnostic, short};
@@ -43,29 +46,30 @@ use opspace_sim::SimulatedParameters;
 use opspace_transformer::FrictionCompensation;
 use std::fmt;
 
-/// Smallest excess that is not reported: below it a slightly stiffer gear or a rounded gain makes the run unstable.
+/// Excess below which the margin is reported: a slightly stiffer gear or a rounded gain would make the run unstable.
 const LEAST_EXCESS: f64 = 0.05;
 
-/// Largest excess that is examined: three times the nominal gains.
+/// Largest excess that is examined: 2, that is, three times the nominal gains.
 const MOST_EXCESS: f64 = 2.0;
 
 /// Resolution of the bound.
 const RESOLUTION: f64 = 1e-3;
 
-/// Duration of the run after a nudge, s: a negative damping of 1 % of kv doubles the motion within a few tenths.
+/// Duration of the run after a nudge, s: negative damping of 1 % of kv doubles the motion within a few tenths of a
+/// second.
 const FOLLOWED_S: f64 = 4.0;
 
-/// Speed of the arm after the nudge, rad/s: small, so that products of speeds are negligible.
+/// Speed of the arm after the nudge, rad/s: low, so that quadratic terms in the speeds are negligible.
 const NUDGE_RAD_PER_S: f64 = 1e-3;
 
 /// Duration of the nudge, interface cycles.
 const NUDGED_TICKS: u32 = 10;
 
-/// Speeds, relative to that after the nudge, at which the motion has certainly grown or died out.
+/// Speeds, relative to the speed after the nudge, at which the motion has certainly grown or decayed.
 const GROWN: f64 = 30.0;
 const GONE: f64 = 1e-4;
 
-/// Loops of the servos with a gain margin.
+/// Servo loops for which a gain margin is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServoLoop {
     /// The position loops of a position robot.
@@ -75,7 +79,7 @@ pub enum ServoLoop {
 }
 
 impl ServoLoop {
-    /// Loops of a robot that takes such commands; `None` for torques.
+    /// Loops of a robot with the given command interface; `None` for torques.
     fn of(command: CommandKind) -> Option<Self> {
         match command {
             CommandKind::Position => Some(Self::Position),
@@ -94,22 +98,22 @@ impl ServoLoop {
     }
 }
 
-/// Largest excess of the position or velocity loops' gains over their nominal values at which a task is stable.
+/// Largest excess of the position or velocity loop gains over their nominal values at which a task is stable.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct GainMargin {
     /// Loops to which the margin applies.
     pub servo_loop: ServoLoop,
-    /// Largest share by which all of them may be higher at once; `None` beyond three times the nominal gains.
+    /// Largest relative increase of all these gains together, 0.05 = 5 %; `None` above three times the nominal gains.
     pub excess: Option<f64>,
-    /// The joint that becomes unstable first, if one does.
+    /// Joint that becomes unstable first, if any.
     pub joint: Option<String>,
     /// Name of the transformer.
     pub transformer: String,
 }
 
-/// Computes the margin of an experiment's servos in its initial tasks: of the position loops of a position robot, of
-/// the velocity loops of a velocity robot; `None` where torques or positions pass without a transformer.
+/// Computes the gain margin in the initial tasks of an experiment: of the position loops of a position robot, or of
+/// the velocity loops of a velocity robot. `None` if commands pass without a transformer.
 #[must_use]
 pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
     let servo_loop = ServoLoop::of(experiment.command_kind())?;
@@ -120,7 +124,7 @@ pub fn gain_margin(experiment: &Experiment) -> Option<GainMargin> {
         return Some(GainMargin { servo_loop, excess: None, joint: None, transformer });
     };
     while high - low > RESOLUTION {
-        // Most margins are small.
+        // Most margins are small, so the first intervals are divided near their lower end.
         let share = if high > 4.0 * LEAST_EXCESS { 0.25 } else { 0.5 };
         let middle = low + share * (high - low);
         match nudge(experiment, &damping, middle)? {
@@ -150,7 +154,7 @@ impl fmt::Display for GainMargin {
 }
 
 impl GainMargin {
-    /// Returns the finding that the margin is too small, if it is.
+    /// Returns a diagnostic if the margin is too small.
     #[must_use]
     pub fn finding(&self, experiment: &Experiment) -> Option<Diagnostic> {
         let excess = self.excess.filter(|excess| *excess < LEAST_EXCESS)?;
@@ -190,7 +194,7 @@ impl GainMargin {
     }
 }
 
-/// Damping of the tasks' law at the start, D = −∂τ/∂q̇, Nms/rad (n × n).
+/// Damping of the tasks' control law at the start, D = −∂τ/∂q̇, Nms/rad (n × n).
 fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
     const SPEED: f64 = 1e-3;
     let model = &experiment.robot().model;
@@ -212,7 +216,7 @@ fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
     let mut damping = DMatrix::zeros(n, n);
     for joint in 0..n {
         let at = |speed: f64| DVector::from_fn(n, |i, _| if i == joint { speed } else { 0.0 });
-        // What goes with the square of the speed falls out.
+        // Terms that are quadratic in the speed cancel.
         let slope = (torque(at(-SPEED))? - torque(at(SPEED))?) / (2.0 * SPEED);
         damping.set_column(joint, &slope);
     }
@@ -222,11 +226,11 @@ fn law_damping(experiment: &Experiment) -> Option<DMatrix<f64>> {
 /// Outcome of a nudge.
 enum Nudge {
     DiesOut,
-    /// The motion grows; the excess gain feeds most power into this joint.
+    /// The motion grows; the excess gain supplies the most power to this joint.
     Grows(usize),
 }
 
-/// Simulates a nudge at that ε; `None` where nothing can be run.
+/// Simulates a nudge with ε = `excess`; `None` if the experiment cannot be run.
 fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option<Nudge> {
     let bare = bare(experiment, 1.0 + excess)?;
     let (robot, profile) = (bare.robot(), bare.profile().1);
@@ -253,7 +257,7 @@ fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option
     // Highest speeds of the second and the last quarter.
     let (mut before, mut after, mut dq) = (0.0_f64, 0.0_f64, DVector::zeros(n));
     for tick in 0..4 * quarter {
-        // A fault: what was nudged so little has gone far.
+        // A fault after such a small nudge means that the motion has grown.
         if arm.read(&mut sample).is_err() || control.step(&sample, &targets).fault.is_some() {
             return grows(&dq);
         }
@@ -277,7 +281,7 @@ fn nudge(experiment: &Experiment, damping: &DMatrix<f64>, excess: f64) -> Option
     if after > before { grows(&dq) } else { Some(Nudge::DiesOut) }
 }
 
-/// Control loop of a nudged arm: without rest, ramp, or friction compensation beside that in the law.
+/// Control loop of a nudged arm, without rest period, torque ramp, and friction compensation besides that in the law.
 fn nudged_loop(bare: &Experiment, law: DMatrix<f64>, push: DVector<f64>) -> Option<ControlLoop> {
     let config = bare.loop_config().ok()?;
     let n = config.model.n();
@@ -319,8 +323,8 @@ impl Observable for NudgedDamping {
     fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
-/// The experiment on the nominal arm, the gains of its position or velocity loops times `gain`, without anything that
-/// hides the growth of a nudge.
+/// Returns the experiment on the nominal arm with the gains of its position or velocity loops multiplied by `gain`,
+/// and without effects that hide the growth of a motion.
 fn bare(experiment: &Experiment, gain: f64) -> Option<Experiment> {
     let (mut robot, mut task) = (experiment.robot().clone(), experiment.task().clone());
     let servo_hz = experiment.profile().1.servo_hz.get();

@@ -1,14 +1,14 @@
-//! References that are faster than the joints or the task's own limit.
+//! References that are faster than the joints or the speed limit of their task allow.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use super::rollout::{Instant, Rollout};
 use opspace_control::TaskParameters;
 
-/// Largest ratio of a speed to its limit that is not reported: the excess may be rounding.
+/// Ratio of a speed to its limit up to which nothing is reported, because the excess may be rounding.
 const TOLERANCE: f64 = 1.001;
 
-/// Finds joints that would have to be faster than allowed, and reports the one most beyond its limit.
+/// Reports the joint whose required speed exceeds its limit most, if any.
 pub(crate) fn of_joints(case: &PreflightCase<'_>, followed: &Rollout) -> Option<Diagnostic> {
     let limits = case.experiment.task().file.limits;
     let share = if limits.enforce { limits.velocity_fraction.get().min(1.0) } else { 1.0 };
@@ -52,7 +52,7 @@ fn key_of_fastest(case: &PreflightCase<'_>, instant: &Instant) -> Option<Vec<Str
     Some(case.reference_key(instant.task_set, name))
 }
 
-/// Finds references beyond the speed limit of their own task.
+/// Finds references that exceed the speed limit of their task.
 pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
     for (number, stack) in case.task_sets.iter().enumerate() {
@@ -82,7 +82,7 @@ pub(crate) fn of_tasks(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diag
                     format!("make the motion {} times as long, or raise the limit", short(asked / limit));
                 let kind = stack.task.get(task.name()).map_or("", TaskParameters::kind);
                 let key = case.key(number, task.name(), &[kind, key]);
-                // The same task after an event that leaves it as it was.
+                // An event may leave the task unchanged: it is reported only once.
                 if !found.iter().any(|f| f.key == Diagnostic::new(&key, String::new(), String::new()).key) {
                     found.push(Diagnostic::new(&key, message, help));
                 }

@@ -1,41 +1,42 @@
 //! Gains that are too high for the rate, the delay and the servo of the robot: the phase margin of the loop.
 //!
-//! One joint of inertia I is controlled by a law C(s) that follows from the task's gains, with the sampling between
-//! them. With T the interface period, Ts that of the servo, d its delay in servo ticks, R = T/Ts,
+//! The model is one joint of inertia I under a sampled control law C(s) with the gains of the task. With the
+//! interface period T, the servo period Ts, the servo delay of d servo ticks, and R = T/Ts,
 //!
 //! ```text
 //! C(s) = k (1 + i/s) + c V(s)          V(s) = a (1 − z⁻¹)/T / (1 − (1 − a) z⁻¹),  z = exp(s T)
 //! ```
 //!
-//! where V is the velocity estimate: a finite difference and a low-pass, whose group delay is T/2 + T (1 − a)/a. A
-//! torque robot holds the torque for a period:
+//! where V is the velocity estimate: a finite difference and a low-pass filter with a group delay of T/2 + T (1 −
+//! a)/a. A torque robot holds the torque for one period:
 //!
 //! ```text
 //! L(s) = C(s) exp(−s d Ts) Z(T)/s²     Z(T) = (1 − exp(−s T))/(s T), half a period of delay
 //! ```
 //!
-//! A position robot holds the setpoint of equation (K10), of a stiffness K = kv kp and a damping D = kv, and its servo
-//! closes a loop of its own, with S its torque for a setpoint, Y that for a position (for equation (K9) S = kv kp and
-//! Y = −kv (kp + W), W its own velocity filter), and B the setpoint's delay and hold over R servo ticks (twice the hold
-//! where the drive interpolates):
+//! A position robot holds the setpoint of equation (K10), which is computed for a stiffness K = kv kp and a damping D
+//! = kv. Its servo closes an inner loop: S is the servo's torque for a setpoint and Y its torque for a position (for
+//! equation (K9), S = kv kp and Y = −kv (kp + W) with the velocity filter W of the servo). B is the delay of the
+//! setpoint and its hold over R servo ticks (twice the hold if the drive interpolates):
 //!
 //! ```text
 //! L(s) = I C (S/K) B Z(Ts) / (I s² − Z(Ts) [(S/K) (K + D V) B + Y])
 //! B(s) = exp(−s d Ts) (1 − exp(−s T))/(R (1 − exp(−s Ts)))
 //! ```
 //!
-//! A velocity robot holds the velocity setpoint of its transformer, which inverts S, the servo's torque for a setpoint
-//! (kv without an integral), and compensates kv q̇ by the estimated velocity; Y is −S W:
+//! A velocity robot holds the velocity setpoint of its transformer, which inverts S, the servo's torque for a
+//! setpoint (kv without an integral), and compensates kv q̇ with the estimated velocity; here Y = −S W:
 //!
 //! ```text
 //! L(s) = I C B Z(Ts) / (I s² − Z(Ts) [S V B + Y])
 //! ```
 //!
-//! Either bracket is zero without hold and lag: then the servo is inverted. With them it acts as added damping and
-//! inertia (its first terms in s), that is, as a servo that lags. The phase margin is 180° + arg L where |L| = 1. The
-//! emulating transformers are treated as the paper's: their observer has a lag of its own. Not included: the coupling
-//! of joints, friction and the motor's own lag. Two cases are not examined: force feedback, where the stiffness of the
-//! environment decides, and impedances, where the arm's inertia along the axis does.
+//! In both cases the bracket is zero without hold and lag: the servo is then inverted exactly. With them, the first
+//! terms of the bracket in s act as additional damping and inertia, like a servo that lags. At |L| = 1, the phase
+//! margin is 180° + arg L. The emulating transformers are treated like that of the paper; their observer has an
+//! additional lag. The coupling of joints, friction and the lag of the motor are not included. Two cases are not
+//! examined: force feedback, which depends on the stiffness of the environment, and impedances, which depend on the
+//! inertia of the arm along the axis.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
@@ -45,11 +46,11 @@ use opspace_control::{JointTask, RowGains, Task, TaskParameters};
 use opspace_transformer::{ProfileParameters, ServoGains, ServoLaw, ServoParameters};
 use std::f64::consts::{PI, TAU};
 
-/// Smallest phase margin that is not reported: below it a loop rings, and a few per cent of wrong inertia or delay make
-/// it unstable.
+/// Phase margin below which a loop is reported, degrees: it oscillates, and an error of a few per cent in inertia or
+/// delay makes it unstable.
 const LEAST_MARGIN_DEG: f64 = 30.0;
 
-/// Phase margin of the proposed gains.
+/// Phase margin of the proposed gains, degrees.
 const GOOD_MARGIN_DEG: f64 = 45.0;
 
 /// Finds gains that are too high: for each task the worst axis or joint over all task sets.
@@ -67,7 +68,7 @@ pub(crate) fn stiff_gains(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
 fn stiff_task(case: &PreflightCase<'_>, stack: usize, name: &str) -> Option<Diagnostic> {
     let worst = followers(case, stack, name).into_iter().filter_map(|follower| {
         let margin = follower.plant.margin(&follower.law)?;
-        // Less than half of what the gains themselves have is lost to delay, not to little damping.
+        // If less than half of the margin of the ideal loop remains, the cause is delay and not low damping.
         let ideal = Plant::ideal().margin(&follower.law).map_or(90.0, |ideal| ideal.degrees);
         (margin.degrees < LEAST_MARGIN_DEG.min(0.5 * ideal)).then_some((follower, margin))
     });
@@ -100,7 +101,7 @@ fn rounded_down(value: f64) -> String {
     short((value / unit).floor() * unit)
 }
 
-/// Law and drive of an axis or a joint.
+/// Control loop of an axis or a joint.
 struct AxisLoop<'a> {
     law: AxisFeedback,
     plant: Plant,
@@ -113,7 +114,7 @@ struct AxisLoop<'a> {
     value: f64,
 }
 
-/// Lists tasks of which some gains are unknown: their stability is not checked.
+/// Lists tasks with unknown gains: their stability is not checked.
 pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let mut found: Vec<Diagnostic> = Vec::new();
     for (number, stack) in case.task_sets.iter().enumerate() {
@@ -142,7 +143,7 @@ pub(crate) fn not_checked(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     found
 }
 
-/// Laws of all rows and joints that a task controls.
+/// Control loops of all rows or joints of a task.
 fn followers<'a>(case: &'a PreflightCase<'_>, stack: usize, name: &'a str) -> Vec<AxisLoop<'a>> {
     let in_force = &case.task_sets[stack];
     if let Some(task) = in_force.tasks.tasks().find(|task| task.name() == name) {
@@ -154,7 +155,7 @@ fn followers<'a>(case: &'a PreflightCase<'_>, stack: usize, name: &'a str) -> Ve
     }
 }
 
-/// Laws of every row with every joint that moves it.
+/// Control loops of each row of a task with each joint that moves it.
 fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task) -> Vec<AxisLoop<'a>> {
     let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
     let (kind, names) = (parameters.kind(), task.row_names());
@@ -200,7 +201,7 @@ fn row_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Task)
     followers
 }
 
-/// Laws of every joint of a task of all joints.
+/// Control loops of the joints of a joint task.
 fn joint_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn JointTask) -> Vec<AxisLoop<'a>> {
     let Some(parameters) = case.task_sets[stack].task.get(task.name()) else { return Vec::new() };
     let kind = parameters.kind();
@@ -231,7 +232,7 @@ fn joint_followers<'a>(case: &'a PreflightCase<'_>, stack: usize, task: &dyn Joi
     followers
 }
 
-/// Control law: acceleration for an error, k (1 + i/s) of the position and c of the velocity.
+/// Control law: acceleration k (1 + i/s) times the position error plus c times the velocity error.
 #[derive(Clone, Copy, Debug)]
 struct AxisFeedback {
     /// Stiffness k, 1/s².
@@ -265,7 +266,7 @@ impl AxisFeedback {
     }
 }
 
-/// A servo, and the gains that its transformer assumes.
+/// Servo, and the gains that its transformer assumes.
 #[derive(Clone, Copy, Debug)]
 struct Servo {
     takes: CommandKind,
@@ -281,14 +282,14 @@ impl Servo {
     }
 }
 
-/// A joint with its drive, as the control law acts on it.
+/// Plant of the control law: a joint with its drive.
 #[derive(Clone, Copy, Debug)]
 struct Plant {
     /// Inertia, kg m².
     inertia: f64,
-    /// Servo of the drive; none for a torque robot.
+    /// Servo of the drive; `None` for a torque robot.
     servo: Option<Servo>,
-    /// Periods T and Ts, s.
+    /// Interface period T and servo period Ts, s.
     period_s: f64,
     servo_period_s: f64,
     delay_s: f64,
@@ -296,7 +297,7 @@ struct Plant {
     filter_hz: f64,
 }
 
-/// Phase margin of a loop, and its crossover frequency.
+/// Phase margin of a loop (degrees), and its crossover frequency.
 #[derive(Clone, Copy, Debug)]
 struct Margin {
     degrees: f64,
@@ -322,7 +323,7 @@ impl Plant {
         }
     }
 
-    /// A plant with a cycle of a microsecond, practically without delay.
+    /// Creates a plant with a period of 1 µs, practically without delay.
     fn ideal() -> Self {
         let tick_s = 1e-6;
         Self {
@@ -335,13 +336,14 @@ impl Plant {
         }
     }
 
-    /// Delay from a position to the middle of the torque that responds to it, and to the velocity estimated from it, s.
+    /// Delay from a position to the middle of the torque interval that responds to it, including the velocity
+    /// estimate, s.
     fn delay_s(&self) -> f64 {
         let pole = (-TAU * self.filter_hz * self.period_s).exp();
         self.delay_s + self.period_s + self.period_s * pole / (1.0 - pole)
     }
 
-    /// L at an angular frequency, rad/s.
+    /// Open-loop transfer function L at an angular frequency, rad/s.
     fn open_loop(&self, law: &AxisFeedback, omega: f64) -> Complex<f64> {
         let s = Complex::new(0.0, omega);
         let velocity = filtered_difference(s, self.period_s, self.filter_hz);
@@ -371,13 +373,13 @@ impl Plant {
         self.inertia * c * led / (self.inertia * s * s - servo_loop)
     }
 
-    /// Smallest margin over all crossovers; `None` where the law demands nothing.
+    /// Smallest margin over all crossovers; `None` if the law has no stiffness and no damping.
     fn margin(&self, law: &AxisFeedback) -> Option<Margin> {
         const STEPS: i32 = 600;
         if law.stiffness <= 0.0 && law.damping <= 0.0 {
             return None;
         }
-        // Half the sampling rate is as far as the loop sees.
+        // The highest frequency is half the sampling rate.
         let last = PI / self.period_s;
         let first = (1e-3 * law.bandwidth()).min(0.1 * last);
         let at = |step: f64| first * (last / first).powf(step / f64::from(STEPS));
@@ -400,14 +402,15 @@ impl Plant {
             }
             (before, phase) = (now, next_phase);
         }
-        // Still more than 1 as far as it sees.
+        // The gain is still above 1 at half the sampling rate.
         if before.norm() > 1.0 {
             note(phase.min(-PI), last);
         }
         least
     }
 
-    /// Factor, up to 1, by which the frequency may be multiplied for a good margin.
+    /// Largest factor, at most 1, by which the frequency of the law can be multiplied for a margin of
+    /// `GOOD_MARGIN_DEG`.
     fn highest_scale(&self, law: &AxisFeedback) -> Option<f64> {
         let good = |scale: f64| {
             self.margin(&law.scaled(scale)).is_some_and(|margin| margin.degrees >= GOOD_MARGIN_DEG)
@@ -424,14 +427,14 @@ impl Plant {
     }
 }
 
-/// Transfer function of a finite difference over `period_s` with a low-pass, sampled.
+/// Transfer function of a sampled finite difference over `period_s` with a low-pass filter.
 fn filtered_difference(s: Complex<f64>, period_s: f64, cutoff_hz: f64) -> Complex<f64> {
     let pole = (-TAU * cutoff_hz * period_s).exp();
     let back = (-s * period_s).exp();
     (1.0 - pole) * (1.0 - back) / (period_s * (1.0 - pole * back))
 }
 
-/// Transfer function of a hold over `period_s`.
+/// Transfer function of a zero-order hold over `period_s`.
 fn hold(s: Complex<f64>, period_s: f64) -> Complex<f64> {
     (1.0 - (-s * period_s).exp()) / (s * period_s)
 }
@@ -461,8 +464,8 @@ mod tests {
         }
     }
 
-    /// Position servo like those of the robots' profiles: a velocity loop of `hz` about the inertia, a position loop of
-    /// a fifth.
+    /// Position servo as in the robots' profiles: a velocity loop with a bandwidth of `hz`, and a position loop with
+    /// a fifth of it.
     fn servo(hz: f64, filter_hz: f64) -> ServoParameters {
         ServoParameters::Cascaded(CascadedServo {
             kp_per_s: Positive::literal(TAU * hz / 5.0),
@@ -472,7 +475,7 @@ mod tests {
         })
     }
 
-    /// Velocity servo with the velocity loop of `servo` alone.
+    /// Velocity servo that consists of the velocity loop of `servo`.
     fn velocity_servo(hz: f64, filter_hz: f64) -> ServoParameters {
         ServoParameters::Velocity(VelocityServo {
             kv_nms_per_rad: Positive::literal(TAU * hz * INERTIA),
@@ -488,8 +491,8 @@ mod tests {
         }
     }
 
-    /// Share of the initial error that remains after a while: the sampled loop itself, cycle by cycle, with the
-    /// estimator, transformer and servo that robots run on, and a mass that is integrated exactly.
+    /// Fraction of the initial error that remains after `duration_s` in a simulation of the sampled loop, cycle by
+    /// cycle, with the robots' estimator, transformer and servo, and an exactly integrated mass.
     fn simulated(plant: &Plant, law: &AxisFeedback, duration_s: f64) -> f64 {
         let ratio = (plant.period_s / plant.servo_period_s).round() as usize;
         let delay = (plant.delay_s / plant.servo_period_s).round() as usize;
@@ -503,7 +506,7 @@ mod tests {
         let joint = Joint { name: "joint".into(), kind: JointKind::Continuous, limits: Limits::NONE };
         model.add_body(None, Placement::identity(), joint, Inertia::zero());
         let (mut data, mut transformer) = (Data::new(&model), transformer);
-        // A setpoint that holds: the position, or no velocity and no torque.
+        // Setpoint at rest: the position, or zero velocity or torque.
         let holds_position = plant.servo.is_some_and(|servo| servo.takes == CommandKind::Position);
         let (mut active, mut next) = (if holds_position { q } else { 0.0 }, 0.0);
         let mut largest = 0.0_f64;
@@ -563,10 +566,10 @@ mod tests {
     }
 
     /// Compared: the sign of the margin of the closed form, and the behaviour of the sampled loop. Between 0° and 10°
-    /// the formula needn't be right: it ignores all dynamics beyond half the sampling rate.
+    /// they may disagree: the formula ignores all dynamics above half the sampling rate.
     #[test]
     fn phase_margin_predicts_loop_stability() {
-        // Of torque, position and velocity robots.
+        // Counts for torque, position and velocity robots.
         let (mut stable, mut unstable) = ([0; 3], [0; 3]);
         for (plant, law) in grid() {
             let margin = plant.margin(&law).expect("a law").degrees;
@@ -585,7 +588,7 @@ mod tests {
         assert!(tried(stable) && tried(unstable), "all are tried: {stable:?} and {unstable:?}");
     }
 
-    /// Compared: the margin of a loop without delay, and the textbook's tan φ = 2ζ w/ω at the crossover w.
+    /// Compared: the margin of a loop without delay, and the textbook formula tan φ = 2ζ w/ω at the crossover w.
     #[test]
     fn phase_margin_without_delay_matches_textbook() {
         for zeta in [0.2, 0.7, 1.0] {
@@ -599,7 +602,7 @@ mod tests {
         }
     }
 
-    /// Compared: the margin at the proposed frequency and a little above it, and the promised one.
+    /// Compared: the margins at the proposed frequency and slightly above it, and the required one.
     #[test]
     fn proposed_frequency_has_promised_margin() {
         let plant = plant(1000.0, 5, 0, 80.0, None);

@@ -5,10 +5,10 @@ use super::diagnostic::{Diagnostic, short};
 use super::rollout::Rollout;
 use opspace_control::{CartesianReference, JointReference, ScalarReference, TaskParameters};
 
-/// Largest difference of two durations that count as equal, s.
+/// Largest difference between two durations that count as equal, s.
 const ROUNDING_S: f64 = 1e-6;
 
-/// Highest speed of a reference that counts as standing still: m/s, rad/s.
+/// Speed below which a reference counts as at rest, m/s or rad/s.
 const STANDING: f64 = 1e-4;
 
 pub(crate) fn too_short(case: &PreflightCase<'_>, followed: &Rollout) -> Vec<Diagnostic> {
@@ -35,7 +35,7 @@ fn late_events(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     .collect()
 }
 
-/// Reports a `settle_s` that ends before the torque ramp does.
+/// Reports a `settle_s` that ends before the torque ramp.
 fn settling(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     let settle_s = case.experiment.task().file.settle_s.get();
     let ramp_s = case.experiment.robot().file.safety.torque_ramp_s.get();
@@ -93,7 +93,7 @@ enum Length {
     AsFastAsItCan,
 }
 
-/// The reference of a task that has one.
+/// Reference of a task.
 #[derive(PartialEq)]
 enum Reference<'a> {
     Cartesian(&'a CartesianReference),
@@ -111,7 +111,7 @@ fn reference(task: &TaskParameters) -> Option<Reference<'_>> {
     }
 }
 
-/// Duration of a task's reference; `None` where it doesn't end.
+/// Duration of a task's reference; `None` if it does not end.
 fn length_s(task: &TaskParameters) -> Option<Length> {
     let known = |length_s: f64| Some(Length::Known(length_s));
     match reference(task)? {
@@ -138,7 +138,7 @@ fn length_s(task: &TaskParameters) -> Option<Length> {
     }
 }
 
-/// Speed of a task's reference at the end of the run, with its unit; `None` if it stands still.
+/// Speed of a task's reference at the end of the run, with its unit; `None` if it is at rest.
 fn speed_at_end(stack: &ActiveTasks<'_>, followed: &Rollout, name: &str) -> Option<(f64, &'static str)> {
     let end = followed.instants.last().filter(|_| followed.to_the_end)?;
     let place = stack.tasks.tasks().position(|task| task.name() == name);

@@ -1,4 +1,4 @@
-//! Reports: the figures of a run, laid out like the paper's, and pages of them.
+//! Reports: figures of a run, arranged as in the paper, and pages that contain them.
 
 use crate::evaluate::results::{Group, Measure, group, notes, table};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
@@ -15,7 +15,7 @@ use opspace_log::{ChannelData, Column, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, frame_placement, kinematics};
 
-/// A run that a page shows in full.
+/// Section of a page about one run, with all its figures.
 #[derive(Clone, Debug)]
 pub struct RunSection {
     /// Title of the run, in one line.
@@ -31,7 +31,7 @@ pub struct RunSection {
 }
 
 impl RunSection {
-    /// Draws a run from its log.
+    /// Creates the section of a run from its log.
     #[must_use]
     pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
         let mut warnings = Vec::new();
@@ -45,22 +45,23 @@ impl RunSection {
             let time = summary.fault_time_s.unwrap_or(f64::NAN);
             warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
         }
-        let metadata = recording.metadata(log_header::RUN).into_iter().flatten();
         // Entries for a replay; a robot without a transformer has none to be shown.
-        let is_hidden =
-            |key: &str| key == log_header::ASKED_FOR || summary.transformer.is_none() && key.starts_with("transformer");
-        let metadata = metadata.filter(|(key, _)| !is_hidden(key));
+        let has_transformer = summary.transformer.is_some();
+        let is_shown =
+            |key: &str| key != log_header::ASKED_FOR && (has_transformer || !key.starts_with("transformer"));
+        let metadata = recording.metadata(log_header::RUN).into_iter().flatten();
+        let facts = metadata.filter(|(key, value)| is_shown(key) && !value.is_empty());
         Self {
             title: title(&summary),
             figures: figures(experiment, recording),
             summary,
             warnings,
-            facts: metadata.filter(|(_, v)| !v.is_empty()).map(|(k, v)| (k.clone(), v.clone())).collect(),
+            facts: facts.map(|(key, value)| (key.clone(), value.clone())).collect(),
         }
     }
 }
 
-/// Builds a page about runs: one table, then each shown run with its figures.
+/// Builds a page about runs: one table, then a section for each run in `shown`.
 #[must_use]
 pub fn page(
     title: &str,
@@ -104,7 +105,7 @@ fn title(summary: &Summary) -> String {
     )
 }
 
-/// Draws the figures of a run: torques by joint, then the signals of its tasks and sensors.
+/// Creates the figures of a run: torques by joint, then the signals of its tasks and sensors.
 #[must_use]
 pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
     let recording = &from_control_start(recording);
@@ -125,7 +126,7 @@ pub fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
     figures
 }
 
-/// Desired and motor torque of each joint: at servo rate where the log has it.
+/// Figure of desired and motor torque of each joint, at servo rate if the log contains it.
 fn torques(recording: &Recording, tick: &ChannelData) -> Option<Figure> {
     let (channel, caption) = match recording.channel(SERVO_CHANNEL) {
         Some(servo) => (servo, "True motor torque, mean over each servo period, and desired torque."),
@@ -226,8 +227,7 @@ fn joints(tick: &ChannelData, truth: &ChannelData, task: &str) -> Option<Figure>
     )
 }
 
-/// Returns the recording with times that count from the first cycle of control, whatever the start of the robot's
-/// clock.
+/// Returns the recording with times relative to the first control cycle.
 fn from_control_start(recording: &Recording) -> Recording {
     let mut shifted = recording.clone();
     let phase = recording.channel(TICK_CHANNEL).and_then(|tick| Some((tick, tick.signal(PHASE)?)));
@@ -240,7 +240,7 @@ fn from_control_start(recording: &Recording) -> Recording {
     shifted
 }
 
-/// Setpoints and the measured joints: velocities of a velocity robot, positions of a position robot.
+/// Figure of setpoints and measured values: velocities for a velocity robot, positions for a position robot.
 fn setpoint_figure(tick: &ChannelData) -> Option<Figure> {
     if let Some(velocities) = tick.signal(DQ_DESIRED) {
         return joint_figure(
@@ -287,13 +287,13 @@ fn joint_figure(
     Some(Figure { title: title.to_owned(), caption: caption.to_owned(), panels, columns: None })
 }
 
-/// Label of an axis: the quantity, and the unit of one element of a signal.
+/// Axis label: the quantity, and the unit of one element of a signal.
 fn label_of(quantity: &str, column: &Column<'_>, element: usize) -> String {
     format!("{quantity} ({})", column.units()[element].replace("Nm", "N·m"))
 }
 
-/// Extracts one element of a signal over time, from the start of control on: before, references and tared forces have
-/// no meaning. `None` if it never is a number.
+/// Extracts one element of a signal over time. Values before the start of control are omitted, because references and
+/// tared forces are meaningless there. `None` if no value is finite.
 fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, style: Style) -> Option<Series> {
     let begun = |t: &f64| *t >= 0.0;
     let y: Vec<f64> = time_s
@@ -305,7 +305,7 @@ fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, styl
     any.then(|| Series::new(label, time_s.to_vec(), y).style(style))
 }
 
-/// Draws each quantity on one scale: a row per task and profile, a colour per kind of robot and controller.
+/// Creates a chart for each quantity: a row per task and profile, a colour per kind of robot and controller.
 fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
     type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
     let quantities: [Quantity; 4] = [
@@ -324,7 +324,7 @@ fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
     quantities
         .into_iter()
         .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
-        // A single kind of robot and controller leaves nothing to compare.
+        // With a single kind of robot and controller there is nothing to compare.
         .filter(|comparison| comparison.series.len() > 1)
         .collect()
 }

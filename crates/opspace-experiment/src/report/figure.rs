@@ -1,9 +1,9 @@
-//! Figures as inline SVG: signals over time in a grid of panels, and dots that compare runs.
+//! Figures as inline SVG: signals over time in a grid of panels, and dot charts that compare runs.
 //!
-//! They are drawn by `plotters`. It panics where a range is empty or not a number, rounds coordinates to whole
-//! units, and draws every sample it is given: ranges are therefore made sound, the canvas is finer than the
-//! page, and lines are reduced to what a screen can show before they reach it. Nothing is drawn for a value
-//! that is not finite; a panel without data says so.
+//! They are drawn by `plotters`, which panics if a range is empty or NaN, rounds coordinates to integers, and draws
+//! all samples. Therefore ranges are checked, the canvas has a higher resolution than the page, and lines are reduced
+//! to the samples that are visible on a screen. Values that are not finite are not drawn; a panel without data
+//! contains a remark.
 
 use std::ops::Range;
 
@@ -13,20 +13,20 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// A figure: panels under one caption.
+/// Figure: panels with one caption.
 #[derive(Clone, Debug, Default)]
 pub struct Figure {
     /// Title: the quantity shown, in a few words.
     pub title: String,
-    /// Caption: what the figure demonstrates.
+    /// Caption: explanation of the figure.
     pub caption: String,
     /// Panels, in reading order.
     pub panels: Vec<Panel>,
-    /// Number of panels side by side, at most four; `None` puts up to three below each other, and more in two columns.
+    /// Number of panels side by side, at most four; `None` arranges up to three in one column, and more in two.
     pub columns: Option<usize>,
 }
 
-/// One pair of axes.
+/// Panel of a figure: one pair of axes.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
     /// Name of the joint or the axis.
@@ -35,9 +35,10 @@ pub struct Panel {
     pub x_label: String,
     /// Quantity and unit of the ordinate: `torque (N·m)`.
     pub y_label: String,
-    /// Lines in the order of drawing, desired ones above the others; a label has one colour throughout a figure.
+    /// Lines in the order of drawing; desired quantities are drawn last. A label has the same colour in the whole
+    /// figure.
     pub series: Vec<Series>,
-    /// Vertical lines at instants, each with a word: (x, `fault`).
+    /// Vertical lines with labels: (x, label).
     pub marks: Vec<(f64, String)>,
     /// Scale of the abscissa: linear or logarithmic.
     pub x_scale: Scale,
@@ -64,7 +65,7 @@ pub enum Style {
     /// A measured quantity.
     #[default]
     Solid,
-    /// A desired quantity: thin and dark, so that it stands out on the broad, bright line of the measured one.
+    /// A desired quantity: thin and dark, so that it is visible on the wide, bright line of the measured quantity.
     Desired,
     /// A quantity in the background: raw signals, bounds.
     Thin,
@@ -72,36 +73,36 @@ pub enum Style {
     Dots,
 }
 
-/// A chart of dots on one scale: a row for each thing compared, a colour for each way of doing it.
+/// Dot chart with one scale: a row for each compared item, a colour for each series.
 #[derive(Clone, Debug, Default)]
 pub struct Comparison {
     /// Title: the quantity compared, in a few words.
     pub title: String,
-    /// Caption: what the comparison demonstrates.
+    /// Caption: explanation of the comparison.
     pub caption: String,
     /// Quantity and unit of the scale.
     pub x_label: String,
-    /// Names in the legend: one for each value of a row.
+    /// Names in the legend, one for each value of a row.
     pub series: Vec<String>,
     /// Rows, top to bottom.
     pub rows: Vec<ComparisonRow>,
-    /// Scale of the values over the width.
+    /// Scale of the horizontal axis.
     pub scale: Scale,
 }
 
-/// One line of a [`Comparison`].
+/// Row of a [`Comparison`].
 #[derive(Clone, Debug, Default)]
 pub struct ComparisonRow {
     /// Name of the task or the metric.
     pub label: String,
-    /// Values, one per series; `None` where there is none.
+    /// Values, one per series; `None` if missing.
     pub values: Vec<Option<f64>>,
 }
 
 /// Scale of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
-    /// Linear; that of a comparison includes zero.
+    /// Linear; in a comparison the axis includes zero.
     #[default]
     Linear,
     /// Logarithmic (base 10); only positive values can be shown.
@@ -109,7 +110,8 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// Positions of values on the axis: their logarithms on a logarithmic scale, where values that have none are NaN.
+    /// Coordinates of values on the axis: on a logarithmic scale their logarithms, NaN for values that are not
+    /// positive.
     fn of(self, values: &[f64]) -> Vec<f64> {
         match self {
             Self::Linear => values.to_vec(),
@@ -119,23 +121,23 @@ impl Scale {
 }
 
 impl Series {
-    /// A solid line.
+    /// Creates a solid line.
     pub fn new(label: impl Into<String>, x: Vec<f64>, y: Vec<f64>) -> Self {
         Self { label: label.into(), x, y, style: Style::Solid }
     }
 
-    /// Returns the line in another style.
+    /// Returns the line with another style.
     #[must_use]
     pub fn style(self, style: Style) -> Self {
         Self { style, ..self }
     }
 }
 
-/// Colour of text, axes and desired quantities; the page turns it light in its dark scheme.
+/// Colour of text, axes and desired quantities; the dark scheme of the page replaces it by a light colour.
 pub(crate) const INK: RGBColor = RGBColor(0x1c, 0x20, 0x24);
 
-/// Palette of Okabe and Ito (2008), legible to all forms of colour vision, beginning with the colours on which a thin
-/// dark line stands out; with each colour its replacement in the page's dark scheme.
+/// Palette of Okabe and Ito (2008), which is suitable for colour-blind readers. It begins with the colours on which a
+/// thin dark line is clearly visible. Each colour has a replacement for the dark scheme of the page.
 pub(crate) const PALETTE: [(RGBColor, &str); 6] = [
     (RGBColor(0x56, 0xb4, 0xe9), "#2b87c4"),
     (RGBColor(0xe6, 0x9f, 0x00), "#c27a12"),
@@ -145,7 +147,7 @@ pub(crate) const PALETTE: [(RGBColor, &str); 6] = [
     (RGBColor(0x00, 0x72, 0xb2), "#5fa8e6"),
 ];
 
-/// Units of the canvas to a pixel of the page.
+/// Canvas units per pixel of the page.
 const FINENESS: i32 = 4;
 const WIDTH: i32 = px(960);
 const LEGEND_ROW: i32 = px(24);
@@ -163,7 +165,7 @@ type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, Ra
 type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
 
 impl Figure {
-    /// Draws the figure as one `<svg>` element, as wide as the element around it.
+    /// Draws the figure as one `<svg>` element with the width of its parent element.
     #[must_use]
     pub fn svg(&self) -> String {
         let count = self.panels.len().max(1);
@@ -196,7 +198,7 @@ impl Figure {
         series.any(|series| series.label == label && series.style == Style::Dots)
     }
 
-    /// Labels in the order of their first appearance, and the style of each throughout the figure.
+    /// Labels in order of first appearance, with the style that each has in the whole figure.
     fn legend(&self) -> Vec<(&str, ShapeStyle)> {
         let mut legend: Vec<(&str, ShapeStyle)> = Vec::new();
         let (mut desired, mut others) = (0, 0);
@@ -209,7 +211,7 @@ impl Figure {
                 Style::Desired => (&mut desired, 5, 1.0),
                 Style::Thin => (&mut others, 4, 0.7),
             };
-            // A second desired line needs a colour of its own: from the far end of the palette.
+            // Further desired lines get different colours, from the end of the palette.
             let color = match (series.style, *place) {
                 (Style::Desired, 0) => INK,
                 (Style::Desired, place) => PALETTE[5 * place % 6].0,
@@ -224,7 +226,7 @@ impl Figure {
 
 impl Panel {
     fn draw(&self, area: &Area<'_>, legend: &[(&str, ShapeStyle)]) -> Drawn {
-        // From here on logarithms stand for what is spread over decades.
+        // On logarithmic axes, all values are replaced by their logarithms.
         let scaled = Self {
             series: (self.series.iter())
                 .map(|s| Series { x: self.x_scale.of(&s.x), y: self.y_scale.of(&s.y), ..s.clone() })
@@ -251,7 +253,7 @@ impl Panel {
             Scale::Linear => Axis::linear(y, 0.06, &self.y_label, 7),
             Scale::Log => Axis::decades(y, &self.y_label),
         };
-        // Panels below one another begin at the same place, unless one has numbers of many digits.
+        // Panels in a column have the same left edge, unless one has long tick labels.
         let left = px(72).max(px(28) + y.widest());
         let x = match self.x_scale {
             Scale::Linear => {
@@ -272,7 +274,7 @@ impl Panel {
         Ok(())
     }
 
-    /// Remark on the series that can't be shown; `None` if all can.
+    /// Remark on series that cannot be shown; `None` if all can be shown.
     fn remark(&self) -> Option<String> {
         let known: Vec<_> = self.series.iter().map(Series::range).collect();
         if known.iter().all(Result::is_err) {
@@ -289,7 +291,7 @@ impl Panel {
         (!remarks.is_empty()).then(|| remarks.join("; "))
     }
 
-    /// Draws a vertical line with a word beside it.
+    /// Draws a vertical line with a label.
     fn mark(&self, chart: &mut Chart<'_>, x: f64, y: &Axis<'_>, label: &str) -> Drawn {
         let visible = chart.x_range();
         if !visible.contains(&x) {
@@ -308,7 +310,7 @@ impl Panel {
 }
 
 impl Series {
-    /// Range from the lowest to the highest value that can be drawn; the reason if there is none.
+    /// Range of the values that can be drawn; the reason if there are none.
     fn range(&self) -> Result<Range<f64>, &'static str> {
         let samples = self.x.iter().zip(&self.y).filter(|(x, _)| x.is_finite());
         range(samples.map(|(_, y)| *y)).ok_or(if self.x.is_empty() || self.y.is_empty() {
@@ -328,7 +330,7 @@ impl Series {
             return Ok(());
         }
         for stretch in decimate(&placed_x, &placed_y, (x.range.start, x.range.end), columns as usize) {
-            // A sample between gaps, which no line leads to.
+            // A single sample between two gaps is not part of a line.
             if let [alone] = stretch[..] {
                 chart.draw_series([Circle::new(alone, px(3), style.filled())])?;
             } else {
@@ -340,7 +342,7 @@ impl Series {
 }
 
 impl Comparison {
-    /// Draws the comparison as one `<svg>` element, as wide as the element around it.
+    /// Draws the comparison as one `<svg>` element with the width of its parent element.
     #[must_use]
     pub fn svg(&self) -> String {
         let scaled = |value: f64| if self.scale == Scale::Log { value.log10() } else { value };
@@ -378,7 +380,7 @@ impl Comparison {
     }
 }
 
-/// Draws a dot of a series; the series differ in shape as well as in colour: discs, rings, triangles.
+/// Draws a dot of a series. Series differ in colour and in shape: discs, rings, triangles.
 fn dot(area: &Area<'_>, at: (i32, i32), place: usize) -> Drawn {
     let color = PALETTE[place % PALETTE.len()].0;
     match place % 3 {
@@ -389,8 +391,8 @@ fn dot(area: &Area<'_>, at: (i32, i32), place: usize) -> Drawn {
 }
 
 /// Reduces a line to the samples that a screen can show: for each of `columns` equal parts of `range`, the first,
-/// lowest, highest and last sample of each passage through it. Each inner vector is a stretch without a gap; a gap
-/// between samples of one column is too narrow to be seen, and is dropped.
+/// lowest, highest and last sample of each pass through it. Each inner vector is a section without a gap; a gap
+/// between samples in the same part is too narrow to be visible and is ignored.
 #[must_use]
 pub fn decimate(x: &[f64], y: &[f64], range: (f64, f64), columns: usize) -> Vec<Vec<(f64, f64)>> {
     let per_column = columns as f64 / (range.1 - range.0);
@@ -420,7 +422,7 @@ pub fn decimate(x: &[f64], y: &[f64], range: (f64, f64), columns: usize) -> Vec<
     stretches
 }
 
-/// Moves the first, lowest, highest and last sample of a run to `kept`, in their order.
+/// Moves the first, lowest, highest and last sample of a run to `kept`, in order.
 fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
     let by_height = |a: &(usize, f64), b: &(usize, f64)| a.1.total_cmp(&b.1);
     let heights = || run.iter().map(|&(_, y)| y).enumerate();
@@ -438,7 +440,7 @@ fn keep_extremes(run: &mut Vec<(f64, f64)>, kept: &mut Vec<(f64, f64)>) {
     run.clear();
 }
 
-/// Range from the lowest to the highest of the finite values.
+/// Range of the finite values; `None` if there are none.
 fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     values.filter(|value| value.is_finite()).fold(None, |range: Option<Range<f64>>, value| {
         let range = range.unwrap_or(value..value);
@@ -446,23 +448,23 @@ fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {
     })
 }
 
-/// True if the range is too narrow for f64 to separate its ends on an axis.
+/// True if the ends of a range are too close to be distinguished on an axis in f64.
 fn is_point(range: &Range<f64>) -> bool {
     range.end / 2.0 - range.start / 2.0 <= 1e-12 * range.start.abs().max(range.end.abs())
 }
 
-/// An axis in units of a power of ten, which keeps ranges of any width drawable.
+/// Axis in units of a power of ten, so that ranges of any magnitude can be drawn.
 struct Axis<'a> {
     range: Range<f64>,
     exponent: i32,
     label: String,
-    /// Largest number of ticks.
+    /// Maximum number of ticks.
     ticks: usize,
     text: Box<dyn Fn(&f64) -> String + 'a>,
 }
 
 impl<'a> Axis<'a> {
-    /// A linear axis, wider than `range` by `share` at each end.
+    /// Creates a linear axis that extends beyond `range` by the fraction `share` at each end.
     fn linear(range: Range<f64>, share: f64, label: &str, ticks: i32) -> Self {
         let largest = range.start.abs().max(range.end.abs());
         let exponent = match largest {
@@ -477,7 +479,7 @@ impl<'a> Axis<'a> {
             true => largest / unit / 2.0,
         };
         let range = low - pad..high + pad;
-        // Twelve digits: more would be rounding errors.
+        // Twelve significant digits: further digits would show rounding errors.
         let digits = 11 - range.end.abs().max(range.start.abs()).log10().floor() as i32;
         let fine = 10f64.powi(digits);
         Self {
@@ -493,7 +495,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// A logarithmic axis for a range of decimal logarithms, widened to whole powers of ten.
+    /// Creates a logarithmic axis for a range of decimal logarithms, extended to whole powers of ten.
     fn decades(range: Range<f64>, label: &str) -> Self {
         let low = range.start.floor();
         let high = range.end.ceil().max(low + 1.0);
@@ -506,7 +508,7 @@ impl<'a> Axis<'a> {
         }
     }
 
-    /// An axis with one tick per row, top to bottom.
+    /// Creates an axis with one tick per row, top to bottom.
     fn rows(rows: &'a [ComparisonRow]) -> Self {
         Self {
             range: rows.len() as f64 - 0.5..-0.5,
@@ -523,7 +525,7 @@ impl<'a> Axis<'a> {
         ticks.iter().map(|tick| text_width(&(self.text)(tick))).max().unwrap_or(0)
     }
 
-    /// Position of a value on the axis, in units of `range`.
+    /// Coordinate of a value on the axis, in units of `range`.
     fn place(&self, value: f64) -> f64 {
         value / 10f64.powi(self.exponent)
     }
@@ -540,7 +542,7 @@ fn power_of_ten(exponent: i32) -> String {
     }
 }
 
-/// Draws axes and their texts; the values are drawn into the result.
+/// Draws axes and their labels, and returns the chart into which the values are drawn.
 fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>) -> Drawn<Chart<'a>> {
     area.draw_text(&printable(title), &text(13, FontStyle::Bold), (left, px(8)))?;
     let mut chart = ChartBuilder::on(area)
@@ -568,16 +570,16 @@ fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>
 }
 
 fn text<'a>(size: i32, style: FontStyle) -> TextStyle<'a> {
-    // plotters sets text in 1/1.24 of the size it is given.
+    // plotters draws text at 1/1.24 of the requested size.
     (FontFamily::SansSerif, px(size) * 124 / 100, style, &INK).into_text_style(&(0, 0))
 }
 
-/// Estimated width of a text, on the safe side: no font is available.
+/// Upper estimate of the width of a text; no font metrics are available.
 fn text_width(text: &str) -> i32 {
     text.chars().count() as i32 * px(13) * 56 / 100
 }
 
-/// Draws a text in the middle of an area that shows nothing else.
+/// Draws a text in the middle of an otherwise empty area.
 fn say(area: &Area<'_>, what: &str) -> Drawn {
     let (width, height) = area.dim_in_pixel();
     let style = text(13, FontStyle::Italic).pos(Pos::new(HPos::Center, VPos::Center));
@@ -607,7 +609,7 @@ fn draw_legend(strip: &Area<'_>, labels: &[&str], sample: impl Fn(&Area<'_>, usi
     Ok(())
 }
 
-/// Wraps a drawing into an `<svg>` element that a reader can scale and a screen reader can name.
+/// Wraps a drawing into a scalable `<svg>` element with title and description for screen readers.
 fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> String {
     let mut svg = String::new();
     let drawn = {
@@ -615,7 +617,7 @@ fn canvas(title: &str, caption: &str, height: i32, draw: impl FnOnce(&Area<'_>) 
         draw(&root).and_then(|()| root.present())
     };
     let failure = drawn.err().map_or_else(String::new, |error| format!(" (incomplete: {error})"));
-    // The first line is plotters' own tag, of a fixed size.
+    // The first line is the `<svg>` tag of plotters, which has a fixed size.
     let body = svg.split_once('\n').map_or("", |(_, body)| body);
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" viewBox=\"0 0 {WIDTH} {height}\" \

@@ -1,6 +1,6 @@
-//! A report as one HTML page that needs nothing else: no network, no script, no font.
+//! Report as one self-contained HTML page: without network access, scripts or fonts.
 //!
-//! It is XML as well as HTML, follows the reader's light or dark scheme, and prints.
+//! The page is valid XML and HTML, has a light and a dark colour scheme, and can be printed.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use plotters::style::RGBColor;
 use crate::evaluate::table::{Cell, Table};
 use crate::report::figure::{Comparison, Figure, INK, PALETTE, escape};
 
-/// A page under construction; blocks appear in the order in which they are added.
+/// Page under construction; blocks appear in the order in which they are added.
 #[derive(Clone, Debug)]
 #[must_use]
 pub struct Page {
@@ -20,12 +20,12 @@ pub struct Page {
 }
 
 impl Page {
-    /// An empty page.
+    /// Creates an empty page.
     pub fn new(title: impl Into<String>) -> Self {
         Self { title: title.into(), body: String::new(), tables: 0, figures: 0 }
     }
 
-    /// Sets the summary at the top of the page: a sentence or two.
+    /// Sets the summary at the top of the page: one or two sentences.
     pub fn lead(self, text: &str) -> Self {
         self.block(&format!("<p class=\"lead\">{}</p>", escape(text)))
     }
@@ -40,7 +40,7 @@ impl Page {
         self.block(&format!("<p>{}</p>", escape(text)))
     }
 
-    /// Adds a warning, set off from the text: a run that failed, or lost data.
+    /// Adds a highlighted warning, for example about a failed run or lost data.
     pub fn warning(self, text: &str) -> Self {
         self.block(&format!(
             "<p class=\"warning\" role=\"note\"><strong>Warning.</strong> {}</p>",
@@ -57,7 +57,7 @@ impl Page {
         self.block(&format!("<dl>\n{list}</dl>"))
     }
 
-    /// Adds a table, numbered, with the notes below it.
+    /// Adds a numbered table with notes below it.
     pub fn table(mut self, caption: &str, table: &Table, notes: &[&str]) -> Self {
         self.tables += 1;
         let number = self.tables;
@@ -95,12 +95,12 @@ impl Page {
         self.block(&html)
     }
 
-    /// Adds a figure, numbered.
+    /// Adds a numbered figure.
     pub fn figure(self, figure: &Figure) -> Self {
         self.drawing(&figure.svg(), &figure.title, &figure.caption)
     }
 
-    /// Adds a comparison, numbered among the figures.
+    /// Adds a comparison; it is numbered like a figure.
     pub fn comparison(self, comparison: &Comparison) -> Self {
         self.drawing(&comparison.svg(), &comparison.title, &comparison.caption)
     }
@@ -138,7 +138,7 @@ impl Page {
     }
 }
 
-/// Formats a cell; the first one of a row is its head.
+/// Formats a cell; the first cell of a row is the head of the row.
 fn cell(cell: Option<&Cell>, text: Option<&String>, place: usize) -> String {
     let text = text.map_or_else(String::new, |text| escape(text));
     let class = match cell {

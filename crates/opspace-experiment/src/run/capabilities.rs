@@ -5,14 +5,14 @@ use crate::run::experiment::Experiment;
 use opspace_backend::{Capabilities, ForceSensor};
 use std::fmt::Debug;
 
-/// Largest relative difference of two periods that count as equal.
+/// Largest relative difference between two periods that are considered equal.
 const SAME_PERIOD: f64 = 1e-9;
 
 impl Experiment {
-    /// Compares a robot's capabilities with robot.toml.
+    /// Checks the capabilities that a robot reports against robot.toml.
     ///
     /// # Errors
-    /// The first contradiction: it names both values, at the key in robot.toml.
+    /// The first mismatch, with both values, at its key in robot.toml.
     pub fn compare_capabilities(&self, declared: &Capabilities) -> Result<(), FileError> {
         let stated = self.capabilities();
         self.same("joint", "joints", &stated.joints, &declared.joints)?;
@@ -64,7 +64,7 @@ impl Experiment {
     }
 }
 
-/// Names of the quantities measured besides positions.
+/// Names of the measured quantities except positions.
 fn measured(capabilities: &Capabilities) -> Vec<&'static str> {
     let quantities = [
         ("velocity", capabilities.measures_velocity),

@@ -7,44 +7,44 @@ use std::io;
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// The reason for which an experiment can't be run or read back.
+/// Reason why an experiment cannot be run or its log cannot be read.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum RunError {
-    /// A mistake in the files.
+    /// A mistake in a file.
     #[error(transparent)]
     File(#[from] FileError),
-    /// An error of the log.
+    /// The log cannot be read or written.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// A log that opspace didn't write, or whose beginning is incomplete.
+    /// The log was not written by opspace, or its beginning is incomplete.
     #[error("this log lacks {what}, which is needed to reconstruct its run")]
     Incomplete {
         /// Description of the part that is missing or unreadable.
         what: String,
     },
-    /// A log of another version.
+    /// The log was written by an incompatible version of opspace.
     #[error(
         "this log was written by opspace {written}; read it with opspace {written}, this is opspace {own}"
     )]
     Version {
-        /// The version that wrote it.
+        /// Version of opspace that wrote the log.
         written: String,
         /// Version of this program.
         own: &'static str,
     },
-    /// A real robot that can't be read before the run.
+    /// The joint positions of the real robot cannot be read before the run.
     #[error("the robot cannot be read: {fault}")]
     Unreadable {
         /// Fault reported by the robot.
         fault: DeviceFault,
     },
-    /// A real robot that is not where the task starts.
+    /// The real robot is not at the start position of the task.
     #[error(
         "joint '{joint}' is at {q_rad:.3} rad (m), but the task starts at {start_rad:.3}; use --move-to-start to move the robot there slowly, or change start_rad"
     )]
     AwayFromStart {
-        /// Name of the first joint from the base that is away from the start.
+        /// Name of the first joint, counted from the base, that is not at its start position.
         joint: String,
         /// Position of the joint, rad or m.
         q_rad: f64,
@@ -75,7 +75,7 @@ pub enum RunError {
     Write {
         /// Path of the file or its folder.
         path: PathBuf,
-        /// The cause.
+        /// Cause of the failure.
         source: io::Error,
     },
 }

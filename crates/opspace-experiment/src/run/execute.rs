@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
-/// Progress of a run and a request to stop it, for other threads.
+/// Progress and stop request of a run, shared with other threads.
 #[derive(Debug, Default)]
 pub struct Progress {
     /// Stop request: set to stop the run safely.
@@ -19,18 +19,18 @@ pub struct Progress {
     pub ticks: AtomicU64,
 }
 
-/// A finished run.
+/// Result of a finished run.
 #[non_exhaustive]
 pub struct RunResult<W> {
     /// Outcome of the run.
     pub outcome: RunOutcome,
-    /// Outcome of the run in words, as in the log.
+    /// Outcome of the run as text, as in the log.
     pub record: OutcomeRecord,
     /// Numbers of rows written and rows lost.
     pub written: WriteStats,
     /// The log.
     pub sink: W,
-    /// Robot time over wall time.
+    /// Ratio of robot time to wall-clock time.
     pub realtime_factor: f64,
 }
 
@@ -58,10 +58,10 @@ impl<W> Sink for OpenLog<'_, W> {
 }
 
 impl<W> OpenLog<'_, W> {
-    /// Closes the log of a run of the experiment, with its outcome.
+    /// Writes the outcome of a run of `experiment` to the log and closes the log.
     ///
     /// # Errors
-    /// A log that can't be written to its end ([`RunError::LogCutShort`]).
+    /// If the log cannot be written.
     pub fn close(self, experiment: &Experiment, outcome: RunOutcome) -> Result<RunResult<W>, RunError> {
         let robot_s = self.ticks as f64 * experiment.profile().1.period_s();
         let realtime_factor = robot_s / self.began.elapsed().as_secs_f64();
@@ -78,7 +78,7 @@ impl Experiment {
     /// Runs the experiment in simulation and writes its log to `sink`.
     ///
     /// # Errors
-    /// A robot that can't be simulated; a log that can't be written.
+    /// A robot that cannot be simulated; a log that cannot be written.
     pub fn run<W: Write + Send + 'static>(
         &self,
         sink: W,
@@ -87,12 +87,12 @@ impl Experiment {
         self.run_on(&mut self.simulated_arm()?, sink, progress)
     }
 
-    /// Runs the experiment on a robot. A real one must be where the task starts
+    /// Runs the experiment on a robot. A real robot must be at the start position of the task
     /// ([`motion_to_start`](Self::motion_to_start)).
     ///
     /// # Errors
-    /// A robot that contradicts robot.toml; a real one that is elsewhere, or that an option for comparison alone would
-    /// command; a log that can't be written.
+    /// A robot whose capabilities contradict robot.toml; a real robot that is not at the start position, or is
+    /// selected together with an option that is only for comparisons; a log that cannot be written.
     pub fn run_on<W: Write + Send + 'static>(
         &self,
         backend: &mut dyn Backend,
@@ -108,12 +108,12 @@ impl Experiment {
         self.run_with(&capabilities, truth, sink, progress, |run| drive(backend, run))
     }
 
-    /// Runs the experiment by `body`, which gets the run: it calls [`Run::cycle`] once per interface cycle until
-    /// [`Run::is_over`], as a robot that calls back does, or drives several runs together. `truth` holds the layouts of
-    /// a simulation's rows.
+    /// Runs the experiment with a loop of the caller: `body` calls [`Run::cycle`] once per interface cycle until
+    /// [`Run::is_over`]. Use it for a robot that calls back, or to step several runs together. `truth` contains the
+    /// layouts of the rows that a simulation logs.
     ///
     /// # Errors
-    /// As [`run_on`](Self::run_on).
+    /// As [`run_on`](Self::run_on), but the start position is not checked.
     pub fn run_with<W: Write + Send + 'static>(
         &self,
         capabilities: &Capabilities,
@@ -133,7 +133,7 @@ impl Experiment {
     /// [`Run`] of the loop with the log as its sink, then close the log with the outcome of the run.
     ///
     /// # Errors
-    /// As [`run_on`](Self::run_on).
+    /// As [`run_on`](Self::run_on), but the start position is not checked.
     pub fn open<'a, W: Write + Send + 'static>(
         &self,
         capabilities: &Capabilities,
@@ -164,7 +164,7 @@ impl Experiment {
         Ok((control, log))
     }
 
-    /// Describes the outcome of a run in words.
+    /// Describes the outcome of a run as text.
     #[must_use]
     pub fn outcome_record(&self, outcome: &RunOutcome) -> OutcomeRecord {
         match outcome {
@@ -184,7 +184,7 @@ impl Experiment {
         }
     }
 
-    /// Number of cycles of a run that isn't stopped, including those at rest before control.
+    /// Number of interface cycles of a complete run, including the rest period before control starts.
     #[must_use]
     pub fn ticks(&self) -> u64 {
         let total_s = self.duration_s() + self.robot().file.safety.tare_s.get();

@@ -1,4 +1,4 @@
-//! A task on a robot, assembled from the two files.
+//! Experiment: a task on a robot, assembled from the task file and the robot file.
 
 use crate::extensions::Extensions;
 use crate::files::origin::Files;
@@ -66,18 +66,18 @@ impl ControllerKind {
 /// Options of an experiment besides the two files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunOptions {
-    /// Command that the robot takes. A position or velocity robot is commanded through the transformer where the
-    /// controller gives torques.
+    /// Command interface of the robot. For a position or velocity robot, the transformer converts the torques of a
+    /// torque controller.
     pub backend: CommandKind,
     /// Controller.
     pub controller: ControllerKind,
-    /// Transformer in place of the profile's.
+    /// Transformer that replaces the one of the profile.
     pub transformer: Option<TransformerKind>,
-    /// Profile in place of the robot's default one.
+    /// Profile that replaces the default profile of the robot.
     pub profile: Option<String>,
-    /// Seed in place of the task's.
+    /// Seed that replaces the one of the task.
     pub seed: Option<u64>,
-    /// Duration in place of the task's, s.
+    /// Duration that replaces the one of the task, s.
     pub duration_s: Option<f64>,
     /// Name of the run's settings in the table of a suite.
     pub label: Option<String>,
@@ -97,7 +97,7 @@ impl Default for RunOptions {
     }
 }
 
-/// A task on a robot, checked: every part of it can be built.
+/// Validated task on a robot: all its parts can be built.
 #[derive(Clone, Debug)]
 pub struct Experiment {
     pub(super) robot: RobotDefinition,
@@ -109,11 +109,11 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    /// Reads the task and its robot (or another one) and combines them. Of `settings`, those that begin with `robot.`
-    /// apply to the robot file, the others to the task file.
+    /// Reads the task file and its robot file (or `robot`, if given) and combines them. Entries of `settings` that
+    /// begin with `robot.` change the robot file, all others the task file.
     ///
     /// # Errors
-    /// Mistakes in either file, or contradictions between them, with their place.
+    /// Mistakes in either file, or contradictions between them, each with its place.
     pub fn load(
         files: Files,
         task: &Path,
@@ -146,8 +146,8 @@ impl Experiment {
         Self::new(robot, task, options, settings.to_vec())
     }
 
-    /// Returns the command that robot.toml declares, for a task's robot or another one. `settings` as in
-    /// [`load`](Self::load).
+    /// Returns the command interface declared in robot.toml of the task's robot, or of `robot` if given. `settings`
+    /// as in [`load`](Self::load).
     ///
     /// # Errors
     /// Mistakes in either file, each with its place.
@@ -169,7 +169,7 @@ impl Experiment {
     /// Combines a task and a robot. `settings` are only recorded, not applied.
     ///
     /// # Errors
-    /// Contradictions between the two, with their place.
+    /// Contradictions between the two, each with its place.
     pub fn new(
         robot: RobotDefinition,
         task: TaskDefinition,
@@ -213,19 +213,19 @@ impl Experiment {
         &self.options
     }
 
-    /// The settings that were applied to the files.
+    /// Settings that were applied to the files.
     #[must_use]
     pub fn settings(&self) -> &[String] {
         &self.settings
     }
 
-    /// The profile in use.
+    /// Name and parameters of the profile in use.
     #[must_use]
     pub fn profile(&self) -> (&str, &ProfileParameters) {
         (&self.profile_name, &self.profile)
     }
 
-    /// The seed in use.
+    /// Seed in use.
     #[must_use]
     pub fn seed(&self) -> u64 {
         self.options.seed.unwrap_or(self.task.file.seed)
@@ -237,10 +237,10 @@ impl Experiment {
         self.options.duration_s.unwrap_or(self.task.file.duration_s.get())
     }
 
-    /// Builds the controller, before its start.
+    /// Builds the controller; it has not been started.
     ///
     /// # Errors
-    /// Parts of the task that don't fit the robot.
+    /// Parts of the task that are incompatible with the robot.
     pub fn controller(&self) -> Result<Box<dyn Controller>, FileError> {
         let facts = self.control_context(self.profile.period_s());
         let (model, file, events) = (&self.robot.model, &self.task.file, &self.task.events);
@@ -268,8 +268,9 @@ impl Experiment {
         }
     }
 
-    /// The torque controller of the task without the robot's limits, updated every `period_s`, for the demands of its
-    /// references. `None` where the task doesn't fit the robot.
+    /// Builds the torque controller of the task without the robot's limits and with an update period of `period_s`.
+    /// It serves to evaluate the motion that the references require. `None` if the task is incompatible with the
+    /// robot.
     pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
         let (model, facts) = (&self.robot.model, self.control_context(period_s));
         let limits = LimitParameters { enforce: false, ..self.task.file.limits };
@@ -292,7 +293,7 @@ impl Experiment {
         }
     }
 
-    /// Builds the tasks of a file or an event for the robot; `None` where they don't fit it.
+    /// Builds the tasks of a file or an event for the robot; `None` if they are incompatible with it.
     pub(crate) fn task_set(
         &self,
         priority: &[String],
@@ -311,7 +312,7 @@ impl Experiment {
         TaskSetParameters { priority, task, compensation: file.compensation, limits: file.limits }
     }
 
-    /// Builds the simulated robot of the chosen kind, at rest at its start.
+    /// Builds the simulated robot with the selected command interface, at rest at the start position.
     ///
     /// # Errors
     /// A robot file without `[simulated]`, or parameters that contradict each other.
@@ -319,8 +320,8 @@ impl Experiment {
         SimulatedArm::new(self.arm_config()?).map_err(|e| self.simulation_error(&e))
     }
 
-    /// Returns the configuration of [`simulated_arm`](Self::simulated_arm), to be changed or combined with that of
-    /// another arm.
+    /// Returns the configuration of [`simulated_arm`](Self::simulated_arm), which can be modified or combined with
+    /// that of another arm.
     ///
     /// # Errors
     /// A robot file without `[simulated]`.
@@ -346,8 +347,8 @@ impl Experiment {
         })
     }
 
-    /// Capabilities that robot.toml states of the chosen robot. Besides the kind that its interface states, any arm can
-    /// be simulated as a torque or velocity robot.
+    /// Capabilities of the robot according to robot.toml, with the selected command interface. In addition to the
+    /// interface that robot.toml declares, any arm can be simulated as a torque or velocity robot.
     #[must_use]
     pub fn capabilities(&self) -> Capabilities {
         self.robot.capabilities(self.command_kind(), self.profile.period_s())
@@ -356,7 +357,7 @@ impl Experiment {
     /// Builds the control loop of the experiment, before its first cycle.
     ///
     /// # Errors
-    /// A servo that the transformer can't invert.
+    /// A servo that the transformer cannot invert.
     pub fn control_loop(&self) -> Result<ControlLoop, FileError> {
         ControlLoop::new(self.loop_config()?)
             .map_err(|e: LoopError| FileError::of_file(self.robot.source.name(), e.to_string(), None))
@@ -365,7 +366,7 @@ impl Experiment {
     /// Returns the configuration of the control loop.
     ///
     /// # Errors
-    /// A servo that the transformer can't invert.
+    /// A servo that the transformer cannot invert.
     pub fn loop_config(&self) -> Result<LoopConfig, FileError> {
         let joints = self.robot.joints();
         let friction = &self.task.file.friction_compensation;
@@ -382,7 +383,7 @@ impl Experiment {
         })
     }
 
-    /// Kind of command that the chosen robot takes.
+    /// Command interface of the robot in this experiment.
     #[must_use]
     pub fn command_kind(&self) -> CommandKind {
         self.options.backend
@@ -451,7 +452,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Start positions of a simulated robot, in joint order.
+    /// Start positions of the joints (n; rad or m), in joint order.
     pub(crate) fn start(&self) -> Result<Vec<f64>, FileError> {
         let model = &self.robot.model;
         let mut start = vec![0.0; model.n()];
@@ -491,7 +492,7 @@ impl Experiment {
         FileError::at_key(&self.task.source, error.key(), message, help)
     }
 
-    /// Error of a task set that doesn't fit the robot after an event.
+    /// Error for a task set that is incompatible with the robot after an event.
     fn event_error(&self, number: usize, error: &ControlError) -> FileError {
         let (message, help) = explained(error);
         let message = format!("after this event, `{}`: {message}", error.key());
@@ -515,7 +516,7 @@ impl Experiment {
                 FileError::at_key(&self.robot.source, key, message, help)
             }
             Key::Task(mut key) => {
-                // The kind's own table stands between the name and the key.
+                // The table of the kind lies between the name and the key.
                 if let Some(object) = key.get(1).and_then(|name| self.task.file.environment.get(name)) {
                     key.insert(2, object.kind().to_owned());
                 }
@@ -525,7 +526,7 @@ impl Experiment {
     }
 }
 
-/// Name of the behaviour in robot.toml.
+/// Name of the behaviour as in robot.toml.
 fn missed_cycle_name(behaviour: MissedCycle) -> &'static str {
     match behaviour {
         MissedCycle::HoldLast => "hold-last",
@@ -533,7 +534,7 @@ fn missed_cycle_name(behaviour: MissedCycle) -> &'static str {
     }
 }
 
-/// Describes a mistake in a task, and the likely intention.
+/// Returns a message for a mistake in a task, and a suggestion if there is one.
 fn explained(error: &ControlError) -> (String, Option<String>) {
     let help = match error.reason() {
         Reason::Frame(unknown) => Some(choices(&unknown.name, &unknown.known)),

@@ -1,4 +1,4 @@
-//! The folder of a run: log, summary and report.
+//! Folder of a run: log, summary and report.
 
 use crate::evaluate::results::MEASURES;
 use crate::report::document::{RunSection, page};
@@ -20,8 +20,8 @@ pub const REPORT: &str = "report.html";
 pub const SUMMARY: &str = "summary.json";
 
 impl Experiment {
-    /// Runs the experiment by `run`, which gets the file of the log, and writes summary and report beside it. The
-    /// folder is created if it does not exist, and is locked during the run.
+    /// Calls `run` with a new log file in `folder`, then writes summary and report to the same folder. An existing
+    /// log is never overwritten.
     ///
     /// ```no_run
     /// use opspace_experiment::{Experiment, Progress, RunError};
@@ -34,7 +34,7 @@ impl Experiment {
     /// ```
     ///
     /// # Errors
-    /// As [`in_locked_folder`](Self::in_locked_folder); a folder that another process writes to.
+    /// The error of `run`; a folder that already contains a log; files that cannot be written.
     pub fn in_folder(
         &self,
         folder: &Path,

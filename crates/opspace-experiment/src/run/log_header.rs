@@ -1,4 +1,4 @@
-//! Files and settings in a log, from which its experiment is rebuilt.
+//! Files and settings stored in a log, from which the experiment can be rebuilt.
 
 use crate::extensions::Extensions;
 use crate::files::robot::RobotDefinition;
@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// Name of the metadata record with the origin of a log.
 pub const RUN: &str = "opspace.run";
-/// Entry of the record for the world of the run, real or simulated.
+/// Key of the metadata record for the world of the run: real or simulated.
 const WORLD: &str = "world";
 /// Entry that states whether the transformer was an option of the run.
 pub(crate) const ASKED_FOR: &str = "transformer_asked_for";
@@ -24,12 +24,12 @@ const ROBOT_FILE: &str = "robot.toml";
 const TASK_FILE: &str = "task.toml";
 const URDF_FILE: &str = "robot.urdf";
 
-/// True if the log is that of a real robot.
+/// True if the log was recorded on a real robot.
 pub(super) fn is_real(recording: &Recording) -> bool {
     recording.metadata(RUN).and_then(|entries| entries.get(WORLD)).is_some_and(|world| world == REAL)
 }
 
-/// Name of the attachment with a recorded path, by the path as the task file gives it.
+/// Name of the log attachment with a recorded path; `file` is the path as written in the task file.
 fn recording_file(file: &Path) -> String {
     format!("recorded/{}", file.display())
 }
@@ -80,7 +80,7 @@ impl Experiment {
     /// Rebuilds the experiment of a log.
     ///
     /// # Errors
-    /// A log without the files that it was made from, or files that this version of the program refuses.
+    /// A log that lacks the robot file or the task file, or files that this version of the program rejects.
     pub fn of_log(recording: &Recording) -> Result<Self, RunError> {
         Self::of_log_with(&Extensions::default(), recording)
     }
@@ -132,7 +132,7 @@ impl Experiment {
         if chosen.chosen_transformer().0 == transformer {
             return Ok(chosen);
         }
-        // It was the best one to who wrote the log.
+        // This version would choose another transformer: use the one that was in use when the log was written.
         Ok(Self::new(robot, task, RunOptions { transformer: Some(transformer), ..options }, settings)?)
     }
 }
@@ -149,7 +149,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// Refuses a log of another minor version, whose rows or files have another meaning.
+/// Rejects a log of another minor version, because the meaning of its rows or files may differ.
 fn check_version(recording: &Recording) -> Result<(), RunError> {
     let own = env!("CARGO_PKG_VERSION");
     let minor = |version: &str| version.rsplit_once('.').map(|(minor, _)| minor.to_owned());

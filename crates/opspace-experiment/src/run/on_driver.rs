@@ -1,4 +1,4 @@
-//! Execution of an experiment on the robot that `[driver]` of robot.toml names.
+//! Execution of an experiment on the robot that `[driver]` of robot.toml selects.
 
 use crate::extensions::Extensions;
 use crate::files::source::FileError;
@@ -9,20 +9,20 @@ use crate::run::experiment::Experiment;
 use opspace_backend::{Backend, Driver, DriverError, Setting, Settings};
 use std::io::Write;
 
-/// The key of `[driver]` that names the driver.
+/// Key of `[driver]` that selects the driver.
 const NAME: &str = "name";
 
 impl Experiment {
-    /// True if robot.toml names a driver: the robot is a real one.
+    /// True if robot.toml selects a driver, that is, if the robot is real.
     #[must_use]
     pub fn has_driver(&self) -> bool {
         self.robot.file.driver.is_some()
     }
 
-    /// Runs the experiment on the robot that `[driver]` names, opened by one of the `extensions`.
+    /// Runs the experiment on the robot of `[driver]`, opened by a driver in `extensions`.
     ///
     /// # Errors
-    /// A driver that is not in the program, its settings, a robot that it can't open; as
+    /// An unknown driver, invalid driver settings, or a robot that cannot be opened; otherwise as
     /// [`run_on`](Self::run_on).
     pub fn run_on_driver<W: Write + Send + 'static>(
         &self,
@@ -33,7 +33,7 @@ impl Experiment {
         self.with_driver(extensions, |backend| self.run_on(backend, sink, progress))
     }
 
-    /// Opens the robot that `[driver]` names, and closes it after `body`.
+    /// Opens the robot of `[driver]`, calls `body`, and closes the robot.
     pub(super) fn with_driver<T>(
         &self,
         extensions: &Extensions,
@@ -43,7 +43,7 @@ impl Experiment {
         let driver = self.driver(extensions)?;
         let (mut body, mut result) = (Some(body), None);
         let mut run = |backend: &mut dyn Backend| {
-            // A driver calls it once.
+            // A driver calls this closure once.
             if let Some(body) = body.take() {
                 result = Some(body(backend));
             }

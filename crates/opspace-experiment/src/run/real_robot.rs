@@ -1,5 +1,5 @@
-//! Requirements of a real robot beyond those of a simulated one: it stands where the task starts, and no option that
-//! exists for comparison alone commands it.
+//! Additional requirements for a real robot: it must be at the start position of the task, and options that are only
+//! for comparisons are rejected.
 
 use crate::extensions::Extensions;
 use crate::files::source::{FileError, Source};
@@ -16,29 +16,29 @@ use opspace_transformer::Method;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Largest distance of a real robot's joint from where the task starts, rad (m).
+/// Tolerance of the joints' start positions on a real robot, rad (m).
 const START_TOLERANCE: f64 = 0.02;
 
-/// Highest speed of a joint on the way to the start, rad/s and m/s.
+/// Highest joint speed on the way to the start, rad/s and m/s.
 const SPEED_RAD_PER_S: f64 = 0.2;
 const SPEED_M_PER_S: f64 = 0.05;
-/// Highest speed of a joint on the way to the start, as a share of the joint's velocity limit.
+/// Highest joint speed on the way to the start, as a fraction of the joint's velocity limit.
 const SPEED_SHARE: f64 = 0.1;
-/// Ratio of a minimum-jerk motion's peak velocity to its mean.
+/// Ratio of peak velocity to mean velocity of a minimum-jerk motion.
 const MINIMUM_JERK_PEAK: f64 = 1.875;
-/// Least duration of the motion, and time to settle after it, s.
+/// Minimum duration of the motion, and settling time after it, s.
 const SHORTEST_S: f64 = 1.0;
 const SETTLE_S: f64 = 1.0;
-/// Natural frequency of the joints' error where the robot takes torques or velocities, rad/s: high, since friction
-/// leaves an error, and never above this share of the interface rate.
+/// Natural frequency of the joint position error on torque and velocity robots, rad/s. It is high because friction
+/// leaves an error, but at most `FREQUENCY_SHARE` divided by the interface period.
 const FREQUENCY_RAD_PER_S: f64 = 30.0;
 const FREQUENCY_SHARE: f64 = 0.06;
 
 impl Experiment {
-    /// Refuses the options that exist for comparison alone.
+    /// Rejects options that are only for comparisons.
     ///
     /// # Errors
-    /// The first such option, at its key.
+    /// The first of these options, at its key.
     pub(super) fn refuse_comparison_options(&self) -> Result<(), FileError> {
         let kind = self.transformer_kind();
         if let Some(kind) =
@@ -69,7 +69,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Checks that a real robot is where the task starts: nothing may jump there.
+    /// Checks that a real robot is at the start position of the task, so that its setpoints do not jump.
     pub(super) fn check_start(&self, backend: &mut dyn Backend) -> Result<(), RunError> {
         let q = positions(backend)?;
         let joints = self.robot.model.joints().iter();
@@ -82,9 +82,9 @@ impl Experiment {
         }
     }
 
-    /// Returns an experiment on the same robot that moves it from `q` (rad or m, n) to the start of this one: all
-    /// joints along one line in joint space, at most 0.2 rad/s (0.05 m/s) and a tenth of the URDF's velocity limit. It
-    /// knows no obstacles. `None` if the robot is there already.
+    /// Returns an experiment that moves the robot from `q` (n; rad or m) to the start position of this experiment:
+    /// along a straight line in joint space, at most 0.2 rad/s (0.05 m/s) and at most a tenth of the velocity limit
+    /// in the URDF. Obstacles are not considered. `None` if the robot is already there.
     ///
     /// # Errors
     /// A position outside a joint's limits.
@@ -98,7 +98,7 @@ impl Experiment {
         let motion_s = durations.fold(SHORTEST_S, |longest, ((joint, q), goal)| {
             longest.max(MINIMUM_JERK_PEAK * (goal - q).abs() / slow_speed(joint))
         });
-        // Named as if it lay beside the task, so that the robot's path counts from the same folder.
+        // The name places the file in the folder of the task, so that the robot's relative path stays valid.
         let name = Path::new(self.task.source.name()).with_file_name("move-to-start.toml");
         let text = self.motion_text(q, &goal, motion_s);
         let task = TaskDefinition::from_sources_with::<FileError>(
@@ -148,9 +148,9 @@ impl Experiment {
         text
     }
 
-    /// Opens the robot that `[driver]` names and moves it to where the task starts, slowly
-    /// ([`motion_to_start`](Self::motion_to_start)); log, summary and report of the motion are written into `folder`.
-    /// `None` if the robot is there already.
+    /// Opens the robot of `[driver]` and moves it slowly to the start position of the task
+    /// ([`motion_to_start`](Self::motion_to_start)). Writes log, summary and report of the motion to `folder`. `None`
+    /// if the robot is already there.
     ///
     /// # Errors
     /// As [`run_on_driver`](Self::run_on_driver).
@@ -167,12 +167,12 @@ impl Experiment {
     }
 }
 
-/// True if a joint is at its start; false for NaN.
+/// True if a joint is at its start position; false for NaN.
 fn is_at(q: f64, start: f64) -> bool {
     (q - start).abs() < START_TOLERANCE
 }
 
-/// Reads the present joint positions of a robot, rad or m (n).
+/// Reads the current joint positions of a robot (n; rad or m).
 fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     let mut sample = Sample::new(backend.capabilities());
     let read = backend.read(&mut sample).and_then(|()| match sample.q.iter().all(|q| q.is_finite()) {
@@ -183,7 +183,7 @@ fn positions(backend: &mut dyn Backend) -> Result<Vec<f64>, RunError> {
     Ok(sample.q)
 }
 
-/// Low speed of a joint on the way to the start, rad/s or m/s.
+/// Highest speed of a joint on the way to the start, rad/s or m/s.
 fn slow_speed(joint: &Joint) -> f64 {
     let slow = match joint.kind {
         JointKind::Prismatic => SPEED_M_PER_S,

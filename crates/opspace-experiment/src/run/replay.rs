@@ -1,4 +1,4 @@
-//! Replay of a log: the logged samples, targets, stop requests and device faults, fed to the same control loop.
+//! Replay of a log: the control loop receives the logged samples, targets, stop requests and device faults again.
 
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
@@ -22,7 +22,7 @@ pub struct ReplayReport {
     pub first_difference: Option<Difference>,
     /// Signals that only the log or only the replay has, or that differ in length.
     pub unmatched: Vec<String>,
-    /// Root mean square difference of each command from the log, by signal and element.
+    /// Rms difference between replayed and logged commands, by signal and element, in the units of the signal.
     pub rms: Vec<(String, Vec<(String, f64)>)>,
 }
 

@@ -1,4 +1,4 @@
-//! The summary of a run: a row of a table, and `summary.json`.
+//! Summary of a run: one row of a table, and `summary.json`.
 
 use crate::evaluate::metrics::{Metrics, Timing, metrics, timing};
 use crate::run::experiment::Experiment;
@@ -20,7 +20,7 @@ pub struct Summary {
     pub backend: String,
     /// Controller: `osc`, `ik` or `ik-lead`.
     pub controller: String,
-    /// The transformer; `None` where there is none.
+    /// Transformer; `None` if none is used.
     pub transformer: Option<String>,
     /// Reason for the choice of the transformer.
     pub transformer_reason: Option<String>,
@@ -34,19 +34,19 @@ pub struct Summary {
     pub simulated: bool,
     /// Intended duration of control, s.
     pub duration_s: f64,
-    /// Settings that changed the files.
+    /// Settings that were applied to the files.
     pub overrides: Vec<String>,
-    /// Name of these settings in a suite.
+    /// Name of the settings in the table of a suite.
     pub label: Option<String>,
-    /// The cause of a stop.
+    /// Fault that stopped the run; `None` if there was none.
     pub faulted: Option<String>,
-    /// Time of the stop, s.
+    /// Time of the fault, s.
     pub fault_time_s: Option<f64>,
-    /// True if a stop was requested.
+    /// True if a requested stop ended the run.
     pub interrupted: bool,
     /// Time of the stop request, s.
     pub interrupted_time_s: Option<f64>,
-    /// Number of rows that were lost on the way to the log.
+    /// Number of rows that were lost before they were written to the log.
     pub rows_lost: u64,
     /// Files that could not be written completely, each with the cause.
     pub not_saved: Vec<String>,
@@ -58,7 +58,7 @@ pub struct Summary {
     pub resumed: u64,
     /// Metrics of the run.
     pub metrics: Metrics,
-    /// Computing times of the run: not reproducible.
+    /// Computing times of the run; they are not reproducible.
     pub timing: Timing,
 }
 
@@ -101,7 +101,7 @@ impl Experiment {
     }
 }
 
-/// The number of missed cycles in a log, and the number of times control was resumed.
+/// Number of missed cycles in a log, and number of times that control was resumed.
 fn continuity(recording: &Recording) -> (u64, u64) {
     let Some(tick) = recording.channel(TICK_CHANNEL) else { return (0, 0) };
     let missed = tick.signal(MISSED_CYCLES).map_or(0.0, |missed| missed.rows().map(|row| row[0]).sum());
@@ -112,7 +112,7 @@ fn continuity(recording: &Recording) -> (u64, u64) {
     (missed as u64, resumed as u64)
 }
 
-/// The number of control cycles in a log in which a streamed target of some task was stale.
+/// Number of control cycles in a log in which a streamed target of any task was stale.
 fn stale_target_cycles(recording: &Recording) -> u64 {
     let Some(tick) = recording.channel(TICK_CHANNEL) else { return 0 };
     let stale_of = signal_names::of("", TARGET_STALE);

@@ -1,4 +1,4 @@
-//! Transformer of an experiment: its choice with the reason, its requirements on the robot, and its construction.
+//! Transformer of an experiment: choice with its reason, requirements on the robot, and construction.
 
 use crate::files::source::FileError;
 use crate::run::experiment::{ControllerKind, Experiment};
@@ -13,8 +13,8 @@ use opspace_transformer::{
 };
 
 impl Experiment {
-    /// Transformer in use, to positions or to velocities as the robot takes them; `None` where torques or positions
-    /// pass unchanged.
+    /// Transformer in use, which converts torques to position or velocity setpoints; `None` if commands pass
+    /// unchanged.
     #[must_use]
     pub fn transformer_kind(&self) -> Option<TransformerKind> {
         self.uses_transformer().then(|| self.chosen_transformer().0)
@@ -48,7 +48,7 @@ impl Experiment {
     /// Builds the chosen transformer.
     ///
     /// # Errors
-    /// A servo that it can't invert.
+    /// A servo that the transformer cannot invert.
     pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
         if self.options.backend == CommandKind::Torque {
             return Ok(Box::new(Identity));
@@ -93,7 +93,7 @@ impl Experiment {
         self.options.backend == CommandKind::Velocity
     }
 
-    /// Name of the profile's table with the servos in use.
+    /// Name of the profile's table that contains the servos in use.
     fn servo_table(&self) -> &'static str {
         if self.takes_velocities() { "velocity_servo" } else { "servo" }
     }
@@ -130,7 +130,7 @@ impl Experiment {
         })
     }
 
-    /// Inertia that each drive moves at the task's start, the other joints free: 1/(M⁻¹)ᵢᵢ.
+    /// Inertia of each joint at the start of the task with the other joints free, 1/(M⁻¹)ᵢᵢ (n; kg m² or kg).
     fn inertias(&self) -> Result<Vec<f64>, FileError> {
         let (model, q) = (&self.robot.model, self.start()?);
         let mut data = Data::new(model);
@@ -144,10 +144,10 @@ impl Experiment {
         Ok(inverse.diagonal().iter().map(|mobility| 1.0 / mobility).collect())
     }
 
-    /// The servos that drive the robot, in joint order.
+    /// Servos of the robot, in joint order.
     ///
     /// # Errors
-    /// A profile without servos of the kind that the robot needs.
+    /// A profile without servos of the required kind.
     pub(crate) fn servos(&self) -> Result<Vec<ServoParameters>, FileError> {
         self.robot.servos_for(&self.profile_name, self.command_kind())
     }
@@ -157,7 +157,7 @@ impl Experiment {
         Ok(self.servos()?.iter().map(|servo| servo.gains(period_s)).collect())
     }
 
-    /// Name of a joint with an integral in its velocity loop.
+    /// Name of the first joint whose velocity loop has integral action, if any.
     fn joint_with_velocity_integral(&self) -> Option<&str> {
         let joints = self.robot.model.joints().iter().map(|joint| joint.name.as_str());
         let mut joints = joints.filter(|joint| {
@@ -166,7 +166,7 @@ impl Experiment {
         joints.next()
     }
 
-    /// Checks the transformer's requirements on a velocity robot, beyond those on any robot.
+    /// Checks the transformer's additional requirements on a velocity robot.
     fn check_velocity_transformer(&self, kind: TransformerKind) -> Result<(), FileError> {
         let (name, method) = (kind.name(), kind.method);
         let wrong = |key: &[&str], message: String, help: &str| {

@@ -1,4 +1,4 @@
-//! Findings before anything moves: each kind on a file that provokes it, and none on the files of the project.
+//! Diagnostics before a run: each kind on a file that causes it, and none on the files of the project.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
@@ -13,7 +13,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// A task without findings, on a Cartesian task.
+/// A Cartesian task without diagnostics.
 const HAND: &str = r#"
 robot = "ROBOTS/asimo-arm"
 duration_s = 2.0
@@ -33,7 +33,7 @@ frequency_rad_per_s = 6.0
 damping_ratio = 0.8
 "#;
 
-/// A task without findings, on a joint task.
+/// A joint task without diagnostics.
 const JOINTS: &str = r#"
 robot = "ROBOTS/asimo-arm"
 duration_s = 2.0
@@ -46,7 +46,7 @@ gains = { frequency_rad_per_s = 14.0, damping_ratio = 1.0 }
 reference.point-to-point = { goal = { absolute_rad = { elbow = -0.35 } }, duration_s = 1.0 }
 "#;
 
-/// A task without findings: two links of 1 m in the x-z plane.
+/// A task without diagnostics on two links of 1 m in the x-z plane.
 const TIP: &str = r#"
 robot = "ROBOTS/planar-2-link"
 duration_s = 2.0
@@ -65,7 +65,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// Builds an experiment from a task's text with changes, each an old part and a new one.
+/// Builds an experiment from the text of a task with changes, each an old and a new part.
 fn experiment(task: &str, changes: &[(&str, &str)], options: RunOptions, settings: &[&str]) -> Experiment {
     let folder = TempDir::new().unwrap();
     let mut text = task.replace("ROBOTS", root().join("robots").to_str().unwrap());
@@ -78,7 +78,7 @@ fn experiment(task: &str, changes: &[(&str, &str)], options: RunOptions, setting
     Experiment::load(Files::Disk, &folder.path().join("task.toml"), None, options, &settings).unwrap()
 }
 
-/// Returns the only finding that a change provokes, and the line of its place.
+/// Returns the only diagnostic that a change causes, and its line.
 fn only_diagnostic(task: &str, changes: &[(&str, &str)], settings: &[&str]) -> (Diagnostic, Option<usize>) {
     let experiment = experiment(task, changes, RunOptions::default(), settings);
     let mut found = diagnostics(&experiment);
@@ -97,12 +97,12 @@ fn assert_says(finding: &Diagnostic, key: &str, words: &[&str]) {
     }
 }
 
-/// Files of the project that provoke findings on purpose, with words of the findings.
+/// Files of the project that cause diagnostics intentionally, with words of the diagnostics.
 const MADE_TO_GO_WRONG: [(&str, &str); 4] = [
     ("panda-out-of-reach", "cannot be reached"),
     ("ur5e-out-of-reach", "cannot be reached"),
     ("panda-too-fast", "the references move joint"),
-    // The way round a singular posture: fast.
+    // The path around a singular posture requires high speeds.
     ("ur5e-wrist", "the references move joint"),
 ];
 
@@ -148,7 +148,7 @@ fn shoulder_and_direction() -> ([f64; 3], [f64; 3]) {
     (shoulder.into(), (hand - shoulder).normalize().into())
 }
 
-/// A goal for [`HAND`], at a distance from the shoulder.
+/// Goal for [`HAND`] at a distance from the shoulder.
 fn goal(distance_m: f64) -> String {
     let (shoulder, direction) = shoulder_and_direction();
     let [x, y, z] = [0, 1, 2].map(|i| shoulder[i] + distance_m * direction[i]);
@@ -157,7 +157,7 @@ fn goal(distance_m: f64) -> String {
 
 const OFFSET: &str = "position = { offset_m = [0.05, 0.0, 0.05] }";
 
-/// Compared: the reported distance and the demanded one; the reported reach and the links' lengths of 0.235 and 0.275
+/// Compared: the reported distance and the required one; the reported reach and the link lengths of 0.235 m and 0.275
 /// m.
 #[test]
 fn goal_beyond_reach_is_reported() {
@@ -183,7 +183,7 @@ fn goal_beyond_reach_is_reported() {
     assert!((links - 0.51).abs() < 1e-12);
 }
 
-/// Compared: the error at a goal near the shoulder, and the triangle of the two links at the elbow's end, 0.01 rad
+/// Compared: the error at a goal near the shoulder, and the triangle of the two links at the elbow's limit, 0.01 rad
 /// before -130°.
 #[test]
 fn goal_beyond_elbow_limit_is_reported() {
@@ -196,12 +196,12 @@ fn goal_beyond_elbow_limit_is_reported() {
         "task.hand.cartesian.reference",
         &["cannot be reached within the joint ranges", &missed],
     );
-    // A centimetre outside that, and it is reached.
+    // A goal one centimetre farther away is reached.
     let inside = experiment(HAND, &[(OFFSET, &goal(nearest + 0.01))], RunOptions::default(), &[]);
     assert_eq!(diagnostics(&inside), []);
 }
 
-/// Compared: goals of joints and postures, and the URDF's elbow, which ends at 0, with the margin of 0.01.
+/// Compared: targets of joints and postures, and the elbow range in the URDF, which ends at 0, with a margin of 0.01.
 #[test]
 fn postures_beyond_joint_limits_are_reported() {
     let (found, _) = only_diagnostic(JOINTS, &[("elbow = -0.35 } }", "elbow = 0.15 } }")], &[]);
@@ -212,15 +212,15 @@ fn postures_beyond_joint_limits_are_reported() {
     let (found, line) = only_diagnostic(HAND, &[("[task.rest.joint-posture]", posture)], &[]);
     assert_says(&found, "task.rest.joint-posture.posture_rad.elbow", &["joint 'elbow' is 0.5"]);
     assert_eq!(line, Some(1 + HAND.lines().position(|l| l.contains("joint-posture")).unwrap() + 1));
-    // Within the URDF's range, and in the margin only if there is one.
+    // Within the range of the URDF, but in the margin if there is one.
     let changes = [("elbow = -0.35 } }", "elbow = -0.005 } }")];
     only_diagnostic(JOINTS, &changes, &[]);
     let without = experiment(JOINTS, &changes, RunOptions::default(), &["limits.enforce=false"]);
     assert_eq!(diagnostics(&without), []);
 }
 
-/// Compared: the reported speed, and the peak of a minimum-jerk motion, 1.875 times the mean: 1 rad in 0.2 s, with 0.9
-/// of 8 rad/s allowed.
+/// Compared: the reported speed, and the peak of a minimum-jerk motion of 1 rad in 0.2 s, which is 1.875 times the
+/// mean; 0.9 times 8 rad/s is allowed.
 #[test]
 fn reference_beyond_joint_speeds_is_reported() {
     let faster = [("elbow = -0.35 } }, duration_s = 1.0", "elbow = -0.35 } }, duration_s = 0.2")];
@@ -232,8 +232,8 @@ fn reference_beyond_joint_speeds_is_reported() {
     assert_eq!(diagnostics(&experiment(JOINTS, &slower, RunOptions::default(), &[])), []);
 }
 
-/// Compared: the joints' speed for a motion of the tip, and the closed form of two links of 1 m: with both at right
-/// angles the shoulder alone moves the tip along z at 1 rad/s for 1 m/s.
+/// Compared: the joint speeds for a motion of the tip, and the closed form for two links of 1 m: with both at right
+/// angles, the shoulder alone moves the tip along z, at 1 rad/s for 1 m/s.
 #[test]
 fn frame_motion_beyond_joint_speeds_is_reported() {
     let text = TIP.replace(
@@ -242,7 +242,7 @@ fn frame_motion_beyond_joint_speeds_is_reported() {
     );
     let text = text.replace("shoulder = 0.6, elbow = 1.2", "shoulder = 0.0, elbow = 1.5707963267948966");
     let (found, _) = only_diagnostic(&text, &[], &[]);
-    // 1.875 times 0.01 m in 0.002 s: to within what the arm turns meanwhile.
+    // 1.875 times 0.01 m in 0.002 s, except for the rotation of the arm during the motion.
     assert_says(
         &found,
         "task.tip.cartesian.reference",
@@ -250,7 +250,7 @@ fn frame_motion_beyond_joint_speeds_is_reported() {
     );
 }
 
-/// Compared: speeds and the task's own limit; the peak of 0.0707 m in 1 s is 0.133 m/s.
+/// Compared: reference speeds and the speed limit of the task; the peak of 0.0707 m in 1 s is 0.133 m/s.
 #[test]
 fn reference_beyond_task_speed_limit_is_reported() {
     let limited =
@@ -264,7 +264,7 @@ fn reference_beyond_task_speed_limit_is_reported() {
     assert_eq!(diagnostics(&experiment(HAND, &changes, RunOptions::default(), &[])), []);
 }
 
-/// Root-mean-square error of the hand in a simulated run, m; infinite where the run was stopped.
+/// Rms error of the hand in a simulated run, m; infinite if the run was stopped.
 fn tracking(experiment: &Experiment) -> f64 {
     let sink = std::io::Cursor::new(Vec::new());
     let finished = experiment.run(sink, &Progress::default()).unwrap();
@@ -275,8 +275,8 @@ fn tracking(experiment: &Experiment) -> f64 {
     metrics(experiment, &recording).position_rms_m.unwrap()
 }
 
-/// Compared: findings and simulated runs, on each kind of robot and at 1 kHz and 200 Hz. At gains that are reported as
-/// unstable the hand shakes; at the proposed ones it follows, and nothing is reported.
+/// Compared: diagnostics and simulated runs, on each kind of robot and at 1 kHz and 200 Hz. With gains that are
+/// reported as unstable, the hand oscillates; with the proposed gains it follows, and nothing is reported.
 #[test]
 fn unstable_gains_are_reported() {
     for (backend, profile, unstable) in [
@@ -319,7 +319,7 @@ fn unstable_gains_are_reported() {
             "{case}: {shakes} m at {unstable}, {follows} m at {proposed}"
         );
     }
-    // Other tasks' gains, each by its own key.
+    // Gains of other tasks, each with its key.
     let posture = [("rad_per_s = 6.0", "rad_per_s = 2000.0")];
     let (found, _) = only_diagnostic(HAND, &posture, &[]);
     assert_says(&found, "task.rest.joint-posture.frequency_rad_per_s", &["unstable"]);
@@ -345,7 +345,7 @@ fn unstable_gains_are_reported() {
     );
 }
 
-/// Compared: limits with each other and with the start.
+/// Compared: limits with each other and with the start position.
 #[test]
 fn contradictory_limits_are_reported() {
     let (found, _) = only_diagnostic(HAND, &[], &["limits.velocity_fraction=1.5"]);
@@ -353,7 +353,7 @@ fn contradictory_limits_are_reported() {
     let (found, _) = only_diagnostic(HAND, &[], &["limits.torque_fraction=2.0"]);
     assert_says(&found, "limits.torque_fraction", &["torque_fraction is 2"]);
 
-    // The elbow's range of 2.27 rad, from its middle; the shoulders' are wider.
+    // The elbow starts in the middle of its range of 2.27 rad; the ranges of the shoulder joints are wider.
     let middle = [("elbow = -1.35", "elbow = -1.134")];
     let text = HAND
         .replace("shoulder_roll = -0.35", "shoulder_roll = -0.8727")
@@ -373,14 +373,14 @@ fn contradictory_limits_are_reported() {
         "start it at -0.01",
     ];
     assert_says(&found, "start_rad.elbow", &words);
-    // 8 rad/s are braked from at 10 rad/s² over 3.2 rad, of 2.27.
+    // Braking from 8 rad/s at 10 rad/s² requires 3.2 rad; the range is 2.27 rad.
     let (found, _) = only_diagnostic(HAND, &[], &["robot.joint.elbow.acceleration_limit_rad_per_s2=10.0"]);
     let words = ["velocity limit of 8 takes a distance of 3.2, but its range is 2.27", "at least 14.1"];
     assert_says(&found, "joint.elbow.acceleration_limit_rad_per_s2", &words);
 }
 
-/// Compared: torques and the arm's weight in closed form. Two links of 1 m and 1 kg, their centres in the middle, the
-/// shoulder 0.6 rad above the horizontal and the elbow bent by 1.2 rad.
+/// Compared: torques, and the weight of the arm in closed form: two links of 1 m and 1 kg with their centres of mass
+/// in the middle, the shoulder 0.6 rad above the horizontal and the elbow bent by 1.2 rad.
 #[test]
 fn weight_beyond_torque_limit_is_reported() {
     let needed = 9.81 * (1.5 * f64::cos(0.6) + 0.5 * f64::cos(1.8));
@@ -395,11 +395,11 @@ fn weight_beyond_torque_limit_is_reported() {
     let (found, line) = only_diagnostic(TIP, &[], &["robot.joint.shoulder.torque_limit_nm=8.0"]);
     assert_says(&found, "joint.shoulder.torque_limit_nm", &["needs", "only 8 Nm is allowed"]);
     assert_eq!(line, None, "told at the setting");
-    // As much as it needs.
+    // Slightly more torque than required.
     let enough = share(1.01);
     assert_eq!(diagnostics(&experiment(TIP, &[], RunOptions::default(), &[&enough])), []);
 
-    // Out and up at the end of the way it weighs more than at the start.
+    // At the end of the motion the arm is stretched farther, and its weight causes more torque than at the start.
     let stretched = TIP.replace(
         "reference = \"hold\"",
         "reference.point-to-point = { position = { offset_m = [0.6, 0.0, 0.0] }, duration_s = 1.5 }",
@@ -416,7 +416,7 @@ fn weight_beyond_torque_limit_is_reported() {
     assert_says(&found, "joint.shoulder.torque_rate_limit_nm_per_s", &words);
 }
 
-/// Compared: the lost direction and the geometry; the straight arm can't move its tip along itself.
+/// Compared: the lost direction, and the geometry: a straight arm cannot move its tip along the arm.
 #[test]
 fn singular_start_is_reported() {
     let straight =
@@ -431,7 +431,7 @@ fn singular_start_is_reported() {
             along.starts_with("x:") || along.starts_with("z:") || along.starts_with("0.98 "),
             "the arm lies nearly along an axis: {found:?}"
         );
-        // The start that is proposed.
+        // The proposed start.
         let better = found.help.split(" at ").nth(1).unwrap().split(' ').next().unwrap();
         let changes = straight(better);
         let better = experiment(
@@ -450,7 +450,7 @@ fn undamped_freedom_is_reported() {
     let (found, line) = only_diagnostic(HAND, &[("\"hand\", \"rest\"", "\"hand\""), (rest, "")], &[]);
     assert_says(&found, "priority", &["1 of the 4 degrees of freedom", "[task.rest.joint-damping]"]);
     assert_eq!(line, Some(5));
-    // Damping of zero is a choice.
+    // Damping of zero is intentional.
     let zero = experiment(
         HAND,
         &[(rest, "[task.rest.joint-damping]\ndamping_nms_per_rad = 0.0\n")],

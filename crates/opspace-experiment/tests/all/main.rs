@@ -1,4 +1,4 @@
-//! Files, preflight, experiments, metrics and reports.
+//! Tests of files, preflight, experiments, metrics and reports.
 
 mod diagnostics;
 mod metrics;

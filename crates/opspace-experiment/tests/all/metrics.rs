@@ -10,7 +10,7 @@ use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
 use std::path::Path;
 
-/// Relative rounding of sums of some thousand numbers.
+/// Relative rounding error of sums of several thousand numbers.
 const ROUNDING: f64 = 1e-12;
 
 const Q: [f64; 4] = [-0.45, -0.35, 0.25, -1.35];
@@ -28,7 +28,7 @@ fn hand(experiment: &Experiment, q: &[f64]) -> Vector3<f64> {
     frame_placement(model, &data, model.frame_id("hand").unwrap()).translation
 }
 
-/// Builds a log of 8 s at 1 kHz with 5 servo ticks per row; the content of each row is given by its index.
+/// Builds a log of 8 s at 1 kHz with 5 servo ticks per row; functions of the row index give the contents of the rows.
 fn log(
     experiment: &Experiment,
     tick: impl Fn(usize) -> Vec<f64>,
@@ -38,7 +38,7 @@ fn log(
     log_at(experiment, [0.0; 4], tick, truth, servo)
 }
 
-/// Builds a log like [`log`], with joints that move at the speeds `dq`.
+/// Builds a log like [`log`], with joints that move at the velocities `dq` (rad/s).
 fn log_at(
     experiment: &Experiment,
     dq: [f64; 4],
@@ -86,19 +86,20 @@ fn log_at(
     Recording::from_bytes(sink.get_ref()).unwrap()
 }
 
-/// True if two numbers are equal except for rounding.
+/// True if two numbers are equal except for rounding errors.
 fn near(a: Option<f64>, b: f64) -> bool {
     a.is_some_and(|a| (a - b).abs() <= ROUNDING * b.abs().max(1.0))
 }
 
-/// Compared: the error over y and z alone (x is compliant), true position against reference, and a square wave of known
-/// height. Rows before the end of settling don't count.
+/// Compared: the error over y and z only (x is compliant) between true position and reference, and a square wave of
+/// known height. Rows before the end of settling are ignored.
 #[test]
 fn position_error_counts_motion_axes_after_settling() {
     let experiment = experiment("compliant-x");
     let home = hand(&experiment, &Q);
     let tick = |k: usize| {
-        // 7 mm off in x, 3 mm in y, 4 mm in z, the sign of y changing; wildly off while settling.
+        // The reference is off by 7 mm in x, by 3 mm with alternating sign in y and by 4 mm in z, and by 1 m in y
+        // during settling.
         let far = if k < 1500 { 1.0 } else { 0.0 };
         let sign = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
         let reference = home + Vector3::new(0.007, 0.003 * sign + far, 0.004);
@@ -109,7 +110,7 @@ fn position_error_counts_motion_axes_after_settling() {
     let metrics = metrics(&experiment, &recording);
     assert!(near(metrics.position_rms_m, 0.005), "{metrics:?}");
     assert!(near(metrics.position_max_m, 0.005), "{metrics:?}");
-    // The hand reports x: 3 N there, whatever it does in y and z; and it never moves.
+    // The hand reports only x: its force there is 3 N, independent of y and z, and it does not move.
     assert!(near(metrics.hand_force_rms_n, 3.0), "{metrics:?}");
     assert!(near(metrics.hand_motion_rms_m, 0.0), "{metrics:?}");
     assert_eq!((metrics.orientation_rms_rad, metrics.joint_rms_rad, metrics.force_rms_n), (None, None, None));
@@ -131,8 +132,8 @@ fn hand_motion_is_displacement_from_start() {
     assert!(near(metrics(&experiment, &recording).hand_motion_rms_m, moved));
 }
 
-/// Compared: the three torque errors, and those of a pattern that repeats every interval: its rms, its mean and its
-/// first value, relative to the desired torque, pooled over joints of different size.
+/// Compared: the three torque errors, and rms, mean and first value of a pattern that repeats in every interval,
+/// relative to the desired torque over joints of different size.
 #[test]
 fn torque_errors_match_a_known_pattern() {
     let experiment = experiment("cartesian-tracking");
@@ -146,14 +147,14 @@ fn torque_errors_match_a_known_pattern() {
     let metrics = metrics(&experiment, &recording);
     let size = desired.iter().map(|d| d * d).sum::<f64>().sqrt();
     let rms = (pattern.iter().map(|p| p * p).sum::<f64>() / 5.0).sqrt();
-    // Four joints have the same error.
+    // All four joints have the same error.
     assert!(near(metrics.torque_error_servo, 2.0 * rms / size), "{metrics:?}");
     assert!(near(metrics.torque_error_interval, 2.0 * 0.2 / size), "{metrics:?}");
     assert!(near(metrics.torque_error_tick, 2.0 * 0.1 / size), "{metrics:?}");
 }
 
-/// Compared: the hold ripple beside a constant error, and a sawtooth 1.2 times as high as constant speeds produce
-/// without a current loop.
+/// Compared: the hold ripple in the presence of a constant error, and a sawtooth 1.2 times as high as that of
+/// constant speeds without a current loop.
 #[test]
 fn hold_ripple_is_relative_to_predicted_ripple() {
     let hold_ripple = |options: RunOptions, settings: &[&str]| {
@@ -170,10 +171,11 @@ fn hold_ripple_is_relative_to_predicted_ripple() {
         let recording = log_at(&experiment, speed, |_| vec![1.0; 5], |_| vec![0.0; 7], servo);
         metrics(&experiment, &recording).hold_ripple
     };
-    // The current loop smooths the sawtooth to this at 1 kHz (a recursion in another language).
+    // At 1 kHz the current loop reduces the sawtooth by this factor (computed by a recursion in another language).
     let ripple = hold_ripple(RunOptions::default(), &[]).unwrap();
     assert!((ripple * 0.534_703_767_082 / 1.2 - 1.0).abs() < 1e-11, "{ripple}");
-    // A servo that is stiffer than its nominal value leaves more ripple: the same ripple is a smaller multiple of it.
+    // A servo that is stiffer than its nominal value causes more ripple, so that the same ripple is a smaller
+    // multiple of it.
     let stiffer = hold_ripple(RunOptions::default(), &["robot.simulated.true_over_nominal.kp=1.5"]);
     assert!(near(stiffer, ripple / 1.5), "{stiffer:?}");
     let torque = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
@@ -182,7 +184,7 @@ fn hold_ripple_is_relative_to_predicted_ripple() {
     assert_eq!(hold_ripple(RunOptions::default(), &["robot.profile.a-med.servo_ticks_per_cycle=1"]), None);
 }
 
-/// A run without desired torque has no torque error, rather than a meaningless number.
+/// A run without desired torque has no torque error instead of a meaningless number.
 #[test]
 fn missing_desired_torque_gives_no_torque_error() {
     let experiment = experiment("cartesian-tracking");
@@ -195,7 +197,7 @@ fn missing_desired_torque_gives_no_torque_error() {
     );
 }
 
-/// Compared: quantiles of computing times, and those of the numbers 1 to 8000; cycles at rest don't count.
+/// Compared: quantiles of computing times, and those of the numbers 1 to 8000; cycles before control are ignored.
 #[test]
 fn computing_times_count_controlled_cycles() {
     let experiment = experiment("cartesian-tracking");

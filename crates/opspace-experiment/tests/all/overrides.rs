@@ -1,4 +1,5 @@
-//! Settings from the command line against the same file edited by hand: equal values, errors that name the settings.
+//! Compared: settings from the command line, and the file edited by hand: equal values, and errors that name the
+//! settings.
 
 use opspace_experiment::files::overrides::{apply, apply_below, split};
 use opspace_experiment::files::source::{FileError, Source, parse};
@@ -100,7 +101,7 @@ fn table(text: &str) -> toml::Table {
     text.parse().expect("TOML")
 }
 
-/// Compares a file with a setting to the file edited by hand, and checks that both are accepted.
+/// Compares a file with a setting to the file edited by hand, and checks that it is accepted.
 #[track_caller]
 fn check_equals_edited_file(setting: &str, from: &str, to: &str) {
     let applied = set(&[setting]).expect("applied");
@@ -109,7 +110,7 @@ fn check_equals_edited_file(setting: &str, from: &str, to: &str) {
     parse::<TaskFile>(&applied).expect("accepted");
 }
 
-/// Returns the error of reading the file with these settings.
+/// Returns the error of reading the file with the given settings.
 fn refusal(settings: &[&str]) -> FileError {
     match set(settings) {
         Err(error) => error,

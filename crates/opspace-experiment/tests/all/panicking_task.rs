@@ -1,4 +1,4 @@
-//! A user's task that panics while the robot moves: the log is closed, records the panic, and replays.
+//! A task of the user that panics while the robot moves: the log is closed, records the panic, and can be replayed.
 
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, ScalarReference};
@@ -13,13 +13,13 @@ use serde::Deserialize;
 use std::io::Cursor;
 use std::path::Path;
 
-/// Index of the task's joint.
+/// Index of the joint of the task.
 const JOINT: usize = 0;
 
 /// Position below which the task panics, rad; the task starts at −0.45 rad and moves down.
 const PANICS_BELOW_RAD: f64 = -0.6;
 
-/// The position of a joint, which panics beyond [`PANICS_BELOW_RAD`].
+/// Position of a joint, which panics below [`PANICS_BELOW_RAD`].
 struct Panicking;
 
 impl Coordinate for Panicking {
@@ -76,8 +76,8 @@ fn experiment() -> Experiment {
     Experiment::new(robot, task.expect("a good task"), RunOptions::default(), Vec::new()).expect("they fit")
 }
 
-/// Compared: the logged positions and the position of the panic, the outcome in the log and that of the run, and the
-/// rows of the log and of its replay.
+/// Compared: the logged positions and the position of the panic; the outcome in the log and that of the run; the rows
+/// of the log and of its replay.
 #[test]
 fn log_ends_before_panic_and_replays() {
     let experiment = experiment();

@@ -1,5 +1,5 @@
-//! Experiments on a robot that is not known to be simulated: a simulated arm that declares itself real, and whose clock
-//! may start anywhere.
+//! Experiments on a robot that is not known to be simulated: a simulated arm that declares itself real and whose
+//! clock can start at any time.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::{
@@ -14,7 +14,7 @@ use std::io::Cursor;
 use std::path::Path;
 use std::rc::Rc;
 
-/// A simulated arm with other capabilities and another clock.
+/// Simulated arm with other capabilities and another clock.
 struct Disguised {
     arm: SimulatedArm,
     capabilities: Capabilities,
@@ -73,7 +73,7 @@ impl GroundTruth for Disguised {
     }
 }
 
-/// A driver that opens the same arm each time.
+/// Driver that opens the same arm each time.
 struct OneArm(Rc<RefCell<Disguised>>);
 
 impl Driver for OneArm {
@@ -97,7 +97,7 @@ fn experiment(task: &str, backend: CommandKind, settings: &[&str]) -> Experiment
     Experiment::load(Files::Embedded, Path::new(task), None, options, &settings).unwrap()
 }
 
-/// Metrics of a simulated run on a clock that starts at `clock_start_s`, and the missed cycles.
+/// Metrics of a simulated run with a clock that starts at `clock_start_s`, and number of missed cycles.
 fn measured(experiment: &Experiment, clock_start_s: f64) -> (Metrics, u64) {
     let mut arm = Disguised::new(experiment.simulated_arm().unwrap(), World::Simulated, clock_start_s);
     let result = experiment.run_on(&mut arm, Cursor::new(Vec::new()), &Progress::default()).unwrap();
@@ -107,11 +107,11 @@ fn measured(experiment: &Experiment, clock_start_s: f64) -> (Metrics, u64) {
     (summary.metrics, summary.missed_cycles)
 }
 
-/// Compared: every metric of runs on clocks that start at 1000 s and at -5 s, and those of the same run on a clock that
-/// starts at 0. They differ by the rounding of time stamps at most, with lost cycles and without.
+/// Compared: all metrics of runs with clocks that start at 1000 s and at -5 s, and those of the same run with a clock
+/// that starts at 0. They differ at most by the rounding of time stamps, with and without lost cycles.
 #[test]
 fn clock_start_changes_no_metric() {
-    /// Rounding of a time stamp of 1000 s over a period of 1 ms is 1e-10; the motion amplifies it.
+    /// The rounding error of a time stamp of 1000 s, relative to a period of 1 ms, is 1e-10; the motion amplifies it.
     const RELATIVE: f64 = 1e-6;
     let lossy = "robot.simulated.bus.lost_cycles_share=0.01";
     for (backend, settings) in
@@ -141,7 +141,7 @@ fn clock_start_changes_no_metric() {
     }
 }
 
-/// An arm at this distance from the start of the task, behind a driver, rad.
+/// Creates an arm at a distance from the start position of the task, rad, and a driver for it.
 fn arm_away_from_start(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<Disguised>>, Extensions) {
     let mut config = experiment.arm_config().unwrap();
     config.start.iter_mut().for_each(|q| *q += offset_rad);
@@ -150,13 +150,13 @@ fn arm_away_from_start(experiment: &Experiment, offset_rad: f64) -> (Rc<RefCell<
     (arm, extensions)
 }
 
-/// Refusal of an arm that is away from the start, the distance left after the motion, its highest speed against the
-/// stated one, and the run afterwards.
+/// Compared: the refusal of an arm that is not at the start position, its distance after the motion, its highest
+/// speed and the documented limit, and the run afterwards.
 #[test]
 fn real_robot_moves_slowly_to_start_first() {
-    /// The reference's limit is 0.2 rad/s; a joint that friction held at first catches up with it.
+    /// The limit of the reference is 0.2 rad/s; a joint that is first held by friction moves faster to catch up.
     const SPEED_RAD_PER_S: f64 = 1.5 * 0.2;
-    /// Rows over which a speed is taken, long beside the encoders' noise.
+    /// Number of rows over which a speed is averaged, enough to suppress the encoder noise.
     const WINDOW: usize = 50;
     const WINDOW_S: f64 = 0.05;
     const AT_START_RAD: f64 = 0.02;
@@ -187,7 +187,7 @@ fn real_robot_moves_slowly_to_start_first() {
     }
 }
 
-/// Refusals, each with its key, of what is allowed in simulation.
+/// Options that are allowed in simulation and refused on a real robot, each with its key.
 #[test]
 fn comparison_options_are_refused_on_real_robot() {
     for singularities in ["plain", "least-squares", "clamped"] {
@@ -203,7 +203,7 @@ fn comparison_options_are_refused_on_real_robot() {
     }
 }
 
-/// Words for a robot without a driver.
+/// Error message for a robot without a driver.
 #[test]
 fn robot_without_driver_cannot_move_to_start() {
     let experiment = experiment("tasks/joint-tracking.toml", CommandKind::Position, &[]);

@@ -1,4 +1,4 @@
-//! Recorded paths: read beside the task file, run, kept in the log, and replayed from it.
+//! Recorded paths: read relative to the task file, executed, stored in the log, and replayed from it.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_experiment::Progress;
@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// A path from rest to rest, out and back.
+/// Path from rest to rest, out and back.
 const PATH: &str = "time_s,x_m,y_m,z_m
 10.0,0.50,0.1,0.9
 10.2,0.50,0.12,0.9
@@ -36,7 +36,7 @@ frequency_rad_per_s = 6.325
 damping_ratio = 0.79
 "#;
 
-/// Creates a folder with the task and its path.
+/// Creates a folder with the task and its recorded path.
 fn folder(path: &str) -> TempDir {
     let folder = TempDir::new().unwrap();
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/asimo-arm");
@@ -56,8 +56,8 @@ fn run(experiment: &Experiment) -> Recording {
     Recording::from_bytes(&finished.sink.into_inner()).unwrap()
 }
 
-/// Compared: the logged reference at the samples' times, and the samples relative to the start; every number of the
-/// log, and the run recomputed from the log after the files are removed.
+/// Compared: the logged reference at the times of the samples, and the samples relative to the start; all numbers of
+/// the log, and the run recomputed from the log after the files were removed.
 #[test]
 fn recorded_path_run_replays() {
     let files = folder(PATH);
@@ -72,7 +72,7 @@ fn recorded_path_run_replays() {
     for (time_s, sample) in [(0.2, [0.0, 0.02, 0.0]), (0.5, [0.01, 0.05, 0.02]), (1.0, [0.0, 0.0, 0.03])] {
         let at = (began..channel.len()).find(|&k| channel.time_s[k] - start_s > time_s - 1e-6).unwrap();
         for i in 0..3 {
-            // The control cycle is at the sample's time except for the rounding of its time stamp.
+            // The control cycle is at the time of the sample, except for the rounding of its time stamp.
             assert!((reference.row(at)[i] - start[i] - sample[i]).abs() < 1e-6, "{time_s} s, axis {i}");
         }
     }
@@ -84,7 +84,7 @@ fn recorded_path_run_replays() {
     assert!(replayed.compared > 1000 && replayed.unmatched.is_empty());
 }
 
-/// Compared: a log and its replay with another path; the path is part of the run.
+/// Compared: a log and its replay with another path, because the path is part of the run.
 #[test]
 fn replay_with_another_path_differs() {
     let mut recording = run(&load(&folder(PATH)).unwrap());
@@ -97,7 +97,8 @@ fn replay_with_another_path_differs() {
     assert!(error.contains("recorded/paths/hand.csv"), "{error}");
 }
 
-/// A mistake in the path is reported at its line, and an unreadable path at the line of the task file.
+/// A mistake in the path is reported at its line in the path file, an unreadable path file at the line of the task
+/// file.
 #[test]
 fn recorded_path_errors_name_their_line() {
     let line = 1 + TASK.lines().position(|line| line.contains("hand.csv")).unwrap();

@@ -1,4 +1,4 @@
-//! Figures, tables and pages: well-formed XML that contains the input, drawn in the right place.
+//! Figures, tables and pages: they are well-formed XML, contain the input, and draw it at the right place.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -26,7 +26,7 @@ fn texts(document: &Document<'_>) -> Vec<String> {
         .collect()
 }
 
-/// Lines of the series, without those of a legend of so many labels; axes and marks are fainter.
+/// Lines of the series without the lines of the legend (`labels`); axes and marks have lower opacity.
 fn lines<'a, 'i>(document: &'a Document<'i>, labels: usize) -> Vec<Node<'a, 'i>> {
     let line = |node: &Node<'_, '_>| {
         node.tag_name().name() == "polyline"
@@ -35,7 +35,7 @@ fn lines<'a, 'i>(document: &'a Document<'i>, labels: usize) -> Vec<Node<'a, 'i>>
     document.descendants().filter(line).skip(labels).collect()
 }
 
-/// Points of a line, in units of its picture.
+/// Points of a line, in canvas units.
 fn points(line: &Node<'_, '_>) -> Vec<(f64, f64)> {
     let point = |part: &str| {
         let (x, y) = part.split_once(',').expect("x and y");
@@ -103,7 +103,8 @@ fn four_joints_make_four_panels_with_one_legend() {
     let count = |wanted: &str| texts.iter().filter(|text| *text == wanted).count();
     assert_eq!((count("measured"), count("desired"), count("elbow")), (1, 1, 1));
     assert_eq!((count("torque (N·m)"), count("time (s)")), (4, 4));
-    // In each panel the desired line is the thinner, of another colour, and lies on the measured one.
+    // In each panel, the desired line is thinner than the measured line, has another colour, and is drawn on top of
+    // it.
     let look = |line: &Node<'_, '_>| {
         let width: u32 = line.attribute("stroke-width").expect("a width").parse().expect("a number");
         (width, line.attribute("stroke").expect("a colour").to_owned())
@@ -116,7 +117,7 @@ fn four_joints_make_four_panels_with_one_legend() {
     assert!(svg.len() < 300_000, "{} bytes", svg.len());
 }
 
-/// Points of a measured response: a dot for each that has logarithms, and decades of equal width.
+/// Points of a measured response: one dot for each point with logarithms, and decades of equal width.
 #[test]
 fn decades_have_equal_width_and_points_are_dots() {
     const TOLERANCE: f64 = 1.0;
@@ -135,7 +136,7 @@ fn decades_have_equal_width_and_points_are_dots() {
     let dots: Vec<(f64, f64)> = (document.descendants().filter(|node| node.has_tag_name("circle")))
         .map(|dot| (number(&dot, "cx"), number(&dot, "cy")))
         .collect();
-    // One is in the legend.
+    // One dot is in the legend.
     let [_, points @ ..] = &dots[..] else { panic!("no dots") };
     assert_eq!(points.len(), 4, "{dots:?}");
     let steps: Vec<(f64, f64)> = points.windows(2).map(|p| (p[1].0 - p[0].0, p[1].1 - p[0].1)).collect();
@@ -145,7 +146,7 @@ fn decades_have_equal_width_and_points_are_dots() {
     }
 }
 
-/// Every drawn point lies within the picture, and panels do not overlap.
+/// All points are drawn within the picture, and panels do not overlap.
 #[test]
 fn points_stay_within_the_figure() {
     let svg = joints(2_000).svg();
@@ -170,8 +171,8 @@ fn points_stay_within_the_figure() {
     assert!(extents[0].3 < extents[4].2, "the second row is below the first");
 }
 
-/// Compared: extremes of the reduced line and those of all samples; they are the same bits, whatever the phase of a
-/// peak.
+/// Compared: the extremes of the reduced line, and those of all samples: they are bit-identical, independent of the
+/// phase of a peak.
 #[test]
 fn decimation_keeps_every_extreme_and_gap() {
     let (x, mut y) = wave(1.0, 0.3, 100_000);
@@ -181,7 +182,7 @@ fn decimation_keeps_every_extreme_and_gap() {
     assert_eq!(kept.len(), 1);
     assert!(kept[0].len() <= 4 * 401, "{} points", kept[0].len());
     for (low, high) in [(0.0, 1.0), (1.0, 6.5), (6.5, 8.0)] {
-        // Column borders, so that both see the same samples.
+        // The limits are column borders, so that both contain the same samples.
         let extremes = |points: &mut dyn Iterator<Item = (f64, f64)>| {
             points
                 .filter(|&(x, _)| x >= low && x < high)
@@ -201,13 +202,13 @@ fn decimation_keeps_every_extreme_and_gap() {
         assert_eq!(stretches, wanted);
     }
     assert!(decimate(&[], &[], (0.0, 1.0), 10).is_empty());
-    // A slow sensor in a fast log has a gap between any two samples: no more stretches than columns.
+    // A slow sensor in a fast log has a gap between any two samples: there must not be more sections than columns.
     let sparse: Vec<f64> =
         y.iter().enumerate().map(|(k, y)| if k % 10 == 0 { *y } else { f64::NAN }).collect();
     assert!(decimate(&x, &sparse, (0.0, 8.0), 400).len() <= 400);
 }
 
-/// Compared: the height of a line in the picture, and the share of the axis that the value has.
+/// Compared: the height of a line in the picture, and the fraction of the axis that corresponds to the value.
 #[test]
 fn line_is_drawn_to_scale() {
     let series = Series::new("a", vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 10.0, 5.0, 10.0]);
@@ -216,7 +217,7 @@ fn line_is_drawn_to_scale() {
     let drawn = points(&lines(&document, 1)[0]);
     let rise = |k: usize| drawn[0].1 - drawn[k].1;
     let run = |k: usize| drawn[k].0 - drawn[0].0;
-    // Coordinates are whole units of a canvas four times as fine as the page.
+    // Coordinates are integers on a canvas with four times the resolution of the page.
     let rounding = 1.5;
     assert!(rise(1) > 400.0 && (rise(2) - rise(1) / 2.0).abs() < rounding, "{drawn:?}");
     assert!(
@@ -226,7 +227,7 @@ fn line_is_drawn_to_scale() {
     );
 }
 
-/// Compared: one sample among many and its place in the picture; peaks and gaps survive the reduction.
+/// Compared: a single sample among many, and its place in the picture; peaks and gaps are preserved by the reduction.
 #[test]
 fn peaks_and_gaps_are_drawn() {
     let x: Vec<f64> = (0..40_000).map(|k| f64::from(k) * 2e-4).collect();
@@ -243,7 +244,7 @@ fn peaks_and_gaps_are_drawn() {
         drawn[0].iter().min_by(by_height).expect("points"),
         drawn[0].iter().max_by(by_height).expect("points"),
     );
-    // Coordinates are whole units of a canvas four times as fine as the page.
+    // Coordinates are integers on a canvas with four times the resolution of the page.
     let rounding = 1.5;
     assert!(
         zero - highest.1 > 200.0 && ((zero - highest.1) - 2.0 * (lowest.1 - zero)).abs() < 2.0 * rounding
@@ -273,7 +274,7 @@ fn figures_without_data_say_so() {
     has(&said(vec![panel("p", partly)]), "b: no finite value");
 }
 
-/// Arbitrary numbers: the result is XML, without a coordinate that is not a number.
+/// Arbitrary numbers: the result is XML, and all coordinates are numbers.
 #[test]
 fn arbitrary_numbers_make_valid_figures() {
     let tiny = f64::MIN_POSITIVE;
@@ -325,7 +326,7 @@ fn comparison_places_larger_values_further_right() {
     for scale in [Scale::Log, Scale::Linear] {
         let svg = Comparison { scale, ..comparison() }.svg();
         let document = xml(&svg);
-        // Of the three marks, discs are filled.
+        // Of the three marker shapes, discs are filled.
         let disc = |node: &Node<'_, '_>| {
             node.has_tag_name((SVG, "circle")) && node.attribute("fill") != Some("none")
         };
@@ -379,7 +380,7 @@ fn numbers_have_four_digits() {
     }
 }
 
-/// Compared: texts of a column and decimals counted by hand.
+/// Compared: the texts of a column, and decimals counted manually.
 #[test]
 fn column_shares_its_decimals() {
     let column = |numbers: &[f64]| {
@@ -483,7 +484,7 @@ fn page_is_self_contained() {
         }
     }
     assert!(!html.contains("@import") && !html.contains("url("));
-    // Every colour of the figures has another where the page is dark.
+    // Every colour of the figures has a replacement in the dark scheme.
     for node in document.descendants().filter(|node| node.tag_name().namespace() == Some(SVG)) {
         for name in ["stroke", "fill"] {
             if let Some(color) = node.attribute(name).filter(|color| *color != "none") {
@@ -498,7 +499,7 @@ fn page_is_self_contained() {
     assert!(named("svg").iter().all(|svg| svg.attribute("role") == Some("img")));
 }
 
-/// Text with markup in every place where a page takes text: it is read back as text, and adds no element.
+/// Text with markup at every place where a page accepts text: it is read back as text and adds no elements.
 #[test]
 fn all_text_is_escaped() {
     let page = |text: &str| {
@@ -547,7 +548,7 @@ fn chromium() -> PathBuf {
     found.expect("chromium is on PATH")
 }
 
-/// A page opened in a browser: no message on the console, and every figure is within the window.
+/// Page in a browser: no messages on the console, and all figures are within the window.
 #[test]
 #[ignore = "needs a browser: .ci/run browser"]
 fn browser_lays_out_every_figure() {

@@ -1,4 +1,4 @@
-//! Gain margin of position and velocity loops: the reported margin against a formula, and against runs of the simulated
+//! Gain margin of position and velocity loops. Compared: the reported margin, a formula, and runs of the simulated
 //! robot.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
@@ -15,12 +15,12 @@ const PAPER: &str = "transformer=\"paper\"";
 const EMULATION: &str = "transformer=\"emulation\"";
 const EMULATION_CURRENT: &str = "transformer=\"emulation+current\"";
 
-/// A task on the ASIMO-like arm, with settings of its profile and others.
+/// A task on the ASIMO-like arm as a position robot, with settings.
 fn experiment(task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
     on(CommandKind::Position, task, profile, transformer, settings)
 }
 
-/// A task on the ASIMO-like arm as a robot of the kind `backend`, with settings.
+/// A task on the ASIMO-like arm with the command interface `backend`, with settings.
 fn on(backend: CommandKind, task: &str, profile: &str, transformer: &str, settings: &[String]) -> Experiment {
     let profile_name = Some(profile.to_owned());
     let options =
@@ -35,11 +35,11 @@ fn excess(experiment: &Experiment) -> Option<f64> {
     gain_margin(experiment).unwrap().excess
 }
 
-/// Compared: the margin of gravity compensation, where all but the joints' own damping is known, and the formula ε <
-/// ((1 − gain) b + d)/kv + (1 + ε) kp t̄ of the worst joint, with and without the hold's t̄ = (R−1)/2 Ts.
+/// Compared: the margin of gravity compensation, where all damping is known, and the formula ε < ((1 − gain) b +
+/// d)/kv + (1 + ε) kp t̄ of the worst joint, with and without the delay of the hold, t̄ = (R−1)/2 Ts.
 #[test]
 fn gain_margin_matches_formula() {
-    // 0.1 % of bisection, and what the formula leaves out: it knows neither the observer nor the filters.
+    // 0.1 % for the bisection, and the rest for the observer and the filters, which the formula does not include.
     const TOLERANCE: f64 = 0.004;
     for (profile, kp, kv, hold_s) in [("a-med", 50.265, 94.6, 4e-4), ("b-soft", 25.133, 47.3, 2e-3)] {
         for damping in [0.0, 2.0] {
@@ -65,11 +65,11 @@ fn gain_margin_matches_formula() {
     }
 }
 
-/// Compared: the margin of a velocity robot's gravity compensation, whose torques an excess gain scales, and the
+/// Compared: the margin of a velocity robot in gravity compensation, where an excess gain scales the torques, and the
 /// formula (1 + ε) (gain b − d) < b of the joint with the most friction.
 #[test]
 fn velocity_robot_gain_margin_matches_formula() {
-    // As above.
+    // As in the test above.
     const TOLERANCE: f64 = 0.004;
     const FRICTION_NMS_PER_RAD: f64 = 2.0;
     for (profile, transformer, gain, damping) in [
@@ -99,8 +99,8 @@ fn velocity_robot_gain_margin_matches_formula() {
     }
 }
 
-/// Compared: the margins with and without measurement of the motors' current, which reveals a wrong gain; the first is
-/// more than 50 % and ten times the second.
+/// Compared: the margins with and without measurement of the motor currents, which reveals a wrong gain: with it, the
+/// margin is more than 50 %, and ten times as large as without.
 #[test]
 fn motor_current_raises_gain_margin() {
     for profile in ["a-med", "b-soft"] {
@@ -113,8 +113,8 @@ fn motor_current_raises_gain_margin() {
     }
 }
 
-/// Outcome of a run of the simulated robot whose position loops have that share of excess gain, and its highest speed,
-/// rad/s.
+/// Outcome of a run of the simulated robot whose position loop gains are increased by the fraction `excess`, and its
+/// highest speed, rad/s.
 fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) {
     let scale = format!("robot.simulated.true_over_nominal.kp={:?}", 1.0 + excess);
     let experiment = experiment(task, "a-med", transformer, &[scale]);
@@ -124,8 +124,8 @@ fn run(task: &str, transformer: &str, excess: f64) -> (RunOutcome, Option<f64>) 
     (finished.outcome, speed)
 }
 
-/// Compared: the margin, and the simulated robot with all its friction, weight and noise. Within the margin the arm
-/// moves on, slower than its speed limit; clearly beyond it the run ends in a fault.
+/// Compared: the margin, and the simulated robot with friction, weight and noise. Within the margin the arm moves
+/// below its speed limit; clearly beyond it the run ends with a fault.
 #[test]
 fn simulated_robot_is_stable_only_within_margin() {
     const WITHIN: f64 = 0.8;
@@ -152,8 +152,8 @@ fn simulated_robot_is_stable_only_within_margin() {
     }
 }
 
-/// A small margin is reported with its number and a remedy; a large one isn't; where torques pass without a
-/// transformer, there is none.
+/// A small margin is reported with its number and a remedy, a large one is not; without a transformer there is no
+/// margin.
 #[test]
 fn small_gain_margin_is_reported() {
     let small = experiment("gravity-compensation", "a-med", EMULATION, &[]);

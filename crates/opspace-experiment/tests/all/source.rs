@@ -1,4 +1,4 @@
-//! Errors of the strict reader: the text and the line of each error, against the mistake in the file.
+//! Compared: the text and the line of each error of the strict parser, and the mistake in the file.
 
 use std::collections::BTreeMap;
 
@@ -89,14 +89,14 @@ damping_ratio = 0.79
 time_s = 1.0
 "#;
 
-/// Returns the error of `GOOD` with one piece replaced.
+/// Returns the error of `GOOD` with one part replaced.
 fn error(from: &str, to: &str) -> FileError {
     assert!(GOOD.contains(from), "{from:?} is not in the good file");
     let source = Source::new("tasks/x.toml", GOOD.replacen(from, to, 1));
     parse::<TaskFile>(&source).expect_err("the file is wrong")
 }
 
-/// Compares the display (place and message) and the help with the expected texts.
+/// Compares the displayed text (place and message) and the help with the expected texts.
 #[track_caller]
 fn check_error(error: &FileError, display: &str, help: &str) {
     assert_eq!(error.to_string(), display);
@@ -264,7 +264,7 @@ fn non_finite_numbers_are_refused_at_their_line() {
         assert_eq!(error.to_string(), format!("tasks/x.toml:7: expected a finite number, got {shown}"));
         assert_eq!(underlined(&error), text);
     }
-    // Also in an unknown place, in an inline table, in an array and in an array of tables.
+    // Also for an unknown key, and in an inline table, an array, and an array of tables.
     assert_eq!(error("duration_s = 8", "a.b = [1, { c = nan }]").line(), Some(2));
     assert_eq!(error("time_s = 1.0", "time_s = inf").line(), Some(12));
     assert_eq!(underlined(&error("14.142", "nan")), "nan");
@@ -297,7 +297,8 @@ fn invalid_toml_is_refused_at_its_line() {
     assert_eq!(error("time_s = 1.0\n", "time_s = [1.0,").line(), Some(12));
 }
 
-/// Line ends of other editors, a byte-order mark and an empty file: read as the plain text, or refused plainly.
+/// Line ends of other editors, a byte-order mark and an empty file: they are read like plain text, or refused with a
+/// message.
 #[test]
 fn line_endings_and_byte_order_mark_are_accepted() {
     let dos = format!("\u{feff}{}", GOOD.replace('\n', "\r\n"));
@@ -309,7 +310,7 @@ fn line_endings_and_byte_order_mark_are_accepted() {
     assert!(empty.message().contains("missing key"));
 }
 
-/// Deep nesting is refused, and does not overflow the call stack.
+/// Deep nesting is refused and does not overflow the call stack.
 #[test]
 fn nesting_depth_is_bounded() {
     let dotted = format!("{}=1", vec!["a"; 100_000].join("."));
@@ -331,7 +332,7 @@ fn later_error_points_at_its_key() {
         ("task.hand.cartesian.gains.damping_ratio", 6, "1.0"),
         ("task.hand.cartesian.axes.y", 5, "\"motion\""),
         ("task.hand.cartesian", 3, "cartesian"),
-        // Not there: the nearest table around.
+        // For a missing key, the nearest enclosing table.
         ("task.hand.cartesian.force.sensor", 3, "cartesian"),
         ("task.hand.cartesian.gains.kp", 6, "gains"),
         ("via.0.time_s", 12, "1.0"),

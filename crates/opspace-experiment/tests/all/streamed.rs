@@ -1,4 +1,4 @@
-//! The summary of a run whose targets are streamed.
+//! Summary of a run with streamed targets.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::{Backend, GroundTruth, Sample};
@@ -8,11 +8,11 @@ use opspace_log::Recording;
 use std::io::Cursor;
 use std::path::Path;
 
-/// Counted: cycles in which the target was stale, and cycles from the sample in which its age passed the timeout to the
-/// end, without the ones in which a renewed target was younger.
+/// Compared: the number of cycles with a stale target in the summary, and the number of cycles after the first target
+/// in which no target was younger than the timeout.
 #[test]
 fn summary_counts_cycles_with_stale_target() {
-    /// Cycles, of 1 ms, at which the target is renewed.
+    /// Cycles (of 1 ms) in which the target is renewed.
     const RENEWED: [u64; 2] = [300, 700];
     const TIMEOUT_CYCLES: u64 = 100;
     let task = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/tasks/streamed.toml");
@@ -42,7 +42,8 @@ fn summary_counts_cycles_with_stale_target() {
     let recording = Recording::from_bytes(&result.sink.into_inner()).unwrap();
     let summary = experiment.summary(&recording, &result.record, None);
     assert_eq!(summary.faulted, None);
-    // A target is fresh in the cycle of its stamp and in the hundred after it, give or take the rounding of time stamps.
+    // A target is fresh in the cycle of its time stamp and in the next hundred cycles, except for the rounding of
+    // time stamps.
     let fresh = RENEWED.len() as u64 * (TIMEOUT_CYCLES + 1);
     let after_first = cycles - RENEWED[0];
     let stale = summary.stale_target_cycles;

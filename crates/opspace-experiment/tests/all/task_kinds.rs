@@ -1,4 +1,4 @@
-//! Kinds of tasks beside the built-in ones: registered ones in a file, and the errors of mistakes in them.
+//! Registered task kinds in files, and the errors of mistakes in them.
 
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_control::{Coordinate, CoordinateGains, CoordinateTask, TaskParameters};
@@ -11,7 +11,7 @@ use opspace_model::{Data, Model};
 use serde::Deserialize;
 use std::path::Path;
 
-/// A task of the sum of all joints' positions.
+/// Coordinate that is the sum of all joint positions.
 struct JointSum;
 
 impl Coordinate for JointSum {
@@ -74,7 +74,7 @@ fn panda() -> RobotDefinition {
     RobotDefinition::load(Files::Disk, &path, &[]).expect("a robot")
 }
 
-/// Compared: the signals of an experiment's controller, and the task that the file names by its registered kind.
+/// Compared: the signals of the controller, and the task in the file that has a registered kind.
 #[test]
 fn registered_kind_is_built_from_its_table() {
     let task = load(TASK).expect("a good file");
@@ -85,7 +85,7 @@ fn registered_kind_is_built_from_its_table() {
     assert!(controller.signals().iter().any(|signal| signal.name == "sum.value"));
 }
 
-/// Compared: files with one mistake each, and the line, the message and the help of the error.
+/// Compared: files with one mistake each, and line, message and help of the error.
 #[test]
 fn registered_kind_errors_name_their_line() {
     let table = TASK.replace("damping_ratio = 1.0", "damping_ration = 1.0");
@@ -111,7 +111,7 @@ fn registered_kind_errors_name_their_line() {
     assert!(error.message().contains("above 0"), "{error:?}");
 }
 
-/// A kind under the name of another one is refused.
+/// A kind whose name is already in use is refused.
 #[test]
 fn taken_kind_name_is_refused() {
     let build = |p: &JointSumParameters, name: &str, _: &Model, _: &opspace_control::ControlContext| {
@@ -123,7 +123,7 @@ fn taken_kind_name_is_refused() {
     }
 }
 
-/// A file with a swivel task whose angle changes by 0.3 rad in that time.
+/// Returns a file with a swivel task whose angle changes by 0.3 rad within `duration_s`.
 fn swivel(duration_s: &str) -> String {
     let swivel = format!(
         r#"[task.sum.swivel]
@@ -139,7 +139,7 @@ gains = {{ frequency_rad_per_s = 10.0, damping_ratio = 1.0 }}
     format!("{}{swivel}{}", &TASK[..begin], &TASK[end..])
 }
 
-/// Compared: a swivel task in a file and its signal.
+/// Compared: a swivel task in a file, and its signal.
 #[test]
 fn swivel_task_is_read_from_file() {
     let text = swivel("0.5");
@@ -152,8 +152,8 @@ fn swivel_task_is_read_from_file() {
     assert_eq!(error.line(), Some(7), "{error:?}");
 }
 
-/// Findings of a swivel task whose reference is too fast for the joints, and of one with enough time; both at the key
-/// of the task's own reference.
+/// Diagnostics of a swivel task whose reference is too fast for the joints, and of one with enough time; the key is
+/// that of the task's reference.
 #[test]
 fn preflight_checks_every_task() {
     let experiment = |duration_s: &str| {
@@ -171,7 +171,7 @@ fn preflight_checks_every_task() {
     assert!(not_checked(&experiment("0.8")).is_empty(), "its gains are known");
 }
 
-/// Compared: a task with an impedance, whose gains depend on the arm's inertia, and the list of what is not checked.
+/// Compared: a task with an impedance, whose gains depend on the inertia of the arm, and the list of unchecked tasks.
 #[test]
 fn unchecked_gains_are_reported() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-impedance.toml");

@@ -1,4 +1,4 @@
-//! Transformers, servo sections and results of robots that take velocities.
+//! Transformers, servo sections and results of velocity robots.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
 use opspace_backend::CommandKind;
@@ -14,7 +14,7 @@ use std::path::Path;
 
 const ROBOT: &str = "robots/asimo-arm/robot.toml";
 
-/// Reads the ASIMO-like arm with these settings, as a robot that is not simulated.
+/// Reads the ASIMO-like arm with settings, as a robot that cannot be simulated.
 fn robot(settings: &[&str]) -> Result<RobotDefinition, FileError> {
     let settings: Vec<String> = settings.iter().map(|setting| format!("robot.{setting}")).collect();
     let mut robot = RobotDefinition::load(Files::Embedded, Path::new(ROBOT), &settings)?;
@@ -36,7 +36,7 @@ fn experiment(transformer: Option<&str>, settings: &[&str]) -> Result<Experiment
     on_robot(robot(settings)?, CommandKind::Velocity, transformer)
 }
 
-/// Reads the robot file with a section removed or replaced, and its URDF.
+/// Reads the robot file with a section removed or replaced, and the URDF.
 fn edited(from: &str, to: &str) -> Result<RobotDefinition, FileError> {
     let arm = robot(&[])?;
     let text = arm.source.text();
@@ -49,7 +49,7 @@ fn section(text: &str, heading: &str) -> String {
     from.split_inclusive("\n\n").next().unwrap().to_owned()
 }
 
-/// Each transformer by its name on a velocity robot, and the kind of command that the control loop gets from it.
+/// All transformers by name on a velocity robot, and the kind of command that they pass to the control loop.
 #[test]
 fn velocity_robot_transformers_command_velocities() {
     for (name, setting) in [
@@ -86,7 +86,7 @@ fn default_transformer_matches_position_robot() {
     }
 }
 
-/// Words of the errors for transformers that a velocity robot can't have.
+/// Messages of the errors for transformers that a velocity robot does not support.
 #[test]
 fn position_loop_transformers_are_refused() {
     for name in ["identified", "identified+current", "identified-literal", "identified-open-loop"] {
@@ -103,7 +103,7 @@ fn position_loop_transformers_are_refused() {
     assert!(error.message().contains("velocity servos cannot be adapted"), "{error}");
 }
 
-/// Velocity servos of the file, and the inner loops of its cascades.
+/// Compared: the velocity servos in the file, and the inner loops of its cascades.
 #[test]
 fn velocity_servos_are_cascade_inner_loops() {
     let robot = robot(&[]).unwrap();
@@ -122,7 +122,7 @@ fn velocity_servos_are_cascade_inner_loops() {
     }
 }
 
-/// Errors of profiles that lack servos of a kind or of a joint, or have them in the wrong section.
+/// Errors of profiles that lack servos of a kind or of a joint, or contain them in the wrong section.
 #[test]
 fn missing_servos_are_named() {
     let text = robot(&[]).unwrap().source.text().to_owned();
@@ -157,8 +157,8 @@ fn missing_servos_are_named() {
     assert!(error.help().unwrap().contains("[profile.a-med.velocity_servo.elbow]"), "{error}");
 }
 
-/// Compared: metrics and page of a short simulated run, and the quantity of a velocity robot's setpoints; its largest
-/// acceleration, and the largest of the recorded signal.
+/// Compared: metrics and page of a short simulated run, and the setpoint quantity of a velocity robot; its largest
+/// setpoint acceleration, and the largest value of the recorded signal.
 #[test]
 fn report_shows_velocity_setpoints() {
     let options =

@@ -6,19 +6,19 @@ use crate::suites::Run;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display};
 
-/// Largest number of runs that are named for a signal that differs.
+/// Maximum number of runs that are listed for a signal that differs.
 const NAMED: usize = 6;
 
-/// Suite of a run, and its place in it.
+/// Suite of a run, and the place of the run in the suite.
 type Key = (String, String);
 type Signals = BTreeMap<String, Hash>;
 
 /// Result of a comparison.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// Runs in which a signal differs, and the difference, by kind and signal.
+    /// Runs with a difference and its description, by kind of difference and signal.
     findings: BTreeMap<(&'static str, String), Vec<String>>,
-    /// Lines of the table that match nothing.
+    /// Lines of the table that match no signal.
     idle: Vec<String>,
     runs: usize,
     compared: usize,
@@ -34,10 +34,10 @@ pub fn lines(run: &Run, hashes: &[Hash]) -> String {
     hashes.iter().map(line).collect()
 }
 
-/// Compares the list of an old build with that of a new one.
+/// Compares the list of an old build with the list of a new build.
 ///
 /// # Errors
-/// A text that is no such list.
+/// A text that is not a list of hashes.
 pub fn compare(old: &str, new: &str, table: &Table) -> Result<Report, String> {
     let (old, new) = (read(old)?, read(new)?);
     let names = |list: &BTreeMap<Key, Signals>| list.values().flat_map(|run| run.keys().cloned()).collect();
@@ -163,7 +163,7 @@ mod tests {
         compare(OLD, new, &Table::parse(table).unwrap()).unwrap()
     }
 
-    /// Kinds and signals of the findings.
+    /// Returns the kinds and signals of the findings.
     fn found(new: &str, table: &str) -> Vec<String> {
         compared(new, table).findings.keys().map(|(kind, signal)| format!("{kind} {signal}")).collect()
     }

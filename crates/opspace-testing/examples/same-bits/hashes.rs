@@ -1,11 +1,11 @@
-//! Every signal of a run as one hash.
+//! Hashes of all signals of a run.
 
 use opspace_log::{ChannelData, Recording};
 
-/// Signal with wall-clock time, which is not a result.
+/// Signal that contains wall-clock time, which is not a result.
 const WALL_CLOCK: &str = "tick_time";
 
-/// Name of the time stamps of a channel's rows, among its signals.
+/// Name under which the time stamps of a channel are listed as a signal.
 pub const TIME: &str = "(time)";
 
 /// Hash of a signal over a run.
@@ -19,12 +19,12 @@ pub struct Hash {
     pub elements: usize,
     /// Number of rows.
     pub rows: usize,
-    /// First 64 bits of the SHA-256 of all numbers, row by row; a text for facts that are no signals.
+    /// First 64 bits of the SHA-256 of all numbers, row by row; for facts that are not signals, a text.
     pub hash: String,
 }
 
 impl Hash {
-    /// A fact of a run that is no signal.
+    /// Creates an entry for a fact of a run that is not a signal.
     #[must_use]
     pub fn fact(name: &str, text: &str) -> Self {
         let hash = text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -32,10 +32,10 @@ impl Hash {
     }
 }
 
-/// Channel of the facts that are no signals.
+/// Channel name of facts that are not signals.
 pub const FACT: &str = "-";
 
-/// The hashes of all signals of a log.
+/// Returns the hashes of all signals of a log.
 #[must_use]
 pub fn of(recording: &Recording) -> Vec<Hash> {
     recording.channels.iter().flat_map(channel).collect()
@@ -58,12 +58,12 @@ fn channel(data: &ChannelData) -> Vec<Hash> {
     hashes
 }
 
-/// The names of a channel's signals that are results.
+/// Names of the signals of a channel that are results.
 pub fn signals(data: &ChannelData) -> impl Iterator<Item = &str> {
     data.layout.signals.iter().map(|signal| signal.name.as_str()).filter(|name| *name != WALL_CLOCK)
 }
 
-/// Bits of a number; the same ones for every NaN.
+/// Bits of a number; every NaN gives the same bits.
 #[must_use]
 pub fn bits(number: f64) -> u64 {
     if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }

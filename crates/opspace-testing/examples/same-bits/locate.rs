@@ -1,17 +1,17 @@
-//! First differences of two logs of one run.
+//! First differences between two logs of the same run.
 
 use crate::hashes::{TIME, bits, signals};
 use crate::signals::{Fate, Table};
 use opspace_log::{ChannelData, Recording};
 
-/// The first difference of a signal.
+/// First difference of a signal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Index of the row, from 0.
     pub row: usize,
     /// Time of the row, s.
     pub time_s: f64,
-    /// Channel and signal by their names in the old build, and the element.
+    /// Channel and signal with their names in the old build, and the element.
     pub name: String,
     /// Value in the old log.
     pub old: f64,
@@ -19,7 +19,7 @@ pub struct Difference {
     pub new: f64,
 }
 
-/// The first difference of each signal that both logs have, the earliest first.
+/// Returns the first difference of each signal that both logs contain, in order of time.
 #[must_use]
 pub fn differences(old: &Recording, new: &Recording, table: &Table) -> Vec<Difference> {
     let mut differences: Vec<Difference> =
@@ -51,7 +51,7 @@ fn signal_difference(old: &ChannelData, signal: &str, new: &Recording, table: &T
     None
 }
 
-/// Rows of a signal; the time stamps for the name of these.
+/// Rows of a signal; for the name [`TIME`], the time stamps.
 fn rows<'a>(channel: &'a ChannelData, signal: &str) -> Option<Vec<&'a [f64]>> {
     if signal == TIME {
         return Some(channel.time_s.chunks_exact(1).collect());

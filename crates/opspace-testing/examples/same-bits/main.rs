@@ -1,8 +1,8 @@
 //! Comparison of the numbers that two builds of opspace compute, bit by bit. `tests/same-bits/run` performs all steps.
 //!
-//! All runs of the suites by each build ([`suites`], [`side`]), a hash of every signal of every run ([`hashes`]), and the
-//! comparison of two lists of hashes ([`compare`](mod@compare)) through a table of the signals that were renamed in
-//! between ([`signals`]).
+//! It executes all runs of the suites with each build ([`suites`], [`side`]), computes a hash of every signal of
+//! every run ([`hashes`]), and compares two lists of hashes ([`compare`](mod@compare)) with a table of renamed
+//! signals ([`signals`]).
 
 #![forbid(unsafe_code)]
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
@@ -29,11 +29,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Compare the numbers that two builds of opspace compute, bit by bit.
 #[derive(Parser)]
 enum Cli {
-    /// Make every run of the suites, one seed each, and write a hash of every signal.
+    /// Execute all runs of the suites, with one seed each, and write a hash of every signal.
     Hash(HashArgs),
-    /// Compare the hashes of an old build with those of a new one; exit code 1 if a difference isn't explained.
+    /// Compare the hashes of an old build with those of a new build; exit code 1 if a difference is not explained.
     Compare(CompareArgs),
-    /// Make one run with both builds and print the first differences; exit code 1 if there are any unexplained.
+    /// Execute one run with both builds and print the first differences; exit code 1 if any is not explained.
     Locate(LocateArgs),
 }
 
@@ -43,11 +43,11 @@ struct HashArgs {
     #[arg(long)]
     program: PathBuf,
 
-    /// The checkout whose suites, tasks and robots it runs.
+    /// The checkout with the suites, tasks and robots to run.
     #[arg(long)]
     checkout: PathBuf,
 
-    /// Only this suite. Can be given again.
+    /// Only this suite. Can be repeated.
     #[arg(long = "suite", default_values = SUITES)]
     suites: Vec<String>,
 
@@ -55,11 +55,11 @@ struct HashArgs {
     #[arg(long, default_value_t = 2)]
     jobs: usize,
 
-    /// Duration of every run in place of its task's, s.
+    /// Duration of every run instead of that of its task, s.
     #[arg(long, value_name = "S")]
     duration_s: Option<f64>,
 
-    /// Keep the runs' folders in this one, which must not hold them yet.
+    /// Keep the folders of the runs in this folder, which must not contain them yet.
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
 
@@ -86,26 +86,26 @@ struct LocateArgs {
     /// The suite.
     suite: String,
 
-    /// The run's place in it, as 3.1.2.1.
+    /// The place of the run in the suite, for example 3.1.2.1.
     run: String,
 
-    /// The old build's `opspace`.
+    /// The `opspace` program of the old build.
     #[arg(long)]
     old_program: PathBuf,
 
-    /// The old build's checkout.
+    /// The checkout of the old build.
     #[arg(long)]
     old_checkout: PathBuf,
 
-    /// The new build's `opspace`.
+    /// The `opspace` program of the new build.
     #[arg(long)]
     new_program: PathBuf,
 
-    /// The new build's checkout.
+    /// The checkout of the new build.
     #[arg(long)]
     new_checkout: PathBuf,
 
-    /// Duration in place of the task's, s.
+    /// Duration instead of that of the task, s.
     #[arg(long, value_name = "S")]
     duration_s: Option<f64>,
 
@@ -130,7 +130,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Hashes every run; true if each run left a complete log.
+/// Hashes all runs; returns true if every run produced a complete log.
 fn hash(args: &HashArgs) -> Result<bool, String> {
     let side = Side::new(&args.program, &args.checkout, args.duration_s)?;
     let runs = side.runs(&args.suites)?;
@@ -180,14 +180,14 @@ fn hash_one(side: &Side, run: &Run, folder: &Path, keep: bool) -> Result<String,
     Ok(lines(run, &made.hashes()))
 }
 
-/// Compares two lists of hashes; true if all is equal or explained.
+/// Compares two lists of hashes; returns true if all are equal or explained.
 fn compare_files(args: &CompareArgs) -> Result<bool, String> {
     let report = compare(&text(&args.old)?, &text(&args.new)?, &table(args.signals.as_deref())?)?;
     println!("{report}");
     Ok(report.is_clean())
 }
 
-/// Compares one run of both builds; true if it is equal, or its differences are explained.
+/// Compares one run of both builds; returns true if it is equal or its differences are explained.
 fn locate(args: &LocateArgs) -> Result<bool, String> {
     let table = table(args.signals.as_deref())?;
     let (old_lines, old) = record(args, "old", &args.old_program, &args.old_checkout)?;
@@ -200,7 +200,7 @@ fn locate(args: &LocateArgs) -> Result<bool, String> {
     Ok(report.is_clean())
 }
 
-/// Makes the run with one of the builds.
+/// Executes the run with one of the builds.
 fn record(
     args: &LocateArgs,
     name: &str,

@@ -1,4 +1,4 @@
-//! One of the builds that are compared: a program and the checkout whose files it runs.
+//! One of the compared builds: a program, and the checkout with the files that it runs.
 
 use crate::hashes::{Hash, of};
 use crate::suites::{self, Run};
@@ -21,34 +21,34 @@ pub struct Side {
 pub struct Made {
     /// Exit code of the run, and the fault in `summary.json`.
     pub facts: Vec<Hash>,
-    /// Log of the run; without one, the program's output.
+    /// Log of the run; if there is none, the output of the program.
     pub recording: Result<Recording, String>,
 }
 
 impl Side {
-    /// Creates a build with this program and checkout; `duration_s` replaces its tasks' durations, s.
+    /// Creates a build from a program and a checkout; `duration_s` replaces the durations of the tasks, s.
     ///
     /// # Errors
-    /// A program or checkout that isn't there.
+    /// A program or checkout that does not exist.
     pub fn new(program: &Path, checkout: &Path, duration_s: Option<f64>) -> Result<Self, String> {
         let absolute = |path: &Path| path.canonicalize().map_err(|e| error_text(path, &e));
         Ok(Self { program: absolute(program)?, checkout: absolute(checkout)?, duration_s })
     }
 
-    /// Lists the runs of suites, in their order.
+    /// Lists the runs of suites, in order.
     ///
     /// # Errors
-    /// A suite that can't be read.
+    /// A suite that cannot be read.
     pub fn runs(&self, suites: &[String]) -> Result<Vec<Run>, String> {
         let runs: Result<Vec<_>, _> =
             suites.iter().map(|suite| suites::runs(&self.checkout, suite)).collect();
         Ok(runs?.concat())
     }
 
-    /// Makes a run and reads its log. The folder, which must not be there yet, is removed unless it is to be kept.
+    /// Executes a run and reads its log. The folder must not exist; it is removed afterwards unless `keep` is true.
     ///
     /// # Errors
-    /// A program that can't be started, or a folder that can't be removed.
+    /// A program that cannot be started, or a folder that cannot be removed.
     pub fn make(&self, run: &Run, folder: &Path, keep: bool) -> Result<Made, String> {
         let output = self.command(run, folder).output().map_err(|e| error_text(&self.program, &e))?;
         let made = Made {
@@ -73,7 +73,7 @@ impl Side {
 }
 
 impl Made {
-    /// Returns a line for each fact and signal; for a run without a complete log, the facts alone.
+    /// Returns the hashes of all facts and signals; for a run without a complete log, only the facts.
     #[must_use]
     pub fn hashes(&self) -> Vec<Hash> {
         let signals = self.recording.as_ref().map(of).unwrap_or_default();
@@ -91,7 +91,7 @@ fn fault(folder: &Path) -> String {
     summary.get("faulted").map_or_else(|| "(not told)".to_owned(), ToString::to_string)
 }
 
-/// Reads the log, if it is complete.
+/// Reads the log; an error if it is incomplete.
 fn recording(path: &Path, output: &Output) -> Result<Recording, String> {
     if !path.exists() {
         return Err(String::from_utf8_lossy(&output.stderr).into_owned());

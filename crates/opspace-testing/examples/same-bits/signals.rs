@@ -1,7 +1,8 @@
-//! The table of signals that have different names in two builds.
+//! Table of signals whose names differ between two builds.
 //!
-//! One rule per line; the first one that matches counts. Names consist of channel and signal, `tick/hand.force`; one
-//! `*` stands for any text, and in the new name for the same text. Text after `#` is a comment.
+//! Each line contains one rule; the first matching rule applies. Names consist of channel and signal,
+//! `tick/hand.force`. One `*` matches any text; in the new name it stands for the same text. Text after `#` is a
+//! comment.
 //!
 //! ```text
 //! *.weakest_share -> *.min_singular_gain
@@ -10,11 +11,11 @@
 //! (text) is not a finite number -> is no number
 //! ```
 //!
-//! The last kind replaces words in the text of a fault.
+//! The last kind of rule replaces words in the text of a fault.
 
 use std::collections::BTreeSet;
 
-/// The table.
+/// Table of renamed signals.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
     rules: Vec<Rule>,
@@ -46,10 +47,10 @@ pub enum Fate {
 }
 
 impl Table {
-    /// Reads a table.
+    /// Parses a table.
     ///
     /// # Errors
-    /// A line that is no rule of a table.
+    /// A line that is not a valid rule.
     pub fn parse(text: &str) -> Result<Self, String> {
         let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
         let rules = lines.filter(|line| !line.is_empty()).map(rule).collect::<Result<_, _>>()?;
@@ -75,14 +76,14 @@ impl Table {
         self.rules.iter().any(|rule| rule.kind == Kind::New && matched(&rule.new, new).is_some())
     }
 
-    /// Translates a text of the old build into the words of the new one.
+    /// Replaces the words of the old build in a text by those of the new build.
     #[must_use]
     pub fn reworded(&self, old: &str) -> String {
         let rules = self.rules.iter().filter(|rule| rule.kind == Kind::Text);
         rules.fold(old.to_owned(), |text, rule| text.replace(&rule.old, &rule.new))
     }
 
-    /// Returns the lines that match none of these names of the old and the new build.
+    /// Returns the lines that match no name of the old or new build.
     #[must_use]
     pub fn idle(&self, old: &BTreeSet<String>, new: &BTreeSet<String>) -> Vec<&str> {
         let fits = |rule: &&Rule| match rule.kind {
@@ -129,7 +130,7 @@ fn rule(line: &str) -> Result<Rule, String> {
     Ok(rule)
 }
 
-/// Text that the pattern's `*` stands for in this name, empty without a `*`; `None` if the name doesn't match.
+/// Text that the `*` of the pattern matches in a name, empty without a `*`; `None` if the name does not match.
 fn matched<'a>(pattern: &str, name: &'a str) -> Option<&'a str> {
     match pattern.split_once('*') {
         Some((before, after)) => name.strip_prefix(before)?.strip_suffix(after),

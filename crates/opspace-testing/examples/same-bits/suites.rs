@@ -1,31 +1,31 @@
-//! The runs of a suite, with the arguments that `opspace run` takes for each of them.
+//! Runs of a suite, with the arguments of `opspace run` for each of them.
 //!
-//! The suites are read by a separate parser rather than by opspace's own, so that the files of an older checkout can be
-//! read as well. An unknown key is refused, since a setting left out would be one run less that is compared.
+//! A separate parser reads the suites, so that files of older checkouts can be read as well. It rejects unknown keys,
+//! because an ignored setting could mean that a run is not compared.
 
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::path::{Path, PathBuf};
 
-/// Suites, by the names of their files in `tasks/suites/`.
+/// Suites by file name in `tasks/suites/`.
 pub const SUITES: [&str; 7] =
     ["paper", "features", "limits", "singularity", "transformer", "stiffness", "robustness"];
 
 const FOLDER: &str = "tasks/suites";
 
-/// A run of a suite, with the first of its seeds.
+/// Run of a suite, with the first of its seeds.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// Name of the suite.
     pub suite: String,
-    /// Place of the run in the suite, by which two checkouts' runs are paired: the numbers of its entry, and within
-    /// this of task, variant and profile, each from 1.
+    /// Place of the run in the suite, by which the runs of two checkouts are matched: the number of the entry, then
+    /// the numbers of task, variant and profile in it, each from 1.
     pub place: String,
-    /// Task, variant, profile and seed as the suite spells them.
+    /// Task, variant, profile and seed as written in the suite.
     pub spelling: String,
     /// Arguments of `opspace run`, relative to the checkout's folder.
     pub arguments: Vec<String>,
-    /// Number of seeds that the suite has for the run.
+    /// Number of seeds of the run in the suite.
     #[cfg_attr(not(test), expect(dead_code, reason = "only the test counts the runs of a suite"))]
     pub seeds: usize,
 }
@@ -68,10 +68,10 @@ struct Variant {
     overrides: Vec<String>,
 }
 
-/// Lists the runs of a suite of a checkout, in the suite's order.
+/// Lists the runs of a suite of a checkout, in the order of the suite.
 ///
 /// # Errors
-/// A suite file that can't be read, or that has unknown keys.
+/// A suite file that cannot be read, or that has unknown keys.
 pub fn runs(checkout: &Path, suite: &str) -> Result<Vec<Run>, String> {
     let path = checkout.join(FOLDER).join(suite).with_extension("toml");
     let wrong = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
@@ -129,12 +129,12 @@ impl Entry {
     }
 }
 
-/// Converts a path relative to the suite's file into one relative to the checkout's folder.
+/// Converts a path relative to the suite file into a path relative to the checkout.
 fn from_root(path: &Path) -> String {
     Path::new(FOLDER).join(path).display().to_string()
 }
 
-/// Returns each item of the list, or one `None` if it is empty.
+/// Returns the items of the list, or a single `None` if it is empty.
 fn or_none<T: Clone>(list: &[T]) -> Vec<Option<T>> {
     if list.is_empty() { vec![None] } else { list.iter().cloned().map(Some).collect() }
 }

@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-/// First columns of the table's head in DESIGN.md.
+/// Head of the table in DESIGN.md.
 const HEAD: &str = "| crate | used by | why | what it would take to do without |";
 
-/// Compared: the dependencies in Cargo.toml, the workspace's own crates left out, and the rows of the table in DESIGN.md.
+/// Compared: the dependencies in Cargo.toml except the crates of the workspace, and the rows of the table in
+/// DESIGN.md.
 #[test]
 fn every_dependency_has_a_row_in_the_table_of_reasons() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -31,7 +32,7 @@ fn every_dependency_has_a_row_in_the_table_of_reasons() {
     }
 }
 
-/// Cells of the rows of the table.
+/// Cells of the table rows.
 fn rows(design: &str) -> Vec<Vec<&str>> {
     let table = design.lines().skip_while(|line| *line != HEAD).skip(2);
     table

@@ -1,12 +1,13 @@
-//! First lines of doc blocks: an editor shows them alone, so that they are noun phrases or begin with a verb.
+//! First lines of doc blocks: editors show them without the rest, so they must be noun phrases or begin with a verb.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Beginnings of a clause that says nothing without what it stands beside.
+/// First words of clauses that are not understandable without context.
 const CLAUSES: [&str; 6] = ["Of", "What", "Whether", "How", "Where", "The same"];
 
-/// Compared: the first line of each doc block of the crates, tests, benches and examples, and the beginnings of clauses.
+/// Compared: the first line of each doc block of the crates, tests, benches and examples, and the first words of
+/// clauses.
 #[test]
 fn no_doc_block_begins_with_a_clause() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -36,7 +37,7 @@ fn first_lines_are_read() {
     assert!(is_clause("Of a file.") && is_clause("The same, larger.") && !is_clause("Offset, m."));
 }
 
-/// Rust files of a folder and those below it, build output left out.
+/// Rust files of a folder and its subfolders, except build output.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("a source folder") {
         let path = entry.expect("a source file").path();

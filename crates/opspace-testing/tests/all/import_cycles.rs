@@ -1,16 +1,16 @@
 //! No file of a crate imports, directly or through others, a file that imports it.
 //!
-//! Compared: the `use crate::` and `use super::` edges between the files of each crate, tests left out, with a list
-//! without cycles. Excepted are the dynamics' algorithm files of opspace-model, which share one `Model` and one `Data`.
+//! Compared: the `use crate::` and `use super::` edges between the files of each crate, without tests, and a list
+//! without cycles. The dynamics files of opspace-model are excepted, because they share one `Model` and one `Data`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Files whose cycles are allowed, by crate.
+/// Crates in which cycles are allowed.
 const EXCEPTED: [&str; 1] = ["opspace-model"];
 
-/// Module path within a crate: empty for lib.rs.
+/// Module path in a crate; empty for lib.rs.
 type Module = Vec<String>;
 
 #[test]
@@ -81,12 +81,12 @@ fn collect(folder: &Path, module: &mut Module, files: &mut BTreeMap<Module, Path
     }
 }
 
-/// Module in whose file an item is: the longest part of its path that is a module.
+/// Module whose file defines an item: the longest prefix of its path that is a module.
 fn defining(path: &[String], modules: &BTreeSet<Module>) -> Option<Module> {
     (1..=path.len()).rev().map(|length| path[..length].to_vec()).find(|part| modules.contains(part))
 }
 
-/// Paths that a file imports from its crate, from the crate's root on.
+/// Paths that a file imports from its crate, relative to the crate root.
 fn paths(text: &str, module: &[String]) -> Vec<Vec<String>> {
     let code = text.split("#[cfg(test)]\nmod").next().unwrap_or_default();
     let mut found = Vec::new();
@@ -133,8 +133,8 @@ fn flatten(tree: &str, prefix: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
     prefix.truncate(length);
 }
 
-/// Path of an import from the crate's root on; `None` for other crates. A re-export without `crate` is of a child
-/// module.
+/// Path of an import relative to the crate root; `None` for other crates. A re-export without `crate` refers to a
+/// child module.
 fn from_root(path: Vec<String>, module: &[String], exported: bool) -> Option<Vec<String>> {
     let first = path.first()?.as_str();
     let rest = path[1..].to_vec();
@@ -149,7 +149,7 @@ fn from_root(path: Vec<String>, module: &[String], exported: bool) -> Option<Vec
     }
 }
 
-/// Returns a cycle, if there is one, with its first module repeated at the end.
+/// Returns a cycle, if there is one; its first module is repeated at the end.
 fn cycle(imports: &BTreeMap<Module, BTreeSet<Module>>) -> Option<Vec<String>> {
     let mut done = BTreeSet::new();
     imports.keys().find_map(|module| search(module, imports, &mut Vec::new(), &mut done))

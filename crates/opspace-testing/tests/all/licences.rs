@@ -1,14 +1,14 @@
-//! Licences of all crates that are compiled.
+//! Licences of all compiled crates.
 
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
-/// Licence expressions that are allowed, one a line; `#` begins a comment.
+/// Allowed licence expressions, one per line; `#` begins a comment.
 const ALLOWED: &str = include_str!("../../licences.txt");
 
-/// Compared: the licences that the crates declare, of all that is compiled on this platform, and the committed list.
+/// Compared: the licences declared by all crates that are compiled on this platform, and the committed list.
 #[test]
 fn every_crate_has_an_allowed_licence() {
     let allowed: BTreeSet<&str> =
@@ -24,7 +24,7 @@ fn every_crate_has_an_allowed_licence() {
     assert!(refused.is_empty(), "licences that licences.txt does not list:\n{}", refused.join("\n"));
 }
 
-/// Metadata of the workspace and its dependencies on this platform. Without access to the network.
+/// Metadata of the workspace and its dependencies on this platform, read without network access.
 fn metadata() -> Value {
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml");
     let output = Command::new(env!("CARGO"))
@@ -37,7 +37,7 @@ fn metadata() -> Value {
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
-/// Platform that the tests run on, as rustc names it.
+/// Platform on which the tests run, as named by rustc.
 fn host() -> String {
     let output = Command::new(env!("CARGO")).arg("--version").arg("--verbose").output().expect("cargo");
     let text = String::from_utf8(output.stdout).expect("text");

@@ -1,4 +1,4 @@
-//! Rules that the sources and the packages of all crates obey.
+//! Rules for the sources and packages of all crates.
 
 mod dependencies;
 mod doc_lines;

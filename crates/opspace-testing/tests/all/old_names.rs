@@ -1,18 +1,18 @@
-//! Names that were replaced by the field's own: none is in use.
+//! Names that were replaced by standard terms of the field: none may be in use.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Committed list of old names; its head describes the lines.
+/// Committed list of old names; its header describes the format.
 const LIST: &str = include_str!("old-names.txt");
 
-/// Files that must spell old names: the list, the table of renamed keys, the history of changes.
+/// Files that may contain old names: the list, the table of renamed keys, the changelog.
 const EXEMPT: [&str; 4] = ["old-names.txt", "old_names.rs", "renamed.rs", "CHANGELOG.md"];
 
 /// Folders of build output and results.
 const OUTPUT: [&str; 4] = ["target", "runs", ".git", "logs"];
 
-/// Compared: all definitions, file names, keys and words of the project, and the list of old ones.
+/// Compared: all definitions, file names, keys and words of the project, and the list of old names.
 #[test]
 fn no_old_name_is_in_use() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -37,7 +37,7 @@ fn no_old_name_is_in_use() {
     assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
-/// Lists the places of the files at which one line of the list is in use.
+/// Lists the places in the files where the name in a line of the list is in use.
 fn uses(kind: &str, rest: &str, files: &[(String, String)]) -> Vec<String> {
     if kind == "text" {
         return lines(files, |_, line| has_words(&line.to_lowercase(), rest));
@@ -64,7 +64,7 @@ fn uses(kind: &str, rest: &str, files: &[(String, String)]) -> Vec<String> {
     }
 }
 
-/// True if a text has the words, not as parts of longer ones.
+/// True if a text contains the words, and not only as parts of longer words.
 fn has_words(text: &str, words: &str) -> bool {
     let is_letter = |c: char| c.is_alphanumeric() || c == '_';
     text.match_indices(words).any(|(at, _)| {
@@ -73,7 +73,7 @@ fn has_words(text: &str, words: &str) -> bool {
     })
 }
 
-/// Lists the lines that are found, as `file:line`.
+/// Lists the lines for which `is_found` is true, as `file:line`.
 fn lines(files: &[(String, String)], is_found: impl Fn(&str, &str) -> bool) -> Vec<String> {
     let mut found = Vec::new();
     for (file, text) in files {
@@ -85,7 +85,7 @@ fn lines(files: &[(String, String)], is_found: impl Fn(&str, &str) -> bool) -> V
     found
 }
 
-/// True if a line of Rust defines an item, a field or a variant of that name.
+/// True if a line of Rust defines an item, a field or a variant of the given name.
 fn defines(line: &str, name: &str) -> bool {
     let line = line.trim_start();
     if line.starts_with("//") || line.starts_with('#') || line.starts_with('"') {
@@ -102,7 +102,7 @@ fn defines(line: &str, name: &str) -> bool {
     if before.last().is_some_and(|word| ITEMS.contains(word)) {
         return true;
     }
-    // A public field, or a variant on a line of its own.
+    // A public field, or a variant on a separate line.
     let rest =
         line.trim_start_matches("pub ").trim_start_matches("pub(crate) ").trim_start_matches("pub(super) ");
     let Some(after) = rest.strip_prefix(name) else { return false };
@@ -111,7 +111,7 @@ fn defines(line: &str, name: &str) -> bool {
     is_field || is_variant
 }
 
-/// True if a table, whose path ends with `place`, has the key.
+/// True if a table whose path ends with `place` has the key.
 fn has_key(table: &toml::Table, path: &mut Vec<String>, place: &str, name: &str) -> bool {
     let ends: Vec<&str> = place.split('.').collect();
     let is_there = place == "*"
@@ -135,7 +135,7 @@ fn has_key(table: &toml::Table, path: &mut Vec<String>, place: &str, name: &str)
     })
 }
 
-/// Compared: lines that define a name and lines that only use it, classified by hand.
+/// Compared: lines that define a name and lines that only use it, classified manually.
 #[test]
 fn definitions_and_keys_are_read() {
     for line in

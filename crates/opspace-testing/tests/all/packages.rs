@@ -1,4 +1,4 @@
-//! Copies of the project's files in the crates' folders, from which packages are made.
+//! Copies of project files in the folders of the crates, which are needed in their packages.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ fn assert_equal(copy: &Path, original: &Path) {
     assert!(read(copy) == read(original), "{} differs from {}", copy.display(), original.display());
 }
 
-/// Files of a folder and those below it.
+/// Files of a folder and its subfolders.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut all = Vec::new();
     for entry in fs::read_dir(folder).expect("a folder") {
@@ -23,7 +23,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// Compared: the files that `opspace-experiment` embeds, and those of the project.
+/// Compared: the files that `opspace-experiment` embeds, and the original files of the project.
 #[test]
 fn embedded_files_are_those_of_the_project() {
     let embedded = root().join("crates/opspace-experiment/embedded");
@@ -34,13 +34,13 @@ fn embedded_files_are_those_of_the_project() {
     }
 }
 
-/// Compared: the robot of `opspace-model`'s documentation, and the project's.
+/// Compared: the URDF in the documentation of `opspace-model`, and that of the project.
 #[test]
 fn robot_of_the_documentation_is_that_of_the_project() {
     assert_equal(&root().join("crates/opspace-model/urdf/ur5e.urdf"), &root().join("robots/ur5e/ur5e.urdf"));
 }
 
-/// Compared: each crate's licences, and the project's.
+/// Compared: the licences of each crate, and those of the project.
 #[test]
 fn licences_of_the_crates_are_those_of_the_project() {
     let mut crates = 0;

@@ -1,4 +1,4 @@
-//! Public API of each crate, beside the committed lists in `api/`.
+//! Public API of each crate, compared with the committed lists in `api/`.
 
 use public_api::Builder;
 use std::fs;
@@ -6,13 +6,13 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Environment variable that makes the test write the lists in place of comparing them.
+/// Environment variable that makes the test write the lists instead of comparing them.
 const WRITE: &str = "OPSPACE_WRITE_API";
-/// Most differing lines in a message.
+/// Maximum number of differing lines in a message.
 const SHOWN: usize = 20;
 
-/// Compared: the public items of each crate by rustdoc's JSON, derived and automatic implementations left out, and the
-/// committed lists. All features are on.
+/// Compared: the public items of each crate according to rustdoc's JSON, without derived and automatic
+/// implementations, and the committed lists. All features are enabled.
 #[test]
 #[ignore = "documents the whole workspace; .ci/run does"]
 fn public_items_are_those_of_the_committed_lists() {
@@ -36,11 +36,11 @@ fn public_items_are_those_of_the_committed_lists() {
     assert!(differences.is_empty(), "{}\n{}", differences.join("\n"), REMEDY);
 }
 
-/// Text below the differences.
+/// Text after the differences.
 const REMEDY: &str = "If this is meant, write the lists anew and tell callers in CHANGELOG.md: \
      OPSPACE_WRITE_API=1 cargo test -p opspace-testing --test all public_api -- --ignored";
 
-/// Returns the differing lines of two lists: `-` is gone, `+` is new.
+/// Returns the differing lines of two lists: `-` was removed, `+` was added.
 fn compared(name: &str, committed: &str, items: &str) -> Vec<String> {
     let only = |sign: &str, these: &str, those: &str| -> Vec<String> {
         let those: std::collections::HashSet<&str> = those.lines().collect();
@@ -56,7 +56,7 @@ fn compared(name: &str, committed: &str, items: &str) -> Vec<String> {
     all
 }
 
-/// Names of the crates that are published.
+/// Names of the published crates.
 fn crates(root: &Path) -> Vec<String> {
     let folders = fs::read_dir(root.join("crates")).expect("a folder");
     let mut names: Vec<String> = folders
@@ -67,10 +67,10 @@ fn crates(root: &Path) -> Vec<String> {
     names
 }
 
-/// Documents all published crates as JSON. Returns the folder of the files.
+/// Documents all published crates as JSON and returns the folder of the files.
 ///
-/// rustdoc alone sees `RUSTC_BOOTSTRAP`, which lets a stable one write JSON: build scripts that saw it would have all
-/// crates compiled anew.
+/// Only rustdoc gets `RUSTC_BOOTSTRAP`, with which a stable version can write JSON. If build scripts got it too, all
+/// crates would be recompiled.
 fn document(root: &Path, scratch: &Path) -> PathBuf {
     let rustdoc = scratch.join("rustdoc");
     fs::write(&rustdoc, "#!/bin/sh\nRUSTC_BOOTSTRAP=1 exec rustdoc \"$@\"\n").expect("a script");
@@ -91,7 +91,7 @@ fn document(root: &Path, scratch: &Path) -> PathBuf {
         .status()
         .expect("cargo");
     assert!(status.success(), "cargo doc failed");
-    // Beside the tests' own folder `debug/deps`.
+    // Next to the folder `debug/deps`, which contains the tests.
     let test = std::env::current_exe().expect("this program");
     test.ancestors().nth(3).expect("the target folder").join("doc")
 }
@@ -107,7 +107,7 @@ fn public_items(json: &Path) -> String {
     api.to_string()
 }
 
-/// Compared: lists that differ in one line each way.
+/// Compared: lists that differ by one removed and one added line.
 #[test]
 fn differing_items_are_shown() {
     let found = compared("a", "pub fn a::x()\npub fn a::y()\n", "pub fn a::y()\npub fn a::z()\n");

@@ -1,10 +1,10 @@
-//! A driver of an arm whose joints approach their position setpoints with a time constant.
+//! Driver of an arm whose joints approach their position setpoints with a time constant.
 
 use opspace_backend::{
     Backend, Capabilities, Command, CommandKind, DeviceFault, Driver, DriverError, Sample, Settings,
 };
 
-/// A driver that opens the arm: `[driver]` has its `name`, the `time_constant_s`, and optionally `fails_after_s`.
+/// Driver of the arm; `[driver]` contains its `name`, `time_constant_s`, and optionally `fails_after_s`.
 pub struct LaggingArmDriver;
 
 impl Driver for LaggingArmDriver {

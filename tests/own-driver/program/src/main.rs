@@ -1,4 +1,4 @@
-//! The whole command line of opspace, with a driver of one's own.
+//! The complete command line of opspace with an additional driver.
 
 use lagging_arm::LaggingArmDriver;
 use opspace_cli::{Extensions, main_with};

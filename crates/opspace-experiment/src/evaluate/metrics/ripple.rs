@@ -1,15 +1,15 @@
-//! The ripple that a held setpoint leaves on a servo's torque: no transformer can remove it.
+//! Torque ripple of a servo that is caused by a held setpoint; no transformer can remove it.
 //!
-//! A servo of the position stiffness k = kv kp that moves at the speed v under a setpoint held for R servo ticks
-//! produces, besides the mean of the interval, the torque
+//! A servo with position stiffness k = kv kp that moves at speed v while the setpoint is held for R servo ticks
+//! produces, in addition to the mean torque of the interval, the torque
 //!
 //! ```text
 //! e_j = −k v Ts (j − (R−1)/2)        j = 0 .. R−1        rms  k |v| Ts √((R²−1)/12)
 //! ```
 //!
-//! The motor's current loop, a first-order lag of f_c, turns it into x_{j+1} = e_j + ρ (x_j − e_j) with ρ = exp(−2π f_c
-//! Ts), and its mean over a servo period is m_j = e_j + μ (x_j − e_j) with μ = (1 − ρ)/(2π f_c Ts). Periodic in R,
-//! these are
+//! The current loop of the motor, a first-order lag with cutoff frequency f_c, changes it to x_{j+1} = e_j + ρ (x_j −
+//! e_j) with ρ = exp(−2π f_c Ts). Its mean over a servo period is m_j = e_j + μ (x_j − e_j) with μ = (1 − ρ)/(2π f_c
+//! Ts). The solution with period R is
 //!
 //! ```text
 //! m_j = −k v Ts [j − (R−1)/2 − 1/(2π f_c Ts) + R μ ρʲ/(1 − ρᴿ)]
@@ -17,8 +17,8 @@
 
 use std::f64::consts::TAU;
 
-/// Rms of the ripple over servo periods for each Nm/rad of stiffness and rad/s of speed, s: the bracket's rms times Ts.
-/// Without `current_loop_hz` the motor follows without lag.
+/// Rms of the ripple over servo periods per stiffness (Nm/rad) and speed (rad/s), s: the rms of the bracket times Ts.
+/// Without `current_loop_hz` the motor has no lag.
 pub(super) fn of_held_setpoint(ratio: u32, servo_period_s: f64, current_loop_hz: Option<f64>) -> f64 {
     let (ticks, middle) = (f64::from(ratio), 0.5 * f64::from(ratio - 1));
     let lag = |tick: f64| {
@@ -39,8 +39,8 @@ mod tests {
 
     const SERVO_PERIOD_S: f64 = 2e-4;
 
-    /// Compared: the closed form, and the simulation's own motor in ten steps a servo period once its start has
-    /// decayed.
+    /// Compared: the closed form, and the motor of the simulation with ten steps per servo period, after its initial
+    /// transient.
     #[test]
     fn current_loop_smooths_ripple() {
         const ROUNDING: f64 = 1e-12;
