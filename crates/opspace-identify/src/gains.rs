@@ -186,12 +186,13 @@ fn beyond(logarithm: f64, likely: f64, within: f64) -> f64 {
     (logarithm - likely.ln()) / within.ln()
 }
 
-/// Position and torque responses at all excited frequencies of all amplitude levels; empty without measured torque.
+/// Returns pairs of position and torque responses at all excited frequencies of all amplitude levels; empty without
+/// measured torque.
 fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
     levels.iter().flat_map(|level| level.position.iter().zip(level.torque.iter().flatten()))
 }
 
-/// Returns initial gains, with a continuous-time model and h the response of hold and delay:
+/// Returns initial gains from a continuous-time model, with h the delay of the setpoint plus half an interval:
 /// `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
 fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     let low = |hz: f64| hz * rates.period_s() < 0.15;

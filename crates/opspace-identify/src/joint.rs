@@ -184,7 +184,7 @@ impl Joint<'_, '_> {
         (TRAVEL_USED * self.room()).min(FURTHEST)
     }
 
-    /// Torque available for the motion in addition to the holding torque, Nm (N).
+    /// Largest torque used for a motion, in addition to the holding torque, Nm (N).
     fn spare_torque(&self) -> f64 {
         let holds = self.session.torque(self.known.joint).unwrap_or(0.0).abs();
         TORQUE_USED * (self.known.torque_limit - holds).max(0.0)

@@ -17,7 +17,7 @@ pub struct LoopConfig {
     pub controller: Box<dyn Controller>,
     /// Transformer: computes the robot's commands from torques.
     pub transformer: Box<dyn Transformer>,
-    /// Gains of the servos of a position or velocity robot (n); not used for a torque robot.
+    /// Equivalent gains of the servos of a position or velocity robot (n); not used for a torque robot.
     pub servo_gains: Vec<ServoGains>,
     /// Velocity estimator, for a robot that measures positions only.
     pub estimator: EstimatorParameters,

@@ -51,7 +51,7 @@ pub struct ArmConfig {
 /// Configuration of a simulation.
 #[derive(Clone, Debug, Default)]
 pub struct SimulationConfig {
-    /// The arms.
+    /// Arms, in the order of their indices.
     pub arms: Vec<ArmConfig>,
     /// Springs between arms.
     pub couplings: Vec<CouplingConfig>,
@@ -175,7 +175,7 @@ impl ArmConfig {
         &self.model.joints()[joint].name
     }
 
-    /// Friction of a joint in the plant.
+    /// True friction of a joint in the plant.
     fn true_friction(&self, joint: usize) -> &FrictionParameters {
         self.simulated.friction.get(self.name(joint)).unwrap_or(&self.joints[joint].friction)
     }

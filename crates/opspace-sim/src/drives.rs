@@ -41,7 +41,7 @@ enum Mode {
     Torque,
 }
 
-/// A joint's servo with its state.
+/// Servo of a joint, with its state.
 #[derive(Clone, Debug)]
 struct Servo {
     law: ServoLaw,
@@ -90,7 +90,7 @@ impl Active {
     }
 }
 
-/// A command on its way to the drives.
+/// Command that has not taken effect yet.
 #[derive(Clone, Debug)]
 struct Pending {
     acts_at: Option<u64>,
@@ -122,7 +122,7 @@ impl IntervalMean {
     }
 }
 
-/// The parts of [`Drives`].
+/// Parts of [`Drives`].
 pub(crate) struct DrivesConfig {
     pub takes: CommandKind,
     pub has_brakes: bool,
@@ -195,8 +195,8 @@ impl Drives {
         self.send(acts_at);
     }
 
-    /// Accepts a hold command. Brakes and servos hold the arm at once; a resulting setpoint acts at the servo tick
-    /// `acts_at`. `q` is the true position (n; rad, m).
+    /// Accepts a hold command. Brakes, or the servos of a torque robot, hold the arm at once; other robots get a
+    /// setpoint that acts at the servo tick `acts_at`. `q` is the true position (n; rad, m).
     pub fn hold(&mut self, q: &[f64], acts_at: u64) {
         self.commands += 1;
         if self.takes == CommandKind::Torque || self.has_brakes_in_use() {
@@ -246,7 +246,7 @@ impl Drives {
         self.drivetrains.iter_mut().zip(q).for_each(|(joint, &q)| joint.engage_brake(q));
     }
 
-    /// Sends the last values to the drives.
+    /// Queues the last values as a command that acts at `acts_at`.
     fn send(&mut self, acts_at: u64) {
         // The delay is at most one interface period and the jitter less than one, so at most two commands are pending.
         let free = self.pending.iter().position(|pending| pending.acts_at.is_none());

@@ -28,8 +28,8 @@ impl Drivetrain {
         Self { motor, friction, end_stop, brake, encoder, motor_torque: 0.0, joint_torque: 0.0 }
     }
 
-    /// Returns the torque on the link (Nm), constant over the next `dt_s` (s), at position `q` (rad) and velocity `dq`
-    /// (rad/s); `commanded` (Nm) is the input of the current loop.
+    /// Returns the torque on the link (Nm, N), constant over the next `dt_s` (s), at position `q` (rad, m) and velocity
+    /// `dq` (rad/s, m/s); `commanded` (Nm, N) is the input of the current loop.
     pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
         let motor = self.motor.step(commanded);
         let friction = self.friction.step(dq, dt_s);
@@ -39,25 +39,25 @@ impl Drivetrain {
         self.joint_torque
     }
 
-    /// Motor torque at the joint, mean over the last step, Nm.
+    /// Mean motor torque at the joint over the last step, Nm or N.
     #[must_use]
     pub fn motor_torque(&self) -> f64 {
         self.motor_torque
     }
 
-    /// Torque on the link during the last step, Nm.
+    /// Torque on the link during the last step, Nm or N.
     #[must_use]
     pub fn joint_torque(&self) -> f64 {
         self.joint_torque
     }
 
-    /// Returns the encoder reading (rad) at position `q` (rad).
+    /// Returns the encoder reading at position `q` (rad, m).
     #[must_use]
     pub fn read_encoder(&self, q: f64) -> f64 {
         self.encoder.read(q)
     }
 
-    /// Engages the brake at position `q` (rad). A brake that is already engaged keeps its position.
+    /// Engages the brake at position `q` (rad, m). A brake that is already engaged keeps its position.
     pub fn engage_brake(&mut self, q: f64) {
         self.brake.engaged_at.get_or_insert(q);
     }

@@ -24,7 +24,7 @@ pub enum SimulationError {
     Joint {
         /// Key of `[simulated]`.
         section: &'static str,
-        /// Name asked for, and the model's joints.
+        /// Unknown name, and the model's joints.
         source: UnknownJoint,
     },
     /// Invalid servo.
@@ -135,7 +135,7 @@ pub enum SimulationError {
     SensorFrame {
         /// Name of the sensor.
         sensor: String,
-        /// Name asked for, and the model's frames.
+        /// Unknown name, and the model's frames.
         source: UnknownFrame,
     },
     /// Object of the environment on a frame that the robot does not have.
@@ -143,7 +143,7 @@ pub enum SimulationError {
     Frame {
         /// Name of the object.
         object: String,
-        /// Name asked for, and the model's frames.
+        /// Unknown name, and the model's frames.
         source: UnknownFrame,
     },
     /// Band from a higher to a lower frequency.

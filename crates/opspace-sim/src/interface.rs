@@ -21,7 +21,7 @@ use std::ops::Range;
 /// Number of consecutive lost cycles, in addition to dropouts, for whose rows memory is preallocated.
 const LOST_CYCLES: usize = 64;
 
-/// An arm of a simulation without its rigid bodies.
+/// Arm of a simulation, without its rigid bodies.
 pub(crate) struct ArmInterface {
     pub timing: Timing,
     pub rows: TruthRows,

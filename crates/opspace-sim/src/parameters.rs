@@ -18,7 +18,7 @@ pub struct SimulatedParameters {
     pub physics_hz: Positive,
     /// Bandwidth of the motors' first-order current loop, Hz; no lag if absent.
     pub current_loop_hz: Option<Positive>,
-    /// Rms noise of the measured motor torque, Nm.
+    /// Rms noise of the measured motor torque, Nm (N).
     #[serde(default)]
     pub torque_noise_nm: NonNegative,
     /// True if positions are rounded to whole encoder counts.
@@ -66,11 +66,11 @@ const fn yes() -> bool {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BristleParameters {
-    /// Stiffness σ₀, Nm/rad.
+    /// Stiffness σ₀, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// Damping σ₁ at rest, Nms/rad.
+    /// Damping σ₁ at rest, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
-    /// Speed over which σ₁ decreases, rad/s.
+    /// Speed over which σ₁ decreases, rad/s (m/s).
     pub damping_fade_velocity_rad_per_s: Positive,
 }
 
@@ -79,9 +79,9 @@ pub struct BristleParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EndStopParameters {
-    /// Stiffness, Nm/rad.
+    /// Stiffness, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// Damping, Nms/rad, while in the stop.
+    /// Damping while in the stop, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
 }
 
@@ -92,9 +92,9 @@ pub struct EndStopParameters {
 pub struct BrakeParameters {
     /// Torque at which it slips, as a multiple of the joint's torque limit.
     pub holding_torque_ratio: Positive,
-    /// Stiffness, Nm/rad.
+    /// Stiffness, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// Damping, Nms/rad.
+    /// Damping, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
 }
 

@@ -10,9 +10,9 @@ pub enum RngStream {
     MotorTorque,
     /// Losses and delays of the bus.
     Bus,
-    /// A force sensor, by its index.
+    /// Force sensor, by its index.
     ForceSensor(u32),
-    /// An object of the environment, by its index in the order of names.
+    /// Environment object, by its index in the order of names.
     EnvironmentObject(u32),
 }
 

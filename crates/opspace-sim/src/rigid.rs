@@ -19,7 +19,7 @@ pub struct RigidPlant {
     dq: DVector<f64>,
 }
 
-/// An arm, and the forces on it.
+/// Arm, and the forces on it.
 struct RigidArm {
     model: Model,
     data: Data,
@@ -39,14 +39,14 @@ struct PointForce {
     force: Vector3<f64>,
 }
 
-/// The external force, and its wrench during the last step.
+/// External force, and its wrench during the last step.
 struct External {
     set: Option<ExternalForce>,
     jacobian: Matrix6xX<f64>,
     wrench: Force,
 }
 
-/// A spring between two arms.
+/// Spring between two arms.
 struct Coupling {
     parameters: PlantCoupling,
     /// Indices of its forces in the contact lists of the two arms.

@@ -49,8 +49,8 @@ const fn default_smoothing() -> Positive {
     Positive::literal(0.05)
 }
 
-/// Friction compensation n̂ of equation (K11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
-/// backend, for position and torque robots alike.
+/// Friction compensation n̂ of equation (K11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. It is applied once, before
+/// the backend, for all kinds of robot.
 #[derive(Clone, Debug)]
 pub struct FrictionCompensation {
     coulomb: DVector<f64>,
@@ -89,7 +89,7 @@ impl FrictionCompensation {
         Self { coulomb: zero.clone(), viscous: zero, smoothing: default_smoothing().get() }
     }
 
-    /// Friction torque n̂ of one joint at the velocity `dq`, Nm (N).
+    /// Friction torque n̂ of one joint (Nm, N) at the velocity `dq` (rad/s, m/s).
     #[inline]
     #[must_use]
     pub fn torque(&self, joint: usize, dq: f64) -> f64 {

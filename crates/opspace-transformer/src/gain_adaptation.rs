@@ -26,8 +26,7 @@ const UNCERTAIN: f64 = 0.1;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GainAdaptationParameters {
-    /// Time constant of the adaptation, s: the time over which gains may change by a tenth. Older measurements count
-    /// less.
+    /// Time over which the gains may change by a tenth, s. Older measurements count less.
     pub time_s: Positive,
     /// Largest relative deviation of the gains from the nominal ones, between 0 and 1.
     pub max_relative_change: Share,

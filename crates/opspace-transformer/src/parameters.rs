@@ -74,7 +74,7 @@ pub struct ProfileParameters {
     /// `servo_ticks_per_cycle`. Absent if unknown.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
-    /// Method that converts torques to positions or velocities; if absent, the best for the robot's declared
+    /// Transformer that converts torques to positions or velocities; if absent, the best one for the robot's declared
     /// properties.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,

@@ -268,7 +268,7 @@ impl ServoLaw {
         (memory, position * there + torque * further)
     }
 
-    /// Frequency response: torque per unit of setpoint and per unit of position, for z = exp(jωTs).
+    /// Frequency response: torque per unit of setpoint and torque per unit of position, for z = exp(jωTs).
     #[must_use]
     pub fn response(&self, z: Complex<f64>) -> [Complex<f64>; 2] {
         let n = self.order;

@@ -104,7 +104,7 @@ impl TransformerKind {
         place.map(|place| Self::ALL[place])
     }
 
-    /// Description in one line.
+    /// One-line description.
     #[must_use]
     pub fn description(self) -> &'static str {
         if self.current {
@@ -133,7 +133,7 @@ impl TransformerKind {
     }
 
     /// Returns the best transformer for a robot with these declared properties, and the reason. Emulation needs a known
-    /// delay; without one, the paper's transformer is the least sensitive to it.
+    /// delay; if the delay is unknown, the paper's transformer is returned, which works with any delay.
     #[must_use]
     pub fn best(setpoints: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
         let Some(delay) = delay_servo_ticks else {

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 
 /// Period whose multiples, also added to whole seconds, are exact floats, s.
 const PERIOD_S: f64 = 1.0 / 1024.0;
-/// Cycle before which others are missed.
+/// Cycle before which cycles are missed.
 const AFTER: u64 = 100;
 /// Cycle in which the second script faults.
 const WRONG: u64 = 250;

@@ -9,7 +9,7 @@ use opspace_loop::{Fault, Phase, RunOutcome};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
-/// The cycle of the fault, counted from the first read.
+/// Cycle of the fault, counted from the first read.
 const WRONG: u64 = 60;
 /// Code of device faults in the rows.
 const CODE: f64 = 17.0;

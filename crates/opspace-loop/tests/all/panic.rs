@@ -9,9 +9,9 @@ use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
 use std::panic::{set_hook, take_hook};
 use std::sync::Once;
 
-/// The cycle of the panic, counted from the first read.
+/// Cycle of the panic, counted from the first read.
 const WRONG: u64 = 60;
-/// The message of panics that a test causes.
+/// Message of the panics that a test causes.
 const SCRIPTED: &str = "scripted panic";
 /// Rounding of sums of times, s.
 const ROUNDING: f64 = 1e-9;

@@ -11,7 +11,7 @@ use nalgebra::DVector;
 use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, Phase};
 
-/// The cycle in which the scripts go wrong, counted from the first read.
+/// Cycle in which the scripted fault begins, counted from the first read.
 const WRONG: u64 = 60;
 /// Planned duration, s.
 const DURATION_S: f64 = 0.2;

@@ -22,7 +22,7 @@ const SETTLED: f64 = 1e-3;
 /// Displacement, as a multiple of the initial one, that only an unstable loop reaches.
 const GONE: f64 = 1e3;
 
-/// A velocity drive and its interface.
+/// Velocity drive and its interface.
 #[derive(Clone, Copy, Debug)]
 struct Case {
     /// Ratio of the velocity loop's bandwidth to the servo rate.
