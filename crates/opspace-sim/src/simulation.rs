@@ -2,9 +2,9 @@
 //!
 //! The rate of the clock is the least common multiple of the servo rates. Reading an arm advances the simulation to
 //! that arm's next interface cycle that the bus does not lose, and no further. If arms are read in the order of their
-//! [next samples](crate::SimulatedArm::next_sample_s), no command is late, and arms with samples at the same time may
-//! be read in either order. If the simulation passes a cycle of an arm before the arm is read, the cycle is lost, as on
-//! a bus; its rows are kept until the arm is read or dropped.
+//! [next samples](crate::SimulatedArm::next_sample_s), every command arrives in time, and arms with samples at the same
+//! time may be read in either order. If the simulation passes a cycle of an arm before the arm is read, the cycle is
+//! lost, as on a bus; its rows are kept until the arm is read or dropped.
 
 use crate::config::{CouplingConfig, SimulationConfig};
 use crate::error::SimulationError;
