@@ -1,5 +1,5 @@
-//! A robot whose handle borrows and belongs to one thread, as vendors' handles do: nothing asks for `Send` or
-//! `'static`.
+//! A robot whose handle borrows data and is bound to one thread, like the handles of some vendors' libraries: neither
+//! `Send` nor `'static` is required.
 //!
 //! `cargo run --release -p opspace --example borrowed_handle` writes to `runs/borrowed_handle`.
 
@@ -14,13 +14,13 @@ use opspace::sim::SimulatedArm;
 use std::cell::Cell;
 use std::rc::Rc;
 
-/// A vendor's library: what it opens lives in this function's frame.
+/// Vendor's library, which is owned by a function's frame.
 struct Library {
     arm: SimulatedArm,
     writes: Rc<Cell<u64>>,
 }
 
-/// A handle that borrows the library. It is not `Send`, since the counter is not.
+/// Handle that borrows the library. It is not `Send`, because its counter is not.
 struct Handle<'a> {
     library: &'a mut Library,
 }

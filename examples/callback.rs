@@ -1,4 +1,4 @@
-//! A robot that calls back: its own loop asks for a command once per cycle, and gets the same log, summary and outcome.
+//! A robot with a callback: its own loop requests a command once per cycle. Log, summary and outcome are the same.
 //!
 //! `cargo run --release -p opspace --example callback` writes to `runs/callback`.
 
@@ -11,14 +11,14 @@ use opspace::backend::{Backend, Command, CommandKind, Sample};
 use opspace::experiment::{Experiment, Files, Progress, RunOptions};
 use opspace::sim::SimulatedArm;
 
-/// A vendor's loop: it owns the timing, and calls back until a callback returns nothing.
+/// Vendor's loop: it controls the timing, and calls the callback until the callback returns `None`.
 fn control(arm: &mut SimulatedArm, mut callback: impl FnMut(&Sample) -> Option<Vec<f64>>) {
     let mut sample = Sample::new(arm.capabilities());
     while arm.read(&mut sample).is_ok() {
         match callback(&sample) {
             Some(torque) => arm.write(Command::Torque(&torque)).expect("the arm accepts torques"),
             None if sample.time_s > 0.0 => break,
-            // Before control it holds itself.
+            // Before control the robot holds itself.
             None => {}
         }
     }

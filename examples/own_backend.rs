@@ -1,4 +1,4 @@
-//! A robot of one's own, run through a task file: an arm that takes torques, here a model integrated by Euler's method.
+//! User-defined backend, run with a task file: an arm that accepts torques, here a model integrated by Euler's method.
 //!
 //! `cargo run --release -p opspace --example own_backend` writes log, summary and report to `runs/own_backend`.
 
@@ -27,7 +27,7 @@ impl Backend for Arm {
     fn read(&mut self, sample: &mut Sample) -> Result<(), DeviceFault> {
         let period_s = self.capabilities.period_s;
         self.time_s += period_s;
-        // Without a torque the brakes hold it.
+        // Without a torque command the brakes hold the arm.
         if let Some(torque) = &self.torque {
             aba(&self.model, &mut self.data, torque);
             let dq = &self.data.dq + &self.data.ddq * period_s;

@@ -1,4 +1,4 @@
-//! A task of one's own: the distance of a frame to a point, as a kind in task files.
+//! User-defined task: the distance of a frame to a point, as a kind of task in task files.
 //!
 //! `cargo run --release -p opspace --example own_task` writes to `runs/own_task`.
 
@@ -15,8 +15,8 @@ use opspace::model::{
 };
 use serde::Deserialize;
 
-/// d = |x − p|, the distance of a frame's origin x to a point p, m. With n = (x − p)/d, and v and a of x:
-/// ḋ = n · v, d̈ = n · a + |v − (n · v) n|²/d.
+/// Distance d = |x − p| of a frame's origin x to a point p, m. With n = (x − p)/d, and v and a the velocity and
+/// acceleration of x: ḋ = n · v, d̈ = n · a + |v − (n · v) n|²/d.
 struct Distance {
     frame: FrameId,
     point: Vector3<f64>,
@@ -37,7 +37,7 @@ impl Coordinate for Distance {
 
     fn jacobian(&self, model: &Model, data: &Data, rows: &mut Matrix6xX<f64>) {
         let (n, _) = self.direction_and_length(model, data);
-        // J of the frame has its linear rows first: n · J_v is the row of ∂d/∂q.
+        // The first three rows of the frame's Jacobian are linear: n · J_v is the row ∂d/∂q.
         frame_jacobian(model, data, self.frame, rows);
         for mut column in rows.column_iter_mut() {
             let by_joint = n.dot(&column.fixed_rows::<3>(0));
@@ -57,7 +57,7 @@ impl Coordinate for Distance {
     }
 }
 
-/// Parameters of `[task.NAME.distance]` in a file.
+/// Parameters `[task.NAME.distance]` of a task file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DistanceParameters {

@@ -1,5 +1,5 @@
-//! A task that panics while the robot moves: the robot is stopped, log and report are complete up to the panic and say
-//! so, and the log replays.
+//! A task that panics while the robot moves: the robot is stopped, log and report are complete up to the panic and
+//! mention it, and the log can be replayed.
 //!
 //! `cargo run --release -p opspace --example panic_in_a_task` writes to `runs/panic_in_a_task`.
 
@@ -16,8 +16,8 @@ use opspace::log::{OutcomeRecord, Recording};
 use opspace::model::{Data, Model};
 use serde::Deserialize;
 
-/// The angle of a joint, corrected by a table with an entry for each tenth of a radian. Its author forgot that angles
-/// go beyond the table's end.
+/// Angle of a joint, corrected by a table with one entry per tenth of a radian. Its bug: angles beyond the end of the
+/// table are not handled.
 struct CorrectedAngle {
     joint: usize,
     corrections_rad: [f64; 8],
@@ -43,7 +43,7 @@ impl Coordinate for CorrectedAngle {
     }
 }
 
-/// Parameters of `[task.NAME.corrected-angle]` in a file.
+/// Parameters `[task.NAME.corrected-angle]` of a task file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CorrectedAngleParameters {
@@ -68,7 +68,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     common::record("panic_in_a_task", &experiment, |log| {
         experiment.run_on(&mut arm, log, &Progress::default())
     })?;
-    // It was stopped where it was: it comes to rest and is held.
+    // After the stop the robot comes to rest and is held.
     let mut sample = Sample::new(arm.capabilities());
     for _ in 0..300 {
         arm.read(&mut sample)?;

@@ -1,4 +1,4 @@
-//! Reading a log: the rows of a channel by name, the outcome, and the files that it was made from.
+//! Reads a log: rows of a channel by name, the outcome, and the files from which the run was made.
 //!
 //! `cargo run --release -p opspace --example read_a_log -- [LOG]`; without LOG it records a run first.
 

@@ -1,4 +1,4 @@
-//! The README's picture: desired and motor torque of a joint, and the motion of a hand that an operator pushes.
+//! Picture of the README: desired and motor torque of a joint, and motion of a hand that an operator pushes.
 //!
 //! `cargo run --release -p opspace --example readme_picture -- [SVG]` draws `runs/readme_picture/compliant-x.svg`, or
 //! the file SVG; the README shows the copy in `docs/`.
@@ -20,7 +20,7 @@ type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// A line of a panel: label, colour, width in pixels, and points (s; Nm or mm).
 type Line = (&'static str, RGBColor, u32, Vec<(f64, f64)>);
 
-/// Width and height of the canvas, in pixels: twice those of the page, since coordinates are rounded to pixels.
+/// Width and height of the canvas, in pixels: twice the displayed size, because coordinates are rounded to pixels.
 const SIZE: (u32, u32) = (1440, 1300);
 /// Part of the run that is shown, s.
 const SHOWN_S: Range<f64> = 2.0..8.0;
@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let recording = Recording::read("runs/readme_picture/run.mcap")?;
     let tick = recording.tick()?;
     let column = |signal: &str| tick.signal(signal).ok_or(format!("no signal {signal}"));
-    // Samples of a signal's element relative to an origin, scaled.
+    // Samples of a signal's element, relative to an origin and scaled.
     let curve = |signal: &str, element: usize, origin: f64, scale: f64| -> Result<Vec<_>, String> {
         let column = column(signal)?;
         let shown = tick.time_s.iter().zip(column.rows()).filter(|(t, _)| SHOWN_S.contains(t));

@@ -1,4 +1,4 @@
-//! Cartesian targets from another thread, 100 in a second, with a pause in which they become stale.
+//! Cartesian targets from another thread at 100 Hz, with a pause in which they become stale.
 //!
 //! `cargo run --release -p opspace --example streamed_targets` runs for 4 s of real time, writes to
 //! `runs/streamed_targets`, and replays it: targets are logged inputs.
@@ -18,7 +18,7 @@ use opspace::sim::SimulatedArm;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A simulated arm that keeps to real time, as a robot does.
+/// Simulated arm that runs in real time, as a robot does.
 struct Paced(SimulatedArm, Instant);
 
 impl Backend for Paced {
@@ -46,7 +46,7 @@ impl Backend for Paced {
     }
 }
 
-/// Streams a circle of 5 cm about `centre`, and pauses between 1.5 and 2.5 s.
+/// Streams a circle of 5 cm about `centre` (m), with a pause from 1.5 to 2.5 s.
 fn stream(mut sender: TargetSender, centre: [f64; 3]) {
     let mut target =
         CartesianTarget::of(sender.targets(), "hand").expect("the hand has a streamed reference");
@@ -58,7 +58,7 @@ fn stream(mut sender: TargetSender, centre: [f64; 3]) {
             let position = [centre[0], centre[1] + 0.05 * sin, centre[2] + 0.05 * (1.0 - cos)];
             target.position(position).expect("a finite position");
             target.twist([0.0, 0.1 * cos, 0.1 * sin, 0.0, 0.0, 0.0]).expect("a finite velocity");
-            // A ring that is full drops a target; the next one comes soon.
+            // If the ring is full, this target is dropped; the next one follows soon.
             let _ = sender.send(target.task(), &target.inputs());
         }
         thread::sleep(Duration::from_millis(10));

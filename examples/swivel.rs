@@ -1,4 +1,4 @@
-//! The swivel angle of an elbow, in the freedom that a hand's pose leaves.
+//! Swivel angle of an elbow, in the null space of a hand's pose.
 //!
 //! `cargo run --release -p opspace --example swivel` writes to `runs/swivel`.
 

@@ -1,5 +1,5 @@
-//! Two arms in one simulation, on one clock: the joints of the second follow those of the first, 20 ms late, with
-//! jitter and loss, while an elastic band pulls at both hands. Each log is replayed alone.
+//! Two arms in one simulation, on one clock. The joints of the second follow those of the first with a delay of 20 ms,
+//! jitter and loss, while an elastic band pulls both hands. Each log is replayed alone.
 //!
 //! `cargo run --release -p opspace --example two_arms` writes to `runs/leader` and `runs/follower`.
 
@@ -16,7 +16,7 @@ use opspace::log::Recording;
 use opspace::model::Placement;
 use opspace::sim::{ArmConfig, CouplingConfig, Simulation, SimulationConfig};
 
-/// Distance of the second arm's base from the first's, m.
+/// Distance between the bases of the two arms, m.
 const APART_M: f64 = 0.6;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let leader = load("tasks/joint-tracking.toml")?;
     let follower = load("examples/tasks/follower.toml")?;
 
-    // One plant with both arms, beside each other, and a band from hand to hand.
+    // One plant with both arms side by side, and a band from hand to hand.
     let placement = Placement::from_rpy([0.0; 3], [0.0, APART_M, 0.0]);
     let band = CouplingConfig {
         name: "band".to_owned(),

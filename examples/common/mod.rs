@@ -1,4 +1,4 @@
-//! Common parts of the examples: a run into a folder, its replay, and a line about both.
+//! Common parts of the examples: recording of a run to a folder, its replay, and a summary line.
 
 use opspace::experiment::run::replay::replay;
 use opspace::experiment::{Experiment, RunError, RunResult};
@@ -8,7 +8,7 @@ use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::Path;
 
-/// Runs into `runs/NAME`, with log, summary and report, and replays the log.
+/// Runs an experiment with log, summary and report in `runs/NAME`, and replays the log.
 pub fn record(
     name: &str,
     experiment: &Experiment,

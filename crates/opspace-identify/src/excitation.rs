@@ -1,28 +1,29 @@
 //! Odd random-phase multisines for the excitation of a joint.
 //!
-//! Lines are odd multiples of one over the period, spread evenly over the logarithm of frequency. The output of an even
-//! nonlinearity is at even lines, that of an odd one (friction) also at odd lines that were left out: both are
-//! detected, and neither is taken for the linear response at the cost of a bias that changes with the phases.
+//! Lines are odd multiples of the inverse period, evenly spaced on a logarithmic frequency axis. Even nonlinearities
+//! produce output at even lines, odd ones (friction) also at odd lines that are not excited. Both are thus detected,
+//! and do not appear as a bias of the linear response that depends on the phases.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
-/// Number of draws of the phases; those whose signal has the lowest peak are kept.
+/// Number of draws of the phases; the draw with the lowest peak is used.
 const DRAWS: usize = 12;
 
-/// Period of a periodic setpoint, sampled at the interface.
+/// One period of a periodic setpoint, sampled at the interface rate.
 #[derive(Clone, Debug)]
 pub struct Multisine {
-    /// Excited lines, in periods of the signal per period; odd, ascending.
+    /// Excited lines: numbers of cycles per period of the signal, odd and ascending.
     pub lines: Vec<usize>,
-    /// Samples of one period, rms 1.
+    /// Samples of one period, with an rms of 1.
     pub samples: Vec<f64>,
 }
 
 impl Multisine {
-    /// Returns a multisine whose amplitudes fall as one over frequency: the same speed for each line, and little of it
-    /// at high frequencies, where only torque results. `samples` is the number of interface cycles of a period.
+    /// Returns a multisine whose amplitudes are proportional to the inverse frequency. Each line has the same speed
+    /// amplitude; position amplitudes are small at high frequencies, where motion mainly requires torque. `samples` is
+    /// the number of interface cycles per period.
     #[must_use]
     pub fn new(lines: &[usize], samples: usize, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -40,28 +41,28 @@ impl Multisine {
         Self { lines: lines.to_vec(), samples: best }
     }
 
-    /// Highest value over rms.
+    /// Crest factor: ratio of peak to rms.
     #[must_use]
     pub fn crest(&self) -> f64 {
         peak(&self.samples)
     }
 
-    /// Highest rate of change, per interface cycle.
+    /// Largest change per interface cycle.
     #[must_use]
     pub fn steepest(&self) -> f64 {
         let next = self.samples.iter().cycle().skip(1);
         self.samples.iter().zip(next).map(|(a, b)| (b - a).abs()).fold(0.0, f64::max)
     }
 
-    /// Value at an interface cycle, the period repeating for ever.
+    /// Value at an interface cycle; the signal is periodic.
     #[must_use]
     pub fn at(&self, tick: usize) -> f64 {
         self.samples[tick % self.samples.len()]
     }
 }
 
-/// Returns odd lines from `lowest` to `highest`, about `per_decade` in a decade where there are so many, with at least
-/// one odd line left out between any two above the first few.
+/// Returns odd lines from `lowest` to `highest`, about `per_decade` per decade if there are enough. Above the first few
+/// lines, at least one odd line between any two is left out.
 #[must_use]
 pub fn odd_lines(lowest: usize, highest: usize, per_decade: f64) -> Vec<usize> {
     let odd = |x: f64| 2 * ((x - 1.0) / 2.0).round().max(0.0) as usize + 1;
@@ -83,7 +84,7 @@ fn signal(lines: &[usize], phases: &[f64], samples: usize) -> Vec<f64> {
     let power: f64 = lines.iter().map(|&l| 0.5 / (l * l) as f64).sum();
     let value = |k: usize| -> f64 {
         let waves = lines.iter().zip(phases);
-        // The product is taken round the period in whole numbers: no digits are lost at high lines.
+        // The product is reduced modulo the period in integers, so that high lines keep their precision.
         waves.map(|(&l, phase)| (turn * ((l * k) % samples) as f64 + phase).cos() / l as f64).sum()
     };
     (0..samples).map(|k| value(k) / power.sqrt()).collect()
@@ -103,7 +104,7 @@ mod tests {
         Multisine::new(&odd_lines(1, 160, 12.0), SAMPLES, seed)
     }
 
-    /// Compares the discrete Fourier sum of the samples at every line with the requested one.
+    /// Compares the discrete Fourier sum of the samples at every line with the requested amplitude.
     #[test]
     fn only_requested_odd_lines_are_excited() {
         const TOLERANCE: f64 = 1e-9;
@@ -128,7 +129,7 @@ mod tests {
     #[test]
     fn rms_is_one_and_peaks_are_low() {
         const TOLERANCE: f64 = 1e-9;
-        // A dozen draws of some thirty sines: a Gaussian signal of 400 samples would reach 3.
+        // Bound for a dozen draws of some thirty sines; a Gaussian signal of 400 samples would reach 3.
         const CREST: f64 = 2.8;
         for seed in 0..5 {
             let multisine = excitation(seed);

@@ -1,18 +1,19 @@
 //! Identification of friction from runs at constant speed in both directions.
 //!
-//! Half the difference of the torques of the two directions, over the same positions, is friction: gravity is the same
-//! in both. Over speed it is Stribeck's curve and viscous friction, `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
+//! Half the difference of the torques in the two directions, at the same positions, is friction, because gravity is the
+//! same in both. As a function of speed it is Stribeck's curve plus viscous friction,
+//! `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-/// Number of Stribeck speeds tried, as shares of the highest speed.
+/// Number of Stribeck velocities tried, as fractions of the highest speed.
 const GRID: i32 = 24;
 
-/// Stribeck's speed where the data show none, rad/s (m/s).
+/// Stribeck velocity if the data show no Stribeck effect, rad/s (m/s).
 const NO_STRIBECK: f64 = 0.05;
 
-/// Friction of a joint, as it is written into robot.toml.
+/// Friction of a joint, with the parameters of robot.toml.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Friction {
@@ -20,16 +21,16 @@ pub struct Friction {
     pub coulomb: f64,
     /// Static friction Fs, Nm (N).
     pub static_friction: f64,
-    /// Stribeck's speed vs, rad/s (m/s).
+    /// Stribeck velocity vs, rad/s (m/s).
     pub stribeck: f64,
     /// Viscous friction Fv, Nms/rad (Ns/m).
     pub viscous: f64,
-    /// Residual of the runs against the curve, rms, Nm (N).
+    /// Rms residual of the fit, Nm (N).
     pub residual: f64,
 }
 
 impl Friction {
-    /// Friction by the curve at a speed above 0.
+    /// Friction of the curve at `speed` (rad/s, m/s; above 0), Nm (N).
     #[must_use]
     pub fn at(&self, speed: f64) -> f64 {
         let fall = (-(speed / self.stribeck).powi(2)).exp();
@@ -37,7 +38,7 @@ impl Friction {
     }
 }
 
-/// Friction measured at a speed.
+/// Friction measured at one speed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ConstantVelocityRun {
@@ -47,7 +48,7 @@ pub struct ConstantVelocityRun {
     pub torque: f64,
 }
 
-/// Fits the curve to runs at different speeds; `None` for fewer than three.
+/// Fits the curve to runs at different speeds; `None` with fewer than three.
 #[must_use]
 pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
     let highest = passes.iter().map(|p| p.speed).fold(0.0, f64::max);
@@ -56,7 +57,7 @@ pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
     }
     let mut best = curve(passes, NO_STRIBECK, &[true, true, false])?;
     for step in 0..GRID {
-        // From a hundredth of the highest speed to a half of it.
+        // Grid from a hundredth to a half of the highest speed.
         let stribeck = highest * 0.01 * 50f64.powf(f64::from(step) / f64::from(GRID - 1));
         for columns in [[true, true, true], [true, false, true]] {
             if let Some(found) = curve(passes, stribeck, &columns)
@@ -69,8 +70,8 @@ pub fn fit(passes: &[ConstantVelocityRun]) -> Option<Friction> {
     Some(best)
 }
 
-/// Solves the least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` if one of them would be
-/// negative.
+/// Solves the least squares with some of the columns [Coulomb, viscous, Stribeck]; `None` if a coefficient of a
+/// Stribeck fit would be negative.
 fn curve(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> Option<Friction> {
     let value = |column: usize, speed: f64| match column {
         0 => 1.0,
@@ -108,7 +109,7 @@ mod tests {
         speeds.map(|speed| ConstantVelocityRun { speed, torque: truth.at(speed) }).collect()
     }
 
-    /// Compares the fitted curve with the one on which the runs lie.
+    /// Compares the fitted curve with the one from which the runs are computed.
     #[test]
     fn stribeck_curve_is_recovered() {
         const TOLERANCE: f64 = 0.03;

@@ -1,16 +1,17 @@
-//! Identification of the servo from frequency responses: the exact multirate model, fitted to the measurements.
+//! Identification of the servo from frequency responses: the exact multirate model is fitted to the measurements.
 //!
-//! With the motor's current, both sides of the drive are measured, setpoint and position on one, torque on the other;
-//! its gains are then determined whatever the joint does (see [`interval`](crate::interval)). Without it only
-//! T = y/q_desired is known,
+//! With measured motor current, input and output of the drive are known: setpoint and position, and torque. Its gains
+//! are then determined for any motion of the joint (see [`interval`](crate::interval)). Without measured current the
+//! only known quantity is T = y/q_desired,
 //!
 //! ```text
 //! T ≈ kv kp / (I s² + (kv + b) s + kv kp)
 //! ```
 //!
-//! so that kv kp/I and (kv + b)/I are determined, and no more. Coulomb friction is known from the joint's lag at
-//! constant speed, and counts as the viscous friction that dissipates as much of a Gaussian velocity, √(2/π) Fc/σ;
-//! viscous friction is included in kv, which it raises by as much, and it lowers kp accordingly: by some percent.
+//! so that only kv kp/I and (kv + b)/I are determined. Coulomb friction is known from the joint's lag at constant
+//! speed. It is modelled as the viscous friction √(2/π) Fc/σ, which dissipates the same power for a Gaussian velocity
+//! of standard deviation σ. Viscous friction b is included in the identified kv, which is too high by b; the identified
+//! kp is too low accordingly, by some percent.
 
 use crate::interval::{Drive, Interval, Rates};
 use crate::least_squares::{Minimum, minimise};
@@ -19,17 +20,17 @@ use crate::transfer_function::relative;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
 
-/// Relative error assumed of the model, however little noise there is.
+/// Relative error of the model assumed in the weights, in addition to noise.
 const MODEL_ERROR: f64 = 0.01;
 
-/// Assumed values of a drive's filter and current loop where the data don't determine them, each with its tolerance
-/// (a factor): a filter at an eighth of the servo's rate, a current loop of 1 kHz.
+/// Prior values of a drive's filter and current loop, used if the data don't determine them, each with its tolerance
+/// factor: a filter at an eighth of the servo rate, a current loop of 1 kHz.
 const FILTER_OF_RATE: f64 = 0.125;
 const FILTER_WITHIN: f64 = 10.0;
 pub(super) const CURRENT_LOOP_HZ: f64 = 1000.0;
 const CURRENT_LOOP_WITHIN: f64 = 4.0;
 
-/// Number of alternating fits of gains and inertia.
+/// Number of alternating fits of gains and of inertia.
 const TURNS: usize = 4;
 
 /// Frequency responses at one amplitude.
@@ -38,33 +39,34 @@ const TURNS: usize = 4;
 pub struct AmplitudeLevel {
     /// Rms of the joint's velocity, rad/s (m/s).
     pub speed: f64,
-    /// Position over setpoint.
+    /// Response of position to setpoint.
     pub position: Vec<Point>,
-    /// Mean torque over setpoint, Nm/rad, where current is measured.
+    /// Response of mean torque to setpoint, Nm/rad (N/m), if current is measured.
     pub torque: Option<Vec<Point>>,
 }
 
-/// Servo that explains the responses.
+/// Fitted servo.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Gains {
-    /// Drive and joint; per inertia, and with an inertia of 1, where torque was not measured.
+    /// Drive and joint. If torque was not measured, the inertia is 1 and kv is divided by the inertia.
     pub drive: Drive,
-    /// Servo ticks until a setpoint acts.
+    /// Delay until a setpoint acts, in servo ticks.
     pub delay: u32,
     /// Relative standard deviations of kp and kv.
     pub deviation: [f64; 2],
-    /// Viscous friction equivalent to the joint's resistance, for each level, Nms/rad (or per inertia).
+    /// Viscous friction equivalent to the joint's friction, for each level, Nms/rad (Ns/m), or 1/s if torque was not
+    /// measured.
     pub friction: Vec<f64>,
-    /// Relative error of the modelled torque, rms, where it was measured.
+    /// Relative rms error of the modelled torque, if torque was measured.
     pub torque_residual: Option<f64>,
-    /// Ratio of the costs of the next best delay and of the best.
+    /// Ratio of the cost with the second-best delay to the cost with the best one.
     pub delay_margin: f64,
 }
 
-/// Fits the servo, including its delay in place of that of `rates`; `lag` (rad, m) is the distance by which Coulomb
-/// friction keeps the joint behind its setpoint, for where torque is not measured. `None` where the responses determine
-/// nothing.
+/// Fits the servo and its delay, which replaces that of `rates`. `lag` (rad, m) is the lag of the joint behind its
+/// setpoint due to Coulomb friction; it is used if torque is not measured. Returns `None` if the responses don't
+/// determine the servo.
 #[must_use]
 pub fn fit(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<Gains> {
     let measured = levels.iter().all(|l| l.torque.is_some());
@@ -159,7 +161,7 @@ fn without_torque(levels: &[AmplitudeLevel], rates: Rates, lag: f64) -> Option<(
     Some(gains(drive_of(&minimum.x), rates, &minimum, friction, None))
 }
 
-/// Frequency at which the phase has come to −45°, about the corner of the position loop, Hz.
+/// Frequency at which the phase reaches −45°, near the corner of the position loop, Hz.
 #[must_use]
 pub fn corner_hz(position: &[Point]) -> Option<f64> {
     Some(position.iter().find(|p| p.value.arg() < -TAU / 8.0).or(position.last())?.hz)
@@ -178,17 +180,20 @@ fn gains(
     (minimum.cost, gains)
 }
 
-/// Residual of a logarithm: its distance from that of the `likely` value, in units of that of the factor `within`.
+/// Residual of a prior on a logarithm: its distance from the logarithm of the `likely` value, divided by the logarithm
+/// of the tolerance factor `within`.
 fn beyond(logarithm: f64, likely: f64, within: f64) -> f64 {
     (logarithm - likely.ln()) / within.ln()
 }
 
-/// Position and torque responses at all excited frequencies of all amplitude levels; empty without measured torque.
+/// Returns pairs of position and torque responses at all excited frequencies of all amplitude levels; empty without
+/// measured torque.
 fn pairs(levels: &[AmplitudeLevel]) -> impl Iterator<Item = (&Point, &Point)> {
     levels.iter().flat_map(|level| level.position.iter().zip(level.torque.iter().flatten()))
 }
 
-/// Initial gains, as if the setpoints were continuous: `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
+/// Returns initial gains from a continuous-time model, with h the delay of the setpoint plus half an interval:
+/// `τ = K (h q_desired − y) − kv jω y`, `τ = −I ω² y + b jω y`.
 fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     let low = |hz: f64| hz * rates.period_s() < 0.15;
     let late = (f64::from(rates.delay) + 0.5 * f64::from(rates.servo_ticks_per_cycle)) * rates.servo_period_s;
@@ -212,9 +217,9 @@ fn rough(levels: &[AmplitudeLevel], rates: &Rates) -> Option<Drive> {
     })
 }
 
-/// Returns the joint's inertia beside that of `drive`, and viscous friction at each level, from the force that the
-/// model needs to explain the positions. Inertia is visible above the frequencies of friction and below those of the
-/// encoder's noise, friction below them.
+/// Returns the joint's inertia in addition to that of `drive`, and the viscous friction at each level, from the force
+/// that the model needs to explain the positions. Inertia is fitted above the frequencies dominated by friction and
+/// below those dominated by encoder noise; friction is fitted at low frequencies.
 fn joint(levels: &[AmplitudeLevel], drive: &Drive, rates: Rates) -> Option<(f64, Vec<f64>)> {
     let interval = Interval::new(drive, rates);
     let within = |from: f64, to: f64| {

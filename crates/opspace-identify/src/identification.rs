@@ -1,4 +1,4 @@
-//! Result of an identification, and the parameters that it needs.
+//! Result of an identification, and its parameters.
 
 use crate::friction::{ConstantVelocityRun, Friction};
 use crate::gains;
@@ -12,7 +12,7 @@ use serde::Serialize;
 use std::f64::consts::TAU;
 use thiserror::Error;
 
-/// Parameters of a joint known before its identification.
+/// Parameters of a joint that are known before its identification.
 #[derive(Clone, Debug)]
 pub struct KnownParameters {
     /// Index of the joint in the robot's order.
@@ -31,10 +31,10 @@ pub struct KnownParameters {
     pub speed_limit: f64,
     /// Torque limit, Nm (N).
     pub torque_limit: f64,
-    /// Resolution, one encoder count at the joint, rad (m).
+    /// Resolution of the joint position, one encoder count, rad (m).
     pub resolution: f64,
-    /// Inertia in the initial position from URDF and rotor, with the other joints free and with them held, kg m² (kg);
-    /// `None` where the rotor's is not known.
+    /// Inertia in the initial position from URDF and rotor, kg m² (kg), with the other joints free and with them held;
+    /// `None` if the rotor inertia is unknown.
     pub inertia: Option<[f64; 2]>,
 }
 
@@ -45,18 +45,18 @@ impl KnownParameters {
     }
 }
 
-/// Parameters of the excitation of a joint. Times are in seconds.
+/// Parameters of the excitation of a joint.
 #[derive(Clone, Debug)]
 pub struct ExcitationPlan {
-    /// Period of the multisines: one over the distance of two lines.
+    /// Period of the multisines, s: the inverse of the distance between two lines.
     pub period_s: f64,
-    /// Number of periods kept of each realisation; one more precedes them until the response has settled.
+    /// Number of periods evaluated in each realisation; one more precedes them, in which the response settles.
     pub periods: usize,
-    /// Number of realisations, each with phases of its own, at each amplitude.
+    /// Number of realisations at each amplitude, each with its own phases.
     pub realisations: usize,
-    /// Amplitudes as shares of the largest safe one.
+    /// Amplitudes as fractions of the largest safe one.
     pub amplitudes: Vec<f64>,
-    /// Number of lines in a decade.
+    /// Number of lines per decade.
     pub lines_per_decade: f64,
     /// Number of speeds at which friction is measured.
     pub speeds: usize,
@@ -78,7 +78,7 @@ impl Default for ExcitationPlan {
     }
 }
 
-/// Coherence and error up to which a frequency is within the bandwidth of the fit.
+/// Smallest coherence and largest relative error of a frequency within the bandwidth of the fit.
 pub(crate) const COHERENT: f64 = 0.95;
 const CLOSE: f64 = 0.10;
 
@@ -88,17 +88,17 @@ const CLOSE: f64 = 0.10;
 pub enum TorqueScale {
     /// Motor current.
     MotorCurrent,
-    /// Inertia given by URDF and rotor.
+    /// Inertia from URDF and rotor.
     Urdf,
-    /// None: kv, inertia and friction are known as ratios to the inertia only.
+    /// None: kv, inertia and friction are only known as ratios to the inertia.
     Unknown,
 }
 
-/// Reason why the servo of a joint cannot be inverted. Each message is about the joint.
+/// Reason why the servo of a joint cannot be inverted. The subject of each message is the joint.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentificationFailure {
-    /// Motion within the limits that is too small for the encoder.
+    /// Largest motion within the limits that the encoder cannot resolve.
     #[error(
         "within the limits it can be excited by only {reached:.2e} rad (m) rms, below the {least:.2e} rad (m) that its \
          encoder resolves"
@@ -106,7 +106,7 @@ pub enum IdentificationFailure {
     NoRoom {
         /// Amplitude reached, rms, rad (m).
         reached: f64,
-        /// Smallest amplitude that the encoder shows, rad (m).
+        /// Smallest amplitude that the encoder resolves, rad (m).
         least: f64,
     },
     /// Joint that does not follow its setpoints.
@@ -116,24 +116,24 @@ pub enum IdentificationFailure {
     DoesNotFollow {
         /// Frequency, Hz.
         hz: f64,
-        /// Gain |T| there.
+        /// Gain |T| at that frequency.
         gain: f64,
     },
     /// Response without a dominant linear part.
     #[error("{:.0} % of its response to the setpoints is nonlinear", 100.0 * distortion)]
     NotLinear {
-        /// Rms outside the excited lines over rms at them.
+        /// Ratio of the rms outside the excited lines to the rms at them.
         distortion: f64,
     },
-    /// Responses that no gains explain.
+    /// Responses that no gains fit.
     #[error("no cascaded servo fits its response: the best fit has an error of {:.0} % (allowed: {:.0} %)", 100.0 * error, 100.0 * allowed)]
     NotExplained {
-        /// Relative error of the fit, rms.
+        /// Relative rms error of the fit.
         error: f64,
-        /// Largest relative error allowed, rms.
+        /// Largest allowed relative rms error.
         allowed: f64,
     },
-    /// Responses that determine no gains.
+    /// Responses that do not determine the gains.
     #[error("its responses do not identify a servo; check that torque and position are synchronised")]
     Undetermined,
     /// Motion that was aborted.
@@ -145,38 +145,38 @@ pub enum IdentificationFailure {
 #[derive(Clone, Debug, Serialize)]
 #[non_exhaustive]
 pub struct FitQuality {
-    /// Highest frequency up to which coherence and fit are good, Hz: fit of the torque where it was measured, else of
-    /// T.
+    /// Highest frequency up to which coherence and fit are good, Hz: the fit of the torque if it was measured,
+    /// otherwise of T.
     pub bandwidth_hz: f64,
-    /// Relative error of the modelled T, rms.
+    /// Relative rms error of the modelled T.
     pub position_residual: f64,
-    /// Relative error of the modelled torque, rms; `None` where torque was not measured.
+    /// Relative rms error of the modelled torque; `None` if torque was not measured.
     pub torque_residual: Option<f64>,
     /// Relative standard deviations of kp and kv.
     pub deviation: [f64; 2],
-    /// Ratio of the costs of the next best delay and of the best.
+    /// Ratio of the cost with the second-best delay to the cost with the best one.
     pub delay_margin: f64,
-    /// Identified inertia over that given by URDF and rotor; `None` where either is missing.
+    /// Ratio of identified inertia to that of URDF and rotor; `None` if one of them is missing.
     pub inertia_over_urdf: Option<f64>,
 }
 
-/// Servo of a joint, in Nm, or over the inertia where the scale of torque is not known.
+/// Identified servo of a joint. If the scale of torque is unknown, torques are divided by the inertia.
 #[derive(Clone, Debug, Serialize)]
 #[non_exhaustive]
 pub struct Servo {
     /// Position gain, 1/s.
     pub kp: f64,
-    /// Velocity gain, Nms/rad (Ns/m), or 1/s.
+    /// Velocity gain, Nms/rad (Ns/m), or 1/s if divided by the inertia.
     pub kv: f64,
     /// Cut-off of the velocity filter, Hz.
     pub velocity_filter_hz: f64,
     /// Delay of setpoints, servo ticks.
     pub delay: u32,
-    /// Bandwidth of the current loop, Hz; `None` where torque was not measured.
+    /// Bandwidth of the current loop, Hz; `None` if torque was not measured.
     pub current_loop_hz: Option<f64>,
-    /// Inertia that the drive moves, rotor included, kg m² (kg), or 1.
+    /// Inertia that the drive moves, including the rotor, kg m² (kg), or 1 if the scale of torque is unknown.
     pub inertia: f64,
-    /// Friction of the joint, Nm (N), or rad/s².
+    /// Friction of the joint, Nm (N), or rad/s² (m/s²) if divided by the inertia.
     pub friction: Option<Friction>,
     /// Runs from which friction is identified.
     pub passes: Vec<ConstantVelocityRun>,
@@ -190,15 +190,15 @@ pub struct Measured {
     pub rms: f64,
     /// Rms of the joint's velocity, rad/s (m/s).
     pub speed: f64,
-    /// Closed-loop response T.
+    /// Response T of position to setpoint.
     pub position: Vec<Point>,
-    /// Mean torque over setpoint, Nm/rad.
+    /// Response of mean torque to setpoint, Nm/rad (N/m), if measured.
     pub torque: Option<Vec<Point>>,
     /// Distortion of the position.
     pub distortion: Distortion,
 }
 
-/// Result for a joint, identified or not.
+/// Result of the identification of a joint, successful or not.
 #[derive(Clone, Debug, Serialize)]
 #[non_exhaustive]
 pub struct Identification {
@@ -208,21 +208,21 @@ pub struct Identification {
     pub measured: Vec<Measured>,
     /// Identified servo; for information only if [`refused`](Self::refused) gives a reason.
     pub servo: Option<Servo>,
-    /// Viscous friction equivalent to the joint's resistance at the largest amplitude, in the servo's units.
+    /// Viscous friction equivalent to the joint's friction at the largest amplitude, in the servo's units.
     pub equivalent_friction: f64,
-    /// T as a rational function behind hold and delay.
+    /// T as a rational function in series with hold and delay.
     pub rational: Option<DelayedTransferFunction>,
-    /// Relative error of the rational model, rms.
+    /// Relative rms error of the rational model.
     pub rational_residual: Option<f64>,
     /// Fit quality of the servo.
     #[serde(rename = "trust")]
     pub fit_quality: Option<FitQuality>,
-    /// Reason why it can't be inverted.
+    /// Reason why the servo cannot be inverted, if any.
     pub refused: Option<String>,
 }
 
 impl Identification {
-    /// Reason why the joint can't be driven by torques; `None` if it can.
+    /// Returns the reason why the joint cannot be controlled by torques; `None` if it can.
     #[must_use]
     pub fn no_torque_mode(&self) -> Option<String> {
         let ratios = "the scale of torque is unknown: only ratios to the inertia are identified. Measure motor \
@@ -230,8 +230,8 @@ impl Identification {
         self.refused.clone().or((self.scale == TorqueScale::Unknown).then(|| ratios.to_owned()))
     }
 
-    /// Effective servo D* = T/(G* (1 − T)) of equation (K6) of the paper, at a frequency and a T, with G* of the
-    /// identified inertia and viscous friction.
+    /// Effective servo D* = T/(G* (1 − T)), equation (K6) of the paper, at the frequency `hz` (Hz) and T = `position`;
+    /// G* has the identified inertia and viscous friction.
     #[must_use]
     pub fn effective_servo(&self, hz: f64, position: Complex<f64>) -> Option<Complex<f64>> {
         let servo = self.servo.as_ref()?;
@@ -241,7 +241,7 @@ impl Identification {
         Some(position * inverse_joint / (Complex::new(1.0, 0.0) - position))
     }
 
-    /// Response T of the identified servo at a frequency, Hz.
+    /// Response T of the identified servo at the frequency `hz` (Hz).
     #[must_use]
     pub fn model(&self, told: &KnownParameters, hz: f64) -> Option<Complex<f64>> {
         Some(self.responses(told, hz)?.position_with_friction(self.equivalent_friction, TAU * hz))
@@ -259,8 +259,8 @@ impl Identification {
         Interval::new(&drive, told.rates(servo.delay)).responses(hz)
     }
 
-    /// True if the response at one of the lines at the largest amplitude is well measured and well explained: the
-    /// torque's where it was measured, which is what a transformer needs, else the position's.
+    /// Returns true if the model explains the response at this line, at the largest amplitude, and its coherence is
+    /// high. The response is that of torque if it was measured, which a transformer needs, otherwise that of position.
     pub(crate) fn explains(&self, told: &KnownParameters, line: usize) -> bool {
         let Some(largest) = self.measured.first() else { return false };
         let position = largest.position[line];

@@ -1,34 +1,34 @@
 //! Exact model of a drive and its joint within an interface interval: servo ticks, held or interpolated setpoint,
 //! delay, current loop.
 //!
-//! A joint of inertia I under motor torque m and a smooth force F, its servo run R times for each setpoint:
+//! The joint has inertia I, motor torque m and a smooth force F; its servo runs R times per setpoint:
 //!
 //! ```text
 //! w += a ((y − y₋)/Ts − w)     u = kv [kp (q_desired − y) − w]     ṁ = (u − m)/T_m     I q̈ = m + F
 //! ```
 //!
 //! At a frequency of the setpoints both outputs, the position at the interface cycle and the mean torque over the
-//! interval, are linear in setpoint and force, aliases included:
+//! interval, are linear in setpoint and force, including aliases:
 //!
 //! ```text
 //! y = A q_desired + B F        τ̄ = C q_desired + D F
 //! ```
 //!
-//! Eliminating F gives the torque from what was commanded **and measured**, whatever force acts on the joint:
-//! friction, gravity, other joints. I then only affects the motion within the interval.
+//! Eliminating F gives the torque from commanded **and measured** values, for any force on the joint: friction,
+//! gravity, other joints. I then affects only the motion within the interval.
 
 use nalgebra::{Complex, SMatrix, SVector};
 use opspace_backend::Setpoints;
 use std::f64::consts::TAU;
 
-/// Rates and delay, in servo ticks.
+/// Rates and delay of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
     pub servo_ticks_per_cycle: u32,
-    /// Servo ticks until a setpoint acts, at most `ratio`.
+    /// Delay until a setpoint acts, in servo ticks; at most `servo_ticks_per_cycle`.
     pub delay: u32,
     /// Behaviour of the drive between two setpoints: hold or interpolate.
     pub setpoints: Setpoints,
@@ -51,13 +51,13 @@ pub struct Drive {
     pub kv: f64,
     /// Cut-off of the velocity filter, Hz.
     pub velocity_filter_hz: f64,
-    /// Bandwidth of the current loop, Hz; infinite where the motor follows without lag.
+    /// Bandwidth of the current loop, Hz; infinite if the motor follows without lag.
     pub current_loop_hz: f64,
     /// Inertia that the drive moves, kg m² (kg).
     pub inertia: f64,
 }
 
-/// Number of states of an interval: q, q̇, w, y₋, m, the setpoint before and the one before that.
+/// Number of states of an interval: q, q̇, w, y₋, m, and the two previous setpoints.
 const MEMORY: usize = 7;
 type Memory = SVector<f64, MEMORY>;
 type ComplexMatrix = SMatrix<Complex<f64>, MEMORY, MEMORY>;
@@ -65,30 +65,30 @@ type ComplexMatrix = SMatrix<Complex<f64>, MEMORY, MEMORY>;
 /// Frequency responses of the interval at one frequency.
 #[derive(Clone, Copy, Debug)]
 pub struct Responses {
-    /// A: position at the interface cycle per unit of setpoint.
+    /// A: position at the interface cycle per unit of position setpoint.
     pub position_of_setpoint: Complex<f64>,
-    /// B: position at the interface cycle per unit of force.
+    /// B: position at the interface cycle per unit of force, rad/Nm (m/N).
     pub position_of_force: Complex<f64>,
-    /// C: mean torque per unit of setpoint.
+    /// C: mean torque per unit of setpoint, Nm/rad (N/m).
     pub torque_of_setpoint: Complex<f64>,
     /// D: mean torque per unit of force.
     pub torque_of_force: Complex<f64>,
 }
 
 impl Responses {
-    /// Force over setpoint that explains a measured position response.
+    /// Force per unit of setpoint that explains a measured position response, Nm/rad (N/m).
     #[must_use]
     pub fn force(&self, position: Complex<f64>) -> Complex<f64> {
         (position - self.position_of_setpoint) / self.position_of_force
     }
 
-    /// Mean torque over setpoint that belongs to a measured position response.
+    /// Mean torque per unit of setpoint for a measured position response, Nm/rad (N/m).
     #[must_use]
     pub fn torque(&self, position: Complex<f64>) -> Complex<f64> {
         self.torque_of_setpoint + self.torque_of_force * self.force(position)
     }
 
-    /// Position response where the only force is viscous friction `b` (Nms/rad) at angular frequency `omega`.
+    /// Position response if the only force is viscous friction `b` (Nms/rad), at the angular frequency `omega` (rad/s).
     #[must_use]
     pub fn position_with_friction(&self, b: f64, omega: f64) -> Complex<f64> {
         let one = Complex::new(1.0, 0.0);
@@ -96,7 +96,7 @@ impl Responses {
     }
 }
 
-/// Linear map of an interval, for one drive and its rates.
+/// Linear map of an interface interval, for one drive and its rates.
 #[derive(Clone, Debug)]
 pub struct Interval {
     rates: Rates,
@@ -106,7 +106,7 @@ pub struct Interval {
     /// Maps from the setpoint.
     setpoint: Memory,
     setpoint_torque: f64,
-    /// Maps from a force during each servo period.
+    /// Maps from a force that acts during one servo period, for each servo period.
     force: Vec<(Memory, f64)>,
 }
 
@@ -131,9 +131,7 @@ impl Interval {
         Self { rates, memory, memory_torque, setpoint, setpoint_torque, force }
     }
 
-    /// Returns the responses at a frequency, Hz.
-    ///
-    /// `None` where the map has a pole at that very frequency.
+    /// Returns the responses at the frequency `hz` (Hz); `None` if the map has a pole there.
     #[must_use]
     pub fn responses(&self, hz: f64) -> Option<Responses> {
         let omega = TAU * hz;
@@ -172,7 +170,7 @@ struct Tick {
     kv: f64,
     filter: f64,
     inertia: f64,
-    /// Decay of the motor's lag over a period, its time integral and the integral of that.
+    /// Decay of the motor's lag over a servo period, its time integral, and the integral of the latter.
     lag: f64,
     lag_s: f64,
     lag_s2: f64,
@@ -195,8 +193,8 @@ impl Tick {
         }
     }
 
-    /// Computes an interval from `memory` on under a setpoint, with a force of 1 during the servo period `pushed`: the
-    /// state at its end and the mean torque.
+    /// Simulates an interval from the state `memory` under a setpoint, with a force of 1 during the servo period
+    /// `pushed`. Returns the state at its end and the mean torque.
     fn roll(&self, memory: Memory, rates: &Rates, setpoint: f64, pushed: Option<u32>) -> (Memory, f64) {
         let [mut q, mut dq, mut w, mut last, mut motor, before, earlier] = memory.data.0[0];
         let t = self.period_s;
@@ -240,13 +238,13 @@ mod tests {
         Drive { kp: 25.0, kv: 47.0, velocity_filter_hz: 200.0, current_loop_hz: 1000.0, inertia: 0.38 }
     }
 
-    /// Compares the frequency response with the steady state of the same recursion run in time under a sine.
+    /// Compares the frequency response with the steady state of the same recursion, simulated in time under a sine.
     #[test]
     fn responses_match_steady_state_sine() {
         const TOLERANCE: f64 = 1e-6;
         let tick = Tick::new(&drive(), RATES.servo_period_s);
         let interval = Interval::new(&drive(), RATES);
-        // A whole number of periods in a second.
+        // Frequencies with a whole number of periods per second.
         for hz in [3.0, 11.0, 40.0] {
             let mut memory = Memory::zeros();
             let (mut y, mut tau) = (Complex::<f64>::default(), Complex::<f64>::default());
@@ -268,7 +266,8 @@ mod tests {
         }
     }
 
-    /// Compares the torque from setpoint and position with that of the same drive with other forces on its joint.
+    /// Compares the torque computed from setpoint and position with the torque of the same drive, for different forces
+    /// on its joint.
     #[test]
     fn torque_estimate_is_independent_of_other_forces() {
         const TOLERANCE: f64 = 1e-9;

@@ -1,4 +1,5 @@
-//! Identification of one joint, moved about its initial position: amplitudes within its limits, multisines, slow runs.
+//! Identification of one joint, which moves about its initial position: amplitudes within its limits, multisines, slow
+//! runs.
 
 use crate::excitation::{Multisine, odd_lines};
 use crate::friction;
@@ -20,8 +21,8 @@ use opspace_control::ramp::minimum_jerk;
 /// Identifies one joint of a robot that holds itself.
 ///
 /// # Errors
-/// If the robot fails, or the run is interrupted. A joint that can't be inverted is no error: its identification says
-/// why.
+/// If the robot fails, or the run is interrupted. For a joint that can't be inverted no error is returned: its
+/// identification has the reason.
 pub fn identify(
     session: &mut ExcitationSession<'_>,
     told: &KnownParameters,
@@ -52,53 +53,54 @@ pub fn identify(
     }
 }
 
-/// Highest excited frequency over the interface rate: beyond, aliases and the model's own limits prevail.
+/// Highest excited frequency, as a fraction of the interface rate; above it, aliases and errors of the model dominate.
 const BAND: f64 = 0.4;
 
-/// Shares of the limits that are used: of the distance to the nearest position limit, of the speed limit, and of the
-/// torque that remains beside that which holds the joint.
+/// Fractions of the limits that are used: of the distance to the nearest position limit, of the speed limit, and of the
+/// torque that remains in addition to the holding torque.
 const TRAVEL_USED: f64 = 0.3;
 const SPEED_USED: f64 = 0.3;
 const TORQUE_USED: f64 = 0.5;
 
-/// Shares of the limits at which a motion is aborted.
+/// Fractions of the limits at which a motion is aborted.
 const TRAVEL_AT_MOST: f64 = 0.8;
 const SPEED_AT_MOST: f64 = 0.9;
 const TORQUE_AT_MOST: f64 = 0.95;
 
-/// Largest distance of a joint from its initial position, rad (m): inertia and gravity should be nearly constant.
+/// Largest distance of a joint from its initial position, rad (m), so that inertia and gravity are nearly constant.
 const FURTHEST: f64 = 0.35;
 
-/// First, careful amplitude, in encoder counts (rms), and the smallest one that the encoder shows.
+/// First, small amplitude, and smallest amplitude that the encoder resolves, in encoder counts (rms).
 const FIRST_COUNTS: f64 = 10.0;
 const MIN_COUNTS: f64 = 20.0;
 
 /// Time over which speed is computed as a difference, s.
 const SPEED_OVER_S: f64 = 2e-3;
 
-/// Most trials until an amplitude is found, and most halvings of one that was too large after all.
+/// Largest number of trials to find an amplitude, and of halvings of an amplitude that is too large in the measurement.
 const TRIALS: usize = 20;
 const HALVED_AT_MOST: usize = 3;
 
-/// Duration of the trial of an amplitude, and of the fading of a motion in and out, s.
+/// Duration of the trial of an amplitude, and of the fade-in and fade-out of a motion, s.
 const TRIAL_S: f64 = 0.5;
 const FADE_S: f64 = 0.2;
 
-/// Smallest |T| at low frequencies of a servo that follows: it has |T| near 1.
+/// Smallest |T| at low frequencies at which a servo follows its setpoints; it is normally near 1.
 const FOLLOWS: f64 = 0.5;
 
-/// Travel of the setpoint after a reversal, in multiples of the lag due to friction, until the joint moves steadily.
+/// Travel of the setpoint after a reversal, as a multiple of the lag due to friction, after which the joint moves
+/// steadily.
 const TURNS_WITHIN: f64 = 8.0;
 
-/// Relative errors of torque and position beyond which the servo is not of the assumed structure. Without measured
-/// torque a joint with strong coupling to others fails it too: its gains would be wrong.
+/// Relative errors of torque and position above which the servo does not have the assumed structure. Without measured
+/// torque, strong coupling with other joints also exceeds them: the gains would be wrong.
 const TORQUE_EXPLAINED: f64 = 0.10;
 const POSITION_EXPLAINED: f64 = 0.10;
 
-/// Power outside the excited lines beyond which there is no linear servo to invert.
+/// Distortion (rms outside the excited lines over rms at them) above which no linear servo can be inverted.
 const LINEAR: f64 = 0.5;
 
-/// Time of a reversal where the scale of torque isn't known, and longest time to brake from the speed to rest, s.
+/// Duration of a reversal if torque is not measured, and longest time to brake from the speed to rest, s.
 const TURNS_IN_S: f64 = 0.05;
 const TURNS_AT_LAST_S: f64 = 1.0;
 
@@ -136,7 +138,7 @@ impl Joint<'_, '_> {
         };
         self.rational(found, gains.delay);
         let scale = match (found.scale, self.known.inertia) {
-            // The joints beside neither quite hold nor move freely.
+            // The other joints are neither completely held nor completely free.
             (TorqueScale::Urdf, Some([free, held])) => 0.5 * (free + held),
             _ => 1.0,
         };
@@ -171,25 +173,25 @@ impl Joint<'_, '_> {
         }
     }
 
-    /// Distance to the nearest limit, rad (m).
+    /// Distance to the nearest position limit, rad (m).
     fn room(&self) -> f64 {
         let at = self.session.posture(self.known.joint);
         (at - self.known.lower).min(self.known.upper - at).max(0.0)
     }
 
-    /// Largest distance that the joint is moved for its identification, rad (m).
+    /// Largest distance that the joint moves for its identification, rad (m).
     fn travel(&self) -> f64 {
         (TRAVEL_USED * self.room()).min(FURTHEST)
     }
 
-    /// Torque that remains beside that which holds the joint, Nm (N).
+    /// Largest torque used for a motion, in addition to the holding torque, Nm (N).
     fn spare_torque(&self) -> f64 {
         let holds = self.session.torque(self.known.joint).unwrap_or(0.0).abs();
         TORQUE_USED * (self.known.torque_limit - holds).max(0.0)
     }
 
-    /// Returns the largest safe amplitude (rms): from a careful one on, each is tried briefly and raised as limits
-    /// allow.
+    /// Returns the largest safe amplitude (rms; rad, m): starting from a small one, amplitudes are tried briefly and
+    /// raised as the limits allow.
     fn amplitude(&mut self, excitation: &Multisine) -> Result<f64, IdentificationFailure> {
         let most = self.travel() / excitation.crest();
         let least = MIN_COUNTS * self.known.resolution;
@@ -216,7 +218,7 @@ impl Joint<'_, '_> {
         Ok(rms)
     }
 
-    /// Measures all amplitudes, the largest first; one that turns out to be too large is halved.
+    /// Measures all amplitudes, the largest first; if a measurement exceeds the bounds, all amplitudes are halved.
     fn measure_levels(&mut self, found: &mut Identification) -> Result<(), IdentificationFailure> {
         let samples = (self.plan.period_s / self.session.period_s()).round() as usize;
         let lines = odd_lines(1, (BAND * samples as f64) as usize, self.plan.lines_per_decade);
@@ -243,7 +245,7 @@ impl Joint<'_, '_> {
         Ok(())
     }
 
-    /// Returns the factor by which an amplitude could be larger.
+    /// Tries an amplitude `rms` (rad, m) and returns the factor by which it could be larger.
     fn trial(&mut self, excitation: &Multisine, rms: f64) -> Result<f64, AbortReason> {
         let period_s = self.session.period_s();
         let holds = self.session.torque(self.known.joint).unwrap_or(0.0);
@@ -255,7 +257,7 @@ impl Joint<'_, '_> {
         let speed: Vec<f64> = position.windows(over + 1).map(|w| (w[over] - w[0]) / span).collect();
         let torque: Vec<f64> = match self.known.inertia {
             _ if !record.torque.is_empty() => record.torque[body].iter().map(|t| t - holds).collect(),
-            // What the motion needs, at least.
+            // Smallest torque that the motion needs.
             Some([_, held]) => speed.windows(over + 1).map(|w| held * (w[over] - w[0]) / span).collect(),
             None => Vec::new(),
         };
@@ -263,8 +265,8 @@ impl Joint<'_, '_> {
         Ok(share(SPEED_USED * self.known.speed_limit, &speed).min(share(self.spare_torque(), &torque)))
     }
 
-    /// Runs an excitation for `ticks` interface cycles, with a fade-in before and a fade-out after them. Returns the
-    /// record, and the range of these cycles in it.
+    /// Runs an excitation with amplitude `rms` (rad, m) for `ticks` interface cycles, with a fade-in before and a
+    /// fade-out after them. Returns the record, and the range of these cycles in it.
     fn excite(
         &mut self,
         excitation: &Multisine,
@@ -293,7 +295,7 @@ impl Joint<'_, '_> {
         for excitation in excitations {
             let samples = excitation.samples.len();
             let (record, body) = self.excite(excitation, rms, (1 + self.plan.periods) * samples)?;
-            // The first period settles.
+            // The response settles in the first period.
             let settled = body.start + samples..body.end;
             let input = record.asked[settled.start..settled.start + samples].to_vec();
             let of = |values: &[f64]| Realisation {
@@ -326,7 +328,8 @@ impl Joint<'_, '_> {
         if distortion > LINEAR { Err(IdentificationFailure::NotLinear { distortion }) } else { Ok(()) }
     }
 
-    /// Fits a rational model of T at the largest amplitude: of the lowest order beyond which little is gained.
+    /// Fits a rational model of T at the largest amplitude, with the lowest order above which the residual decreases
+    /// little.
     fn rational(&self, found: &mut Identification, delay: u32) {
         let Some(largest) = found.measured.first() else { return };
         let weight = |p: &response::Point| 1.0 / f64::hypot(p.noise, 0.01 * p.value.norm());
@@ -349,8 +352,8 @@ impl Joint<'_, '_> {
         }
     }
 
-    /// Moves back and forth at constant speeds, fast to slow: the slower, the longer the reversal of a joint against
-    /// its friction takes.
+    /// Moves back and forth at constant speeds, from fast to slow. At a slower speed, friction makes a reversal take
+    /// longer.
     fn sweeps(&mut self, gains: &Gains) -> Result<Vec<Sweep>, IdentificationFailure> {
         let period_s = self.session.period_s();
         let told = self.known;
@@ -366,7 +369,7 @@ impl Joint<'_, '_> {
             let seconds = settle_s + turned_s.min(2.0) + window_s;
             match self.sweep(speed, 0.5 * speed * seconds, gains) {
                 Ok(record) => sweeps.push(Sweep { speed, half: 0.5 * speed * window_s, record }),
-                // What is too fast for it is left out.
+                // Speeds that are too high are skipped.
                 Err(stop) if !stop.is_final() => {}
                 Err(stop) => return Err(stop.into()),
             }
@@ -375,7 +378,7 @@ impl Joint<'_, '_> {
         Ok(sweeps)
     }
 
-    /// Fits the straight line through the faster half of the sweeps, where static friction has no part.
+    /// Fits a line of lag over speed to the faster half of the sweeps, where static friction has no effect.
     fn lag(&self, sweeps: &[Sweep]) -> Lag {
         let period_s = self.session.period_s();
         let lags: Vec<(f64, f64)> = (sweeps.iter().take(sweeps.len().div_ceil(2)))
@@ -393,15 +396,15 @@ impl Joint<'_, '_> {
         if line.at_rest > 0.0 && line.per_speed.is_finite() { line } else { Lag::default() }
     }
 
-    /// Moves twice back and forth at a speed, with gentle reversals, and back to the start.
+    /// Moves back and forth twice at a speed, with gentle reversals, and returns to the start.
     fn sweep(&mut self, speed: f64, reach: f64, gains: &Gains) -> Result<Record, AbortReason> {
         let period_s = self.session.period_s();
-        // Turning takes some of the spare torque.
+        // A reversal uses a part of the available torque.
         let slew = match self.session.measures_torque() {
             true => 0.3 * self.spare_torque() / gains.drive.inertia,
             false => 2.0 * speed / TURNS_IN_S,
         };
-        // However little torque is spared: a joint that never turns would never be back.
+        // Lower bound, even with little available torque: a joint that never reverses would never return.
         let slew = slew.max(speed / TURNS_AT_LAST_S);
         let (mut offsets, mut at, mut velocity) = (Vec::new(), 0.0, 0.0f64);
         for end in [reach, -reach, reach, -reach, 0.0] {
@@ -425,7 +428,7 @@ impl Joint<'_, '_> {
         Ok(record)
     }
 
-    /// Relative error of the modelled T at the largest amplitude, rms over coherent lines.
+    /// Relative rms error of the modelled T at the largest amplitude, over coherent lines.
     fn position_residual(&self, found: &Identification) -> f64 {
         let points = found.measured.first().map_or(&[][..], |m| &m.position);
         let coherent = points.iter().filter(|p| p.coherence > COHERENT);
@@ -452,7 +455,7 @@ impl Joint<'_, '_> {
     }
 }
 
-/// Rms of the measured velocity, rad/s (m/s), within the encoder's resolution.
+/// Rms of the measured velocity, rad/s (m/s), limited by the encoder's resolution.
 fn speed(realisations: &[Realisation], period_s: f64) -> f64 {
     let over = ((SPEED_OVER_S / period_s).round() as usize).max(1);
     let (mut power, mut count) = (0.0, 0.0);

@@ -1,4 +1,4 @@
-//! Nonlinear least squares by the Levenberg-Marquardt method, with differences for derivatives: for a few parameters.
+//! Nonlinear least squares by the Levenberg-Marquardt method with finite differences, for a few parameters.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -7,18 +7,18 @@ const DIFFERENCE: f64 = 1e-6;
 /// Relative change of the cost at which the iteration ends.
 const GAIN: f64 = 1e-9;
 
-/// Minimum of the residuals.
+/// Minimum of the sum of squared residuals.
 #[derive(Clone, Debug)]
 pub struct Minimum {
     /// Parameters at the minimum.
     pub x: Vec<f64>,
     /// Sum of squared residuals.
     pub cost: f64,
-    /// Standard deviation of each parameter, assuming that the residuals are independent noise of one size.
+    /// Standard deviation of each parameter, if the residuals are independent noise of equal variance.
     pub deviation: Vec<f64>,
 }
 
-/// Minimises |r(x)|² from `start` on; `None` if the residuals there are not finite.
+/// Minimizes |r(x)|² from `start`; `None` if the residuals at `start` are not finite.
 pub fn minimise(start: &[f64], residuals: impl Fn(&[f64]) -> Option<Vec<f64>>) -> Option<Minimum> {
     let finite = |x: &[f64]| residuals(x).filter(|r| r.iter().all(|v| v.is_finite()));
     let mut x = start.to_vec();

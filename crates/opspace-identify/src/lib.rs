@@ -1,15 +1,15 @@
 //! Identification of a position servo by moving its joint: kp, kv, velocity filter, delay, inertia and friction.
 //!
-//! A joint is excited about its current position by odd random-phase [multisines](excitation) at two amplitudes,
-//! small enough for its limits and for its motor; the other joints are held. The [frequency responses](response) are
-//! computed from setpoints, positions and, where it is measured, motor torque. The [gains] of the servo are fitted to
-//! them with an exact model of the servo and joint [between two interface cycles](interval); so is a [rational](transfer_function) model
-//! of T = y/q_desired. [Friction](friction) is identified from runs at constant velocity in both directions. Known
-//! parameters are the structure of the servo, τ = kv [kp
-//! (q_desired − y) − w], its rates, and the limits; gains, filter, delay and friction are identified.
+//! A joint is excited about its current position by odd random-phase [multisines](excitation) at two amplitudes that
+//! are small enough for its limits and its motor; the other joints are held. The [frequency responses](response) are
+//! computed from setpoints, positions and, if it is measured, motor torque. The [gains] of the servo are fitted to them
+//! with an exact model of the servo and joint [between two interface cycles](interval); a
+//! [rational](transfer_function) model of T = y/q_desired is fitted too. [Friction](friction) is identified from runs
+//! at constant velocity in both directions. The structure of the servo, `τ = kv [kp (q_desired − y) − w]`, its rates
+//! and the limits are known; gains, filter, delay, inertia and friction are identified.
 //!
-//! T does not change when inertia, friction and kv are scaled together: the scale of torque comes from the motor's
-//! current, or from the inertia that URDF and rotor give, or is not known; [`TorqueScale`] says which.
+//! T does not change if inertia, friction and kv are scaled together. The scale of torque comes from the motor current,
+//! or from the inertias of URDF and rotor, or is unknown; see [`TorqueScale`].
 //!
 //! ```
 //! use opspace_backend::quantity::Positive;

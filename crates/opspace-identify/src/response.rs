@@ -1,52 +1,52 @@
 //! Frequency responses from periodic records: H1, coherence, noise and nonlinear distortion.
 //!
-//! The setpoint is known exactly, so that `H1 = S_yu / S_uu` has no bias from noise at the input. Differences between
-//! periods of one realisation are noise; differences between realisations beyond that are the effect of other phases on
-//! the joint's nonlinearity
-//! (R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*, chapters 2 to 4).
+//! The setpoint is known exactly, so that `H1 = S_yu / S_uu` has no bias from input noise. Differences between periods
+//! of one realisation are noise. Further differences between realisations are caused by the joint's nonlinearity, which
+//! depends on the phases (R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*, chapters 2
+//! to 4).
 
 use nalgebra::Complex;
 use realfft::RealFftPlanner;
 use serde::Serialize;
 
-/// Realisation of the excitation: one period of the setpoint, and each period of the response.
+/// Realisation of the excitation, and the response to it.
 #[derive(Clone, Debug, Default)]
 pub struct Realisation {
     /// One period of the setpoint.
     pub input: Vec<f64>,
-    /// Response, period by period.
+    /// Response, one vector per period.
     pub periods: Vec<Vec<f64>>,
 }
 
-/// Response at an excited line.
+/// Response at one excited frequency.
 #[derive(Clone, Copy, Debug, Serialize)]
 #[non_exhaustive]
 pub struct Point {
     /// Frequency, Hz.
     pub hz: f64,
-    /// Output over input: H1.
+    /// Ratio of output to input, H1.
     #[serde(serialize_with = "complex")]
     pub value: Complex<f64>,
-    /// γ²: the share of the output's power that is linear in the input.
+    /// γ²: fraction of the output's power that is linear in the input.
     pub coherence: f64,
-    /// Standard deviation of `value` from noise.
+    /// Standard deviation of `value` caused by noise.
     pub noise: f64,
 }
 
-/// Share of the output that is not the linear response, each rms over the rms at excited lines.
+/// Output that is not the linear response: ratios of its rms to the rms at the excited lines.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct Distortion {
-    /// Share at even lines: even nonlinearities.
+    /// Output at even lines, caused by even nonlinearities.
     pub even: f64,
-    /// Share at odd lines that were not excited: odd nonlinearities, friction above all.
+    /// Output at odd lines that were not excited, caused by odd nonlinearities, mainly friction.
     pub odd: f64,
-    /// Share of noise alone, rms over all lines.
+    /// Noise, over all lines.
     pub noise: f64,
 }
 
 impl Distortion {
-    /// Share of even and odd nonlinearities together.
+    /// Even and odd nonlinearities together.
     #[must_use]
     pub fn total(&self) -> f64 {
         f64::hypot(self.even, self.odd)
@@ -58,7 +58,7 @@ fn complex<S: serde::Serializer>(value: &Complex<f64>, serializer: S) -> Result<
     [value.re, value.im].serialize(serializer)
 }
 
-/// Computes the response at `lines`, from realisations sampled every `period_s`.
+/// Computes the response at `lines` from realisations sampled every `period_s` (s).
 #[must_use]
 pub fn frequency_response(realisations: &[Realisation], lines: &[usize], period_s: f64) -> Vec<Point> {
     let transformed: Vec<_> = realisations.iter().map(transform).collect();
@@ -88,7 +88,7 @@ pub fn frequency_response(realisations: &[Realisation], lines: &[usize], period_
     lines.iter().map(point).collect()
 }
 
-/// Computes the output at lines that are not excited, up to the highest of `lines`.
+/// Computes the distortion at lines up to the highest of `lines`.
 #[must_use]
 pub fn distortion(realisations: &[Realisation], lines: &[usize]) -> Distortion {
     let (mut linear, mut even, mut odd, mut noise) = (0.0, 0.0, 0.0, 0.0);
@@ -107,7 +107,7 @@ pub fn distortion(realisations: &[Realisation], lines: &[usize]) -> Distortion {
             noise += spread / (count - 1.0).max(1.0) / count;
         }
     }
-    // All of the power that appears, against all that was put in: lines that are left out stand close together.
+    // Total power of the distortion over total power at the excited lines.
     let share = |power: f64| (power / linear).sqrt();
     Distortion { even: share(even), odd: share(odd), noise: share(noise) }
 }
@@ -120,7 +120,7 @@ fn transform(realisation: &Realisation) -> (Spectrum, Vec<Spectrum>) {
     let spectrum = |samples: &[f64]| {
         let mut samples = samples.to_vec();
         let mut out = plan.make_output_vec();
-        // It fails only on other lengths than its own: the line is then all zero.
+        // It fails only for another length; the spectrum is then all zero.
         let _ = plan.process(&mut samples, &mut out);
         out.into_iter().map(|c| Complex::new(c.re, c.im)).collect()
     };
@@ -137,8 +137,8 @@ mod tests {
     const PERIOD_S: f64 = 1e-3;
     const POLE: f64 = 0.9;
 
-    /// Response of a joint that is a first-order filter, plus `bend` times the cube of the setpoint, to a multisine,
-    /// once it has settled.
+    /// Returns the settled response of a first-order filter, plus `bend` times the cube of the setpoint, to a
+    /// multisine.
     fn filtered(seed: u64, bend: f64) -> (Vec<usize>, Realisation) {
         let lines = odd_lines(1, 200, 10.0);
         let multisine = Multisine::new(&lines, SAMPLES, seed);
@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn cubic_distortion_appears_at_unexcited_odd_lines() {
-        // What rounding leaves of nothing, and what a cubic of 2 % can't stay below.
+        // Largest distortion by rounding, and smallest distortion by a cubic term of 2 %.
         const NOTHING: f64 = 1e-6;
         const SEEN: f64 = 1e-3;
         let (lines, straight) = filtered(1, 0.0);

@@ -1,19 +1,20 @@
-//! Motion of one joint about its initial position while the others hold, within limits checked at every control cycle.
+//! Motion of one joint about its initial position while the other joints are held, with limits checked in every control
+//! cycle.
 
 use opspace_backend::{Backend, Command, DeviceFault, Sample};
 use thiserror::Error;
 
-/// Time over which speed is computed as a difference, s.
+/// Time over which speed is computed as a finite difference, s.
 const SPEED_OVER_S: f64 = 4e-3;
 
-/// Limits of a joint while it is excited.
+/// Limits of a joint during its excitation.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
     /// Largest distance from its initial position, rad (m).
     pub travel: f64,
-    /// Highest speed, rad/s (m/s).
+    /// Largest speed, rad/s (m/s).
     pub speed: f64,
-    /// Largest motor torque, Nm (N), gravity's share included.
+    /// Largest motor torque, including gravity, Nm (N).
     pub torque: f64,
 }
 
@@ -21,19 +22,19 @@ pub struct Bounds {
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum AbortReason {
-    /// Fault of the robot.
+    /// Fault that the robot reported.
     #[error(transparent)]
     Fault(#[from] DeviceFault),
     /// Measured position that is not a finite number.
     #[error("the measured position of joint {0} is not a finite number")]
     NotFinite(usize),
-    /// Distance beyond the limit.
+    /// Distance from the initial position above the limit.
     #[error("it moved {0} rad (m) from its initial position")]
     Travel(f64),
-    /// Speed beyond the limit.
+    /// Speed above the limit.
     #[error("its speed reached {0} rad/s (m/s)")]
     Speed(f64),
-    /// Motor torque beyond the limit.
+    /// Motor torque above the limit.
     #[error("its motor torque reached {0} Nm (N)")]
     Torque(f64),
     /// Requested interruption.
@@ -42,7 +43,7 @@ pub enum AbortReason {
 }
 
 impl AbortReason {
-    /// True if nothing more can be done with the robot; otherwise a smaller motion may be possible.
+    /// True if the robot can no longer be used; otherwise a smaller motion may be possible.
     #[must_use]
     pub fn is_final(&self) -> bool {
         matches!(self, Self::Fault(_) | Self::NotFinite(_) | Self::Interrupted)
@@ -54,9 +55,9 @@ impl AbortReason {
 pub struct Record {
     /// Offsets of the setpoints, rad (m).
     pub asked: Vec<f64>,
-    /// Positions at the control cycles at which these were given, rad (m).
+    /// Positions at the control cycles of the setpoints, rad (m).
     pub position: Vec<f64>,
-    /// Mean motor torque over the interval that begins with each control cycle, Nm (N); empty where it is not measured.
+    /// Mean motor torque over the interval after each control cycle, Nm (N); empty if not measured.
     pub torque: Vec<f64>,
 }
 
@@ -68,13 +69,13 @@ impl Record {
     }
 }
 
-/// Session with a robot that holds itself, and one joint of which is moved.
+/// Session with a robot that holds itself while one of its joints is moved.
 pub struct ExcitationSession<'a> {
     robot: &'a mut dyn Backend,
     sample: Sample,
-    /// Position in which each joint is held.
+    /// Position at which each joint is held (n; rad, m).
     posture: Vec<f64>,
-    /// Offset of the setpoints from it, so that the servos hold the weight there.
+    /// Offset of the setpoints from `posture` with which the servos hold the weight there (n; rad, m).
     bias: Vec<f64>,
     setpoints: Vec<f64>,
     ticks: u64,
@@ -82,8 +83,8 @@ pub struct ExcitationSession<'a> {
 }
 
 impl<'a> ExcitationSession<'a> {
-    /// Takes control of the robot in its present position: setpoints at the measured positions make it sag by the error
-    /// that the servos need to hold its weight, and that error is added to them from then on. `ended` is called with
+    /// Takes control of the robot in its present position. With setpoints at the measured positions it sags by the
+    /// error that the servos need to hold its weight; this error is then added to all setpoints. `ended` is called with
     /// the number of control cycles and returns true to stop.
     ///
     /// # Errors
@@ -130,13 +131,13 @@ impl<'a> ExcitationSession<'a> {
         self.ticks
     }
 
-    /// Position in which a joint is held, rad (m).
+    /// Position at which a joint is held, rad (m).
     #[must_use]
     pub fn posture(&self, joint: usize) -> f64 {
         self.posture[joint]
     }
 
-    /// Motor torque measured last, Nm (N).
+    /// Last measured motor torque, Nm (N).
     #[must_use]
     pub fn torque(&self, joint: usize) -> Option<f64> {
         self.sample.motor_torque.as_ref().map(|t| t[joint])
@@ -148,7 +149,7 @@ impl<'a> ExcitationSession<'a> {
         self.sample.motor_torque.is_some()
     }
 
-    /// Holds all joints for a while.
+    /// Holds all joints for this time (s).
     ///
     /// # Errors
     /// If the robot fails, or the run is interrupted.
@@ -159,11 +160,11 @@ impl<'a> ExcitationSession<'a> {
         Ok(())
     }
 
-    /// Moves a joint's setpoint along offsets from its posture; it stays at the last one. If aborted, it returns to its
-    /// initial position.
+    /// Moves a joint's setpoint along `offsets` (rad, m) from its posture; it stays at the last one. If the motion is
+    /// aborted, the joint returns to its initial position.
     ///
     /// # Errors
-    /// If a bound was reached, the robot fails, or the run is interrupted.
+    /// If a bound is exceeded, the robot fails, or the run is interrupted.
     pub fn run_trajectory(
         &mut self,
         joint: usize,
@@ -186,7 +187,7 @@ impl<'a> ExcitationSession<'a> {
                 return Err(stop);
             }
         }
-        // The torque of the last interval comes with the next sample.
+        // The torque of the last interval is part of the next sample.
         record.torque.extend(self.tick(joint, last)?);
         Ok(record)
     }
@@ -211,7 +212,8 @@ impl<'a> ExcitationSession<'a> {
         }
     }
 
-    /// Reads, and sends the next setpoints; returns the torque read, which is of the interval before.
+    /// Reads a sample and sends the next setpoints; returns the measured torque, which belongs to the previous
+    /// interval.
     fn tick(&mut self, joint: usize, offset: f64) -> Result<Option<f64>, AbortReason> {
         self.ticks += 1;
         if (self.ended)(self.ticks) {

@@ -1,4 +1,4 @@
-//! Motion back and forth at a constant speed, from which friction follows without inertia.
+//! Motion back and forth at a constant speed, which shows friction without the effect of inertia.
 
 use crate::friction::ConstantVelocityRun;
 use crate::gains::Gains;
@@ -8,18 +8,19 @@ use crate::session::Record;
 pub(crate) struct Sweep {
     /// Speed, rad/s (m/s).
     pub speed: f64,
-    /// Distance from the middle within which the joint moves steadily at that speed, rad (m).
+    /// Half of the range about the middle in which the joint moves steadily at that speed, rad (m).
     pub half: f64,
     /// Setpoints and measurements of the motion.
     pub record: Record,
 }
 
 impl Sweep {
-    /// Half the difference of a quantity between both directions, over the same positions.
+    /// Returns half the difference of a quantity between the two directions, over the same positions; `None` if one
+    /// direction is missing.
     fn half_difference(&self, quantity: impl Fn(&Record, usize) -> f64, period_s: f64) -> Option<f64> {
         let record = &self.record;
         let mut sums = [(0.0, 0.0); 2];
-        // The first leg only moves to where the others begin.
+        // The first leg only moves to the start of the other legs.
         let turned = record.asked.windows(2).position(|w| w[1] < w[0])?;
         for k in turned..record.asked.len() - 1 {
             let v = (record.asked[k + 1] - record.asked[k]) / period_s;
@@ -38,7 +39,8 @@ impl Sweep {
         self.half_difference(|record, k| record.asked[k] - record.position[k], period_s)
     }
 
-    /// Friction at this speed: from the measured torque, else from the lag beyond the part that grows with speed.
+    /// Returns the friction at this speed: from the measured torque, or otherwise from the lag minus its part
+    /// proportional to speed.
     pub fn friction(&self, gains: &Gains, lag: Lag, period_s: f64) -> Option<ConstantVelocityRun> {
         let torque = if self.record.torque.is_empty() {
             gains.drive.kv * gains.drive.kp * (self.lag(period_s)? - lag.per_speed * self.speed)
@@ -49,8 +51,8 @@ impl Sweep {
     }
 }
 
-/// Lag of a joint behind its setpoint at constant speed: a part due to Coulomb friction, and one that grows with
-/// speed, due to the servo and to viscous friction, which can't be separated.
+/// Lag of a joint behind its setpoint at constant speed. One part is due to Coulomb friction. The other is proportional
+/// to speed, due to the servo and to viscous friction, which cannot be separated.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Lag {
     /// Part due to Coulomb friction, rad (m).

@@ -1,12 +1,12 @@
-//! Rational model of a measured frequency response, with delay and hold separated.
+//! Rational model of a measured frequency response, with separate delay and hold.
 //!
 //! ```text
 //! T(jω) ≈ hold(jω) e^{−jω t_d} N(jω)/D(jω)        hold(jω) = (1 − e^{−jωT})/(jωT)
 //! ```
 //!
 //! C. K. Sanathanan, J. Koerner, *Transfer function synthesis as a ratio of two complex polynomials*, IEEE Trans.
-//! Automatic Control 8(1), 1963: linear least squares in the coefficients, weighted by the denominator of the round
-//! before.
+//! Automatic Control 8(1), 1963: iterated linear least squares in the coefficients, weighted by the denominator of the
+//! previous iteration.
 
 use nalgebra::{Complex, DMatrix, DVector};
 use opspace_transformer::TransferFunction;
@@ -16,7 +16,7 @@ use std::f64::consts::TAU;
 
 const ROUNDS: usize = 30;
 
-/// Measured value of the response.
+/// Measured value of the response at one frequency.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
     /// Frequency, Hz.
@@ -27,21 +27,21 @@ pub struct Target {
     pub weight: f64,
 }
 
-/// Rational function N(s)/D(s) behind a hold and a delay.
+/// Rational function N(s)/D(s) in series with a hold and a delay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct DelayedTransferFunction {
-    /// N(s)/D(s); the constant of D is 1.
+    /// N(s)/D(s), with the constant coefficient of D equal to 1.
     #[serde(flatten)]
     pub rational: TransferFunction,
-    /// Time over which the input is held, s.
+    /// Duration of the hold of the input, s.
     pub hold_s: f64,
     /// Delay until the input acts, s.
     pub delay_s: f64,
 }
 
 impl DelayedTransferFunction {
-    /// Response at a frequency, Hz.
+    /// Response at the frequency `hz` (Hz).
     #[must_use]
     pub fn at(&self, hz: f64) -> Complex<f64> {
         let s = Complex::new(0.0, TAU * hz);
@@ -54,7 +54,7 @@ impl DelayedTransferFunction {
         self.rational.slowest_pole().is_none_or(|real_part| real_part < 0.0)
     }
 
-    /// Relative error over targets, rms.
+    /// Relative rms error over the targets.
     #[must_use]
     pub fn residual(&self, targets: &[Target]) -> f64 {
         relative(targets.iter().map(|t| (self.at(t.hz), t.value)))
@@ -71,7 +71,8 @@ pub fn relative(pairs: impl Iterator<Item = (Complex<f64>, Complex<f64>)>) -> f6
     if count > 0.0 { f64::sqrt(sum / count) } else { f64::INFINITY }
 }
 
-/// Fits a numerator and a denominator of these degrees; `None` where the response doesn't determine them.
+/// Fits a numerator and a denominator of these degrees, with hold and delay in s; `None` if the response doesn't
+/// determine them.
 #[must_use]
 pub fn fit(
     targets: &[Target],
@@ -80,7 +81,7 @@ pub fn fit(
     delay_s: f64,
 ) -> Option<DelayedTransferFunction> {
     let (m, n) = degrees;
-    // Frequencies about 1 keep the powers of s alike.
+    // Frequencies scaled to about 1 keep the powers of s at similar magnitudes.
     let scale = TAU * (targets.iter().map(|t| t.hz.ln()).sum::<f64>() / targets.len() as f64).exp();
     let mut before = vec![1.0];
     let mut best: Option<(f64, DelayedTransferFunction)> = None;
@@ -122,7 +123,7 @@ fn put(rows: &mut DMatrix<f64>, target: usize, column: usize, value: Complex<f64
     rows[(2 * target + 1, column)] = value.im;
 }
 
-/// Response of a hold and a delay.
+/// Frequency response of a hold and a delay (s) at `hz` (Hz).
 #[must_use]
 pub fn held(hz: f64, hold_s: f64, delay_s: f64) -> Complex<f64> {
     let half = 0.5 * TAU * hz * hold_s;
@@ -134,7 +135,7 @@ pub fn held(hz: f64, hold_s: f64, delay_s: f64) -> Complex<f64> {
 mod tests {
     use super::*;
 
-    /// Smallest ratio of the residuals of fits with a wrong delay and with the right one, where rounding remains.
+    /// Smallest ratio of the residual with a wrong delay to the residual with the right delay.
     const WORSE: f64 = 1e3;
     const ROUNDING: f64 = 1e-12;
 

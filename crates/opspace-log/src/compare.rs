@@ -1,11 +1,11 @@
-//! Comparison of the rows of a replay with those of a log.
+//! Comparison of a replay's rows with those of a log.
 
 use crate::error::LogError;
 use crate::recording::{ChannelData, Recording};
 use opspace_backend::{Layout, Sink, TICK, TICK_TIME};
 use std::collections::BTreeSet;
 
-/// First number of a replay that differs from the log.
+/// First value of a replay that differs from the log.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Difference {
@@ -15,7 +15,7 @@ pub struct Difference {
     pub time_s: f64,
     /// Name of the signal.
     pub signal: String,
-    /// Name of its element: a joint, an axis.
+    /// Name of the signal's element: a joint or an axis.
     pub element: String,
     /// Value in the log.
     pub logged: f64,
@@ -23,13 +23,13 @@ pub struct Difference {
     pub recomputed: f64,
 }
 
-/// Comparison of the control cycles of a replay with those of the log, bit for bit, signal by signal of the same name.
+/// Comparison of the control cycles of a replay and of the log, bit for bit. Signals with the same name are compared.
 #[derive(Debug)]
 pub struct Comparer<'a> {
     logged: &'a ChannelData,
-    /// Indices of the elements compared: in the log's rows and in the replay's.
+    /// Indices of the compared elements, in the log's rows and in the replay's rows.
     slots: Vec<(usize, usize)>,
-    /// Sums of squared differences, one per slot.
+    /// Sum of squared differences of each slot.
     squares: Vec<f64>,
     unmatched: Vec<String>,
     next: usize,
@@ -38,7 +38,7 @@ pub struct Comparer<'a> {
 }
 
 impl<'a> Comparer<'a> {
-    /// Returns the comparison for the control cycles of a log, and a replay with rows of that layout.
+    /// Returns the comparison of a log's control cycles with a replay whose rows have the layout `replay`.
     ///
     /// # Errors
     /// If the log has no control cycles.
@@ -86,7 +86,7 @@ impl<'a> Comparer<'a> {
         self.differing
     }
 
-    /// The first number that differs.
+    /// First value that differs.
     #[must_use]
     pub fn first_difference(&self) -> Option<Difference> {
         let (tick, slot, recomputed) = self.first?;
@@ -102,7 +102,7 @@ impl<'a> Comparer<'a> {
         })
     }
 
-    /// Root mean square of the difference of each element of a signal, with its name.
+    /// Rms difference of each element of a signal, with the element's name.
     #[must_use]
     pub fn rms_difference(&self, signal: &str) -> Vec<(String, f64)> {
         let count = self.compared().max(1) as f64;
@@ -150,7 +150,7 @@ fn offsets(layout: &Layout) -> impl Iterator<Item = (&str, usize, usize)> {
     })
 }
 
-/// Signal and element of a number of a row.
+/// Names of the signal and of the element at an index of a row.
 fn name_of(layout: &Layout, at: usize) -> (String, String) {
     let mut found = (String::new(), String::new());
     for ((name, offset, length), signal) in offsets(layout).zip(&layout.signals) {

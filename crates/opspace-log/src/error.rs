@@ -1,4 +1,4 @@
-//! Errors of writing and reading logs.
+//! Errors when writing and reading logs.
 
 use std::fmt;
 use std::io;
@@ -9,10 +9,10 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LogError {
-    /// Failure of the sink (for example, a full disk): what was written before it is readable.
+    /// Failure of the sink, for example a full disk. Data written before the failure are readable.
     #[error("can't write the log: {0}")]
     Write(#[source] io::Error),
-    /// File that can't be read at all.
+    /// File that can't be read.
     #[error("can't read {}: {source}", path.display())]
     Read {
         /// Path of the file.
@@ -20,13 +20,13 @@ pub enum LogError {
         /// Cause of the failure.
         source: io::Error,
     },
-    /// File that doesn't begin as an MCAP file does.
+    /// File that doesn't begin with the magic bytes of MCAP.
     #[error("this is not an MCAP file: it doesn't begin with the bytes 89 'MCAP0' 0D 0A")]
     NotMcap,
-    /// MCAP file from which nothing of opspace can be read.
+    /// MCAP file without a readable channel of opspace.
     #[error("this MCAP file has no channel recorded by opspace{}", because(damage.as_ref()))]
     NoChannel {
-        /// Damage of the file, if there is any.
+        /// Damage of the file, if any.
         damage: Option<Corruption>,
     },
     /// Log that lacks a signal or channel that a replay needs.
@@ -35,13 +35,13 @@ pub enum LogError {
         /// Name of the signal or channel.
         name: String,
     },
-    /// Two channels of one name.
+    /// Two channels with the same name.
     #[error("two channels have the name '{name}'; names must be unique")]
     DuplicateChannel {
         /// Name of the channels.
         name: String,
     },
-    /// Model in the header that isn't the robot whose rows are recorded.
+    /// Model in the header that doesn't fit the recorded rows.
     #[error("q in the channel 'tick' has {elements} elements but the model '{model}' has {joints} joints")]
     ModelMismatch {
         /// Name of the model.
@@ -53,7 +53,7 @@ pub enum LogError {
     },
 }
 
-/// Damage at which a log stops being readable. Everything read before is intact.
+/// Damage in a log. Everything read before it is intact.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Corruption {
@@ -77,7 +77,7 @@ fn because(damage: Option<&Corruption>) -> String {
 }
 
 impl From<mcap::McapError> for LogError {
-    /// Converts a writer's error: to the sink's own error where it is one.
+    /// Converts a writer's error, to the sink's own error if it has one.
     fn from(error: mcap::McapError) -> Self {
         Self::Write(match error {
             mcap::McapError::Io(e) => e,

@@ -1,8 +1,8 @@
-//! MCAP file as the writer's thread builds it.
+//! MCAP file that the writer's thread writes.
 //!
-//! Bytes are only ever appended, a whole chunk at a time, so that a file cut anywhere is an intact prefix and a
-//! piece of one chunk. Attachments, metadata and all definitions come first. Nothing in the file depends on
-//! the wall clock, except where a real-time run's chunks end.
+//! Bytes are only appended, in whole chunks, so that a truncated file is an intact prefix followed by a part of one
+//! chunk. Attachments, metadata and all definitions come first. The file doesn't depend on the wall clock, except for
+//! the ends of chunks in a real-time run.
 
 use crate::error::LogError;
 use crate::foxglove::{FrameTransforms, JointStates, Message, Warning};
@@ -18,13 +18,13 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Write};
 
-/// Size at which a chunk is closed, bytes: large enough to compress well, small enough to lose.
+/// Size at which a chunk is closed, bytes: large enough to compress well, small enough to limit a loss.
 const CHUNK_BYTES: usize = 256 * 1024;
 
-/// Time on the robot's clock after which a chunk is closed, ns: at most so much of a run is lost when it is killed.
+/// Duration on the robot's clock after which a chunk is closed, ns: the largest loss if a run is killed.
 const CHUNK_NS: u64 = 1_000_000_000;
 
-/// Number of gaps listed one by one; later ones are only counted.
+/// Number of gaps listed individually; further gaps are only counted.
 const LISTED_GAPS: usize = 1000;
 
 /// Topic of the file.
@@ -38,9 +38,9 @@ struct Topic {
 pub(crate) struct Gap {
     /// Number of rows dropped.
     pub records: u64,
-    /// Time of the first, s.
+    /// Time of the first dropped row, s.
     pub from_s: f64,
-    /// Time of the last, s.
+    /// Time of the last dropped row, s.
     pub to_s: f64,
 }
 
@@ -49,7 +49,7 @@ pub(crate) struct File<W: Write> {
     rows: Vec<(Topic, Vec<usize>)>,
     viewer: Option<(Viewer, Topic, Topic)>,
     log: Topic,
-    /// Size of the messages in the open chunk, bytes, and the time of its first.
+    /// Size of the messages in the open chunk, bytes; and the time of the first one.
     chunk_bytes: usize,
     chunk_from_ns: u64,
     message: Vec<u8>,
@@ -59,7 +59,7 @@ pub(crate) struct File<W: Write> {
 }
 
 impl<W: Write> File<W> {
-    /// Writes everything that is known before the run.
+    /// Writes the header and all definitions, which are known before the run.
     pub fn create(sink: W, header: Header, channels: &[Channel]) -> Result<Self, LogError> {
         let layouts: Vec<&Layout> = channels.iter().map(|c| &c.layout).collect();
         let viewer = Viewer::new(&layouts, header.model)?;
@@ -114,7 +114,7 @@ impl<W: Write> File<W> {
         })
     }
 
-    /// Writes a row, and the messages that viewers show of it.
+    /// Writes a row, and the viewers' messages computed from it.
     pub fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) -> Result<(), LogError> {
         let ns = nanoseconds(time_s);
         self.last_s = time_s;
@@ -144,7 +144,7 @@ impl<W: Write> File<W> {
         Ok(())
     }
 
-    /// Records that rows are missing here.
+    /// Records a gap of dropped rows.
     pub fn gap(&mut self, gap: Gap) -> Result<(), LogError> {
         self.lost += gap.records;
         if self.gaps.len() < LISTED_GAPS {
@@ -158,7 +158,7 @@ impl<W: Write> File<W> {
         Ok(())
     }
 
-    /// Closes the open chunk and hands it to the operating system.
+    /// Closes the open chunk and passes it to the operating system.
     pub fn close_chunk(&mut self) -> Result<(), LogError> {
         if self.chunk_bytes > 0 {
             self.chunk_bytes = 0;
@@ -202,7 +202,7 @@ fn own_metadata() -> BTreeMap<String, String> {
     entries.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
 }
 
-/// Adds a topic of one of Foxglove's own message types.
+/// Adds a topic of a Foxglove message type.
 fn known_topic<M: Message, W: Write>(
     mcap: &mut mcap::Writer<NoSeek<W>>,
     topic: &str,

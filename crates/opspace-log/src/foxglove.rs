@@ -1,17 +1,17 @@
-//! The three message types of Foxglove's that a log holds, as protobuf: `foxglove.JointStates`,
-//! `foxglove.FrameTransforms` and `foxglove.Log` (<https://docs.foxglove.dev/docs/sdk/schemas>).
+//! Three Foxglove message types that a log contains, as protobuf: `foxglove.JointStates`, `foxglove.FrameTransforms`
+//! and `foxglove.Log` (<https://docs.foxglove.dev/docs/sdk/schemas>).
 //!
-//! The definitions beside this file are those of the crate `foxglove` (MIT), which holds a live viewer's server and
-//! fifty more types; the tests compare definitions and messages with it. As proto3 demands, a number or a text that is
-//! zero or empty is left out, unless its field is optional.
+//! The definitions in the folder `foxglove` are those of the crate `foxglove` (MIT), which also contains a server for
+//! live viewers and fifty more types. The tests compare definitions and messages with that crate. As required by
+//! proto3, zero numbers and empty texts are omitted, unless their field is optional.
 
 use prost::encoding::{bytes, double, int32, string, uint32};
 
-/// Message type that viewers know.
+/// Message type that viewers support.
 pub(crate) trait Message {
     /// Full name of the type.
     const NAME: &'static str;
-    /// Serialised `FileDescriptorSet` that defines the type.
+    /// Serialized `FileDescriptorSet` that defines the type.
     const DEFINITION: &'static [u8];
 
     /// Appends the message to `out`.
@@ -23,7 +23,7 @@ pub(crate) trait Message {
 pub(crate) struct Timestamp {
     /// Time since 1970, whole seconds.
     pub sec: u32,
-    /// Rest, ns.
+    /// Remaining nanoseconds.
     pub nsec: u32,
 }
 
@@ -64,7 +64,7 @@ pub(crate) struct FrameTransform {
     pub rotation: [f64; 4],
 }
 
-/// `foxglove.Log` of the level `WARNING`.
+/// `foxglove.Log` with level `WARNING`.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Warning {
     pub timestamp: Timestamp,
@@ -142,7 +142,7 @@ impl FrameTransform {
     }
 }
 
-/// Appends the field `tag`: the message that `encode` appends.
+/// Appends the field `tag`, whose content is the message that `encode` appends.
 pub(crate) fn nested(tag: u32, out: &mut Vec<u8>, encode: impl FnOnce(&mut Vec<u8>)) {
     let mut message = Vec::new();
     encode(&mut message);
@@ -155,7 +155,7 @@ fn text(tag: u32, value: &String, out: &mut Vec<u8>) {
     }
 }
 
-/// Appends fields from 1 on, one a number.
+/// Appends the numbers as fields 1, 2, …
 fn numbers(values: &[f64], out: &mut Vec<u8>) {
     for (tag, value) in (1..).zip(values) {
         if *value != 0.0 {
@@ -191,7 +191,7 @@ mod tests {
         Some(messages::Timestamp::new(time.sec, time.nsec))
     }
 
-    /// Compares joints with every value, with none, and with the numbers that proto3 may leave out.
+    /// Compares joints with all values, without values, and with values that proto3 may omit.
     #[test]
     fn joint_states_are_foxgloves() {
         for timestamp in TIMES {

@@ -1,6 +1,6 @@
-//! Logged inputs of a run: samples, targets, stop requests and device faults, in their order.
+//! Logged inputs of a run: samples, targets, stop requests and device faults, in order.
 //!
-//! A replay feeds them to the same control loop.
+//! A replay passes them to the same control loop.
 
 use crate::error::LogError;
 use crate::outcome::OutcomeRecord;
@@ -24,7 +24,7 @@ pub struct LoggedInputs<'a> {
 /// Inputs of one control cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoggedInput<'a> {
-    /// Sample of the cycle, or the fault for which there is none.
+    /// Sample of the cycle, or the device fault that prevented it.
     pub read: Result<&'a Sample, &'a DeviceFault>,
     /// Row of targets.
     pub targets: &'a [f64],
@@ -45,10 +45,10 @@ struct Columns<'a> {
 }
 
 impl<'a> LoggedInputs<'a> {
-    /// Returns the inputs in a log of a robot with these capabilities and targets.
+    /// Returns the logged inputs of a robot with these capabilities and targets.
     ///
     /// # Errors
-    /// If the log lacks one of them.
+    /// If the log lacks one of the signals.
     pub fn new(
         recording: &'a Recording,
         capabilities: &Capabilities,
@@ -81,7 +81,7 @@ impl<'a> LoggedInputs<'a> {
         Ok(Self {
             columns,
             targets: signals.map(|s| signal(&s.name, s.len())).collect::<Result<_, _>>()?,
-            // A log without an outcome was cut short, before any fault.
+            // A truncated log has no outcome, so its device fault is unknown.
             device_fault: device_fault.unwrap_or_else(|| DeviceFault::new(0, "unknown")),
             next: 0,
             sample: Sample::new(capabilities),
@@ -127,7 +127,7 @@ impl Columns<'_> {
             }
         }
         if let Some([word, limited]) = &self.status {
-            // Written from a u32.
+            // The number was converted from a u32.
             sample.status = Some(Status::new(word.row(k)[0] as u32, limited.row(k)[0] != 0.0));
         }
         for (to, from) in sample.wrenches.iter_mut().zip(&self.wrenches) {

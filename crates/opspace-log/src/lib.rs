@@ -1,8 +1,8 @@
-//! Recording of runs to MCAP files, and reading of such files.
+//! Recording of runs to MCAP files, and reading of these files.
 //!
-//! The control thread only pushes rows of numbers into a ring; a separate thread writes them
-//! ([`record`]). A log opens in Foxglove and PlotJuggler, and [`Recording`] reads it back bit for bit, or
-//! its intact part if it is damaged.
+//! The control thread only pushes rows of numbers into a ring buffer; a separate thread writes them ([`record`]). A log
+//! can be opened in Foxglove and PlotJuggler. [`Recording`] reads it back bit for bit, or its intact part if it is
+//! damaged.
 //!
 //! ```
 //! use opspace_backend::{Layout, Signal};

@@ -1,4 +1,4 @@
-//! Outcome of a run, a record at the end of its log.
+//! Outcome of a run, recorded at the end of its log.
 
 use crate::recording::Recording;
 use opspace_backend::DeviceFault;
@@ -13,17 +13,16 @@ pub const OUTCOME: &str = "opspace.outcome";
 pub struct OutcomeRecord {
     /// Cause of a fault; `None` if there was none.
     pub fault: Option<String>,
-    /// True if the run was asked to stop.
+    /// True if the run was stopped on request, or finished early.
     pub interrupted: bool,
-    /// Time of a fault or of a stop request since the start of control, s.
+    /// Time of a fault or interruption since the start of control, s.
     pub time_s: Option<f64>,
     /// Fault as the robot reported it.
     pub device_fault: Option<DeviceFault>,
 }
 
 impl OutcomeRecord {
-    /// Returns the outcome in a log. If the log was cut short, only the fault in its last row is known, if there is
-    /// one.
+    /// Returns the outcome in a log. A truncated log has only the fault in its last row, if there is one.
     #[must_use]
     pub fn of(recording: &Recording) -> Self {
         recording.metadata(OUTCOME).map_or_else(|| Self::of_last_row(recording), Self::of_entries)

@@ -1,4 +1,4 @@
-//! Recorder from the control thread to the file: a ring of numbers and the thread that empties it.
+//! Recorder between the control thread and the file: a ring buffer of numbers, and the thread that empties it.
 
 use crate::error::LogError;
 use crate::file::{File, Gap};
@@ -12,26 +12,26 @@ use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Behaviour when the disk can't keep up and the ring is full.
+/// Behaviour when the ring is full because the disk is too slow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// Wait until there is room: the simulation pauses. No row is lost, and the file's bytes depend on the rows
-    /// alone.
+    /// Wait for space: the simulation pauses. No row is lost, and the bytes of the file depend only on the rows.
     Simulated,
-    /// Drop the row, count it and note the gap: the robot doesn't wait.
+    /// Drop and count the row and record the gap: the robot doesn't wait.
     RealTime,
 }
 
-/// Duration of the rows that the ring holds, s: longer than a disk usually stalls.
+/// Duration of the rows that fit into the ring, s: longer than usual stalls of a disk.
 const RING_S: f64 = 2.0;
 
-/// Largest size of the ring, numbers (512 MB), whatever the rates.
+/// Largest size of the ring, in numbers (512 MB), for any rates.
 const RING_MAX: f64 = 64e6;
 
-/// Length of the prefix of a row in the ring: channel and time.
+/// Length of a row's prefix in the ring: channel and time.
 const PREFIX: usize = 2;
 
-/// Length of a [`Gap`] in the ring, where it stands as a channel after the last: first, last, number of rows.
+/// Length of a [`Gap`] in the ring: first time, last time, number of rows. Its channel index is one past the last
+/// channel.
 const GAP: usize = 3;
 
 /// Sleep of the writer's thread when there is nothing to write: a small part of [`RING_S`].
@@ -40,21 +40,22 @@ const POLL: Duration = Duration::from_millis(2);
 /// Sleep of a simulation when the ring is full.
 const WAIT: Duration = Duration::from_micros(200);
 
-/// Time without new rows after which a real-time run writes what it has.
+/// Time without new rows after which a real-time run writes the open chunk.
 const STILL: Duration = Duration::from_secs(1);
 
-/// Recorder of the control thread, which takes rows. Drop it when the run is over.
+/// Recorder that the control thread passes its rows to. Drop it when the run is over.
 #[derive(Debug)]
 pub struct Recorder {
     ring: Producer<f64>,
     widths: Vec<usize>,
     pace: Pace,
-    /// Rows dropped since the last recorded one.
+    /// Rows dropped since the last recorded row.
     gap: Gap,
     dropped: Arc<AtomicU64>,
 }
 
-/// Handle of the writer's thread. [`finish`](Self::finish) it; dropping it finishes the file too, but reports no error.
+/// Handle of the writer's thread. Call [`finish`](Self::finish); dropping it finishes the file too, but reports no
+/// error.
 #[derive(Debug)]
 pub struct Writer<W> {
     thread: Option<JoinHandle<Result<(WriteStats, W), LogError>>>,
@@ -69,14 +70,14 @@ pub struct Writer<W> {
 pub struct WriteStats {
     /// Number of rows in the file.
     pub records: u64,
-    /// Number of rows dropped because the ring was full; the gaps are in the file.
+    /// Number of rows dropped because the ring was full. The gaps are recorded in the file.
     pub dropped: u64,
 }
 
 /// Begins a log: writes the header and starts the thread that writes the rows.
 ///
 /// # Errors
-/// If two channels have one name, if a model doesn't fit the rows, or if the sink fails.
+/// If two channels have the same name, the model doesn't fit the rows, or the sink fails.
 pub fn record<W: Write + Send + 'static>(
     sink: W,
     header: Header,
@@ -110,20 +111,19 @@ pub fn record<W: Write + Send + 'static>(
     Ok((recorder, Writer { thread: Some(thread), stop, outcome }))
 }
 
-/// Size of the ring, numbers: at least two of the longest rows and a gap.
+/// Size of the ring in numbers: at least two of the longest rows and a gap.
 fn ring_size(channels: &[Channel]) -> usize {
     let per_second: f64 = channels.iter().map(|c| (PREFIX + c.layout.width()) as f64 * c.rate_hz).sum();
     let widest = channels.iter().map(|c| c.layout.width()).max().unwrap_or(0);
-    // The cast takes what is negative or NaN to 0.
+    // The cast converts negative numbers and NaN to 0.
     let asked = (per_second * RING_S).min(RING_MAX) as usize;
     asked.max(2 * (PREFIX + widest) + PREFIX + GAP)
 }
 
 impl Recorder {
-    /// Records a row of the channel with that index (in the order given to [`record`]) at `time_s` on the
-    /// robot's clock. Allocates, locks and formats nothing. With a full ring a simulated run waits here (call
-    /// [`wait_for_space`](Self::wait_for_space) between the control cycles so that it doesn't), a real-time run
-    /// drops the row.
+    /// Records a row of the channel with that index (in the order given to [`record`]) at `time_s` (s) on the robot's
+    /// clock. Allocates, locks and formats nothing. If the ring is full, a real-time run drops the row, and a simulated
+    /// run waits here; to avoid this wait, call [`wait_for_space`](Self::wait_for_space) between control cycles.
     ///
     /// # Panics
     /// If there is no such channel or the row is not as long as its layout.
@@ -143,7 +143,8 @@ impl Recorder {
         }
     }
 
-    /// Waits, between the control cycles of a simulated run, until half the ring is free. A real-time run doesn't wait.
+    /// Waits until half the ring is free, for use between the control cycles of a simulated run. Returns at once in a
+    /// real-time run.
     pub fn wait_for_space(&mut self) {
         let half = self.ring.buffer().capacity() / 2;
         while self.pace == Pace::Simulated && self.ring.slots() < half && !self.ring.is_abandoned() {
@@ -157,7 +158,7 @@ impl Recorder {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// True if rows are still written: false after the sink failed, or the writer was finished.
+    /// True if rows are still written; false after the sink failed or the writer finished.
     #[must_use]
     pub fn is_writing(&self) -> bool {
         !self.ring.is_abandoned()
@@ -165,7 +166,7 @@ impl Recorder {
 
     fn put_or_drop(&mut self, channel: usize, time_s: f64, row: &[f64]) {
         if self.gap.records > 0 {
-            // One long gap rather than many short ones: a quarter of the ring must be free to go on.
+            // Recording continues only when a quarter of the ring is free: one long gap instead of many short ones.
             let room = (self.ring.buffer().capacity() / 4).max(2 * PREFIX + GAP + row.len());
             if self.ring.slots() < room || !self.put_gap() {
                 return self.drop_row(time_s);
@@ -185,7 +186,7 @@ impl Recorder {
         self.dropped.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Records the gap, if there is room.
+    /// Puts the gap into the ring, if there is space.
     fn put_gap(&mut self) -> bool {
         let Gap { records, from_s, to_s } = self.gap;
         let put = self.put(self.widths.len(), from_s, &[from_s, to_s, records as f64]);
@@ -195,7 +196,7 @@ impl Recorder {
         put
     }
 
-    /// Puts a whole record into the ring, or nothing.
+    /// Puts a record into the ring, completely or not at all.
     fn put(&mut self, channel: usize, time_s: f64, row: &[f64]) -> bool {
         let Ok(chunk) = self.ring.write_chunk_uninit(PREFIX + row.len()) else {
             return false;
@@ -206,7 +207,7 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// Records the last gap as well.
+    /// Records the last gap before the ring is closed.
     fn drop(&mut self) {
         while self.gap.records > 0 && !self.put_gap() && !self.ring.is_abandoned() {
             thread::sleep(WAIT);
@@ -215,8 +216,8 @@ impl Drop for Recorder {
 }
 
 impl<W> Writer<W> {
-    /// Writes what is still in the ring and the footer, and returns the sink. Drop the [`Recorder`] first:
-    /// what it pushes afterwards is lost.
+    /// Writes the remaining rows and the footer, and returns the sink. Drop the [`Recorder`] first: rows pushed
+    /// afterwards are lost.
     ///
     /// # Errors
     /// If the sink fails, now or during the run.
@@ -227,9 +228,9 @@ impl<W> Writer<W> {
     /// Finishes the log as [`finish`](Self::finish) does, with the outcome of the run as a record at its end.
     ///
     /// # Errors
-    /// As [`finish`](Self::finish).
+    /// Errors of [`finish`](Self::finish).
     pub fn finish_with(mut self, outcome: OutcomeRecord) -> Result<(WriteStats, W), LogError> {
-        // A poisoned lock: the writer panicked, which joining it tells.
+        // If the lock is poisoned, the writer panicked; joining it reports this.
         if let Ok(mut slot) = self.outcome.lock() {
             *slot = Some(outcome);
         }
@@ -258,14 +259,14 @@ impl<W> Drop for Writer<W> {
     }
 }
 
-/// State of the writer's thread: the reading end of the ring, and the file.
+/// State of the writer's thread: the consumer of the ring, and the file.
 struct Drain<W: Write> {
     ring: Consumer<f64>,
     widths: Vec<usize>,
     row: Vec<f64>,
     file: File<W>,
     records: u64,
-    /// Outcome, set before the stop by whoever knows how the run ended.
+    /// Outcome of the run, set before the stop if it is known.
     outcome: Arc<Mutex<Option<OutcomeRecord>>>,
 }
 
@@ -278,7 +279,7 @@ impl<W: Write> Drain<W> {
     ) -> Result<(WriteStats, W), LogError> {
         let mut moved = Instant::now();
         loop {
-            // Asked before the ring is emptied: what was pushed before the stop is written.
+            // Read before the ring is emptied, so that rows pushed before the stop are written.
             let last = stop.load(Ordering::Acquire) || self.ring.is_abandoned();
             if self.empty()? {
                 moved = Instant::now();
@@ -298,13 +299,13 @@ impl<W: Write> Drain<W> {
         Ok((written, self.file.finish(dropped, outcome.as_ref())?))
     }
 
-    /// Writes the present content of the ring; returns true if there was any.
+    /// Writes the present content of the ring; returns true if it was not empty.
     fn empty(&mut self) -> Result<bool, LogError> {
         let mut left = self.ring.slots();
         let any = left > 0;
         while left > 0 {
             let mut prefix = [0.0; PREFIX];
-            // Records are put whole, so that what begins in the ring also ends in it.
+            // Records are put into the ring completely, so that each one can be read completely.
             let whole = "a record in the ring is whole";
             self.ring.pop_entire_slice(&mut prefix).expect(whole);
             let channel = prefix[0] as usize;

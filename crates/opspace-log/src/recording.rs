@@ -1,8 +1,8 @@
-//! Reading of a log: everything, or the part before the damage.
+//! Reading of a log, or of its intact part if it is damaged.
 //!
-//! The file is read record by record rather than through its index, and a chunk's checksum is verified before
-//! any of it is used. If the file as a whole is not what was written (cut short, or a checksum
-//! fails), rows are also counted, so that a chunk that can't be recognised any more leaves no undetected gap.
+//! The file is read record by record, without its index, and a chunk's checksum is verified before its content is used.
+//! If the file is incomplete or its checksum fails, row numbers are also verified, so that a chunk that is no longer
+//! recognizable leaves no undetected gap.
 
 use crate::error::{Corruption, LogError};
 use crate::header::{Attachment, GAPS};
@@ -26,16 +26,15 @@ const MIN_UNPACKED_BYTES: u64 = 16 << 20;
 /// Log in memory.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// Recorded channels, in the order in which they were recorded.
+    /// Recorded channels, in the order of recording.
     pub channels: Vec<ChannelData>,
     /// Files within the log.
     pub attachments: Vec<Attachment>,
-    /// Named tables. They are protected only by the checksum of the whole file: don't rely on those of a damaged
-    /// one.
+    /// Named tables. Only the checksum of the whole file protects them: don't rely on those of a damaged file.
     pub metadata: Vec<(String, BTreeMap<String, String>)>,
     /// Library that wrote the log.
     pub library: String,
-    /// Damage, due to which there may be less than was recorded; `None` for a whole file.
+    /// Damage of the file, because of which rows may be missing; `None` for an intact file.
     pub damage: Option<Corruption>,
 }
 
@@ -46,11 +45,11 @@ pub struct ChannelData {
     pub layout: Layout,
     /// Time of each row on the robot's clock, s.
     pub time_s: Vec<f64>,
-    /// All rows, one behind the other.
+    /// All rows, concatenated.
     pub rows: Vec<f64>,
 }
 
-/// Single signal of all rows of a channel.
+/// Signal of a channel, over all rows.
 #[derive(Clone, Copy, Debug)]
 pub struct Column<'a> {
     data: &'a ChannelData,
@@ -81,7 +80,7 @@ impl Recording {
     /// Reads a log from memory.
     ///
     /// # Errors
-    /// If this is no MCAP file, or no channel of opspace can be read from it. Other damage is reported in
+    /// If the bytes are not an MCAP file, or contain no readable channel of opspace. Other damage is reported in
     /// [`damage`](Self::damage).
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
         if !bytes.starts_with(MAGIC) {
@@ -213,7 +212,8 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Verifies that the file is as it was written: its end is there and the checksums of both its sections hold.
+/// Verifies that the file is complete and unchanged: it has an end, and the checksums of its data and summary sections
+/// match.
 fn verify(bytes: &[u8]) -> Result<(), String> {
     let mut summary = None;
     let mut records = Records { bytes, at: MAGIC.len() };
@@ -228,7 +228,7 @@ fn verify(bytes: &[u8]) -> Result<(), String> {
                 summary = Some(records.at);
             }
             (Record::Footer { crc }, Some(from)) => {
-                // It covers the footer as far as itself.
+                // The checksum covers the footer up to the checksum itself.
                 checksum("the summary", crc, &bytes[from..records.at - size_of::<u32>()])?;
                 return if &bytes[records.at..] == MAGIC { Ok(()) } else { Err(no_end()) };
             }
@@ -242,13 +242,13 @@ fn no_end() -> String {
     "the file is truncated: it has no end record".to_owned()
 }
 
-/// Recording while it is read.
+/// State of a recording while it is read.
 #[derive(Default)]
 struct Reader {
     recording: Recording,
-    /// Shape of each channel of the recording: the signals' lengths, and the number of the next row.
+    /// For each channel of the recording, the lengths of its signals and the number of its next row.
     shape: Vec<(Vec<usize>, u32)>,
-    /// Map from the file's channels to the recording's; `None` for those of others.
+    /// Map from the file's channel ids to the recording's channels; `None` for channels of other programs.
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
     /// Size of all chunks so far, unpacked.
@@ -260,13 +260,13 @@ struct Reader {
 }
 
 impl Reader {
-    /// Reads record after record, until one is damaged; the error describes it.
+    /// Reads records until one is damaged; the error describes the damage.
     fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
         for raw in (Records { bytes, at: MAGIC.len() }) {
             let raw = raw?;
             match raw.opcode {
                 op::DATA_END => break,
-                // The rows are good without them.
+                // The rows don't depend on these records.
                 op::HEADER | op::METADATA | op::ATTACHMENT => match raw.parse() {
                     Ok(record) => self.take(record)?,
                     Err(what) => self.continued_after = self.continued_after.take().or(Some(what)),

@@ -1,15 +1,14 @@
-//! Records of an MCAP file, as far as [`Recording`](crate::Recording) needs them
-//! (<https://mcap.dev/spec>).
+//! Records of an MCAP file that [`Recording`](crate::Recording) needs (<https://mcap.dev/spec>).
 //!
-//! The crate `mcap` writes our logs; for reading, it allocates whatever a length in the file says, up to 4 GiB for
-//! one flipped bit. Here nothing is allocated beyond the data present.
+//! The crate `mcap` writes the logs. It is not used for reading, because it allocates any length given in the file, up
+//! to 4 GiB after one flipped bit. Here only the length of the data present is allocated.
 
 use crate::header::Attachment;
 use mcap::records::op;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Largest chunk that is accepted, bytes: our own have a quarter of a MiB, other tools' some MiB.
+/// Largest accepted chunk, bytes. Chunks of opspace have a quarter of a MiB, those of other tools some MiB.
 const CHUNK_MAX: u64 = 64 << 20;
 
 /// Size of opcode and length, bytes.
@@ -21,15 +20,15 @@ pub(crate) struct Records<'a> {
     pub at: usize,
 }
 
-/// Record as it stands in the file or in a chunk.
+/// Unparsed record of the file or of a chunk.
 pub(crate) struct Raw<'a> {
     pub opcode: u8,
     pub body: &'a [u8],
-    /// Position of its beginning, bytes.
+    /// Byte offset of its beginning.
     pub at: usize,
 }
 
-/// Record of a known kind.
+/// Parsed record.
 pub(crate) enum Record<'a> {
     Header { library: String },
     Channel { id: u16, metadata: BTreeMap<String, String> },
@@ -42,7 +41,7 @@ pub(crate) enum Record<'a> {
     Other,
 }
 
-/// Chunk of records, packed together.
+/// Chunk of records, possibly compressed.
 pub(crate) struct Chunk<'a> {
     size: u64,
     crc: u32,
@@ -149,7 +148,7 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// Verifies a checksum; one of 0 means that none was written.
+/// Verifies a checksum; 0 means that none was written.
 pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), String> {
     if saved == 0 || crc32fast::hash(bytes) == saved {
         Ok(())
@@ -158,7 +157,7 @@ pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), Strin
     }
 }
 
-/// Fields of a record that are still to be read.
+/// Remaining fields of a record.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

@@ -1,8 +1,8 @@
-//! Protobuf form of a layout: the message definition, the bytes of a row, and back.
+//! Protobuf form of a layout: message definition, and encoding and decoding of rows.
 //!
-//! A row of the channel `tick` is a message `opspace.Tick`: field 1 is `double t` (s), then one packed
-//! `repeated double` per signal, in the layout's order. Doubles keep their bits. Names that protobuf doesn't
-//! allow, units and element labels stand as JSON in the channel's metadata.
+//! A row of the channel `tick` is a message `opspace.Tick`: field 1 is `double t` (s), followed by one packed
+//! `repeated double` per signal, in the layout's order. Values are stored bit for bit. Signal names that protobuf
+//! doesn't allow, units and element names are stored as JSON in the channel's metadata.
 
 use crate::foxglove::nested;
 use opspace_backend::{Layout, Signal};
@@ -18,7 +18,7 @@ pub(crate) fn widths(layout: &Layout) -> Vec<usize> {
     layout.signals.iter().map(Signal::len).collect()
 }
 
-/// Returns the name of the message of a channel, and the serialised `FileDescriptorSet` that defines it.
+/// Returns the name of a channel's message, and the serialized `FileDescriptorSet` that defines it.
 pub(crate) fn definition(layout: &Layout) -> (String, Vec<u8>) {
     let message = pascal_case(&layout.channel);
     let mut set = Vec::new();
@@ -58,8 +58,8 @@ fn number(signal: usize) -> u32 {
     if n < 19_000 { n } else { n + 1_000 }
 }
 
-/// Field names: `hand.position` becomes `hand_position`; each differs from the others, in lowerCamelCase (protobuf's
-/// JSON names) too.
+/// Field names: `hand.position` becomes `hand_position`. They are unique, also in lowerCamelCase (protobuf's JSON
+/// names).
 fn field_names(layout: &Layout) -> Vec<String> {
     let mut taken = BTreeSet::from(["t".to_owned()]);
     let unique = |signal: &Signal| {
@@ -88,7 +88,7 @@ fn pascal_case(name: &str) -> String {
     identifier(name).split('_').map(capital).collect()
 }
 
-/// Metadata of a channel: the layout, so that it is restored exactly.
+/// Metadata of a channel: its layout, so that it can be restored exactly.
 pub(crate) fn channel_metadata(layout: &Layout) -> BTreeMap<String, String> {
     let fields = field_names(layout);
     let signal = |(s, field): (&Signal, String)| json!({ "name": s.name, "unit": s.unit(), "field": field, "elements": s.elements });
@@ -97,7 +97,7 @@ pub(crate) fn channel_metadata(layout: &Layout) -> BTreeMap<String, String> {
     BTreeMap::from([(LAYOUT.to_owned(), text)])
 }
 
-/// Returns the layout of a channel with that metadata. `None` if opspace didn't write the channel.
+/// Returns the layout of a channel with that metadata; `None` if opspace didn't write the channel.
 pub(crate) fn layout(metadata: &BTreeMap<String, String>) -> Option<Result<Layout, String>> {
     let text = metadata.get(LAYOUT)?;
     let read = || {
@@ -123,8 +123,8 @@ pub(crate) fn encode(widths: &[usize], time_s: f64, mut row: &[f64], out: &mut V
     }
 }
 
-/// Appends the row of a message to `rows` and returns its time. Returns `None`, and appends nothing,
-/// if the message is not as [`encode`] writes it.
+/// Appends the row of a message to `rows` and returns its time (s). Returns `None` and appends nothing if the message
+/// differs from the form that [`encode`] writes.
 pub(crate) fn decode(widths: &[usize], message: &[u8], rows: &mut Vec<f64>) -> Option<f64> {
     let before = rows.len();
     let time_s = decode_into(widths, message, rows);
@@ -141,7 +141,7 @@ fn decode_into(widths: &[usize], mut message: &[u8], rows: &mut Vec<f64>) -> Opt
     }
     let (time, rest) = at.split_first_chunk()?;
     *at = rest;
-    // An empty packed field isn't written at all.
+    // Empty packed fields are not written.
     for (i, &width) in widths.iter().enumerate().filter(|&(_, &width)| width > 0) {
         if decode_key(at).ok()? != (number(i), WireType::LengthDelimited) {
             return None;
@@ -191,7 +191,7 @@ mod tests {
         assert_eq!(fields[1].name(), "hand_position");
     }
 
-    /// Compares the definition with the one that prost's descriptor types make of the same names, byte for byte.
+    /// Compares the definition with one made by prost's descriptor types from the same names, byte for byte.
     #[test]
     fn the_definition_is_a_file_descriptor_set() {
         let field = |(i, name): (usize, String)| FieldDescriptorProto {
@@ -218,7 +218,7 @@ mod tests {
         assert_eq!(definition(&awkward()).1, set.encode_to_vec());
     }
 
-    /// Compares the layout before and after the metadata.
+    /// Compares a layout before and after conversion to metadata.
     #[test]
     fn layout_round_trips_through_metadata() {
         assert_eq!(layout(&channel_metadata(&awkward())).unwrap().unwrap(), awkward());
@@ -227,8 +227,8 @@ mod tests {
         assert!(layout(&broken).unwrap().is_err());
     }
 
-    /// Compares the units in the metadata with texts by hand: one where all elements share it, one per element where
-    /// they differ in no order; and the layout before and after.
+    /// Compares the units in the metadata with expected texts: one unit if all elements share it, otherwise one per
+    /// element; and the layout before and after.
     #[test]
     fn metadata_has_the_unit_of_each_element() {
         let arm = Layout {
@@ -246,7 +246,7 @@ mod tests {
         assert_eq!(layout(&metadata).unwrap().unwrap(), arm);
     }
 
-    /// Checks that a message with anything missing, added or of another layout is refused, and leaves nothing behind.
+    /// Checks that a message with missing or additional data, or of another layout, is rejected and appends nothing.
     #[test]
     fn message_of_another_layout_is_refused() {
         let mut message = Vec::new();

@@ -1,5 +1,5 @@
-//! Message types that viewers know: `foxglove.JointStates` and `foxglove.FrameTransforms`, computed from the rows of
-//! the channel `tick` on the writer's thread.
+//! Messages for viewers, `foxglove.JointStates` and `foxglove.FrameTransforms`, computed from the rows of the channel
+//! `tick` on the writer's thread.
 
 use crate::error::LogError;
 use crate::foxglove::{FrameTransform, FrameTransforms, JointState, JointStates, Timestamp, Warning};
@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// Time between two messages, ns: 50 Hz looks smooth, and is a small part of the log.
 const PERIOD_NS: u64 = 20_000_000;
 
-/// Messages of the last instant shown, overwritten in place.
+/// Messages for viewers, overwritten in place.
 pub(crate) struct Viewer {
     /// Index of the channel `tick`.
     pub channel: usize,
@@ -38,7 +38,7 @@ pub(crate) struct Bodies {
 }
 
 impl Viewer {
-    /// Returns the viewer; `None` without a channel `tick` that has a signal `q`.
+    /// Returns the messages of a log with these layouts; `None` without a channel `tick` that has a signal `q`.
     pub fn new(layouts: &[&Layout], model: Option<Arc<Model>>) -> Result<Option<Self>, LogError> {
         let Some(channel) = layouts.iter().position(|l| l.channel == TICK_CHANNEL) else {
             return Ok(None);
@@ -61,7 +61,7 @@ impl Viewer {
         }))
     }
 
-    /// Updates the messages from a row if it is time for it; returns true if they are to be written.
+    /// Updates the messages from a row if the last update is old enough; returns true if they must be written.
     pub fn show(&mut self, ns: u64, row: &[f64]) -> bool {
         if self.last_ns.is_some_and(|last| ns.abs_diff(last) < PERIOD_NS) {
             return false;
@@ -87,7 +87,7 @@ impl Bodies {
             let model_name = model.name().to_owned();
             return Err(LogError::ModelMismatch { model: model_name, joints: model.n(), elements: n });
         }
-        // A link may itself be called "world".
+        // A link may be named "world".
         let mut world = "world".to_owned();
         while model.frame_id(&world).is_ok() {
             world.push('_');
@@ -120,16 +120,16 @@ pub(crate) fn warning(ns: u64, message: String) -> Warning {
     Warning { timestamp: timestamp(ns), message, name: "opspace".to_owned() }
 }
 
-/// Converts a time on the robot's clock to the log's timestamps.
+/// Converts a time on the robot's clock (s) to a timestamp of the log (ns).
 pub(crate) fn nanoseconds(time_s: f64) -> u64 {
-    // The cast saturates, and takes NaN to 0.
+    // The cast saturates, and converts NaN to 0.
     let since_zero = (time_s * 1e9).round() as i64;
     TIME_ZERO_NS.saturating_add_signed(since_zero)
 }
 
 fn timestamp(ns: u64) -> Timestamp {
     let (s, rest) = (ns / 1_000_000_000, (ns % 1_000_000_000) as u32);
-    // A time beyond the year 2106 is the latest that there is.
+    // Times after the year 2106 are replaced by the latest possible one.
     u32::try_from(s)
         .map_or(Timestamp { sec: u32::MAX, nsec: 999_999_999 }, |sec| Timestamp { sec, nsec: rest })
 }

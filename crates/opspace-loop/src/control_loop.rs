@@ -1,25 +1,25 @@
-//! One control cycle: from a sample to a command.
+//! Control cycle: computes a command from a sample.
 //!
-//! [`ControlLoop::step`] is a function of sample, targets and its own state. It knows no robot, thread, clock or sink,
-//! and allocates, locks and formats nothing.
+//! [`ControlLoop::step`] depends only on sample, targets and its own state. It uses no robot, thread, clock or sink,
+//! and it does not allocate, lock or format.
 //!
 //! # Where limits act
 //!
 //! | | where | limits | signals |
 //! |---|---|---|---|
 //! | 1 | references | speed, acceleration and jerk of generated motion; age of streamed targets | `TASK.target_stale` |
-//! | 2 | controller | joint position, speed, acceleration, torque, torque rate, task speed, by priority | `limited`, `limits_solver` |
+//! | 2 | controller | joint position, speed, acceleration, torque, its rate; task speed | `limited`, `limits_solver` |
 //! | 3 | loop | torque ramp; τ_s = clamp(τ_eff + n̂), equation (K11) | `phase`, `torque_saturated` |
-//! | 4 | guard | setpoints within reach of full torque at full speed; following error; watchdogs of torque and power | `setpoint_clamped`, `fault` |
-//! | 5 | device | whatever the robot itself enforces | `device_limited`, `fault` |
+//! | 4 | guard | distance of setpoints; following error; watchdogs of torque and power | `setpoint_clamped`, `fault` |
+//! | 5 | device | limits of the robot itself | `device_limited`, `fault` |
 //!
-//! Torque limits of 2 hold for the sum with the friction compensation n̂ of 3.
+//! The limits of row 2 have an order of priority; its torque limits include the friction compensation n̂ of row 3.
 //!
 //! # Missed cycles
 //!
-//! Missed cycles are detected from the robot's clock. Up to `max_missed_cycles` of them are tolerated: time and references
-//! go on. After more the robot is held until it stands still; then estimates begin anew, references are joined from
-//! where the robot is, and torques ramp in as at the start.
+//! Missed cycles are detected from the robot's clock. Up to `max_missed_cycles` of them are tolerated: time and
+//! references continue. After more, the robot is held until it stands still. Then the estimates start anew, the
+//! references are approached again from the robot's position, and torques ramp in as at the start.
 
 use crate::fault::Fault;
 use crate::guard::Guard;
@@ -36,25 +36,24 @@ use opspace_control::{ControlInput, Controller, Measurement, Targets};
 use opspace_model::{Data, JointUnits, Model};
 use opspace_transformer::{FrictionCompensation, Transformer};
 
-/// The result of a cycle.
+/// Result of a cycle.
 #[derive(Clone, Copy, Debug)]
 #[must_use]
 #[non_exhaustive]
 pub struct Step<'a> {
-    /// The command for the robot; `None` at rest and after a stop.
+    /// Command for the robot; `None` at rest and after a stop.
     pub command: Option<Command<'a>>,
-    /// The phase in which the robot is now.
+    /// Phase of the robot after the cycle.
     pub phase: Phase,
-    /// The cause of a stop.
+    /// Fault that caused a stop, if any.
     pub fault: Option<&'a Fault>,
-    /// Interface cycles that were missed before this one.
+    /// Number of interface cycles missed before this one.
     pub missed_cycles: u64,
-    /// Interface cycles since the first cycle of control, missed ones included.
+    /// Number of interface cycles since the first cycle of control, including missed ones.
     pub control_cycles: u64,
 }
 
-/// A controller with everything between it and a robot: state estimation, friction compensation, transformer and
-/// supervision.
+/// Control loop: a controller with state estimation, friction compensation, transformer and supervision.
 pub struct ControlLoop {
     state: State,
     capabilities: Capabilities,
@@ -69,11 +68,11 @@ pub struct ControlLoop {
     passed_cycles: u64,
     phase: Phase,
     held: bool,
-    /// Time at which torques began to ramp in, s.
+    /// Start of the torque ramp, s.
     ramp_from_s: f64,
     standstill: Standstill,
     fault: Option<Fault>,
-    /// The controller's command (n).
+    /// Controller's command (n).
     command: DVector<f64>,
     torque_desired: DVector<f64>,
     saturated: DVector<f64>,
@@ -82,12 +81,12 @@ pub struct ControlLoop {
     row: Vec<f64>,
 }
 
-/// The inputs of a controller.
+/// Inputs of a controller.
 struct State {
     model: Model,
     data: Data,
     estimator: StateEstimator,
-    /// n̂, Nm or N (n).
+    /// Friction compensation n̂ (n; Nm, N).
     feedforward_torque: DVector<f64>,
 }
 
@@ -104,7 +103,7 @@ impl State {
     }
 }
 
-/// The command of the last cycle.
+/// Kind of command of the last cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outgoing {
     None,
@@ -114,10 +113,10 @@ enum Outgoing {
 }
 
 impl ControlLoop {
-    /// A loop before its first cycle.
+    /// Returns a loop before its first cycle.
     ///
     /// # Errors
-    /// Parts that do not fit together.
+    /// If the parts are not compatible.
     pub fn new(config: LoopConfig) -> Result<Self, LoopError> {
         config.check()?;
         let LoopConfig { model, capabilities, controller, transformer, safety, .. } = config;
@@ -161,11 +160,11 @@ impl ControlLoop {
         Ok(new)
     }
 
-    /// Computes one cycle. Targets are those in force now ([`targets`](Self::targets)). Allocates nothing.
+    /// Computes one cycle with the targets of this cycle (see [`targets`](Self::targets)). Allocates nothing.
     pub fn step(&mut self, sample: &Sample, targets: &Targets) -> Step<'_> {
         self.outgoing = Outgoing::None;
         let result = match self.phase {
-            // The fault that stopped the run may last: the rows say what is still measured.
+            // The fault that stopped the run may persist; the rows record what is still measured.
             Phase::Stopped => self.observe(sample).or(Ok(())),
             Phase::Rest if self.passed_cycles < self.rest_cycles => self.rest(sample),
             _ => self.control(sample, targets),
@@ -179,8 +178,8 @@ impl ControlLoop {
         }
     }
 
-    /// Stops because the robot could not be read, or did not take a command. The result has the last command, if the
-    /// state is known.
+    /// Stops because the robot could not be read or rejected a command. The result has the last command if the state is
+    /// known.
     pub fn fail(&mut self, fault: DeviceFault) -> Step<'_> {
         self.outgoing = Outgoing::None;
         if self.phase == Phase::Stopped {
@@ -189,7 +188,7 @@ impl ControlLoop {
         self.stop_for(Fault::Device(fault))
     }
 
-    /// Stops because a stop was requested. The result has the last command, in place of that of this cycle.
+    /// Stops on request. The result has the last command, which replaces the command of this cycle.
     pub fn stop(&mut self) -> Step<'_> {
         self.outgoing = Outgoing::None;
         if self.phase != Phase::Stopped {
@@ -198,7 +197,7 @@ impl ControlLoop {
         self.result()
     }
 
-    /// The result of the last cycle.
+    /// Result of the last cycle.
     pub fn result(&self) -> Step<'_> {
         let setpoint = self.guard.as_ref().map_or(&[][..], Guard::setpoint);
         let command = match self.outgoing {
@@ -216,54 +215,54 @@ impl ControlLoop {
         }
     }
 
-    /// Properties of the robot for which the loop was made.
+    /// Properties of the robot and its interface.
     #[must_use]
     pub fn capabilities(&self) -> &Capabilities {
         &self.capabilities
     }
 
-    /// The robot's model.
+    /// Model of the robot.
     #[must_use]
     pub fn model(&self) -> &Model {
         &self.state.model
     }
 
-    /// Units of the joints' quantities.
+    /// Units of the joint quantities.
     pub(crate) fn units(&self) -> &JointUnits {
         &self.units
     }
 
-    /// Targets for this loop's tasks, all as configured.
+    /// Returns targets for this loop's tasks, as configured.
     #[must_use]
     pub fn targets(&self) -> Targets {
         self.controller.targets()
     }
 
-    /// The measurement of the last cycle.
+    /// Measurement of the last cycle.
     #[must_use]
     pub fn measurement(&self) -> &Measurement {
         self.state.estimator.measurement()
     }
 
-    /// The robot's clock at the last sample, s.
+    /// Time of the last sample on the robot's clock, s.
     #[must_use]
     pub fn clock_s(&self) -> f64 {
         self.state.estimator.clock_s()
     }
 
-    /// The torques that the last command is to produce, Nm or N (n); NaN where the controller commanded none.
+    /// Torques that the last command should produce (n; Nm, N); NaN if the controller commanded none.
     #[must_use]
     pub fn torque_desired(&self) -> &[f64] {
         self.torque_desired.as_slice()
     }
 
-    /// The signals of [`row`](Self::row).
+    /// Signals of [`row`](Self::row).
     #[must_use]
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// The row of the last cycle: sample, measurement, command, tasks. It is complete before a stop is computed.
+    /// Row of the last cycle: sample, measurement, command, tasks. It is filled before a stop is computed.
     #[must_use]
     pub fn row(&self) -> &[f64] {
         &self.row
@@ -299,7 +298,7 @@ impl ControlLoop {
             self.passed_cycles.saturating_add(self.state.estimator.missed().saturating_add(1));
     }
 
-    /// Updates measurement and model, and compares the motors' torques with the desired ones.
+    /// Updates measurement and model, and runs the watchdogs.
     fn observe(&mut self, sample: &Sample) -> Result<(), Fault> {
         let State { model, data, estimator, .. } = &mut self.state;
         estimator.observe(sample, model, data, &mut *self.transformer, self.held)?;
@@ -309,7 +308,7 @@ impl ControlLoop {
         }
     }
 
-    /// Commands, unless the robot must be held.
+    /// Computes the command, or a hold if the robot must be held.
     fn act(&mut self, targets: &Targets) -> Result<(), Fault> {
         let asked_to_hold = targets.is_held();
         if self.state.estimator.is_lost() || asked_to_hold {
@@ -334,7 +333,7 @@ impl ControlLoop {
         self.measurement().time_s - self.ramp_from_s
     }
 
-    /// Leaves the robot where it is, without a command of the controller.
+    /// Holds the robot, without a command of the controller.
     fn hold(&mut self, targets: &Targets) -> Result<(), Fault> {
         self.controller.observe_while_held(&self.state.input(targets));
         self.command.fill(f64::NAN);
@@ -397,7 +396,7 @@ impl ControlLoop {
         }
     }
 
-    /// τ_s = clamp(τ_eff + n̂), equation (K11), with τ_eff ramping in from the torques that hold the arm.
+    /// Computes τ_s = clamp(τ_eff + n̂), equation (K11); τ_eff ramps in from the torques that hold the arm.
     fn shape_torque(&mut self) {
         let passed_s = self.ramp_passed_s();
         let share = if passed_s < self.ramp_s { passed_s / self.ramp_s } else { 1.0 };
@@ -407,13 +406,13 @@ impl ControlLoop {
                 if share < 1.0 { holding + share * (self.command[i] - holding) } else { self.command[i] };
             let torque = ramped + self.state.feedforward_torque[i];
             let limit = self.torque_limits[i];
-            // NaN passes: it is refused by name.
+            // NaN passes the clamp and is reported as a fault later.
             self.torque_desired[i] = torque.clamp(-limit, limit);
             self.saturated[i] = f64::from(u8::from(torque.abs() > limit));
         }
     }
 
-    /// The torque that holds a joint at rest, Nm or N.
+    /// Torque that holds a joint at rest, Nm or N.
     fn holding_torque(&self, joint: usize) -> f64 {
         match self.capabilities.gravity_compensated_by {
             GravityCompensation::Controller => self.state.data.gravity[joint],
@@ -421,7 +420,7 @@ impl ControlLoop {
         }
     }
 
-    /// Latches the fault, completes the row and stops.
+    /// Latches the fault, fills the row and stops.
     fn stop_for(&mut self, fault: Fault) -> Step<'_> {
         self.fault = Some(fault);
         self.outgoing = Outgoing::None;
@@ -437,9 +436,9 @@ impl ControlLoop {
         self.command.fill(f64::NAN);
     }
 
-    /// Computes the last setpoint. A position robot gets one that balances the weight and is ahead of the measured
-    /// position by v/kp, and keeps it: the stiff servo stops the arm. A velocity robot is braked by its servo's
-    /// damping. If the state is unknown or outdated, the setpoint before stays: it is as good a place to hold.
+    /// Computes the last setpoint. For a position robot it balances the weight and is ahead of the measured position by
+    /// v/kp; the robot keeps it, and the stiff servo stops the arm. For a velocity robot the servo's damping brakes the
+    /// arm. If the state is unknown or outdated, the previous setpoint remains.
     fn set_last_setpoint(&mut self) {
         let estimator = &self.state.estimator;
         let unknown = !estimator.is_known() || self.state.data.q.iter().any(|q| !q.is_finite());
@@ -493,7 +492,7 @@ impl Observable for ControlLoop {
     }
 }
 
-/// Checks that the command of every joint is a finite number.
+/// Checks that all commands are finite.
 fn check_finite(command: &[f64]) -> Result<(), Fault> {
     match command.iter().position(|value| !value.is_finite()) {
         Some(joint) => Err(Fault::CommandNotFinite { joint }),

@@ -1,4 +1,4 @@
-//! Drives robots by runs: read, cycle, write.
+//! Drives robots by their runs: read, cycle, write.
 
 use crate::link::Link;
 use crate::run::Run;
@@ -6,8 +6,8 @@ use crate::timeline::Timeline;
 use opspace_backend::{Backend, GroundTruth, Sample};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Reads the robot, lets the run compute, and writes its command, until the run is over. The robot ends in its safe
-/// state, whatever happens: a panic in a task, a controller or the backend stops it as well, and is the run's outcome.
+/// Reads the robot, computes the run's cycle and writes its command, until the run is over. The robot always ends in
+/// its safe state: a panic in a task, a controller or the backend also stops it and becomes the run's outcome.
 pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
     let mut sample = prepare(backend, run);
     let cycles = || {
@@ -21,20 +21,20 @@ pub fn drive(backend: &mut dyn Backend, run: &mut Run<'_>) {
     backend.stop();
 }
 
-/// One of several robots, and its run.
+/// Robot with its run, one of several.
 pub struct Driven<'a, 'b> {
-    /// The robot.
+    /// Robot's backend.
     pub backend: &'a mut dyn Backend,
-    /// Its run.
+    /// Robot's run.
     pub run: &'a mut Run<'b>,
 }
 
-/// Drives several robots on one clock, whose cycles come in the order of `timeline`, with links between them. The
-/// robots end in their safe states when all runs are over; a panic of one stops all. A cycle that a simulated bus loses
-/// is left out, so that the arms of one simulation are read in the order of their samples.
+/// Drives several robots on one clock, with links between them; their cycles are executed in the order of `timeline`.
+/// The robots end in their safe states when all runs are over; a panic of one robot stops all. Cycles that a simulated
+/// bus loses are skipped, so that the arms of one simulation are read in the order of their samples.
 ///
 /// # Panics
-/// If the timeline or a link has a robot that is not among `robots`.
+/// If the timeline or a link refers to a robot that is not in `robots`.
 pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timeline: &mut Timeline) {
     let mut samples: Vec<Sample> = robots.iter_mut().map(|robot| prepare(robot.backend, robot.run)).collect();
     let cycles = || {
@@ -63,7 +63,7 @@ pub fn drive_together(robots: &mut [Driven<'_, '_>], links: &mut [Link], timelin
     }
 }
 
-/// Returns true if a robot's simulated bus loses the cycle of that number.
+/// Returns true if the robot's simulated bus loses the cycle with that number.
 fn is_lost(backend: &dyn Backend, number: u64) -> bool {
     let next = backend.ground_truth().and_then(GroundTruth::next_sample_cycle);
     next.is_some_and(|next| number < next)
@@ -76,8 +76,8 @@ fn prepare(backend: &mut dyn Backend, run: &mut Run<'_>) -> Sample {
     Sample::new(backend.capabilities())
 }
 
-/// Runs one cycle. `arrive` is called after the sample is read, with the sample's time on the robot's clock (s), and
-/// may write targets.
+/// Runs one cycle. `arrive` is called after the sample is read, with the sample's time on the robot's clock (s); it may
+/// write targets.
 fn cycle(
     backend: &mut dyn Backend,
     run: &mut Run<'_>,

@@ -1,13 +1,13 @@
-//! Causes of a stop: a run has one, and it is latched.
+//! Faults: causes of a stop. A run latches the first one.
 
 use opspace_backend::DeviceFault;
 use opspace_model::Model;
 use thiserror::Error;
 
-/// The code of a fault that the robot itself reported.
+/// Code of a fault that the robot itself reported.
 pub(crate) const DEVICE_CODE: u32 = 17;
 
-/// The cause of a stop. Joints are given by their index; [`describe`](Fault::describe) names them.
+/// Cause of a stop. Joints are given by their index; [`describe`](Fault::describe) names them.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Fault {
@@ -17,7 +17,7 @@ pub enum Fault {
         /// Joint index.
         joint: usize,
     },
-    /// A force sensor gave no finite number.
+    /// A force sensor's reading is not a finite number.
     #[error("force sensor {sensor}: the measured force is not a finite number")]
     SensorNotFinite {
         /// Sensor index.
@@ -29,36 +29,36 @@ pub enum Fault {
         /// Joint index.
         joint: usize,
     },
-    /// The robot's clock stood still or went back.
+    /// The robot's clock did not advance.
     #[error("the robot's clock went from {before_s} s to {now_s} s")]
     Clock {
-        /// Time of the sample before, s.
+        /// Time of the previous sample, s.
         before_s: f64,
         /// Time of this sample, s.
         now_s: f64,
     },
-    /// The robot was silent for too long.
+    /// The robot sent no sample for too long.
     #[error("the robot was silent for {silent_s} s; limit: {limit_s} s")]
     Dropout {
         /// Time without a sample, s.
         silent_s: f64,
-        /// `max_dropout_s`.
+        /// Limit `max_dropout_s`, s.
         limit_s: f64,
     },
-    /// After a dropout, a joint that should be held goes on moving.
+    /// A joint still moves although the robot is held.
     #[error("joint {joint}: still moving after being held for {held_s} s following a dropout")]
     HoldFailed {
         /// Joint index.
         joint: usize,
-        /// Time for which it was held, s.
+        /// Duration of the hold, s.
         held_s: f64,
     },
-    /// A measured position is further from the one before than any speed explains.
+    /// A measured position differs from the previous one by more than the joint can move.
     #[error("joint {joint}: the measured position jumped by {step}, limit {limit}")]
     PositionJump {
         /// Joint index.
         joint: usize,
-        /// Distance from one sample to the next, rad or m.
+        /// Change of the position between two samples, rad or m.
         step: f64,
         /// Limit, rad or m.
         limit: f64,
@@ -75,17 +75,17 @@ pub enum Fault {
         /// Upper limit, rad or m.
         upper: f64,
     },
-    /// A joint moves faster than it may.
+    /// A joint exceeds its speed limit.
     #[error("joint {joint}: speed {dq} is above its limit {limit}")]
     Speed {
         /// Joint index.
         joint: usize,
-        /// Estimated speed, rad/s or m/s.
+        /// Measured or estimated velocity, rad/s or m/s.
         dq: f64,
         /// Limit, rad/s or m/s.
         limit: f64,
     },
-    /// A joint is further from its setpoint than full torque and full speed explain.
+    /// A joint is farther from its setpoint than full torque at full speed explains.
     #[error("following error of joint {joint}: {error}, limit {limit}")]
     FollowingError {
         /// Joint index.
@@ -95,36 +95,36 @@ pub enum Fault {
         /// Limit, rad or m.
         limit: f64,
     },
-    /// The motor of a position robot gives another torque than the one for which its setpoints were made.
+    /// The motor torque of a position or velocity robot differs from the desired torque.
     #[error("joint {joint}: the motor's torque is {deviation} Nm from the desired torque, limit {limit}")]
     TorqueDeviation {
         /// Joint index.
         joint: usize,
-        /// Measured less desired, as a mean over the watchdog's time, Nm or N.
+        /// Mean of measured minus desired torque over the watchdog's time constant, Nm or N.
         deviation: f64,
         /// Limit, Nm or N.
         limit: f64,
     },
-    /// The motor of a position robot drives its joint with more power than was asked for.
+    /// The motor of a position or velocity robot delivers more power than the desired torque would.
     #[error("joint {joint}: the motor delivers {power} W more than the desired torque would, limit {limit}")]
     ExcessPower {
         /// Joint index.
         joint: usize,
-        /// (τ_motor − τ_desired) q̇ as a mean over the watchdog's time, W.
+        /// Mean of (τ_motor − τ_desired) q̇ over the watchdog's time constant, W.
         power: f64,
         /// Limit, W.
         limit: f64,
     },
-    /// The mass matrix can't be factored.
+    /// The mass matrix cannot be factorized.
     #[error("the mass matrix is not positive definite at the measured position")]
     MassMatrix,
     /// The robot itself reported a fault.
     #[error("the robot reports: {0}")]
     Device(DeviceFault),
-    /// A streamed target is too old, and its task asks for a stop.
+    /// A streamed target is too old, and its task requires a stop in this case.
     #[error("the target of task {task} is {age_s} s old")]
     StaleTarget {
-        /// Place of the task in the priority, from 0.
+        /// Index of the task in the order of priority, from 0.
         task: usize,
         /// Age of the target, s.
         age_s: f64,
@@ -137,7 +137,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Its number in a log; 0 is none.
+    /// Number of the fault in a log; 0 means no fault.
     #[must_use]
     pub fn code(&self) -> u32 {
         match self {
@@ -160,7 +160,7 @@ impl Fault {
         }
     }
 
-    /// The cause in words, with the joint's name. Allocates: not for the loop.
+    /// Description of the fault with the joint's name. Allocates, so it must not be called in the loop.
     #[must_use]
     pub fn describe(&self, model: &Model) -> String {
         let text = self.to_string();

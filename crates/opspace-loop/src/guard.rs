@@ -1,7 +1,7 @@
-//! The guard between transformer and robot: setpoints within reach of the servo, following error, and the watchdogs of
-//! motor torque and power.
+//! Guard between transformer and robot: clamps setpoints around the measured state, checks the following error, and
+//! runs the watchdogs of motor torque and power.
 //!
-//! A torque robot needs none: its torques were clamped before.
+//! A torque robot needs no guard: its torques are clamped before.
 
 use crate::fault::Fault;
 use crate::watchdog::{Watchdog, WatchdogParameters};
@@ -19,29 +19,30 @@ pub(crate) struct Guard {
     kind: CommandKind,
     joints: Vec<String>,
     units: JointUnits,
-    /// Largest distance of a setpoint from the measured position or velocity, by joint.
+    /// Largest distance of a setpoint from the measured position or velocity (n; rad, m or rad/s, m/s).
     reach: DVector<f64>,
-    /// Largest motion of a joint within a period at full speed.
+    /// Largest motion of a joint within a period, at its speed limit (n; rad, m).
     step: DVector<f64>,
     period_s: f64,
-    /// Torque per velocity of each servo, Nms/rad or Ns/m.
+    /// Damping kv of each servo (n; Nms/rad, Ns/m).
     damping: Vec<f64>,
     setpoint: DVector<f64>,
-    /// Rate of change of the setpoints, rad/s, m/s or rad/s², m/s² (n); within a cycle, the setpoints before.
+    /// Rate of change of the setpoints (n; rad/s, m/s or rad/s², m/s²); while a cycle is computed, the previous
+    /// setpoints.
     rate: DVector<f64>,
     clamped: DVector<f64>,
-    /// True once there is a setpoint.
+    /// True once a setpoint was computed.
     is_set: bool,
     watchdog: Watchdog,
-    /// Torques for which the setpoints in force were made, Nm or N (n).
+    /// Desired torques for which the present setpoints were computed (n; Nm, N).
     torque_desired: DVector<f64>,
-    /// True if the setpoints in force were made for torques.
+    /// True if the present setpoints were computed from torques.
     watching: bool,
 }
 
 impl Guard {
-    /// Guard for setpoints of that kind to servos with these gains, with torque limits (n; Nm, N). `None` for a torque
-    /// robot.
+    /// Returns a guard for setpoints of that kind, for servos with these gains and torque limits (n; Nm, N); `None` for
+    /// a torque robot.
     pub(crate) fn new(
         kind: CommandKind,
         model: &Model,
@@ -54,11 +55,11 @@ impl Guard {
         let speeds: Vec<f64> = model.joints().iter().map(|j| j.limits.velocity).collect();
         let reach: fn(&ServoGains, f64, f64) -> f64 = match kind {
             CommandKind::Torque => return None,
-            // Equation (K9) solved for the distance at which the servo gives full torque at full speed.
+            // Equation (K9): setpoint distance at which the servo produces full torque at full speed.
             CommandKind::Position => {
                 |gains, torque, speed| (torque + gains.damping * speed) / gains.stiffness
             }
-            // Its inner loop alone, at which the servo gives full torque.
+            // Inner loop of (K9): velocity error at which the servo produces full torque.
             CommandKind::Velocity => |gains, torque, _| torque / gains.damping,
         };
         Some(Self {
@@ -79,21 +80,21 @@ impl Guard {
         })
     }
 
-    /// The setpoints (rad, m or rad/s, m/s; n).
+    /// Present setpoints (n; rad, m or rad/s, m/s).
     pub(crate) fn setpoint(&self) -> &[f64] {
         self.setpoint.as_slice()
     }
 
-    /// Setpoints to be overwritten (rad, m or rad/s, m/s; n).
+    /// Present setpoints, mutable (n; rad, m or rad/s, m/s).
     pub(crate) fn setpoint_mut(&mut self) -> &mut [f64] {
         self.setpoint.as_mut_slice()
     }
 
-    /// Compares the motors' torques with the desired ones, where every sample came and the setpoints in force were made
-    /// for torques.
+    /// Runs the watchdogs on motor torques and desired torques, if no cycle was missed and the present setpoints were
+    /// computed from torques.
     ///
     /// # Errors
-    /// The first joint whose motor deviates by more than a bound.
+    /// Fault of the first joint beyond a bound.
     pub(crate) fn watch(&mut self, measurement: &Measurement, missed: u64) -> Result<(), Fault> {
         match &measurement.motor_torque {
             Some(torque) if self.watching && missed == 0 => {
@@ -103,17 +104,17 @@ impl Guard {
         }
     }
 
-    /// Stops comparing torques, and clears the means.
+    /// Stops the watchdogs and clears their means.
     pub(crate) fn stop_watching(&mut self) {
         self.watching = false;
         self.watchdog.reset();
     }
 
-    /// Checks that each joint of a position robot is as near to its setpoint as full torque at full speed explains:
-    /// farther away it was stopped by something, or the setpoint jumped.
+    /// Checks that each joint of a position robot is within reach of its setpoint: the distance that full torque at
+    /// full speed explains. At a larger distance an obstacle stopped the joint, or the setpoint jumped.
     ///
     /// # Errors
-    /// The first joint that is farther away.
+    /// Fault of the first joint beyond the distance.
     pub(crate) fn check_following(&self, measurement: &Measurement, missed: u64) -> Result<(), Fault> {
         if self.is_set { self.check_distance(measurement, missed) } else { Ok(()) }
     }
@@ -132,23 +133,24 @@ impl Guard {
         Ok(())
     }
 
-    /// Begins a cycle in which setpoints are computed: remembers those before, for the signal of their rate of
-    /// change. The first ones count from the measured state.
+    /// Begins a cycle in which setpoints are computed: saves the previous setpoints for their rate of change, or the
+    /// measured state if there are none.
     pub(crate) fn begin(&mut self, measurement: &Measurement) {
         let before = if self.is_set { &self.setpoint } else { measured(self.kind, measurement) };
         self.rate.copy_from(before);
     }
 
-    /// Takes the torques for which setpoints are computed, Nm or N (n).
+    /// Sets the desired torques from which setpoints are computed (n; Nm, N), and enables the watchdogs.
     pub(crate) fn expect_torque(&mut self, torque: &[f64]) {
         self.torque_desired.copy_from_slice(torque);
         self.watching = true;
     }
 
-    /// Takes setpoints that no transformer made, rad or m (n); velocities, rad/s or m/s, are brought within reach.
+    /// Sets setpoints of the controller, which no transformer computed (n; rad, m or rad/s, m/s). Velocities are
+    /// clamped to the reach.
     ///
     /// # Errors
-    /// A following error.
+    /// Following error of a position robot.
     pub(crate) fn take(
         &mut self,
         setpoint: &[f64],
@@ -163,7 +165,7 @@ impl Guard {
         self.check_distance(measurement, missed)
     }
 
-    /// Brings setpoints to where the servo gives full torque at full speed, if they are farther away.
+    /// Clamps setpoints to the reach around the measured positions or velocities.
     pub(crate) fn keep_within_reach(&mut self, measurement: &Measurement) {
         let measured = measured(self.kind, measurement);
         for (i, setpoint) in self.setpoint.iter_mut().enumerate() {
@@ -183,7 +185,8 @@ impl Guard {
         self.is_set = true;
     }
 
-    /// A cycle in which the robot is held: the setpoints of a position robot stay, those of a velocity robot are zero.
+    /// Updates the guard in a cycle in which the robot is held: a position robot keeps its setpoints, those of a
+    /// velocity robot are zero.
     pub(crate) fn hold(&mut self) {
         self.stop_watching();
         self.rate.fill(0.0);
@@ -192,8 +195,8 @@ impl Guard {
         }
     }
 
-    /// Sets setpoints of a velocity robot that brake it with the servo's damping and produce the torques `holding` (Nm
-    /// or N; n).
+    /// Sets setpoints of a velocity robot: the servo's damping brakes the joints and adds the torques `holding` (n; Nm,
+    /// N).
     pub(crate) fn brake(&mut self, holding: &[f64]) {
         for (i, setpoint) in self.setpoint.iter_mut().enumerate() {
             *setpoint = holding[i] / self.damping[i];
@@ -201,7 +204,7 @@ impl Guard {
     }
 }
 
-/// The measured quantity that setpoints of that kind are compared with.
+/// Returns the measured quantity to which setpoints of that kind are compared.
 fn measured(kind: CommandKind, measurement: &Measurement) -> &DVector<f64> {
     match kind {
         CommandKind::Velocity => &measurement.dq,

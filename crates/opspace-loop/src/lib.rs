@@ -1,8 +1,8 @@
-//! The control loop, and what runs it: run, drive, timeline and links.
+//! Control loop, and its execution: run, drive, timeline and links.
 //!
-//! [`ControlLoop::step`] turns a sample into a command. A [`Run`] adds duration, stop requests, rows and an outcome;
-//! [`drive()`] reads the samples from a [`Backend`](opspace_backend::Backend) and writes the commands to it. Where
-//! the robot's library owns the loop, its callback calls [`Run::cycle`].
+//! [`ControlLoop::step`] computes a command from a sample. A [`Run`] adds duration, stop requests, rows and an outcome;
+//! [`drive()`] reads the samples from a [`Backend`](opspace_backend::Backend) and writes the commands to it. If the
+//! robot's library has its own loop, its callback calls [`Run::cycle`].
 //!
 //! ```
 //! use opspace_backend::{Capabilities, CommandKind, TICK};

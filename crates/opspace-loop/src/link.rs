@@ -1,8 +1,8 @@
-//! Links between robots: signals of one robot's row become inputs of another robot's targets, through a channel with
-//! delay, jitter, loss and reordering.
+//! Links between robots: a link sends signals of one robot's row to the targets of another robot, through a channel
+//! with delay, jitter, loss and reordering.
 //!
-//! A link acts on the integer clock of a [`Timeline`]. What arrives is an input of the receiving robot and is in its
-//! log, so that each robot's log can be replayed alone.
+//! A link uses the integer clock of a [`Timeline`]. Received values are inputs of the receiving robot and are recorded
+//! in its log, so that each robot's log can be replayed alone.
 
 use crate::phase::Phase;
 use crate::timeline::Timeline;
@@ -14,44 +14,44 @@ use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 use thiserror::Error;
 
-/// Properties of a channel. Everything random comes from the seed.
+/// Properties of a channel. All random numbers come from the seed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ChannelParameters {
-    /// Delay of every packet, s.
+    /// Constant delay of a packet, s.
     pub delay_s: f64,
-    /// Largest further delay, uniformly distributed, s.
+    /// Largest additional delay, uniformly distributed, s.
     pub jitter_s: f64,
     /// Probability that a packet is lost.
     pub loss: f64,
     /// True if a packet may arrive after one that was sent later.
     pub reordering: bool,
-    /// Seed.
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
-/// Signals that can't be linked.
+/// Reason why a link can't be created.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum LinkError {
-    /// A signal that the sending robot does not have.
+    /// Signal that the sending robot does not record.
     #[error("the sending robot does not record the signal '{0}'")]
     Signal(String),
-    /// A task or an input that the receiving robot does not have, or one of another length.
+    /// Unknown task or input of the receiving robot, or an input of another length.
     #[error(transparent)]
     Target(#[from] TargetError),
-    /// Parameters out of range.
+    /// Channel parameters out of range.
     #[error("delay_s and jitter_s must be finite and not negative, and loss between 0 and 1")]
     Parameters,
 }
 
-/// A link from one robot to a task of another.
+/// Link from one robot to a task of another.
 pub struct Link {
     from: usize,
     to: usize,
     task: TaskHandle,
-    /// Places in the sender's row, and the inputs they become.
+    /// Columns of the sender's row, and the inputs to which they are copied.
     copies: Vec<(Range<usize>, InputHandle)>,
-    /// Place of the sender's phase in its row.
+    /// Column of the sender's phase in its row.
     phase: usize,
     channel: Channel,
     /// Values of a packet: the sender's phase, then the copies.
@@ -59,11 +59,11 @@ pub struct Link {
 }
 
 impl Link {
-    /// A link from the robot `from`, whose rows have the layout `row`, to the task `task` of the robot `to`, that
-    /// copies signals to inputs: pairs of a signal of the row and an input of the task.
+    /// Returns a link from the robot `from`, whose rows have the layout `row`, to the task `task` of the robot `to`.
+    /// `copies` are pairs of a signal of the row and an input of the task.
     ///
     /// # Errors
-    /// Names that are not known, lengths that differ, parameters out of range.
+    /// If a name is unknown, lengths differ, or parameters are out of range.
     pub fn new(
         timeline: &Timeline,
         (from, row): (usize, &Layout),
@@ -115,8 +115,8 @@ impl Link {
         self.channel.send(tick, &self.values);
     }
 
-    /// Writes what has arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s). A sender that
-    /// is held or stopped asks the receiver to hold. Allocates nothing.
+    /// Writes the packets that arrived by `tick` to the receiver's targets, stamped with its clock `clock_s` (s). If
+    /// the sender is held or stopped, the receiver is held. Allocates nothing.
     pub fn deliver(&mut self, tick: u64, clock_s: f64, targets: &mut Targets) {
         while let Some(values) = self.channel.receive(tick) {
             targets.hold([Phase::Held, Phase::Stopped].map(Phase::code).contains(&values[0]));
@@ -124,7 +124,7 @@ impl Link {
             for (range, input) in &self.copies {
                 let copied = &values[at..at + range.len()];
                 at += range.len();
-                // A sender whose signal is not a number says nothing of it: the last value stays.
+                // A NaN signal is not written: the last value remains.
                 let _ = targets.write(&self.task, clock_s, &[(input, copied)]);
             }
         }
@@ -136,7 +136,7 @@ fn columns(layout: &Layout, name: &str) -> Result<Range<usize>, LinkError> {
     layout.columns(name).ok_or_else(|| LinkError::Signal(name.to_owned()))
 }
 
-/// Packets in transit.
+/// Channel with its packets in transit.
 struct Channel {
     delay: u64,
     jitter: u64,
@@ -144,7 +144,7 @@ struct Channel {
     reordering: bool,
     random: ChaCha8Rng,
     last_arrival: u64,
-    /// Slots for packets: free ones have no arrival.
+    /// Slots for packets; the arrival of a free slot is `None`.
     packets: Vec<Packet>,
     sent: u64,
     out: Vec<f64>,
@@ -182,7 +182,7 @@ impl Channel {
     }
 
     fn send(&mut self, tick: u64, values: &[f64]) {
-        // Both are drawn for every packet, so that one leaves the other as it is.
+        // Both numbers are drawn for every packet, so that loss and jitter don't affect each other.
         let lost = self.random.random_range(0.0..1.0) < self.loss;
         let late = self.random.random_range(0..=self.jitter);
         self.sent += 1;
@@ -196,7 +196,7 @@ impl Channel {
         packet.values.copy_from_slice(values);
     }
 
-    /// The next packet that has arrived by `tick`, in the order of arrival, then of sending.
+    /// Returns the next packet that arrived by `tick`, in the order of arrival, then of sending.
     fn receive(&mut self, tick: u64) -> Option<&[f64]> {
         let arrived = self.packets.iter_mut().filter(|p| p.arrives.is_some_and(|at| at <= tick));
         let packet = arrived.min_by_key(|packet| (packet.arrives, packet.number))?;
@@ -214,7 +214,7 @@ mod tests {
         Channel::new(&Timeline::new(&[1000]).expect("a good clock"), parameters, 1).expect("a good clock")
     }
 
-    /// Sends the number of each of 1000 ticks; returns the ticks of arrival with the numbers.
+    /// Sends a packet at each of 1000 ticks, with the tick's number; returns ticks of arrival and numbers.
     fn arrivals(mut channel: Channel) -> Vec<(u64, f64)> {
         let mut arrivals = Vec::new();
         for tick in 0..1100 {
@@ -228,7 +228,7 @@ mod tests {
         arrivals
     }
 
-    /// Compared: arrivals, and sending times plus the delay.
+    /// Compared: arrival times, and sending times plus the delay.
     #[test]
     fn constant_delay_shifts_every_packet() {
         let arrived = arrivals(channel(ChannelParameters { delay_s: 0.02, ..Default::default() }));
@@ -252,13 +252,13 @@ mod tests {
         }
     }
 
-    /// Compared: the share of lost packets and its probability; the arrivals of two channels with one seed, and of two
-    /// seeds.
+    /// Compared: the fraction of lost packets and its probability; arrivals of two channels with the same seed, and
+    /// with different seeds.
     #[test]
     fn loss_is_random_and_seeded() {
         let lossy = |seed| arrivals(channel(ChannelParameters { loss: 0.3, seed, ..Default::default() }));
         let arrived = lossy(1).len();
-        // 1000 draws: a standard deviation is 14.5; five of them.
+        // 1000 draws have a standard deviation of 14.5; tolerance: five of them.
         assert!((628..=772).contains(&arrived), "{arrived} of 1000 at a loss of 0.3");
         assert_eq!(lossy(1), lossy(1));
         assert_ne!(lossy(1), lossy(2));

@@ -1,4 +1,4 @@
-//! The parts of a control loop, and the checks that they fit together.
+//! Parts of a control loop, and checks that they are compatible.
 
 use crate::safety::SafetyParameters;
 use opspace_backend::{Capabilities, CommandKind};
@@ -7,31 +7,31 @@ use opspace_model::{Model, UnknownFrame};
 use opspace_transformer::{EstimatorParameters, FrictionCompensation, Identity, ServoGains, Transformer};
 use thiserror::Error;
 
-/// The parts of a [`ControlLoop`](crate::ControlLoop).
+/// Parts of a [`ControlLoop`](crate::ControlLoop).
 pub struct LoopConfig {
-    /// The robot's model.
+    /// Model of the robot.
     pub model: Model,
     /// Properties of the robot and its interface.
     pub capabilities: Capabilities,
-    /// Controller: tasks to torques, or to positions.
+    /// Controller: computes torques, or positions or velocities, from tasks.
     pub controller: Box<dyn Controller>,
-    /// Transformer: torques to the robot's commands.
+    /// Transformer: computes the robot's commands from torques.
     pub transformer: Box<dyn Transformer>,
-    /// Gains of the servos of a position or velocity robot (n); not used for a torque robot.
+    /// Equivalent gains of the servos of a position or velocity robot (n); not used for a torque robot.
     pub servo_gains: Vec<ServoGains>,
-    /// Velocity estimate of a robot that measures positions only.
+    /// Velocity estimator, for a robot that measures positions only.
     pub estimator: EstimatorParameters,
     /// Friction compensation n̂, added to the controller's torques.
     pub friction: FrictionCompensation,
-    /// Torque limits of the drives, Nm or N (n).
+    /// Torque limits of the drives (n; Nm, N).
     pub torque_limits: Vec<f64>,
-    /// Supervision.
+    /// Safety parameters.
     pub safety: SafetyParameters,
 }
 
 impl LoopConfig {
-    /// The configuration for a torque robot without friction compensation, with the torque limits of the URDF and
-    /// default supervision. For any other robot, change the fields.
+    /// Returns the configuration of a torque robot without friction compensation, with the torque limits of the URDF
+    /// and default safety parameters. For any other robot, change the fields.
     #[must_use]
     pub fn new(model: Model, capabilities: Capabilities, controller: Box<dyn Controller>) -> Self {
         Self {
@@ -47,7 +47,7 @@ impl LoopConfig {
         }
     }
 
-    /// Checks that the parts fit together.
+    /// Checks that the parts are compatible.
     pub(crate) fn check(&self) -> Result<(), LoopError> {
         let LoopConfig { model, capabilities, controller, transformer, .. } = self;
         let joints = model.n();
@@ -91,14 +91,14 @@ impl LoopConfig {
     }
 }
 
-/// Parts that do not fit together.
+/// Incompatible parts of a control loop.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum LoopError {
-    /// A force sensor on a frame that the model does not have.
+    /// Force sensor on a frame that the model does not have.
     #[error("force sensor: {0}")]
     Sensor(#[from] UnknownFrame),
-    /// Other joints than the model's.
+    /// Joints that differ from the model's.
     #[error("the robot's joints {robot:?} are not the model's joints {model:?}")]
     Joints {
         /// Joints declared by the robot.
@@ -106,7 +106,7 @@ pub enum LoopError {
         /// Joints of the model.
         model: Vec<String>,
     },
-    /// An array that does not have a value for each joint.
+    /// Array that does not have one value per joint.
     #[error("{what} has {found} values; the model has {joints} joints")]
     Length {
         /// Name of the array.
@@ -116,24 +116,24 @@ pub enum LoopError {
         /// Number of joints, n.
         joints: usize,
     },
-    /// A value out of range.
+    /// Value out of range.
     #[error("{what} must be {allowed}, got {found}")]
     Value {
         /// Name of the value.
         what: &'static str,
-        /// The values allowed.
+        /// Allowed values.
         allowed: &'static str,
-        /// The value.
+        /// Rejected value.
         found: f64,
     },
-    /// A controller or a transformer whose commands the robot does not take.
+    /// Controller or transformer whose commands the robot does not accept.
     #[error("the {part} returns {} commands, but the robot accepts {} commands", gives.name(), takes.name())]
     Kind {
         /// `controller` or `transformer`.
         part: &'static str,
-        /// Kind of command that the part gives.
+        /// Kind of command that the part returns.
         gives: CommandKind,
-        /// Kind of command that the robot takes.
+        /// Kind of command that the robot accepts.
         takes: CommandKind,
     },
 }

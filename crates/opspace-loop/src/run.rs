@@ -1,4 +1,4 @@
-//! A run of a control loop: duration, stop requests, the time of a step, rows for a sink, and the outcome.
+//! Run of a control loop: duration, stop requests, computation time of a step, rows for a sink, and outcome.
 //!
 //! [`Run::cycle`] is called once per interface cycle, by [`drive`](crate::drive()) or by a robot's own callback.
 
@@ -15,17 +15,17 @@ use opspace_control::Targets;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// Time over which rows are recorded after a stop that was not the planned end, s.
+/// Duration over which rows are recorded after an unplanned stop, s.
 const AFTERMATH_S: f64 = 0.2;
 
 /// Outcome of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RunOutcome {
-    /// It lasted as long as planned.
+    /// The run lasted as long as planned.
     Completed,
-    /// It was stopped by a fault.
+    /// A fault stopped the run.
     Faulted {
-        /// The cause.
+        /// Cause of the stop.
         fault: Fault,
         /// Time since the start of control, s.
         time_s: f64,
@@ -37,7 +37,7 @@ pub enum RunOutcome {
     },
 }
 
-/// A control loop that runs for a while, with its rows into a sink.
+/// Control loop that runs for a limited time and records its rows in a sink.
 pub struct Run<'a> {
     control: ControlLoop,
     targets: Targets,
@@ -47,7 +47,7 @@ pub struct Run<'a> {
     duration_cycles: u64,
     aftermath_cycles: u64,
     outcome: Option<RunOutcome>,
-    /// True if a row was recorded since the sink could last work between cycles.
+    /// True if a row was recorded since the last call of the sink's `between_ticks`.
     recorded: bool,
     history: History,
     row: Vec<f64>,
@@ -56,7 +56,7 @@ pub struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// A run of `duration_s` of control. Its rows have the layouts of [`layouts`](Self::layouts).
+    /// Returns a run with `duration_s` (s) of control. Its rows have the layouts of [`layouts`](Self::layouts).
     #[must_use]
     pub fn new(control: ControlLoop, duration_s: f64, sink: &'a mut dyn Sink) -> Self {
         let period_s = control.capabilities().period_s;
@@ -79,13 +79,13 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Adds a stop request: once `request` is set, the run ends safely.
+    /// Adds a stop request: once `request` is true, the run ends safely.
     #[must_use]
     pub fn with_stop_request(self, request: &'a AtomicBool) -> Self {
         Self { stop_request: Some(request), ..self }
     }
 
-    /// The layouts of the rows, by channel number: [`TICK`], and [`TRUTH`], [`SERVO`] and [`EXTERNAL`] of a simulation.
+    /// Layouts of the rows, by channel number: [`TICK`], and for a simulation [`TRUTH`], [`SERVO`] and [`EXTERNAL`].
     #[must_use]
     pub fn layouts(control: &ControlLoop, truth: Option<TruthLayouts>) -> Vec<Layout> {
         let mut layouts = vec![tick_layout(control)];
@@ -99,7 +99,7 @@ impl<'a> Run<'a> {
         layouts
     }
 
-    /// Makes room for the rows of a simulation. Called once, before its first cycle.
+    /// Allocates memory for the rows of a simulation. Called once, before the first cycle.
     pub fn prepare_truth(&mut self, truth: &dyn GroundTruth) {
         let n = self.control.model().n();
         let servo = truth.layouts().servo;
@@ -107,29 +107,30 @@ impl<'a> Run<'a> {
         self.servo_signals = servo.signals;
     }
 
-    /// The targets that the next cycle uses.
+    /// Targets of the next cycle.
     pub fn targets(&mut self) -> &mut Targets {
         &mut self.targets
     }
 
-    /// Takes targets from another thread from now on.
+    /// Receives targets from another thread from now on.
     pub fn set_target_stream(&mut self, receiver: TargetReceiver) {
         self.stream = Some(receiver);
     }
 
-    /// The row of the last cycle, as [`layouts`](Self::layouts) has it.
+    /// Row of the last cycle, in the layout [`TICK`] of [`layouts`](Self::layouts).
     #[must_use]
     pub fn row(&self) -> &[f64] {
         &self.row
     }
 
-    /// The control loop.
+    /// Control loop of the run.
     #[must_use]
     pub fn control(&self) -> &ControlLoop {
         &self.control
     }
 
-    /// One interface cycle: the command for the robot, if there is one. At most one command is to be written per cycle.
+    /// Computes one interface cycle and returns the command for the robot, if there is one. Write at most one command
+    /// per cycle.
     pub fn cycle(&mut self, sample: &Sample) -> Option<Command<'_>> {
         self.between_cycles();
         if self.is_over() {
@@ -161,7 +162,7 @@ impl<'a> Run<'a> {
         self.outgoing()
     }
 
-    /// Stops because the robot could not be read. Returns the last command for the robot, where its state is known.
+    /// Stops because the robot could not be read. Returns the last command for the robot if its state is known.
     pub fn fail(&mut self, fault: DeviceFault) -> Option<Command<'_>> {
         if self.is_stopped() {
             self.aftermath_cycles = 0;
@@ -173,8 +174,9 @@ impl<'a> Run<'a> {
         self.outgoing()
     }
 
-    /// Stops because the robot did not take the command of this cycle: a second row of the cycle says so, and nothing
-    /// more is to be written. If the robot refuses a last setpoint, nothing changes: it is stopped all the same.
+    /// Stops because the robot rejected the command of this cycle. A second row of the cycle records the fault, and no
+    /// further command may be written. If the robot rejects a last setpoint, nothing changes: the run is already
+    /// stopped.
     pub fn refuse(&mut self, fault: DeviceFault) {
         if self.is_stopped() {
             return;
@@ -184,7 +186,7 @@ impl<'a> Run<'a> {
         self.end_faulted();
     }
 
-    /// Lets the sink work between two cycles: after the command was written, or at the latest before the next cycle.
+    /// Lets the sink work between two cycles: call it after the command was written. The next cycle calls it otherwise.
     pub fn between_cycles(&mut self) {
         if std::mem::take(&mut self.recorded) {
             self.sink.between_ticks();
@@ -192,8 +194,8 @@ impl<'a> Run<'a> {
     }
 
     /// Ends the run after a panic in a part of the loop: nothing more is computed or recorded. The inputs of the cycle
-    /// of the panic are in no row, unless it came after the row, from the sink or the backend; a replay recomputes the
-    /// cycles before it.
+    /// of the panic are not recorded, unless the panic came after the row, from the sink or the backend. A replay
+    /// recomputes the cycles before it.
     pub fn abandon(&mut self) {
         if self.outcome.is_none() {
             self.outcome = Some(RunOutcome::Faulted { fault: Fault::Panicked, time_s: self.time_s() });
@@ -201,8 +203,8 @@ impl<'a> Run<'a> {
         self.aftermath_cycles = 0;
     }
 
-    /// Records the rows of a simulation that came with the last read, with the torque that was desired when the command
-    /// in force was given.
+    /// Records the rows of a simulation of the last read. Each servo row gets the desired torque of the command in
+    /// effect.
     pub fn record_truth(&mut self, truth: &dyn GroundTruth) {
         let Self { control, sink, history, servo_signals, servo_row, .. } = self;
         truth.visit(&mut |row| match row {
@@ -217,13 +219,13 @@ impl<'a> Run<'a> {
         });
     }
 
-    /// Returns true once the robot is to be in its safe state.
+    /// Returns true once the robot must be in its safe state.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.outcome.is_some()
     }
 
-    /// Returns true once no further cycle is wanted.
+    /// Returns true once no further cycle is needed.
     #[must_use]
     pub fn is_over(&self) -> bool {
         match self.outcome {
@@ -233,13 +235,13 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// The outcome, once the robot is stopped.
+    /// Outcome, once the robot is stopped.
     #[must_use]
     pub fn outcome(&self) -> Option<&RunOutcome> {
         self.outcome.as_ref()
     }
 
-    /// Ends the run. One that was not over is interrupted.
+    /// Ends the run and returns its outcome; a run that was not stopped yet is interrupted.
     #[must_use]
     pub fn finish(self) -> RunOutcome {
         let time_s = self.time_s();
@@ -257,7 +259,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// The command of this cycle, counted.
+    /// Returns the command of this cycle and counts it.
     fn outgoing(&mut self) -> Option<Command<'_>> {
         if self.control.result().command.is_some() {
             self.history.push(self.control.torque_desired());
@@ -265,7 +267,7 @@ impl<'a> Run<'a> {
         self.control.result().command
     }
 
-    /// Records a row that begins with the run's own signals.
+    /// Records the row of a cycle; it begins with the run's own signals.
     fn record(&mut self, own: [f64; 3]) {
         let mut out = SignalRecorder::sampling(&mut self.row);
         record_tick(&self.control, &self.targets, own, &mut out);
@@ -278,7 +280,7 @@ fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
-/// Records the row of a cycle: the run's own signals, then the loop's row, then its targets.
+/// Writes the row of a cycle: the run's own signals, then the loop's row, then its targets.
 fn record_tick(control: &ControlLoop, targets: &Targets, own: [f64; 3], out: &mut SignalRecorder<'_>) {
     let [tick_time_ns, stop_requested, device_failed] = own;
     out.scalar(TICK_TIME, "ns", tick_time_ns);
@@ -293,7 +295,7 @@ fn tick_layout(control: &ControlLoop) -> Layout {
     Layout { channel: control.layout().channel.clone(), signals: SignalRecorder::describe(record) }
 }
 
-/// Records the row of a servo tick: the desired torque, then the signals of the simulation.
+/// Writes the row of a servo tick: the desired torque, then the signals of the simulation.
 fn record_servo(
     control: &ControlLoop,
     signals: &[Signal],
@@ -306,8 +308,8 @@ fn record_servo(
     out.block(signals, row);
 }
 
-/// The desired torques of the last commands. The drives' rows need them: a command may act up to one interface period
-/// after it was given.
+/// Desired torques of the last commands, for the servo rows: a command may act up to one interface period after it was
+/// written.
 struct History {
     commands: u64,
     torques: [Vec<f64>; History::DEPTH],
@@ -327,7 +329,7 @@ impl History {
         self.torques[Self::slot(self.commands)].copy_from_slice(torque);
     }
 
-    /// The torque desired with the command of that number; NaN without a command.
+    /// Desired torque of the command with that number; NaN for `None`.
     fn get(&self, command: Option<u64>) -> &[f64] {
         command.map_or(&self.none, |number| &self.torques[Self::slot(number)])
     }

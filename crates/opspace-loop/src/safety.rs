@@ -1,4 +1,4 @@
-//! Parameters that make a run safe: `[safety]` of robot.toml.
+//! Safety parameters of a run: `[safety]` of robot.toml.
 
 use crate::watchdog::WatchdogParameters;
 use opspace_backend::quantity::NonNegative;
@@ -11,23 +11,23 @@ use serde::Deserialize;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SafetyParameters {
-    /// Time over which the task's torque ramps in from the torque that holds the arm still, s.
+    /// Time over which torques ramp in, from the torques that hold the arm at rest, s.
     #[serde(default = "default_ramp")]
     pub torque_ramp_s: NonNegative,
-    /// Time at rest before the start over which force sensors are tared, s.
+    /// Time at rest before the start during which force sensors are tared, s.
     #[serde(default = "default_ramp")]
     pub tare_s: NonNegative,
-    /// Distance beyond the URDF's joint limits from which a measured position is a fault, rad (m).
+    /// Margin beyond the URDF's position limits; a measured position beyond it is a fault, rad (m).
     #[serde(default)]
     pub limit_margin_rad: NonNegative,
-    /// Number of consecutive interface cycles that may be missed while control continues. After more the robot is held,
-    /// and control resumes when it is at rest.
+    /// Largest number of consecutive missed interface cycles over which control continues. After more, the robot is
+    /// held, and control resumes when it stands still.
     #[serde(default = "default_max_missed_cycles")]
     pub max_missed_cycles: u32,
-    /// Longest time without a sample, or to come to rest afterwards, s. A longer time is a fault.
+    /// Longest time without a sample, and longest time to come to rest afterwards, s. A longer time is a fault.
     #[serde(default = "default_max_dropout_s")]
     pub max_dropout_s: NonNegative,
-    /// Watchdogs of a position robot that measures its motors' torque.
+    /// Watchdogs of motor torque and power, for a position or velocity robot with measured motor torque.
     #[serde(default)]
     pub watchdog: WatchdogParameters,
 }

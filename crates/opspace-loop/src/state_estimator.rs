@@ -1,4 +1,4 @@
-//! State estimation: from a raw sample to the measurement that controller and transformer share.
+//! State estimation: computes the measurement for controller and transformer from a raw sample.
 
 use crate::fault::Fault;
 use crate::safety::SafetyParameters;
@@ -14,7 +14,7 @@ use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator};
 
 const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
-/// Velocity estimate, model update, tared force sensors in world axes, and the checks of each.
+/// State estimator: velocity estimate, model update, tared force sensors in world axes, and supervision.
 pub(crate) struct StateEstimator {
     capabilities: Capabilities,
     units: JointUnits,
@@ -27,15 +27,15 @@ pub(crate) struct StateEstimator {
     tare_count: f64,
     start_s: Option<f64>,
     gap: SampleGap,
-    /// True if the measurement is that of the last sample.
+    /// True if the measurement belongs to the last sample.
     current: bool,
 }
 
 impl StateEstimator {
-    /// An estimator for a robot with these capabilities.
+    /// Returns an estimator for a robot with these capabilities.
     ///
     /// # Errors
-    /// A force sensor on a frame that the model does not have.
+    /// If a force sensor is on a frame that the model does not have.
     pub(crate) fn new(
         model: &Model,
         capabilities: &Capabilities,
@@ -45,7 +45,7 @@ impl StateEstimator {
         let n = model.n();
         let sensors = &capabilities.force_sensors;
         let mut measurement = Measurement::new(n, sensors.len(), capabilities.measures_motor_torque);
-        // Unknown until it is read: a stop before that must send the robot nowhere.
+        // Unknown until the first sample: a stop before it must not send a setpoint.
         measurement.q.fill(f64::NAN);
         let sensor_frames: Result<Vec<FrameId>, _> =
             sensors.iter().map(|s| model.frame_id(&s.frame)).collect();
@@ -65,12 +65,12 @@ impl StateEstimator {
         })
     }
 
-    /// The robot's clock at the last sample, s.
+    /// Time of the last sample on the robot's clock, s.
     pub(crate) fn clock_s(&self) -> f64 {
         self.sample.time_s
     }
 
-    /// The measurement of the last [`observe`](Self::observe); before the first its positions are NaN.
+    /// Measurement of the last [`observe`](Self::observe); before the first one its positions are NaN.
     pub(crate) fn measurement(&self) -> &Measurement {
         &self.measurement
     }
@@ -80,22 +80,23 @@ impl StateEstimator {
         self.gap.missed()
     }
 
-    /// Returns true if so many cycles were missed that the estimates are no longer valid.
+    /// Returns true if more cycles were missed than tolerated, so that the estimates are no longer valid.
     pub(crate) fn is_lost(&self) -> bool {
         matches!(self.gap, SampleGap::Lost { .. })
     }
 
-    /// Returns true if the last state is too old to move the robot by: after a dropout whose first sample was refused.
+    /// Returns true if the last state is too old to compute a setpoint from it: the first sample after a dropout was
+    /// rejected.
     pub(crate) fn is_outdated(&self) -> bool {
         !self.current && self.is_lost()
     }
 
-    /// Returns true once a state was measured.
+    /// Returns true once a position was measured.
     pub(crate) fn is_known(&self) -> bool {
         self.measurement.q.iter().all(|q| q.is_finite())
     }
 
-    /// Takes the present readings of the force sensors as readings at rest.
+    /// Adds the present readings of the force sensors to their mean at rest.
     pub(crate) fn tare(&mut self) {
         self.tare_count += 1.0;
         for (tare, raw) in self.tare.iter_mut().zip(&self.sample.wrenches) {
@@ -103,18 +104,18 @@ impl StateEstimator {
         }
     }
 
-    /// Sets the measurement's time to zero at the present sample.
+    /// Sets the measurement's time to zero at the last sample.
     pub(crate) fn begin(&mut self) {
         self.start_s = Some(self.sample.time_s);
         self.measurement.time_s = 0.0;
     }
 
-    /// Turns a sample into a measurement and updates `data` with it. The joint velocities are those that the
-    /// transformer knows, else those that the robot measures, else filtered differences of positions. The transformer
-    /// knows nothing of a robot that is `held`.
+    /// Computes the measurement from a sample and updates `data`. Joint velocities are those of the transformer if it
+    /// estimates them, otherwise the measured ones, otherwise filtered differences of positions. While the robot is
+    /// `held`, the transformer's estimate is not used.
     ///
     /// # Errors
-    /// The fault that the [`Supervisor`] detects, or a mass matrix that can't be factored.
+    /// A fault detected by the [`Supervisor`], or a mass matrix that cannot be factorized.
     pub(crate) fn observe(
         &mut self,
         sample: &Sample,
@@ -160,7 +161,7 @@ impl StateEstimator {
 }
 
 impl Observable for StateEstimator {
-    /// The raw sample, then the measurement.
+    /// Records the raw sample, then the measurement.
     fn record(&self, out: &mut SignalRecorder<'_>) {
         let Self { capabilities, units, sample, measurement, .. } = self;
         let (joints, sensors) = (&capabilities.joints, &capabilities.force_sensors);
@@ -190,7 +191,7 @@ impl Observable for StateEstimator {
     }
 }
 
-/// A force sensor's reading, in its own axes.
+/// Converts a force sensor's reading (N, Nm) to a [`Force`] in the sensor's axes.
 fn force(reading: &[f64; 6]) -> Force {
     let [fx, fy, fz, mx, my, mz] = *reading;
     Force { linear: Vector3::new(fx, fy, fz), angular: Vector3::new(mx, my, mz) }

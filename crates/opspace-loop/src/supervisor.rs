@@ -1,4 +1,4 @@
-//! Conditions that a measured state must satisfy for a run to go on, and detection of missed cycles.
+//! Supervision of samples and measured states, and detection of missed cycles.
 
 use crate::fault::Fault;
 use crate::safety::SafetyParameters;
@@ -7,7 +7,7 @@ use opspace_backend::Sample;
 use opspace_control::Measurement;
 use opspace_model::Model;
 
-/// Checks the samples and states of a run, every cycle; allocates nothing.
+/// Supervisor that checks the samples and states of a run in every cycle. Allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
     joints: Vec<Bounds>,
@@ -17,10 +17,10 @@ pub struct Supervisor {
     last_time_s: f64,
 }
 
-/// Gap between a sample and the one before.
+/// Gap between a sample and the previous one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SampleGap {
-    /// Short gap, over which control goes on: one interface cycle, unless some were missed.
+    /// Short gap, over which control continues: one interface cycle, or a few if cycles were missed.
     Tolerated {
         /// Number of cycles without a sample.
         missed: u64,
@@ -42,10 +42,10 @@ impl SampleGap {
     }
 }
 
-/// Factor of a joint's speed limit above which a step of the measured position is a slip of the encoder.
+/// Multiple of the motion at the speed limit above which a step of the measured position counts as a jump.
 const SLIP: f64 = 2.0;
 
-/// Step of the measured position that is tolerated beyond [`SLIP`] times the motion at the speed limit, rad (m).
+/// Further step of the measured position that is tolerated in addition to [`SLIP`], rad (m).
 const SLIP_RAD: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug)]
@@ -56,7 +56,8 @@ struct Bounds {
 }
 
 impl Supervisor {
-    /// A supervisor for the limits in the URDF, widened by the margin, and a robot that is read every `period_s` (s).
+    /// Returns a supervisor for the URDF's limits, with position limits widened by the margin; the robot is read every
+    /// `period_s` (s).
     #[must_use]
     pub fn new(model: &Model, safety: &SafetyParameters, period_s: f64) -> Self {
         let margin = safety.limit_margin_rad.get();
@@ -76,13 +77,13 @@ impl Supervisor {
         }
     }
 
-    /// Computes from the robot's clock how many cycles went by without a sample. Less than half a period is jitter.
+    /// Computes the number of missed cycles from the robot's clock, rounded: less than half a period is jitter.
     ///
     /// # Errors
-    /// A clock that didn't move on.
+    /// [`Fault::Clock`] if the clock did not advance.
     pub fn check_clock(&mut self, sample: &Sample) -> Result<SampleGap, Fault> {
         let before_s = std::mem::replace(&mut self.last_time_s, sample.time_s);
-        // A clock that is no number moves nowhere.
+        // A NaN clock has not advanced.
         if sample.time_s.is_nan() || sample.time_s <= before_s {
             return Err(Fault::Clock { before_s, now_s: sample.time_s });
         }
@@ -94,20 +95,19 @@ impl Supervisor {
         Ok(if bridged { SampleGap::Tolerated { missed } } else { SampleGap::Lost { missed } })
     }
 
-    /// Checks that the robot was not silent for longer than `max_dropout_s`.
+    /// Checks that the gap is not longer than `max_dropout_s`.
     ///
     /// # Errors
-    /// If it was.
+    /// [`Fault::Dropout`] if it is longer.
     pub fn check_dropout(&self, gap: SampleGap) -> Result<(), Fault> {
         let (silent_s, limit_s) = (gap.missed() as f64 * self.period_s, self.max_dropout_s);
         if silent_s > limit_s { Err(Fault::Dropout { silent_s, limit_s }) } else { Ok(()) }
     }
 
-    /// Checks what the robot reported, before anything is computed from it, against the positions (n) before it if
-    /// those are known.
+    /// Checks the raw sample, before it is used, against the previous positions `before` (n; rad, m; NaN if unknown).
     ///
     /// # Errors
-    /// Numbers that are not finite; a position that no joint can have reached.
+    /// If a value is not finite, or a position jumped farther than the joint can move.
     pub fn check_sample(&self, sample: &Sample, before: &DVector<f64>, gap: SampleGap) -> Result<(), Fault> {
         let not_finite = |v: &f64| !v.is_finite();
         if let Some(joint) = sample.q.iter().position(not_finite) {
@@ -126,7 +126,7 @@ impl Supervisor {
         for (joint, bounds) in self.joints.iter().enumerate() {
             let step = (sample.q[joint] - before[joint]).abs();
             let limit = SLIP * bounds.velocity * elapsed_s + SLIP_RAD;
-            // NaN passes: there was no position before.
+            // A NaN step passes: there is no previous position.
             if step > limit {
                 return Err(Fault::PositionJump { joint, step, limit });
             }
@@ -134,10 +134,10 @@ impl Supervisor {
         Ok(())
     }
 
-    /// Checks the state against the robot's limits.
+    /// Checks positions and velocities against the robot's limits.
     ///
     /// # Errors
-    /// The first joint beyond a limit.
+    /// Fault of the first joint beyond a limit.
     pub fn check_state(&self, measurement: &Measurement) -> Result<(), Fault> {
         for (joint, bounds) in self.joints.iter().enumerate() {
             let (q, dq) = (measurement.q[joint], measurement.dq[joint]);

@@ -1,28 +1,28 @@
-//! Targets from another thread: a bounded ring of rows, of which the newest wins.
+//! Targets from another thread, through a bounded ring buffer of rows; the newest row is used.
 
 use opspace_control::{InputHandle, TargetError, Targets, TaskHandle};
 use rtrb::{Consumer, Producer, RingBuffer};
 
-/// Rows that the ring holds: a sender that is faster than the control loop loses rows only beyond so many per cycle.
+/// Capacity of the ring in rows: rows are lost only if more than this are sent within one control cycle.
 const ROWS: usize = 16;
 
-/// The sending end, for any thread.
+/// Sending end, for any thread.
 pub struct TargetSender {
     targets: Targets,
     ring: Producer<f64>,
-    /// Number of writes so far: stamps of rows under way.
+    /// Number of writes so far; it stamps the rows.
     writes: f64,
 }
 
-/// The receiving end, for the thread of the control loop.
+/// Receiving end, for the thread of the control loop.
 pub struct TargetReceiver {
     ring: Consumer<f64>,
     row: Vec<f64>,
-    /// Numbers of the last writes received, by task.
+    /// Number of the last write received, by task.
     seen: Vec<f64>,
 }
 
-/// A stream of targets with the layout of `targets`.
+/// Returns a stream of targets with the layout of `targets`.
 #[must_use]
 pub fn target_stream(targets: &Targets) -> (TargetSender, TargetReceiver) {
     let width = targets.row().len();
@@ -33,17 +33,18 @@ pub fn target_stream(targets: &Targets) -> (TargetSender, TargetReceiver) {
 }
 
 impl TargetSender {
-    /// Targets whose handles this sender takes.
+    /// Targets whose handles this sender accepts.
     #[must_use]
     pub fn targets(&self) -> &Targets {
         &self.targets
     }
 
     /// Sends inputs of a task. They are stamped when the control loop receives them. Allocates nothing unless it fails.
-    /// `false` if the ring is full: the control loop takes none, or too many were sent within a cycle.
+    /// Returns `false` if the ring is full: the control loop receives nothing, or too many rows were sent within a
+    /// cycle.
     ///
     /// # Errors
-    /// As [`Targets::write`].
+    /// Errors of [`Targets::write`].
     pub fn send(
         &mut self,
         task: &TaskHandle,
@@ -54,19 +55,19 @@ impl TargetSender {
         Ok(self.push())
     }
 
-    /// Returns true if the receiving end is gone: the run is over.
+    /// Returns true if the receiving end was dropped: the run is over.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.ring.is_abandoned()
     }
 
-    /// Asks the robot to be held, or to go on.
+    /// Requests that the robot is held, or that control continues. Returns `false` if the ring is full.
     pub fn send_hold(&mut self, hold: bool) -> bool {
         self.targets.hold(hold);
         self.push()
     }
 
-    /// Chooses a prepared task set by its number.
+    /// Selects a prepared task set by its number. Returns `false` if the ring is full.
     pub fn send_task_set(&mut self, number: u32) -> bool {
         self.targets.choose_task_set(number);
         self.push()
@@ -80,8 +81,8 @@ impl TargetSender {
 }
 
 impl TargetReceiver {
-    /// Brings `targets` up to date with the newest row, its new inputs stamped with `clock_s` (s, the robot's clock).
-    /// Allocates and locks nothing.
+    /// Updates `targets` with the newest row; new inputs are stamped with `clock_s` (s, robot's clock). Allocates and
+    /// locks nothing.
     pub fn receive(&mut self, clock_s: f64, targets: &mut Targets) {
         let width = self.row.len();
         let rows = self.ring.slots().checked_div(width).unwrap_or(0);

@@ -1,10 +1,10 @@
-//! The order of the cycles of several robots, on one integer clock.
+//! Order of the cycles of several robots, on one integer clock.
 
 use thiserror::Error;
 
-/// Orders the interface cycles of several robots by time. The clock counts whole ticks of the least common multiple of
-/// their rates, so that no rounding decides which cycle comes first; of two cycles at one time that of the robot with
-/// the lower number does.
+/// Timeline that orders the interface cycles of several robots. Its clock counts ticks at the least common multiple of
+/// their rates, so that rounding never affects the order. Of cycles at the same time, that of the robot with the lower
+/// number comes first.
 #[derive(Clone, Debug)]
 pub struct Timeline {
     ticks_per_s: u64,
@@ -17,32 +17,32 @@ struct Cycles {
     next: u64,
 }
 
-/// An interface cycle of one of the robots.
+/// Interface cycle of one of the robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cycle {
-    /// The robot's number.
+    /// Number of the robot.
     pub robot: usize,
-    /// The time, ticks.
+    /// Time, in ticks.
     pub tick: u64,
 }
 
-/// Rates that have no common clock.
+/// Reason why a timeline can't be created.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum TimelineError {
-    /// No robot, or one with a rate of zero.
+    /// No robot, or a rate of zero.
     #[error("a timeline needs at least one robot, and a rate of at least 1 Hz for each")]
     Rate,
-    /// A clock with more ticks per second than can be counted.
+    /// Common clock of 2³² Hz or more.
     #[error("the rates have no common multiple below 2^32 Hz")]
     TooFine,
 }
 
 impl Timeline {
-    /// A timeline for robots with these interface rates, Hz; all have their first cycle at tick 0.
+    /// Returns a timeline for robots with these interface rates (Hz); the first cycle of each is at tick 0.
     ///
     /// # Errors
-    /// Rates that have no common clock.
+    /// If there is no robot, a rate is zero, or the rates have no common clock below 2³² Hz.
     pub fn new(rates_hz: &[u32]) -> Result<Self, TimelineError> {
         if rates_hz.is_empty() || rates_hz.contains(&0) {
             return Err(TimelineError::Rate);
@@ -63,13 +63,13 @@ impl Timeline {
         self.ticks_per_s
     }
 
-    /// A duration in ticks, rounded.
+    /// Converts a duration (s) to ticks, rounded.
     #[must_use]
     pub fn ticks(&self, duration_s: f64) -> u64 {
         (duration_s * self.ticks_per_s as f64).round() as u64
     }
 
-    /// Number of a cycle among those of its robot; the first cycle is 0.
+    /// Number of a cycle of its robot; the first cycle is 0.
     ///
     /// # Panics
     /// If the timeline has no such robot.
@@ -78,7 +78,7 @@ impl Timeline {
         cycle.tick / self.robots[cycle.robot].period
     }
 
-    /// The next cycle, which is counted as done.
+    /// Returns the next cycle and advances past it.
     pub fn next_cycle(&mut self) -> Cycle {
         let mut first = 0;
         for (robot, cycles) in self.robots.iter().enumerate() {

@@ -1,8 +1,9 @@
-//! Watchdogs of the torque and power of a position robot's motors, against the torques for which its setpoints were
-//! made.
+//! Watchdogs of the motor torque and power of a position or velocity robot: they compare motor torques with the torques
+//! for which the setpoints were computed.
 //!
-//! A servo with other gains than the nominal ones, or a setpoint in another unit, gives other torques than desired, and
-//! may push its joint along. Two quantities are watched for each joint, as means with the time constant [`MEMORY_S`]:
+//! A servo with wrong nominal gains, or a setpoint in a wrong unit, produces other torques than desired and may
+//! accelerate its joint. Two means with the time constant [`MEMORY_S`] are bounded for each joint; the first one is
+//! the absolute value of the mean, not the mean of absolute values:
 //!
 //! ```text
 //! |τ_motor − τ_desired|        and        (τ_motor − τ_desired) q̇
@@ -15,20 +16,20 @@ use opspace_backend::quantity::Positive;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Time constant of the means, s: short compared with the time that an arm needs to get away, long compared with the
-/// period of torque ripple within an interface cycle.
+/// Time constant of the means, s: short compared with the time in which an arm moves far, long compared with torque
+/// ripple within an interface cycle.
 pub const MEMORY_S: f64 = 0.05;
 
-/// Bounds of the watchdogs. A bound of many times the limit is none.
+/// Bounds of the watchdogs. Very large values disable them.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WatchdogParameters {
-    /// Largest mean difference of motor torque and desired torque, as a fraction of the joint's torque limit.
+    /// Largest mean difference between motor torque and desired torque, as a fraction of the joint's torque limit.
     #[serde(default = "default_deviation")]
     pub torque_deviation_share: Positive,
-    /// Largest mean power of the motor beyond the desired one, as a fraction of the joint's torque limit times
-    /// its speed limit.
+    /// Largest mean motor power in excess of the desired power, as a fraction of the joint's torque limit times its
+    /// speed limit.
     #[serde(default = "default_power")]
     pub surplus_power_share: Positive,
 }
@@ -39,13 +40,13 @@ impl Default for WatchdogParameters {
     }
 }
 
-/// Default bound on the deviation: twice what the paper's transformer leaves on any task of this project.
+/// Default bound on the deviation: twice the largest deviation of the paper's transformer in any task of this project.
 const fn default_deviation() -> Positive {
     Positive::literal(0.6)
 }
 
-/// Default bound on the power: ten times that of a servo with its nominal parameters, or with an error that the
-/// measured current corrects; a servo whose kp is 30 % higher reaches it within 0.1 to 0.3 s.
+/// Default bound on the power: ten times the power with nominal servos, or with an error that measured current
+/// corrects. A servo with a kp 30 % above the nominal one reaches it within 0.1 to 0.3 s.
 const fn default_power() -> Positive {
     Positive::literal(0.05)
 }
@@ -61,8 +62,8 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// A watchdog for joints with these limits of torque (n; Nm, N) and speed (n; rad/s, m/s), updated every `period_s`
-    /// (s).
+    /// Returns a watchdog for joints with these limits of torque (n; Nm, N) and speed (n; rad/s, m/s), updated every
+    /// `period_s` (s).
     #[must_use]
     pub fn new(
         parameters: &WatchdogParameters,
@@ -88,11 +89,11 @@ impl Watchdog {
         self.power.fill(0.0);
     }
 
-    /// Updates the means with the torques of the motors since the last cycle and the desired ones (n each; Nm, N), and
-    /// with the velocities of the joints (n; rad/s, m/s).
+    /// Updates the means with the motor torques since the last cycle and the desired torques (each n; Nm, N), and the
+    /// joint velocities (n; rad/s, m/s).
     ///
     /// # Errors
-    /// The first joint beyond a bound.
+    /// Fault of the first joint beyond a bound.
     pub fn check(
         &mut self,
         motor_torque: &DVector<f64>,

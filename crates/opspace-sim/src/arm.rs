@@ -1,8 +1,8 @@
 //! Simulated arm as a [`Backend`].
 //!
-//! At interface cycle k the sensors are read; the command written then acts from `delay` servo ticks later until the
-//! next one does. Between two cycles, and in cycles that the [bus](crate::bus) loses, only the arm's own drives act on
-//! its state.
+//! At interface cycle k the sensors are read. The command written then takes effect `delay` servo ticks later and acts
+//! until the next one takes effect. Between two cycles, and in cycles that the [bus](crate::bus) loses, only the arm's
+//! own drives control it.
 
 use crate::config::{ArmConfig, SimulationConfig};
 use crate::error::SimulationError;
@@ -15,7 +15,7 @@ use opspace_backend::{
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// Simulated robot that accepts positions, velocities or torques. The table of the [crate] says what its drives do
+/// Simulated robot that accepts positions, velocities or torques. The table of the [crate] describes its behaviour
 /// without commands.
 pub struct SimulatedArm {
     simulation: Rc<RefCell<Simulation>>,
@@ -40,10 +40,10 @@ impl Simulation {
 }
 
 impl SimulatedArm {
-    /// Returns an arm alone in its simulation, at rest at its start, holding itself.
+    /// Returns an arm in a simulation of its own, at rest at its start position, holding itself.
     ///
     /// # Errors
-    /// If parameters contradict each other; the error names them by their key.
+    /// If parameters contradict each other; the error names the key.
     pub fn new(config: ArmConfig) -> Result<Self, SimulationError> {
         let config = SimulationConfig { arms: vec![config], couplings: Vec::new() };
         Simulation::new(config)?.into_arms().pop().ok_or(SimulationError::NoArm)
@@ -72,21 +72,21 @@ impl SimulatedArm {
         DVector::from_column_slice(simulation.arms[self.index].dq(&*simulation.plant))
     }
 
-    /// Time of the next sample on the robot's clock, s: that of the next interface cycle that the bus does not lose.
-    /// Arms of one simulation are to be read in the order of these times.
+    /// Time of the next sample on the robot's clock, s: the time of the next interface cycle that the bus does not
+    /// lose. Read the arms of one simulation in the order of these times.
     #[must_use]
     pub fn next_sample_s(&self) -> f64 {
         self.simulation.borrow().arms[self.index].next_sample_s()
     }
 
-    /// Number of the interface cycle of the next sample; the first cycle is 0. A cycle with a lower number has no
-    /// sample: a program that orders the cycles of several arms by a clock of its own skips it.
+    /// Number of the interface cycle of the next sample; the first cycle is 0. Cycles with lower numbers have no
+    /// sample: a program that schedules the cycles of several arms by its own clock must skip them.
     #[must_use]
     pub fn next_sample_cycle(&self) -> u64 {
         self.simulation.borrow().arms[self.index].next_sample
     }
 
-    /// Sets external forces on this arm while it runs; `None` unless [`ArmConfig::external_forces`] is set.
+    /// Handle for external forces on this arm; `None` unless [`ArmConfig::external_forces`] is set.
     #[must_use]
     pub fn external_force(&self) -> Option<ExternalForceHandle> {
         self.external.clone()

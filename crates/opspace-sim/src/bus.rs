@@ -1,7 +1,7 @@
 //! Field bus between controller and drives: lost cycles and late setpoints.
 //!
-//! In a lost cycle neither the sample nor the setpoint passes: the robot keeps its last command, and the
-//! controller waits for the next sample that passes. Until the controller starts, every cycle passes.
+//! In a lost cycle neither the sample nor the setpoint is transmitted: the robot keeps its last command, and the
+//! controller waits for the next sample. Before the controller starts, no cycle is lost.
 
 use crate::random::{RngStream, generator};
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -11,35 +11,35 @@ use rand_chacha::ChaCha8Rng;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Losses and delays of the bus; without any of them every cycle passes in time.
+/// Losses and delays of the bus; by default no cycle is lost or late.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BusParameters {
-    /// Probability with which each cycle is lost, independently of the one before; below 1.
+    /// Probability that a cycle is lost, independent of other cycles; below 1.
     #[serde(default)]
     pub lost_cycles_share: NonNegative,
-    /// Intervals in which no cycle passes.
+    /// Intervals in which all cycles are lost.
     #[serde(default)]
     pub dropouts: Vec<DropoutParameters>,
-    /// Largest additional delay of a setpoint, servo ticks, at random and unknown to the controller; less than
-    /// `servo_ticks_per_cycle`, so that it acts before the next one.
+    /// Largest additional random delay of a setpoint, in servo ticks, unknown to the controller. It is less than
+    /// `servo_ticks_per_cycle`, so that a setpoint acts before the next one.
     #[serde(default)]
     pub jitter_servo_ticks: u32,
 }
 
-/// Interval in which no cycle passes.
+/// Interval in which all cycles are lost.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DropoutParameters {
-    /// Beginning, s after the controller's start.
+    /// Beginning, in s after the controller's start.
     pub at_s: Positive,
     /// Duration, s; at most 10.
     pub duration_s: Positive,
 }
 
-/// Longest dropout, s: a run keeps all rows of its robot meanwhile.
+/// Longest dropout, s. A run keeps all rows of its robot during a dropout.
 pub const MAX_DROPOUT_S: f64 = 10.0;
 
 /// Simulated bus, cycle by cycle.
@@ -51,16 +51,16 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Returns a bus of a run with that seed.
+    /// Returns the bus of a run with that seed.
     #[must_use]
     pub fn new(parameters: &BusParameters, seed: u64) -> Self {
         Self { parameters: parameters.clone(), random: generator(seed, RngStream::Bus), late: 0 }
     }
 
-    /// Advances to the cycle at `time_s`, s after the controller's start; returns true if it passes.
+    /// Advances to the cycle at `time_s` (s after the controller's start); returns true if the cycle is not lost.
     pub fn passes(&mut self, time_s: f64) -> bool {
         let BusParameters { lost_cycles_share, dropouts, jitter_servo_ticks } = &self.parameters;
-        // Both are drawn in every cycle, so that one leaves the other as it is.
+        // Both numbers are drawn in every cycle, so that losses and jitter don't affect each other.
         let draw: f64 = self.random.random_range(0.0..1.0);
         self.late = self.random.random_range(0..=*jitter_servo_ticks);
         let dead = |dropout: &DropoutParameters| {
@@ -69,7 +69,7 @@ impl Bus {
         time_s <= 0.0 || !(draw < lost_cycles_share.get() || dropouts.iter().any(dead))
     }
 
-    /// Delay of a setpoint of the present cycle, servo ticks, beyond the nominal one.
+    /// Delay of a setpoint of the present cycle in addition to the nominal one, in servo ticks.
     #[must_use]
     pub fn late(&self) -> u32 {
         self.late

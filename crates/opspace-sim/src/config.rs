@@ -1,4 +1,4 @@
-//! The configuration of simulated arms: nominal values, and where the plant differs from them.
+//! Configuration of simulated arms: nominal parameters, and differences of the plant from them.
 
 use crate::bus::MAX_DROPOUT_S;
 use crate::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
@@ -18,53 +18,54 @@ use opspace_transformer::{
     FrictionParameters, JointParameters, ProfileParameters, ServoLaw, ServoParameters,
 };
 
-/// The configuration of a simulated arm.
+/// Configuration of a simulated arm.
 #[derive(Clone, Debug)]
 pub struct ArmConfig {
-    /// The nominal rigid bodies, rotors included.
+    /// Nominal rigid bodies, including rotors.
     pub model: Model,
-    /// The nominal drives (n).
+    /// Nominal drives (n).
     pub joints: Vec<JointParameters>,
-    /// The nominal servos (n).
+    /// Nominal servos (n).
     pub servos: Vec<ServoParameters>,
     /// Rates and delay.
     pub profile: ProfileParameters,
-    /// Declared properties: the kind of robot, and what it measures.
+    /// Declared properties: kind of robot, and measured quantities.
     pub capabilities: Capabilities,
     /// Differences of the plant from the nominal values.
     pub simulated: SimulatedParameters,
-    /// Placement of the model's world in the world of the simulation; gravity is along the axes of the latter.
+    /// Placement of the model's world frame in the world of the simulation. Gravity is expressed in the axes of the
+    /// simulation.
     pub placement: Placement,
-    /// Objects that touch the arm, by name; positions and directions are in the world of the simulation.
+    /// Environment objects that act on the arm, by name; positions and directions are in the world of the simulation.
     pub environment: Vec<(String, EnvironmentObjectParameters)>,
     /// True if a program may apply external forces while the simulation runs.
     pub external_forces: bool,
-    /// Positions at the start, at rest, rad or m (n).
+    /// Start positions, at rest (n; rad or m).
     pub start: Vec<f64>,
     /// Time for which the arm holds itself before the controller starts, s.
     pub rest_s: f64,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// The configuration of a simulation.
+/// Configuration of a simulation.
 #[derive(Clone, Debug, Default)]
 pub struct SimulationConfig {
-    /// The arms.
+    /// Arms, in the order of their indices.
     pub arms: Vec<ArmConfig>,
     /// Springs between arms.
     pub couplings: Vec<CouplingConfig>,
 }
 
-/// A spring and a damper between the origins of frames of two arms, relaxed at the start: an elastic object that both
+/// Spring and damper between the origins of frames of two arms, relaxed at the start: an elastic object that both arms
 /// hold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CouplingConfig {
-    /// Its name in the true rows of both arms.
+    /// Name in the true rows of both arms.
     pub name: String,
-    /// Index of the first arm, and the name of its frame.
+    /// Index of the first arm, and name of its frame.
     pub first: (usize, String),
-    /// Index of the second arm, and the name of its frame.
+    /// Index of the second arm, and name of its frame.
     pub second: (usize, String),
     /// Stiffness, N/m.
     pub stiffness_n_per_m: NonNegative,
@@ -73,7 +74,7 @@ pub struct CouplingConfig {
 }
 
 impl CouplingConfig {
-    /// True if it is attached to a frame of that arm.
+    /// True if it is attached to a frame of the arm with this index.
     pub(crate) fn touches(&self, arm: usize) -> bool {
         self.first.0 == arm || self.second.0 == arm
     }
@@ -132,7 +133,7 @@ impl ArmConfig {
         Ok(())
     }
 
-    /// The clock of this arm in a simulation.
+    /// Returns the timing of this arm in a simulation.
     pub(crate) fn timing(&self, clock: &Clock) -> Result<Timing, SimulationError> {
         let ratio = self.profile.servo_ticks_per_cycle.get();
         let nominal = self.profile.delay();
@@ -174,12 +175,12 @@ impl ArmConfig {
         &self.model.joints()[joint].name
     }
 
-    /// Friction of a joint in the plant.
+    /// True friction of a joint in the plant.
     fn true_friction(&self, joint: usize) -> &FrictionParameters {
         self.simulated.friction.get(self.name(joint)).unwrap_or(&self.joints[joint].friction)
     }
 
-    /// The drivetrains, with motors that produce `motor_torque` (n; Nm) at the start.
+    /// Returns the drivetrains; their motors produce `motor_torque` (n; Nm, N) at the start.
     pub(crate) fn drivetrains(
         &self,
         model: &Model,
@@ -208,7 +209,7 @@ impl ArmConfig {
         self.joints.iter().enumerate().map(joint).collect()
     }
 
-    /// The drives' torque limits (n; Nm), if they hold.
+    /// Returns the drives' torque limits (n; Nm, N), if torque saturation is simulated.
     pub(crate) fn torque_limits(&self) -> Option<DVector<f64>> {
         let limits = self.joints.iter().map(|joint| joint.torque_limit_nm.get());
         self.simulated.torque_saturation.then(|| DVector::from_iterator(self.joints.len(), limits))
@@ -232,8 +233,8 @@ impl ArmConfig {
             .collect()
     }
 
-    /// The true servo of a joint, from the table for servos of the same kind as the nominal one; `None` if it is the
-    /// nominal one.
+    /// Returns the true servo of a joint if it differs from the nominal one, from the table for servos of the nominal
+    /// servo's kind.
     fn true_servo(&self, joint: usize, nominal: &ServoParameters) -> Option<ServoParameters> {
         let (simulated, name) = (&self.simulated, self.name(joint));
         match nominal.takes() {
@@ -244,7 +245,7 @@ impl ArmConfig {
         }
     }
 
-    /// Refuses velocity servos in the table of the true position servos.
+    /// Returns an error for a velocity servo in the table of the true position servos.
     fn check_true_position_servos(&self) -> Result<(), SimulationError> {
         let mut servos = self.simulated.servo.iter();
         match servos.find(|(_, servo)| servo.takes() == CommandKind::Velocity) {
@@ -257,10 +258,10 @@ impl ArmConfig {
         }
     }
 
-    /// Refuses a nominal servo that does not take the setpoints that the drives have for it.
+    /// Returns an error for a nominal servo whose setpoints are not of the kind that the robot needs.
     fn check_servo(&self, joint: usize, nominal: &ServoParameters) -> Result<(), SimulationError> {
         let setpoints = match self.capabilities.command {
-            // The motors take torques, and brakes hold the arm.
+            // The motors accept torques, and brakes hold the arm: servos are not used.
             CommandKind::Torque if self.capabilities.has_brakes => return Ok(()),
             CommandKind::Torque | CommandKind::Position => CommandKind::Position,
             CommandKind::Velocity => CommandKind::Velocity,
@@ -271,7 +272,7 @@ impl ArmConfig {
         Err(SimulationError::ServoKind { joint: self.name(joint).to_owned(), truth: false, setpoints })
     }
 
-    /// The rigid bodies in the plant.
+    /// Returns the true rigid bodies of the plant.
     pub(crate) fn true_model(&self) -> Model {
         let model = self.model.clone().with_scaled_inertia(self.simulated.true_over_nominal.inertia.get());
         let model = match self.placement == Placement::identity() {
@@ -283,12 +284,12 @@ impl ArmConfig {
         };
         match self.capabilities.gravity_compensated_by {
             GravityCompensation::Controller => model,
-            // A robot that compensates its weight moves as one that has none.
+            // A robot that compensates its weight is simulated without gravity.
             GravityCompensation::Robot => model.with_gravity(Vector3::zeros()),
         }
     }
 
-    /// The objects of the environment, each with its frame.
+    /// Returns the environment objects, each with its frame.
     pub(crate) fn contacts(&self, model: &Model) -> Vec<(FrameId, EnvironmentObject)> {
         let mut data = Data::new(model);
         kinematics(model, &mut data, &self.start, &vec![0.0; model.n()]);
@@ -302,7 +303,7 @@ impl ArmConfig {
             .collect()
     }
 
-    /// The force sensors, each with its frame.
+    /// Returns the force sensors, each with its frame.
     pub(crate) fn force_sensors(&self, period_s: f64) -> Vec<(FrameId, SimulatedForceSensor)> {
         (self.capabilities.force_sensors.iter().zip(0..))
             .filter_map(|(sensor, index)| {

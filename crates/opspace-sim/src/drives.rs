@@ -1,13 +1,13 @@
-//! Drives of one arm: commands in, torques on the links out.
+//! Drives of one arm: convert commands to torques on the links.
 //!
-//! The table of the [crate] says what they do without commands.
+//! The table of the [crate] describes their behaviour without commands.
 
 use crate::drivetrain::Drivetrain;
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_transformer::{ServoLaw, ServoState};
 
-/// Everything of one arm that runs at servo rate or faster.
+/// Parts of one arm that run at servo rate or faster.
 pub(crate) struct Drives {
     takes: CommandKind,
     has_brakes: bool,
@@ -20,9 +20,9 @@ pub(crate) struct Drives {
     pending: [Pending; 2],
     /// Number of the last command.
     commands: u64,
-    /// Values of the last command that had any (n).
+    /// Values of the last command with values (n).
     last: DVector<f64>,
-    /// True if there was such a command.
+    /// True if a command with values was received.
     commanded: bool,
     position: DVector<f64>,
     asked: DVector<f64>,
@@ -30,41 +30,41 @@ pub(crate) struct Drives {
     limited: bool,
 }
 
-/// The part of the drives that determines the motors' torques.
+/// Source of the motor torques.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
-    /// None: brakes hold the arm.
+    /// No motor torque: brakes hold the arm.
     Braked,
-    /// The servos.
+    /// Servos.
     Servo,
-    /// The commanded torques.
+    /// Commanded torques.
     Torque,
 }
 
-/// A joint's servo with its state.
+/// Servo of a joint, with its state.
 #[derive(Clone, Debug)]
 struct Servo {
     law: ServoLaw,
     memory: ServoState,
 }
 
-/// The command in force.
+/// Command in effect.
 #[derive(Clone, Debug)]
 struct Active {
-    /// Its number; `None` while the robot holds itself.
+    /// Number of the command; `None` while the robot holds itself.
     command: Option<u64>,
-    /// Setpoints, or torques of a torque robot (n).
+    /// Setpoints, or commanded torques of a torque robot (n).
     values: DVector<f64>,
-    /// Setpoints from which interpolation started (n).
+    /// Setpoints from which interpolation starts (n).
     before: DVector<f64>,
-    /// Servo ticks since it came in force.
+    /// Servo ticks since the command took effect.
     age: u32,
     setpoints: Setpoints,
 }
 
 impl Active {
     fn take(&mut self, command: u64, values: &DVector<f64>, ratio: u32) {
-        // A second one at the same servo tick goes from where the first would have gone from.
+        // A second command at the same servo tick interpolates from the start of the first one.
         if let Some(age) = self.age.checked_sub(1) {
             self.age = age;
             for i in 0..values.len() {
@@ -84,13 +84,13 @@ impl Active {
         self.command = command;
     }
 
-    /// The setpoint of a joint at this servo tick.
+    /// Returns the setpoint of a joint at this servo tick.
     fn setpoint(&self, joint: usize, ratio: u32) -> f64 {
         self.setpoints.at(self.before[joint], self.values[joint], self.age, ratio)
     }
 }
 
-/// A command on its way to the drives.
+/// Command that has not taken effect yet.
 #[derive(Clone, Debug)]
 struct Pending {
     acts_at: Option<u64>,
@@ -98,7 +98,7 @@ struct Pending {
     values: DVector<f64>,
 }
 
-/// A mean over the physics steps since the last sample.
+/// Mean over the physics steps since the last sample.
 struct IntervalMean {
     sum: DVector<f64>,
     mean: DVector<f64>,
@@ -110,7 +110,7 @@ impl IntervalMean {
         Self { sum: DVector::zeros(start.len()), mean: start, steps: 0 }
     }
 
-    /// The mean since the last call; that of the last call where no step was made since.
+    /// Returns the mean since the last call; the previous mean if no step was made since.
     fn take(&mut self) -> &DVector<f64> {
         if self.steps > 0 {
             self.mean.copy_from(&self.sum);
@@ -122,7 +122,7 @@ impl IntervalMean {
     }
 }
 
-/// The parts of [`Drives`].
+/// Parts of [`Drives`].
 pub(crate) struct DrivesConfig {
     pub takes: CommandKind,
     pub has_brakes: bool,
@@ -132,14 +132,14 @@ pub(crate) struct DrivesConfig {
     pub drivetrains: Vec<Drivetrain>,
     pub laws: Vec<ServoLaw>,
     pub torque_limits: Option<DVector<f64>>,
-    /// Positions at the start (n; rad).
+    /// Start positions (n; rad, m).
     pub q: Vec<f64>,
-    /// Torques that hold the arm at the start (n; Nm).
+    /// Torques that hold the arm at the start (n; Nm, N).
     pub holding: DVector<f64>,
 }
 
 impl Drives {
-    /// Drives that hold an arm at rest.
+    /// Returns drives that hold an arm at rest.
     pub fn new(config: DrivesConfig) -> Self {
         let DrivesConfig { takes, has_brakes, q, holding, .. } = config;
         let n = q.len();
@@ -187,7 +187,7 @@ impl Drives {
         drives
     }
 
-    /// Takes a command with values, which acts at the servo tick `acts_at`.
+    /// Accepts a command with values, which acts at the servo tick `acts_at`.
     pub fn command(&mut self, values: &[f64], acts_at: u64) {
         self.commands += 1;
         self.commanded = true;
@@ -195,8 +195,8 @@ impl Drives {
         self.send(acts_at);
     }
 
-    /// Takes a command without values; what it changes acts at once, or, where it is a setpoint, at the servo tick
-    /// `acts_at`. `q` is the true position (n; rad).
+    /// Accepts a hold command. Brakes, or the servos of a torque robot, hold the arm at once; other robots get a
+    /// setpoint that acts at the servo tick `acts_at`. `q` is the true position (n; rad, m).
     pub fn hold(&mut self, q: &[f64], acts_at: u64) {
         self.commands += 1;
         if self.takes == CommandKind::Torque || self.has_brakes_in_use() {
@@ -209,7 +209,7 @@ impl Drives {
         }
     }
 
-    /// Enters the safe state. `q` is the true position (n; rad).
+    /// Enters the safe state. `q` is the true position (n; rad, m).
     pub fn stop(&mut self, q: &[f64]) {
         if self.takes != CommandKind::Position {
             self.hold_itself(q, None);
@@ -220,7 +220,7 @@ impl Drives {
         self.has_brakes && self.takes != CommandKind::Position
     }
 
-    /// Holds the arm from now on; commands on their way are dropped.
+    /// Holds the arm from now on; pending commands are dropped.
     fn hold_itself(&mut self, q: &[f64], command: Option<u64>) {
         self.pending.iter_mut().for_each(|pending| pending.acts_at = None);
         if self.has_brakes_in_use() {
@@ -246,9 +246,9 @@ impl Drives {
         self.drivetrains.iter_mut().zip(q).for_each(|(joint, &q)| joint.engage_brake(q));
     }
 
-    /// Sends the last values to the drives.
+    /// Queues the last values as a command that acts at `acts_at`.
     fn send(&mut self, acts_at: u64) {
-        // A delay is at most one interface period, jitter less than one: at most two commands are on their way.
+        // The delay is at most one interface period and the jitter less than one, so at most two commands are pending.
         let free = self.pending.iter().position(|pending| pending.acts_at.is_none());
         let pending = &mut self.pending[free.unwrap_or(0)];
         pending.acts_at = Some(acts_at);
@@ -261,7 +261,8 @@ impl Drives {
         self.active.command
     }
 
-    /// A servo tick: commands come in force, the drives read their encoders at `q` (n; rad) and set the motors' inputs.
+    /// Runs a servo tick: pending commands take effect, the drives read their encoders at `q` (n; rad, m) and set the
+    /// motors' inputs.
     pub fn servo_tick(&mut self, q: &[f64], servo_tick: u64) {
         self.read_encoders(q);
         self.take_pending(servo_tick);
@@ -294,7 +295,7 @@ impl Drives {
         }
     }
 
-    /// Lets commands act: releases brakes.
+    /// Leaves the hold: releases the brakes and lets commands act.
     fn leave_hold(&mut self) {
         if self.mode == Mode::Braked {
             self.drivetrains.iter_mut().for_each(Drivetrain::release_brake);
@@ -308,8 +309,8 @@ impl Drives {
         };
     }
 
-    /// A physics step of `dt_s` (s) at the true `q` (n; rad) and `dq` (n; rad/s): writes the torques on the links (n;
-    /// Nm).
+    /// Runs a physics step of `dt_s` (s) at the true `q` (n; rad, m) and `dq` (n; rad/s, m/s): writes the torques on
+    /// the links (n; Nm, N).
     pub fn step(&mut self, q: &[f64], dq: &[f64], dt_s: f64, torques: &mut [f64]) {
         for (i, joint) in self.drivetrains.iter_mut().enumerate() {
             torques[i] = joint.step(q[i], dq[i], dt_s, self.asked[i]);
@@ -318,7 +319,7 @@ impl Drives {
         self.joint_torque.steps += 1;
     }
 
-    /// Torques of the motors during the last physics step, Nm.
+    /// Motor torques during the last physics step, Nm or N.
     pub fn motor_torques(&self) -> impl Iterator<Item = f64> {
         self.drivetrains.iter().map(Drivetrain::motor_torque)
     }
@@ -329,18 +330,18 @@ impl Drives {
         }
     }
 
-    /// Positions as the encoders read them at `q` (n; rad).
+    /// Returns the encoder readings at the true positions `q` (n; rad, m).
     pub fn positions(&mut self, q: &[f64]) -> &[f64] {
         self.read_encoders(q);
         self.position.as_slice()
     }
 
-    /// Mean torques on the links since the last call (n; Nm).
+    /// Returns the mean torques on the links since the last call (n; Nm, N).
     pub fn take_joint_torque(&mut self) -> &[f64] {
         self.joint_torque.take().as_slice()
     }
 
-    /// True if a drive's torque limit was active since the last call.
+    /// Returns true if a drive's torque limit was active since the last call.
     pub fn take_limited(&mut self) -> bool {
         std::mem::take(&mut self.limited)
     }

@@ -1,14 +1,15 @@
 //! Drivetrain of a joint: motor with its current loop, friction, end stop, brake, encoder.
 //!
-//! Torques act on the link as `((motor − friction) + end stop) + brake`; contacts are the [plant's](crate::plant). The
-//! gear is rigid: the motor turns with the link, and the rotor's inertia is in the plant's mass matrix.
+//! The torque on the link is `((motor − friction) + end stop) + brake`; contact forces are part of the
+//! [plant](crate::plant). The gear is rigid: the motor moves with the link, and the rotor's inertia is in the plant's
+//! mass matrix.
 
 use crate::friction::LuGre;
 use crate::motor::Motor;
 use crate::parameters::{BrakeParameters, EndStopParameters};
 use opspace_model::Limits;
 
-/// The drivetrain of one joint.
+/// Drivetrain of one joint.
 #[derive(Clone, Debug)]
 pub struct Drivetrain {
     motor: Motor,
@@ -21,14 +22,14 @@ pub struct Drivetrain {
 }
 
 impl Drivetrain {
-    /// A drivetrain with its brake released.
+    /// Returns a drivetrain with its brake released.
     #[must_use]
     pub fn new(motor: Motor, friction: LuGre, end_stop: EndStop, brake: Brake, encoder: Encoder) -> Self {
         Self { motor, friction, end_stop, brake, encoder, motor_torque: 0.0, joint_torque: 0.0 }
     }
 
-    /// The torque on the link (Nm), held over the next `dt_s` (s), at position `q` (rad) and velocity `dq` (rad/s),
-    /// with `commanded` (Nm) the input of the current loop.
+    /// Returns the torque on the link (Nm, N), constant over the next `dt_s` (s), at position `q` (rad, m) and velocity
+    /// `dq` (rad/s, m/s); `commanded` (Nm, N) is the input of the current loop.
     pub fn step(&mut self, q: f64, dq: f64, dt_s: f64, commanded: f64) -> f64 {
         let motor = self.motor.step(commanded);
         let friction = self.friction.step(dq, dt_s);
@@ -38,25 +39,25 @@ impl Drivetrain {
         self.joint_torque
     }
 
-    /// Torque of the motor at the joint, mean over the last step, Nm.
+    /// Mean motor torque at the joint over the last step, Nm or N.
     #[must_use]
     pub fn motor_torque(&self) -> f64 {
         self.motor_torque
     }
 
-    /// Torque on the link during the last step, Nm.
+    /// Torque on the link during the last step, Nm or N.
     #[must_use]
     pub fn joint_torque(&self) -> f64 {
         self.joint_torque
     }
 
-    /// The position (rad) that the encoder reads at `q` (rad).
+    /// Returns the encoder reading at position `q` (rad, m).
     #[must_use]
     pub fn read_encoder(&self, q: f64) -> f64 {
         self.encoder.read(q)
     }
 
-    /// Engages the brake at position `q` (rad). An engaged brake stays where it was engaged.
+    /// Engages the brake at position `q` (rad, m). A brake that is already engaged keeps its position.
     pub fn engage_brake(&mut self, q: f64) {
         self.brake.engaged_at.get_or_insert(q);
     }
@@ -67,7 +68,7 @@ impl Drivetrain {
     }
 }
 
-/// A spring and a damper beyond each end of the joint's range.
+/// Spring and damper beyond each position limit of the joint.
 #[derive(Clone, Debug)]
 pub struct EndStop {
     limits: Limits,
@@ -76,7 +77,7 @@ pub struct EndStop {
 }
 
 impl EndStop {
-    /// Stops at the joint's position limits.
+    /// Returns end stops at the joint's position limits.
     #[must_use]
     pub fn new(limits: &Limits, parameters: &EndStopParameters) -> Self {
         Self {
@@ -92,12 +93,12 @@ impl EndStop {
             return 0.0;
         }
         let torque = self.stiffness * depth - self.damping * dq;
-        // A stop pushes back; it does not hold on to a joint that leaves it.
+        // A stop only pushes back; it does not pull a joint that leaves it.
         if depth > 0.0 { torque.max(0.0) } else { torque.min(0.0) }
     }
 }
 
-/// A spring and a damper to the position at which the brake was engaged; it slips at its torque.
+/// Spring and damper to the position at which the brake was engaged; the brake slips above its slip torque.
 #[derive(Clone, Debug)]
 pub struct Brake {
     stiffness: f64,
@@ -107,7 +108,7 @@ pub struct Brake {
 }
 
 impl Brake {
-    /// A released brake that slips at `slip_torque_nm`.
+    /// Returns a released brake that slips at `slip_torque_nm` (Nm).
     #[must_use]
     pub fn new(parameters: &BrakeParameters, slip_torque_nm: f64) -> Self {
         Self {
@@ -127,14 +128,14 @@ impl Brake {
     }
 }
 
-/// A position sensor with a resolution.
+/// Position sensor with a finite resolution.
 #[derive(Clone, Debug)]
 pub struct Encoder {
     resolution_rad: Option<f64>,
 }
 
 impl Encoder {
-    /// An encoder that counts in steps of `resolution_rad`; `None` reads the exact position.
+    /// Returns an encoder with steps of `resolution_rad` (rad); `None` reads the exact position.
     #[must_use]
     pub fn new(resolution_rad: Option<f64>) -> Self {
         Self { resolution_rad }

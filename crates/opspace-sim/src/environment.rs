@@ -1,4 +1,4 @@
-//! Objects of the environment that touch the robot: an operator with a spring, pushes, a wall.
+//! Objects of the environment that exert forces on the robot: an operator with a spring, pushes, a wall.
 //! `[environment.NAME.KIND]` in a task file.
 
 use nalgebra::Vector3;
@@ -25,7 +25,7 @@ pub enum EnvironmentObjectParameters {
 }
 
 impl EnvironmentObjectParameters {
-    /// The name of its kind in a file.
+    /// Name of its kind in a task file.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
@@ -35,7 +35,7 @@ impl EnvironmentObjectParameters {
         }
     }
 
-    /// The name of the frame that it touches.
+    /// Name of the frame on which it acts.
     #[must_use]
     pub fn frame(&self) -> &str {
         match self {
@@ -46,8 +46,8 @@ impl EnvironmentObjectParameters {
     }
 }
 
-/// Spring and damper to an operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`; the operator starts at the
-/// frame's initial position.
+/// Spring and damper between frame and operator: `F = gain ∘ [K (x_operator − x) + B (ẋ_operator − ẋ)]`. The operator
+/// starts at the frame's initial position.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -61,7 +61,7 @@ pub struct SpringParameters {
     /// Factor on K and B in x, y and z of the world.
     #[serde(default = "everywhere", deserialize_with = "exactly")]
     pub gain: [NonNegative; 3],
-    /// Axes over which its force and the frame's motion are reported.
+    /// World axes for which its force and the frame's motion are reported.
     #[serde(default = "all_axes")]
     pub report: Vec<WorldAxis>,
     /// Motion of the operator.
@@ -97,7 +97,7 @@ pub enum WorldAxis {
 pub enum OperatorMotion {
     /// No motion.
     Still {},
-    /// Random within a band: 24 sines per axis, of random frequency, phase and amplitude.
+    /// Band-limited random motion: 24 sines per axis, of random frequency, phase and amplitude.
     Random(RandomMotion),
 }
 
@@ -106,13 +106,13 @@ pub enum OperatorMotion {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct RandomMotion {
-    /// Size of the motion of each axis, rms, m.
+    /// Rms amplitude of the motion along each axis, m.
     pub rms_m: NonNegative,
     /// Lowest frequency, Hz.
     pub from_hz: Positive,
     /// Highest frequency, Hz.
     pub to_hz: Positive,
-    /// Time over which the motion ramps in, s.
+    /// Time over which the motion ramps up, s.
     #[serde(default = "one_second")]
     pub ramp_s: Positive,
 }
@@ -137,26 +137,26 @@ pub struct PushesParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PushParameters {
-    /// Beginning, s from the controller's start.
+    /// Beginning, in s after the controller's start.
     pub at_s: NonNegative,
     /// Duration, s.
     pub duration_s: Positive,
-    /// Peak force, world axes, N.
+    /// Peak force in world axes, N.
     #[serde(deserialize_with = "exactly")]
     pub force_n: [f64; 3],
 }
 
-/// Elastic plane: `F = normal (K depth + B ḋepth)` while the frame is behind it, never pulling.
+/// Elastic plane: `F = normal (K depth + B ḋepth)` while the frame is behind it; the force never pulls.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WallParameters {
     /// Name of the frame that touches it.
     pub frame: String,
-    /// Point of the plane in the world, m.
+    /// Point of the plane in world coordinates, m.
     #[serde(deserialize_with = "exactly")]
     pub point_m: [f64; 3],
-    /// Direction out of the wall, world axes; any length.
+    /// Outward normal of the wall in world axes; any length.
     #[serde(deserialize_with = "exactly")]
     pub normal: [f64; 3],
     /// Stiffness K, N/m.
@@ -165,7 +165,7 @@ pub struct WallParameters {
     pub damping_ns_per_m: NonNegative,
 }
 
-/// An object of the environment of a simulation.
+/// Environment object in a simulation.
 #[derive(Clone, Debug)]
 pub enum EnvironmentObject {
     /// See [`SpringParameters`].
@@ -176,18 +176,18 @@ pub enum EnvironmentObject {
     Wall(Wall),
 }
 
-/// An operator with a drawn motion.
+/// Operator with spring and damper, and the sines of its random motion.
 #[derive(Clone, Debug)]
 pub struct Spring {
     stiffness: Vector3<f64>,
     damping: Vector3<f64>,
     home: Vector3<f64>,
     ramp_s: f64,
-    /// (amplitude m, rad/s, phase rad) of each axis.
+    /// Amplitude (m), angular frequency (rad/s) and phase (rad) of the sines of each axis.
     sines: [Vec<(f64, f64, f64)>; 3],
 }
 
-/// A plane.
+/// Elastic plane.
 #[derive(Clone, Debug)]
 pub struct Wall {
     point: Vector3<f64>,
@@ -197,7 +197,7 @@ pub struct Wall {
 }
 
 impl EnvironmentObject {
-    /// An object at a frame that starts at `home` (world, m).
+    /// Returns an object at a frame that starts at `home` (world axes, m).
     #[must_use]
     pub fn new(parameters: &EnvironmentObjectParameters, home: Vector3<f64>, random: ChaCha8Rng) -> Self {
         match parameters {
@@ -212,8 +212,8 @@ impl EnvironmentObject {
         }
     }
 
-    /// The force on the frame at `x` (m) moving at `v` (m/s), `t` seconds from the controller's start; world
-    /// axes, N.
+    /// Returns the force (world axes, N) on the frame at position `x` (m) with velocity `v` (m/s), at `t` seconds after
+    /// the controller's start.
     #[must_use]
     pub fn force(&self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         match self {
@@ -224,13 +224,13 @@ impl EnvironmentObject {
     }
 }
 
-/// A vector of any length as one of length 1.
+/// Returns the unit vector of a vector of any length.
 fn direction(vector: [f64; 3]) -> Vector3<f64> {
     let vector = Vector3::from(vector);
     (vector / vector.amax()).normalize()
 }
 
-/// The minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, from 0 to 1, and its rate (1/s).
+/// Returns the minimum-jerk ramp s = 10u³ − 15u⁴ + 6u⁵ with u = t/duration, from 0 to 1, and its rate (1/s).
 fn minimum_jerk(t: f64, duration: f64) -> (f64, f64) {
     if t <= 0.0 {
         return (0.0, 0.0);
@@ -289,7 +289,7 @@ impl Spring {
 }
 
 impl RandomMotion {
-    /// Sines of one axis, whose sum has the asked rms.
+    /// Returns the sines of one axis; the rms of their sum is `rms_m`.
     fn draw(&self, random: &mut ChaCha8Rng) -> Vec<(f64, f64, f64)> {
         let (from, to) = (self.from_hz.get(), self.to_hz.get());
         let mut sines: Vec<(f64, f64, f64)> = (0..SINES)

@@ -1,4 +1,4 @@
-//! Errors of the parameters of a simulation.
+//! Errors in the parameters of a simulation.
 
 use opspace_backend::CommandKind;
 use opspace_model::{UnknownFrame, UnknownJoint};
@@ -9,25 +9,25 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SimulationError {
-    /// Command that would act after the next one.
+    /// Delay longer than an interface period: a command would act after the next one.
     #[error("a delay of {delay} servo ticks is longer than an interface period of {ratio} servo ticks")]
     Delay {
         /// Delay, `delay_servo_ticks`.
         delay: u32,
         /// Servo ticks per interface cycle, `servo_ticks_per_cycle`.
         ratio: u32,
-        /// True if the true delay is too long, not the nominal one.
+        /// True if the true delay is too long, false if the nominal delay is.
         truth: bool,
     },
-    /// True value of a joint that doesn't exist.
+    /// True parameter of a joint that doesn't exist.
     #[error("simulated.{section}: {source}")]
     Joint {
         /// Key of `[simulated]`.
         section: &'static str,
-        /// Name asked for, and the model's joints.
+        /// Unknown name, and the model's joints.
         source: UnknownJoint,
     },
-    /// Servo that can't be run.
+    /// Invalid servo.
     #[error("the servo of joint '{joint}': {source}")]
     Servo {
         /// Name of its joint.
@@ -47,17 +47,17 @@ pub enum SimulationError {
         /// Number of joints n.
         joints: usize,
     },
-    /// Servo of another kind than the robot needs.
+    /// Servo of a kind that does not fit the robot.
     #[error("the servo of joint '{joint}' does not accept {} setpoints: {} is missing", setpoints.name(), needed(joint, *truth, *setpoints))]
     ServoKind {
         /// Name of its joint.
         joint: String,
         /// True if it is the true servo, not the nominal one.
         truth: bool,
-        /// Quantity of the setpoints that the drives have for it.
+        /// Quantity of the setpoints that the robot's drives receive.
         setpoints: CommandKind,
     },
-    /// Physics rate that is no multiple of the servo rate.
+    /// Physics rate that is not a multiple of the servo rate.
     #[error(
         "a physics rate of {physics_hz} Hz is not a whole multiple (1 to 10000) of the servo rate of {servo_hz} Hz"
     )]
@@ -83,7 +83,7 @@ pub enum SimulationError {
         /// Names of the declared joints.
         declared: Vec<String>,
     },
-    /// Interface period that is no time.
+    /// Interface period that is not a finite number above zero.
     #[error("the interface period is {period_s} s; it must be finite and above 0")]
     Period {
         /// Interface period `period_s`, s.
@@ -92,21 +92,21 @@ pub enum SimulationError {
     /// Simulation without arms.
     #[error("a simulation needs at least one arm")]
     NoArm,
-    /// Coupling of an arm or a frame that doesn't exist, or of an arm with itself.
+    /// Coupling of an arm with itself, or of an arm or a frame that doesn't exist.
     #[error("coupling '{coupling}': {reason}")]
     Coupling {
         /// Name of the coupling.
         coupling: String,
-        /// Missing arm or frame, or the arm that is named twice.
+        /// Description: missing arm or frame, or an arm coupled with itself.
         reason: String,
     },
-    /// Bus on which nothing passes.
+    /// Bus that loses every cycle.
     #[error("the fraction of lost cycles is {share}; it must be less than 1")]
     LostCycles {
-        /// Share of lost cycles, `lost_cycles_share`.
+        /// Probability of losing a cycle, `lost_cycles_share`.
         share: f64,
     },
-    /// Dropout too long for its rows to be kept.
+    /// Dropout that is too long to keep its rows.
     #[error("a dropout of {duration_s} s is longer than the maximum of {longest_s} s")]
     Dropout {
         /// Duration, `duration_s`, s.
@@ -114,7 +114,7 @@ pub enum SimulationError {
         /// Longest duration allowed, s.
         longest_s: f64,
     },
-    /// Setpoint that would act after the next one.
+    /// Jitter of an interface period or more: a setpoint could act after the next one.
     #[error(
         "a jitter of {jitter} servo ticks is not shorter than an interface period of {ratio} servo ticks"
     )]
@@ -124,7 +124,7 @@ pub enum SimulationError {
         /// Servo ticks per interface cycle, `servo_ticks_per_cycle`.
         ratio: u32,
     },
-    /// Force sensor of the robot without parameters in the simulation.
+    /// Force sensor without parameters in `[simulated]`.
     #[error("force sensor '{sensor}' is declared, but [simulated.force_sensor.{sensor}] is missing")]
     UnknownSensorQuality {
         /// Name of the sensor.
@@ -135,7 +135,7 @@ pub enum SimulationError {
     SensorFrame {
         /// Name of the sensor.
         sensor: String,
-        /// Name asked for, and the model's frames.
+        /// Unknown name, and the model's frames.
         source: UnknownFrame,
     },
     /// Object of the environment on a frame that the robot does not have.
@@ -143,7 +143,7 @@ pub enum SimulationError {
     Frame {
         /// Name of the object.
         object: String,
-        /// Name asked for, and the model's frames.
+        /// Unknown name, and the model's frames.
         source: UnknownFrame,
     },
     /// Band from a higher to a lower frequency.
@@ -152,13 +152,13 @@ pub enum SimulationError {
         /// Name of the object.
         object: String,
     },
-    /// Operator that reports no axis.
+    /// Operator without a reported axis.
     #[error("environment.{object}: report names no axis; omit it to report x, y and z")]
     NothingReported {
         /// Name of the object.
         object: String,
     },
-    /// Wall without a direction.
+    /// Wall whose normal is zero.
     #[error("environment.{object}: the normal has no length")]
     Normal {
         /// Name of the object.
@@ -166,7 +166,7 @@ pub enum SimulationError {
     },
 }
 
-/// Name of the table of the servos of a kind, in a profile and in `[simulated]`.
+/// Name of the table of servos with setpoints of this kind, in a profile and in `[simulated]`.
 fn table(setpoints: CommandKind) -> &'static str {
     match setpoints {
         CommandKind::Velocity => "velocity_servo",
@@ -174,7 +174,7 @@ fn table(setpoints: CommandKind) -> &'static str {
     }
 }
 
-/// Section in which a servo of the kind belongs: of `[simulated]`, or of the profile in use.
+/// Returns the section for a servo of this kind, in `[simulated]` or in the profile in use.
 fn needed(joint: &str, truth: bool, setpoints: CommandKind) -> String {
     let root = if truth { "simulated." } else { "" };
     let kind = match setpoints {
@@ -185,7 +185,7 @@ fn needed(joint: &str, truth: bool, setpoints: CommandKind) -> String {
 }
 
 impl SimulationError {
-    /// File and key at fault: a path from the root of the task or robot file.
+    /// File and key that cause the error: a path from the root of the task or robot file.
     #[must_use]
     pub fn key(&self) -> Key {
         let task = |name: &str, key: &str| Key::Task(vec!["environment".into(), name.into(), key.into()]);

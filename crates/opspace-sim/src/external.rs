@@ -1,7 +1,7 @@
-//! External forces, applied by a program to a frame of the robot while it runs.
+//! External forces that a program applies to a frame of the robot during a simulation.
 //!
-//! A force is set through a [`ExternalForceHandle`], read once per interface cycle and held until the next one. Rows of
-//! the channel `external` hold all of it, so that a simulation can be repeated from its log.
+//! A force is set through an [`ExternalForceHandle`], read once per interface cycle and held until the next one. The
+//! rows of the channel `external` record it completely, so that a simulation can be repeated from its log.
 
 use nalgebra::Vector3;
 use opspace_backend::signal_names::EXTERNAL_CHANNEL;
@@ -10,34 +10,34 @@ use opspace_model::{Force, FrameId, Model};
 use std::cell::Cell;
 use std::rc::Rc;
 
-/// A force on the origin of a frame.
+/// Force on the origin of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExternalForce {
-    /// The frame.
+    /// Frame on which it acts.
     pub frame: FrameId,
-    /// The force on it.
+    /// Force, or force and moment.
     pub pull: Pull,
 }
 
-/// The kind of an external force.
+/// Kind and parameters of an external force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Pull {
-    /// A spring to a point and a damper: `F = K (x_target − x) − B ẋ`.
+    /// Spring to a target point, and damper: `F = K (x_target − x) − B ẋ`.
     Spring {
-        /// The point, world axes, m.
+        /// Target point, world axes, m.
         target_m: Vector3<f64>,
-        /// K, N/m.
+        /// Stiffness K, N/m.
         stiffness_n_per_m: f64,
-        /// B, Ns/m.
+        /// Damping B, Ns/m.
         damping_ns_per_m: f64,
     },
-    /// A constant force and moment, world axes (N, Nm).
+    /// Constant force and moment, world axes (N, Nm).
     Wrench(Force),
 }
 
 impl Pull {
-    /// Force and moment on a frame at `x` (m) that moves at `v` (m/s), world axes (N, Nm).
+    /// Returns force and moment (world axes; N, Nm) on a frame at position `x` (m) with velocity `v` (m/s).
     #[must_use]
     pub fn wrench(&self, x: &Vector3<f64>, v: &Vector3<f64>) -> Force {
         match self {
@@ -50,7 +50,7 @@ impl Pull {
     }
 }
 
-/// Sets the external force on one arm. Clones set the same force.
+/// Handle that sets the external force on one arm. Clones set the same force.
 #[derive(Clone, Debug, Default)]
 pub struct ExternalForceHandle(Rc<Cell<Option<ExternalForce>>>);
 
@@ -70,24 +70,24 @@ impl ExternalForceHandle {
         self.0.set(force);
     }
 
-    /// The force that is set.
+    /// Force that is set, if any.
     #[must_use]
     pub fn get(&self) -> Option<ExternalForce> {
         self.0.get()
     }
 }
 
-/// Width of a row.
+/// Number of values in a row.
 const WIDTH: usize = 16;
 
-/// The layout of the channel `external`.
+/// Layout of the channel `external`.
 #[must_use]
 pub fn layout() -> Layout {
     let signals = SignalRecorder::describe(|out| record(None, f64::NAN, &Vector3::zeros(), out));
     Layout { channel: EXTERNAL_CHANNEL.to_owned(), signals }
 }
 
-/// Records the force that is set, with the index of its frame, and the force (N) that acted in the last step.
+/// Records the force that is set, the index of its frame, and the force that acted in the last step (N).
 fn record(set: Option<Pull>, frame: f64, acting: &Vector3<f64>, out: &mut SignalRecorder<'_>) {
     let (mut target, mut gains, mut wrench) = ([f64::NAN; 3], [f64::NAN; 2], [f64::NAN; 6]);
     let pull = match set {
@@ -112,7 +112,8 @@ fn record(set: Option<Pull>, frame: f64, acting: &Vector3<f64>, out: &mut Signal
     out.signal("force", "N", &axes, acting.as_slice());
 }
 
-/// The external force of a row of the channel `external`; `None` where none was set, or if the row is of another model.
+/// Returns the external force of a row of the channel `external`; `None` if no force was set, or if the row doesn't fit
+/// the model.
 #[must_use]
 pub fn decode(row: &[f64], model: &Model) -> Option<ExternalForce> {
     let [pull, frame, tx, ty, tz, stiffness, damping, fx, fy, fz, mx, my, mz, ..] = *row else {
@@ -140,7 +141,7 @@ pub(crate) struct ExternalRows {
 }
 
 impl ExternalRows {
-    /// No rows, with room for `capacity`.
+    /// Returns empty rows with memory for `capacity` rows.
     pub fn new(model: &Model, capacity: usize) -> Self {
         let frames = model.frames().iter().filter_map(|frame| model.frame_id(&frame.name).ok()).collect();
         Self { frames, values: Vec::with_capacity(capacity * WIDTH) }
@@ -160,7 +161,7 @@ impl ExternalRows {
         record(set.map(|force| force.pull), frame, acting, &mut out);
     }
 
-    /// The rows, in the order of time.
+    /// Rows in the order of time.
     pub fn iter(&self) -> impl Iterator<Item = &[f64]> {
         self.values.chunks_exact(WIDTH)
     }

@@ -1,4 +1,4 @@
-//! The faults that a simulated robot reports: codes and sentences.
+//! Faults that a simulated robot reports: codes and messages.
 
 use opspace_backend::{CommandKind, DeviceFault};
 
@@ -9,13 +9,13 @@ pub const WRONG_COMMAND: u32 = 2;
 /// Code of [`wrong_length`].
 pub const WRONG_LENGTH: u32 = 3;
 
-/// The true state is not finite any more.
+/// Returns the fault of a simulation whose true state is no longer finite.
 #[must_use]
 pub fn diverged() -> DeviceFault {
     DeviceFault::new(DIVERGED, "the simulation diverged")
 }
 
-/// The command is not of the kind that the robot takes.
+/// Returns the fault of a command whose kind the robot does not accept.
 #[must_use]
 pub fn wrong_command(takes: CommandKind) -> DeviceFault {
     let words = match takes {
@@ -26,7 +26,7 @@ pub fn wrong_command(takes: CommandKind) -> DeviceFault {
     DeviceFault::new(WRONG_COMMAND, words)
 }
 
-/// The command does not have one value per joint.
+/// Returns the fault of a command that does not have one value per joint.
 #[must_use]
 pub fn wrong_length() -> DeviceFault {
     DeviceFault::new(WRONG_LENGTH, "the command does not have one value per joint")

@@ -19,7 +19,7 @@ pub struct SimulatedForceSensor {
 }
 
 impl SimulatedForceSensor {
-    /// Returns a sensor filtered every `period_s` (s); its bias is drawn once.
+    /// Returns a sensor whose filter is updated every `period_s` (s); its bias is drawn once.
     #[must_use]
     pub fn new(parameters: &ForceSensorParameters, period_s: f64, mut random: ChaCha8Rng) -> Self {
         let mut uniform = |size: f64| Vector3::from_fn(|_, _| size * random.random_range(-1.0..=1.0));
@@ -34,12 +34,12 @@ impl SimulatedForceSensor {
         }
     }
 
-    /// Filters the true wrench (sensor axes, N, Nm) over a period.
+    /// Updates the filter with the true wrench (sensor axes; N, Nm) of a period.
     pub fn follow(&mut self, wrench: &Force) {
         self.filtered += (*wrench - self.filtered) * self.gain;
     }
 
-    /// Returns a reading, bias and noise included.
+    /// Returns a reading with bias and noise, sensor axes (N, Nm).
     pub fn read(&mut self) -> Force {
         let mut white = |size: f64| -> Vector3<f64> {
             Vector3::from_fn(|_, _| {

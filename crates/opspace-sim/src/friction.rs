@@ -10,7 +10,7 @@
 use crate::parameters::BristleParameters;
 use opspace_transformer::FrictionParameters;
 
-/// Friction of one joint, with the deflection of its bristles.
+/// Friction of one joint, with the deflection of its bristles as state.
 #[derive(Clone, Debug)]
 pub struct LuGre {
     coulomb: f64,
@@ -24,7 +24,7 @@ pub struct LuGre {
 }
 
 impl LuGre {
-    /// Returns friction at rest with relaxed bristles; `scale` multiplies the nominal friction.
+    /// Returns the friction of a joint at rest with relaxed bristles; `scale` multiplies the nominal friction.
     #[must_use]
     pub fn new(friction: &FrictionParameters, bristle: &BristleParameters, scale: f64) -> Self {
         let coulomb = scale * friction.coulomb_nm.get();
@@ -40,8 +40,8 @@ impl LuGre {
         }
     }
 
-    /// Returns the torque against the motion at velocity `v` (rad/s), held over the next `dt` (s), Nm. The
-    /// bristles' equation is solved exactly for that velocity.
+    /// Returns the friction torque (Nm, N) against the velocity `v` (rad/s, m/s), which is constant over the step `dt`
+    /// (s). The bristles' equation is solved exactly for that velocity.
     pub fn step(&mut self, v: f64, dt: f64) -> f64 {
         let level = self.coulomb + self.stiction * (-(v / self.stribeck).powi(2)).exp();
         if level <= 0.0 {
@@ -52,7 +52,7 @@ impl LuGre {
         let decay = (-self.bristle_stiffness * v.abs() / level * dt).exp();
         self.deflection = steady + (before - steady) * decay;
         let rate = (self.deflection - before) / dt;
-        // Bristle damping fades with speed, and with friction itself where there is hardly any.
+        // Bristle damping decreases with speed, and with the friction level if that is below 1 Nm.
         let damping = self.bristle_damping * (-(v / self.damping_fades_over).powi(2)).exp() * level.min(1.0);
         self.bristle_stiffness * self.deflection + damping * rate + self.viscous * v
     }

@@ -1,4 +1,4 @@
-//! Ideal arm, whose drives produce exactly what is commanded: the smallest simulation, without a robot file.
+//! Ideal arm, whose drives produce exactly the commanded torques; it needs no robot file.
 
 use crate::config::ArmConfig;
 use crate::error::SimulationError;
@@ -26,16 +26,16 @@ const STIFFNESS: Positive = Positive::literal(5000.0);
 /// Damping of brakes and end stops, Nms/rad.
 const DAMPING: NonNegative = NonNegative::literal(20.0);
 
-/// A value that is divided by and otherwise has no effect.
+/// Value of parameters that are divisors but have no effect.
 const UNUSED: Positive = Positive::literal(1.0);
 
 impl ArmConfig {
-    /// Returns an arm without friction, rotor inertia, delay, noise or encoder counts. Its motors produce without lag
-    /// the torques that they are commanded, up to the efforts of the URDF; an effort of zero is no limit. It starts at
-    /// rest at the neutral position (all zeros) and touches nothing. Change the fields for any other.
+    /// Returns an arm without friction, rotor inertia, delay, noise or encoder quantisation. Its motors produce the
+    /// commanded torques without lag, up to the effort limits of the URDF; an effort of zero means no limit. It starts
+    /// at rest at the neutral position (all zeros) and has no contacts. Change the fields for any other arm.
     ///
-    /// `servos` has one servo per joint (n); it is empty for a torque robot with brakes, which needs none. Servos run
-    /// at five times the interface rate, physics at ten times.
+    /// `servos` has one servo per joint (n); it may be empty for a torque robot with brakes. Servos run at five times
+    /// the interface rate, physics at ten times.
     ///
     /// # Errors
     /// [`SimulationError::Period`] if the period of `capabilities` is not a finite number above zero.
@@ -68,7 +68,7 @@ impl ArmConfig {
     }
 }
 
-/// A drive with this torque limit (Nm) and nothing between motor and joint.
+/// Returns an ideal drive with this torque limit (Nm, N); without a limit if it is zero.
 fn drive(effort: f64) -> JointParameters {
     JointParameters {
         torque_limit_nm: Positive::try_from(effort).unwrap_or(Positive::literal(f64::MAX)),
@@ -88,7 +88,7 @@ fn drive(effort: f64) -> JointParameters {
     }
 }
 
-/// The servo of a robot whose drives never use one.
+/// Placeholder servo for a robot whose drives use none.
 fn unused_servo() -> ServoParameters {
     ServoParameters::Cascaded(CascadedServo {
         kp_per_s: UNUSED,

@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 use opspace_model::{Data, Model, aba, kinematics};
 
-/// Preallocated stages for n joints.
+/// Fourth-order Runge–Kutta integrator for n joints, with preallocated stages.
 #[derive(Clone, Debug)]
 pub struct RungeKutta {
     data: Data,
@@ -27,7 +27,8 @@ impl RungeKutta {
         }
     }
 
-    /// Advances `q` (rad, m) and `dq` (rad/s, m/s) by `dt` (s) under `tau` (Nm, N; n). Error O(dt⁵) per step.
+    /// Advances `q` (n; rad, m) and `dq` (n; rad/s, m/s) by `dt` (s) under the joint torques `tau` (n; Nm, N). The
+    /// error per step is O(dt⁵).
     pub fn step(&mut self, model: &Model, q: &mut [f64], dq: &mut [f64], tau: &[f64], dt: f64) {
         self.q.copy_from_slice(q);
         self.dq.copy_from_slice(dq);

@@ -1,4 +1,4 @@
-//! Interface of one arm of a simulation: clock, bus, drives, sensors, and the rows of its true state.
+//! Interface of one arm of a simulation: clock, bus, drives, sensors, and rows of its true state.
 
 use crate::bus::Bus;
 use crate::config::ArmConfig;
@@ -18,10 +18,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::Range;
 
-/// Number of cycles lost in a row, beside dropouts, for whose rows there is room.
+/// Number of consecutive lost cycles, in addition to dropouts, for whose rows memory is preallocated.
 const LOST_CYCLES: usize = 64;
 
-/// An arm of a simulation without its rigid bodies.
+/// Arm of a simulation, without its rigid bodies.
 pub(crate) struct ArmInterface {
     pub timing: Timing,
     pub rows: TruthRows,
@@ -30,9 +30,9 @@ pub(crate) struct ArmInterface {
     joints: Range<usize>,
     takes: CommandKind,
     bus: Bus,
-    /// The next cycle that passes the bus.
+    /// Number of the next cycle that the bus does not lose.
     pub next_sample: u64,
-    /// Servo ticks by which a command of the last cycle that passed is late.
+    /// Additional delay, in servo ticks, of a command written in the last cycle that was not lost.
     late: u32,
     drives: Drives,
     sensors: Vec<(FrameId, SimulatedForceSensor)>,
@@ -40,18 +40,18 @@ pub(crate) struct ArmInterface {
     interval_torque: DVector<f64>,
 }
 
-/// The place of an arm in its simulation.
+/// Position of an arm in its simulation.
 pub(crate) struct Place {
     /// Index of the arm.
     pub index: usize,
-    /// Its joints among those of the plant.
+    /// Range of its joints in the plant.
     pub joints: Range<usize>,
     /// Names of its couplings.
     pub couplings: Vec<String>,
 }
 
 impl ArmInterface {
-    /// An arm at rest at its start, holding itself. `model` has the true rigid bodies.
+    /// Returns an arm at rest at its start position, holding itself. `model` has the true rigid bodies.
     pub fn new(
         config: &ArmConfig,
         model: &Model,
@@ -107,19 +107,18 @@ impl ArmInterface {
         Ok(arm)
     }
 
-    /// True positions of this arm (n; rad).
+    /// True positions of this arm (n; rad, m).
     pub fn q<'a>(&self, plant: &'a dyn Plant) -> &'a [f64] {
         &plant.q()[self.joints.clone()]
     }
 
-    /// True velocities of this arm (n; rad/s).
+    /// True velocities of this arm (n; rad/s, m/s).
     pub fn dq<'a>(&self, plant: &'a dyn Plant) -> &'a [f64] {
         &plant.dq()[self.joints.clone()]
     }
 
-    /// Begins an interface cycle: records the true state and takes the external force over.
-    ///
-    /// Returns whether the cycle passes the bus.
+    /// Begins an interface cycle: records the true state and applies the external force that is set. Returns true if
+    /// the bus does not lose the cycle.
     pub fn begin_cycle(&mut self, plant: &mut dyn Plant) -> bool {
         let cycle = self.timing.cycles;
         self.timing.cycles += 1;
@@ -137,7 +136,7 @@ impl ArmInterface {
         passes
     }
 
-    /// Finds the first cycle from `cycle` on that passes the bus.
+    /// Finds the first cycle, from `cycle` on, that the bus does not lose.
     fn find_next_sample(&mut self, cycle: u64) {
         self.next_sample = cycle;
         while !self.bus.passes(self.timing.cycle_time_s(self.next_sample)) {
@@ -178,7 +177,7 @@ impl ArmInterface {
         }
     }
 
-    /// Takes a command at the present cycle.
+    /// Accepts a command at the present cycle.
     pub fn write(&mut self, plant: &dyn Plant, command: Command<'_>) -> Result<(), DeviceFault> {
         let acts_at = self.timing.servo_tick + u64::from(self.timing.delay + self.late);
         let values = match command {
@@ -211,7 +210,8 @@ impl ArmInterface {
         self.timing.servo_tick += 1;
     }
 
-    /// Writes the joint torques of a physics step of `dt_s` (s) among those of all arms (Nm).
+    /// Computes a physics step of `dt_s` (s) of the drives and writes its joint torques (Nm, N) into the torques of all
+    /// arms.
     pub fn step_drives(&mut self, plant: &dyn Plant, dt_s: f64, torques: &mut [f64]) {
         let joints = self.joints.clone();
         let (q, dq) = (&plant.q()[joints.clone()], &plant.dq()[joints.clone()]);
@@ -230,7 +230,7 @@ impl ArmInterface {
     }
 }
 
-/// Joint torques that hold an arm at rest (n; Nm).
+/// Returns the joint torques that hold an arm at rest (n; Nm, N).
 fn holding_torque(model: &Model, q: &[f64]) -> DVector<f64> {
     let mut data = Data::new(model);
     kinematics(model, &mut data, q, &vec![0.0; model.n()]);

@@ -1,18 +1,18 @@
 //! Simulated arms: rigid bodies, drivetrains, multirate servos, sensors and environment.
 //!
-//! A [`SimulatedArm`] is a [`Backend`](opspace_backend::Backend), alone or as one arm of a [`Simulation`]. All kinds
-//! of robot share the same plant and the same interface; they differ in what they do without a command:
+//! A [`SimulatedArm`] is a [`Backend`](opspace_backend::Backend), alone or as one arm of a [`Simulation`]. All kinds of
+//! robot have the same plant and the same interface; they differ in their behaviour without a command:
 //!
 //! | robot | before the first command, on `Hold` and after `stop` |
 //! |---|---|
 //! | position | its servos keep the last setpoints |
-//! | torque or velocity, with brakes | brakes are engaged and motors are off; the next command releases them when it acts |
-//! | torque, without brakes | its position servos hold the position and the torque that they find when they take over |
-//! | velocity, without brakes | its servos are commanded zero velocity: without an integral the arm sags under its weight |
+//! | torque or velocity, with brakes | brakes engaged, motors off; the next command releases the brakes when it acts |
+//! | torque, without brakes | its position servos hold the position and torque at which they take over |
+//! | velocity, without brakes | its servos receive zero velocity; without an integral the arm sags under its weight |
 //!
-//! When the brakes of a velocity robot are released, the integrals of its servos are still zero: the arm sags until
-//! they carry its weight. The servos of a position robot hold it whether or not it has brakes. For a robot that
-//! compensates gravity by itself, the motor torques in rows and samples exclude gravity.
+//! When the brakes of a velocity robot are released, the integrals of its servos are zero: the arm sags until they hold
+//! its weight. The servos of a position robot hold its weight with or without brakes. For a robot that compensates
+//! gravity by itself, the motor torques in rows and samples exclude gravity.
 //!
 //! ```
 //! use opspace_backend::quantity::Positive;

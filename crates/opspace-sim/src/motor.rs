@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-/// Motor, exact over each step: the mean torque of the step moves the arm.
+/// Motor with a first-order lag, integrated exactly: the mean torque of each step acts on the arm.
 #[derive(Clone, Debug)]
 pub struct Motor {
     torque: f64,
@@ -12,7 +12,8 @@ pub struct Motor {
 }
 
 impl Motor {
-    /// Returns a motor that produces `torque` (Nm); `bandwidth_hz` `None` is without lag; steps of `dt` (s).
+    /// Returns a motor that initially produces `torque` (Nm), with steps of `dt` (s) and a lag of bandwidth
+    /// `bandwidth_hz` (Hz); no lag if `None`.
     #[must_use]
     pub fn new(bandwidth_hz: Option<f64>, dt: f64, torque: f64) -> Self {
         let (decay, mean_decay) = match bandwidth_hz {
@@ -25,7 +26,7 @@ impl Motor {
         Self { torque, decay, mean_decay }
     }
 
-    /// Returns the mean torque (Nm) of a step during which `asked` (Nm) is commanded.
+    /// Returns the mean torque (Nm) over a step with the commanded torque `asked` (Nm).
     pub fn step(&mut self, asked: f64) -> f64 {
         let gap = self.torque - asked;
         self.torque = asked + gap * self.decay;

@@ -1,5 +1,5 @@
-//! Parameters `[simulated]` of robot.toml: differences of the simulated robot from its nominal values, and additions to
-//! them. They are not known to the controller.
+//! Parameters `[simulated]` of robot.toml: differences of the simulated robot from its nominal parameters, and further
+//! parameters of the plant. The controller doesn't know them.
 
 use crate::bus::BusParameters;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -9,19 +9,19 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Parameters of the plant behind the interface.
+/// Parameters of the simulated plant, drives, sensors and bus.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedParameters {
-    /// Steps of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`.
+    /// Rate of the rigid-body integrator, Hz: a whole multiple of every profile's `servo_hz`.
     pub physics_hz: Positive,
-    /// Bandwidth of the motors' first-order current loop, Hz; if absent, the motor follows without lag.
+    /// Bandwidth of the motors' first-order current loop, Hz; no lag if absent.
     pub current_loop_hz: Option<Positive>,
-    /// Noise of the measured motor torque, rms, Nm.
+    /// Rms noise of the measured motor torque, Nm (N).
     #[serde(default)]
     pub torque_noise_nm: NonNegative,
-    /// True if positions are read to a whole encoder count.
+    /// True if positions are rounded to whole encoder counts.
     #[serde(default = "yes")]
     pub encoder_quantisation: bool,
     /// True if the drives' torque limits are active.
@@ -29,11 +29,11 @@ pub struct SimulatedParameters {
     pub torque_saturation: bool,
     /// Bristles of the friction model.
     pub bristle: BristleParameters,
-    /// End stops of the joints' ranges.
+    /// End stops at the joints' position limits.
     pub end_stop: EndStopParameters,
     /// Brakes of the joints.
     pub brake: BrakeParameters,
-    /// Measurement errors of each force sensor, by its name.
+    /// Measurement errors of each force sensor, by sensor name.
     #[serde(default)]
     pub force_sensor: BTreeMap<String, ForceSensorParameters>,
     /// Ratios of true to nominal values.
@@ -61,16 +61,16 @@ const fn yes() -> bool {
     true
 }
 
-/// Bristles of the LuGre model, which describe friction before the joint slides.
+/// Bristles of the LuGre model, which describe presliding friction.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BristleParameters {
-    /// Stiffness σ₀, Nm/rad.
+    /// Stiffness σ₀, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// Damping σ₁ at rest, Nms/rad.
+    /// Damping σ₁ at rest, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
-    /// Speed over which σ₁ fades, rad/s.
+    /// Speed over which σ₁ decreases, rad/s (m/s).
     pub damping_fade_velocity_rad_per_s: Positive,
 }
 
@@ -79,22 +79,22 @@ pub struct BristleParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EndStopParameters {
-    /// Stiffness, Nm/rad.
+    /// Stiffness, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// Damping, Nms/rad, while in the stop.
+    /// Damping while in the stop, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
 }
 
-/// Brake: a spring and a damper to the position at which it was engaged, slipping at its torque.
+/// Brake: a spring and a damper to the position at which it was engaged; it slips above its holding torque.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BrakeParameters {
     /// Torque at which it slips, as a multiple of the joint's torque limit.
     pub holding_torque_ratio: Positive,
-    /// Stiffness, Nm/rad.
+    /// Stiffness, Nm/rad (N/m).
     pub stiffness_nm_per_rad: Positive,
-    /// Damping, Nms/rad.
+    /// Damping, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
 }
 
@@ -105,13 +105,13 @@ pub struct BrakeParameters {
 pub struct ForceSensorParameters {
     /// Bandwidth of its first-order filter, Hz.
     pub bandwidth_hz: Positive,
-    /// Noise of each force, rms, N.
+    /// Rms noise of each force component, N.
     pub noise_n: NonNegative,
-    /// Noise of each moment, rms, Nm.
+    /// Rms noise of each moment component, Nm.
     pub noise_nm: NonNegative,
-    /// Largest constant error of each force, N.
+    /// Largest constant error of each force component, N.
     pub bias_n: NonNegative,
-    /// Largest constant error of each moment, Nm.
+    /// Largest constant error of each moment component, Nm.
     pub bias_nm: NonNegative,
 }
 
@@ -126,7 +126,7 @@ pub struct ScaleParameters {
     /// Scale of the velocity loops' gains.
     #[serde(default = "one")]
     pub kv: Positive,
-    /// Scale of Coulomb, static and viscous friction; 0 is a robot without friction.
+    /// Scale of Coulomb, static and viscous friction; 0 means no friction.
     #[serde(default = "one_or_none")]
     pub friction: NonNegative,
     /// Scale of all masses and inertias.

@@ -1,22 +1,22 @@
-//! Random numbers: every source has a stream of its own, so that adding one leaves the others unchanged.
+//! Random numbers: every source has its own stream, so that adding a source leaves the others unchanged.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// Use of a stream of random numbers.
+/// Source of random numbers.
 #[derive(Clone, Copy, Debug)]
 pub enum RngStream {
     /// Noise of the motor-torque measurement.
     MotorTorque,
     /// Losses and delays of the bus.
     Bus,
-    /// A force sensor, by its index.
+    /// Force sensor, by its index.
     ForceSensor(u32),
-    /// An object of the environment, by its index in the order of names.
+    /// Environment object, by its index in the order of names.
     EnvironmentObject(u32),
 }
 
-/// Returns the generator of one stream of a run's seed.
+/// Returns the random generator of one stream of a run with this seed.
 #[must_use]
 pub fn generator(seed: u64, stream: RngStream) -> ChaCha8Rng {
     let mut generator = ChaCha8Rng::seed_from_u64(seed);

@@ -1,4 +1,4 @@
-//! Plant of the library: rigid bodies by the articulated-body algorithm, integrated to fourth order.
+//! Plant of the library: rigid bodies simulated with the articulated-body algorithm and fourth-order integration.
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
@@ -10,7 +10,7 @@ use opspace_model::{
 };
 use std::ops::Range;
 
-/// Plant of any number of arms. Joint torques and the forces of contacts are held over a step; the rigid bodies are
+/// Plant of any number of arms. Joint torques and contact forces are constant over a step; the rigid bodies are
 /// integrated to fourth order.
 pub struct RigidPlant {
     arms: Vec<RigidArm>,
@@ -19,7 +19,7 @@ pub struct RigidPlant {
     dq: DVector<f64>,
 }
 
-/// An arm, and the forces on it.
+/// Arm, and the forces on it.
 struct RigidArm {
     model: Model,
     data: Data,
@@ -32,26 +32,26 @@ struct RigidArm {
     external: External,
 }
 
-/// A force on the origin of a frame during the last step.
+/// Contact force on the origin of a frame during the last step.
 struct PointForce {
     frame: FrameId,
     jacobian: Matrix6xX<f64>,
     force: Vector3<f64>,
 }
 
-/// The external force, and its wrench during the last step.
+/// External force, and its wrench during the last step.
 struct External {
     set: Option<ExternalForce>,
     jacobian: Matrix6xX<f64>,
     wrench: Force,
 }
 
-/// A spring between two arms.
+/// Spring between two arms.
 struct Coupling {
     parameters: PlantCoupling,
-    /// Indices of its forces among the contacts of the two arms.
+    /// Indices of its forces in the contact lists of the two arms.
     contacts: [usize; 2],
-    /// Distance from the first frame to the second at the start, m.
+    /// Vector from the first frame to the second at the start, m.
     relaxed: Vector3<f64>,
 }
 
@@ -61,7 +61,7 @@ impl PointForce {
     }
 }
 
-/// Adds the joint torques of a force: three rows of the Jacobian, transposed, times the force.
+/// Adds the joint torques Jᵀ F of a force, with J the three rows of the Jacobian from `first_row`.
 fn add_torques(jacobian: &Matrix6xX<f64>, first_row: usize, force: &Vector3<f64>, torque: &mut DVector<f64>) {
     for i in 0..torque.len() {
         let column: Vector3<f64> = jacobian.fixed_view::<3, 1>(first_row, i).into_owned();
@@ -156,10 +156,11 @@ impl RigidArm {
 }
 
 impl RigidPlant {
-    /// Returns the plant at rest at the start.
+    /// Returns the plant at rest at its start.
     ///
     /// # Panics
-    /// If positions are not one per joint, or a coupling names an arm that doesn't exist.
+    /// If the number of start positions differs from the number of joints, or a coupling names an arm that doesn't
+    /// exist.
     #[must_use]
     pub fn new(config: PlantConfig) -> Self {
         let mut arms = Vec::new();
@@ -187,7 +188,7 @@ impl Coupling {
         Self { parameters, contacts, relaxed: second - first }
     }
 
-    /// Updates its forces on the two arms.
+    /// Updates the spring's forces on the two arms.
     fn pull(&self, arms: &mut [RigidArm]) {
         let [(x, v), (y, w)] = self.parameters.frames.map(|at| arms[at.arm].point(at.frame));
         let stretch = (y - x) - self.relaxed;

@@ -1,10 +1,10 @@
 //! Simulation of any number of arms in one plant, on one clock.
 //!
-//! The rate of the clock is the least common multiple of the servo rates. A read of an arm moves the simulation on to
-//! that arm's next interface cycle that passes its bus, and no further: if arms are read in the order of their [next
-//! samples](crate::SimulatedArm::next_sample_s), every command is in time, and it does not matter which of two arms
-//! with samples at the same time is read first. A cycle of an arm that the simulation passes before it is read is lost,
-//! as on a bus; its rows are kept until the arm is read, or dropped.
+//! The rate of the clock is the least common multiple of the servo rates. Reading an arm advances the simulation to
+//! that arm's next interface cycle that the bus does not lose, and no further. If arms are read in the order of their
+//! [next samples](crate::SimulatedArm::next_sample_s), every command arrives in time, and arms with samples at the same
+//! time may be read in either order. If the simulation passes a cycle of an arm before the arm is read, the cycle is
+//! lost, as on a bus; its rows are kept until the arm is read or dropped.
 
 use crate::config::{CouplingConfig, SimulationConfig};
 use crate::error::SimulationError;
@@ -16,7 +16,7 @@ use crate::timing::Clock;
 use opspace_backend::{DeviceFault, Sample};
 use opspace_model::Model;
 
-/// Plant, and everything that drives and measures its arms.
+/// Plant with the drives and sensors of its arms.
 pub struct Simulation {
     pub(crate) plant: Box<dyn Plant>,
     pub(crate) arms: Vec<ArmInterface>,
@@ -25,23 +25,24 @@ pub struct Simulation {
     tick: u64,
     /// Ticks until the last controller starts.
     rest_ticks: f64,
-    /// Joint torques of all arms, Nm.
+    /// Joint torques of all arms, one arm after the other, Nm or N.
     torques: Vec<f64>,
 }
 
 impl Simulation {
-    /// Returns arms at rest at their starts, holding themselves, on the library's own rigid bodies.
+    /// Returns a simulation with the library's rigid-body plant. The arms are at rest at their start positions and hold
+    /// themselves.
     ///
     /// # Errors
-    /// If parameters contradict each other; the error names them by their key.
+    /// If parameters contradict each other; the error names the key.
     pub fn new(config: SimulationConfig) -> Result<Self, SimulationError> {
         Self::with_plant(config, |plant| Box::new(RigidPlant::new(plant)))
     }
 
-    /// Returns arms on another physics engine, which `build` creates from its parts.
+    /// Returns a simulation on another physics engine, which `build` creates from the parts of the plant.
     ///
     /// # Errors
-    /// If parameters contradict each other; the error names them by their key.
+    /// If parameters contradict each other; the error names the key.
     pub fn with_plant(
         config: SimulationConfig,
         build: impl FnOnce(PlantConfig) -> Box<dyn Plant>,
@@ -85,7 +86,7 @@ impl Simulation {
         })
     }
 
-    /// Advances to the next interface cycle of an arm that passes its bus, and reads the arm.
+    /// Advances to the arm's next interface cycle that the bus does not lose, and reads the arm.
     pub(crate) fn read(&mut self, index: usize, sample: &mut Sample) -> Result<(), DeviceFault> {
         let result = self.read_cycle(index, sample);
         self.arms[index].rows.finish();
@@ -110,12 +111,12 @@ impl Simulation {
         }
     }
 
-    /// Advances by a tick of the simulation.
+    /// Advances by one tick of the simulation.
     fn advance(&mut self) {
         let plant = &mut *self.plant;
         for arm in &mut self.arms {
             if self.tick == arm.timing.next_cycle() {
-                // Nobody read it in time.
+                // The arm was not read in time: its cycle is lost.
                 arm.begin_cycle(plant);
             }
             if arm.timing.is_servo_tick(self.tick) {

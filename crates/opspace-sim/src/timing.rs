@@ -2,22 +2,22 @@
 
 use crate::error::SimulationError;
 
-/// Most physics steps per tick of the simulation: more is an error in a rate, and the run would not finish.
+/// Largest number of physics steps per tick of the simulation; more indicates a wrong rate and would take too long.
 const MAX_STEPS: f64 = 10_000.0;
 
-/// Servo ticks of one arm, counted from the start.
+/// Timing of one arm: periods, delays and counters since the start.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Timing {
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
     pub servo_ticks_per_cycle: u32,
-    /// Servo ticks from the cycle at which a command is written until it acts.
+    /// Delay from the cycle at which a command is written until it acts, in servo ticks.
     pub delay: u32,
-    /// Servo ticks until the controller starts.
+    /// Number of servo ticks until the controller starts.
     pub rest_ticks: f64,
-    /// Servo ticks that began.
+    /// Number of servo ticks begun so far.
     pub servo_tick: u64,
-    /// Interface cycles that began.
+    /// Number of interface cycles begun so far.
     pub cycles: u64,
     /// Ticks of the simulation per servo tick.
     pub ticks_per_servo: u64,
@@ -26,7 +26,7 @@ pub(crate) struct Timing {
 }
 
 impl Timing {
-    /// Time of a servo tick on the robot's clock, which is 0 when the controller starts, s.
+    /// Time of a servo tick on the robot's clock, s; the controller starts at 0.
     pub fn time_s(&self, servo_tick: u64) -> f64 {
         (servo_tick as f64 - self.rest_ticks) * self.servo_period_s
     }
@@ -47,7 +47,7 @@ impl Timing {
     }
 }
 
-/// The clock that all arms of a simulation share: its ticks are the servo ticks of all of them.
+/// Clock that all arms of a simulation share. Every servo tick of every arm falls on a tick of the clock.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clock {
     /// Tick rate, Hz: the least common multiple of the servo rates.
@@ -59,7 +59,8 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// The clock of arms with these servo and physics rates, Hz. Physics runs at the highest of the latter.
+    /// Returns the clock of arms with these pairs of servo and physics rates (Hz). Physics runs at the highest physics
+    /// rate.
     pub fn new(rates_hz: impl Iterator<Item = (f64, f64)>) -> Result<Self, SimulationError> {
         let (mut rate_hz, mut physics_hz) = (0.0, 0.0_f64);
         for (servo_hz, physics) in rates_hz {
@@ -73,13 +74,13 @@ impl Clock {
         Ok(Self { rate_hz, physics_hz, steps_per_tick: steps.round() as u32 })
     }
 
-    /// Ticks per servo tick of an arm with this servo rate, Hz.
+    /// Number of clock ticks per servo tick of an arm with this servo rate (Hz).
     pub fn ticks_per_servo(&self, servo_hz: f64) -> u64 {
         (self.rate_hz / servo_hz).round() as u64
     }
 }
 
-/// The least common multiple of two rates, Hz. A first rate of 0 is none.
+/// Returns the least common multiple of two rates (Hz); if `first_hz` is 0, returns `second_hz`.
 fn common_rate(first_hz: f64, second_hz: f64) -> Result<f64, SimulationError> {
     if first_hz == 0.0 || first_hz == second_hz {
         return Ok(second_hz);

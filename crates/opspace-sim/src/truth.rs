@@ -9,7 +9,7 @@ use opspace_backend::{Layout, Signal, SignalRecorder, TruthLayouts, TruthRow};
 use opspace_model::{JointUnits, Model};
 use std::ops::Range;
 
-/// Rows since the last read, with room for those of many missed cycles.
+/// Rows since the last read. Memory for many missed cycles is preallocated.
 pub(crate) struct TruthRows {
     arm: ArmSignals,
     truth: Vec<f64>,
@@ -17,9 +17,9 @@ pub(crate) struct TruthRows {
     servo: Vec<f64>,
     servo_commands: Vec<Option<u64>>,
     external: Option<ExternalRows>,
-    /// True if the rows were read: the next row replaces them.
+    /// True if the rows were read; the next row replaces them.
     read: bool,
-    /// True if the rows may be read.
+    /// True if the rows may still be read.
     kept: bool,
 }
 
@@ -47,7 +47,7 @@ impl ArmSignals {
 }
 
 impl TruthRows {
-    /// No rows yet, with room for `cycles` of `ratio` servo ticks.
+    /// Returns empty rows with memory for `cycles` interface cycles of `ratio` servo ticks.
     pub fn new(
         model: &Model,
         contacts: Vec<String>,
@@ -88,7 +88,7 @@ impl TruthRows {
         self.read = true;
     }
 
-    /// Declares that nobody reads rows any more.
+    /// Declares that the rows are no longer read, so that they are not kept.
     pub fn abandon(&mut self) {
         self.kept = false;
     }
@@ -112,7 +112,7 @@ impl TruthRows {
         self.servo.resize(self.servo.len() + self.arm.joints.len(), 0.0);
     }
 
-    /// The row of the present servo period (n; Nm).
+    /// Motor torques of the present servo period (n; Nm, N).
     pub fn servo_row(&mut self) -> &mut [f64] {
         let begin = self.servo.len() - self.arm.joints.len();
         &mut self.servo[begin..]
@@ -128,14 +128,15 @@ impl TruthRows {
         self.arm.record(q, dq, |contact| plant.contact_force(arm, contact), &mut out);
     }
 
-    /// Adds the row of the external force that is set from this cycle on, and the force that acted before it (N).
+    /// Adds a row: the external force that is set from this cycle on, and the force that acted before it (N).
     pub fn add_external(&mut self, set: Option<&ExternalForce>, acting: &Vector3<f64>) {
         if let Some(external) = &mut self.external {
             external.push(set, acting);
         }
     }
 
-    /// Writes the mean of the motors' torques over the servo periods that the rows hold (n; Nm); nothing without any.
+    /// Writes the mean motor torques over the servo periods of the rows (n; Nm, N); leaves `mean` unchanged without
+    /// rows.
     pub fn average_motor_torque(&self, mean: &mut [f64]) {
         let rows = self.servo_commands.len();
         if rows == 0 {
@@ -148,7 +149,8 @@ impl TruthRows {
         mean.iter_mut().for_each(|sum| *sum /= rows as f64);
     }
 
-    /// Visits the rows in the order of time: each period's rows of the drives, then the truth at its end.
+    /// Visits the rows in the order of time: for each interface period, the rows of the drives, then the true state at
+    /// its end.
     pub fn visit(&self, timing: &Timing, visit: &mut dyn FnMut(TruthRow<'_>)) {
         let (n, ratio) = (self.arm.joints.len(), u64::from(timing.servo_ticks_per_cycle));
         let rows = self.servo_commands.iter().zip(self.servo.chunks_exact(n));

@@ -1,7 +1,7 @@
-//! The paper's steps 1) to 5): a transformer from a joint's measured closed loop T(s), without knowledge of its servo.
+//! Transformer from a joint's measured closed loop T(s), without knowledge of its servo: the paper's steps 1) to 5).
 //!
-//! With H(s) the assumed model of the joint from torque to position, E is the servo that would explain T, and D* where
-//! H is the ideal joint G* of equation (K5):
+//! H(s) is the assumed model of the joint, from torque to position. E is the servo that explains T; if H is the ideal
+//! joint G* of equation (K5), E is the paper's D*:
 //!
 //! ```text
 //! E = T/(H (1 − T))                                                 (K6), step 3)
@@ -9,10 +9,10 @@
 //! q_desired = τ/(E (1 − T)) = H τ/T                                 (K8), second form
 //! ```
 //!
-//! **Literally**, τ is the net torque on a single free joint: gravity, other joints and contact are not included, and
-//! 1/E predicts a motion that doesn't happen. The second form doesn't use q at all, and drifts. **Split**, 1/E is a
-//! compliance α and a velocity per torque, β s H; with the velocity measured, and not predicted from the torque, it is
-//! valid for arms under gravity and contact:
+//! **Literally**, τ is the net torque on a single free joint. Gravity, other joints and contact are not included, and
+//! with them 1/E predicts a motion that doesn't happen. The second form doesn't use q, so it drifts. **Split**, 1/E is
+//! the sum of a compliance α and a velocity term β s H. The velocity is then measured instead of predicted from the
+//! torque, so the split form is valid for arms under gravity and contact:
 //!
 //! ```text
 //! 1/E = α + β s H        q_desired = q + α τ + β q̇
@@ -33,32 +33,32 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use thiserror::Error;
 
-/// Size of a coefficient, relative to the largest of its polynomial, that counts as zero.
+/// Relative size of a coefficient, with respect to the largest of its polynomial, that counts as zero.
 const NOTHING: f64 = 1e-9;
 
-/// Number of frequencies at which 1/E is split.
+/// Number of frequencies of the least-squares split of 1/E.
 const POINTS: u32 = 60;
 
-/// Largest share of 1/E that its split may leave unexplained.
+/// Largest relative rms residual of the split of 1/E.
 const WORST_SPLIT: f64 = 0.3;
 
-/// Ratio of polynomials in s, coefficients in ascending order from the constant.
+/// Ratio of two polynomials in s (rad/s), with coefficients in ascending order from the constant.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TransferFunction {
     /// b₀, b₁, … of b₀ + b₁ s + …
     pub numerator: Vec<f64>,
-    /// a₀, a₁, …
+    /// a₀, a₁, … of a₀ + a₁ s + …
     pub denominator: Vec<f64>,
 }
 
-/// Measured closed loop of a joint, and the model of the joint assumed with it.
+/// Measured closed loop of a joint, and its assumed open loop.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ClosedLoopModel {
-    /// T(s), from setpoint to position.
+    /// T(s), from position setpoint to position.
     pub closed_loop: TransferFunction,
     /// H(s), from torque (Nm, N) to position (rad, m).
     pub open_loop: TransferFunction,
@@ -81,7 +81,7 @@ pub enum IdentificationError {
     /// Band from a higher to a lower frequency.
     #[error("to_hz is not above from_hz")]
     Band,
-    /// Closed loop that falls off faster than the open loop: q_desired would follow the rate of the torque.
+    /// Closed loop that rolls off faster than the open loop: q_desired would depend on the rate of the torque.
     #[error(
         "closed_loop rolls off faster than open_loop (by {excess} powers of s): setpoints would depend on the rate of \
          the torque"
@@ -90,7 +90,7 @@ pub enum IdentificationError {
         /// Excess powers of s.
         excess: usize,
     },
-    /// Unstable inverse: setpoints would grow by themselves.
+    /// Unstable inverse: setpoints would grow without bound.
     #[error(
         "setpoints would be unbounded: closed_loop has a zero, or open_loop a pole, at s = {at:.3} rad/s"
     )]
@@ -98,7 +98,7 @@ pub enum IdentificationError {
         /// Real part of the zero or pole, rad/s.
         at: f64,
     },
-    /// Inverse 1/E that is not a compliance and a velocity.
+    /// Inverse 1/E that is not the sum of a compliance and a velocity term.
     #[error(
         "1/E is not the sum of a compliance and a velocity term within the band: a fraction of {left:.2} remains, \
          alpha = {alpha:.3e} rad/Nm, beta = {beta:.3e} s"
@@ -108,12 +108,12 @@ pub enum IdentificationError {
         alpha: f64,
         /// Velocity coefficient β, s.
         beta: f64,
-        /// Share of 1/E that they don't explain.
+        /// Relative rms residual of the split.
         left: f64,
     },
 }
 
-/// Returns the coefficients up to the highest that counts.
+/// Returns the coefficients without negligible highest orders.
 fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
     let largest = polynomial.iter().fold(0.0, |largest: f64, c| largest.max(c.abs()));
     while polynomial.last().is_some_and(|c| c.abs() <= NOTHING * NOTHING * largest) {
@@ -123,7 +123,7 @@ fn trimmed(mut polynomial: Vec<f64>) -> Vec<f64> {
 }
 
 impl TransferFunction {
-    /// Value at `s`, rad/s.
+    /// Value at `s` (rad/s).
     #[must_use]
     pub fn at(&self, s: Complex<f64>) -> Complex<f64> {
         value(&self.numerator, s) / value(&self.denominator, s)
@@ -176,11 +176,11 @@ impl ClosedLoopModel {
         Ok(())
     }
 
-    /// Returns α (rad/Nm) and β (s) as the stiffness 1/α and the damping β/α: least squares of 1/E relative to itself,
-    /// over the band.
+    /// Returns α (rad/Nm) and β (s) as the stiffness 1/α (Nm/rad) and the damping β/α (Nms/rad): the split of 1/E with
+    /// the smallest relative error over the band, by least squares.
     ///
     /// # Errors
-    /// If 1/E can't be inverted, or isn't a compliance and a velocity.
+    /// If 1/E cannot be inverted, or is not the sum of a compliance and a velocity term.
     pub fn split(&self) -> Result<ServoGains, IdentificationError> {
         self.check()?;
         let inverse = self.inverse_servo();
@@ -210,7 +210,7 @@ impl ClosedLoopModel {
     }
 }
 
-/// Filter in s, discretized for every `period_s` by Tustin's rule.
+/// Transfer function in s, discretized for the period `period_s` by Tustin's rule.
 #[derive(Clone, Debug)]
 struct Filter {
     numerator: Vec<f64>,
@@ -250,7 +250,7 @@ impl Filter {
     }
 }
 
-/// Transformer by equation (K8), literally: for a single joint that is free.
+/// Transformer by equation (K8), applied literally: valid for a single free joint.
 #[derive(Clone, Debug)]
 pub struct LiteralTransformer {
     joints: Vec<Filter>,
@@ -261,11 +261,11 @@ pub struct LiteralTransformer {
 }
 
 impl LiteralTransformer {
-    /// Returns the transformer of joints with these models, called every `period_s`; with the measured position or
-    /// without.
+    /// Returns the transformer for joints with these models, called every `period_s` (s). If `measured` is true it uses
+    /// the measured position (first form), otherwise it doesn't (second form).
     ///
     /// # Errors
-    /// If a joint can't be inverted: the index of the first.
+    /// Index of the first joint that cannot be inverted, and the reason.
     pub fn new(
         joints: &[ClosedLoopModel],
         measured: bool,
@@ -283,7 +283,7 @@ impl LiteralTransformer {
             if let Some(excess) = rational.numerator.len().checked_sub(rational.denominator.len() + 1) {
                 return Err(IdentificationError::Improper { excess: excess + 1 });
             }
-            // A joint's own integration from velocity to position is no growth.
+            // The integration from velocity to position, a pole at zero, counts as stable.
             let slowest = rational.slowest_pole().unwrap_or(f64::NEG_INFINITY);
             if slowest > NOTHING {
                 return Err(IdentificationError::Unstable { at: slowest });

@@ -1,19 +1,18 @@
-//! Comparison of measured motor current with the expected one: a disturbance observer on interval means.
+//! Disturbance observer that compares measured motor current with the expected one, as means over interface intervals.
 //!
-//! δ is the excess of the motors' torque over the nominal one, through a wrong gain or a hold. A transformer asks
-//! for δ less.
+//! δ is the motor torque in excess of the nominal one, caused for instance by a wrong gain or by a held setpoint. A
+//! transformer subtracts δ from the desired torque.
 
 use crate::transformer::Transformer;
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, Sample};
 use opspace_model::Data;
 
-/// Share of a new difference that is taken over: fast enough for a wrong gain, slow enough for the noise of the
-/// current.
+/// Filter gain of δ per interval: large enough to follow a wrong gain, small enough to reject the noise of the current.
 const GAIN: f64 = 0.35;
 
-/// Bound on δ, in torque limits: it is an offset of a setpoint, not a torque of a motor, and at speed a wrong gain
-/// asks for more than the motor's own torque.
+/// Bound on δ, as a multiple of the torque limit. It may exceed the torque limit because δ shifts a setpoint and is not
+/// a torque of the motor: at high speed a wrong gain needs a large shift.
 const LIMIT: f64 = 3.0;
 
 /// Observer of the excess torque δ of n joints, Nm (N).
@@ -24,7 +23,7 @@ pub struct CurrentObserver {
 }
 
 impl CurrentObserver {
-    /// Returns the observer for drives with these torque limits (n; Nm, N).
+    /// Returns the observer for drives with these torque limits (n; Nm, N). δ is zero at first.
     #[must_use]
     pub fn new(torque_limits: &[f64]) -> Self {
         let limits = torque_limits.iter().map(|limit| LIMIT * limit).collect();
@@ -37,7 +36,7 @@ impl CurrentObserver {
         &self.torque_disturbance
     }
 
-    /// Updates δ with the mean torques measured over an interval, and those `expected`.
+    /// Updates δ with the `measured` and `expected` mean torques of an interval (n; Nm, N).
     pub fn update(&mut self, measured: &[f64], expected: &DVector<f64>) {
         for i in 0..self.limits.len() {
             let more = measured[i] - expected[i];
@@ -52,8 +51,9 @@ impl CurrentObserver {
     }
 }
 
-/// Transformer corrected by measured current, for methods that predict no torque between two cycles: the expected mean
-/// torque of an interval is that of the commands that acted in it, which are two where setpoints are delayed.
+/// Transformer corrected by measured current, for methods that predict no torque between two cycles. The expected mean
+/// torque of an interval follows from the commands that act in it: two commands if setpoints are delayed by d of R
+/// servo ticks.
 ///
 /// ```text
 /// τ̄_k = ((R − d) (τ − δ)_k₋₁ + d (τ − δ)_k₋₂)/R
@@ -61,19 +61,19 @@ impl CurrentObserver {
 pub struct CurrentFeedback {
     inner: Box<dyn Transformer>,
     observer: CurrentObserver,
-    /// Share of an interval under the last command.
+    /// Fraction of an interval during which the last command acts.
     share: f64,
-    /// Torques asked of the last two commands, the later one first (n).
+    /// Desired torques minus δ of the last two commands, the latest first (n; Nm, N).
     asked: [DVector<f64>; 2],
     expected: DVector<f64>,
     given: DVector<f64>,
-    /// Number of commands in a row that were sent as computed.
+    /// Number of consecutive commands that were sent unchanged.
     known: u32,
 }
 
 impl CurrentFeedback {
-    /// Returns the corrected transformer for drives with these torque limits (n; Nm, N), that run `ratio` times an
-    /// interface cycle and take a setpoint `delay` of their ticks late.
+    /// Returns the corrected transformer for drives with these torque limits (n; Nm, N). The drives run `ratio` servo
+    /// ticks per interface cycle; a setpoint acts after `delay` servo ticks.
     #[must_use]
     pub fn new(inner: Box<dyn Transformer>, torque_limits: &[f64], ratio: u32, delay: u32) -> Self {
         let zero = DVector::zeros(torque_limits.len());
@@ -95,7 +95,7 @@ impl Transformer for CurrentFeedback {
     }
 
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
-        // A setpoint that was changed on its way, or didn't come, says nothing of the drives.
+        // A changed or missing setpoint gives no information about the drives.
         if let Some(measured) = sample.motor_torque.as_ref().filter(|_| self.known >= 2) {
             for (i, expected) in self.expected.iter_mut().enumerate() {
                 *expected = self.share * self.asked[0][i] + (1.0 - self.share) * self.asked[1][i];

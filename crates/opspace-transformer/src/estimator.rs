@@ -1,4 +1,4 @@
-//! Estimation of joint velocity from positions: finite difference at the interface rate, then a first-order low-pass.
+//! Estimation of joint velocity from positions: finite difference at the interface rate and a first-order low-pass.
 //!
 //! This is the paper's estimate (§III: "estimated with the available data and then filtered with a low
 //! pass filter").
@@ -15,7 +15,7 @@ use serde::Deserialize;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EstimatorParameters {
-    /// Cut-off of the low-pass on the finite difference, Hz.
+    /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
     pub velocity_filter_hz: Positive,
 }
 
@@ -26,8 +26,8 @@ impl Default for EstimatorParameters {
     }
 }
 
-/// Velocity estimator of n joints: `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`; T is longer where samples are
-/// missed.
+/// Velocity estimator of n joints: `w += a ((y − y₋)/T − w)` with `a = 1 − exp(−2π f T)`. T is the time since the last
+/// sample, several periods if samples were missed.
 #[derive(Clone, Debug)]
 pub struct VelocityEstimator {
     period_s: f64,
@@ -38,20 +38,20 @@ pub struct VelocityEstimator {
 }
 
 impl VelocityEstimator {
-    /// Returns an estimator at rest; `period_s` between two positions.
+    /// Returns an estimator with zero velocity; `period_s` is the time between two positions, s.
     #[must_use]
     pub fn new(n: usize, parameters: &EstimatorParameters, period_s: f64) -> Self {
         let gain = low_pass::gain(parameters.velocity_filter_hz.get(), period_s);
         Self { period_s, gain, last: DVector::from_element(n, f64::NAN), velocity: DVector::zeros(n) }
     }
 
-    /// Returns the velocity (rad/s or m/s) with the new positions `q` (n; rad or m); 0 with the first.
+    /// Updates the estimate with new positions `q` (n; rad or m) and returns the velocity (n; rad/s or m/s), which is 0
+    /// after the first positions.
     pub fn update(&mut self, q: &[f64]) -> &[f64] {
         self.update_after(1, q)
     }
 
-    /// Returns the velocity as [`update`](Self::update) does, with positions that come that many periods after the
-    /// last.
+    /// Same as [`update`](Self::update), for positions measured `periods` periods after the last ones.
     pub fn update_after(&mut self, periods: u64, q: &[f64]) -> &[f64] {
         let elapsed_s = periods as f64 * self.period_s;
         let gain = if periods == 1 { self.gain } else { 1.0 - (1.0 - self.gain).powf(periods as f64) };

@@ -6,16 +6,16 @@ use opspace_backend::quantity::{NonNegative, Positive};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Friction of one joint: `Fc` and `Fs` with the Stribeck effect between them, and viscous friction.
+/// Friction of one joint: Coulomb and static friction with the Stribeck effect, and viscous friction.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionParameters {
     /// Coulomb friction Fc while moving, Nm (N).
     pub coulomb_nm: NonNegative,
-    /// Static friction Fs, at which the joint breaks away, Nm (N).
+    /// Static (breakaway) friction Fs, Nm (N).
     pub static_nm: NonNegative,
-    /// Speed over which static friction falls to Coulomb friction, rad/s (m/s).
+    /// Stribeck velocity, over which static friction decreases to Coulomb friction, rad/s (m/s).
     pub stribeck_rad_per_s: Positive,
     /// Viscous friction Fv, Nms/rad (Ns/m).
     pub viscous_nms_per_rad: NonNegative,
@@ -26,11 +26,11 @@ pub struct FrictionParameters {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FrictionCompensationParameters {
-    /// Fraction of the modelled friction that is compensated. More than the true friction drives the joint by
-    /// itself: 0.65 leaves room for friction a third below the model.
+    /// Fraction of the modelled friction that is compensated. Compensation above the true friction makes the joint move
+    /// by itself; 0.65 is safe for true friction down to two thirds of the model.
     #[serde(default = "default_gain")]
     pub gain: NonNegative,
-    /// Speed over which the compensation of Coulomb friction changes sign, rad/s (m/s).
+    /// Speed v₀ over which the compensation of Coulomb friction changes sign, rad/s (m/s).
     #[serde(default = "default_smoothing")]
     pub smoothing_rad_per_s: Positive,
 }
@@ -49,8 +49,8 @@ const fn default_smoothing() -> Positive {
     Positive::literal(0.05)
 }
 
-/// Friction compensation n̂ of equation (K11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. Applied once, before the
-/// backend, for position and torque robots alike.
+/// Friction compensation n̂ of equation (K11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. It is applied once, before
+/// the backend, for all kinds of robot.
 #[derive(Clone, Debug)]
 pub struct FrictionCompensation {
     coulomb: DVector<f64>,
@@ -89,7 +89,7 @@ impl FrictionCompensation {
         Self { coulomb: zero.clone(), viscous: zero, smoothing: default_smoothing().get() }
     }
 
-    /// Friction torque n̂ of one joint at the velocity `dq`, Nm (N).
+    /// Friction torque n̂ of one joint (Nm, N) at the velocity `dq` (rad/s, m/s).
     #[inline]
     #[must_use]
     pub fn torque(&self, joint: usize, dq: f64) -> f64 {

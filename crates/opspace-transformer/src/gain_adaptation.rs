@@ -1,13 +1,13 @@
-//! Adaptation of a servo's gains while it runs: recursive least squares of measured motor torque.
+//! Adaptation of a servo's gains during a run: recursive least squares on measured motor torque.
 //!
-//! Over an interface interval a servo of a stiffness K and a damping D gives the mean torque
+//! A servo of stiffness K and damping D produces, over an interface interval, the mean torque
 //!
 //! ```text
 //! τ̄ = K ē − D w̄ = a x₁ − b x₂        x₁ = K₀ ē, x₂ = D₀ w̄
 //! ```
 //!
-//! with e the position error and w the servo's velocity, both as emulated, and a and b the gains over the nominal ones.
-//! They follow a slow random walk, are bounded, and are constant without excitation.
+//! with e the position error and w the servo's velocity, both emulated. a and b are the ratios of the gains to the
+//! nominal gains K₀ and D₀. They follow a slow random walk, are bounded, and stay constant without excitation.
 
 use nalgebra::{Matrix2, Vector2};
 use opspace_backend::quantity::Positive;
@@ -15,10 +15,10 @@ use opspace_backend::quantity::Positive;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Noise of a mean torque that the model doesn't explain, as a share of the torque limit, rms.
+/// Rms error of a mean torque that the model doesn't explain, as a fraction of the torque limit.
 const NOISE: f64 = 0.01;
 
-/// Initial uncertainty of the gains, rms, as a share of them.
+/// Initial relative rms uncertainty of the gains.
 const UNCERTAIN: f64 = 0.1;
 
 /// Adaptation of servo gains during a run.
@@ -26,9 +26,9 @@ const UNCERTAIN: f64 = 0.1;
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GainAdaptationParameters {
-    /// Time over which gains may change by a tenth, s: older measurements count less.
+    /// Time over which the gains may change by a tenth, s. Older measurements count less.
     pub time_s: Positive,
-    /// Largest deviation of the gains from the nominal ones, as a share of them, below 1.
+    /// Largest relative deviation of the gains from the nominal ones, between 0 and 1.
     pub max_relative_change: Share,
 }
 
@@ -50,7 +50,7 @@ impl TryFrom<f64> for Share {
     }
 }
 
-/// Stiffness and damping of one joint's servo over the nominal ones.
+/// Estimator of the ratios of true to nominal stiffness and damping of one joint's servo.
 #[derive(Clone, Copy, Debug)]
 pub struct GainAdaptation {
     /// Estimates of a and −b.
@@ -62,7 +62,7 @@ pub struct GainAdaptation {
 }
 
 impl GainAdaptation {
-    /// Returns the adaptation for a drive of this torque limit (Nm, N), measured every `period_s`.
+    /// Returns the adaptation for a drive with this torque limit (Nm, N), measured every `period_s` (s).
     #[must_use]
     pub fn new(parameters: &GainAdaptationParameters, torque_limit: f64, period_s: f64) -> Self {
         Self {
@@ -74,7 +74,8 @@ impl GainAdaptation {
         }
     }
 
-    /// Updates with a mean torque (Nm, N) and x₁ and x₂; returns the scales of stiffness and damping.
+    /// Updates the estimates with the measured mean torque and with x₁ and x₂ (Nm, N); returns the scales a and b of
+    /// stiffness and damping.
     pub fn update(&mut self, measured: f64, of_position: f64, of_velocity: f64) -> [f64; 2] {
         let x = Vector2::new(of_position, of_velocity);
         let p = self.covariance * x;
@@ -83,7 +84,7 @@ impl GainAdaptation {
         self.scales.x = self.scales.x.clamp(1.0 - self.max_relative_change, 1.0 + self.max_relative_change);
         self.scales.y = self.scales.y.clamp(-1.0 - self.max_relative_change, -1.0 + self.max_relative_change);
         self.covariance -= gain * p.transpose();
-        // Without excitation the uncertainty grows to what it was at the start, not beyond.
+        // Without excitation the uncertainty grows up to its initial value.
         for i in 0..2 {
             if self.covariance[(i, i)] < UNCERTAIN * UNCERTAIN {
                 self.covariance[(i, i)] += self.wander;
@@ -97,7 +98,7 @@ impl GainAdaptation {
 mod tests {
     use super::*;
 
-    /// Error of the estimated gains due to their own random walk.
+    /// Error of the estimated gains caused by the random-walk model.
     const FOUND: f64 = 1e-3;
 
     fn adaptation(within: f64) -> GainAdaptation {
@@ -121,7 +122,7 @@ mod tests {
         assert!((found[0] - 0.8).abs() < FOUND && (found[1] - 1.2).abs() < FOUND, "{found:?}");
     }
 
-    /// Checks the scales of a servo that is further off than allowed, and of one that is not excited.
+    /// Checks the scales of a servo whose deviation exceeds the bound, and of a servo without excitation.
     #[test]
     fn gain_scales_are_bounded_and_constant_at_rest() {
         let mut bounded = adaptation(0.3);

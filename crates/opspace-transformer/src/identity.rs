@@ -4,7 +4,7 @@ use crate::transformer::Transformer;
 use opspace_backend::CommandKind;
 use opspace_model::Data;
 
-/// Passes torques on as they are.
+/// Transformer that returns the torques unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity;
 

@@ -1,6 +1,7 @@
 //! Conversion of joint torques to the commands that make a robot's servos produce them.
 //!
-//! A [`Transformer`] computes the command; a [`ServoLaw`] is the servo that it inverts, evaluated every servo tick.
+//! A [`Transformer`] computes the command. A [`ServoLaw`] is the servo that the transformer inverts; it is evaluated at
+//! every servo tick.
 //!
 //! ```
 //! use opspace_backend::quantity::Positive;

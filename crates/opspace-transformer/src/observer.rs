@@ -5,24 +5,24 @@
 //! x = [q, q̇, servo, d]        x = x⁻ + L (y − q⁻)        ẋ: I (q̈ − d) = τ, the servo's, at every servo tick
 //! ```
 //!
-//! d is the acceleration (rad/s²) that the prediction doesn't include: a random walk, held between two servo ticks. The
-//! gain is computed for the joint with its drive, not for a free mass: between two setpoints a stiff drive returns the
-//! joint to its reference, and a gain computed for a free mass would correct that motion a second time.
+//! d is the acceleration (rad/s²) that the prediction doesn't include: a random walk, constant between two servo ticks.
+//! The gain is computed for the joint with its drive, not for a free mass: between two setpoints a stiff drive returns
+//! the joint to its reference, and a gain computed for a free mass would correct that motion a second time.
 
 use crate::servo_law::{MAX_ORDER, ServoLaw, ServoState};
 use nalgebra::{DMatrix, DVector};
 
-/// Random walk of the unknown acceleration, rad/s² per √s: a smaller value follows less the motion of a held setpoint
-/// within a period, a larger one follows a wrong model faster.
+/// Random walk of the unknown acceleration, rad/s² per √s. A smaller value reacts less to the motion caused by a held
+/// setpoint within a period; a larger one adapts faster to model errors.
 const DISTURBANCE_RANDOM_WALK: f64 = 30.0;
 
-/// Error of an encoder beside its resolution, rms, rad.
+/// Encoder error in addition to quantisation, rms, rad.
 const NOISE_RAD: f64 = 2e-6;
 
-/// Rms error of a position that is read to a whole count, as a share of that count (a uniform error has 0.29).
+/// Rms quantisation error of a position, as a fraction of an encoder count (0.29 for a uniform error).
 const QUANTISATION: f64 = 0.35;
 
-/// Largest number of steps of the Riccati recursion: it forgets its start within some hundred.
+/// Largest number of steps of the Riccati recursion, which converges within some hundred.
 const MAX_STEPS: u32 = 20_000;
 
 /// Observer gain L of a joint: correction of position, velocity (1/s), servo memory and disturbance (1/s²) per
@@ -40,7 +40,7 @@ pub struct ObserverGain {
     pub disturbance: f64,
 }
 
-/// Joint whose position is read every so many servo ticks.
+/// Joint whose position is read every [`servo_ticks_per_cycle`](Self::servo_ticks_per_cycle) servo ticks.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct ObservedJoint<'a> {
@@ -57,7 +57,7 @@ pub struct ObservedJoint<'a> {
 }
 
 impl ObserverGain {
-    /// Returns the fixed point of the Riccati recursion.
+    /// Returns the steady-state gain: the fixed point of the Riccati recursion.
     #[must_use]
     pub fn steady(joint: &ObservedJoint<'_>) -> Self {
         let step = joint.step();
@@ -73,7 +73,7 @@ impl ObserverGain {
             let before = gain;
             gain = predicted.column(0) / (predicted[(0, 0)] + noise);
             covariance = &predicted - &gain * predicted.row(0);
-            // What is the same from both sides stays so.
+            // Keeps the covariance symmetric.
             covariance = 0.5 * (&covariance + covariance.transpose());
             if (&gain - before).amax() <= 1e-12 * gain.amax() {
                 break;
@@ -90,7 +90,8 @@ impl ObserverGain {
 }
 
 impl ObservedJoint<'_> {
-    /// State x one reading later, under a known setpoint, which has no effect on the error: column by column.
+    /// Transition matrix of the state x over one reading, column by column. The setpoint is known and has no effect on
+    /// the error.
     fn step(&self) -> DMatrix<f64> {
         let order = self.servo.order();
         let n = order + 3;
@@ -120,7 +121,7 @@ mod tests {
     use super::*;
     use crate::servo::ServoParameters;
 
-    /// Inertia of the joint over that which the gain is computed for.
+    /// Ratios of the joint's inertia to the inertia for which the gain is computed.
     const INERTIAS: [f64; 3] = [0.5, 1.0, 2.0];
 
     /// Encoder counts per motor turn, at a gear ratio of 100.
@@ -133,8 +134,8 @@ mod tests {
         ServoLaw::new(&parameters, 1.0 / servo_hz).expect("a servo")
     }
 
-    /// Moduli of the eigenvalues of the error dynamics (I − L H) F, in descending order, of a joint that has `scale`
-    /// times the inertia that the gain is computed for.
+    /// Moduli of the eigenvalues of the error dynamics (I − L H) F, in descending order. The joint has `scale` times
+    /// the inertia for which the gain is computed.
     fn error_modes(servo: &ServoLaw, servo_hz: f64, ratio: u32, counts: f64, scale: f64) -> Vec<f64> {
         let joint = ObservedJoint {
             servo,
@@ -159,8 +160,8 @@ mod tests {
     }
 
     /// Checks that the eigenvalues of the error dynamics (I − L H) F of a joint with its drive lie within the unit
-    /// circle: drives of 500 Hz to 5 kHz, read at each of their ticks to each tenth, with other inertias than the gain
-    /// is computed for.
+    /// circle: drives of 500 Hz to 5 kHz, read at every servo tick up to every tenth, with inertias other than that of
+    /// the gain.
     #[test]
     fn observer_is_stable() {
         for servo_hz in [500.0, 1000.0, 5000.0] {
@@ -186,13 +187,13 @@ mod tests {
         }
     }
 
-    /// Bandwidths of velocity loops over the servo rate, and their integral gains over kv times the bandwidth in rad/s.
+    /// Velocity loops: ratio of bandwidth to servo rate, and integral gain divided by kv times the bandwidth in rad/s.
     const VELOCITY_LOOPS: [(f64, f64); 7] =
         [(0.004, 0.0), (0.004, 0.2), (0.008, 0.0), (0.008, 0.2), (0.02, 0.0), (0.02, 0.2), (0.04, 0.0)];
 
-    /// Checks the error dynamics of a joint with a velocity drive. The delay of setpoints is not in it: they are known.
-    /// An integral adds one unobservable mode, a torque in the integral against the unknown acceleration, with the
-    /// eigenvalue 1; the others must lie within the unit circle.
+    /// Checks the error dynamics of a joint with a velocity drive. The delay of setpoints is not included, because they
+    /// are known. An integral adds one unobservable mode with the eigenvalue 1: its torque cannot be distinguished from
+    /// the unknown acceleration. The other eigenvalues must lie within the unit circle.
     #[test]
     fn observer_is_stable_with_velocity_drive() {
         /// Rounding of an eigenvalue of 1.

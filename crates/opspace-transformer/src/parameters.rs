@@ -20,11 +20,11 @@ use std::f64::consts::TAU;
 pub struct JointParameters {
     /// Largest torque of the drive at the joint, Nm (N for a prismatic joint).
     pub torque_limit_nm: Positive,
-    /// Highest rate of the commanded torque, Nm/s (N/s); the whole torque in 10 ms if absent.
+    /// Largest rate of the commanded torque, Nm/s (N/s); if absent, the torque limit is reached in 10 ms.
     #[serde(default)]
     pub torque_rate_limit_nm_per_s: Option<Positive>,
-    /// Highest acceleration, with which the joint can also brake, rad/s² (m/s²); if absent, joints brake before their
-    /// position limits with half of the torque that remains beside gravity in the worst of many postures.
+    /// Largest acceleration, also for braking, rad/s² (m/s²). If absent, joints brake before their position limits with
+    /// half of the torque that gravity leaves in the worst of many postures.
     #[serde(default)]
     pub acceleration_limit_rad_per_s2: Option<Positive>,
     /// Rotor and encoder of the motor.
@@ -70,11 +70,11 @@ pub struct ProfileParameters {
     /// Servo ticks per interface cycle: setpoints are accepted and positions measured at
     /// `servo_hz / servo_ticks_per_cycle`.
     pub servo_ticks_per_cycle: Count,
-    /// Servo ticks from the interface cycle at which a command is written until it acts; at most
+    /// Delay from the interface cycle at which a command is written until it acts, in servo ticks; at most
     /// `servo_ticks_per_cycle`. Absent if unknown.
     #[serde(default)]
     pub delay_servo_ticks: Option<u32>,
-    /// Method that converts torques to positions or velocities; if absent, the best for the robot's declared
+    /// Transformer that converts torques to positions or velocities; if absent, the best one for the robot's declared
     /// properties.
     #[serde(default)]
     pub transformer: Option<TransformerKind>,
@@ -83,14 +83,13 @@ pub struct ProfileParameters {
     pub adapt_gains: Option<GainAdaptationParameters>,
     /// Estimator of joint velocity at the interface.
     pub estimator: EstimatorParameters,
-    /// Position servo of each joint, by joint name; may be left out where there are velocity servos.
+    /// Position servo of each joint, by joint name; optional if there are velocity servos.
     #[serde(default)]
     pub servo: BTreeMap<String, ServoParameters>,
-    /// Velocity servo of each joint, by joint name, which drives a robot that accepts velocities. Absent if it accepts
-    /// none.
+    /// Velocity servo of each joint, by joint name, for a robot that accepts velocities; absent otherwise.
     #[serde(default)]
     pub velocity_servo: BTreeMap<String, VelocityServo>,
-    /// Measured closed loop of each joint, by joint name, for the transformers `identified`.
+    /// Measured closed loop of each joint, by joint name, for the `identified` transformers.
     #[serde(default)]
     pub identified: BTreeMap<String, ClosedLoopModel>,
 }

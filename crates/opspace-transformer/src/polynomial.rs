@@ -41,10 +41,10 @@ pub fn roots(coefficients: &[f64]) -> Vec<Complex<f64>> {
 mod tests {
     use super::*;
 
-    /// Tolerance of numbers that are solved for in floating point.
+    /// Tolerance of floating-point solutions.
     const EXACT: f64 = 1e-9;
 
-    /// Checks the value of a product at each of its roots, and the roots of its factors.
+    /// Checks the product's value at each of its roots, and that its roots are those of its factors.
     #[test]
     fn product_has_roots_of_both_factors() {
         let (a, b) = ([6.0, 5.0, 1.0], [4.0, 0.0, 1.0]);

@@ -1,6 +1,6 @@
 //! Nominal position and velocity servos of drives, which a transformer inverts.
 //!
-//! The [`ServoLaw`](crate::servo_law::ServoLaw) of each computes its torque at every servo tick.
+//! A [`ServoLaw`](crate::servo_law::ServoLaw) computes the torque of each servo at every servo tick.
 
 use crate::polynomial::value;
 use nalgebra::Complex;
@@ -23,7 +23,7 @@ pub enum ServoParameters {
     Pid(PidServo),
     /// Any other linear servo: torque over position error.
     TransferFunction(TransferFunctionServo),
-    /// Velocity loop alone, of a robot that accepts velocities.
+    /// Velocity loop, for a robot that accepts velocities.
     Velocity(VelocityServo),
 }
 
@@ -36,9 +36,9 @@ pub struct CascadedServo {
     pub kp_per_s: Positive,
     /// Gain of the inner velocity loop, Nms/rad (Ns/m).
     pub kv_nms_per_rad: Positive,
-    /// Cut-off of the servo's own low-pass on its finite-difference velocity, Hz.
+    /// Cut-off frequency of the servo's low-pass filter on its finite-difference velocity, Hz.
     pub velocity_filter_hz: Positive,
-    /// Time over which the velocity loop's integral gives as much as its gain, s; without it there is no integral.
+    /// Integral time of the velocity loop, s; no integral if absent.
     #[serde(default)]
     pub velocity_integral_time_s: Option<Positive>,
 }
@@ -52,7 +52,7 @@ pub struct PidServo {
     pub stiffness_nm_per_rad: Positive,
     /// Damping D, Nms/rad (Ns/m).
     pub damping_nms_per_rad: NonNegative,
-    /// Cut-off of the low-pass on the finite difference, Hz.
+    /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
     pub derivative_filter_hz: Positive,
     /// Differentiated quantity.
     #[serde(default)]
@@ -81,7 +81,7 @@ pub struct VelocityServo {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum DerivativeOf {
-    /// Measured position: a jump of the setpoint causes no derivative kick.
+    /// Measured position: a step of the setpoint causes no derivative kick.
     #[default]
     Position,
     /// Position error.
@@ -100,13 +100,13 @@ pub struct TransferFunctionServo {
     pub denominator: Vec<f64>,
 }
 
-/// Equivalent gains of a servo without its integral, its filters and its delays.
+/// Equivalent gains of a servo; integral, filters and delays are neglected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ServoGains {
-    /// Torque for a position error, Nm/rad (N/m): `kv kp` of a cascade. Zero for a velocity servo, which has no
-    /// position setpoint; check [`ServoParameters::takes`] before dividing by it.
+    /// Torque per position error, Nm/rad (N/m): `kv kp` of a cascade. Zero for a velocity servo, which has no position
+    /// setpoint; check [`ServoParameters::takes`] before dividing by it.
     pub stiffness: f64,
-    /// Torque against a velocity, Nms/rad (Ns/m): `kv` of a cascade and of a velocity servo.
+    /// Torque per velocity, opposing it, Nms/rad (Ns/m): `kv` of a cascade and of a velocity servo.
     pub damping: f64,
 }
 
@@ -118,8 +118,8 @@ impl ServoGains {
     }
 }
 
-/// Frequency, as a share of the servo's rate, at which the stiffness and damping of a transfer function are taken:
-/// above most integrals, below most filters.
+/// Frequency, as a fraction of the servo rate, at which the gains of a transfer function are evaluated: above most
+/// integrals, below most filters.
 const GAINS_AT: f64 = 0.01;
 
 impl ServoParameters {
@@ -132,8 +132,8 @@ impl ServoParameters {
         }
     }
 
-    /// Equivalent gains; of a transfer function that runs every `period_s`, at a hundredth of that rate. A velocity
-    /// servo has a stiffness of zero.
+    /// Equivalent gains of a servo that runs every `period_s` (s). Those of a transfer function are evaluated at a
+    /// hundredth of the servo rate. The stiffness of a velocity servo is zero.
     #[must_use]
     pub fn gains(&self, period_s: f64) -> ServoGains {
         match self {
@@ -157,8 +157,8 @@ impl ServoParameters {
         }
     }
 
-    /// True if the servo consists of those two gains alone, on the error and on the measured velocity, behind its
-    /// filter.
+    /// True if the servo consists of these two gains only: stiffness on the position error, and damping on the filtered
+    /// velocity.
     #[must_use]
     pub fn has_two_gains(&self) -> bool {
         match self {
@@ -172,8 +172,8 @@ impl ServoParameters {
         }
     }
 
-    /// Returns this servo with the gain of its position loop multiplied by `kp`, which a velocity servo does not have,
-    /// and the gain of the whole servo by `kv`.
+    /// Returns this servo with the gain of its position loop multiplied by `kp` and the gain of the whole servo
+    /// multiplied by `kv`. A velocity servo has no position loop and ignores `kp`.
     #[must_use]
     pub fn scaled(&self, kp: f64, kv: f64) -> Self {
         let times = |value: Positive, scale: f64| Positive::try_from(value.get() * scale).unwrap_or(value);

@@ -1,14 +1,14 @@
-//! Stability check of a servo's inverse: setpoints for desired torques must be bounded.
+//! Stability check of a servo's inverse: the setpoints for desired torques must be bounded.
 
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoState};
 use nalgebra::DMatrix;
 use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
 
-/// Largest growth factor of the inverse per interface cycle (its spectral radius) that is accepted as stable.
+/// Largest spectral radius of the inverse, per interface cycle, that counts as stable.
 const LARGEST_GROWTH: f64 = 1.0 - 1e-6;
 
-/// Torques within an interval that are to match the desired one.
+/// Torques of an interval that match the desired torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TorqueObjective {
@@ -27,11 +27,11 @@ pub(crate) struct Ticks {
     pub setpoints: Setpoints,
 }
 
-/// Reason why a servo can't be emulated, or not be inverted.
+/// Reason why a servo cannot be emulated or inverted.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum EmulationError {
-    /// Servo that can't be run at all.
+    /// Invalid servo.
     #[error(transparent)]
     Servo(#[from] ServoError),
     /// Position and velocity servos on one robot.
@@ -42,25 +42,25 @@ pub enum EmulationError {
         /// Quantity of the others' setpoints.
         others: CommandKind,
     },
-    /// Torque that comes later than the next setpoint.
+    /// Servo that produces no torque before the next setpoint acts.
     #[error("a setpoint produces no torque during the {ratio} servo ticks for which it acts")]
     NoTorque {
         /// Servo ticks per interface cycle.
         ratio: u32,
     },
-    /// Unstable inverse: setpoints for the torques would grow without bound.
+    /// Unstable inverse: the setpoints for desired torques would grow without bound.
     #[error(
         "its inverse is unstable: setpoints for a torque would grow by a factor of {growth:.3} per cycle (zeros \
          outside the unit circle)"
     )]
     Unstable {
-        /// Growth from one interface cycle to the next.
+        /// Growth factor of the setpoints per interface cycle.
         growth: f64,
     },
 }
 
-/// Checks that setpoints for a torque are bounded, on a joint that is held: the growth of the servo's memory, and of
-/// the previous setpoint of an interpolating drive, when each setpoint is the one that gives no torque.
+/// Checks that the setpoints for a desired torque are bounded, for a joint that doesn't move. The state is the servo's
+/// memory and the previous setpoint; each setpoint is chosen so that the torque is zero.
 pub(crate) fn check_inverse(
     law: &ServoLaw,
     ticks: Ticks,
@@ -87,7 +87,7 @@ pub(crate) fn check_inverse(
     if response.abs() <= f64::EPSILON * largest || largest == 0.0 {
         return Err(EmulationError::NoTorque { ratio: ticks.servo_ticks_per_cycle });
     }
-    // The memory, and the setpoint before.
+    // State: servo memory, then the previous setpoint.
     let order = law.order();
     let mut growth = DMatrix::zeros(order + 1, order + 1);
     for column in 0..=order {

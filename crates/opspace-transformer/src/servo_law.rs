@@ -1,12 +1,11 @@
-//! Discrete-time law of a servo: linear, whatever its structure.
+//! Discrete-time law of a servo, linear for every servo structure.
 //!
 //! ```text
 //! τ = c x + d_r q_desired + d_y y        x ← A x + b_r q_desired + b_y y
 //! ```
 //!
-//! y is the position that the servo reads at the servo tick, x its memory. The setpoint of a velocity servo, in place
-//! of q_desired, is a velocity. The simulated drives run this law, and the emulation of the transformer predicts with
-//! it.
+//! y is the position that the servo reads at the servo tick, x is its memory. For a velocity servo, the setpoint is a
+//! velocity instead of q_desired. The simulated drives run this law, and the emulating transformer predicts with it.
 
 use crate::servo::{
     CascadedServo, DerivativeOf, PidServo, ServoGains, ServoParameters, TransferFunctionServo, VelocityServo,
@@ -16,16 +15,16 @@ use opspace_backend::low_pass;
 use std::ops::{Add, Mul, Sub};
 use thiserror::Error;
 
-/// Largest number of memory entries: order of a transfer function.
+/// Largest number of memory entries: the largest order of a transfer function.
 pub const MAX_ORDER: usize = 6;
 
-/// Memory or setpoint at rest beyond which it is the rounding error of one that doesn't exist.
+/// Bound on memory and setpoint at rest: larger values are rounding errors of a singular system without a solution.
 const LARGEST: f64 = 1e12;
 
 /// Memory of a servo from one servo tick to the next.
 pub type ServoState = [f64; MAX_ORDER];
 
-/// Reason why a servo can't be run.
+/// Reason why a servo is invalid.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ServoError {
@@ -35,24 +34,24 @@ pub enum ServoError {
         /// Order of the longer polynomial.
         order: usize,
     },
-    /// Improper transfer function: its torque doesn't follow from errors, past or present.
+    /// Improper transfer function: its torque would depend on future errors.
     #[error("denominator[0] is zero or missing: the torque would depend on future errors")]
     Improper,
-    /// Transfer function that is zero: no error makes a torque.
+    /// Transfer function that is zero: no error produces a torque.
     #[error("the numerator is zero: no position error would produce a torque")]
     NoTorque,
-    /// Servo without a setpoint for a torque at rest.
+    /// Servo that has no setpoint for a constant torque at rest.
     #[error("this servo cannot hold a torque at rest: no constant position error produces one")]
     HoldsNothing,
 }
 
-/// Law of a servo that runs every servo period.
+/// Law of a servo, evaluated once per servo tick.
 #[derive(Clone, Copy, Debug)]
 pub struct ServoLaw {
     order: usize,
     next: [Form; MAX_ORDER],
     torque: Form,
-    /// Memory and setpoint at rest, at a position of 1 without torque, and at 0 with a torque of 1.
+    /// Memory and setpoint at rest: at position 1 with torque 0, and at position 0 with torque 1.
     rest: [(ServoState, f64); 2],
 }
 
@@ -113,10 +112,10 @@ impl Mul<f64> for Form {
 }
 
 impl ServoLaw {
-    /// Returns the law of a servo that runs every `period_s`.
+    /// Returns the law of a servo that runs every `period_s` (s).
     ///
     /// # Errors
-    /// If no servo can have the transfer function.
+    /// If the transfer function is not realizable, or the servo cannot hold a torque at rest.
     pub fn new(servo: &ServoParameters, period_s: f64) -> Result<Self, ServoError> {
         let law = match servo {
             ServoParameters::Cascaded(servo) => Self::cascaded(servo, period_s),
@@ -134,7 +133,7 @@ impl ServoLaw {
         Self { order: next.len(), next: all, torque, rest: [([0.0; MAX_ORDER], 0.0); 2] }
     }
 
-    /// Solves for constant memory and the torque asked for: linear equations in memory and setpoint.
+    /// Solves for the memory and the setpoint at rest, at `position` with `torque`: linear equations.
     fn solve_rest(&self, position: f64, torque: f64) -> Result<(ServoState, f64), ServoError> {
         let n = self.order;
         let mut a = DMatrix::zeros(n + 1, n + 1);
@@ -239,7 +238,7 @@ impl ServoLaw {
     /// [has two gains](ServoParameters::has_two_gains). Allocates nothing.
     pub fn retune(&mut self, from: ServoGains, to: ServoGains) {
         let error = Form::SET_POINT - Form::POSITION;
-        // What the torque is beside K e is the damping.
+        // The torque without K e is the damping torque.
         let damped = self.torque - error * from.stiffness;
         self.torque = error * to.stiffness + damped * (to.damping / from.damping);
         self.rest[1].1 = 1.0 / to.stiffness;
@@ -256,10 +255,11 @@ impl ServoLaw {
         self.torque.value(now, setpoint, position)
     }
 
-    /// Memory and setpoint of the servo at rest at `position` (rad, m) with this torque (Nm, N).
+    /// Memory and setpoint (rad, m; rad/s, m/s for a velocity servo) of the servo at rest at `position` (rad, m) with
+    /// this torque (Nm, N).
     ///
-    /// A velocity servo with an integral rests under a load with the velocity setpoint 0, its integral holding the
-    /// load. Without an integral the only setpoint at which it rests is τ/kv (rad/s, m/s): at the setpoint 0 the load
+    /// A velocity servo with an integral rests under a load at a velocity setpoint of 0: its integral holds the load. A
+    /// velocity servo without an integral rests only at the setpoint τ/kv (rad/s, m/s); at the setpoint 0 the load
     /// moves the joint at −τ/kv.
     #[must_use]
     pub fn rest(&self, position: f64, torque: f64) -> (ServoState, f64) {
@@ -268,7 +268,7 @@ impl ServoLaw {
         (memory, position * there + torque * further)
     }
 
-    /// Frequency response: torque per unit of setpoint and per unit of position, for z = exp(jωTs).
+    /// Frequency response: torque per unit of setpoint and torque per unit of position, for z = exp(jωTs).
     #[must_use]
     pub fn response(&self, z: Complex<f64>) -> [Complex<f64>; 2] {
         let n = self.order;
@@ -279,7 +279,7 @@ impl ServoLaw {
         let solve = a.lu();
         let of = |given: fn(&Form) -> f64| {
             let b = DVector::from_fn(n, |i, _| Complex::from(given(&self.next[i])));
-            // At an eigenvalue of its own a servo answers without bound.
+            // At an eigenvalue of the servo the response is unbounded.
             let memory = solve.solve(&b).unwrap_or_else(|| DVector::repeat(n, Complex::from(f64::INFINITY)));
             let remembered = memory.iter().zip(self.torque.memory).map(|(x, weight)| x * weight);
             remembered.sum::<Complex<f64>>() + given(&self.torque)
@@ -288,7 +288,8 @@ impl ServoLaw {
     }
 }
 
-/// Filtered finite difference of a quantity that changed by `change` since the last servo tick, `rate` before.
+/// Filtered finite difference of a quantity that changed by `change` since the last servo tick; `rate` is its previous
+/// value.
 fn filtered_rate(rate: Form, change: Form, filter_hz: f64, period_s: f64) -> Form {
     let gain = low_pass::gain(filter_hz, period_s);
     rate * (1.0 - gain) + change * (gain / period_s)

@@ -1,27 +1,27 @@
 //! Conversion of torques to positions or velocities by emulating the servo between two interface cycles.
 //!
-//! Equation (K10) of the paper is exact at the instant at which the setpoint is taken. A servo that runs R times faster
-//! then combines the same setpoint with other positions. Here every servo tick up to the next setpoint is emulated with
-//! the drive's own law, on the arm in its present state. The torques at the R servo ticks at which the setpoint acts
-//! are
+//! Equation (K10) of the paper is exact only at the instant at which the drive receives the setpoint: a servo that runs
+//! R times faster then combines the same setpoint with later positions. This transformer emulates every servo tick up
+//! to the next setpoint with the drive's own law, on the arm in its present state. The torques at the R servo ticks at
+//! which the setpoint acts are
 //!
 //! ```text
 //! τ_j = Y₀_j + Y₁_j q_desired        j = 0 … R − 1
 //! ```
 //!
-//! For drives that accept velocities, q̇_desired stands in the place of q_desired here and below.
+//! For drives that accept velocities, read q̇_desired for q_desired here and below.
 //!
-//! Y₀ is the torque due to the state and the previous setpoint, Y₁ (n × n) the torque per unit of setpoint. A drive
-//! that holds its setpoint gets the one whose **mean** torque is the desired one; a drive that interpolates, the one
-//! that comes closest to it at **each** servo tick:
+//! Y₀ is the torque due to the state and the previous setpoint, Y₁ (n × n) the torque per unit of setpoint. For a drive
+//! that holds its setpoint, the **mean** torque equals the desired torque. For a drive that interpolates, the torques
+//! of **all** servo ticks match the desired torque in the least-squares sense:
 //!
 //! ```text
 //! Σ Y₁_j q_desired = Σ (τ − δ − Y₀_j)        Σ Y₁_jᵀ Y₁_j q_desired = Σ Y₁_jᵀ (τ − δ − Y₀_j)
 //! ```
 //!
-//! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which thereby
-//! includes the motion of the drive within the interval. δ is the excess of the motors' torque over the emulated one,
-//! where their current is [measured](crate::current).
+//! The state at the end of the emulated interval is the prediction of the [observer](crate::observer), which therefore
+//! includes the motion of the drive within the interval. δ is the excess of the motor torque over the emulated torque,
+//! if the current is [measured](crate::current).
 
 use crate::current::CurrentObserver;
 use crate::friction::FrictionCompensation;
@@ -38,34 +38,34 @@ use opspace_model::Data;
 /// Parameters of the emulation: servos, joints and timing of the robot.
 #[derive(Clone, Debug)]
 pub struct EmulationSetup {
-    /// Servos, one per joint: all of them position servos, or all of them velocity servos.
+    /// Servos (n): either all position servos or all velocity servos.
     pub servos: Vec<ServoParameters>,
-    /// Whole nominal friction of the joints.
+    /// Nominal joint friction, with a compensation gain of 1.
     pub friction: FrictionCompensation,
-    /// Resolution of each encoder at the joint, rad.
+    /// Resolution of each encoder at the joint (n; rad, m).
     pub resolution_rad: Vec<f64>,
-    /// Inertia that each drive moves, kg m² (kg), at a representative posture: the observer's gain is computed for it.
+    /// Inertia that each drive moves in a representative posture (n; kg m², kg), for the observer's gain.
     pub inertias: Vec<f64>,
-    /// Torque limit of each drive, Nm.
+    /// Torque limit of each drive (n; Nm, N).
     pub torque_limits: Vec<f64>,
     /// Time between two servo ticks, s.
     pub servo_period_s: f64,
     /// Servo ticks per interface cycle.
     pub servo_ticks_per_cycle: u32,
-    /// Servo ticks until a setpoint acts.
+    /// Delay until a setpoint acts, in servo ticks.
     pub delay: u32,
     /// Behaviour of the drives between two setpoints: hold or interpolate.
     pub setpoints: Setpoints,
-    /// Torques that are matched: the mean ones, or those of each servo tick.
+    /// Torques that are matched: the mean torque, or the torque of each servo tick.
     pub matching: TorqueObjective,
     /// Side that compensates gravity: the robot or the controller.
     pub gravity_compensated_by: GravityCompensation,
-    /// True if brakes hold a velocity robot until its first setpoint acts, its motors off. A position robot is held by
-    /// its servos.
+    /// True if brakes hold a velocity robot, with motors off, until its first setpoint acts. Ignored for a position
+    /// robot, which its servos hold.
     pub has_brakes: bool,
     /// True if measured motor torques are used.
     pub current: bool,
-    /// Adaptation of gains from measured motor torques; those of velocity servos are not adapted.
+    /// Adaptation of gains from measured motor torques, if any; not applied to velocity servos.
     pub adapt_gains: Option<GainAdaptationParameters>,
 }
 
@@ -86,27 +86,27 @@ pub struct EmulatingTransformer {
     /// State predicted for the next interface cycle.
     predicted: State,
     rollout: State,
-    /// Unknown joint accelerations, rad/s² (n).
+    /// Unmodelled joint accelerations (n; rad/s², m/s²).
     disturbance: DVector<f64>,
     in_force: ActiveSetpoints,
-    /// True if anything was sent yet: before, the robot holds itself.
+    /// True after the first setpoint was sent; before, the robot holds itself.
     begun: bool,
-    /// M⁻¹, and the accelerations without any motor torque (n).
+    /// M⁻¹ (n × n), and the accelerations without motor torque (n; rad/s², m/s²).
     mass_inverse: DMatrix<f64>,
     free: DVector<f64>,
-    /// True if these are of the present interface cycle.
+    /// True if `mass_inverse` and `free` are valid for the present interface cycle.
     frozen: bool,
     /// Y₁, and desired torque minus Y₀, for each servo tick.
     responses: Vec<DMatrix<f64>>,
     missing: Vec<DVector<f64>>,
     normal: DMatrix<f64>,
     solution: DVector<f64>,
-    /// Mean emulated torque since the last sample, Nm (n), over so many intervals.
+    /// Mean emulated torque since the last sample (n; Nm, N), over `intervals` interface intervals.
     mean_torque: DVector<f64>,
     intervals: f64,
-    /// Mean emulated position error over the same time, rad (m) (n); used of position servos only.
+    /// Mean emulated position error since the last sample (n; rad, m); used for position servos only.
     mean_error: DVector<f64>,
-    /// Zero acceleration except by the drives (n).
+    /// Zero acceleration (n).
     rest: DVector<f64>,
     /// Zero excess torque (n).
     none: DVector<f64>,
@@ -129,8 +129,8 @@ struct AdaptedDrive {
 }
 
 impl AdaptedDrive {
-    /// Updates with the measured mean torque, where `emulated` was expected of a mean position error; returns the
-    /// torque that is expected now.
+    /// Updates the gains with the measured mean torque; `emulated` is the torque expected with the previous gains,
+    /// `error` the mean position error. Returns the torque expected with the new gains (Nm, N).
     fn update(&mut self, law: &mut ServoLaw, measured: f64, emulated: f64, error: f64) -> f64 {
         let (before, believed) = (self.now, self.nominal);
         let velocity = (before.stiffness * error - emulated) / before.damping;
@@ -143,17 +143,17 @@ impl AdaptedDrive {
     }
 }
 
-/// Setpoints of the drives at the start of an interface cycle, rad, m or rad/s, m/s (n).
+/// Setpoints of the drives at the start of an interface cycle (n; rad, m or rad/s, m/s).
 #[derive(Clone, Debug)]
 struct ActiveSetpoints {
     before: DVector<f64>,
     last: DVector<f64>,
-    /// Servo ticks since the last came in force.
+    /// Servo ticks since the last setpoint took effect.
     age: u32,
 }
 
 impl ActiveSetpoints {
-    /// Setpoint of the drive at a servo tick counted from the interface cycle.
+    /// Setpoint of a joint's drive at servo tick `tick`, counted from the interface cycle.
     fn at(&self, ticks: Ticks, joint: usize, tick: u32) -> f64 {
         ticks.setpoints.at(
             self.before[joint],
@@ -163,8 +163,8 @@ impl ActiveSetpoints {
         )
     }
 
-    /// Setpoint from which a drive continues when a new one comes in force `delay` servo ticks after the interface
-    /// cycle.
+    /// Setpoint from which a drive interpolates to a new one, which takes effect `delay` servo ticks after the
+    /// interface cycle.
     fn left(&self, ticks: Ticks, joint: usize) -> f64 {
         match (self.age.saturating_add(ticks.delay)).checked_sub(1) {
             Some(age) => {
@@ -230,7 +230,7 @@ impl EmulatingTransformer {
     /// Returns the transformer for a robot at rest.
     ///
     /// # Errors
-    /// If a servo can't be emulated or inverted: the index of the first such joint.
+    /// Index of the first joint whose servo cannot be emulated or inverted, and the reason.
     pub fn new(setup: &EmulationSetup) -> Result<Self, (usize, EmulationError)> {
         let n = setup.servos.len();
         let ticks = Ticks {
@@ -319,7 +319,7 @@ impl EmulatingTransformer {
             }
         }
         let (Some(current), Some(measured)) = (&mut self.current, &sample.motor_torque) else { return };
-        // Gains first: what they explain is no surplus.
+        // The gains are adapted first; δ then contains only the remaining difference.
         for (i, drive) in self.drives.iter_mut().enumerate() {
             if let Some(adapted) = &mut drive.adapted {
                 let (torque, error) = (&mut self.mean_torque[i], self.mean_error[i]);
@@ -329,7 +329,7 @@ impl EmulatingTransformer {
         current.update(measured, &self.mean_torque);
     }
 
-    /// Computes M⁻¹ and the accelerations without motor torque at the present state; both are held constant over the
+    /// Computes M⁻¹ and the accelerations without motor torque in the present state; both are held constant over the
     /// interval.
     fn freeze(&mut self, data: &Data) {
         if self.frozen {
@@ -344,8 +344,7 @@ impl EmulatingTransformer {
             let friction = self.friction.torque(i, self.state.dq[i]);
             self.free[i] = self.torque_disturbance()[i] + carried - data.bias[i] - friction;
             if !self.begun {
-                // The robot holds itself: its drives are as they are at rest under its weight, or without it where
-                // brakes hold it.
+                // The robot holds itself: its drives hold its weight at rest, or no load if brakes hold it.
                 let load = if self.has_brakes { 0.0 } else { data.gravity[i] - carried };
                 self.hold(i, load);
             }
@@ -354,7 +353,7 @@ impl EmulatingTransformer {
         self.free += &self.disturbance;
     }
 
-    /// Sets the drive of a joint to rest at the present position, with this torque.
+    /// Sets the drive of a joint to rest at the present position, with this torque (Nm, N).
     fn hold(&mut self, joint: usize, torque: f64) {
         let law = &self.drives[joint].law;
         let (memory, setpoint) = law.rest(self.state.q[joint], torque);
@@ -368,13 +367,13 @@ impl EmulatingTransformer {
         self.has_brakes && !self.begun
     }
 
-    /// Rolls out one servo tick under the setpoint that is still in force.
+    /// Computes the drives' torques at one servo tick under the previous setpoint.
     fn roll_old(&mut self, tick: u32) {
         let (in_force, ticks) = (&self.in_force, self.ticks);
         self.rollout.drive(&self.drives, |i| in_force.at(ticks, i, tick));
     }
 
-    /// Computes Y₁ of every servo tick, column by column, from the linear response of the drives and the arm.
+    /// Computes Y₁ at every servo tick, column by column, from the linear response of the drives and the arm.
     fn respond(&mut self) {
         let ticks = self.ticks;
         for joint in 0..self.drives.len() {
@@ -388,7 +387,7 @@ impl EmulatingTransformer {
         }
     }
 
-    /// Assembles the linear system whose solution is the setpoint, from Y₁ and the missing torque.
+    /// Assembles the linear system for the setpoint, from Y₁ and the missing torque.
     fn assemble(&mut self) {
         self.normal.fill(0.0);
         self.solution.fill(0.0);
@@ -406,8 +405,8 @@ impl EmulatingTransformer {
         }
     }
 
-    /// Predicts the next interface cycle, if the drives are given these setpoints at the present one; without any they
-    /// keep those that they have.
+    /// Predicts the state at the next interface cycle for these setpoints, sent at the present one. With `None`, the
+    /// drives keep their last setpoints.
     fn predict(&mut self, q_desired: Option<&[f64]>) {
         let ticks = self.ticks;
         let share = 1.0 / f64::from(ticks.servo_ticks_per_cycle);
@@ -434,7 +433,7 @@ impl EmulatingTransformer {
                 *error += share * (setpoint(i) - self.rollout.q[i]);
             }
             self.rollout.drive(&self.drives, setpoint);
-            // What the motor gives is limited, not what the emulation says of it.
+            // The limit applies to the motor torque, which is the emulated torque plus δ.
             for (i, drive) in self.drives.iter().enumerate() {
                 let more = self.current.as_ref().map_or(0.0, |current| current.torque_disturbance()[i]);
                 let torque = &mut self.rollout.torque[i];
@@ -470,7 +469,7 @@ impl Transformer for EmulatingTransformer {
             self.state.clear();
             self.state.q.copy_from_slice(&sample.q);
         } else {
-            // Nothing was sent since the last sample.
+            // No setpoint was sent since the last sample.
             if !self.frozen {
                 self.predict(None);
             }
@@ -491,7 +490,8 @@ impl Transformer for EmulatingTransformer {
             self.roll_old(tick);
             self.rollout.travel(&self.mass_inverse, &self.free, ticks.period_s);
         }
-        // Y₀, about the measured positions, or the velocities: small numbers keep their digits.
+        // Y₀ is computed with the measured positions or velocities as setpoints, so that the solution is a small
+        // difference with little rounding.
         let about = if self.takes == CommandKind::Velocity { &data.dq } else { &data.q };
         q_desired.copy_from_slice(about.as_slice());
         for tick in 0..ticks.servo_ticks_per_cycle {
@@ -541,8 +541,8 @@ impl Transformer for EmulatingTransformer {
     }
 }
 
-/// Solves A x = b in place of b, by Gaussian elimination; A (n × n) is overwritten. It is diagonally dominant: a
-/// setpoint affects its own drive more than the others, which it affects through the arm.
+/// Solves A x = b by Gaussian elimination without pivoting: x overwrites b, and A (n × n) is modified. A is diagonally
+/// dominant: a setpoint affects its own drive more than the other drives, which it affects only through the arm.
 fn eliminate(a: &mut DMatrix<f64>, b: &mut [f64]) {
     let n = b.len();
     for k in 0..n {

@@ -1,4 +1,4 @@
-//! Transformers from torques to commands: the unit through which a position or velocity robot accepts torques.
+//! Transformers from desired torques to commands, which allow torque control of a position or velocity robot.
 //!
 //! O. Khatib, P. Thaulad, T. Yoshikawa, J. Park, *Torque-Position Transformer for Task Control of Position
 //! Controlled Robots*.
@@ -16,11 +16,11 @@ use std::borrow::Cow;
 /// Method of converting torques to positions or velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Equation (K10) of the paper; its inner stage for velocity servos.
+    /// Equation (K10) of the paper; for velocity servos, its inner stage.
     Paper,
-    /// Emulation of the servo over the next interval, its mean torque matched.
+    /// Emulation of the servo over the next interval; matches the mean torque.
     Emulation,
-    /// Emulation of the servo for drives that interpolate setpoints, the torque of each servo tick matched.
+    /// Emulation of the servo for drives that interpolate setpoints; matches the torque of each servo tick.
     Interpolating,
     /// Equation (K10) with the gains of a measured closed loop.
     Identified,
@@ -104,7 +104,7 @@ impl TransformerKind {
         place.map(|place| Self::ALL[place])
     }
 
-    /// Description in one line.
+    /// One-line description.
     #[must_use]
     pub fn description(self) -> &'static str {
         if self.current {
@@ -126,14 +126,14 @@ impl TransformerKind {
         }
     }
 
-    /// True if it needs the motors' current.
+    /// True if it needs measured motor current.
     #[must_use]
     pub fn needs_current(self) -> bool {
         self.current
     }
 
-    /// Returns the best transformer for a robot with these declared properties, and the reason. Without a known delay
-    /// emulation is not possible, and the paper's transformer is the most tolerant.
+    /// Returns the best transformer for a robot with these declared properties, and the reason. Emulation needs a known
+    /// delay; if the delay is unknown, the paper's transformer is returned, which works with any delay.
     #[must_use]
     pub fn best(setpoints: Setpoints, delay_servo_ticks: Option<u32>, current: bool) -> (Self, String) {
         let Some(delay) = delay_servo_ticks else {
@@ -178,20 +178,21 @@ pub trait Transformer: Send {
         CommandKind::Position
     }
 
-    /// Processes a new sample, before any other use of it, and returns the joint velocities (rad/s, m/s; n) if its
-    /// estimate is better than a filtered difference of positions.
+    /// Processes a new sample before anything else uses it. Returns joint velocities (n; rad/s, m/s) if the transformer
+    /// has a better estimate than a filtered difference of positions.
     fn observe(&mut self, _sample: &Sample) -> Option<&[f64]> {
         None
     }
 
-    /// Computes the command (rad, m or rad/s, m/s or Nm, N; n) that makes the servos produce `torque` (Nm, N; n) at the
+    /// Computes the command (n; Nm, N or rad/s, m/s or rad, m) that makes the servos produce `torque` (n; Nm, N) in the
     /// state of `data`. Allocates nothing.
     fn transform(&mut self, data: &Data, torque: &[f64], command: &mut [f64]);
 
-    /// Records the command (n) that was finally sent to the robot, whichever its source.
+    /// Records the command (n) that was sent to the robot, from any source.
     fn sent(&mut self, _data: &Data, _command: &[f64]) {}
 
-    /// Reports that many interface periods without a sample and without a setpoint, the drives keeping their last one.
+    /// Reports `periods` interface periods without a sample and without a setpoint; the drives keep their last
+    /// setpoint.
     fn missed(&mut self, _periods: u64) {}
 
     /// Resets the transformer: the next sample is treated as the first.
@@ -205,7 +206,7 @@ pub trait Transformer: Send {
 /// q_desired = kp⁻¹ (kv⁻¹ τ + q̇) + q                                  (K10)
 /// ```
 ///
-/// Other position servos are represented by their equivalent gains; velocity servos have the
+/// Other position servos are represented by their equivalent gains. For velocity servos see
 /// [`VelocityTransformer`](crate::velocity_transformer::VelocityTransformer).
 #[derive(Clone, Debug)]
 pub struct PaperTransformer {
@@ -213,7 +214,7 @@ pub struct PaperTransformer {
 }
 
 impl PaperTransformer {
-    /// Returns the transformer for joints with these servos.
+    /// Returns the transformer for servos with these equivalent gains (n).
     #[must_use]
     pub fn new(gains: Vec<ServoGains>) -> Self {
         Self { gains }
@@ -223,7 +224,7 @@ impl PaperTransformer {
 impl Transformer for PaperTransformer {
     fn transform(&mut self, data: &Data, tau: &[f64], q_desired: &mut [f64]) {
         for (i, gains) in self.gains.iter().enumerate() {
-            // The inner loop, τ = kv (v_desired − q̇), both sides times kv; then the outer one, v_desired = kp (q_desired − q).
+            // Inner loop τ = kv (v_desired − q̇) times kv; then the outer loop v_desired = kp (q_desired − q).
             let kv_velocity_desired = tau[i] + gains.damping * data.dq[i];
             q_desired[i] = kv_velocity_desired / gains.stiffness + data.q[i];
         }

@@ -1,4 +1,4 @@
-//! Conversion of torques to velocities: the first of the two consecutive transformers of the paper, alone.
+//! Conversion of torques to velocities: the first of the paper's two consecutive transformers.
 
 use crate::servo::ServoGains;
 use crate::transformer::Transformer;
@@ -8,21 +8,23 @@ use opspace_model::Data;
 /// Transformer of the paper for the inner velocity loop, for robots that accept velocities.
 ///
 /// The cascade of equation (K9), `τ = kv [kp (q_desired − q) − q̇]`, has the inner loop `τ = kv (q̇_desired − q̇)`.
-/// Solved for its setpoint, it is the inner stage of equation (K10):
+/// Its inverse is the inner stage of equation (K10):
 ///
 /// ```text
 /// q̇_desired = kv⁻¹ τ + q̇
 /// ```
 ///
-/// An integral of the velocity loop is not included: its torque adds to the desired one. Torque is exact at the
-/// instant of the measurement; over a held setpoint the drive sees other velocities, which acts as an added inertia.
+/// The integral of a velocity loop is not included: its torque adds to the desired one. The torque is exact at the
+/// instant of the measurement. While the setpoint is held, the drive measures other velocities, which acts like an
+/// added inertia.
 #[derive(Clone, Debug)]
 pub struct VelocityTransformer {
     gains: Vec<ServoGains>,
 }
 
 impl VelocityTransformer {
-    /// Returns the transformer for joints whose velocity loops have these gains; of each, the damping kv is used.
+    /// Returns the transformer for joints whose velocity loops have these gains (n); only the damping kv of each is
+    /// used.
     #[must_use]
     pub fn new(gains: Vec<ServoGains>) -> Self {
         Self { gains }

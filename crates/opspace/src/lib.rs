@@ -1,12 +1,13 @@
-//! Operational-space control for robots that take torques, and for robots that take only positions.
+//! Operational-space control for robots that accept torques, and for robots that accept only positions.
 //!
-//! The one crate to depend on: it re-exports the others. The command line is the crate `opspace-cli`.
+//! This crate re-exports all others, so that it is the only dependency needed. The crate `opspace-cli` has the
+//! command-line tool.
 //!
-//! | to | use |
+//! | task | crate |
 //! |---|---|
 //! | read a URDF, compute kinematics and dynamics | [`model`] |
-//! | turn tasks into torques in a loop of your own | [`control`] |
-//! | turn torques into the commands of a position robot | [`transformer`] |
+//! | compute torques from tasks in your own loop | [`control`] |
+//! | convert torques to the commands of a position or velocity robot | [`transformer`] |
 //! | write a driver for a robot | [`backend`] |
 //! | run a controller on a robot, with supervision | [`control_loop`] |
 //! | simulate an arm with its servos and sensors | [`sim`] |
@@ -14,7 +15,8 @@
 //! | identify the servos of a robot | [`identify`] |
 //! | run robot and task files | [`experiment`] |
 //!
-//! Example: a compliant position robot. Its servo is stiff; the transformer makes it produce the torques of a task.
+//! Example of a compliant position robot: its servo is stiff, but the transformer makes it produce the torques of a
+//! task.
 //!
 //! ```
 //! use opspace::backend::quantity::Positive;

@@ -1,5 +1,5 @@
-//! Corrupted logs: truncated anywhere, any byte changed, the process killed. Nothing panics, no wrong data are
-//! accepted.
+//! Tests of corrupted logs: truncation at any byte, a change of any byte, a killed process. Nothing panics, and no
+//! wrong data are accepted.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{self, channels, header, is_prefix, log, row};
@@ -10,14 +10,14 @@ use std::process::Command;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Rows of each channel of `part` begin those of `whole`.
+/// Checks that the rows of each channel of `part` are the first rows of `whole`.
 fn assert_prefix(part: &Recording, whole: &Recording, case: &str) {
     for (i, channel) in part.channels.iter().enumerate() {
         assert!(is_prefix(channel, &whole.channels[i]), "{case}: {}", channel.layout.channel);
     }
 }
 
-/// A part of the file against the whole: fewer rows, never other ones, and always reported.
+/// Compared: a truncated file and the whole: fewer rows, never different ones, and the damage is always reported.
 #[test]
 fn truncated_log_yields_rows_before_the_cut() {
     let (_, bytes) = log(header(), 2500);
@@ -47,8 +47,8 @@ fn truncated_log_yields_rows_before_the_cut() {
     assert!(rows > 1000, "{rows} rows before the last cuts");
 }
 
-/// Every byte of a small log changed in turn: the change is always detected, and the rows still read are the
-/// beginning of those recorded. No length in the file makes the reader allocate more than the largest chunk.
+/// Changes every byte of a small log, one at a time: the change is always detected, and the rows read are the first of
+/// the recorded rows. The reader never allocates more than the largest chunk.
 #[test]
 fn any_changed_byte_is_detected() {
     let (_, mut bytes) = log(header(), 40);
@@ -68,7 +68,7 @@ fn any_changed_byte_is_detected() {
     assert_eq!(Recording::from_bytes(&bytes).unwrap().damage, None, "all changes are undone");
 }
 
-/// A byte changed within a chunk in the middle: all rows before that chunk are read, and no others.
+/// Changes a byte in a chunk in the middle: exactly the rows before that chunk are read.
 #[test]
 fn corrupt_chunk_ends_the_valid_part() {
     let (_, mut bytes) = log(header(), 5000);
@@ -82,13 +82,13 @@ fn corrupt_chunk_ends_the_valid_part() {
     assert_eq!(damage.after_s, part.channels[1].time_s.last().copied());
 }
 
-/// A chunk whose kind is changed into an unknown one, which a reader skips: the rows after it are not read as the
-/// continuation of those before it.
+/// Changes the kind of a chunk to an unknown one, which a reader skips: the rows after it must not be read as if they
+/// followed the rows before it.
 #[test]
 fn unknown_chunk_kind_leaves_no_gap() {
     let (_, mut bytes) = log(header(), 5000);
     let whole = Recording::from_bytes(&bytes).unwrap();
-    // Eight bytes of magic, then records: a byte of kind, eight of length, the body.
+    // Format: eight bytes of magic, then records of one byte of kind, eight bytes of length, and the body.
     let (mut chunks, mut at) = (Vec::new(), 8);
     while bytes.len() - at > 8 {
         if bytes[at] == mcap::records::op::CHUNK {
@@ -96,7 +96,7 @@ fn unknown_chunk_kind_leaves_no_gap() {
         }
         at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
     }
-    // The first holds the definitions, the next four a second each.
+    // The first chunk has the definitions, each of the next four one second of rows.
     bytes[chunks[3]] = 0x90;
     let part = Recording::from_bytes(&bytes).unwrap();
     assert_prefix(&part, &whole, "skipped");
@@ -116,8 +116,8 @@ fn non_log_file_is_refused() {
     assert!(error.contains("/no/such/run.mcap"), "{error}");
 }
 
-/// A process that records is killed (this test starts itself as that process): its log is read up to less
-/// than a second of the robot's clock before its last row.
+/// Kills a process that records (this test starts itself as that process): its log is readable up to less than a second
+/// before its last row, on the robot's clock.
 #[test]
 fn killed_process_leaves_readable_log() {
     const CHILD: &str = "OPSPACE_LOG_TEST_FILE";

@@ -1,4 +1,4 @@
-//! Recording, reading and repair of logs.
+//! Tests of recording and reading logs, and of damaged logs.
 
 mod common;
 mod damage;

@@ -1,4 +1,4 @@
-//! The ring: full rings, failing sinks, and pushing without allocation.
+//! Tests of the recorder: full rings, failing sinks, and pushing without allocation.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{bits, channels, row};
@@ -13,12 +13,12 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Channel `tick` with the smallest ring there is.
+/// Returns the channel `tick` with the smallest possible ring.
 fn tiny() -> Vec<Channel> {
     vec![Channel { rate_hz: 0.0, ..channels().remove(0) }]
 }
 
-/// A sink that can be made to wait, or to fail.
+/// Sink that can be made to block or to fail.
 #[derive(Clone, Debug, Default)]
 struct Sink {
     bytes: Arc<Mutex<Vec<u8>>>,
@@ -42,7 +42,7 @@ impl Sink {
         self.gate.1.notify_all();
     }
 
-    /// Returns once a write waits at the gate.
+    /// Waits until a write is blocked at the gate.
     fn wait_until_stuck(&self) {
         let stuck = self.gate.1.wait_while(self.gate.0.lock().unwrap(), |gate| !gate.waiting);
         drop(stuck.unwrap());
@@ -70,7 +70,7 @@ impl Write for Sink {
     }
 }
 
-/// A simulated run through a ring of two rows: every row arrives, in order.
+/// Checks a simulated run with a ring of two rows: every row arrives, in order.
 #[test]
 fn simulated_run_loses_no_rows() {
     let (mut recorder, writer) =
@@ -90,7 +90,7 @@ fn simulated_run_loses_no_rows() {
     assert!((0..1000).all(|k| bits(tick.row(k)) == bits(&row(k, 9)) && tick.time_s[k] == k as f64));
 }
 
-/// A real-time run whose disk stalls. Rows are a second apart, so that the second of them closes a chunk.
+/// Real-time run whose disk stalls. Rows are one second apart, so that the second row closes a chunk.
 struct Stalled {
     sink: Sink,
     recorder: Recorder,
@@ -101,10 +101,10 @@ struct Stalled {
 }
 
 impl Stalled {
-    /// A run with a ring of 20 rows, which is empty while the writer waits at the sink's gate.
+    /// Returns a run with an empty ring of 20 rows, while the writer waits at the sink's gate.
     fn new() -> Self {
         let sink = Sink::default();
-        // Twenty rows: 10 Hz times the two seconds that a ring holds.
+        // Twenty rows: 10 Hz times the ring's duration of two seconds.
         let channels = vec![Channel { rate_hz: 10.0, ..channels().remove(0) }];
         let (recorder, writer) = record(sink.clone(), Header::default(), channels, Pace::RealTime).unwrap();
         let mut run = Self { sink, recorder, writer, next: 0, kept: vec![], dropped: vec![] };
@@ -114,7 +114,7 @@ impl Stalled {
         run
     }
 
-    /// Pushes a row; whether it was kept.
+    /// Pushes a row; returns true if it was kept.
     fn push(&mut self) -> bool {
         let before = self.recorder.dropped();
         let time = self.next as f64;
@@ -129,11 +129,11 @@ impl Stalled {
         kept
     }
 
-    /// Ends the run and compares: the rows pushed and kept with those in the file; the rows dropped with the
-    /// counts, with the gap in the metadata and with the warning in `/log`.
+    /// Ends the run. Compared: kept rows and rows in the file; dropped rows and the counts, the gap in the metadata and
+    /// the warning in `/log`.
     fn check(self) {
         let Self { sink, recorder, writer, kept, dropped, .. } = self;
-        // Telling the last gap waits for room.
+        // Recording the last gap waits for space.
         let ending = thread::spawn(move || drop(recorder));
         sink.open();
         ending.join().unwrap();
@@ -163,7 +163,7 @@ impl Stalled {
     }
 }
 
-/// Rows beyond the ring's capacity: dropped and counted until the disk resumes.
+/// Checks that rows beyond the ring's capacity are dropped and counted until the disk resumes.
 #[test]
 fn full_ring_drops_and_counts_rows() {
     let mut run = Stalled::new();
@@ -185,7 +185,8 @@ fn final_gap_is_reported() {
     run.check();
 }
 
-/// A full disk, in both paces: pushing ends, the error is the sink's own, and the rows that fitted can be read.
+/// Checks a full disk, in both paces: pushing returns, the error is that of the sink, and the rows written before can
+/// be read.
 #[test]
 fn full_disk_is_reported_at_the_end() {
     for pace in [Pace::Simulated, Pace::RealTime] {
@@ -207,14 +208,15 @@ fn full_disk_is_reported_at_the_end() {
     }
 }
 
-/// A sink that accepts nothing: the error is known before the run begins.
+/// Checks a sink that accepts nothing: the error is reported before the run begins.
 #[test]
 fn unwritable_sink_fails_at_start() {
     let sink = Sink { room: Some(10), ..Sink::default() };
     assert!(matches!(record(sink, Header::default(), tiny(), Pace::Simulated), Err(LogError::Write(_))));
 }
 
-/// A log finished before its recorder is dropped: it holds the rows pushed before, and later rows block nothing.
+/// Checks a log that is finished before its recorder is dropped: it has the rows pushed before, and later rows don't
+/// block.
 #[test]
 fn rows_after_finish_count_as_lost() {
     let (mut recorder, writer) =
@@ -227,7 +229,7 @@ fn rows_after_finish_count_as_lost() {
     assert!(recorder.dropped() > 90, "all but what the ring takes");
 }
 
-/// Ten rows and then none: they reach the sink although no chunk is full and the run continues.
+/// Checks that ten rows without further ones reach the sink although no chunk is full and the run continues.
 #[test]
 fn stalled_real_time_run_is_flushed() {
     let sink = Sink::default();
@@ -242,7 +244,7 @@ fn stalled_real_time_run_is_flushed() {
     assert_eq!(rows(), 10);
 }
 
-/// A writer dropped without being finished, as by a panic: the file is complete.
+/// Checks a writer that is dropped without being finished, as after a panic: the file is complete.
 #[test]
 fn dropped_writer_finishes_the_file() {
     let sink = Sink::default();
@@ -254,8 +256,8 @@ fn dropped_writer_finishes_the_file() {
     assert_eq!((recording.channels[0].len(), recording.damage), (10, None));
 }
 
-/// Allocations on the pushing thread: none, including waiting and dropping. A control allocation shows that the
-/// counter works.
+/// Checks that the pushing thread allocates nothing, even when it waits or drops rows. A deliberate allocation checks
+/// the counter.
 #[test]
 fn pushing_allocates_nothing() {
     let (mut recorder, writer) =

@@ -1,4 +1,4 @@
-//! Round trip of values, layouts and files; presence of the messages that viewers need.
+//! Tests of the round trip of values, layouts and files, and of the messages for viewers.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{bits, channels, header, log, row, time};
@@ -11,7 +11,7 @@ use prost_types::FileDescriptorSet;
 use std::io::Cursor;
 use std::sync::Arc;
 
-/// Rows read against rows pushed, bit for bit, over several chunks.
+/// Compared bit for bit: rows read and rows pushed, over several chunks.
 #[test]
 fn values_round_trip_bit_for_bit() {
     let ticks = 4000;
@@ -28,7 +28,7 @@ fn values_round_trip_bit_for_bit() {
     }
 }
 
-/// Layouts, metadata and attachments read against those given; signals looked up by name in the row.
+/// Compared: layouts, metadata and attachments read, and those recorded; signals are looked up by name.
 #[test]
 fn layout_and_attachments_round_trip() {
     let (_, bytes) = log(header(), 3);
@@ -55,7 +55,7 @@ fn layout_and_attachments_round_trip() {
     assert!(tick.signal("nothing").is_none() && recording.channel("nothing").is_none());
 }
 
-/// Two recordings of the same rows, byte for byte: no wall clock, no thread's timing.
+/// Compared byte for byte: two recordings of the same rows. They don't depend on the wall clock or on thread timing.
 #[test]
 fn equal_rows_make_equal_files() {
     let (_, one) = log(header(), 3000);
@@ -63,7 +63,7 @@ fn equal_rows_make_equal_files() {
     assert!(one == other);
 }
 
-/// A log without rows: complete, with its layouts.
+/// Checks that a log without rows is complete and has its layouts.
 #[test]
 fn empty_run_keeps_its_layouts() {
     let (_, bytes) = log(header(), 0);
@@ -73,8 +73,8 @@ fn empty_run_keeps_its_layouts() {
     assert!(recording.channels[0].is_empty());
 }
 
-/// The rows as any protobuf reader finds them: the definition in the file, decoded by prost's own types,
-/// names the fields whose values the bytes hold.
+/// Checks that any protobuf reader can read the rows: the definition in the file, decoded by prost's types, names the
+/// fields of the encoded values.
 #[test]
 fn generic_protobuf_reader_finds_the_fields() {
     let (_, bytes) = log(Header::default(), 5);
@@ -117,7 +117,7 @@ const ARM: &str = r#"<robot name="arm">
     <origin xyz="0 0 0.5"/><axis xyz="1 0 0"/></joint>
 </robot>"#;
 
-/// `/joint_states` against the rows, `/tf` against the model's own kinematics, at no more than 50 Hz.
+/// Compared: `/joint_states` and the rows, `/tf` and the model's kinematics, at no more than 50 Hz.
 #[test]
 fn viewers_get_joint_states_and_transforms() {
     let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
@@ -148,19 +148,19 @@ fn viewers_get_joint_states_and_transforms() {
     kinematics(&model, &mut data, &row[..2], &[0.0; 2]);
     assert_eq!(transforms.len(), model.frames().len());
     for transform in &transforms {
-        // "world" is a link here.
+        // A link is named "world" here.
         assert_eq!(transform.parent_frame_id, "world_");
         let placement = frame_placement(&model, &data, model.frame_id(&transform.child_frame_id).unwrap());
         let (p, r) = (transform.translation.unwrap(), transform.rotation.unwrap());
         let from_message = nalgebra::Quaternion::new(r.w, r.x, r.y, r.z);
         let rotation = nalgebra::UnitQuaternion::new_unchecked(from_message).to_rotation_matrix();
-        // A rotation matrix to a quaternion and back: some ten roundings of numbers up to 1.
+        // Conversion of a rotation matrix to a quaternion and back: about ten roundings of numbers up to 1.
         assert!((rotation.matrix() - placement.rotation).amax() < 16.0 * f64::EPSILON);
         assert_eq!([p.x, p.y, p.z], <[f64; 3]>::from(placement.translation));
     }
 }
 
-/// Checks that data that can't be recorded are refused by name.
+/// Checks the errors for data that can't be recorded.
 #[test]
 fn mismatched_data_are_refused() {
     let twice = vec![channels().remove(0), channels().remove(0)];

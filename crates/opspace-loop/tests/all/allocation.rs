@@ -1,6 +1,7 @@
-//! No cycle allocates: at rest, in control, after a dropout, held, resuming, at a stop and at a device fault.
+//! Tests that no cycle allocates: at rest, in control, after a dropout, held, resuming, at a stop and at a device
+//! fault.
 //!
-//! Compared: the allocator's own count before and after each call. It counts this thread only.
+//! Compared: the allocator's count before and after each call, for this thread only.
 
 use crate::common::cases::{Case, DURATION_S, cases};
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config, gravity_controller};
@@ -9,7 +10,7 @@ use opspace_loop::{ControlLoop, Phase, Run};
 use opspace_testing::allocation::allocations;
 use std::sync::atomic::AtomicBool;
 
-/// The phases and device faults of the rows, without their values.
+/// Sink that keeps the phases and device faults of the rows.
 #[derive(Default)]
 struct Seen {
     phase: usize,
@@ -35,12 +36,12 @@ impl Sink for Seen {
     }
 }
 
-/// A fault with borrowed words.
+/// Device fault with a borrowed text.
 fn device_fault() -> DeviceFault {
     DeviceFault::new(7, "the drive is too hot")
 }
 
-/// Counts what each cycle of a run allocates.
+/// Checks that no cycle of a run allocates.
 fn check(case: &Case, kind: CommandKind) -> Seen {
     let stop_request = AtomicBool::new(false);
     let control =
@@ -84,12 +85,12 @@ fn no_cycle_of_a_run_allocates() {
             device_fault |= seen.device_fault;
         }
         assert!(device_fault && phases[Phase::Rest.code() as usize], "{kind:?}");
-        // A dropout of 20 ms and 50 ms of a hold leave time for a part of the ramp.
+        // After a dropout of 20 ms and a hold of 50 ms there is time for a part of the ramp.
         assert_eq!(phases, [true; 5], "{kind:?}: all phases");
     }
 }
 
-/// The core without a run: a robot at rest that drops out, resumes, fails, and is read on.
+/// Checks the loop without a run: a robot that rests, drops out, resumes, faults, and is still read.
 #[test]
 fn no_step_of_a_loop_allocates() {
     for kind in KINDS {

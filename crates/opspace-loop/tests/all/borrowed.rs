@@ -1,4 +1,4 @@
-//! A backend that borrows its handle and belongs to one thread.
+//! Test of a backend that borrows its handle and is not `Send`.
 
 use crate::common::{
     PERIOD_S, Received, START, Scripted, at_rest, capabilities, config, drive_robot, gravity_controller,
@@ -9,7 +9,7 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 
-/// A vendor's handle, borrowed: the setpoints of all cycles. The counter is shared within the thread, so that the
+/// Backend with a borrowed vendor handle, which stores the setpoints of all cycles. Its counter is an `Rc`, so that the
 /// backend is not `Send`.
 struct Borrowing<'a> {
     capabilities: Capabilities,
@@ -44,7 +44,7 @@ impl opspace_backend::Sink for NoRows {
     fn row(&mut self, _channel: usize, _time_s: f64, _row: &[f64]) {}
 }
 
-/// Compared: the setpoints in a borrowed handle, and those that a scripted robot receives.
+/// Compared: the setpoints in a borrowed handle, and those of a scripted robot.
 #[test]
 fn backend_may_borrow_and_belong_to_one_thread() {
     let position = capabilities(CommandKind::Position);
@@ -69,7 +69,7 @@ fn backend_may_borrow_and_belong_to_one_thread() {
     assert_eq!(reads.get() as usize, record.rows.len());
 }
 
-/// Compiles: a loop may be moved to the thread of its robot.
+/// Checks at compile time that a loop can be moved to another thread.
 #[test]
 fn loop_is_send() {
     fn sends<T: Send>(value: T) -> T {

@@ -1,18 +1,18 @@
-//! The robot's clock may start anywhere.
+//! Tests that the robot's clock may start at any time.
 
 use crate::common::{Commanded, KINDS, Record, START, Scripted, capabilities, config, drive_robot};
 use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, Phase, RunOutcome};
 use std::sync::atomic::AtomicBool;
 
-/// A period whose multiples, and their sums with whole seconds, are floats without rounding, s.
+/// Period whose multiples, also added to whole seconds, are exact floats, s.
 const PERIOD_S: f64 = 1.0 / 1024.0;
-/// Cycle before which others are missed.
+/// Cycle before which cycles are missed.
 const AFTER: u64 = 100;
 /// Cycle in which the second script faults.
 const WRONG: u64 = 250;
 
-/// A robot that sways, with two missed cycles and later a dropout, on a clock that starts at `start_s`.
+/// Runs a swaying robot, with two missed cycles and later a dropout, on a clock that starts at `start_s`.
 fn run_on_clock(kind: CommandKind, start_s: f64, faults: bool) -> Record {
     let mut capabilities = capabilities(kind);
     capabilities.period_s = PERIOD_S;
@@ -34,8 +34,8 @@ fn run_on_clock(kind: CommandKind, start_s: f64, faults: bool) -> Record {
     drive_robot(config(capabilities, controller), 0.5, &AtomicBool::new(false), robot)
 }
 
-/// Compared: rows, commands and outcome with clocks that start at 1000 s, 5 s before zero and one period before zero,
-/// and those with a clock that starts at zero, bit for bit; and the time stamps, less the start.
+/// Compared bit for bit: rows, commands and outcome with clocks that start at 1000 s, 5 s before zero and one period
+/// before zero, and with a clock that starts at zero; and time stamps minus the start.
 #[test]
 fn clock_start_shifts_only_time_stamps() {
     for kind in KINDS {

@@ -1,4 +1,4 @@
-//! Faults that the robot itself reports, when it is read and when it is commanded.
+//! Tests of faults that the robot itself reports when it is read or written.
 
 use crate::common::{
     self, AFTERMATH, KINDS, REST, Record, Scripted, at_rest, capabilities, config, drive_robot,
@@ -9,11 +9,11 @@ use opspace_loop::{Fault, Phase, RunOutcome};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
-/// The cycle of the fault, counted from the first read.
+/// Cycle of the fault, counted from the first read.
 const WRONG: u64 = 60;
 /// Code of device faults in the rows.
 const CODE: f64 = 17.0;
-/// A bound for sums of times, s.
+/// Rounding of sums of times, s.
 const ROUNDING: f64 = 1e-9;
 
 fn reported() -> DeviceFault {
@@ -30,7 +30,7 @@ fn run_with_faults(kind: CommandKind, unreadable: Range<u64>, refused: Option<u6
     drive_robot(config(capabilities(kind), gravity_controller(3.0)), 0.2, &AtomicBool::new(false), robot)
 }
 
-/// Checks outcome and rows: `before` rows without a fault, then one of the device fault, in `phase`.
+/// Checks outcome and rows: `before` rows without a fault, then a row with the device fault in `phase`.
 fn check(record: &Record, before: u64, phase: Phase, time_s: f64) {
     let RunOutcome::Faulted { fault, time_s: at_s } = &record.outcome else { panic!("{:?}", record.outcome) };
     assert_eq!(*fault, Fault::Device(reported()));
@@ -44,8 +44,8 @@ fn check(record: &Record, before: u64, phase: Phase, time_s: f64) {
     assert_eq!(record.phases()[row], phase.code());
 }
 
-/// Compared: outcome and rows of a run in which one cycle can't be read, and the device's code and words, and the 0.2 s
-/// of rows that follow.
+/// Checks outcome and rows of a run in which one cycle can't be read: the device's code and text, and 0.2 s of further
+/// rows.
 #[test]
 fn fault_at_read_stops_the_robot() {
     for kind in KINDS {
@@ -57,7 +57,7 @@ fn fault_at_read_stops_the_robot() {
     }
 }
 
-/// Compared: the rows of a robot that can't be read any more, and none after that of the fault.
+/// Checks that a robot that can't be read any more has no rows after that of the fault.
 #[test]
 fn lasting_read_fault_records_no_further_rows() {
     for kind in KINDS {
@@ -67,7 +67,7 @@ fn lasting_read_fault_records_no_further_rows() {
     }
 }
 
-/// Compared: outcome, rows and commands of a run whose first cycle can't be read, and one fault at rest and a stop.
+/// Checks outcome, rows and commands of a run whose first cycle can't be read: one fault at rest and a stop.
 #[test]
 fn first_read_fault_stops_without_command() {
     for kind in KINDS {
@@ -78,8 +78,8 @@ fn first_read_fault_stops_without_command() {
     }
 }
 
-/// Compared: outcome and rows of a run in which a command is refused, and the device's code and words; the refused
-/// command's row is there, and the refused command is the last.
+/// Checks outcome and rows of a run in which a command is rejected: the device's code and text; the rejected command
+/// has a row and is the last one.
 #[test]
 fn fault_at_write_stops_the_robot() {
     for kind in KINDS {

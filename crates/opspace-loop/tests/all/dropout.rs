@@ -1,6 +1,6 @@
-//! Missed interface cycles, on a scripted robot.
+//! Tests of missed interface cycles on a scripted robot.
 //!
-//! Compared throughout: the commands that the scripted robot receives, cycle by cycle, and the rules of holding and
+//! Compared in all tests: the commands that the scripted robot receives in each cycle, and the rules of holding and
 //! resuming.
 
 use crate::common::{
@@ -10,27 +10,27 @@ use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, Phase, RunOutcome};
 use std::sync::{Arc, Mutex};
 
-/// A bound for sums of times and positions of order 1, s and rad/s.
+/// Rounding of sums of times and positions of order 1, s and rad/s.
 const ROUNDING: f64 = 1e-9;
-/// A bound for a few operations on numbers of order 1.
+/// Rounding of a few operations on numbers of order 1.
 const EPSILON: f64 = 1e-12;
-/// The cycle before which others are missed, counted from the first.
+/// Cycle before which cycles are missed, counted from the first.
 const AFTER: u64 = 60;
-/// Commands before it.
+/// Number of commands before [`AFTER`].
 const BEFORE: usize = (AFTER - REST) as usize;
-/// Cycles for which a robot must be at rest before it is commanded again.
+/// Number of cycles for which a robot must be at rest before it is commanded again.
 const STILL: usize = 50;
-/// Cycles of the torque ramp.
+/// Number of cycles of the torque ramp.
 const RAMP: usize = 100;
-/// Far below any torque that is commanded here, Nm.
+/// Tolerance far below all commanded torques, Nm.
 const TORQUE: f64 = 1e-9;
 
-/// Clock of a robot with `missed` missed cycles before cycle [`AFTER`], s.
+/// Time of a cycle on the robot's clock, with `missed` missed cycles before cycle [`AFTER`], s.
 fn delayed_clock_s(cycle: u64, missed: u64) -> f64 {
     (cycle + if cycle >= AFTER { missed } else { 0 }) as f64 * PERIOD_S
 }
 
-/// A robot at rest, with that many cycles missed.
+/// Script of a robot at rest with that many missed cycles.
 fn missing_cycles(missed: u64) -> impl FnMut(u64, &mut Sample) + Copy {
     move |cycle, sample| {
         at_rest(cycle, sample);
@@ -38,7 +38,7 @@ fn missing_cycles(missed: u64) -> impl FnMut(u64, &mut Sample) + Copy {
     }
 }
 
-/// The setpoints in the row of a cycle; none of a torque robot.
+/// Setpoints in the row of a cycle; empty for a torque robot.
 fn setpoints(record: &Record, kind: CommandKind, row: u64) -> &[f64] {
     let row = row as usize;
     match kind {
@@ -48,8 +48,8 @@ fn setpoints(record: &Record, kind: CommandKind, row: u64) -> &[f64] {
     }
 }
 
-/// Compared: the velocity that the controller sees of a joint that moves steadily, and that speed; the run's cycles
-/// with those missed, and the planned duration.
+/// Compared: the controller's velocity of a joint with constant speed, and that speed; the run's cycles including
+/// missed ones, and the planned duration.
 #[test]
 fn few_missed_cycles_are_tolerated() {
     const SPEED: f64 = 1.3;
@@ -69,7 +69,7 @@ fn few_missed_cycles_are_tolerated() {
         assert!(record.phases()[REST as usize..].iter().all(|p| *p == Phase::Control.code()));
         assert_eq!(record.scalar("missed_cycles")[AFTER as usize], missed as f64);
         let seen = seen.lock().expect("one thread");
-        // The filter of 150 Hz began at zero: what is left of that after 40 ms is e^-38.
+        // The filter of 150 Hz starts at zero; after 40 ms the remaining error is a factor e^-38.
         let settled = seen.iter().filter(|(time_s, _)| *time_s > 0.04);
         settled
             .for_each(|(time_s, dq)| assert!((dq - SPEED).abs() < ROUNDING, "{missed}: {dq} at {time_s} s"));
@@ -79,8 +79,8 @@ fn few_missed_cycles_are_tolerated() {
     }
 }
 
-/// Compared: the commands after a dropout of 0.1 s, and first holds, then the weight plus a ramp; the setpoints while
-/// it is held, and the last ones before (zero of a velocity robot); and the phases of the cycles.
+/// Compared: the commands after a dropout of 0.1 s, and holds followed by the weight plus a ramp; the setpoints during
+/// the hold, and the last ones before (zero for a velocity robot). The phases of the cycles are checked too.
 #[test]
 fn robot_is_held_after_dropout_then_torques_ramp_in() {
     const EXTRA: f64 = 6.0;
@@ -112,7 +112,7 @@ fn robot_is_held_after_dropout_then_torques_ramp_in() {
     }
 }
 
-/// Compared: the cycles for which a robot that still moves is held, and multiples of those of one at rest.
+/// Compared: the number of cycles for which a moving robot is held, and multiples of that for a robot at rest.
 #[test]
 fn moving_robot_is_held_until_rest() {
     let moves_on = |until: u64| {
@@ -126,7 +126,7 @@ fn moving_robot_is_held_until_rest() {
         let record = run(kind, gravity_controller(0.0), 0.5, moves_on(AFTER + 120));
         assert_eq!(record.outcome, RunOutcome::Completed);
         let held = record.phases().iter().filter(|p| **p == Phase::Held.code()).count();
-        // Tested every 50 ms: the third time it has moved, the fourth not.
+        // The test runs every 50 ms: the robot still moves at the third test, but not at the fourth.
         assert_eq!(held, 4 * STILL, "{kind:?}");
 
         let record = run(kind, gravity_controller(0.0), 3.0, moves_on(u64::MAX));
@@ -137,8 +137,7 @@ fn moving_robot_is_held_until_rest() {
     }
 }
 
-/// Compared: the last command, and the first, which was made for the weight alone: the setpoint that balances it at
-/// rest.
+/// Compared: the last command, and the first, which balances the weight at rest.
 #[test]
 fn too_long_dropout_stops_the_robot() {
     for kind in KINDS {
@@ -159,8 +158,8 @@ fn too_long_dropout_stops_the_robot() {
     }
 }
 
-/// Compared: the commands after a dropout whose first sample is refused, and none: the robot must not return to the
-/// state before the dropout.
+/// Checks that no command follows a dropout whose first sample is rejected: the robot must not return to the state
+/// before the dropout.
 #[test]
 fn unknown_state_after_dropout_moves_no_setpoint() {
     for kind in KINDS {
@@ -174,7 +173,7 @@ fn unknown_state_after_dropout_moves_no_setpoint() {
     }
 }
 
-/// Compared: the last command after an encoder's jump by a radian, and the first: the robot is held at the position
+/// Compared: the last command after an encoder jump by a radian, and the first: the robot is held at the position
 /// before the jump.
 #[test]
 fn position_jump_stops_at_previous_position() {
@@ -186,7 +185,7 @@ fn position_jump_stops_at_previous_position() {
         let Fault::PositionJump { joint: 0, step, limit } = *record.fault() else {
             panic!("{:?}", record.outcome)
         };
-        // Twice the 5 rad/s of its limit, and a milliradian.
+        // Motion at twice the speed limit of 5 rad/s, plus a milliradian.
         assert!((step - 1.0).abs() < EPSILON && (limit - 0.011).abs() < EPSILON, "{step} {limit}");
         let commands = record.commands();
         if kind == CommandKind::Torque {

@@ -1,4 +1,4 @@
-//! Rows of a simulation: each has the torques that were desired with the command in force.
+//! Tests of a simulation's rows: each servo row has the desired torques of the command in effect.
 
 use crate::common::{self, REST, Scripted, at_rest, capabilities, columns, config, gravity_controller};
 use opspace_backend::{
@@ -7,7 +7,7 @@ use opspace_backend::{
 };
 use opspace_loop::{ControlLoop, Run, drive};
 
-/// A simulated robot that counts the commands written to it.
+/// Simulated robot that counts the commands written to it.
 struct Simulated<B> {
     robot: B,
     commands: u64,
@@ -59,7 +59,7 @@ impl<B> GroundTruth for Simulated<B> {
     }
 }
 
-/// The rows of all channels, in their order.
+/// Sink that keeps the rows of all channels in their order.
 #[derive(Default)]
 struct All(Vec<(usize, Vec<f64>)>);
 
@@ -69,8 +69,8 @@ impl Sink for All {
     }
 }
 
-/// Compared: the desired torques in the row of the drives, and those in the row of the cycle before, in which the
-/// command was written; NaN at rest, while held and after the stop.
+/// Compared: the desired torques in a servo row, and those in the row of the cycle in which its command was written;
+/// NaN at rest, during a hold and after the stop.
 #[test]
 fn servo_rows_have_torques_of_their_command() {
     for kind in common::KINDS {
@@ -106,7 +106,7 @@ fn servo_rows_have_torques_of_their_command() {
     }
 }
 
-/// Compared: the order of the first rows, and the true state before the cycle that belongs to it.
+/// Checks the order of the first rows: the true state precedes the row of its cycle.
 #[test]
 fn true_state_row_precedes_its_cycle_row() {
     let kind = CommandKind::Torque;

@@ -1,4 +1,4 @@
-//! The control loop, its supervision and its shells, with scripted robots.
+//! Tests of the control loop, its supervision and its execution, with scripted robots.
 
 mod allocation;
 mod borrowed;

@@ -1,4 +1,4 @@
-//! From samples to the measurement of a controller: tared force sensors and joint velocities.
+//! Tests of the controller's measurement: tared force sensors and joint velocities.
 
 use crate::common::{
     Commanded, KINDS, PERIOD_S, REST, START, Scripted, at_rest, capabilities, config, drive_robot,
@@ -12,18 +12,18 @@ use opspace_transformer::{PaperTransformer, Transformer};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
-/// A few operations on numbers of order 1.
+/// Rounding of a few operations on numbers of order 1.
 const ROUNDING: f64 = 1e-12;
 
-/// Compared: a pull after a constant reading, whose mean is subtracted, in the row, and the same pull rotated by the
-/// link's placement, computed apart.
+/// Compared: the wrench in the row under a pull after a constant reading, which is tared, and the pull rotated by the
+/// link's placement, computed independently.
 #[test]
 fn force_sensors_are_tared_and_rotated_into_world_axes() {
     let bias = Vector3::new(2.0, -1.0, 0.5);
     let pull = Vector3::new(0.0, 0.0, 4.0);
     let script = |cycle: u64, sample: &mut Sample| {
         at_rest(cycle, sample);
-        // Noise without a mean over the cycles at rest.
+        // Noise with zero mean over the cycles at rest.
         let noise = if cycle.is_multiple_of(2) { 0.1 } else { -0.1 };
         let extra = if cycle < REST { Vector3::repeat(noise) } else { pull };
         sample.wrenches[0][..3].copy_from_slice((bias + extra).as_slice());
@@ -44,7 +44,7 @@ fn force_sensors_are_tared_and_rotated_into_world_axes() {
     assert_eq!(raw[..3], *(bias + pull).as_slice());
 }
 
-/// Velocities that a robot at rest claims to measure, rad/s: no difference of positions gives them.
+/// Velocities that a robot at rest reports as measured, rad/s; they differ from the differences of positions.
 const MEASURED: [f64; 2] = [0.3, -0.2];
 
 fn claims_to_move(cycle: u64, sample: &mut Sample) {
@@ -52,8 +52,8 @@ fn claims_to_move(cycle: u64, sample: &mut Sample) {
     sample.dq.as_mut().expect("measured").copy_from_slice(&MEASURED);
 }
 
-/// Runs a torque controller on a robot that measures velocities, and checks that it sees `expected` (rad/s) in each
-/// cycle.
+/// Runs a torque controller on a robot that measures velocities, and checks that the controller receives `expected`
+/// (rad/s) in each cycle.
 fn check_velocity(kind: CommandKind, transformer: Option<Box<dyn Transformer>>, expected: [f64; 2]) {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let log = Arc::clone(&seen);
@@ -76,7 +76,7 @@ fn check_velocity(kind: CommandKind, transformer: Option<Box<dyn Transformer>>, 
     }
 }
 
-/// Compared: the velocity that the controller sees, and the measured one, which is not the difference of positions.
+/// Compared: the controller's velocity, and the measured one, which differs from the difference of positions.
 #[test]
 fn measured_velocity_replaces_filtered_difference() {
     for kind in KINDS {
@@ -84,7 +84,7 @@ fn measured_velocity_replaces_filtered_difference() {
     }
 }
 
-/// The transformer of the paper, which claims to know the velocity.
+/// Transformer of the paper with a given velocity estimate.
 struct Knowing {
     dq: [f64; 2],
     paper: PaperTransformer,
@@ -100,7 +100,7 @@ impl Transformer for Knowing {
     }
 }
 
-/// Compared: the velocity that the controller sees, and that of the transformer, which is not the measured one.
+/// Compared: the controller's velocity, and the transformer's, which differs from the measured one.
 #[test]
 fn transformer_velocity_replaces_measured_velocity() {
     let known = [0.05, 0.06];
@@ -108,8 +108,8 @@ fn transformer_velocity_replaces_measured_velocity() {
     check_velocity(CommandKind::Position, Some(Box::new(transformer)), known);
 }
 
-/// Compared: the velocity in the rows of a held robot, and the measured one: the transformer does not know the motion
-/// of a robot that it does not command.
+/// Compared: the velocity in the rows of a held robot, and the measured one: the transformer does not estimate the
+/// motion of a robot that it does not command.
 #[test]
 fn held_robot_uses_measured_velocity() {
     let transformer = Knowing { dq: [0.05, 0.06], paper: PaperTransformer::new(servos()) };

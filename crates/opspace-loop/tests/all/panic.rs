@@ -1,4 +1,4 @@
-//! Panics in parts of a run: the robot ends in its safe state.
+//! Tests of panics in parts of a run: the robot ends in its safe state.
 
 use crate::common::{
     Commanded, KINDS, PERIOD_S, REST, Received, Scripted, at_rest, capabilities, config, gravity_controller,
@@ -9,14 +9,14 @@ use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
 use std::panic::{set_hook, take_hook};
 use std::sync::Once;
 
-/// The cycle of the panic, counted from the first read.
+/// Cycle of the panic, counted from the first read.
 const WRONG: u64 = 60;
-/// The message of panics that a test causes.
+/// Message of the panics that a test causes.
 const SCRIPTED: &str = "scripted panic";
-/// A bound for sums of times, s.
+/// Rounding of sums of times, s.
 const ROUNDING: f64 = 1e-9;
 
-/// Leaves out the messages of scripted panics, and none other.
+/// Suppresses the messages of scripted panics only.
 fn silence() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -29,7 +29,7 @@ fn silence() {
     });
 }
 
-/// The part that panics in cycle [`WRONG`].
+/// Part that panics in cycle [`WRONG`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Part {
     Controller,
@@ -38,7 +38,7 @@ enum Part {
     Sink,
 }
 
-/// A robot that panics when it is written.
+/// Robot that panics when it is written.
 struct Panicking<B>(B, Option<u64>);
 
 impl<B: Backend> Backend for Panicking<B> {
@@ -64,7 +64,7 @@ impl<B: Backend> Backend for Panicking<B> {
     }
 }
 
-/// Counts rows, and panics after so many.
+/// Sink that counts rows and panics after a given number.
 struct Counter {
     rows: u64,
     last: Option<u64>,
@@ -77,7 +77,7 @@ impl Sink for Counter {
     }
 }
 
-/// A controller that balances the weight, until it panics.
+/// Controller that balances the weight until it panics.
 fn panicking_controller() -> impl Controller {
     Commanded::torques(|data, measurement, tau| {
         let cycle = (measurement.time_s / PERIOD_S).round() as u64 + REST;
@@ -86,8 +86,8 @@ fn panicking_controller() -> impl Controller {
     })
 }
 
-/// Compared: outcome, calls and rows of a run in which a part panics in one cycle, and a fault, a stop in that cycle
-/// and no cycle after it.
+/// Checks outcome, calls and rows of a run in which a part panics in one cycle: a fault, a stop in that cycle, and no
+/// cycle after it.
 #[test]
 fn panic_in_any_part_stops_the_robot() {
     silence();
@@ -128,7 +128,7 @@ fn panic_in_any_part_stops_the_robot() {
     }
 }
 
-/// Compared: the outcome of a faulted run whose robot panics in its aftermath, and the fault.
+/// Checks that the outcome of a faulted run remains if the robot panics in a cycle after the stop.
 #[test]
 fn panic_after_stop_keeps_the_outcome() {
     silence();

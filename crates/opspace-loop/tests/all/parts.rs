@@ -1,6 +1,6 @@
-//! Parts of a loop that do not fit together are refused before the first cycle, by name.
+//! Tests that incompatible parts of a loop are rejected before the first cycle.
 //!
-//! Compared throughout: the error, and the contradiction that the test put in.
+//! Compared in all tests: the error, and the contradiction of the test's parts.
 
 use crate::common::{KV, VelocityServo, capabilities, config, gravity_controller, position_controller};
 use opspace_backend::{Capabilities, CommandKind};

@@ -1,4 +1,4 @@
-//! The guard of a position robot's setpoints: following error, and the reach of the servos.
+//! Tests of the guard of a position robot's setpoints: following error and reach of the servos.
 
 use crate::common::{
     self, Commanded, KP, KV, LIMITS, PERIOD_S, Received, START, Scripted, at_rest, capabilities, config,
@@ -11,9 +11,9 @@ use opspace_loop::{Fault, LoopConfig, Phase, SafetyParameters};
 use opspace_transformer::{PaperTransformer, ServoGains};
 use std::sync::atomic::AtomicBool;
 
-/// A few operations on numbers of order 1.
+/// Rounding of a few operations on numbers of order 1.
 const ROUNDING: f64 = 1e-12;
-/// A tenth of what one encoder count would make, rad.
+/// A tenth of the effect of one encoder count, rad.
 const SETPOINT: f64 = 1e-6;
 /// Speed limit of the joints, rad/s.
 const SPEED: f64 = 5.0;
@@ -24,7 +24,7 @@ fn reach(joint: usize) -> f64 {
     (LIMITS[joint] / KV[joint] + SPEED) / KP[joint]
 }
 
-/// Compared: the error at the fault, for a joint that is held fast while its setpoints go on and for a setpoint that
+/// Compared: the following error at the fault, for a blocked joint whose setpoints move on and for a setpoint that
 /// jumps, and the reach by hand plus the motion in one period.
 #[test]
 fn excess_following_error_faults() {
@@ -48,8 +48,8 @@ fn excess_following_error_faults() {
     }
 }
 
-/// Compared: the setpoints of a transformer for servos a hundred times softer than they are, and the reach by hand
-/// around the measured position.
+/// Compared: the setpoints of a transformer with servo gains a hundred times too low, and the reach by hand around the
+/// measured position.
 #[test]
 fn setpoints_are_clamped_around_measured_position() {
     let controller = Commanded::torques(|_, _, tau| tau.copy_from_slice(&[1e6, -1e6]));

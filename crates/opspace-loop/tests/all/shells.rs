@@ -1,4 +1,4 @@
-//! The shells around the loop: a manually fed run, as by a robot's callback, and a driven one.
+//! Tests of the two ways to execute a run: fed manually, as by a robot's callback, and driven.
 
 use crate::common::cases::{Case, DURATION_S, cases};
 use crate::common::{
@@ -18,7 +18,7 @@ fn run_driven(case: &Case, kind: CommandKind) -> Record {
     drive_robot(parts(kind), DURATION_S, &stop_request, robot)
 }
 
-/// Runs the case without a backend, fed manually.
+/// Runs the case without a backend, by calling `Run::cycle`.
 fn run_fed(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Record {
     let stop_request = AtomicBool::new(false);
     let control = ControlLoop::new(parts(kind)).expect("parts that fit");
@@ -49,15 +49,15 @@ fn run_fed(case: &Case, kind: CommandKind, device_fault: &DeviceFault) -> Record
     Record { outcome, received, received_in, times_s: rows.times_s, rows: rows.rows, layout }
 }
 
-/// The calls without those of `stop`.
+/// Removes the calls of `stop` from a record.
 fn without_stops(record: Record) -> Record {
     let calls = record.received.into_iter().zip(record.received_in);
     let (received, received_in) = calls.filter(|(received, _)| *received != Received::Stop).unzip();
     Record { received, received_in, ..record }
 }
 
-/// Compared: rows, time stamps, commands and outcome of a driven run, and of one that is fed manually with the same
-/// samples, bit for bit.
+/// Compared bit for bit: rows, time stamps, commands and outcome of a driven run, and of a run that is fed manually
+/// with the same samples.
 #[test]
 fn manually_fed_run_equals_driven_run() {
     for kind in KINDS {
@@ -74,15 +74,15 @@ fn manually_fed_run_equals_driven_run() {
     }
 }
 
-/// The number of commands that a cycle may have: none at rest and after the stop, one in control, and in the stopping
-/// cycle the last setpoint of a robot that takes setpoints. A refused command was written.
+/// Returns the expected number of commands in a cycle: none at rest and after the stop, one in control, and in the
+/// stopping cycle the last setpoint of a robot that accepts setpoints. A rejected command counts as written.
 fn expected_writes(case: &Case, kind: CommandKind, cycle: u64) -> usize {
     let is_last = cycle == case.stops_in;
     let has_last = case.stops_by_refusal || (kind != CommandKind::Torque && case.known);
     usize::from(if is_last { has_last } else { (REST..case.stops_in).contains(&cycle) })
 }
 
-/// Compared: the number of writes in each cycle, and the rule.
+/// Compared: the number of writes in each cycle, and the expected number.
 #[test]
 fn robot_gets_at_most_one_command_per_cycle() {
     for kind in KINDS {
@@ -101,7 +101,7 @@ fn robot_gets_at_most_one_command_per_cycle() {
     }
 }
 
-/// Compared: the cycles in which the robot is stopped, and the stopping cycle and the last one.
+/// Compared: the cycles in which `stop` is called, and the stopping cycle and the last one.
 #[test]
 fn robot_is_stopped_in_stop_cycle_and_at_end() {
     for kind in KINDS {

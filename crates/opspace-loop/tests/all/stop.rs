@@ -1,4 +1,4 @@
-//! Stops that are no fault: the planned end, and a stop request.
+//! Tests of stops without a fault: the planned end, and a stop request.
 
 use crate::common::{
     self, AFTERMATH, KINDS, KV, REST, Received, START, Scripted, at_rest, capabilities, config, drive_robot,
@@ -9,12 +9,12 @@ use opspace_backend::{CommandKind, GravityCompensation, STOP_REQUESTED};
 use opspace_loop::{Phase, RunOutcome};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A tenth of what one encoder count or one percent of a holding torque would make, rad or rad/s.
+/// A tenth of the effect of one encoder count or of one percent of a holding torque, rad or rad/s.
 const SETPOINT: f64 = 1e-6;
-/// A bound for sums of times, s.
+/// Rounding of sums of times, s.
 const ROUNDING: f64 = 1e-9;
 
-/// Checks the one command of a robot that is stopped at rest at [`START`]: it balances the weight.
+/// Checks the single command of a robot that is stopped at rest at [`START`]: it balances the weight.
 fn check_holding(kind: CommandKind, commands: &[Received]) {
     let expected = match kind {
         CommandKind::Torque => return assert_eq!(commands, []),
@@ -46,7 +46,7 @@ fn stop_request_before_control_stops_safely() {
     }
 }
 
-/// Compared: the cycle in which a stop is requested, and those of the row that says so, the last command, and the
+/// Compared: the cycle of a stop request, and the cycle of the row that records it, of the last command and of the
 /// outcome.
 #[test]
 fn stop_request_acts_in_its_cycle() {
@@ -69,7 +69,7 @@ fn stop_request_acts_in_its_cycle() {
     }
 }
 
-/// Compared: rows and commands of a run of 0.05 s, and as many cycles, the last of whose commands is that of the stop.
+/// Checks rows and commands of a run of 0.05 s: one per cycle; the last command is that of the stop.
 #[test]
 fn planned_end_replaces_last_command() {
     const CYCLES: usize = 50;
@@ -84,7 +84,7 @@ fn planned_end_replaces_last_command() {
     }
 }
 
-/// Compared: the setpoint at the stop of a robot that compensates gravity itself, and its position.
+/// Compared: the last setpoint of a robot that compensates gravity itself, and its position.
 #[test]
 fn gravity_compensating_robot_stops_at_its_position() {
     let capabilities =

@@ -1,7 +1,7 @@
-//! Faults of measurements and commands, on a robot of each kind.
+//! Tests of faults of measurements and commands, on a robot of each kind.
 //!
-//! Compared throughout: the commands that the scripted robot receives, cycle by cycle, and the rules of a safe stop;
-//! the robot never moves by itself.
+//! Compared in all tests: the commands that the scripted robot receives in each cycle, and the rules of a safe stop.
+//! The robot never moves by itself.
 
 use crate::common::{
     self, Commanded, KINDS, KV, PERIOD_S, REST, Received, Record, START, at_rest, gravity_at,
@@ -11,25 +11,25 @@ use nalgebra::DVector;
 use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, Phase};
 
-/// The cycle in which the scripts go wrong, counted from the first read.
+/// Cycle in which the scripted fault begins, counted from the first read.
 const WRONG: u64 = 60;
 /// Planned duration, s.
 const DURATION_S: f64 = 0.2;
 
-/// A tenth of what one encoder count or one percent of a holding torque would make, rad or rad/s.
+/// A tenth of the effect of one encoder count or of one percent of a holding torque, rad or rad/s.
 const SETPOINT: f64 = 1e-6;
 
 fn assert_fault(script: impl Fn(u64, &mut Sample) + Copy, expected: &Fault) {
     for kind in KINDS {
         let record = run(kind, gravity_controller(0.0), DURATION_S, script);
-        // Clock faults hold times; the debug text has all of them, NaN included.
+        // Clock faults contain times; the debug text compares them, including NaN.
         assert_eq!(format!("{:?}", record.fault()), format!("{expected:?}"), "{kind:?}");
         check_stop(kind, &record);
     }
 }
 
-/// After a fault: one command for each cycle before it, one last setpoint, and nothing after it; the fault in every
-/// row.
+/// Checks the state after a fault: one command for each cycle before it, one last setpoint and nothing after it; the
+/// fault in every row from then on.
 fn check_stop(kind: CommandKind, record: &Record) {
     let faulted = record.check_fault_rows(Phase::Control);
     let before = faulted - REST as usize;
@@ -84,8 +84,8 @@ fn stalled_backward_or_nan_clock_faults() {
     }
 }
 
-/// Compared: the commands to a robot whose first position is not finite, and none: it must not go to a position that
-/// was never measured.
+/// Checks that a robot whose first position is not finite receives no command: it must not go to a position that was
+/// never measured.
 #[test]
 fn unread_robot_gets_no_setpoint() {
     for kind in KINDS {
@@ -125,10 +125,10 @@ fn non_finite_command_never_reaches_the_robot() {
     }
 }
 
-/// Compared: the position at the fault, and the first of the script's positions beyond the limit and its margin.
+/// Compared: the position at the fault, and the first scripted position beyond the limit and its margin.
 #[test]
 fn joint_limit_violation_faults() {
-    // Drifts slowly beyond 2 rad and its margin of 0.05.
+    // The joint drifts slowly beyond 2 rad and the margin of 0.05 rad.
     let record = run(CommandKind::Torque, gravity_controller(0.0), DURATION_S, |cycle, sample| {
         at_rest(cycle, sample);
         sample.q[1] = 1.99 + 1e-3 * cycle as f64;
@@ -140,7 +140,7 @@ fn joint_limit_violation_faults() {
     assert!((2.05..2.052).contains(&q), "in the first cycle beyond: {q}");
 }
 
-/// Compared: the speed at the fault, and the limit of 5 rad/s and the script's 7 rad/s.
+/// Compared: speed and limit of the fault, and the script's 7 rad/s and the limit of 5 rad/s.
 #[test]
 fn speed_limit_violation_faults() {
     let record = run(CommandKind::Torque, gravity_controller(0.0), DURATION_S, |cycle, sample| {

@@ -1,4 +1,4 @@
-//! Arms of one simulation, driven together.
+//! Tests of arms of one simulation that are driven together.
 
 use crate::common::{self, parsed};
 use opspace_backend::quantity::Positive;
@@ -20,7 +20,7 @@ fn capabilities(rate_hz: u32) -> Capabilities {
     Capabilities::new(["shoulder", "elbow"], CommandKind::Torque, 1.0 / f64::from(rate_hz)).simulated()
 }
 
-/// An arm whose bus loses a tenth of its cycles.
+/// Returns an arm whose bus loses a tenth of its cycles.
 fn arm_config(arm: usize) -> ArmConfig {
     let mut config =
         ArmConfig::ideal(common::model(), capabilities(RATES_HZ[arm]), Vec::new()).expect("a period");
@@ -29,7 +29,7 @@ fn arm_config(arm: usize) -> ArmConfig {
     ArmConfig { seed: 7 + arm as u64, start: vec![0.2, -0.5], ..config }
 }
 
-/// Draws the arm to a posture away from its start.
+/// Returns a loop that moves the arm to a posture away from its start.
 fn control_loop(arm: usize) -> ControlLoop {
     let (model, capabilities) = (common::model(), capabilities(RATES_HZ[arm]));
     let context = ControlContext::new(&model, capabilities.period_s);
@@ -46,7 +46,7 @@ fn control_loop(arm: usize) -> ControlLoop {
     ControlLoop::new(LoopConfig::new(model, capabilities, Box::new(controller))).expect("parts that fit")
 }
 
-/// Rows of an arm without the wall time of a step, which is their first value, as bits.
+/// Sink that keeps the rows of an arm as bits, without their first value, the wall time of a step.
 #[derive(Default)]
 struct Rows(Vec<u64>);
 
@@ -58,7 +58,7 @@ impl Sink for Rows {
     }
 }
 
-/// The rows of an arm alone in its simulation.
+/// Returns the rows of an arm alone in its simulation.
 fn single_arm_rows(arm: usize) -> Vec<u64> {
     let mut rows = Rows::default();
     let mut run = Run::new(control_loop(arm), DURATION_S, &mut rows);

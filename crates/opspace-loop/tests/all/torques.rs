@@ -1,4 +1,4 @@
-//! The torques that a robot receives: ramp and limits.
+//! Tests of the torques that a robot receives: ramp and limits.
 
 use crate::common::{
     KINDS, LIMITS, PERIOD_S, Received, START, at_rest, gravity_at, gravity_controller, run, servo_torque,
@@ -6,7 +6,7 @@ use crate::common::{
 use opspace_backend::CommandKind;
 use opspace_loop::RunOutcome;
 
-/// Far below any torque that is held here: a setpoint's error of 1e-9 rad times the stiffest servo, Nm.
+/// Tolerance far below the holding torques: a setpoint error of 1e-9 rad times the stiffest servo, Nm.
 const TORQUE: f64 = 1e-6;
 
 /// Compared: the torques of the first 0.15 s, and the weight by hand plus a ramp of 0.1 s.
@@ -25,7 +25,7 @@ fn torques_ramp_in_from_gravity_compensation() {
     }
 }
 
-/// Compared: the last torques, where far more is commanded, and the limits.
+/// Compared: the last torques when much larger torques are commanded, and the limits.
 #[test]
 fn commanded_torques_are_clamped() {
     let record = run(CommandKind::Torque, gravity_controller(500.0), 0.2, at_rest);

@@ -1,4 +1,4 @@
-//! Units of the signals of a robot with a prismatic joint.
+//! Tests of the units of signals of a robot with a prismatic joint.
 
 use crate::common::{self, KINDS, PERIOD_S, capabilities, config};
 use opspace_backend::{CommandKind, Measured, TICK};
@@ -16,7 +16,7 @@ reference = "hold"
 gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 }
 "#;
 
-/// The arm of the other tests with an elbow that slides along the upper arm.
+/// Returns the arm of the other tests with a prismatic elbow, which slides along the upper arm.
 fn slider() -> Model {
     let revolute = r#"name="elbow" type="revolute">"#;
     assert!(common::URDF.contains(revolute));
@@ -33,7 +33,7 @@ fn tasks(model: &Model, context: &ControlContext) -> TaskSet {
     tasks.expect("a good task").build()
 }
 
-/// Units of the signals of a control cycle that have one element per joint, by name.
+/// Returns names and units of the cycle's signals that have one element per joint.
 fn units(control: LoopConfig) -> Vec<(String, String)> {
     let control = ControlLoop::new(LoopConfig { model: slider(), ..control }).expect("parts that fit");
     let signals = Run::layouts(&control, None).swap_remove(TICK).signals;
@@ -50,7 +50,7 @@ const Q: &str = "rad m";
 const DQ: &str = "rad/s m/s";
 const TORQUE: &str = "Nm N";
 
-/// Compared: the units in the layout, and those by hand from the joints' types.
+/// Compared: the units in the layout, and those expected for the joints' types.
 #[test]
 fn torque_controller_logs_a_prismatic_joint_in_metres_and_newtons() {
     let setpoints: [&[(&str, &str)]; 3] = [
@@ -86,7 +86,7 @@ fn torque_controller_logs_a_prismatic_joint_in_metres_and_newtons() {
     }
 }
 
-/// Compared: as above, with commands that are positions.
+/// Compared: the same for position commands.
 #[test]
 fn position_controller_commands_a_prismatic_joint_in_metres() {
     let model = slider();

@@ -1,4 +1,4 @@
-//! A velocity robot: setpoints of servos that give τ = kv (q̇_d − q̇).
+//! Tests of a velocity robot with servos τ = kv (q̇_d − q̇).
 
 use crate::common::{
     Commanded, KV, LIMITS, PERIOD_S, REST, Received, Record, START, Scripted, VelocityServo, at_rest,
@@ -10,12 +10,12 @@ use opspace_control::Controller;
 use opspace_loop::{LoopConfig, Phase, RunOutcome};
 use std::sync::atomic::AtomicBool;
 
-/// A few operations on numbers of order 1.
+/// Rounding of a few operations on numbers of order 1.
 const ROUNDING: f64 = 1e-12;
-/// A bound for weights by hand over kv, rad/s.
+/// Rounding of weights over kv, rad/s.
 const SETPOINT: f64 = 1e-9;
 
-/// A velocity robot that measures its velocities, and not the motors' torques.
+/// Velocity robot that measures velocities but no motor torques.
 fn robot() -> Capabilities {
     let mut robot = capabilities(CommandKind::Velocity).measuring(&[Measured::Velocity]);
     robot.measures_motor_torque = false;
@@ -44,8 +44,8 @@ fn velocities(received: &Received) -> &DVector<f64> {
     dq
 }
 
-/// Compared: setpoints of a transformer for servos ten times softer than they are, and the measured velocity plus and
-/// minus torque limit over kv, by hand.
+/// Compared: setpoints of a transformer with servo gains ten times too low, and the measured velocity plus or minus
+/// torque limit over kv, by hand.
 #[test]
 fn setpoints_are_clamped_around_measured_velocity() {
     let dq = [0.3, -0.2];
@@ -53,7 +53,7 @@ fn setpoints_are_clamped_around_measured_velocity() {
     let record = run_at_velocity(controller, dq, KV.map(|kv| kv / 10.0), 0);
     assert_eq!(record.outcome, RunOutcome::Completed);
     let expected = [dq[0] + LIMITS[0] / KV[0], dq[1] - LIMITS[1] / KV[1]];
-    // The torque ramp takes the first 100.
+    // The first 100 commands belong to the torque ramp.
     for received in &record.commands()[100..199] {
         let error = velocities(received) - DVector::from_row_slice(&expected);
         assert!(error.amax() < ROUNDING, "{error}");
@@ -63,7 +63,7 @@ fn setpoints_are_clamped_around_measured_velocity() {
     assert_eq!(record.values(last, "dq_desired"), velocities(&record.commands()[198]).as_slice());
 }
 
-/// Compared: setpoints within reach, and τ/kv + q̇ of the weight by hand plus the commanded torque.
+/// Compared: setpoints within reach, and τ/kv + q̇, with τ the weight by hand plus the commanded torque.
 #[test]
 fn setpoints_within_reach_give_desired_torques() {
     const EXTRA: f64 = 4.0;
@@ -77,11 +77,11 @@ fn setpoints_within_reach_give_desired_torques() {
     assert_eq!(record.values(record.rows.len() - 1, "setpoint_clamped"), [0.0, 0.0]);
 }
 
-/// Compared: the signal of how fast setpoints change, its unit, and differences of the setpoints' own signal over the
-/// period, while the torque ramp raises them.
+/// Compared: the signal of the setpoints' rate of change and its unit, and differences of the setpoint signal over the
+/// period, during the torque ramp.
 #[test]
 fn velocity_setpoint_rate_is_an_acceleration() {
-    /// Rounding of velocities of order 1 rad/s over the period.
+    /// Rounding of velocities of order 1 rad/s, divided by the period.
     const ROUNDING_RAD_PER_S2: f64 = 1e-9;
     const ROW: usize = 80;
     let record = run_at_velocity(gravity_controller(4.0), [0.3, -0.2], KV, 0);
@@ -102,7 +102,7 @@ fn velocity_setpoint_rate_is_an_acceleration() {
 }
 
 /// Compared: the last command of a run, at rest and at a velocity within reach, and the weight by hand over kv: the
-/// servo's damping brakes. A joint that is faster gets the torque limit over kv below its velocity.
+/// servo's damping brakes. The last setpoint of a faster joint is its velocity minus torque limit over kv.
 #[test]
 fn stop_brakes_and_holds_the_weight() {
     let weight = gravity_at(&START);
@@ -118,8 +118,8 @@ fn stop_brakes_and_holds_the_weight() {
     }
 }
 
-/// Compared: the commands after a dropout, and holds while the robot is tested for standstill; rows of setpoints that
-/// are zero; then the commands from the weight on, as at the start.
+/// Compared: the commands after a dropout, and holds during the standstill test, with setpoints of zero in the rows;
+/// then the commands that ramp in from the weight, as at the start.
 #[test]
 fn robot_is_held_after_dropout() {
     const BEFORE: usize = (60 - REST) as usize;

@@ -1,4 +1,4 @@
-//! Watchdogs of motor torque and power.
+//! Tests of the watchdogs of motor torque and power.
 
 use crate::common::{Commanded, PERIOD_S, REST, Record, at_rest, run};
 use nalgebra::DVector;
@@ -6,12 +6,12 @@ use opspace_backend::{CommandKind, Sample};
 use opspace_loop::{Fault, RunOutcome};
 use std::sync::{Arc, Mutex};
 
-/// The cycle in which the motor begins to give another torque.
+/// Cycle in which the motor torque begins to deviate.
 const AFTER: u64 = 60;
-/// A bound for a few operations on numbers of order 10.
+/// Rounding of a few operations on numbers of order 10.
 const ROUNDING: f64 = 1e-12;
 
-/// A motor that gives the desired torque and `more` of it (Nm), of a joint that moves at `speed` (rad/s).
+/// Script of a motor that produces `more` than the desired torque (Nm), in a joint that moves at `speed` (rad/s).
 fn excess_torque(more: f64, speed: f64, weight: Arc<Mutex<DVector<f64>>>) -> impl FnMut(u64, &mut Sample) {
     move |cycle, sample| {
         at_rest(cycle, sample);
@@ -44,7 +44,7 @@ const SERVOS: [CommandKind; 2] = [CommandKind::Position, CommandKind::Velocity];
 #[test]
 fn wrong_motor_torque_stops_the_robot() {
     for kind in SERVOS {
-        // 0.6 of the elbow's 20 Nm: 14 Nm are beyond it after 50 ms times ln(1/(1 - 12/14)).
+        // The limit is 0.6 of the elbow's 20 Nm: the mean of 14 Nm exceeds it after 50 ms times ln(1/(1 - 12/14)).
         let record = run_with_excess(kind, 14.0, 0.0);
         let Fault::TorqueDeviation { joint: 1, limit, .. } = *record.fault() else {
             panic!("{:?}", record.outcome)
@@ -64,25 +64,25 @@ fn wrong_motor_torque_stops_the_robot() {
 #[test]
 fn excess_motor_power_stops_the_robot() {
     for kind in SERVOS {
-        // 0.05 of 20 Nm times 5 rad/s: 10 Nm at 1 rad/s are twice that.
+        // The limit is 0.05 of 20 Nm times 5 rad/s; 10 Nm at 1 rad/s are twice that.
         let record = run_with_excess(kind, 10.0, 1.0);
         let Fault::ExcessPower { joint: 1, limit, .. } = *record.fault() else {
             panic!("{:?}", record.outcome)
         };
         assert!((limit - 5.0).abs() < ROUNDING, "{limit}");
-        // 50 ms times ln 2, and the lag of the velocity's filter.
+        // Expected: 50 ms times ln 2, plus the lag of the velocity filter.
         assert!(
             (detection_time_s(&record) - 0.05 * 2.0_f64.ln()).abs() < 4.0 * PERIOD_S,
             "{} s",
             detection_time_s(&record)
         );
-        // A motor that brakes is no danger.
+        // Excess torque that brakes is not a fault.
         assert_eq!(run_with_excess(kind, -10.0, 0.3).outcome, RunOutcome::Completed);
     }
 }
 
-/// Compared: the outcome for a deviation that stops a position robot, and a completed run: a torque robot's drives
-/// control their torques themselves.
+/// Checks that a deviation that stops a position robot does not stop a torque robot, whose drives control their torques
+/// themselves.
 #[test]
 fn torque_robot_has_no_watchdog() {
     assert_eq!(run_with_excess(CommandKind::Torque, 14.0, 0.0).outcome, RunOutcome::Completed);

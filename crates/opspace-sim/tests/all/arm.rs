@@ -1,4 +1,4 @@
-//! The simulated arm behind its interface: timing, encoders, sensors, brakes, stops and weight.
+//! Tests of the simulated arm at its interface: timing, encoders, sensors, brakes, end stops and weight.
 
 use crate::common::{START, arm, object, parsed, read, servo_rows, setup, try_read};
 use nalgebra::{DVector, Vector3};
@@ -7,7 +7,8 @@ use opspace_model::{Data, Model, frame_placement, kinematics, potential_energy};
 use opspace_sim::{ArmConfig, SimulatedArm, SimulationError, fault};
 use std::f64::consts::TAU;
 
-/// The gradient of potential energy: joint torques against gravity, without any dynamics algorithm.
+/// Returns the gradient of potential energy by finite differences: joint torques that hold the weight, computed without
+/// a dynamics algorithm.
 fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
     const STEP: f64 = 1e-5;
     let mut data = Data::new(model);
@@ -27,8 +28,8 @@ fn weight(model: &Model, q: &[f64]) -> DVector<f64> {
 /// Rounding of the gradient above.
 const WEIGHT_NM: f64 = 1e-7;
 
-/// Compares the servo tick at which a setpoint moves the servos' torque with the delay of the file, for every delay
-/// that there can be.
+/// Compared: the servo tick at which a setpoint changes the servos' torque, and the configured delay, for every
+/// possible delay.
 #[test]
 fn command_acts_exactly_after_its_delay() {
     for command in [CommandKind::Position, CommandKind::Torque] {
@@ -56,7 +57,7 @@ fn command_acts_exactly_after_its_delay() {
                 if command == CommandKind::Torque {
                     assert_eq!(torque[0], expected as f64, "delay {delay}, servo tick {tick}");
                 } else if tick > 0 {
-                    // kv kp of joint 0 times a step of 1 mrad is 4.8 Nm; between steps the arm hardly moves.
+                    // A step of 1 mrad times kv kp of joint 0 is 4.8 Nm; between steps the arm hardly moves.
                     let steps = *number > rows[tick - 1].0;
                     assert_eq!(
                         torque[0] - rows[tick - 1].1[0] > 3.0,
@@ -69,7 +70,7 @@ fn command_acts_exactly_after_its_delay() {
     }
 }
 
-/// Compared: commanded torques, and motor torques, beyond and below the drives' limits.
+/// Compared: motor torques and commanded torques, above and below the drives' limits.
 #[test]
 fn drives_respect_torque_limits() {
     let asked = [100.0, -100.0, 10.0, -100.0];
@@ -84,7 +85,8 @@ fn drives_respect_torque_limits() {
     }
 }
 
-/// Compared: positions as read, and true ones: within half a count, and a whole number of counts.
+/// Compared: measured and true positions. They differ by at most half a count, and measured positions are whole numbers
+/// of counts.
 #[test]
 fn encoders_quantise_positions() {
     let mut setup = setup(CommandKind::Torque, "a-med");
@@ -111,8 +113,8 @@ fn encoders_quantise_positions() {
     assert!(seen.iter().any(|e| *e > 0.3), "truth lies between counts");
 }
 
-/// Compared: the arm after two seconds, and where it started: a position robot by its servo, a torque robot by
-/// its brakes, both without a command.
+/// Compared: positions after two seconds without a command, and at the start. A position robot is held by its servos, a
+/// torque robot by its brakes.
 #[test]
 fn uncommanded_arm_holds_its_position() {
     for command in [CommandKind::Position, CommandKind::Torque] {
@@ -123,7 +125,7 @@ fn uncommanded_arm_holds_its_position() {
         for _ in 0..400 {
             last = read(&mut arm);
         }
-        // A brake gives by the weight over its stiffness of 20000 Nm/rad: 0.3 mrad.
+        // The deflection of a brake is the weight over its stiffness of 20000 Nm/rad: 0.3 mrad.
         let moved = (DVector::from_vec(last.q) - DVector::from_column_slice(&START)).amax();
         assert!(moved < 5e-4, "{command:?}: {moved} rad");
         assert!(arm.true_dq().amax() < 1e-6, "{command:?} stands still");
@@ -137,7 +139,7 @@ fn uncommanded_arm_holds_its_position() {
     }
 }
 
-/// Compared: a thrown arm's speed before and after its brakes fall in.
+/// Compared: the speed of a moving arm before and after its brakes engage.
 #[test]
 fn brakes_stop_and_hold_a_moving_arm() {
     let mut arm = arm(setup(CommandKind::Torque, "a-med"));
@@ -156,7 +158,7 @@ fn brakes_stop_and_hold_a_moving_arm() {
     assert!((arm.true_q() - stood).amax() < 1e-4);
 }
 
-/// Compares a robot that compensates its own weight under no torque with one that doesn't.
+/// Compared: motion without torque of a robot that compensates its own weight, and of one that doesn't.
 #[test]
 fn gravity_compensating_robot_needs_no_torque() {
     let fallen = |gravity_compensated_by| {
@@ -175,8 +177,7 @@ fn gravity_compensating_robot_needs_no_torque() {
     assert!(fallen(GravityCompensation::Controller) > 0.1);
 }
 
-/// Compared: how far a joint pressed into its stop with full torque gets, and the torque over the stop's
-/// stiffness.
+/// Compared: the depth of a joint in its end stop at full torque, and the torque over the stop's stiffness.
 #[test]
 fn end_stops_limit_joint_motion() {
     let mut setup = setup(CommandKind::Torque, "a-med");
@@ -189,12 +190,12 @@ fn end_stops_limit_joint_motion() {
         read(&mut arm);
     }
     let (q, dq) = (arm.true_q()[3], arm.true_dq()[3]);
-    // Static friction holds it up to 1.43 Nm on either side of that.
+    // Static friction shifts the equilibrium by up to 1.43 Nm in either direction.
     assert!((q * 2000.0 - 22.0).abs() < 1.43, "{q} rad beyond the stop");
     assert!(dq.abs() < 0.01, "{dq} rad/s");
 }
 
-/// A position robot with something at its hand and a sensor without noise or bias.
+/// Returns a position robot with an environment object at its hand, and a sensor without noise or bias.
 fn arm_with_contact(by: &str) -> ArmConfig {
     let mut setup = setup(CommandKind::Position, "a-med");
     let quality = setup.simulated.force_sensor.get_mut("wrist").expect("the wrist");
@@ -203,7 +204,7 @@ fn arm_with_contact(by: &str) -> ArmConfig {
     setup
 }
 
-/// Compared: the sensor's reading rotated into world axes by the hand's pose, and the push of the file.
+/// Compared: the sensor's reading rotated into world axes, and the configured push.
 #[test]
 fn force_sensor_reads_contact_in_sensor_axes() {
     let force = Vector3::new(4.0, -3.0, 2.0);
@@ -221,12 +222,12 @@ fn force_sensor_reads_contact_in_sensor_axes() {
     let axes = frame_placement(&model, &data, hand).rotation;
     let [linear, angular] = [0, 3].map(|i| Vector3::from_column_slice(&sample.wrenches[0][i..i + 3]));
     assert!((linear - force).norm() > 1.0, "the hand's axes are not the world's");
-    // At its height the half sine is flat; the sensor's filter of 0.3 ms lags by nothing there.
+    // The half sine is flat at its peak, so the lag of 0.3 ms of the sensor's filter has no effect.
     assert!((axes * linear - force).norm() < 1e-3, "{}", axes * linear);
     assert!(angular.norm() < 1e-9, "a force at the sensor has no moment");
 }
 
-/// Compared: the noise of torque and force measurements with and without something else that is random.
+/// Compared: the noise of torque and force measurements with and without another random source.
 #[test]
 fn environment_does_not_change_measurement_noise() {
     let noise = |environment: Vec<(String, opspace_sim::EnvironmentObjectParameters)>| {
@@ -234,7 +235,7 @@ fn environment_does_not_change_measurement_noise() {
         setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
         setup.environment = environment;
         let mut arm = arm(setup);
-        // The hand has not moved yet at the first tick: the difference is noise and bias alone.
+        // At the first tick the hand has not moved yet: the readings contain only noise and bias.
         let Sample { motor_torque, wrenches, .. } = read(&mut arm);
         (motor_torque.expect("measured"), wrenches[0])
     };
@@ -247,7 +248,7 @@ fn environment_does_not_change_measurement_noise() {
     assert!(alone.1[..3].iter().any(|f| *f != 0.0), "there is something random");
 }
 
-/// Compared: a command that is not a number, and the fault of the next read.
+/// Checks that the next read after a NaN command returns a fault.
 #[test]
 fn diverged_state_faults() {
     let mut arm = arm(setup(CommandKind::Torque, "a-med"));
@@ -256,7 +257,7 @@ fn diverged_state_faults() {
     assert_eq!(try_read(&mut arm), Err(fault::diverged()));
 }
 
-/// Compared: commands of the wrong kind or length, and their faults; none of them is counted.
+/// Checks the faults for commands of the wrong kind or length; none of them is counted.
 #[test]
 fn wrong_commands_fault() {
     let mut position = arm(setup(CommandKind::Position, "a-med"));
@@ -274,7 +275,7 @@ fn wrong_commands_fault() {
     assert!(servo_rows(&position).iter().all(|(number, _)| *number == 1));
 }
 
-/// Numbers of the commands in force in the servo periods of the last read.
+/// Returns the number of the command in effect in each servo period of the last read.
 fn numbers(arm: &mut SimulatedArm) -> Vec<Option<u64>> {
     read(arm);
     let mut numbers = Vec::new();
@@ -286,8 +287,8 @@ fn numbers(arm: &mut SimulatedArm) -> Vec<Option<u64>> {
     numbers
 }
 
-/// Compared: two position robots, of which one is held and the other gets its last setpoints again; a hold before the
-/// first command is counted and changes nothing.
+/// Compared: a position robot that is held, and one that receives its last setpoints again. A hold before the first
+/// command is counted and has no effect.
 #[test]
 fn hold_repeats_last_position_setpoints() {
     let mut setup = setup(CommandKind::Position, "a-med");
@@ -306,7 +307,7 @@ fn hold_repeats_last_position_setpoints() {
     assert_eq!(numbers(&mut held), [2, 2, 3, 3, 3].map(Some));
     read(&mut told);
     assert_eq!(servo_rows(&held), servo_rows(&told));
-    // A setpoint on its way still acts after a stop, and a second stop changes nothing.
+    // A pending setpoint still acts after a stop, and a second stop has no effect.
     for robot in [&mut held, &mut told] {
         robot.write(Command::Position(&START)).expect("it takes them");
         robot.stop();
@@ -317,8 +318,8 @@ fn hold_repeats_last_position_setpoints() {
     assert_eq!(servo_rows(&held), servo_rows(&told));
 }
 
-/// Compared: the command in force and the motors' torque of a torque robot that is held, commanded again and stopped,
-/// and the contract: torques on their way are dropped, a hold has a number, a stop has none.
+/// Checks the command in effect and the motor torques of a torque robot that is held, commanded again and stopped:
+/// pending torques are dropped, a hold has a number, a stop has none.
 #[test]
 fn hold_and_stop_brake_torque_robot_immediately() {
     let mut setup = setup(CommandKind::Torque, "a-med");
@@ -342,12 +343,12 @@ fn hold_and_stop_brake_torque_robot_immediately() {
     assert!(servo_rows(&arm).iter().all(|(_, torque)| torque.amax() == 0.0));
 }
 
-/// Compared: measured velocities and the finite difference of true positions; measured joint torques of a robot at rest
-/// and its weight, which brakes carry; the status and whether a drive's limit was exceeded; and the samples of a robot
-/// that measures none of these.
+/// Compared: measured velocities and the finite difference of true positions; measured joint torques at rest and the
+/// weight, which brakes hold; the status and whether a drive's limit was exceeded. A robot without these measurements
+/// is checked too.
 #[test]
 fn optional_measurements_are_provided() {
-    /// Half the acceleration times the period: 120 rad/s² here.
+    /// Half of the acceleration (120 rad/s²) times the period.
     const DIFFERENCE_RAD_PER_S: f64 = 0.1;
     let mut setup = setup(CommandKind::Torque, "a-med");
     setup.simulated.torque_noise_nm = opspace_backend::quantity::NonNegative::literal(0.03);
@@ -361,7 +362,7 @@ fn optional_measurements_are_provided() {
     read(&mut plain);
     let mut before = read(&mut rich);
     read(&mut plain);
-    // A torque beyond the limit at the third cycle alone.
+    // Only the torque of the third cycle exceeds the limit.
     for cycle in 0..5 {
         let asked = [if cycle == 2 { 41.0 } else { 20.0 }, 0.0, 0.0, 0.0];
         for robot in [&mut rich, &mut plain] {
@@ -388,7 +389,7 @@ fn optional_measurements_are_provided() {
     assert!(before.dq.expect("measured")[0] > 0.1, "it moves");
 }
 
-/// Compared: parameters that contradict each other, and the error that names them.
+/// Checks the error for each set of contradictory parameters.
 #[test]
 fn contradictory_parameters_are_refused_by_name() {
     let refused = |change: &dyn Fn(&mut ArmConfig)| {

@@ -1,4 +1,4 @@
-//! Simulated bus: cycles that are lost, dropouts, and setpoints that come late.
+//! Tests of the simulated bus: lost cycles, dropouts, late setpoints.
 
 use crate::common::{arm, parsed, read, setup};
 use opspace_backend::{Backend, Command, CommandKind, GroundTruth, TruthRow};
@@ -13,7 +13,7 @@ fn on_a_bus(bus: &str) -> ArmConfig {
     setup
 }
 
-/// Times of the true rows and of the drives' rows that came with the last read.
+/// Returns the times of the true rows, and the times and command numbers of the drives' rows, of the last read.
 fn servo_trace(arm: &SimulatedArm) -> (Vec<f64>, Vec<(f64, u64)>) {
     let (mut truth, mut servo) = (Vec::new(), Vec::new());
     arm.visit(&mut |row| match row {
@@ -24,7 +24,8 @@ fn servo_trace(arm: &SimulatedArm) -> (Vec<f64>, Vec<(f64, u64)>) {
     (truth, servo)
 }
 
-/// Missed cycles among `periods`, each setpoint the position just read; checks that all traces come, in order.
+/// Returns which of `periods` cycles are missed. Each setpoint is the last measured position. Checks that all rows are
+/// present and in order.
 fn missed(arm: &mut SimulatedArm, periods: usize) -> Vec<bool> {
     let mut missed = Vec::new();
     let (mut ticks, mut servo_ticks) = (0, 0);
@@ -48,7 +49,7 @@ fn missed(arm: &mut SimulatedArm, periods: usize) -> Vec<bool> {
     missed
 }
 
-/// Compared: the share of cycles that are missed, and the probability; two runs of a seed, and of another.
+/// Compared: the fraction of missed cycles and its probability; two runs with the same seed, and one with another.
 #[test]
 fn cycles_are_lost_at_random() {
     const PERIODS: usize = 4000;
@@ -67,7 +68,7 @@ fn cycles_are_lost_at_random() {
     assert!(missed(&mut arm(on_a_bus("")), 100).iter().all(|missed| !missed), "a good bus loses none");
 }
 
-/// Compared: when samples come, and the dropout's times; the drives' command, and the last one before it.
+/// Compared: times of samples and of the dropout; the drives' command during the dropout, and the last one before it.
 #[test]
 fn dropout_blocks_samples_and_commands() {
     let mut arm =
@@ -96,7 +97,7 @@ fn dropout_blocks_samples_and_commands() {
     }
 }
 
-/// Compares the servo tick at which each setpoint acts with its delay, with up to `jitter` more.
+/// Compared: the servo tick at which each setpoint acts, and its delay plus up to `jitter` ticks.
 #[test]
 fn jittered_setpoints_act_in_order() {
     for (delay, jitter) in [(0, 2), (3, 4), (5, 4)] {
@@ -126,7 +127,7 @@ fn jittered_setpoints_act_in_order() {
     }
 }
 
-/// The profile with a delay.
+/// Returns the profile with this delay.
 fn parsed_profile(setup: &ArmConfig, delay: u32) -> opspace_transformer::ProfileParameters {
     let mut profile = setup.profile.clone();
     profile.delay_servo_ticks = Some(delay);

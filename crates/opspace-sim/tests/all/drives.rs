@@ -1,4 +1,4 @@
-//! Motor and friction, each against its formula.
+//! Tests of motor and friction against their formulas.
 
 use crate::common::{parsed, robot};
 use opspace_sim::friction::LuGre;
@@ -7,12 +7,12 @@ use opspace_sim::parameters::BristleParameters;
 use opspace_transformer::FrictionParameters;
 use std::f64::consts::TAU;
 
-/// Compared: mean and end of each step, and the differential equation τ̇ = ω (asked − τ) integrated in a
-/// hundred thousand Euler steps with its mean.
+/// Compared: mean and final torque of each step, and the differential equation τ̇ = ω (asked − τ) integrated with a
+/// hundred thousand Euler steps.
 #[test]
 fn motor_follows_first_order_lag_exactly() {
     const FINE: u32 = 100_000;
-    /// Error of an Euler step: first order.
+    /// First-order error of the Euler integration.
     const TOLERANCE: f64 = 1e-4;
     let (hz, dt, start) = (1000.0, 5e-5, 2.0);
     let mut motor = Motor::new(Some(hz), dt, start);
@@ -28,7 +28,7 @@ fn motor_follows_first_order_lag_exactly() {
         let expected = sum / f64::from(FINE);
         assert!((mean - expected).abs() < TOLERANCE, "{mean} for {expected}");
     }
-    // A step of ten time constants ends where it was asked to.
+    // A step of ten time constants ends at the commanded torque.
     let mut slow = Motor::new(Some(hz), 10.0 / (TAU * hz), 0.0);
     slow.step(5.0);
     assert!((slow.step(5.0) - 5.0).abs() < 1e-4);
@@ -43,7 +43,7 @@ fn friction() -> (FrictionParameters, BristleParameters) {
 
 const DT: f64 = 5e-5;
 
-/// Compared: bristles dragged at constant speed until they settle, and Stribeck's curve.
+/// Compared: steady friction at constant speed, and Stribeck's curve.
 #[test]
 fn steady_friction_follows_stribeck_curve() {
     let (parameters, bristle) = friction();
@@ -59,12 +59,12 @@ fn steady_friction_follows_stribeck_curve() {
     }
 }
 
-/// Compared: torque over a displacement far below breakaway, and the spring σ₀ that bristles are there.
+/// Compared: torque per displacement far below breakaway, and the bristle stiffness σ₀.
 #[test]
 fn presliding_friction_is_a_spring() {
     let (parameters, bristle) = friction();
     let mut joint = LuGre::new(&parameters, &bristle, 1.0);
-    // 1 % of the way to breakaway, slowly, and then at rest: damping and viscous friction are gone.
+    // Moves slowly over 1 % of the breakaway displacement, then rests: damping and viscous friction are zero.
     let (v, steps) = (1e-4, 1200);
     for _ in 0..steps {
         joint.step(v, DT);
@@ -76,7 +76,7 @@ fn presliding_friction_is_a_spring() {
         joint.step(-v, DT);
     }
     let left = joint.step(0.0, DT);
-    // The curve towards breakaway leaves 1 % of hysteresis at 1 % of the way.
+    // At 1 % of the breakaway displacement the hysteresis is 1 %.
     assert!(left.abs() < 0.02 * 4000.0 * displacement, "a spring gives back: {left} Nm left");
 }
 
@@ -88,21 +88,21 @@ fn joint_breaks_away_at_static_friction() {
         let mut joint = LuGre::new(&parameters, &bristle, 1.0);
         let (mut q, mut v, inertia) = (0.0, 0.0, 0.3);
         for step in 0..20_000 {
-            // Over half a second, then held for another half.
+            // The torque ramps up over half a second, then stays constant for half a second.
             let asked = torque * (f64::from(step) / 10_000.0).min(1.0);
             v += (asked - joint.step(v, DT)) / inertia * DT;
             q += v * DT;
         }
         q
     };
-    // The bristles give by Fs / σ₀ = 0.6 mrad; their curve is flat near breakaway.
+    // The bristles deflect by Fs/σ₀ = 0.6 mrad; their curve is flat near breakaway.
     let (stuck, slid) = (drift(0.97 * 2.34), drift(1.03 * 2.34));
     assert!(stuck < 0.02, "sticks: {stuck} rad");
     assert!(slid > 10.0 * stuck.max(0.002), "slides: {slid} rad, stuck {stuck} rad");
     assert!((drift(-1.03 * 2.34) + slid).abs() < 1e-9, "the same either way");
 }
 
-/// Compared: the two ends of friction scaled to nothing.
+/// Checks that friction scaled by zero gives no torque.
 #[test]
 fn zero_friction_gives_no_torque() {
     let (parameters, bristle) = friction();

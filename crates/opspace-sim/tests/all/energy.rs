@@ -1,4 +1,4 @@
-//! The integrator, in the plant that the experiments use.
+//! Tests of the integrator in the plant that the experiments use.
 
 use crate::common::{START, robot, setup};
 use nalgebra::DVector;
@@ -10,8 +10,7 @@ use opspace_sim::motor::Motor;
 use opspace_sim::{Plant, PlantArm, PlantConfig, RigidPlant, RungeKutta};
 use opspace_transformer::JointParameters;
 
-/// The arm of the experiments with friction scaled to nothing, no end stops and nothing around it: its bodies and its
-/// drivetrains.
+/// Returns plant and drivetrains of the experiments' arm without friction, end stops and environment.
 fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
     let (robot, setup) = (robot(), setup(CommandKind::Torque, "a-med"));
     let model = setup.model;
@@ -30,17 +29,17 @@ fn frictionless(dt: f64, q: &[f64]) -> (RigidPlant, Vec<Drivetrain>, Model) {
     (RigidPlant::new(PlantConfig { arms: vec![arm], couplings: Vec::new() }), drivetrains, model)
 }
 
-/// Kinetic and potential energy.
+/// Returns kinetic and potential energy, J.
 fn energy(model: &Model, data: &mut Data, q: &[f64], dq: &[f64]) -> (f64, f64) {
     kinematics(model, data, q, dq);
     (kinetic_energy(model, data), potential_energy(model, data))
 }
 
-/// Compared: energy from masses, positions and speeds, and its value at the start. The plant moves by
-/// articulated bodies and knows no energy.
+/// Compared: kinetic plus potential energy during a motion, and at the start. The plant uses the articulated-body
+/// algorithm, which doesn't compute energy.
 #[test]
 fn frictionless_arm_conserves_energy() {
-    /// Tolerance as a share of the range of kinetic energy over the swing.
+    /// Tolerance relative to the range of kinetic energy during the swing.
     const DRIFT: f64 = 1e-6;
     let steps_per_s = robot().simulated.physics_hz.get();
     let dt = 1.0 / steps_per_s;
@@ -64,7 +63,7 @@ fn frictionless_arm_conserves_energy() {
     assert!(drift < DRIFT * range, "{drift} J of {range} J");
 }
 
-/// State at the end of a swing of `duration_s` with steps of `dt`: all positions and speeds.
+/// Returns all positions and velocities at the end of a swing of `duration_s` with steps of `dt` (s).
 fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
     let mut integrator = RungeKutta::new(model);
     let mut q = DVector::from_column_slice(&START);
@@ -75,8 +74,8 @@ fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
     DVector::from_iterator(2 * model.n(), q.iter().chain(dq.iter()).copied())
 }
 
-/// Compared: swings with coarse steps and one with steps 64 times as fine. Halving the step divides the error of
-/// a method of order p by 2^p.
+/// Compared: swings with coarse steps, and one with steps 64 times smaller. Halving the step divides the error of a
+/// method of order p by 2^p.
 #[test]
 fn integrator_is_fourth_order() {
     const DURATION_S: f64 = 1.28;

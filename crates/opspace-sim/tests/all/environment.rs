@@ -1,4 +1,4 @@
-//! Operators, pushes, walls and the force sensor, each against its description.
+//! Tests of operators, pushes, walls and the force sensor against their definitions.
 
 use crate::common::{object, parsed};
 use nalgebra::Vector3;
@@ -11,7 +11,8 @@ use std::f64::consts::TAU;
 
 const HOME: Vector3<f64> = Vector3::new(0.3, -0.1, -0.2);
 
-/// An operator of stiffness 1 N/m without a damper: the force on a frame at home is the operator's own offset.
+/// Returns the offset of an operator's hand over time: the force of a spring of 1 N/m without damping on a frame at
+/// home.
 fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
     let parameters = object(
         r#"
@@ -26,10 +27,10 @@ fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
     move |t| hand.force(t, &HOME, &Vector3::zeros())
 }
 
-/// Compared: root mean squares of the motion over a long time, and the requested one.
+/// Compared: rms of the motion over a long time, and the configured rms.
 #[test]
 fn operator_motion_has_requested_rms() {
-    // Sines of nearby frequencies beat; over 4000 s little of it is left.
+    // Error caused by sines of nearby frequencies, which beat; it is small over 4000 s.
     const TOLERANCE: f64 = 0.05;
     let offset = offset_of_hand(0);
     let samples = 40_000;
@@ -40,8 +41,8 @@ fn operator_motion_has_requested_rms() {
     }
 }
 
-/// Compared: power of the motion within its band and beyond, by the Fourier sum at single frequencies under a
-/// Hann window.
+/// Compared: power of the motion inside and outside its band, from Fourier sums at single frequencies with a Hann
+/// window.
 #[test]
 fn operator_motion_stays_within_its_band() {
     const OUTSIDE: f64 = 1e-4;
@@ -65,14 +66,14 @@ fn operator_motion_stays_within_its_band() {
         let step = 1.0 / duration_s;
         (0..((to - from) / step) as u32).map(|k| power(from + f64::from(k) * step)).sum::<f64>()
     };
-    // Windowed lines are four bins wide.
+    // Spectral lines are four bins wide with the window.
     let margin = 4.0 / duration_s;
     let inside = band(0.1 - margin, 0.7 + margin);
     let outside = band(0.0, 0.1 - margin) + band(0.7 + margin, 3.0);
     assert!(inside > 0.0 && outside < OUTSIDE * inside, "{outside} of {inside}");
 }
 
-/// Compared: the operator's force at the beginning, and zero; its force under two signs of offset and speed.
+/// Checks that the operator's force is zero at the beginning, and its value for offsets and speeds of both signs.
 #[test]
 fn operator_starts_at_rest_and_pulls_the_frame() {
     let offset = offset_of_hand(0);
@@ -89,9 +90,9 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
         generator(1, RngStream::EnvironmentObject(0)),
     );
     let force = still.force(3.0, &(HOME + Vector3::new(0.01, 0.02, 0.03)), &Vector3::new(0.1, -0.2, 0.3));
-    // Written out: -200 0.01 - 15 0.1; half of -200 0.02 + 15 0.2; nothing.
+    // By hand: -200 0.01 - 15 0.1; half of -200 0.02 + 15 0.2; zero.
     assert!((force - Vector3::new(-3.5, -0.5, 0.0)).norm() < 1e-12, "{force}");
-    // The damper follows the hand's own speed: the derivative of its offset.
+    // The damper acts relative to the hand's velocity, the derivative of its offset.
     let random = "random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }";
     let moving =
         EnvironmentObject::new(&object(&text(random)), HOME, generator(1, RngStream::EnvironmentObject(0)));
@@ -108,14 +109,14 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
     }
 }
 
-/// Compared: two streams of one seed, and one stream twice.
+/// Checks that two streams of one seed differ, and that one stream is repeatable.
 #[test]
 fn random_streams_are_independent() {
     assert_eq!(offset_of_hand(0)(3.0), offset_of_hand(0)(3.0));
     assert_ne!(offset_of_hand(0)(3.0), offset_of_hand(1)(3.0));
 }
 
-/// Compared: force and impulse of a push, and half a sine, whose mean is 2/π of its height.
+/// Compared: force and impulse of a push, and a half sine, whose mean is 2/π of its peak.
 #[test]
 fn push_is_half_a_sine() {
     let parameters = object(
@@ -130,8 +131,8 @@ fn push_is_half_a_sine() {
     assert!((impulse - 10.0 * 0.5 * 2.0 / (TAU / 2.0)).abs() < 1e-5, "{impulse} Ns");
 }
 
-/// Compared: the wall's force at many places and speeds, and its description: along the normal, outwards only,
-/// nothing before it.
+/// Compared: the wall's force at many positions and velocities, and its definition: along the normal, outwards only,
+/// zero in front of the wall.
 #[test]
 fn wall_pushes_and_never_pulls() {
     let parameters = object(
@@ -185,7 +186,7 @@ fn force_sensor_has_its_bandwidth() {
             largest = largest.max(sine.read().linear.x.abs());
         }
     }
-    // A hundred samples a period: the hold costs a little.
+    // The sample-and-hold at a hundred samples per period adds a small error.
     assert!((largest - 0.5_f64.sqrt()).abs() < 0.01, "{largest}");
 }
 
@@ -201,6 +202,6 @@ fn force_sensor_has_constant_bias_and_white_noise() {
     assert_ne!(biased[0], readings(2.0, 0.0, 2)[0], "another sensor, another bias");
     let noisy = readings(0.0, 0.5, 1);
     let rms = (noisy.iter().map(|f| f * f).sum::<f64>() / 4000.0).sqrt();
-    // Four standard deviations of the estimate.
+    // Tolerance: four standard deviations of the estimate.
     assert!((rms / 0.5 - 1.0).abs() < 4.0 / (2.0 * 4000.0_f64).sqrt(), "{rms}");
 }

@@ -1,4 +1,4 @@
-//! External forces while a simulation runs.
+//! Tests of external forces during a simulation.
 
 use crate::common::{START, arm, parsed, read, setup};
 use nalgebra::{DVector, Matrix6xX, Vector3};
@@ -7,7 +7,7 @@ use opspace_backend::{Command, CommandKind, GroundTruth, TruthRow};
 use opspace_model::{Data, Force, crba, frame_jacobian, frame_placement, kinematics};
 use opspace_sim::{ArmConfig, ExternalForce, Pull, SimulatedArm, external};
 
-/// An arm that may be pulled, without friction.
+/// Returns an arm that accepts external forces, without friction.
 fn arm_with_external_forces(command: CommandKind) -> ArmConfig {
     let mut config = setup(command, "a-med");
     config.external_forces = true;
@@ -17,7 +17,7 @@ fn arm_with_external_forces(command: CommandKind) -> ArmConfig {
     config
 }
 
-/// The rows of the channel `external` that came with the last read, with their times.
+/// Returns the rows of the channel `external` of the last read, with their times.
 fn rows(arm: &SimulatedArm) -> Vec<(f64, Vec<f64>)> {
     let mut rows = Vec::new();
     arm.visit(&mut |row| {
@@ -28,7 +28,7 @@ fn rows(arm: &SimulatedArm) -> Vec<(f64, Vec<f64>)> {
     rows
 }
 
-/// The Jacobian of the hand's origin, and the hand's position, at `q`.
+/// Returns the Jacobian of the hand's origin and the hand's position at `q`.
 fn hand(config: &ArmConfig, q: &DVector<f64>) -> (Matrix6xX<f64>, Vector3<f64>) {
     let model = &config.model;
     let mut data = Data::new(model);
@@ -40,10 +40,10 @@ fn hand(config: &ArmConfig, q: &DVector<f64>) -> (Matrix6xX<f64>, Vector3<f64>) 
 }
 
 /// Compared: the displacement of each joint of a position robot under a constant force, and Jᵀ F over the servo's
-/// stiffness kv kp. Released, it returns.
+/// stiffness kv kp. After the release the joints return.
 #[test]
 fn push_deflects_a_position_robot_by_force_over_stiffness() {
-    /// Change of gravity and of the Jacobian over the deflection, over the deflection.
+    /// Change of gravity and of the Jacobian caused by the deflection, relative to the deflection.
     const CURVATURE: f64 = 0.03;
     let config = arm_with_external_forces(CommandKind::Position);
     let force = Vector3::new(12.0, -7.0, 15.0);
@@ -64,11 +64,11 @@ fn push_deflects_a_position_robot_by_force_over_stiffness() {
     assert!((arm.true_q() - DVector::from_column_slice(&START)).amax() < 1e-6);
 }
 
-/// Compared: the velocity that a torque robot without weight gains in a cycle under a wrench, and M⁻¹ Jᵀ F times the
-/// period, by the composite-rigid-body algorithm.
+/// Compared: the velocity that a torque robot without gravity gains in one cycle under a wrench, and M⁻¹ Jᵀ F times the
+/// period, with M from the composite-rigid-body algorithm.
 #[test]
 fn push_accelerates_a_torque_robot_by_its_inertia() {
-    /// Change of inertia and velocity products over the cycle, over the velocity.
+    /// Change of inertia and velocity products during the cycle, relative to the velocity.
     const CURVATURE: f64 = 1e-3;
     let mut config = arm_with_external_forces(CommandKind::Torque);
     config.capabilities.gravity_compensated_by = opspace_backend::GravityCompensation::Robot;
@@ -82,7 +82,7 @@ fn push_accelerates_a_torque_robot_by_its_inertia() {
     let frame = config.model.frame_id("hand").expect("the hand");
     let mut arm = arm(config);
     let handle = arm.external_force().expect("it may be pulled");
-    // A cycle without a force, so that the brakes are off when it begins.
+    // The first cycle has no force, so that the brakes are released before the force begins.
     for cycle in 0..3 {
         if cycle == 1 {
             handle.apply(frame, Pull::Wrench(wrench));
@@ -96,8 +96,8 @@ fn push_accelerates_a_torque_robot_by_its_inertia() {
     assert!((&gained - &expected).amax() < CURVATURE * expected.amax(), "{gained} for {expected}");
 }
 
-/// Compared: the rows of the channel `external` and what was set; the force of a spring and its stiffness times its
-/// stretch; the force sensor's reading and that force; and the force decoded from a row and the one that was set.
+/// Compared: the rows of the channel `external` and the force that was set; a spring's force and its stiffness times
+/// its elongation; the force sensor's reading and that force; the force decoded from a row and the force that was set.
 #[test]
 fn external_forces_are_read_and_recorded_every_cycle() {
     const STIFFNESS: f64 = 150.0;
@@ -145,7 +145,8 @@ fn external_forces_are_read_and_recorded_every_cycle() {
     assert_eq!(&rows(&arm)[0].1[13..], [0.0; 3]);
 }
 
-/// Compared: layouts and true states of an arm that may be pulled but isn't, and of one that may not be.
+/// Compared: layouts and true states of an arm that accepts external forces but receives none, and of an arm that
+/// accepts none.
 #[test]
 fn arms_without_external_forces_have_no_channel() {
     let config = ArmConfig { external_forces: false, ..arm_with_external_forces(CommandKind::Position) };

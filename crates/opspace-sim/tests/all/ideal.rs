@@ -1,10 +1,10 @@
-//! Ideal arms: nothing but rigid bodies and the commanded torques.
+//! Tests of ideal arms: rigid bodies with exactly the commanded torques.
 
 use opspace_backend::{Backend, Capabilities, Command, CommandKind, Sample};
 use opspace_model::Model;
 use opspace_sim::{ArmConfig, SimulatedArm, SimulationError};
 
-/// A rod of 2 kg, its centre of mass 0.5 m from the hinge; 0.6 kg m² about the hinge.
+/// Rod of 2 kg with its centre of mass 0.5 m from the hinge and an inertia of 0.6 kg m² about the hinge.
 const URDF: &str = r#"<robot name="pendulum"><link name="base"/>
     <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
     <link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
@@ -27,10 +27,10 @@ fn invalid_period_is_refused() {
     }
 }
 
-/// Compared: the speed of the rod that falls from level, and √(2 m g l sin q/I) of conserved energy.
+/// Compared: the speed of a rod that falls from the horizontal, and √(2 m g l sin q/I) by conservation of energy.
 #[test]
 fn rod_without_torque_conserves_energy() {
-    /// Error of the integrator and of the angle at which the brake had held the rod, rad/s.
+    /// Error of the integrator and of the rod's initial angle, at which the brake held it, rad/s.
     const TOLERANCE_RAD_PER_S: f64 = 1e-3;
     let mut arm = SimulatedArm::new(config(CommandKind::Torque)).expect("an arm");
     let mut sample = Sample::new(arm.capabilities());

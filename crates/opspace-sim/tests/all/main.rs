@@ -1,4 +1,4 @@
-//! Simulated arms: drives, bus, environment, energy.
+//! Tests of simulated arms: drives, bus, environment, energy.
 
 mod arm;
 mod bus;

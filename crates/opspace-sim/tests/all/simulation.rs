@@ -1,4 +1,4 @@
-//! Several arms in one simulation.
+//! Tests of several arms in one simulation.
 
 use crate::common::{START, arm, object, parsed, robot, setup};
 use nalgebra::{DVector, Vector3};
@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 const CYCLES: u32 = 120;
 
-/// An arm with everything that is random or has a state: noise, quantisation, current loop, bus, an operator.
+/// Returns an arm with all random sources and internal states: noise, quantisation, current loop, bus, an operator.
 fn general(command: CommandKind, profile: &str, seed: u64) -> ArmConfig {
     let mut config = setup(command, profile);
     config.simulated = robot().simulated;
@@ -36,7 +36,7 @@ fn simulated(arms: Vec<ArmConfig>) -> Vec<SimulatedArm> {
     Simulation::new(config).unwrap_or_else(|e| panic!("{e}")).into_arms()
 }
 
-/// All that an arm shows, as bits: its samples, and the rows of its true state.
+/// All outputs of an arm as bits: its samples and the rows of its true state.
 #[derive(Default, PartialEq, Debug)]
 struct Seen(Vec<u64>);
 
@@ -67,7 +67,7 @@ impl Seen {
     }
 }
 
-/// Reads an arm and writes its next command: motion, then a hold, then motion.
+/// Reads an arm and writes its next command: motion, then hold, then motion.
 fn cycle(arm: &mut SimulatedArm, seen: &mut Seen) -> f64 {
     let mut sample = Sample::new(arm.capabilities());
     arm.read(&mut sample).expect("the arm can be read");
@@ -84,11 +84,11 @@ fn cycle(arm: &mut SimulatedArm, seen: &mut Seen) -> f64 {
     t
 }
 
-/// Runs arms in the order of their clocks for a time; of arms with the same time the one that comes first in `order` is
-/// read first.
+/// Runs arms in the order of their next samples for `duration_s`. Of arms with samples at the same time, the first in
+/// `order` is read first.
 fn run(arms: &mut [SimulatedArm], order: &[usize], duration_s: f64) -> Vec<Seen> {
     let mut seen: Vec<Seen> = arms.iter().map(|_| Seen::default()).collect();
-    // In servo ticks of the fastest: times of one instant may differ by rounding.
+    // Times in servo ticks of the fastest arm, because equal times may differ by rounding.
     let due = |arm: &SimulatedArm| (arm.next_sample_s() * 5000.0).round() as i64;
     loop {
         let next = order.iter().copied().min_by_key(|&i| due(&arms[i])).expect("an arm");
@@ -100,8 +100,8 @@ fn run(arms: &mut [SimulatedArm], order: &[usize], duration_s: f64) -> Vec<Seen>
     }
 }
 
-/// Compared bit by bit: samples and true rows of two arms in one simulation, and of each alone. The two are stored and
-/// read in either order.
+/// Compared bit by bit: samples and true rows of two arms in one simulation, and of each arm alone. The two arms are
+/// listed and read in either order.
 #[test]
 fn arms_in_one_simulation_equal_single_arms() {
     let configs = [general(CommandKind::Position, "a-med", 3), general(CommandKind::Torque, "a-med", 4)];
@@ -119,15 +119,15 @@ fn arms_in_one_simulation_equal_single_arms() {
     }
 }
 
-/// Compared: two arms of 5000 Hz and 1000 Hz drives in one simulation, in either order, with each other bit by bit, and
-/// with each alone but for rounding of the physics step.
+/// Compared: two arms with drives of 5000 Hz and 1000 Hz in one simulation, in either order, bit by bit; and each of
+/// them alone, up to rounding of the physics step.
 #[test]
 fn arms_may_have_different_rates() {
-    /// Rounding of 1/1000/20 against 1/5000/4, grown over the run.
+    /// Difference between rounded steps of 1/1000/20 and 1/5000/4, accumulated over the run.
     const ROUNDING_RAD: f64 = 1e-9;
     let mut configs = [general(CommandKind::Torque, "a-med", 3), general(CommandKind::Torque, "b-soft", 4)];
     for config in &mut configs {
-        // Rounding would be a count.
+        // With quantisation a rounding error could change a count.
         config.simulated.encoder_quantisation = false;
     }
     let duration_s = 0.2;
@@ -149,7 +149,8 @@ fn arms_may_have_different_rates() {
     }
 }
 
-/// Compared: the sample of an arm that is read after the other moved the simulation on, and the cycles that it missed.
+/// Compared: the sample of an arm that is read after another arm advanced the simulation, and the cycles that it
+/// missed.
 #[test]
 fn unread_cycles_are_lost() {
     let configs = [setup(CommandKind::Position, "a-med"), setup(CommandKind::Position, "a-med")];
@@ -174,15 +175,15 @@ fn unread_cycles_are_lost() {
     cycle(&mut arms[0], &mut seen);
 }
 
-/// The hand's position in the world at `q`.
+/// Returns the hand's position in the world at `q`, m.
 fn hand(model: &Model, q: &DVector<f64>) -> Vector3<f64> {
     let mut data = Data::new(model);
     kinematics(model, &mut data, q.as_slice(), &vec![0.0; model.n()]);
     frame_placement(model, &data, model.frame_id("hand").expect("the hand")).translation
 }
 
-/// Compared: forces of one wall on two arms beside each other, one of them rotated, and the wall's stiffness times
-/// the depth of each hand, from its own model's kinematics and its placement.
+/// Compared: forces of one wall on two arms side by side, one of them rotated, and the wall's stiffness times the depth
+/// of each hand, from the kinematics of its own model and its placement.
 #[test]
 fn arm_bases_have_their_placements() {
     const STIFFNESS: f64 = 500.0;
@@ -194,7 +195,7 @@ fn arm_bases_have_their_placements() {
         [hand(model, &arms[0].true_q()), base.act_point(&hand(model, &arms[1].true_q()))]
     };
     let start = hands(&simulated(configs.to_vec()));
-    // A floor above both hands.
+    // Floor above both hands.
     let height = start[0].z.max(start[1].z) + 0.01;
     for config in &mut configs {
         let floor = format!(
@@ -223,8 +224,8 @@ fn arm_bases_have_their_placements() {
     assert!((forces[0] - forces[1]).norm() > 1e-2, "their hands are at different heights");
 }
 
-/// Compared: forces of a spring between two hands on both arms, opposite to each other, and its stiffness times the
-/// change of the distance between the hands.
+/// Compared: opposite forces on both arms of a spring between their hands, and its stiffness times the change of the
+/// distance between the hands.
 #[test]
 fn coupling_forces_are_equal_and_opposite() {
     const STIFFNESS: f64 = 800.0;
@@ -269,7 +270,7 @@ fn coupling_forces_are_equal_and_opposite() {
     }
 }
 
-/// Compared bit by bit: an arm that is made and run in a thread of its own, and one of this thread.
+/// Compared bit by bit: an arm that is created and run in its own thread, and one in this thread.
 #[test]
 fn arms_can_be_made_in_worker_threads() {
     let config = general(CommandKind::Position, "a-med", 3);
@@ -278,7 +279,7 @@ fn arms_can_be_made_in_worker_threads() {
     assert!(here == there);
 }
 
-/// The library's plant behind the trait alone, counting its steps.
+/// Wrapper of the library's plant that counts its steps.
 struct OtherEngine(RigidPlant, Arc<AtomicU64>);
 
 impl Plant for OtherEngine {
@@ -312,8 +313,8 @@ impl Plant for OtherEngine {
     }
 }
 
-/// Compared bit by bit: an arm on a plant that is given to the simulation, and on its own; and the number of steps, and
-/// the physics rate times the time of the last cycle.
+/// Compared bit by bit: an arm on a plant passed to the simulation, and on the default plant; and the number of steps,
+/// and the physics rate times the time of the last cycle.
 #[test]
 fn plant_can_be_replaced() {
     let mut config = general(CommandKind::Torque, "a-med", 3);
@@ -328,7 +329,7 @@ fn plant_can_be_replaced() {
     assert_eq!(steps.load(Ordering::Relaxed), 19 * 20, "20 kHz up to 19 ms");
 }
 
-/// Compared: rates without a common clock, and the error that names them.
+/// Checks the errors for rates without a common clock.
 #[test]
 fn incompatible_rates_are_refused() {
     #[derive(serde::Deserialize)]

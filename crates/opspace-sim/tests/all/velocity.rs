@@ -1,4 +1,4 @@
-//! Robots that take joint velocities.
+//! Tests of robots that accept joint velocities.
 
 use crate::common::{START, arm, parsed, read, servo_rows, setup};
 use nalgebra::DVector;
@@ -10,7 +10,7 @@ use opspace_transformer::ServoParameters;
 
 const KV: f64 = 90.0;
 
-/// A velocity robot without friction.
+/// Returns a velocity robot without friction.
 fn velocity_robot(has_brakes: bool, ki_nm_per_rad: f64) -> ArmConfig {
     let mut config = setup(CommandKind::Velocity, "a-med");
     let servo: ServoParameters = parsed(&format!(
@@ -33,8 +33,7 @@ fn largest_displacement(arm: &SimulatedArm) -> f64 {
     (arm.true_q() - DVector::from_column_slice(&START)).amax()
 }
 
-/// Compared: the velocity error of each joint on a velocity ramp, and the torque of the motion by inverse dynamics over
-/// kv.
+/// Compared: the velocity error of each joint on a velocity ramp, and the motion's torque by inverse dynamics over kv.
 #[test]
 fn velocity_robot_follows_a_ramp() {
     /// Lag of the filter and of the hold, 0.5 ms, times the acceleration.
@@ -63,13 +62,13 @@ fn velocity_robot_follows_a_ramp() {
     assert!(dq[0] > 0.2 && data.torque.amax() / KV > 10.0 * LAG_RAD_PER_S, "{dq} {}", data.torque);
 }
 
-/// Compared: the deflection of braked joints, and their weight over the brakes' stiffness: before the first command,
-/// after a hold and after a stop. In between commands move the arm.
+/// Compared: the deflection of braked joints and their weight over the brakes' stiffness, before the first command,
+/// after a hold and after a stop. Between them, commands move the arm.
 #[test]
 fn brakes_hold_a_velocity_robot() {
-    /// Rounding of what is left of the brakes' oscillation.
+    /// Remainder of the brakes' oscillation.
     const SETTLED_RAD: f64 = 1e-6;
-    /// Damping times the velocity that is left.
+    /// Damping times the remaining velocity.
     const START_NM: f64 = 1e-3;
     const KI: f64 = 900.0;
     let config = velocity_robot(true, KI);
@@ -81,7 +80,7 @@ fn brakes_hold_a_velocity_robot() {
     let deflected = &start - holding(&config, &arm.true_q()) / stiffness;
     assert!((arm.true_q() - deflected).amax() < SETTLED_RAD, "{}", arm.true_q());
     let move_on = |arm: &mut SimulatedArm| {
-        // Released drives start from rest: no integral, no velocity.
+        // Released drives start with zero integral and zero velocity.
         arm.write(Command::Velocity(&[0.1, 0.0, 0.0, 0.0])).expect("it takes them");
         read(arm);
         let first = servo_rows(arm)[0].1[0];
@@ -109,11 +108,11 @@ fn brakes_hold_a_velocity_robot() {
     }
 }
 
-/// Compared: velocities without brakes before the first command and after a hold: zero with an integral, the weight
-/// over kv without one.
+/// Compared: velocities of a robot without brakes, before the first command and after a hold: zero with an integral,
+/// weight over kv without one.
 #[test]
 fn unbraked_velocity_robot_holds_only_with_integral() {
-    /// Change of the weight over the way, and the decay of the servo's integral.
+    /// Change of the weight along the motion, and decay of the servo's integral.
     const SAG_RAD_PER_S: f64 = 5e-3;
     let mut held = arm(velocity_robot(false, 900.0));
     let config = velocity_robot(false, 0.0);
@@ -137,8 +136,7 @@ fn unbraked_velocity_robot_holds_only_with_integral() {
     assert!(expected.amax() > 5.0 * SAG_RAD_PER_S);
 }
 
-/// Compared: robots whose profile, or simulation, has servos of another kind, and the error with the key as files have
-/// it.
+/// Checks the errors, and their keys in the files, for robots whose nominal or true servos are of the wrong kind.
 #[test]
 fn servo_of_another_kind_is_refused() {
     let refused = |config: ArmConfig| SimulatedArm::new(config).err().expect("refused");
@@ -167,10 +165,10 @@ fn servo_of_another_kind_is_refused() {
     assert_eq!(error.key(), Key::Robot(path(&["simulated", "servo", "shoulder_pitch"])));
 }
 
-/// Compared: the key of the error for a servo that holds no torque, by its kind, nominal and true.
+/// Checks the error's key for a servo that cannot hold a torque, for each kind, nominal and true.
 #[test]
 fn servo_without_holding_torque_is_named() {
-    /// A gain so low that the setpoint for a torque of 1 Nm is beyond all bounds.
+    /// Gain so low that the setpoint for a torque of 1 Nm exceeds the bound.
     const NO_GAIN: &str = "kv_nms_per_rad = 1e-13\nvelocity_filter_hz = 600.0";
     let joint = "shoulder_pitch".to_owned();
     let key = |config: ArmConfig| SimulatedArm::new(config).err().expect("refused").key();
@@ -185,11 +183,11 @@ fn servo_without_holding_torque_is_named() {
     assert_eq!(key(truth), Key::Robot(expected));
 }
 
-/// Compared: first torques of a joint with a true servo of each kind in one file, on a velocity and on a position
-/// robot, and the gains of the one for the robot's setpoints.
+/// Compared: first torques of a joint with true servos of both kinds in one file, on a velocity and on a position
+/// robot, and the gains of the servo of the robot's kind.
 #[test]
 fn each_robot_runs_the_true_servo_of_its_kind() {
-    /// Rounding of a position error, times the stiffness.
+    /// Rounding error of a position times the stiffness.
     const ROUNDING_NM: f64 = 1e-9;
     const TRUE_KV: f64 = 60.0;
     const CASCADE: [f64; 2] = [30.0, 50.0];
@@ -224,8 +222,7 @@ fn each_robot_runs_the_true_servo_of_its_kind() {
     assert!((torque[0] - expected).abs() < ROUNDING_NM, "{torque:?} for {expected}");
 }
 
-/// Compared: a torque robot without brakes before its first command and after a hold, and its position: its servos hold
-/// it.
+/// Checks that the servos of a torque robot without brakes hold its position before the first command and after a hold.
 #[test]
 fn unbraked_torque_robot_holds_by_its_servos() {
     let mut config = setup(CommandKind::Torque, "a-med");
@@ -242,6 +239,6 @@ fn unbraked_torque_robot_holds_by_its_servos() {
     (0..1000).for_each(|_| drop(read(&mut arm)));
     assert!(arm.true_dq().amax() < 1e-4, "{}", arm.true_dq());
     let torque = DVector::from_vec(read(&mut arm).motor_torque.expect("measured"));
-    // Static friction may carry some of it.
+    // Static friction may hold a part of the weight.
     assert!((torque - holding(&config, &arm.true_q())).amax() < 2.5);
 }

@@ -1,4 +1,4 @@
-//! Transformers made from a measured closed loop, on a mass with a servo that is integrated here in small steps.
+//! Transformers made from a measured closed loop, on a mass with a servo, which are integrated here in small steps.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use opspace_backend::{Capabilities, CommandKind, Sample};
@@ -11,10 +11,10 @@ const VISCOUS: f64 = 2.0;
 const KP: f64 = 40.0;
 const KV: f64 = 60.0;
 
-/// Tolerance of numbers that are solved for in floating point.
+/// Tolerance of floating-point solutions.
 const EXACT: f64 = 1e-6;
 
-/// T of a mass with viscous friction under the cascade of equation (K9), and H: the mass itself.
+/// Closed loop T of a mass with viscous friction under the cascade of equation (K9), and open loop H of the mass.
 fn joint(zeros: &str) -> ClosedLoopModel {
     let text = format!(
         "closed_loop = {{ numerator = {zeros}, denominator = [{}, {}, {INERTIA}] }}\n\
@@ -30,7 +30,7 @@ fn measured() -> ClosedLoopModel {
     joint(&format!("[{}]", KV * KP))
 }
 
-/// Gains split from T against those from which T was made.
+/// Compared: gains split from T, and the gains from which T is made.
 #[test]
 fn closed_loop_is_split_into_its_gains() {
     let gains = measured().split().unwrap();
@@ -38,8 +38,8 @@ fn closed_loop_is_split_into_its_gains() {
     assert!((gains.position_loop() / KP - 1.0).abs() < EXACT, "{gains:?}");
 }
 
-/// Torque error of the servo against the desired torques, rms over the rms of the latter: a sine on the mass alone,
-/// `pushed` by an unknown torque.
+/// Error of the servo's torque relative to the desired one, rms over rms: a sine on the mass alone, `pushed` by an
+/// unknown torque.
 fn error(measured_position: bool, pushed: f64) -> f64 {
     const PERIOD_S: f64 = 1e-3;
     const STEPS: u32 = 50;
@@ -72,8 +72,8 @@ fn error(measured_position: bool, pushed: f64) -> f64 {
     (off / size).sqrt()
 }
 
-/// Torque of both forms on a free, uncoupled joint against the desired one, but for the setpoint's hold of half a
-/// period.
+/// Compared: torque of both forms on a free, uncoupled joint, and the desired torque, up to the delay of half a period
+/// by which a held setpoint lags.
 #[test]
 fn both_forms_produce_torque_on_free_joint() {
     for measured_position in [true, false] {
@@ -82,7 +82,8 @@ fn both_forms_produce_torque_on_free_joint() {
     }
 }
 
-/// Checks an unknown torque of a sixth of the desired one's amplitude: it isn't in T, and both forms miss its motion.
+/// Checks an unknown torque with a sixth of the desired torque's amplitude: T doesn't include it, so both forms neglect
+/// the motion that it causes.
 #[test]
 fn both_forms_miss_motion_by_external_torque() {
     for measured_position in [true, false] {
@@ -91,7 +92,7 @@ fn both_forms_miss_motion_by_external_torque() {
     }
 }
 
-/// Setpoints of the second form at two measured positions.
+/// Compared: setpoints of the second form at two measured positions.
 #[test]
 fn second_form_ignores_measured_position() {
     let setpoint = |q: f64| {

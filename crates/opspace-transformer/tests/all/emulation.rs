@@ -1,5 +1,5 @@
-//! Emulating transformer against drives that are run here on their own, servo tick by servo tick: each servo is written
-//! as a recursion, not taken from the emulation.
+//! Emulating transformer against drives simulated here independently, servo tick by servo tick: each servo is written
+//! as a recursion and doesn't use the emulation.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -18,14 +18,14 @@ const KP: [f64; 2] = [25.0, 20.0];
 const KV: [f64; 2] = [40.0, 8.0];
 const FILTER_HZ: f64 = 200.0;
 
-/// Remaining error, by rounding, of an observer that starts without one: relative to torques, and of velocities in m/s.
+/// Rounding error of an observer without an initial error: relative for torques, in m/s for velocities.
 const EXACT: f64 = 1e-6;
 
-/// Acceleration along the lifts where they hold a load, m/s², and the forces that hold the lifts against it, N.
+/// Gravity along the lifts when they carry a load, m/s², and the forces that hold the lifts against it, N.
 const GRAVITY: f64 = 9.81;
 const LOAD: [f64; 2] = [0.5 * GRAVITY, 0.2 * GRAVITY];
 
-/// Two joints along the same line, one upon the other: M is the same everywhere, and couples them.
+/// Two prismatic joints in series along the same line: M is constant and couples them.
 fn model(loaded: bool) -> Model {
     let gravity = Vector3::z() * if loaded { -GRAVITY } else { 0.0 };
     let mut model = Model::new("lifts").with_gravity(gravity);
@@ -45,7 +45,7 @@ enum Servo {
     /// With an integral of the velocity error.
     CascadeIntegral,
     Pid,
-    /// Lead whose torque comes a servo tick late.
+    /// Lead compensator with a delay of one servo tick.
     Late,
     /// A velocity loop alone.
     Velocity,
@@ -97,14 +97,14 @@ impl Servo {
     }
 }
 
-/// A robot's drives and what is made of them.
+/// Drives of a robot, and the options of a test case.
 #[derive(Clone, Copy, Debug)]
 struct Case {
     servo: Servo,
     setpoints: Setpoints,
     delay: u32,
     current: bool,
-    /// True over nominal gain: of the position loop, or of a velocity servo's own.
+    /// Ratio of true to nominal gain: of the position loop, or of a velocity servo.
     gain_scale: f64,
     refined: bool,
     loaded: bool,
@@ -132,7 +132,7 @@ fn setup(case: Case) -> EmulationSetup {
         servos: case.servo.parameters(),
         friction: FrictionCompensation::new(friction.iter(), &FrictionCompensationParameters::default()),
         resolution_rad: vec![1e-9; 2],
-        // Of each alone, the other one free.
+        // Inertia of each joint while the other is free.
         inertias: vec![0.3, 0.12],
         torque_limits: vec![10.0; 2],
         servo_period_s: SERVO_S,
@@ -151,7 +151,7 @@ fn setup(case: Case) -> EmulationSetup {
     }
 }
 
-/// The two masses and their drives, one servo period after the other.
+/// Two masses and their drives, simulated by servo periods.
 struct Drives {
     case: Case,
     q: [f64; 2],
@@ -228,12 +228,11 @@ impl Drives {
 
 /// Result of a run.
 struct Run {
-    /// Desired torques, and those of the intervals in which each setpoint acted: their mean, and that of each servo
-    /// tick.
+    /// Desired torques, and the actual torques while each setpoint acts: their mean, and those of each servo tick.
     asked: Vec<[f64; 2]>,
     means: Vec<[f64; 2]>,
     torques: Vec<[f64; 2]>,
-    /// Largest error of the velocities that the transformer returns, m/s.
+    /// Largest error of the transformer's velocity estimates, m/s.
     off: f64,
 }
 
@@ -242,7 +241,7 @@ fn sample(takes: CommandKind, current: bool) -> Sample {
     Sample::new(&if current { capabilities.measuring(&[Measured::MotorCurrent]) } else { capabilities })
 }
 
-/// Runs a case; nothing is sent in cycles that are `missed`.
+/// Runs a case; no setpoint is sent in the cycles `missed`.
 fn run(case: Case, missed: Range<i32>) -> Run {
     let matching = if case.setpoints == Setpoints::Held {
         TorqueObjective::IntervalMean
@@ -260,7 +259,7 @@ fn run_matching(case: Case, matching: TorqueObjective, missed: Range<i32>) -> Ru
     assert_eq!(transformer.takes(), takes);
     let mut drives = Drives::new(case);
     let mut sample = sample(takes, case.current);
-    // At rest without a load the setpoint is where the joint is, or no velocity.
+    // At rest without a load the setpoint is the joint's position, or zero velocity.
     let rest = if takes == CommandKind::Velocity { [0.0; 2] } else { drives.q };
     let (mut from, mut to, mut new) = (rest, rest, DVector::from_column_slice(&rest));
     let mut ramp = RATIO;
@@ -281,7 +280,7 @@ fn run_matching(case: Case, matching: TorqueObjective, missed: Range<i32>) -> Ru
         asked.push(tau);
         let mut mean = DVector::zeros(2);
         for tick in 0..=RATIO {
-            // With a delay of a whole interval the new one comes at the next tick's very beginning.
+            // With a delay of a whole interval the new setpoint takes effect at the first tick of the next interval.
             if sent && tick == case.delay {
                 (from, to, ramp) = (to, [new[0], new[1]], 0);
             }
@@ -312,7 +311,7 @@ fn run_matching(case: Case, matching: TorqueObjective, missed: Range<i32>) -> Ru
 }
 
 impl Run {
-    /// Root mean square of actual − asked over that of asked, after half a second: of means.
+    /// Rms of actual minus desired mean torques, relative to the rms of the desired ones, after half a second.
     fn error(&self) -> f64 {
         relative(self.asked.iter().zip(&self.means).skip(100))
     }
@@ -338,8 +337,8 @@ fn relative<'a>(pairs: impl Iterator<Item = (&'a [f64; 2], &'a [f64; 2])>) -> f6
     (off / size).sqrt()
 }
 
-/// Compares mean torques of servos with nominal gains with the desired ones, for every delay up to a whole interval;
-/// and the velocity between position readings 5 ms apart with the true one.
+/// Compared: mean torques of servos with nominal gains and the desired ones, for every delay up to a whole interval;
+/// and estimated velocity, from position readings 5 ms apart, and the true one.
 #[test]
 fn mean_torques_equal_desired_torques() {
     for servo in POSITION_SERVOS.into_iter().chain(VELOCITY_SERVOS) {
@@ -355,8 +354,8 @@ fn mean_torques_equal_desired_torques() {
     }
 }
 
-/// Mean torques and velocities of velocity servos under a load, from the first interval on, against the desired and
-/// the true ones: brakes hold the load until the first setpoint acts, or the servos' integrals do.
+/// Compared: mean torques and velocities of velocity servos under a load, from the first interval on, and the desired
+/// and true ones. Until the first setpoint acts, brakes or the servos' integrals hold the load.
 #[test]
 fn velocity_robot_starts_from_brakes_or_integral() {
     for (servo, has_brakes) in
@@ -376,8 +375,8 @@ fn velocity_robot_starts_from_brakes_or_integral() {
     }
 }
 
-/// The torques of drives that interpolate, at every servo tick, against the desired ones: the remaining error is that
-/// a straight line of setpoints can't give a constant torque. Held setpoints for comparison.
+/// Compared: torques of interpolating drives at every servo tick, and the desired ones. An error remains because
+/// linearly interpolated setpoints cannot give a constant torque. Held setpoints are run for comparison.
 #[test]
 fn interpolated_setpoints_give_torque_throughout_interval() {
     for servo in [Servo::Cascade, Servo::CascadeIntegral, Servo::Pid].into_iter().chain(VELOCITY_SERVOS) {
@@ -394,8 +393,7 @@ fn interpolated_setpoints_give_torque_throughout_interval() {
     }
 }
 
-/// Compares the estimated velocities while setpoints fail to come, and the drives hold the last one, with the true
-/// ones.
+/// Compared: estimated and true velocities while setpoints are missed and the drives hold the last one.
 #[test]
 fn estimate_continues_through_missed_setpoints() {
     for servo in [Servo::Cascade].into_iter().chain(VELOCITY_SERVOS) {
@@ -408,8 +406,8 @@ fn estimate_continues_through_missed_setpoints() {
     }
 }
 
-/// Compares torque errors of a position loop stiffer, or softer, than the nominal one with and without use of the
-/// motor current.
+/// Compared: torque errors of a position loop that is stiffer or softer than the nominal one, with and without
+/// correction by motor current.
 #[test]
 fn motor_current_compensates_wrong_gain() {
     for gain_scale in [0.8, 1.1] {
@@ -419,8 +417,8 @@ fn motor_current_compensates_wrong_gain() {
     }
 }
 
-/// A velocity loop with another gain than the nominal one: torque errors with use of the motor current against those
-/// without.
+/// Compared: torque errors of a velocity loop whose gain is not the nominal one, with and without correction by motor
+/// current.
 #[test]
 fn motor_current_compensates_wrong_velocity_gain() {
     for servo in VELOCITY_SERVOS {
@@ -435,8 +433,8 @@ fn motor_current_compensates_wrong_velocity_gain() {
     }
 }
 
-/// Compares the error with gains refined while running, after the transient, with the error of current correction
-/// alone.
+/// Compared: the error with gains adapted during the run, after the transient, and the error with current correction
+/// only.
 #[test]
 fn gain_adaptation_improves_on_current_feedback() {
     for gain_scale in [0.7, 1.3] {
@@ -446,7 +444,7 @@ fn gain_adaptation_improves_on_current_feedback() {
     }
 }
 
-/// Checks the errors of servos whose inverse grows, or that make no torque in time.
+/// Checks the errors for servos with an unstable inverse, or without torque before the next setpoint.
 #[test]
 fn non_invertible_servo_is_refused() {
     let refused = |numerator: &str| {

@@ -1,4 +1,4 @@
-//! Servo laws and transformers on joints of known numbers.
+//! Tests of servo laws and transformers on joints with known parameters.
 
 mod closed_loop;
 mod emulation;

@@ -1,4 +1,4 @@
-//! Servos of every structure against their recursions, written down here one by one.
+//! Servos of every structure against their recursions, which are written out here.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use opspace_backend::CommandKind;
@@ -10,7 +10,7 @@ const ROUNDING: f64 = 1e-9;
 
 const PERIOD_S: f64 = 1e-3;
 
-/// Share of a velocity that remains after a tick of a low-pass of 200 Hz.
+/// Fraction of the previous velocity that a low-pass of 200 Hz keeps after one tick.
 fn keep() -> f64 {
     (-TAU * 200.0 * PERIOD_S).exp()
 }
@@ -49,7 +49,7 @@ fn law(servo: &str) -> ServoLaw {
     ServoLaw::new(&parameters, PERIOD_S).unwrap()
 }
 
-/// Torques of ticks 1 to 60, at rest before at the position of tick 0, with no torque.
+/// Torques at ticks 1 to 60, after rest without torque at the position of tick 0.
 fn torques(servo: &str) -> Vec<f64> {
     let law = law(servo);
     let (mut memory, _) = law.rest(position(0), 0.0);
@@ -87,7 +87,7 @@ fn pd_servo_damps_measured_velocity() {
 
 #[test]
 fn pid_servo_may_differentiate_its_error() {
-    // Without an error before the first tick.
+    // The error before the first tick is zero.
     let error = |k: usize| if k == 0 { 0.0 } else { desired(k) - position(k) };
     assert_same(PID_OF_ERROR, |k| {
         let integral: f64 = (1..=k).map(|j| 9000.0 * PERIOD_S * error(j)).sum();
@@ -95,7 +95,7 @@ fn pid_servo_may_differentiate_its_error() {
     });
 }
 
-/// Torques of velocity servos, and sums over all past velocity errors; the setpoint is a velocity.
+/// Compared: torques of velocity servos, and sums over all past velocity errors. The setpoint is a velocity.
 #[test]
 fn velocity_servo_controls_filtered_difference() {
     let error = |k: usize| desired(k) - rate(position, k);
@@ -122,7 +122,7 @@ fn transfer_function_matches_difference_equation() {
     assert_same(LAGGING, |k| torque[k]);
 }
 
-/// The torque of each servo at rest, and the one for which its state and setpoint were computed.
+/// Compared: the torque of each servo at rest, and the torque for which its state and setpoint are computed.
 #[test]
 fn servo_at_rest_holds_requested_torque() {
     for servo in ALL {
@@ -135,8 +135,8 @@ fn servo_at_rest_holds_requested_torque() {
     }
 }
 
-/// Velocity setpoints at rest under a load: the load over kv without an integral, zero with one. At another setpoint
-/// the torque of a servo without an integral differs by kv times the difference.
+/// Checks velocity setpoints at rest under a load: load/kv without an integral, zero with one. At another setpoint the
+/// torque of a servo without an integral differs by kv times the difference.
 #[test]
 fn velocity_servo_rests_at_load_over_kv_or_zero() {
     let (_, setpoint) = law(VELOCITY).rest(0.7, 3.5);
@@ -148,7 +148,8 @@ fn velocity_servo_rests_at_load_over_kv_or_zero() {
     assert!(setpoint.abs() < ROUNDING, "{setpoint}");
 }
 
-/// Gains of a velocity servo: kv, and no stiffness, so that a position loop made of them is zero and not undefined.
+/// Checks the gains of a velocity servo: damping kv and stiffness zero, so that its position-loop gain is zero and
+/// defined.
 #[test]
 fn velocity_servo_has_no_stiffness() {
     for servo in [VELOCITY, VELOCITY_INTEGRAL] {
@@ -159,7 +160,8 @@ fn velocity_servo_has_no_stiffness() {
     }
 }
 
-/// The response at a frequency, and the torques under a long sine of it, by their Fourier coefficient.
+/// Compared: the frequency response at one frequency, and the Fourier coefficient of the torques under a long sine of
+/// it.
 #[test]
 fn frequency_response_matches_sine() {
     for servo in [CASCADED, PD, LAGGING, VELOCITY] {
@@ -173,7 +175,7 @@ fn frequency_response_matches_sine() {
                 let input = z.powu(k as u32).re;
                 let (setpoint, position) = if channel == 0 { (input, 0.0) } else { (0.0, input) };
                 let torque = law.step(&mut memory, setpoint, position);
-                // The last period, when all else has died away.
+                // Last period, after the transient.
                 if k >= 39 * ticks {
                     sum += z.powu(k as u32).conj() * torque * 2.0 / ticks as f64;
                 }

@@ -1,4 +1,4 @@
-//! The paper's transformer, the estimator that feeds it, and friction compensation, against their equations.
+//! Tests of the paper's transformer, its velocity estimator and friction compensation, against their equations.
 
 use opspace_backend::{Capabilities, CommandKind, Measured, Sample};
 use opspace_model::{Data, Inertia, Joint, JointKind, Limits, Model, Placement};
@@ -19,7 +19,7 @@ const SETTLED: f64 = 1e-9;
 
 const PERIOD_S: f64 = 1e-3;
 
-/// Two joints that move nothing: the transformer sees only q and dq of the data.
+/// Two massless joints: the transformer uses only q and dq of the data.
 fn two_joints() -> Model {
     let mut model = Model::new("two");
     for name in ["first", "second"] {
@@ -33,7 +33,7 @@ fn parsed<T: serde::de::DeserializeOwned>(text: &str) -> T {
     toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Servos with kp 50/s and kv 90 Nms/rad, 40/s and 30 Nms/rad.
+/// Equivalent gains of two servos: kp 50/s and kv 90 Nms/rad, kp 40/s and kv 30 Nms/rad.
 fn servos() -> Vec<ServoGains> {
     [(50.0, 90.0), (40.0, 30.0)].map(|(kp, kv)| ServoGains { stiffness: kp * kv, damping: kv }).to_vec()
 }
@@ -61,7 +61,7 @@ fn transformed(q: [f64; 2], dq: [f64; 2], tau: [f64; 2]) -> [f64; 2] {
     transformed_by(&mut PaperTransformer::new(servos()), q, dq, tau)
 }
 
-/// Compared: the transformer's two loops, and equation (K10) in one fraction, with the gains of the test.
+/// Compared: the setpoint of the transformer's two loops, and equation (K10) as one fraction.
 #[test]
 fn paper_transformer_matches_equation_k10() {
     for (q, dq, tau) in STATES {
@@ -85,7 +85,7 @@ fn paper_transformer_inverts_equation_k9() {
     }
 }
 
-/// Compared: the velocity setpoint, and that of the outer loop, kp (q_desired − q), at the position setpoint of (K10).
+/// Compared: the velocity setpoint, and the outer loop's kp (q_desired − q) at the position setpoint of (K10).
 #[test]
 fn velocity_transformer_is_inner_stage_of_k10() {
     let mut inner = VelocityTransformer::new(servos());
@@ -112,8 +112,8 @@ fn velocity_transformer_inverts_velocity_loop() {
     }
 }
 
-/// Compared: the torque of a velocity loop whose kv is 0.8 of the nominal one, once the measured current corrects it,
-/// and the desired torque.
+/// Compared: the torque of a velocity loop with 0.8 times the nominal kv, after correction by measured current, and the
+/// desired torque.
 #[test]
 fn current_feedback_corrects_velocity_gain() {
     const CYCLES: usize = 100;

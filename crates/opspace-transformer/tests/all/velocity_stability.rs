@@ -1,4 +1,4 @@
-//! A task law through the emulation of a velocity drive, with another inertia and another gain than the nominal ones.
+//! Stability of a task law with an emulated velocity drive, with inertias and gains other than the nominal ones.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use nalgebra::{Matrix3, Vector3};
@@ -16,16 +16,16 @@ const SERVO_HZ: f64 = 1000.0;
 /// Natural frequency of the critically damped task law, in radians per interface cycle.
 const TASK_RAD_PER_CYCLE: f64 = 0.03;
 
-/// Remainder of a displacement of 1 after thirty time constants of the task law.
+/// Largest remainder of a displacement of 1 after thirty time constants of the task law.
 const SETTLED: f64 = 1e-3;
 
-/// A displacement, in those at the start, that no stable loop has.
+/// Displacement, as a multiple of the initial one, that only an unstable loop reaches.
 const GONE: f64 = 1e3;
 
-/// A velocity drive and its interface.
+/// Velocity drive and its interface.
 #[derive(Clone, Copy, Debug)]
 struct Case {
-    /// Bandwidth of the velocity loop over the servo rate.
+    /// Ratio of the velocity loop's bandwidth to the servo rate.
     bandwidth: f64,
     ratio: u32,
     delay: u32,
@@ -72,7 +72,7 @@ impl Case {
         }
     }
 
-    /// The largest displacement in the last tenth of a run that begins at rest, displaced by 1.
+    /// Returns the largest displacement in the last tenth of a run that begins at rest with a displacement of 1.
     fn remaining_displacement(self) -> f64 {
         let mut model = Model::new("lift").with_gravity(Vector3::zeros());
         let joint = Joint { name: "lift".to_owned(), kind: JointKind::Prismatic, limits: Limits::NONE };
@@ -135,8 +135,8 @@ impl Case {
     }
 }
 
-/// Largest kv T/I, of the nominal inertia I and the interface period T, up to which half and twice the inertia are
-/// borne. Above it, a position cascade's emulation loses its stability with a wrong inertia at the same places.
+/// Largest kv T/I, with nominal inertia I and interface period T, at which the loop is stable with half and twice the
+/// inertia. Above it, the emulation of a position cascade loses stability in the same cases.
 const ROBUST: f64 = 0.14;
 
 fn cases() -> impl Iterator<Item = Case> {
@@ -160,8 +160,8 @@ fn cases() -> impl Iterator<Item = Case> {
     drives.flat_map(move |(bandwidth, ratio)| of(bandwidth, ratio))
 }
 
-/// Displacements that a task law brings to rest, over velocity loops of 0.4 to 4 % of the servo rate, delays up to a
-/// whole interval and gains of 0.8 to 1.25 times the nominal ones; against zero.
+/// Checks that a task law brings displacements to zero, for velocity loops of 0.4 to 4 % of the servo rate, delays up
+/// to a whole interval and gains of 0.8 to 1.25 times the nominal ones.
 #[test]
 fn task_law_brings_velocity_robot_to_rest() {
     for case in cases() {

@@ -1,4 +1,4 @@
-//! Rows to be recorded, and recording them to memory.
+//! Test rows, and functions that record them to memory.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use opspace_backend::{Layout, Signal};
@@ -6,7 +6,7 @@ use opspace_log::{Attachment, Channel, ChannelData, Header, Pace, WriteStats, re
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// Channels of a control cycle of a two-joint arm, and a faster, narrower one.
+/// Returns the control-cycle channel of a two-joint arm, and a faster, narrower channel.
 pub fn channels() -> Vec<Channel> {
     let joints = ["shoulder", "elbow"];
     let tick = Layout {
@@ -23,7 +23,7 @@ pub fn channels() -> Vec<Channel> {
     vec![Channel { layout: tick, rate_hz: 1000.0 }, Channel { layout: servo, rate_hz: 2000.0 }]
 }
 
-/// Values with every kind of bits: bits not smooth enough to compress well, now and then a special one.
+/// Returns values with all kinds of bit patterns: bits that compress badly, and some special values.
 pub fn row(k: usize, width: usize) -> Vec<f64> {
     let special =
         [f64::NAN, f64::from_bits(0x7ff4_0000_0000_1234), -0.0, f64::INFINITY, f64::MIN_POSITIVE / 2.0];
@@ -48,7 +48,7 @@ pub fn header() -> Header {
     }
 }
 
-/// Log of `ticks` control cycles, two servo rows per cycle.
+/// Returns a log of `ticks` control cycles, with two servo rows per cycle.
 pub fn log(header: Header, ticks: usize) -> (WriteStats, Vec<u8>) {
     let sink = Cursor::new(Vec::new());
     let (mut recorder, writer) = record(sink, header, channels(), Pace::Simulated).expect("begins");
@@ -63,12 +63,12 @@ pub fn log(header: Header, ticks: usize) -> (WriteStats, Vec<u8>) {
     (written, sink.into_inner())
 }
 
-/// Bits, since NaN is not equal to itself.
+/// Returns the bits of the values, because NaN is not equal to itself.
 pub fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|v| v.to_bits()).collect()
 }
 
-/// True if `part` is the beginning of `whole`, bit for bit.
+/// Returns true if `part` is the beginning of `whole`, bit for bit.
 pub fn is_prefix(part: &ChannelData, whole: &ChannelData) -> bool {
     part.layout == whole.layout
         && bits(&whole.time_s).starts_with(&bits(&part.time_s))

@@ -1,4 +1,4 @@
-//! Runs of all kinds: planned ends, missed cycles, faults, stop requests, device faults.
+//! Test cases of runs: planned ends, missed cycles, faults, stop requests, device faults.
 
 use super::{PERIOD_S, Scripted, at_rest, capabilities};
 use opspace_backend::{CommandKind, Sample};
@@ -8,23 +8,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Planned duration of the cases, s.
 pub const DURATION_S: f64 = 0.15;
 
-/// The cycle in which most cases go wrong, counted from the first read.
+/// Cycle of the fault or event in most cases, counted from the first read.
 pub const WRONG: u64 = 60;
 
-/// A run, and how it ends.
+/// Scripted run, and its expected end.
 #[derive(Clone)]
 pub struct Case {
     pub name: &'static str,
     pub script: fn(u64, &mut Sample),
-    /// Cycle from which on a stop is requested.
+    /// Cycle from which a stop is requested.
     pub stop_requested_in: Option<u64>,
     /// Cycles that can't be read.
     pub unreadable: Range<u64>,
-    /// Cycle in which a command is refused.
+    /// Cycle in which the robot rejects a command.
     pub refused: Option<u64>,
-    /// True if that refusal is the cause of the stop.
+    /// True if that rejection causes the stop.
     pub stops_by_refusal: bool,
-    /// Cycle in which it must be stopped.
+    /// Cycle in which the run must stop.
     pub stops_in: u64,
     /// True if the state at the stop is known, so that a last setpoint can be computed.
     pub known: bool,
@@ -41,7 +41,7 @@ const PLAIN: Case = Case {
     known: true,
 };
 
-/// The missed cycles count towards the planned duration.
+/// Returns all cases. Missed cycles count towards the planned duration.
 pub fn cases() -> Vec<Case> {
     let fault = Case { stops_in: WRONG, ..PLAIN };
     vec![
@@ -79,7 +79,7 @@ pub fn cases() -> Vec<Case> {
 }
 
 impl Case {
-    /// The sample of a cycle; sets the stop request when it is due.
+    /// Fills the sample of a cycle, and sets the stop request when it is due.
     pub fn fill_sample(&self, cycle: u64, sample: &mut Sample, stop_request: &AtomicBool) {
         (self.script)(cycle, sample);
         if self.stop_requested_in.is_some_and(|from| cycle >= from) {
@@ -87,7 +87,7 @@ impl Case {
         }
     }
 
-    /// A robot that follows the script.
+    /// Returns a robot that follows the script.
     pub fn robot(
         &self,
         kind: CommandKind,

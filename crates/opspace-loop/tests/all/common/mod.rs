@@ -1,4 +1,4 @@
-//! A two-joint arm, a scripted robot, and a record of its run.
+//! Two-joint arm, scripted robot, and record of its run.
 
 #![allow(dead_code, unused_imports, reason = "each test uses some of it")]
 
@@ -18,13 +18,13 @@ use opspace_transformer::{EstimatorParameters, Identity, PaperTransformer, Servo
 
 pub const PERIOD_S: f64 = 1e-3;
 
-/// Cycles at rest before control begins.
+/// Number of cycles at rest before control begins.
 pub const REST: u64 = 10;
 
-/// Rows of the 0.2 s after a stop.
+/// Number of rows in the 0.2 s after a stop.
 pub const AFTERMATH: usize = 200;
 
-/// Two links of 0.5 m in the vertical plane: at q = 0 both stretch along x, so gravity pulls at both joints.
+/// Two links of 0.5 m in the vertical plane. At q = 0 both point along x, so that gravity acts on both joints.
 pub const URDF: &str = r#"
 <robot name="two">
   <link name="base"/>
@@ -64,24 +64,24 @@ pub fn servos() -> Vec<ServoGains> {
     (0..2).map(|i| ServoGains { stiffness: KP[i] * KV[i], damping: KV[i] }).collect()
 }
 
-/// The arm with measured motor current and a force sensor on the forearm.
+/// Returns the arm's capabilities, with measured motor current and a force sensor on the forearm.
 pub fn capabilities(kind: CommandKind) -> Capabilities {
     Capabilities::new(["shoulder", "elbow"], kind, PERIOD_S)
         .measuring(&[Measured::MotorCurrent])
         .with_force_sensor("wrist", "fore")
 }
 
-/// Velocities filtered with the cut-off of the paper.
+/// Returns a velocity estimator with the paper's cut-off frequency.
 pub fn estimator() -> EstimatorParameters {
     parsed("velocity_filter_hz = 150.0")
 }
 
-/// Tared over [`REST`] cycles, with a torque ramp of 0.1 s.
+/// Returns safety parameters with taring over [`REST`] cycles and a torque ramp of 0.1 s.
 pub fn safety() -> SafetyParameters {
     parsed("torque_ramp_s = 0.1\ntare_s = 0.01\nlimit_margin_rad = 0.05")
 }
 
-/// A loop for a robot with these capabilities, without friction compensation.
+/// Returns the configuration of a loop for a robot with these capabilities, without friction compensation.
 pub fn config(capabilities: Capabilities, controller: impl Controller + 'static) -> LoopConfig {
     let transformer: Box<dyn Transformer> = match capabilities.command {
         CommandKind::Torque => Box::new(Identity),
@@ -98,14 +98,14 @@ pub fn config(capabilities: Capabilities, controller: impl Controller + 'static)
     }
 }
 
-/// A controller that balances the arm's weight and adds `extra` (Nm) at both joints.
+/// Returns a controller that balances the arm's weight and adds `extra` (Nm) at both joints.
 pub fn gravity_controller(extra: f64) -> impl Controller {
     Commanded::torques(move |data, _, tau| {
         tau.iter_mut().zip(&data.gravity).for_each(|(tau, g)| *tau = g + extra);
     })
 }
 
-/// A controller that commands positions at a distance from [`START`] (rad) which is a function of time (s).
+/// Returns a controller that commands [`START`] plus `offset` (rad), a function of time (s).
 pub fn position_controller(offset: impl Fn(f64) -> f64 + Send) -> impl Controller {
     let command = move |_: &Data, measurement: &Measurement, q: &mut [f64]| {
         q.copy_from_slice(&START);
@@ -114,8 +114,8 @@ pub fn position_controller(offset: impl Fn(f64) -> f64 + Send) -> impl Controlle
     Commanded { kind: CommandKind::Position, command }
 }
 
-/// Torques that balance the arm's weight, by hand: links of 0.5 m, centres halfway, the y axis pointing so that gravity
-/// drives q up.
+/// Returns the torques that balance the arm's weight, by hand: links of 0.5 m with their centres of mass halfway;
+/// gravity acts in the direction of positive q.
 pub fn gravity_at(q: &[f64]) -> DVector<f64> {
     let (first, second) = (q[0].cos(), (q[0] + q[1]).cos());
     let g = 9.81;
@@ -123,8 +123,7 @@ pub fn gravity_at(q: &[f64]) -> DVector<f64> {
     DVector::from_vec(vec![-(2.0 * g * 0.25 * first + 1.0 * g * 0.5 * first + fore), -fore])
 }
 
-/// The torque with which the servos of a robot at rest at [`START`] answer a command; that of a torque robot is the
-/// command.
+/// Returns the servos' torque for a command to a robot at rest at [`START`]; for a torque robot, the command.
 pub fn servo_torque(received: &Received) -> DVector<f64> {
     match received {
         Received::Torques(tau) => tau.clone(),
@@ -134,7 +133,8 @@ pub fn servo_torque(received: &Received) -> DVector<f64> {
     }
 }
 
-/// The setpoint that holds the arm at rest at `q` (rad): the weight over the servo's stiffness away.
+/// Returns the setpoint that holds the arm at rest at `q` (rad): its offset from `q` is the weight over the servo's
+/// stiffness.
 pub fn holding_setpoint(q: &[f64]) -> DVector<f64> {
     let g = gravity_at(q);
     DVector::from_fn(2, |i, _| q[i] + g[i] / (KP[i] * KV[i]))

@@ -1,4 +1,4 @@
-//! The record of a run on a scripted robot.
+//! Record of a run on a scripted robot.
 
 use super::{AFTERMATH, Received, Scripted, capabilities, config};
 use opspace_backend::{CommandKind, Layout, Sample, Sink, TICK, TICK_TIME};
@@ -7,7 +7,7 @@ use opspace_loop::{ControlLoop, Fault, LoopConfig, Phase, Run, RunOutcome, drive
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
-/// The rows of the cycles, with their time stamps (s).
+/// Sink that keeps the rows of the cycles, with their time stamps (s).
 #[derive(Default)]
 pub struct Rows {
     pub times_s: Vec<f64>,
@@ -23,7 +23,7 @@ impl Sink for Rows {
     }
 }
 
-/// All that came of a run.
+/// Results of a run.
 pub struct Record {
     pub outcome: RunOutcome,
     /// Calls of `write` and `stop`, in their order.
@@ -36,19 +36,19 @@ pub struct Record {
 }
 
 impl Record {
-    /// The columns of a signal.
+    /// Columns of a signal.
     pub fn columns(&self, name: &str) -> Range<usize> {
         columns(&self.layout, name)
     }
 
-    /// The values of a signal with one element, row by row.
+    /// Values of a signal with one element, row by row.
     pub fn scalar(&self, name: &str) -> Vec<f64> {
         let columns = self.columns(name);
         assert_eq!(columns.len(), 1, "{name}");
         self.rows.iter().map(|row| row[columns.start]).collect()
     }
 
-    /// The values of a signal in one row.
+    /// Values of a signal in one row.
     pub fn values(&self, row: usize, name: &str) -> &[f64] {
         &self.rows[row][self.columns(name)]
     }
@@ -62,7 +62,7 @@ impl Record {
         fault
     }
 
-    /// The commands, up to the stop. Nothing but stops may follow.
+    /// Commands up to the stop. Only stops may follow.
     pub fn commands(&self) -> &[Received] {
         let end =
             self.received.iter().position(|received| *received == Received::Stop).expect("it is stopped");
@@ -73,7 +73,7 @@ impl Record {
         &self.received[..end]
     }
 
-    /// The bits of the rows, without those of the wall time.
+    /// Rows as bits, without the wall time.
     pub fn row_bits(&self) -> Vec<Vec<u64>> {
         let wall_time = self.columns(TICK_TIME);
         let without =
@@ -81,13 +81,13 @@ impl Record {
         self.rows.iter().map(|row| row.iter().enumerate().filter_map(without).collect()).collect()
     }
 
-    /// Calls with their cycles, and outcome, as text: a float's debug text is another for other bits.
+    /// Calls with their cycles, and the outcome, as text. The debug text of a float is unique.
     pub fn text(&self) -> String {
         format!("{:?}\n{:?}\n{:?}", self.received, self.received_in, self.outcome)
     }
 
-    /// Checks the rows around a fault: its code from one row on, that row still in `phase`, then 0.2 s of a stopped
-    /// robot. Returns that row.
+    /// Checks the rows around a fault: its code from one row on, which is still in `phase`, then 0.2 s of a stopped
+    /// robot. Returns the index of that row.
     pub fn check_fault_rows(&self, phase: Phase) -> usize {
         let code = f64::from(self.fault().code());
         let (faults, phases) = (self.scalar("fault"), self.phases());

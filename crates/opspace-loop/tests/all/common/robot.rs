@@ -1,4 +1,4 @@
-//! The parts that a test plays: robot, controller, and the servos of a velocity robot.
+//! Test doubles: robot, controller, and servos of a velocity robot.
 
 use super::{PERIOD_S, START};
 use nalgebra::DVector;
@@ -10,7 +10,7 @@ use opspace_model::Data;
 use opspace_transformer::Transformer;
 use std::ops::Range;
 
-/// A call that a robot received.
+/// Call that a robot received.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Received {
     Positions(DVector<f64>),
@@ -31,21 +31,21 @@ impl From<Command<'_>> for Received {
     }
 }
 
-/// A robot whose samples are a function of the cycle's number, counted from the first read. No command moves it.
+/// Robot whose samples are a function of the cycle number, counted from the first read. Commands do not move it.
 pub struct Scripted<F> {
     pub capabilities: Capabilities,
     pub script: F,
     /// Cycles that can't be read.
     pub unreadable: Range<u64>,
-    /// Cycle in which a command is refused.
+    /// Cycle in which a command is rejected.
     pub refused: Option<u64>,
-    /// Fault that is reported in those cycles.
+    /// Fault that is reported in these cycles.
     pub device_fault: DeviceFault,
     /// Calls of `write` and `stop`, in their order.
     pub received: Vec<Received>,
     /// Cycle of each of them.
     pub received_in: Vec<u64>,
-    /// Reads so far.
+    /// Number of reads so far.
     pub reads: u64,
 }
 
@@ -98,13 +98,13 @@ impl<F: FnMut(u64, &mut Sample)> Backend for Scripted<F> {
     }
 }
 
-/// A robot at rest at [`START`].
+/// Script of a robot at rest at [`START`].
 pub fn at_rest(cycle: u64, sample: &mut Sample) {
     sample.time_s = cycle as f64 * PERIOD_S;
     sample.q.copy_from_slice(&START);
 }
 
-/// A controller made of a function.
+/// Controller made from a function.
 pub struct Commanded<F> {
     pub kind: CommandKind,
     pub command: F,
@@ -132,7 +132,7 @@ impl<F> Observable for Commanded<F> {
     fn record(&self, _out: &mut SignalRecorder<'_>) {}
 }
 
-/// Setpoints of velocity servos that give τ = kv (q̇_d − q̇).
+/// Transformer for velocity servos τ = kv (q̇_d − q̇).
 pub struct VelocityServo {
     damping: [f64; 2],
 }

@@ -1,4 +1,4 @@
-//! The arm of the paper, straight from its files.
+//! Arm of the paper, loaded from its files.
 
 #![allow(dead_code, reason = "each test uses some of it")]
 
@@ -32,7 +32,7 @@ fn in_order<T: Clone>(model: &Model, by_name: &BTreeMap<String, T>) -> Vec<T> {
     model.joints().iter().map(|j| by_name[&j.name].clone()).collect()
 }
 
-/// The arm with drives that follow their commands, with friction, at its start and without a rest.
+/// Returns the arm with ideal motors and friction, at its start and without a rest.
 pub fn setup(command: CommandKind, profile: &str) -> ArmConfig {
     let robot = robot();
     let model = Model::from_urdf(URDF).expect("the URDF").model;
@@ -74,28 +74,29 @@ pub fn arm(setup: ArmConfig) -> SimulatedArm {
     SimulatedArm::new(setup).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// A part of a file.
+/// Parses a part of a file.
 pub fn parsed<T: serde::de::DeserializeOwned>(text: &str) -> T {
     toml::from_str(text).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// An object of the environment as it stands in a task file below its name.
+/// Parses an environment object, written as in a task file below its name.
 pub fn object(text: &str) -> EnvironmentObjectParameters {
     parsed(text)
 }
 
-/// The next interface cycle.
+/// Reads the next interface cycle.
 pub fn read(arm: &mut SimulatedArm) -> Sample {
     try_read(arm).expect("the arm can be read")
 }
 
-/// The next interface cycle, or the fault.
+/// Reads the next interface cycle; returns the sample or the fault.
 pub fn try_read(arm: &mut SimulatedArm) -> Result<Sample, DeviceFault> {
     let mut sample = Sample::new(arm.capabilities());
     arm.read(&mut sample).map(|()| sample)
 }
 
-/// The drives' rows of the last interface period: the command in force (0 before the first), and the motors' torques.
+/// Returns the drives' rows of the last interface period: the command in effect (0 before the first), and the motor
+/// torques (n; Nm).
 pub fn servo_rows(arm: &SimulatedArm) -> Vec<(u64, DVector<f64>)> {
     let mut rows = Vec::new();
     arm.visit(&mut |row| {
