@@ -3,7 +3,7 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use opspace_experiment::evaluate::results::{Measure, notes, table};
+use opspace_experiment::evaluate::results::{Measure, failures, joint_table, notes, table, task_table};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
 use opspace_log::LogError;
@@ -140,7 +140,15 @@ pub fn print_exactly(text: &str) -> Result<(), Failure> {
 
 /// Renders results as a table with its notes.
 pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) -> String {
-    let mut text = render(&table(summaries, measures));
+    let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
+    text += &render(&table(summaries, measures));
+    if let [one] = summaries {
+        let tables = [task_table(one), joint_table(one)];
+        tables
+            .iter()
+            .filter(|table| !table.rows.is_empty())
+            .for_each(|table| text += &format!("\n{}", render(table)));
+    }
     if !console.quiet {
         let width = usize::from(width().unwrap_or(100));
         for note in notes(summaries) {

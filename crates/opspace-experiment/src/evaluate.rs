@@ -1,5 +1,7 @@
 //! Metrics of runs, and tables of these metrics.
 
+pub mod expectations;
+pub(crate) mod failures;
 pub mod metrics;
 pub mod results;
 pub mod table;

@@ -4,6 +4,7 @@
 //! same in both. As a function of speed it is Stribeck's curve plus viscous friction,
 //! `Fc + (Fs − Fc) exp(−(v/vs)²) + Fv v`.
 
+use crate::transfer_function::MAX_ITERATIONS;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
@@ -84,7 +85,8 @@ fn curve(passes: &[ConstantVelocityRun], stribeck: f64, columns: &[bool; 3]) -> 
     }
     let matrix = DMatrix::from_fn(passes.len(), used.len(), |k, c| value(used[c], passes[k].speed));
     let right = DVector::from_iterator(passes.len(), passes.iter().map(|p| p.torque));
-    let solved = matrix.clone().svd(true, true).solve(&right, 1e-12).ok()?;
+    let solved =
+        matrix.clone().try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-12).ok()?;
     if columns[2] && solved.iter().any(|v| *v < 0.0) {
         return None;
     }

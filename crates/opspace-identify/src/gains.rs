@@ -16,6 +16,7 @@
 use crate::interval::{Drive, Interval, Rates};
 use crate::least_squares::{Minimum, minimise};
 use crate::response::Point;
+use crate::transfer_function::MAX_ITERATIONS;
 use crate::transfer_function::relative;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
@@ -262,6 +263,6 @@ fn linear(rows: &[([Complex<f64>; 2], Complex<f64>)]) -> Option<[f64; 2]> {
         right[2 * k] = value.re;
         right[2 * k + 1] = value.im;
     }
-    let solved = matrix.svd(true, true).solve(&right, 1e-14).ok()?;
+    let solved = matrix.try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-14).ok()?;
     solved.iter().all(|v| v.is_finite()).then(|| [solved[0], solved[1]])
 }

@@ -16,6 +16,9 @@ use std::f64::consts::TAU;
 
 const ROUNDS: usize = 30;
 
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per column.
+pub(crate) const MAX_ITERATIONS: usize = 1000;
+
 /// Measured value of the response at one frequency.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
@@ -101,7 +104,7 @@ pub fn fit(
             right[2 * k] = bare.re * weight;
             right[2 * k + 1] = bare.im * weight;
         }
-        let solved = rows.svd(true, true).solve(&right, 1e-12).ok()?;
+        let solved = rows.try_svd(true, true, f64::EPSILON, MAX_ITERATIONS)?.solve(&right, 1e-12).ok()?;
         let numerator: Vec<f64> = solved.iter().take(m + 1).copied().collect();
         let denominator: Vec<f64> = [1.0].into_iter().chain(solved.iter().skip(m + 1).copied()).collect();
         let back = |c: &[f64]| -> Vec<f64> {

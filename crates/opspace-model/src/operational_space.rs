@@ -267,13 +267,19 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     Some(swept)
 }
 
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
+const MAX_ITERATIONS: usize = 1000;
+
 fn spectral_inverse(
     a: Matrix6<f64>,
     trace: f64,
     inversion: Inversion,
     reference: Option<f64>,
 ) -> (Matrix6<f64>, f64) {
-    let spectrum = SymmetricEigen::new(a);
+    // A matrix that is not finite has no spectrum: the task gets no force.
+    let Some(spectrum) = SymmetricEigen::try_new(a, f64::EPSILON, MAX_ITERATIONS) else {
+        return (Matrix6::zeros(), 0.0);
+    };
     // The padding is larger than the trace; all eigenvalues of the task are smaller.
     let largest = spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
     let reference = reference.unwrap_or(largest);

@@ -324,6 +324,9 @@ fn task(data: &Data, jacobian: &Matrix6xX<f64>, rows: &[usize]) -> Option<Task> 
     })
 }
 
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
+const MAX_ITERATIONS: usize = 1000;
+
 /// Returns true if J M⁻¹ Jᵀ is invertible, judged by the singular values of L⁻¹ Jᵀ (M = L Lᵀ). Its columns have
 /// different units and are first scaled to unit length.
 fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
@@ -345,7 +348,10 @@ fn has_full_rank(data: &Data, jacobian: &Matrix6xX<f64>, rows: usize) -> bool {
         }
         column /= norm;
     }
-    let singular_values = half.singular_values();
+    let Some(decomposed) = half.try_svd_unordered(false, false, f64::EPSILON, MAX_ITERATIONS) else {
+        return false;
+    };
+    let singular_values = decomposed.singular_values;
     singular_values.min() > RANK_TOLERANCE * singular_values.max()
 }
 

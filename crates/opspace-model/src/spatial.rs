@@ -323,6 +323,9 @@ pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     if scale == 0.0 {
         return [0.0; 3];
     }
+    if !scale.is_finite() || rotational.iter().any(|moment| moment.is_nan()) {
+        return [f64::NAN; 3];
+    }
     let mut moments: [f64; 3] = ((rotational / scale).symmetric_eigenvalues() * scale).into();
     moments.sort_by(f64::total_cmp);
     moments

@@ -1,6 +1,6 @@
 //! Polynomials given by their coefficients, in ascending order from the constant.
 
-use nalgebra::{Complex, DMatrix};
+use nalgebra::{Complex, DMatrix, Schur};
 
 /// Value of a polynomial.
 #[must_use]
@@ -20,7 +20,11 @@ pub fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
     product
 }
 
-/// Roots of a polynomial: eigenvalues of its companion matrix.
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
+pub(crate) const MAX_ITERATIONS: usize = 1000;
+
+/// Roots of a polynomial: eigenvalues of its companion matrix. NaN if the coefficients differ so much in size that it is
+/// not finite.
 #[must_use]
 pub fn roots(coefficients: &[f64]) -> Vec<Complex<f64>> {
     let degree = coefficients.iter().rposition(|c| *c != 0.0).unwrap_or(0);
@@ -34,7 +38,10 @@ pub fn roots(coefficients: &[f64]) -> Vec<Complex<f64>> {
             companion[(k, k - 1)] = 1.0;
         }
     }
-    companion.complex_eigenvalues().iter().copied().collect()
+    match Schur::try_new(companion, f64::EPSILON, MAX_ITERATIONS) {
+        Some(decomposed) => decomposed.complex_eigenvalues().iter().copied().collect(),
+        None => vec![Complex::new(f64::NAN, f64::NAN); degree],
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! Stability check of a servo's inverse: the setpoints for desired torques must be bounded.
 
+use crate::polynomial::MAX_ITERATIONS;
 use crate::servo_law::{MAX_ORDER, ServoError, ServoLaw, ServoState};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Schur};
 use opspace_backend::{CommandKind, Setpoints};
 use thiserror::Error;
 
@@ -101,6 +102,10 @@ pub(crate) fn check_inverse(
             growth[(row, column)] = value;
         }
     }
-    let growth = growth.complex_eigenvalues().iter().map(|v| v.norm()).fold(0.0, f64::max);
+    let decomposed = Schur::try_new(growth, f64::EPSILON, MAX_ITERATIONS);
+    // A matrix that is not finite grows without bound.
+    let growth = decomposed.map_or(f64::INFINITY, |decomposed| {
+        decomposed.complex_eigenvalues().iter().map(|v| v.norm()).fold(0.0, f64::max)
+    });
     if growth > LARGEST_GROWTH { Err(EmulationError::Unstable { growth }) } else { Ok(()) }
 }

@@ -81,7 +81,7 @@ fn say_end(summary: &Summary, console: Console) {
 
 /// Exit code of a run; 1 takes precedence over 130, and 130 over 3.
 pub fn exit_code(summary: &Summary) -> Exit {
-    if summary.faulted.is_some() {
+    if summary.faulted.is_some() || !summary.missed_expectations.is_empty() {
         Exit::Failed
     } else if summary.interrupted {
         Exit::Interrupted

@@ -2,7 +2,7 @@
 
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::task::Task;
-use nalgebra::{DMatrix, Matrix6xX};
+use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
 use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics, update};
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -82,7 +82,8 @@ impl TypicalMobility {
             for (of, factor) in [(&mut dynamic, &data.mass_matrix_factor), (&mut kinematic, &identity)] {
                 let mobility = factor.mobility(&mut jacobian.clone());
                 let used = mobility.view((0, 0), (task.rows(), task.rows())).into_owned();
-                of.push(used.symmetric_eigenvalues().min());
+                let spectrum = SymmetricEigen::try_new(used, f64::EPSILON, MAX_ITERATIONS);
+                of.extend(spectrum.map(|spectrum| spectrum.eigenvalues.min()));
             }
         }
         let [dynamic, kinematic] = [dynamic, kinematic].map(|mut values| {
@@ -109,11 +110,16 @@ pub fn orientation_is_coupled(model: &Model, controlled: ControlledFrame) -> boo
     directions(0..6) < position + orientation
 }
 
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
+const MAX_ITERATIONS: usize = 1000;
+
 fn rank(matrix: &DMatrix<f64>) -> usize {
     if matrix.is_empty() {
         return 0;
     }
-    let values = matrix.singular_values();
+    // A matrix that is not finite has no rank.
+    let decomposed = matrix.clone().try_svd_unordered(false, false, f64::EPSILON, MAX_ITERATIONS);
+    let Some(values) = decomposed.map(|decomposed| decomposed.singular_values) else { return 0 };
     let floor = RANK_TOLERANCE * values.max();
     values.iter().filter(|&&v| v > floor).count()
 }

@@ -161,11 +161,15 @@ impl Impedance {
     }
 }
 
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
+const MAX_ITERATIONS: usize = 1000;
+
 /// Returns the damping matrix D of a damping ratio, by double diagonalisation. Directions in which Λ is singular
-/// (eigenvalue 0) are not damped.
+/// (eigenvalue 0) are not damped, and none is if a matrix is not finite.
 #[must_use]
 pub fn designed_damping(inertia: &Matrix6<f64>, stiffness: &Matrix6<f64>, ratio: f64) -> Matrix6<f64> {
-    let spectrum = SymmetricEigen::new(*inertia);
+    let eigen = |matrix| SymmetricEigen::try_new(matrix, f64::EPSILON, MAX_ITERATIONS);
+    let Some(spectrum) = eigen(*inertia) else { return Matrix6::zeros() };
     let largest = spectrum.eigenvalues.max();
     if !(largest > 0.0 && largest.is_finite()) {
         return Matrix6::zeros();
@@ -178,7 +182,9 @@ pub fn designed_damping(inertia: &Matrix6<f64>, stiffness: &Matrix6<f64>, ratio:
         inverse_root.column_mut(i).scale_mut(if kept { 1.0 / size } else { 0.0 });
     }
     // In the modes of Λ with unit mass, the stiffness is inverse_rootᵀ K inverse_root.
-    let springs = SymmetricEigen::new(inverse_root.transpose() * stiffness * inverse_root);
+    let Some(springs) = eigen(inverse_root.transpose() * stiffness * inverse_root) else {
+        return Matrix6::zeros();
+    };
     let modes = root * springs.eigenvectors;
     let mut damped = modes;
     for (i, &value) in springs.eigenvalues.iter().enumerate() {

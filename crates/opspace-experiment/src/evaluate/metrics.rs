@@ -4,24 +4,31 @@
 //! the robot's clock does not matter. Positions are the true ones if the log contains them (simulation), otherwise
 //! the measured ones.
 
+mod chatter;
+mod joints;
 mod ripple;
+mod tasks;
+
+pub use joints::JointMetrics;
+pub use tasks::{ElementError, TaskMetrics};
 
 use crate::run::experiment::{ControllerKind, Experiment};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
-    self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MOTOR_TORQUE, PHASE, Q, REFERENCE, REFERENCE_ORIENTATION,
-    SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL, TICK_TIME, TORQUE_DESIRED,
-    TORQUE_SATURATED, TRUTH_CHANNEL,
+    self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES, MOTOR_TORQUE, PHASE, Q,
+    REFERENCE, REFERENCE_ORIENTATION, SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL,
+    TICK_TIME, TORQUE_DESIRED, TORQUE_SATURATED, TRUTH_CHANNEL,
 };
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::orientation::log;
-use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame, TaskParameters};
+use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame};
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Metrics of a run; a metric that does not apply to the run is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -37,8 +44,20 @@ pub struct Metrics {
     pub orientation_max_rad: Option<f64>,
     /// Joint error of a joint task, rms over time and joints, rad.
     pub joint_rms_rad: Option<f64>,
-    /// Error of the true contact force on force axes, rms, N.
+    /// Error of the true contact force over the force axes of the first task that has some, rms, N.
     pub force_rms_n: Option<f64>,
+    /// Fraction of the time after settling in which this task has contact.
+    pub in_contact_fraction: Option<f64>,
+    /// Time from the start of control to the first contact of this task, s.
+    pub contact_begin_s: Option<f64>,
+    /// Largest true contact force of this task in the first second of contact, N.
+    pub contact_peak_n: Option<f64>,
+    /// Number of times that this task lost contact.
+    pub contact_losses: Option<u64>,
+    /// Displacement from the start over the compliant axes of the first task that has some, rms, m.
+    pub compliant_motion_rms_m: Option<f64>,
+    /// Work of the environment over these axes, J.
+    pub compliant_work_j: Option<f64>,
     /// True force of the simulated hand over the axes that it reports, rms, N.
     pub hand_force_rms_n: Option<f64>,
     /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
@@ -66,6 +85,16 @@ pub struct Metrics {
     pub speed_max_rad_per_s: Option<f64>,
     /// Fraction of interface cycles in which a limit changed the command.
     pub limited_share: Option<f64>,
+    /// Fraction of control cycles in which a task was damped near a singular pose.
+    pub damped_fraction: Option<f64>,
+    /// Fraction of interface cycles that were missed during control.
+    pub missed_fraction: Option<f64>,
+    /// Desired torque above 8 Hz of the joint with the most, rms, Nm.
+    pub torque_chatter_rms_nm: Option<f64>,
+    /// Frequency of the largest line of that torque above 8 Hz, Hz.
+    pub torque_chatter_hz: Option<f64>,
+    /// Largest `torque_error_of_limit` of a joint: the rms error of the mean motor torque relative to the torque limit.
+    pub torque_error_of_limit_max: Option<f64>,
 }
 
 /// Computing times of a run; they are not reproducible.
@@ -82,23 +111,33 @@ pub struct Timing {
     pub realtime_factor: Option<f64>,
 }
 
-/// Computes the metrics of a run from its log.
+/// Metrics of a run as a whole, of each of its tasks, and of each joint of the robot.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Evaluation {
+    /// Metrics of the run.
+    pub metrics: Metrics,
+    /// Metrics of the tasks that have a priority at the start, by name.
+    pub tasks: BTreeMap<String, TaskMetrics>,
+    /// Metrics of the joints, by name.
+    pub joints: BTreeMap<String, JointMetrics>,
+}
+
+/// Computes all metrics of a run from its log.
 #[must_use]
-pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
-    let Some(run) = Run::new(experiment, recording) else { return Metrics::default() };
-    let mut metrics = run.torque_errors();
+pub fn evaluate(experiment: &Experiment, recording: &Recording) -> Evaluation {
+    let Some(run) = Run::new(experiment, recording) else { return Evaluation::default() };
+    let (mut metrics, intervals) = run.torque_errors();
+    let (tasks, joints) = (run.tasks(), run.joints(&intervals));
     for name in &experiment.task().file.priority {
-        match experiment.task().file.task.get(name) {
-            Some(TaskParameters::Cartesian(task)) if metrics.position_rms_m.is_none() => {
-                run.cartesian(name, task, &mut metrics);
-            }
-            Some(TaskParameters::CenterOfMass(task)) if metrics.position_rms_m.is_none() => {
-                run.following(name, &task.as_cartesian(), ControlledFrame::CenterOfMass, &mut metrics);
-            }
-            Some(TaskParameters::JointTracking(_)) => metrics.joint_rms_rad = run.joint_error(name),
-            _ => {}
+        if let Some(task) = tasks.get(name) {
+            metrics.add_task(task);
         }
     }
+    for joint in joints.values() {
+        metrics.add_joint(joint);
+    }
+    run.cycles(&mut metrics);
     run.hand(&mut metrics);
     metrics.setpoint_speed_max_rad_per_s = run.largest(SETPOINT_SPEED);
     metrics.setpoint_acceleration_max_rad_per_s2 = run.largest(SETPOINT_ACCELERATION);
@@ -106,7 +145,49 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
         mean(run.settled(&run.tick.time_s).map(|k| saturated.row(k).iter().copied().fold(0.0, f64::max)))
     });
     run.peaks(&mut metrics);
-    metrics
+    Evaluation { metrics, tasks, joints }
+}
+
+/// Computes the metrics of a run as a whole from its log.
+#[must_use]
+pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
+    evaluate(experiment, recording).metrics
+}
+
+impl Metrics {
+    /// Takes the errors of a task where no task of higher priority has any.
+    fn add_task(&mut self, task: &TaskMetrics) {
+        if self.position_rms_m.is_none() && self.orientation_rms_rad.is_none() {
+            (self.position_rms_m, self.position_max_m) = (task.position_rms_m, task.position_max_m);
+            (self.orientation_rms_rad, self.orientation_max_rad) =
+                (task.orientation_rms_rad, task.orientation_max_rad);
+        }
+        if self.joint_rms_rad.is_none() && task.kind == "joint-tracking" {
+            let angles = task.elements.iter().filter(|element| element.unit == "rad");
+            self.joint_rms_rad = mean(angles.map(|element| element.rms.powi(2))).map(f64::sqrt);
+        }
+        if self.in_contact_fraction.is_none() {
+            self.force_rms_n = task.force_rms_n;
+            self.in_contact_fraction = task.in_contact_fraction;
+            (self.contact_begin_s, self.contact_peak_n) = (task.contact_begin_s, task.contact_peak_n);
+            self.contact_losses = task.contact_losses;
+        }
+        if self.compliant_motion_rms_m.is_none() {
+            self.compliant_motion_rms_m = task.compliant_motion_rms_m;
+            self.compliant_work_j = task.compliant_work_j;
+        }
+    }
+
+    /// Takes the numbers of a joint where they exceed those of all joints before it.
+    fn add_joint(&mut self, joint: &JointMetrics) {
+        if joint.torque_chatter_rms_nm > self.torque_chatter_rms_nm {
+            self.torque_chatter_rms_nm = joint.torque_chatter_rms_nm;
+            self.torque_chatter_hz = joint.torque_chatter_hz;
+        }
+        if joint.torque_error_of_limit > self.torque_error_of_limit_max {
+            self.torque_error_of_limit_max = joint.torque_error_of_limit;
+        }
+    }
 }
 
 /// Computes the statistics of the control cycles' durations from a log.
@@ -131,6 +212,9 @@ pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
         realtime_factor,
     }
 }
+
+/// Largest gain of a damped inverse that counts as damped: 1 is undamped, except for rounding.
+const UNDAMPED: f64 = 1.0 - 1e-9;
 
 /// Log that is evaluated, with its experiment.
 struct Run<'a> {
@@ -184,36 +268,47 @@ impl<'a> Run<'a> {
         ticks.get(tick).is_some_and(|&t| t <= times[k] + self.same_s).then_some(tick)
     }
 
+    /// Indices of the rows of the joints from the first control cycle to the last.
+    fn controlled(&self) -> std::ops::Range<usize> {
+        let times = self.joints.0;
+        let begin = times.partition_point(|&t| t < self.start_s - self.same_s);
+        begin..self.settled(times).end.max(begin)
+    }
+
     /// Pose of a task's controlled frame and the task's axes at each evaluated row of the joints, with the row index.
     fn poses(
         &self,
         subject: ControlledFrame,
         directions: AxesFrame,
     ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
+        self.poses_of(self.settled(self.joints.0), subject, directions)
+    }
+
+    /// Pose of a task's controlled frame and the task's axes at some rows of the joints, with the row index.
+    fn poses_of(
+        &self,
+        rows: std::ops::Range<usize>,
+        subject: ControlledFrame,
+        directions: AxesFrame,
+    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
         let model = &self.experiment.robot().model;
         let mut data = Data::new(model);
         let rest = vec![0.0; model.n()];
-        let (times, q) = self.joints;
-        self.settled(times).map(move |k| {
+        let (_, q) = self.joints;
+        rows.map(move |k| {
             kinematics(model, &mut data, q.row(k), &rest);
             let axes = directions.rotation(model, &data, subject);
             (k, subject.placement(model, &data), axes)
         })
     }
 
-    fn cartesian(&self, name: &str, task: &CartesianParameters, metrics: &mut Metrics) {
-        let model = &self.experiment.robot().model;
-        let Ok(subject) = task.controlled_frame(model) else { return };
-        self.following(name, task, subject, metrics);
-    }
-
     /// Computes the distance and the angle of a task's controlled frame from its reference, along the motion axes.
-    fn following(
+    fn pose_errors(
         &self,
         name: &str,
         task: &CartesianParameters,
         subject: ControlledFrame,
-        metrics: &mut Metrics,
+        metrics: &mut TaskMetrics,
     ) {
         let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, subject) else { return };
         let motion = task.motion_axes();
@@ -270,14 +365,21 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn joint_error(&self, name: &str) -> Option<f64> {
-        let reference = self.tick.signal(&signal_names::of(name, REFERENCE))?;
-        let (times, q) = self.joints;
-        let ticks = self.settled(times).filter_map(|k| Some((k, self.tick_of(k)?)));
-        let squares = ticks.flat_map(|(k, tick)| {
-            q.row(k).iter().zip(reference.row(tick)).map(|(q, reference)| (q - reference).powi(2))
-        });
-        mean(squares).map(f64::sqrt)
+    /// Computes the fractions of cycles that were missed, and in which a task was damped.
+    fn cycles(&self, metrics: &mut Metrics) {
+        let ticks = self.settled(&self.tick.time_s);
+        if let Some(missed) = self.tick.signal(MISSED_CYCLES) {
+            let missed: f64 = ticks.clone().map(|k| missed.row(k)[0]).filter(|count| count.is_finite()).sum();
+            metrics.missed_fraction = finite(missed / (missed + ticks.len() as f64));
+        }
+        let suffix = signal_names::of("", MIN_SINGULAR_GAIN);
+        let names = self.tick.layout.signals.iter().map(|signal| signal.name.as_str());
+        let gains: Vec<_> =
+            names.filter(|name| name.ends_with(&suffix)).filter_map(|name| self.tick.signal(name)).collect();
+        if !gains.is_empty() {
+            let damped = |k: usize| gains.iter().any(|gain| gain.row(k)[0] < UNDAMPED);
+            metrics.damped_fraction = mean(ticks.map(|k| f64::from(u8::from(damped(k)))));
+        }
     }
 
     /// Computes the force and the motion of the first simulated hand.
@@ -319,18 +421,19 @@ impl<'a> Run<'a> {
     }
 
     /// Computes torque errors √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo
-    /// periods.
-    fn torque_errors(&self) -> Metrics {
+    /// periods; and for each joint, those of the means over the interface intervals.
+    fn torque_errors(&self) -> (Metrics, Vec<Relative>) {
         let mut metrics = Metrics::default();
-        let Some(servo) = self.recording.channel(SERVO_CHANNEL) else { return metrics };
+        let Some(servo) = self.recording.channel(SERVO_CHANNEL) else { return (metrics, Vec::new()) };
         let (Some(desired), Some(motor)) = (servo.signal(TORQUE_DESIRED), servo.signal(MOTOR_TORQUE)) else {
-            return metrics;
+            return (metrics, Vec::new());
         };
         let ratio = self.experiment.profile().1.servo_ticks_per_cycle.get() as usize;
         let (mut at_servo, mut at_tick, mut over_interval) =
             (Relative::default(), Relative::default(), Relative::default());
         let n = motor.elements().len();
         let mut sums = vec![(0.0, 0.0); n];
+        let mut joints = vec![Relative::default(); n];
         let settled = self.settled(&servo.time_s);
         // The rows consist of whole interface intervals; the first row begins an interval.
         let first = settled.start.div_ceil(ratio) * ratio;
@@ -349,7 +452,10 @@ impl<'a> Run<'a> {
                     *sum = (sum.0 + d / ratio as f64, sum.1 + m / ratio as f64);
                 }
             }
-            sums.iter().for_each(|&(d, m)| over_interval.add(d, m));
+            for (&(d, m), joint) in sums.iter().zip(&mut joints) {
+                over_interval.add(d, m);
+                joint.add(d, m);
+            }
         }
         metrics.torque_error_servo = at_servo.get();
         metrics.torque_error_interval = over_interval.get();
@@ -357,7 +463,7 @@ impl<'a> Run<'a> {
         let within = at_servo.mean_square() - over_interval.mean_square();
         metrics.hold_ripple =
             self.held_ripple_nm().and_then(|held| finite((n as f64 * within).sqrt() / held));
-        metrics
+        (metrics, joints)
     }
 
     /// Ripple √(Σ_j mean e_j²) of the torque that held setpoints cause within interface intervals at the speeds of
@@ -401,7 +507,7 @@ fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
 }
 
 /// Sums of the squares of an error and of the quantity to which it is relative.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Relative {
     error: f64,
     size: f64,
@@ -421,6 +527,11 @@ impl Relative {
 
     fn mean_square(&self) -> f64 {
         self.error / self.count as f64
+    }
+
+    /// Rms of the error.
+    fn rms(&self) -> Option<f64> {
+        finite(self.mean_square().sqrt())
     }
 }
 

@@ -176,6 +176,20 @@ pub enum Measure {
     SpeedMax,
     /// Fraction of interface cycles in which a limit changed the command.
     Limited,
+    /// Fraction of the time in which a force task has contact.
+    InContact,
+    /// Largest contact force in the first second of contact.
+    ContactPeak,
+    /// Displacement along the compliant axes, rms.
+    CompliantMotion,
+    /// Desired torque above 8 Hz of the joint with the most, rms.
+    TorqueChatter,
+    /// Fraction of control cycles in which a task was damped near a singular pose.
+    Damped,
+    /// Fraction of interface cycles that were missed.
+    Missed,
+    /// Largest error of a joint's mean motor torque, relative to the torque limit of the joint.
+    TorqueErrorOfLimit,
     /// Median duration of a control cycle.
     TickTime,
     /// Ratio of robot time to wall-clock time.
@@ -186,6 +200,8 @@ pub enum Measure {
 pub const MEASURES: &[Measure] = &[
     Measure::PositionRms,
     Measure::JointRms,
+    Measure::ForceRms,
+    Measure::InContact,
     Measure::HandForce,
     Measure::HandMotion,
     Measure::TorqueErrorServo,
@@ -220,8 +236,17 @@ impl Measure {
             Self::TorqueStepMax => Row("torque step max", "N·m", 1.0, |s| s.metrics.torque_step_max_nm),
             Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
             Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
+            Self::InContact => Row("in contact", "%", 1e2, |s| s.metrics.in_contact_fraction),
+            Self::ContactPeak => Row("contact peak", "N", 1.0, |s| s.metrics.contact_peak_n),
+            Self::CompliantMotion => Row("compliant motion", "mm", 1e3, |s| s.metrics.compliant_motion_rms_m),
+            Self::TorqueChatter => Row("torque chatter", "N·m", 1.0, |s| s.metrics.torque_chatter_rms_nm),
+            Self::Damped => Row("damped", "%", 1e2, |s| s.metrics.damped_fraction),
+            Self::Missed => Row("missed cycles", "%", 1e2, |s| s.metrics.missed_fraction),
+            Self::TorqueErrorOfLimit => {
+                Row("torque error of limit", "%", 1e2, |s| s.metrics.torque_error_of_limit_max)
+            }
             Self::TickTime => Row("cycle time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
-            Self::RealTime => Row("real-time factor", "×", 1.0, |s| s.timing.realtime_factor),
+            Self::RealTime => Row("real time", "×", 1.0, |s| s.timing.realtime_factor),
         }
     }
 
@@ -236,6 +261,84 @@ impl Measure {
         let Row(.., factor, value) = self.row();
         Cell::from(group.median(value).map(|value| factor * value))
     }
+}
+
+/// Failures and missed expectations of runs, each with its run, the first ten.
+#[must_use]
+pub fn failures(summaries: &[Summary]) -> Vec<String> {
+    const MOST: usize = 10;
+    let of_run = |summary: &Summary| {
+        let missed = summary.missed_expectations.iter().map(|missed| format!("expectation missed: {missed}"));
+        let all: Vec<String> = summary.failures.iter().cloned().chain(missed).collect();
+        let run = format!(
+            "{}, {} robot, {}, seed {}",
+            summary.task,
+            summary.backend,
+            control(summary),
+            summary.seed
+        );
+        all.into_iter().map(move |text| format!("{run}: {text}"))
+    };
+    let all: Vec<String> = summaries.iter().flat_map(of_run).collect();
+    let more = all.len().saturating_sub(MOST);
+    let more = (more > 0).then(|| format!("and {more} more failures"));
+    all.into_iter().take(MOST).chain(more).collect()
+}
+
+/// Table of the errors of each task of a run, and of each joint of its joint tasks.
+#[must_use]
+pub fn task_table(summary: &Summary) -> Table {
+    let titles = ["task", "quantity", "rms", "max", "unit"];
+    let mut table = Table::new(&titles.map(|title| (title, "")));
+    for (name, task) in &summary.tasks {
+        let mut row = |quantity: &str, unit: &str, rms: Option<f64>, max: Option<f64>| {
+            if rms.is_some() || max.is_some() {
+                table.rows.push(vec![
+                    name.as_str().into(),
+                    quantity.into(),
+                    rms.into(),
+                    max.into(),
+                    unit.into(),
+                ]);
+            }
+        };
+        row("position error", "m", task.position_rms_m, task.position_max_m);
+        row("orientation error", "rad", task.orientation_rms_rad, task.orientation_max_rad);
+        row("force error", "N", task.force_rms_n, None);
+        row("contact peak", "N", None, task.contact_peak_n);
+        row("compliant motion", "m", task.compliant_motion_rms_m, None);
+        for element in &task.elements {
+            row(&format!("{} error", element.name), &element.unit, Some(element.rms), Some(element.max));
+        }
+    }
+    table
+}
+
+/// Table of the torques of each joint of a run.
+#[must_use]
+pub fn joint_table(summary: &Summary) -> Table {
+    let mut table = Table::new(&[
+        ("joint", ""),
+        ("torque error", "N·m"),
+        ("of the limit", "%"),
+        ("of the desired", "%"),
+        ("chatter above 8 Hz", "N·m"),
+        ("largest line", "Hz"),
+        ("saturated", "%"),
+    ]);
+    let percent = |fraction: Option<f64>| Cell::from(fraction.map(|fraction| 100.0 * fraction));
+    for (name, joint) in &summary.joints {
+        table.rows.push(vec![
+            name.as_str().into(),
+            joint.torque_error_rms_nm.into(),
+            percent(joint.torque_error_of_limit),
+            percent(joint.torque_error_of_desired),
+            joint.torque_chatter_rms_nm.into(),
+            joint.torque_chatter_hz.into(),
+            percent(joint.torque_saturated_fraction),
+        ]);
+    }
+    table
 }
 
 fn stopped(group: &Group<'_>) -> Cell {
@@ -286,6 +389,10 @@ mod tests {
             interrupted_time_s: None,
             rows_lost: 0,
             not_saved: Vec::new(),
+            missed_expectations: Vec::new(),
+            failures: Vec::new(),
+            tasks: Default::default(),
+            joints: Default::default(),
             missed_cycles: 0,
             stale_target_cycles: 0,
             resumed: 0,

@@ -95,6 +95,11 @@ impl Source {
         &self.text
     }
 
+    /// True if a setting of the command line has changed the text.
+    pub(crate) fn has_settings(&self) -> bool {
+        !self.settings.is_empty()
+    }
+
     pub(crate) fn with_setting(&self, text: String, setting: Setting) -> Self {
         let mut settings = self.settings.clone();
         settings.push(setting);

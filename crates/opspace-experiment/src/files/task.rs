@@ -1,5 +1,6 @@
 //! Task files: the tasks of a robot, and its environment during the run.
 
+use crate::evaluate::expectations::Expectation;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, explain};
@@ -51,6 +52,10 @@ pub struct TaskFile {
     /// rest; a real robot must already be there, or be moved there with `run --move-to-start`.
     #[serde(default)]
     pub start_rad: BTreeMap<String, f64>,
+    /// Bounds on metrics of the run; a run that misses one ends with exit code 1. Names are those of summary.json: of the
+    /// run, or `TASK.metric` and `JOINT.metric`.
+    #[serde(default)]
+    pub expect: BTreeMap<String, Expectation>,
     /// Changes of the tasks during the run, in order of time.
     #[serde(default)]
     pub event: Vec<EventFile>,

@@ -91,7 +91,10 @@ impl TaskKinds {
             let Some((kind, table)) = kinds.iter().next() else { continue };
             let kind = kind.get_ref().to_string();
             let Some(parser) = self.0.get(&kind) else {
-                self.check_built_in(source, &name, &kind)?;
+                // A misspelt setting may have made a task that the file does not have: it is reported as a setting.
+                if !source.has_settings() {
+                    self.check_built_in(source, &name, &kind)?;
+                }
                 continue;
             };
             let explained = |error: &toml::de::Error| explain::<toml::Table>(source, whole.get_ref(), error);

@@ -91,7 +91,10 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
         let mobility = data.mass_matrix_factor.mobility(&mut projected.clone());
         let inversion = Inversion::Damped(threshold(task.inversion()));
         space.update_with(&data.mass_matrix_factor, &projected, rows, inversion, Some(typical.dynamic));
-        let spectrum = SymmetricEigen::new(mobility.view((0, 0), (rows, rows)).into_owned());
+        let mobility = mobility.view((0, 0), (rows, rows)).into_owned();
+        let Some(spectrum) = SymmetricEigen::try_new(mobility, f64::EPSILON, MAX_ITERATIONS) else {
+            continue;
+        };
         let weakest = spectrum.eigenvectors.column(spectrum.eigenvalues.imin());
         let direction = direction(weakest.as_slice(), &task.row_names());
         found.push(Spectrum { name: task.name().to_owned(), share: space.min_singular_gain, direction });
@@ -100,6 +103,9 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
     }
     found
 }
+
+/// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
+const MAX_ITERATIONS: usize = 1000;
 
 /// Singularity threshold of an inversion; the default threshold if it has no damping.
 fn threshold(inversion: Inversion) -> f64 {

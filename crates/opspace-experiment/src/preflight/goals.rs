@@ -167,9 +167,10 @@ fn unattainable(case: &PreflightCase<'_>, nearest: Vec<(Asked<'_>, Nearest)>) ->
         (false, true) => format!("{} rad", short(radians)),
         (true, true) => format!("{} m and {} rad", short(metres), short(radians)),
     };
-    let with = match nearest.at_ends.is_empty() {
-        true => String::new(),
-        false => format!(", with {} at the end of the range", nearest.at_ends.join(", ")),
+    let with = match nearest.at_ends.as_slice() {
+        [] => String::new(),
+        [joint] => format!(", with {joint} at the end of its range"),
+        joints => format!(", with {} at the ends of their ranges", joints.join(", ")),
     };
     let message = format!(
         "task '{}': at {} s its reference cannot be reached within the joint ranges: the best of {} searches for a \

@@ -1,6 +1,6 @@
 //! Reports: figures of a run, arranged as in the paper, and pages that contain them.
 
-use crate::evaluate::results::{Group, Measure, group, notes, table};
+use crate::evaluate::results::{Group, Measure, group, joint_table, notes, table, task_table};
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::report::html::Page;
 use crate::run::experiment::Experiment;
@@ -41,6 +41,10 @@ impl RunSection {
         if recording.dropped() > 0 {
             warnings.push(format!("{} rows were dropped and are not in the log.", recording.dropped()));
         }
+        warnings.extend(summary.failures.iter().map(|failure| format!("Failure: {failure}.")));
+        warnings.extend(
+            summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
+        );
         if let Some(fault) = &summary.faulted {
             let time = summary.fault_time_s.unwrap_or(f64::NAN);
             warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
@@ -88,6 +92,12 @@ pub fn page(
         page = page.section(&run.title);
         for warning in &run.warnings {
             page = page.warning(warning);
+        }
+        let (tasks, joints) = (task_table(&run.summary), joint_table(&run.summary));
+        for (caption, table) in [("Errors of the tasks", tasks), ("Torques of the joints", joints)] {
+            if !table.rows.is_empty() {
+                page = page.table(caption, &table, &[]);
+            }
         }
         for figure in &run.figures {
             page = page.figure(figure);

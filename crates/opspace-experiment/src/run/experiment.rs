@@ -1,5 +1,6 @@
 //! Experiment: a task on a robot, assembled from the task file and the robot file.
 
+use crate::evaluate::expectations;
 use crate::extensions::Extensions;
 use crate::files::origin::Files;
 use crate::files::overrides::split;
@@ -180,6 +181,7 @@ impl Experiment {
         let (profile_name, profile) = (name.to_owned(), profile.clone());
         let experiment = Self { robot, task, options, settings, profile_name, profile };
         experiment.check_choice()?;
+        expectations::check(&experiment.task, &experiment.robot)?;
         experiment.start()?;
         experiment.controller()?;
         if experiment.robot.file.simulated.is_some() {

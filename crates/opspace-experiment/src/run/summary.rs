@@ -1,12 +1,15 @@
 //! Summary of a run: one row of a table, and `summary.json`.
 
-use crate::evaluate::metrics::{Metrics, Timing, metrics, timing};
+use crate::evaluate::expectations;
+use crate::evaluate::failures::failures;
+use crate::evaluate::metrics::{JointMetrics, Metrics, TaskMetrics, Timing, evaluate, timing};
 use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
 use opspace_backend::signal_names::{self, MISSED_CYCLES, PHASE, TARGET_STALE, TICK_CHANNEL};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// The summary of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -56,8 +59,16 @@ pub struct Summary {
     pub stale_target_cycles: u64,
     /// Number of times that control was resumed after a dropout.
     pub resumed: u64,
+    /// Expectations of the task file that the run missed.
+    pub missed_expectations: Vec<String>,
+    /// Failures that no single metric shows: a force task without contact, for example.
+    pub failures: Vec<String>,
     /// Metrics of the run.
     pub metrics: Metrics,
+    /// Metrics of the tasks that have a priority at the start, by name.
+    pub tasks: BTreeMap<String, TaskMetrics>,
+    /// Metrics of the joints, by name.
+    pub joints: BTreeMap<String, JointMetrics>,
     /// Computing times of the run; they are not reproducible.
     pub timing: Timing,
 }
@@ -72,6 +83,7 @@ impl Experiment {
         realtime_factor: Option<f64>,
     ) -> Summary {
         let (missed_cycles, resumed) = continuity(recording);
+        let evaluation = evaluate(self, recording);
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -95,7 +107,11 @@ impl Experiment {
             missed_cycles,
             stale_target_cycles: stale_target_cycles(recording),
             resumed,
-            metrics: metrics(self, recording),
+            missed_expectations: expectations::missed(self.task(), &evaluation),
+            failures: failures(self, recording, &evaluation),
+            metrics: evaluation.metrics,
+            tasks: evaluation.tasks,
+            joints: evaluation.joints,
             timing: timing(recording, realtime_factor),
         }
     }

@@ -11,4 +11,5 @@ mod servo_gain;
 mod source;
 mod streamed;
 mod task_kinds;
+mod task_metrics;
 mod velocity_robot;

@@ -144,14 +144,14 @@ impl Element<'_> {
     ) -> Result<Inertia, UrdfError> {
         let origin = self.origin(&inertial.origin)?;
         let (mass, line) = (inertial.mass_kg, inertial.mass_line);
-        self.finite("<mass value>", line, &[mass])?;
+        self.bounded("<mass value>", line, &[mass])?;
         if mass < 0.0 {
             let kind = UrdfErrorKind::NegativeMass { element: self.words.clone(), mass };
             return Err(UrdfError::at(line, kind));
         }
         let line = inertial.inertia_line;
         for (attribute, moment) in MOMENTS.iter().zip(inertial.moments) {
-            self.finite(&format!("<inertia {attribute}>"), line, &[moment])?;
+            self.bounded(&format!("<inertia {attribute}>"), line, &[moment])?;
         }
         let [xx, xy, xz, yy, yz, zz] = inertial.moments;
         let rotational = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
@@ -174,8 +174,8 @@ impl Element<'_> {
         warnings: &mut Vec<UrdfWarning>,
     ) -> Result<Option<MimicElement>, UrdfError> {
         let Some(mimic) = mimic else { return Ok(None) };
-        self.finite("<mimic multiplier>", mimic.line, &[mimic.ratio])?;
-        self.finite("<mimic offset>", mimic.line, &[mimic.offset])?;
+        self.bounded("<mimic multiplier>", mimic.line, &[mimic.ratio])?;
+        self.bounded("<mimic offset>", mimic.line, &[mimic.offset])?;
         let kind = UrdfWarningKind::Mimic { joint: self.name.to_owned(), of: mimic.leader.clone() };
         warnings.push(UrdfWarning::at(mimic.line, kind));
         Ok(Some(mimic))
@@ -186,7 +186,7 @@ impl Element<'_> {
         let Some(AxisElement { line, xyz }) = axis else {
             return Ok(Vector3::x_axis());
         };
-        self.finite("<axis xyz>", *line, xyz)?;
+        self.bounded("<axis xyz>", *line, xyz)?;
         let axis = Vector3::from(*xyz);
         if axis.amax() == 0.0 {
             return Err(UrdfError::at(*line, UrdfErrorKind::ZeroAxis { element: self.words.clone() }));
@@ -256,24 +256,45 @@ impl Element<'_> {
 
     /// Returns the placement of a joint or an inertia.
     fn origin(&self, origin: &OriginElement) -> Result<Placement, UrdfError> {
-        self.finite("<origin xyz>", origin.line, &origin.xyz_m)?;
-        self.finite("<origin rpy>", origin.line, &origin.rpy_rad)?;
+        self.bounded("<origin xyz>", origin.line, &origin.xyz_m)?;
+        self.bounded("<origin rpy>", origin.line, &origin.rpy_rad)?;
         Ok(Placement::from_rpy(origin.rpy_rad, origin.xyz_m))
     }
 
-    /// Checks that the numbers of the attribute `place` are finite.
+    /// Checks that the numbers of the attribute `place` are not larger than [`MAX_NUMBER`].
+    fn bounded(&self, place: &str, line: Line, values: &[f64]) -> Result<(), UrdfError> {
+        self.within(MAX_NUMBER, [ONE_BOUNDED_NUMBER, THREE_NUMBERS], place, line, values)
+    }
+
+    /// Checks that the number of the attribute `place` is finite.
     fn finite(&self, place: &str, line: Line, values: &[f64]) -> Result<(), UrdfError> {
-        if values.iter().all(|value| value.is_finite()) {
+        self.within(f64::MAX, [ONE_NUMBER, THREE_NUMBERS], place, line, values)
+    }
+
+    fn within(
+        &self,
+        max: f64,
+        [one, three]: [&'static str; 2],
+        place: &str,
+        line: Line,
+        values: &[f64],
+    ) -> Result<(), UrdfError> {
+        if values.iter().all(|value| value.abs() <= max) {
             return Ok(());
         }
         let value = values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         let (element, place) = (self.words.clone(), place.to_owned());
-        let wanted = if values.len() == 1 { ONE_NUMBER } else { THREE_NUMBERS };
+        let wanted = if values.len() == 1 { one } else { three };
         Err(UrdfError::at(line, UrdfErrorKind::BadNumber { element, place, value, wanted }))
     }
 }
 
+/// Largest magnitude of a position, an axis, an angle, a mass or a moment of inertia (m, 1, rad, kg, kg m²): squares and
+/// products of it are far from the largest number.
+const MAX_NUMBER: f64 = 1e9;
 /// Description of a number in errors.
 pub(super) const ONE_NUMBER: &str = "one finite number";
+/// Description of a bounded number in errors.
+const ONE_BOUNDED_NUMBER: &str = "one number from -1e9 to 1e9";
 /// Description of a vector in errors.
-pub(super) const THREE_NUMBERS: &str = "three finite numbers";
+pub(super) const THREE_NUMBERS: &str = "three numbers from -1e9 to 1e9";

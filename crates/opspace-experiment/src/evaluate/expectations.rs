@@ -1,0 +1,107 @@
+//! Expectations of a task file: bounds on metrics of its run, so that a program can judge the run by its exit code.
+
+use crate::evaluate::metrics::{ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics};
+use crate::evaluate::table::format_number;
+use crate::files::robot::RobotDefinition;
+use crate::files::source::FileError;
+use crate::files::suggest::choices;
+use crate::files::task::TaskDefinition;
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// Bounds on a metric; at least one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct Expectation {
+    /// Largest value that is accepted, in the unit of the metric.
+    #[serde(default)]
+    pub at_most: Option<f64>,
+    /// Smallest value that is accepted, in the unit of the metric.
+    #[serde(default)]
+    pub at_least: Option<f64>,
+}
+
+/// Checks that each expectation has a bound and names a metric: one of the run, or `TASK.metric`, `TASK.ELEMENT` (its
+/// rms error) or `JOINT.metric`.
+pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<(), FileError> {
+    for (name, expectation) in &task.file.expect {
+        let refuse = |message: String, help: Option<String>| {
+            Err(FileError::at_key(&task.source, ["expect", name], message, help))
+        };
+        if expectation.at_most.is_none() && expectation.at_least.is_none() {
+            return refuse("no bound is given".to_owned(), Some("add `at_most` or `at_least`".to_owned()));
+        }
+        let Some((owner, metric)) = name.split_once('.') else {
+            if !keys(&Metrics::default()).contains(name) {
+                let help = choices(name, &keys(&Metrics::default()));
+                return refuse(format!("unknown metric `{name}`"), Some(help));
+            }
+            continue;
+        };
+        let is_joint = robot.model.joints().iter().any(|joint| joint.name == owner);
+        let is_task = task.file.priority.iter().any(|task| task == owner);
+        if is_joint && !is_task && !keys(&JointMetrics::default()).iter().any(|key| key == metric) {
+            let help = choices(metric, &keys(&JointMetrics::default()));
+            return refuse(format!("unknown metric `{metric}` of a joint"), Some(help));
+        }
+        if !is_joint && !is_task {
+            let tasks = task.file.priority.iter().map(String::as_str);
+            let joints = robot.model.joints().iter().map(|joint| joint.name.as_str());
+            let help = choices(owner, tasks.chain(joints).collect::<Vec<_>>());
+            return refuse(format!("no task and no joint has the name `{owner}`"), Some(help));
+        }
+    }
+    Ok(())
+}
+
+/// Names of the fields of a table of metrics.
+fn keys(metrics: &impl Serialize) -> Vec<String> {
+    match serde_json::to_value(metrics) {
+        Ok(Value::Object(map)) => map.keys().cloned().collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Describes each expectation of a task that a run missed.
+pub(crate) fn missed(task: &TaskDefinition, evaluation: &Evaluation) -> Vec<String> {
+    let mut missed = Vec::new();
+    for (name, Expectation { at_most, at_least }) in &task.file.expect {
+        let value = value_of(evaluation, name);
+        let bounds = [("at most", *at_most), ("at least", *at_least)];
+        for (word, bound) in bounds.into_iter().filter_map(|(word, bound)| Some((word, bound?))) {
+            let is_met =
+                value.is_some_and(|value| if word == "at most" { value <= bound } else { value >= bound });
+            if is_met {
+                continue;
+            }
+            let bound = format_number(bound);
+            missed.push(match value {
+                Some(value) => format!("{name} is {}, expected {word} {bound}", format_number(value)),
+                None => format!("{name} does not exist in this run, expected {word} {bound}"),
+            });
+        }
+    }
+    missed
+}
+
+/// Value of a metric by its name in an expectation; `None` if the run does not have it.
+fn value_of(evaluation: &Evaluation, name: &str) -> Option<f64> {
+    let Some((owner, metric)) = name.split_once('.') else { return field(&evaluation.metrics, name) };
+    if let Some(task) = evaluation.tasks.get(owner) {
+        return field::<TaskMetrics>(task, metric).or_else(|| element(&task.elements, metric));
+    }
+    field(evaluation.joints.get(owner)?, metric)
+}
+
+/// Rms error of an element of a task.
+fn element(elements: &[ElementError], name: &str) -> Option<f64> {
+    elements.iter().find(|element| element.name == name).map(|element| element.rms)
+}
+
+fn field<T: Serialize>(metrics: &T, name: &str) -> Option<f64> {
+    serde_json::to_value(metrics).ok()?.get(name)?.as_f64()
+}

@@ -1,0 +1,201 @@
+//! Metrics of single tasks and joints, failures that no metric shows, and expectations.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use opspace_backend::{Layout, Signal};
+use opspace_experiment::evaluate::metrics::evaluate;
+use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
+use opspace_log::{ChannelData, OutcomeRecord, Recording};
+use opspace_loop::Phase;
+use std::f64::consts::TAU;
+use std::io::Cursor;
+use std::path::Path;
+
+/// Relative difference of two sums of some thousand numbers.
+const ROUNDING: f64 = 1e-9;
+
+fn experiment(task: &str, settings: &[&str]) -> Experiment {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{task}.toml"));
+    let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
+    Experiment::load(Files::Disk, &path, None, RunOptions::default(), &settings).unwrap()
+}
+
+fn run(experiment: &Experiment) -> (Recording, Summary) {
+    let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let recording = Recording::from_bytes(&result.sink.into_inner()).unwrap();
+    let summary = experiment.summary(&recording, &result.record, None);
+    (recording, summary)
+}
+
+/// Compared: the metrics of a force task, and the force of its wall in the log, computed here.
+#[test]
+fn force_task_is_judged_by_the_true_contact_force() {
+    let experiment = experiment("press-wall", &[]);
+    let (recording, summary) = run(&experiment);
+    let truth = recording.channel("truth").unwrap();
+    let force = truth.signal("board.force").unwrap();
+    let forces: Vec<(f64, f64)> = (0..truth.len()).map(|k| (truth.time_s[k], force.row(k)[0])).collect();
+    let tick = recording.channel("tick").unwrap();
+    let phase = tick.signal("phase").unwrap();
+    let first = (0..tick.len()).find(|&k| phase.row(k)[0] != Phase::Rest.code()).unwrap();
+    let start_s = tick.time_s[first];
+    let settled =
+        || forces.iter().filter(|(time_s, _)| *time_s >= start_s + 2.0 - 1e-4).map(|(_, force)| force);
+    let rms = (settled().map(|force| (force + 10.0).powi(2)).sum::<f64>() / settled().count() as f64).sqrt();
+    let metrics = &summary.metrics;
+    assert!((metrics.force_rms_n.unwrap() / rms - 1.0).abs() < ROUNDING, "{rms} in {metrics:?}");
+    let (begin_s, _) = *forces.iter().find(|(_, force)| force.abs() > 0.1).unwrap();
+    assert!(
+        (metrics.contact_begin_s.unwrap() - (begin_s - start_s)).abs() < ROUNDING,
+        "{begin_s}: {metrics:?}"
+    );
+    let peak = forces.iter().filter(|(time_s, _)| (begin_s..=begin_s + 1.0).contains(time_s));
+    let peak = peak.map(|(_, force)| force.abs()).fold(0.0, f64::max);
+    assert!((metrics.contact_peak_n.unwrap() / peak - 1.0).abs() < ROUNDING, "{peak}: {metrics:?}");
+    assert!(metrics.in_contact_fraction.unwrap() > 0.9, "{metrics:?}");
+    assert_eq!(summary.tasks["hand"].force_rms_n, metrics.force_rms_n);
+    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+}
+
+/// Checks a wall that the robot does not reach: no error against a target is a success.
+#[test]
+fn force_task_without_contact_is_a_failure() {
+    let (_, summary) =
+        run(&experiment("press-wall", &["environment.board.wall.point_m=[0.9, 0.0, 0.0]", "duration_s=3.0"]));
+    assert_eq!(summary.metrics.in_contact_fraction, Some(0.0));
+    assert_eq!((summary.metrics.contact_begin_s, summary.metrics.contact_peak_n), (None, None));
+    assert!(
+        summary.failures.iter().any(|failure| failure.contains("'hand' never touched")),
+        "{:?}",
+        summary.failures
+    );
+}
+
+/// Compared: displacement and work over the compliant axis, and those of an operator whose force is in the log.
+#[test]
+fn compliant_task_has_displacement_and_work() {
+    let experiment = experiment("compliant-x", &[]);
+    let (_, summary) = run(&experiment);
+    let hand = &summary.tasks["hand"];
+    // The operator reports x, the compliant axis: both are displacements of the hand along it.
+    let (ours, operator) = (hand.compliant_motion_rms_m.unwrap(), summary.metrics.hand_motion_rms_m.unwrap());
+    assert!((ours / operator - 1.0).abs() < ROUNDING, "{ours} and {operator}");
+    // At most force times path, and the damping of the axis takes energy from the operator.
+    let work = hand.compliant_work_j.unwrap();
+    assert!(work > 0.0 && work < 10.0, "{work} J");
+}
+
+/// A log of a joint task with one row per ms, by functions of time.
+fn joint_log(
+    experiment: &Experiment,
+    q: impl Fn(f64) -> f64,
+    reference: impl Fn(f64) -> f64,
+    desired: impl Fn(usize, f64) -> f64,
+) -> Recording {
+    let joints: Vec<&str> =
+        experiment.robot().model.joints().iter().map(|joint| joint.name.as_str()).collect();
+    let n = joints.len();
+    let time_s: Vec<f64> = (0..8000).map(|k| f64::from(k) * 1e-3).collect();
+    let row = |t: f64| {
+        let all = |value: f64| vec![value; n];
+        let torques: Vec<f64> = (0..n).map(|j| desired(j, t)).collect();
+        [vec![1.0], all(q(t)), all(reference(t)), torques].concat()
+    };
+    let signals = vec![
+        Signal::scalar("phase", "1"),
+        Signal::new("q", "rad", &joints),
+        Signal::new("joints.reference", "rad", &joints),
+        Signal::new("torque_desired", "Nm", &joints),
+    ];
+    let rows = time_s.iter().flat_map(|&t| row(t)).collect();
+    let tick = ChannelData { layout: Layout { channel: "tick".to_owned(), signals }, time_s, rows };
+    Recording { channels: vec![tick], ..Recording::default() }
+}
+
+/// Compared: the error of each joint, and the offset with which the log was made; and the torque of one joint with a line
+/// at 15 Hz.
+#[test]
+fn joints_have_errors_and_chatter_of_their_own() {
+    let experiment = experiment("joint-tracking", &[]);
+    let wave = |t: f64| (0.5 * TAU * t).sin();
+    let chatter = |j: usize, t: f64| if j == 1 { 3.0 + 0.8 * (15.0 * TAU * t).sin() } else { 3.0 };
+    let recording = joint_log(&experiment, |t| wave(t) + 0.02, wave, chatter);
+    let found = evaluate(&experiment, &recording);
+    let errors = &found.tasks["joints"].elements;
+    assert_eq!(errors.len(), 4);
+    for error in errors {
+        assert!((error.rms - 0.02).abs() < ROUNDING && (error.max - 0.02).abs() < ROUNDING, "{error:?}");
+    }
+    assert!((found.metrics.joint_rms_rad.unwrap() - 0.02).abs() < ROUNDING);
+    let names: Vec<&str> =
+        experiment.robot().model.joints().iter().map(|joint| joint.name.as_str()).collect();
+    let noisy = &found.joints[names[1]];
+    assert!((noisy.torque_chatter_rms_nm.unwrap() / (0.8 / 2f64.sqrt()) - 1.0).abs() < 1e-3, "{noisy:?}");
+    assert!((noisy.torque_chatter_hz.unwrap() - 15.0).abs() < 0.2, "{noisy:?}");
+    assert!(found.joints[names[0]].torque_chatter_rms_nm.unwrap() < 1e-6);
+    assert_eq!(found.metrics.torque_chatter_hz, noisy.torque_chatter_hz, "the joint with the most");
+}
+
+/// Checks joints that stand still while their reference moves, and those that follow it.
+#[test]
+fn joints_held_by_friction_are_a_failure() {
+    let experiment = experiment("joint-tracking", &[]);
+    let wave = |t: f64| 0.2 * (0.5 * TAU * t).sin();
+    let failures = |q: &dyn Fn(f64) -> f64| {
+        let recording = joint_log(&experiment, q, wave, |_, _| 1.0);
+        experiment.summary(&recording, &OutcomeRecord::default(), None).failures
+    };
+    assert!(failures(&|_| 0.1)[0].contains("does not: friction"), "{:?}", failures(&|_| 0.1));
+    assert!(failures(&wave).is_empty());
+}
+
+/// Checks expectations that are met and missed, of the run, a task and a joint, and of a metric that the run lacks.
+#[test]
+fn missed_expectations_are_listed() {
+    let expect = |text: &str| experiment("cartesian-tracking", &["duration_s=2.0", text]);
+    let missed = |text: &str| run(&expect(text)).1.missed_expectations;
+    assert_eq!(
+        missed("expect={ position_rms_m = { at_most = 0.1 }, \"hand.position_max_m\" = { at_most = 0.1 } }"),
+        [""; 0]
+    );
+    let found = missed(
+        "expect={ position_rms_m = { at_most = 1e-9 }, \"elbow.torque_chatter_rms_nm\" = { at_least = 1e3 } }",
+    );
+    assert!(found.len() == 2 && found.iter().all(|text| text.contains("expected at")), "{found:?}");
+    let found = missed("expect={ in_contact_fraction = { at_least = 0.5 } }");
+    assert!(found.len() == 1 && found[0].contains("does not exist in this run"), "{found:?}");
+}
+
+/// Checks expectations of unknown metrics, tasks and joints, and without a bound.
+#[test]
+fn unknown_expectations_are_refused() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cartesian-tracking.toml");
+    let refused = |text: &str| {
+        let settings = [text.to_owned()];
+        let error = Experiment::load(Files::Disk, &path, None, RunOptions::default(), &settings).unwrap_err();
+        format!("{error} {}", error.help().unwrap_or_default())
+    };
+    for (text, said) in [
+        ("expect={ position_rms = { at_most = 1.0 } }", "position_rms_m"),
+        ("expect={ \"hnad.position_rms_m\" = { at_most = 1.0 } }", "did you mean 'hand'"),
+        ("expect={ \"elbow.torque_chatter\" = { at_most = 1.0 } }", "torque_chatter_rms_nm"),
+        ("expect={ position_rms_m = {} }", "at_most"),
+        ("expect={ position_rms_m = { atmost = 1.0 } }", "at_most"),
+    ] {
+        let found = refused(text);
+        assert!(found.contains(said), "{text}: {found}");
+    }
+}
+
+/// Compared: the keys of the metrics, and those in docs/metrics.md.
+#[test]
+fn every_metric_is_documented() {
+    let docs =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/metrics.md")).unwrap();
+    let (_, summary) = run(&experiment("cartesian-tracking", &["duration_s=2.0"]));
+    let summary = serde_json::to_value(&summary).unwrap();
+    for table in [&summary["metrics"], &summary["tasks"]["hand"], &summary["joints"]["elbow"]] {
+        for key in table.as_object().unwrap().keys() {
+            assert!(docs.contains(&format!("`{key}`")), "`{key}` is not in docs/metrics.md");
+        }
+    }
+}
