@@ -2,6 +2,7 @@
 
 pub mod expectations;
 pub(crate) mod failures;
+pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod results;
 pub mod table;

@@ -1,29 +1,14 @@
 //! Expectations of a task file: bounds on metrics of its run, so that a program can judge the run by its exit code.
 
-use crate::evaluate::metrics::{ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics};
+use crate::evaluate::metric_tables::{ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics};
 use crate::evaluate::table::format_number;
+use crate::files::expectation::Expectation;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
-#[cfg(feature = "schema")]
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::Value;
-
-/// Bounds on a metric; at least one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-#[non_exhaustive]
-pub struct Expectation {
-    /// Largest value that is accepted, in the unit of the metric.
-    #[serde(default)]
-    pub at_most: Option<f64>,
-    /// Smallest value that is accepted, in the unit of the metric.
-    #[serde(default)]
-    pub at_least: Option<f64>,
-}
 
 /// Checks that each expectation has a bound and names a metric: one of the run, or `TASK.metric`, `TASK.ELEMENT` (its
 /// rms error) or `JOINT.metric`.

@@ -7,121 +7,26 @@
 mod chatter;
 mod joints;
 mod ripple;
+mod run_log;
 mod tasks;
 
-pub use joints::JointMetrics;
-pub use tasks::{ElementError, TaskMetrics};
+pub use crate::evaluate::metric_tables::{
+    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, Timing,
+};
 
 use crate::run::experiment::{ControllerKind, Experiment};
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
-    self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES, MOTOR_TORQUE, PHASE, Q,
-    REFERENCE, REFERENCE_ORIENTATION, SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL,
-    TICK_TIME, TORQUE_DESIRED, TORQUE_SATURATED, TRUTH_CHANNEL,
+    self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES, MOTOR_TORQUE, PHASE,
+    SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL, TICK_TIME, TORQUE_DESIRED,
+    TORQUE_SATURATED, TRUTH_CHANNEL,
 };
 use opspace_backend::{CommandKind, Setpoints};
-use opspace_control::orientation::log;
-use opspace_control::{AxesFrame, CartesianParameters, ControlledFrame};
-use opspace_log::{ChannelData, Column, Recording};
-use opspace_loop::Phase;
-use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
+use opspace_control::{AxesFrame, ControlledFrame};
+use opspace_log::Recording;
 use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
-use serde::Serialize;
-use std::collections::BTreeMap;
-
-/// Metrics of a run; a metric that does not apply to the run is `None`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Metrics {
-    /// Distance from the reference over the motion axes, rms, m.
-    pub position_rms_m: Option<f64>,
-    /// Largest distance from the reference over the motion axes, m.
-    pub position_max_m: Option<f64>,
-    /// Angle from the reference over the motion axes, rms, rad.
-    pub orientation_rms_rad: Option<f64>,
-    /// Largest angle from the reference over the motion axes, rad.
-    pub orientation_max_rad: Option<f64>,
-    /// Joint error of a joint task, rms over time and joints, rad.
-    pub joint_rms_rad: Option<f64>,
-    /// Error of the true contact force over the force axes of the first task that has some, rms, N.
-    pub force_rms_n: Option<f64>,
-    /// Fraction of the time after settling in which this task has contact.
-    pub in_contact_fraction: Option<f64>,
-    /// Time from the start of control to the first contact of this task, s.
-    pub contact_begin_s: Option<f64>,
-    /// Largest true contact force of this task in the first second of contact, N.
-    pub contact_peak_n: Option<f64>,
-    /// Number of times that this task lost contact.
-    pub contact_losses: Option<u64>,
-    /// Displacement from the start over the compliant axes of the first task that has some, rms, m.
-    pub compliant_motion_rms_m: Option<f64>,
-    /// Work of the environment over these axes, J.
-    pub compliant_work_j: Option<f64>,
-    /// True force of the simulated hand over the axes that it reports, rms, N.
-    pub hand_force_rms_n: Option<f64>,
-    /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
-    pub hand_motion_rms_m: Option<f64>,
-    /// Error of the motor torque at servo rate, relative to the desired torque.
-    pub torque_error_servo: Option<f64>,
-    /// Error of the mean motor torque over each interface interval, relative to the desired torque.
-    pub torque_error_interval: Option<f64>,
-    /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
-    pub torque_error_tick: Option<f64>,
-    /// Torque error within the interface intervals, √(e_servo² − e_interval²) in Nm, relative to the ripple that a
-    /// held setpoint inevitably causes there at the speeds of the run; `None` if no setpoint is held.
-    pub hold_ripple: Option<f64>,
-    /// Highest speed of a position setpoint, rad/s.
-    pub setpoint_speed_max_rad_per_s: Option<f64>,
-    /// Highest acceleration of a velocity setpoint, rad/s².
-    pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
-    /// Fraction of interface cycles in which a desired torque was saturated.
-    pub torque_saturated_share: Option<f64>,
-    /// Largest torque that the controller commanded to a joint, before saturation, Nm.
-    pub torque_commanded_max_nm: Option<f64>,
-    /// Largest change of a commanded torque from one interface cycle to the next, Nm.
-    pub torque_step_max_nm: Option<f64>,
-    /// Highest speed of a joint, rad/s.
-    pub speed_max_rad_per_s: Option<f64>,
-    /// Fraction of interface cycles in which a limit changed the command.
-    pub limited_share: Option<f64>,
-    /// Fraction of control cycles in which a task was damped near a singular pose.
-    pub damped_fraction: Option<f64>,
-    /// Fraction of interface cycles that were missed during control.
-    pub missed_fraction: Option<f64>,
-    /// Desired torque above 8 Hz of the joint with the most, rms, Nm.
-    pub torque_chatter_rms_nm: Option<f64>,
-    /// Frequency of the largest line of that torque above 8 Hz, Hz.
-    pub torque_chatter_hz: Option<f64>,
-    /// Largest `torque_error_of_limit` of a joint: the rms error of the mean motor torque relative to the torque limit.
-    pub torque_error_of_limit_max: Option<f64>,
-}
-
-/// Computing times of a run; they are not reproducible.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Timing {
-    /// Median duration of a control cycle with estimator, model, control and transformer, ns.
-    pub tick_ns_median: f64,
-    /// Duration of a control cycle with estimator, model, control and transformer, 99th percentile, ns.
-    pub tick_ns_p99: f64,
-    /// Largest duration of a control cycle with estimator, model, control and transformer, ns.
-    pub tick_ns_max: f64,
-    /// Ratio of robot time to wall-clock time.
-    pub realtime_factor: Option<f64>,
-}
-
-/// Metrics of a run as a whole, of each of its tasks, and of each joint of the robot.
-#[derive(Clone, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub struct Evaluation {
-    /// Metrics of the run.
-    pub metrics: Metrics,
-    /// Metrics of the tasks that have a priority at the start, by name.
-    pub tasks: BTreeMap<String, TaskMetrics>,
-    /// Metrics of the joints, by name.
-    pub joints: BTreeMap<String, JointMetrics>,
-}
+use run_log::{Relative, Run, finite, masked_norm, mean, rms_and_max};
 
 /// Computes all metrics of a run from its log.
 #[must_use]
@@ -216,123 +121,7 @@ pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
 /// Largest gain of a damped inverse that counts as damped: 1 is undamped, except for rounding.
 const UNDAMPED: f64 = 1.0 - 1e-9;
 
-/// Log that is evaluated, with its experiment.
-struct Run<'a> {
-    experiment: &'a Experiment,
-    recording: &'a Recording,
-    tick: &'a ChannelData,
-    /// Times (s) and positions (n; rad or m) of the joints: true ones if the log contains them, otherwise measured
-    /// ones.
-    joints: (&'a [f64], Column<'a>),
-    /// Time of the first cycle of control on the robot's clock, s.
-    start_s: f64,
-    from_s: f64,
-    to_s: f64,
-    /// Tolerance within which two times are equal, s: times are rounded multiples of a servo period.
-    same_s: f64,
-}
-
 impl<'a> Run<'a> {
-    fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
-        let tick = recording.channel(TICK_CHANNEL)?;
-        let phase = tick.signal(PHASE)?;
-        let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
-        let mut controlled = (0..tick.len()).filter(|&k| !idle.contains(&phase.row(k)[0]));
-        let first = controlled.next()?;
-        let last = controlled.next_back().unwrap_or(first);
-        let positions = recording.channel(TRUTH_CHANNEL).unwrap_or(tick);
-        Some(Self {
-            experiment,
-            recording,
-            tick,
-            joints: (&positions.time_s, positions.signal(Q)?),
-            start_s: tick.time_s[first],
-            from_s: tick.time_s[first] + experiment.task().file.settle_s.get(),
-            to_s: tick.time_s[last],
-            same_s: 0.25 * experiment.profile().1.servo_period_s(),
-        })
-    }
-
-    /// Indices of the times in the evaluated interval: after settling, up to the last control cycle.
-    fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
-        let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
-        let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
-        begin..end.max(begin)
-    }
-
-    /// Index of the interface cycle at row `k` of the joints; `None` if the cycle was missed.
-    fn tick_of(&self, k: usize) -> Option<usize> {
-        let (times, _) = self.joints;
-        let ticks = &self.tick.time_s;
-        let tick = ticks.partition_point(|&t| t < times[k] - self.same_s);
-        ticks.get(tick).is_some_and(|&t| t <= times[k] + self.same_s).then_some(tick)
-    }
-
-    /// Indices of the rows of the joints from the first control cycle to the last.
-    fn controlled(&self) -> std::ops::Range<usize> {
-        let times = self.joints.0;
-        let begin = times.partition_point(|&t| t < self.start_s - self.same_s);
-        begin..self.settled(times).end.max(begin)
-    }
-
-    /// Pose of a task's controlled frame and the task's axes at each evaluated row of the joints, with the row index.
-    fn poses(
-        &self,
-        subject: ControlledFrame,
-        directions: AxesFrame,
-    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
-        self.poses_of(self.settled(self.joints.0), subject, directions)
-    }
-
-    /// Pose of a task's controlled frame and the task's axes at some rows of the joints, with the row index.
-    fn poses_of(
-        &self,
-        rows: std::ops::Range<usize>,
-        subject: ControlledFrame,
-        directions: AxesFrame,
-    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
-        let model = &self.experiment.robot().model;
-        let mut data = Data::new(model);
-        let rest = vec![0.0; model.n()];
-        let (_, q) = self.joints;
-        rows.map(move |k| {
-            kinematics(model, &mut data, q.row(k), &rest);
-            let axes = directions.rotation(model, &data, subject);
-            (k, subject.placement(model, &data), axes)
-        })
-    }
-
-    /// Computes the distance and the angle of a task's controlled frame from its reference, along the motion axes.
-    fn pose_errors(
-        &self,
-        name: &str,
-        task: &CartesianParameters,
-        subject: ControlledFrame,
-        metrics: &mut TaskMetrics,
-    ) {
-        let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, subject) else { return };
-        let motion = task.motion_axes();
-        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE))
-            && motion[..3].contains(&true)
-        {
-            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
-                let error = pose.translation - Vector3::from_column_slice(reference.row(self.tick_of(k)?));
-                Some(masked_norm(&axes.tr_mul(&error), &motion[..3]))
-            });
-            (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
-        }
-        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION))
-            && motion[3..].contains(&true)
-        {
-            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
-                let reference = orientation(reference.row(self.tick_of(k)?));
-                let error = log(&(pose.rotation * reference.transpose()));
-                Some(masked_norm(&axes.tr_mul(&error), &motion[3..]))
-            });
-            (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
-        }
-    }
-
     /// Largest magnitude among the elements of a tick signal; `None` if the signal is missing.
     fn largest(&self, signal: &str) -> Option<f64> {
         let values = self.tick.signal(signal)?;
@@ -408,16 +197,6 @@ impl<'a> Run<'a> {
             let moved = poses.map(|(_, pose, _)| masked_norm(&(pose.translation - home.translation), &axes));
             metrics.hand_motion_rms_m = rms_and_max(moved).0;
         }
-    }
-
-    /// Pose of a frame at the start of control.
-    fn start_pose(&self, frame: FrameId) -> Option<Placement> {
-        let model = &self.experiment.robot().model;
-        let (times, q) = self.joints;
-        let k = times.iter().position(|&t| t >= self.start_s - self.same_s)?;
-        let mut data = Data::new(model);
-        kinematics(model, &mut data, q.row(k), &vec![0.0; model.n()]);
-        Some(frame_placement(model, &data, frame))
     }
 
     /// Computes torque errors √(Σ_j mean e_j²)/√(Σ_j mean τ_desired,j²) with e = τ_motor − τ_desired, over servo
@@ -498,63 +277,4 @@ impl<'a> Run<'a> {
         });
         mean(squares).map(|square| ripple_s * square.sqrt())
     }
-}
-
-/// Converts a logged orientation: a quaternion, real part first.
-fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
-    let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
-    UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
-}
-
-/// Sums of the squares of an error and of the quantity to which it is relative.
-#[derive(Clone, Default)]
-struct Relative {
-    error: f64,
-    size: f64,
-    count: u64,
-}
-
-impl Relative {
-    fn add(&mut self, desired: f64, actual: f64) {
-        self.error += (actual - desired).powi(2);
-        self.size += desired.powi(2);
-        self.count += 1;
-    }
-
-    fn get(&self) -> Option<f64> {
-        finite((self.error / self.size).sqrt())
-    }
-
-    fn mean_square(&self) -> f64 {
-        self.error / self.count as f64
-    }
-
-    /// Rms of the error.
-    fn rms(&self) -> Option<f64> {
-        finite(self.mean_square().sqrt())
-    }
-}
-
-fn finite(number: f64) -> Option<f64> {
-    number.is_finite().then_some(number)
-}
-
-/// Norm over the selected elements.
-fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
-    v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (count, sum) = values.fold((0_u64, 0.0), |(count, sum), v| (count + 1, sum + v));
-    (count > 0).then(|| sum / count as f64)
-}
-
-fn rms_and_max(values: impl Iterator<Item = f64>) -> (Option<f64>, Option<f64>) {
-    let mut max = None;
-    let squares = values.map(|v| {
-        max = Some(max.map_or(v, |m: f64| m.max(v)));
-        v * v
-    });
-    let rms = mean(squares).map(f64::sqrt);
-    (rms, max)
 }

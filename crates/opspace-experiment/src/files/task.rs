@@ -1,6 +1,6 @@
 //! Task files: the tasks of a robot, and its environment during the run.
 
-use crate::evaluate::expectations::Expectation;
+use crate::files::expectation::Expectation;
 use crate::files::origin::{Files, Kind, beside};
 use crate::files::overrides;
 use crate::files::source::{FileError, Source, checked, explain};

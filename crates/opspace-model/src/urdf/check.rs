@@ -263,10 +263,11 @@ impl Element<'_> {
 
     /// Checks that the numbers of the attribute `place` are not larger than [`MAX_NUMBER`].
     fn bounded(&self, place: &str, line: Line, values: &[f64]) -> Result<(), UrdfError> {
-        self.within(MAX_NUMBER, [ONE_BOUNDED_NUMBER, THREE_NUMBERS], place, line, values)
+        self.finite(place, line, values)?;
+        self.within(MAX_NUMBER, [ONE_BOUNDED_NUMBER, THREE_BOUNDED_NUMBERS], place, line, values)
     }
 
-    /// Checks that the number of the attribute `place` is finite.
+    /// Checks that the numbers of the attribute `place` are finite.
     fn finite(&self, place: &str, line: Line, values: &[f64]) -> Result<(), UrdfError> {
         self.within(f64::MAX, [ONE_NUMBER, THREE_NUMBERS], place, line, values)
     }
@@ -297,4 +298,6 @@ pub(super) const ONE_NUMBER: &str = "one finite number";
 /// Description of a bounded number in errors.
 const ONE_BOUNDED_NUMBER: &str = "one number from -1e9 to 1e9";
 /// Description of a vector in errors.
-pub(super) const THREE_NUMBERS: &str = "three numbers from -1e9 to 1e9";
+pub(super) const THREE_NUMBERS: &str = "three finite numbers";
+/// Description of a bounded vector in errors.
+const THREE_BOUNDED_NUMBERS: &str = "three numbers from -1e9 to 1e9";

@@ -1,29 +1,11 @@
 //! Metrics of single joints: a joint with small torques does not disappear beside one with large torques.
 
-use super::{Relative, Run};
+use super::run_log::{Relative, Run, mean};
+use crate::evaluate::metric_tables::JointMetrics;
 use opspace_backend::signal_names::{TORQUE_DESIRED, TORQUE_SATURATED};
-use serde::Serialize;
 use std::collections::BTreeMap;
 
 use super::chatter::Chatter;
-
-/// Metrics of one joint; a metric that does not apply to the run is `None`. For a prismatic joint read N for Nm.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct JointMetrics {
-    /// Error of the mean motor torque over each interface interval, rms, Nm.
-    pub torque_error_rms_nm: Option<f64>,
-    /// `torque_error_rms_nm` relative to the torque limit of the joint.
-    pub torque_error_of_limit: Option<f64>,
-    /// `torque_error_rms_nm` relative to the rms of the desired torque of this joint.
-    pub torque_error_of_desired: Option<f64>,
-    /// Desired torque above 8 Hz, rms, Nm.
-    pub torque_chatter_rms_nm: Option<f64>,
-    /// Frequency of the largest line of the desired torque above 8 Hz, Hz.
-    pub torque_chatter_hz: Option<f64>,
-    /// Fraction of interface cycles in which the desired torque was saturated.
-    pub torque_saturated_fraction: Option<f64>,
-}
 
 impl Run<'_> {
     /// Computes the metrics of all joints by name, from the torque errors of the interface intervals and from the
@@ -53,7 +35,7 @@ impl Run<'_> {
             }
             if let Some(saturated) = saturated.filter(|saturated| j < saturated.elements().len()) {
                 metrics.torque_saturated_fraction =
-                    super::mean(ticks.clone().map(|k| saturated.row(k)[j]).filter(|value| value.is_finite()));
+                    mean(ticks.clone().map(|k| saturated.row(k)[j]).filter(|value| value.is_finite()));
             }
             all.insert(joint.name.clone(), metrics);
         }

@@ -1,12 +1,13 @@
 //! Metrics of single tasks: the error of each task against its own reference, contact, and compliance.
 
-use super::{Run, masked_norm, mean, rms_and_max};
-use nalgebra::{Matrix3, Vector3};
-use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, TRUTH_CHANNEL};
+use super::run_log::{Run, masked_norm, mean, rms_and_max};
+use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL};
+use opspace_control::orientation::log;
 use opspace_control::{AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters};
 use opspace_log::Column;
 use opspace_model::{FrameId, Placement};
-use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -15,52 +16,6 @@ const CONTACT_N: f64 = 0.1;
 
 /// Time after the first contact in which the largest force is the peak at contact, s.
 const PEAK_S: f64 = 1.0;
-
-/// Metrics of one task; a metric that does not apply to the task is `None`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct TaskMetrics {
-    /// Kind of the task, as in its file.
-    pub kind: String,
-    /// Distance from the reference over the motion axes, rms, m.
-    pub position_rms_m: Option<f64>,
-    /// Largest distance from the reference over the motion axes, m.
-    pub position_max_m: Option<f64>,
-    /// Angle from the reference over the motion axes, rms, rad.
-    pub orientation_rms_rad: Option<f64>,
-    /// Largest angle from the reference over the motion axes, rad.
-    pub orientation_max_rad: Option<f64>,
-    /// Errors of the joints of a joint task, or of the elements of a coordinate.
-    pub elements: Vec<ElementError>,
-    /// Error of the true contact force over the force axes, rms, N.
-    pub force_rms_n: Option<f64>,
-    /// Fraction of the time after settling in which a force axis has contact (more than 0.1 N).
-    pub in_contact_fraction: Option<f64>,
-    /// Time from the start of control to the first contact, s.
-    pub contact_begin_s: Option<f64>,
-    /// Largest true contact force over the force axes in the first second of contact, N.
-    pub contact_peak_n: Option<f64>,
-    /// Number of times that contact was lost.
-    pub contact_losses: Option<u64>,
-    /// Displacement from the start over the compliant axes, rms, m.
-    pub compliant_motion_rms_m: Option<f64>,
-    /// Work of the environment on the robot over the compliant axes after settling, J.
-    pub compliant_work_j: Option<f64>,
-}
-
-/// Error of a joint or of an element of a coordinate.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct ElementError {
-    /// Name of the joint or element.
-    pub name: String,
-    /// Unit of the errors.
-    pub unit: String,
-    /// Error, rms.
-    pub rms: f64,
-    /// Largest magnitude of the error.
-    pub max: f64,
-}
 
 impl Run<'_> {
     /// Computes the metrics of all tasks that have a priority at the start.
@@ -89,6 +44,37 @@ impl Run<'_> {
             all.insert(name.clone(), metrics);
         }
         all
+    }
+
+    /// Computes the distance and the angle of a task's controlled frame from its reference, along the motion axes.
+    fn pose_errors(
+        &self,
+        name: &str,
+        task: &CartesianParameters,
+        subject: ControlledFrame,
+        metrics: &mut TaskMetrics,
+    ) {
+        let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, subject) else { return };
+        let motion = task.motion_axes();
+        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE))
+            && motion[..3].contains(&true)
+        {
+            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
+                let error = pose.translation - Vector3::from_column_slice(reference.row(self.tick_of(k)?));
+                Some(masked_norm(&axes.tr_mul(&error), &motion[..3]))
+            });
+            (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
+        }
+        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION))
+            && motion[3..].contains(&true)
+        {
+            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
+                let reference = orientation(reference.row(self.tick_of(k)?));
+                let error = log(&(pose.rotation * reference.transpose()));
+                Some(masked_norm(&axes.tr_mul(&error), &motion[3..]))
+            });
+            (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
+        }
     }
 
     /// Compares true (otherwise measured) joint positions with the reference of a joint task, for some or all joints.
@@ -214,4 +200,10 @@ impl ElementError {
 /// Sum of the forces in row `k`, world axes.
 fn total(forces: &[Column<'_>], k: usize) -> Vector3<f64> {
     forces.iter().map(|force| Vector3::from_column_slice(force.row(k))).sum()
+}
+
+/// Converts a logged orientation: a quaternion, real part first.
+fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
+    let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+    UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }

@@ -1,0 +1,161 @@
+//! Tables of metrics: of a run, of its tasks and of its joints.
+
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Metrics of a run; a metric that does not apply to the run is `None`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Metrics {
+    /// Distance from the reference over the motion axes, rms, m.
+    pub position_rms_m: Option<f64>,
+    /// Largest distance from the reference over the motion axes, m.
+    pub position_max_m: Option<f64>,
+    /// Angle from the reference over the motion axes, rms, rad.
+    pub orientation_rms_rad: Option<f64>,
+    /// Largest angle from the reference over the motion axes, rad.
+    pub orientation_max_rad: Option<f64>,
+    /// Joint error of a joint task, rms over time and joints, rad.
+    pub joint_rms_rad: Option<f64>,
+    /// Error of the true contact force over the force axes of the first task that has some, rms, N.
+    pub force_rms_n: Option<f64>,
+    /// Fraction of the time after settling in which this task has contact.
+    pub in_contact_fraction: Option<f64>,
+    /// Time from the start of control to the first contact of this task, s.
+    pub contact_begin_s: Option<f64>,
+    /// Largest true contact force of this task in the first second of contact, N.
+    pub contact_peak_n: Option<f64>,
+    /// Number of times that this task lost contact.
+    pub contact_losses: Option<u64>,
+    /// Displacement from the start over the compliant axes of the first task that has some, rms, m.
+    pub compliant_motion_rms_m: Option<f64>,
+    /// Work of the environment over these axes, J.
+    pub compliant_work_j: Option<f64>,
+    /// True force of the simulated hand over the axes that it reports, rms, N.
+    pub hand_force_rms_n: Option<f64>,
+    /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
+    pub hand_motion_rms_m: Option<f64>,
+    /// Error of the motor torque at servo rate, relative to the desired torque.
+    pub torque_error_servo: Option<f64>,
+    /// Error of the mean motor torque over each interface interval, relative to the desired torque.
+    pub torque_error_interval: Option<f64>,
+    /// Error of the motor torque in the first servo period of each interface cycle, relative to the desired torque.
+    pub torque_error_tick: Option<f64>,
+    /// Torque error within the interface intervals, √(e_servo² − e_interval²) in Nm, relative to the ripple that a
+    /// held setpoint inevitably causes there at the speeds of the run; `None` if no setpoint is held.
+    pub hold_ripple: Option<f64>,
+    /// Highest speed of a position setpoint, rad/s.
+    pub setpoint_speed_max_rad_per_s: Option<f64>,
+    /// Highest acceleration of a velocity setpoint, rad/s².
+    pub setpoint_acceleration_max_rad_per_s2: Option<f64>,
+    /// Fraction of interface cycles in which a desired torque was saturated.
+    pub torque_saturated_share: Option<f64>,
+    /// Largest torque that the controller commanded to a joint, before saturation, Nm.
+    pub torque_commanded_max_nm: Option<f64>,
+    /// Largest change of a commanded torque from one interface cycle to the next, Nm.
+    pub torque_step_max_nm: Option<f64>,
+    /// Highest speed of a joint, rad/s.
+    pub speed_max_rad_per_s: Option<f64>,
+    /// Fraction of interface cycles in which a limit changed the command.
+    pub limited_share: Option<f64>,
+    /// Fraction of control cycles in which a task was damped near a singular pose.
+    pub damped_fraction: Option<f64>,
+    /// Fraction of interface cycles that were missed during control.
+    pub missed_fraction: Option<f64>,
+    /// Desired torque above 8 Hz of the joint with the most, rms, Nm.
+    pub torque_chatter_rms_nm: Option<f64>,
+    /// Frequency of the largest line of that torque above 8 Hz, Hz.
+    pub torque_chatter_hz: Option<f64>,
+    /// Largest `torque_error_of_limit` of a joint: the rms error of the mean motor torque relative to the torque limit.
+    pub torque_error_of_limit_max: Option<f64>,
+}
+
+/// Computing times of a run; they are not reproducible.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Timing {
+    /// Median duration of a control cycle with estimator, model, control and transformer, ns.
+    pub tick_ns_median: f64,
+    /// Duration of a control cycle with estimator, model, control and transformer, 99th percentile, ns.
+    pub tick_ns_p99: f64,
+    /// Largest duration of a control cycle with estimator, model, control and transformer, ns.
+    pub tick_ns_max: f64,
+    /// Ratio of robot time to wall-clock time.
+    pub realtime_factor: Option<f64>,
+}
+
+/// Metrics of a run as a whole, of each of its tasks, and of each joint of the robot.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Evaluation {
+    /// Metrics of the run.
+    pub metrics: Metrics,
+    /// Metrics of the tasks that have a priority at the start, by name.
+    pub tasks: BTreeMap<String, TaskMetrics>,
+    /// Metrics of the joints, by name.
+    pub joints: BTreeMap<String, JointMetrics>,
+}
+
+/// Metrics of one task; a metric that does not apply to the task is `None`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct TaskMetrics {
+    /// Kind of the task, as in its file.
+    pub kind: String,
+    /// Distance from the reference over the motion axes, rms, m.
+    pub position_rms_m: Option<f64>,
+    /// Largest distance from the reference over the motion axes, m.
+    pub position_max_m: Option<f64>,
+    /// Angle from the reference over the motion axes, rms, rad.
+    pub orientation_rms_rad: Option<f64>,
+    /// Largest angle from the reference over the motion axes, rad.
+    pub orientation_max_rad: Option<f64>,
+    /// Errors of the joints of a joint task, or of the elements of a coordinate.
+    pub elements: Vec<ElementError>,
+    /// Error of the true contact force over the force axes, rms, N.
+    pub force_rms_n: Option<f64>,
+    /// Fraction of the time after settling in which a force axis has contact (more than 0.1 N).
+    pub in_contact_fraction: Option<f64>,
+    /// Time from the start of control to the first contact, s.
+    pub contact_begin_s: Option<f64>,
+    /// Largest true contact force over the force axes in the first second of contact, N.
+    pub contact_peak_n: Option<f64>,
+    /// Number of times that contact was lost.
+    pub contact_losses: Option<u64>,
+    /// Displacement from the start over the compliant axes, rms, m.
+    pub compliant_motion_rms_m: Option<f64>,
+    /// Work of the environment on the robot over the compliant axes after settling, J.
+    pub compliant_work_j: Option<f64>,
+}
+
+/// Error of a joint or of an element of a coordinate.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ElementError {
+    /// Name of the joint or element.
+    pub name: String,
+    /// Unit of the errors.
+    pub unit: String,
+    /// Error, rms.
+    pub rms: f64,
+    /// Largest magnitude of the error.
+    pub max: f64,
+}
+
+/// Metrics of one joint; a metric that does not apply to the run is `None`. For a prismatic joint read N for Nm.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct JointMetrics {
+    /// Error of the mean motor torque over each interface interval, rms, Nm.
+    pub torque_error_rms_nm: Option<f64>,
+    /// `torque_error_rms_nm` relative to the torque limit of the joint.
+    pub torque_error_of_limit: Option<f64>,
+    /// `torque_error_rms_nm` relative to the rms of the desired torque of this joint.
+    pub torque_error_of_desired: Option<f64>,
+    /// Desired torque above 8 Hz, rms, Nm.
+    pub torque_chatter_rms_nm: Option<f64>,
+    /// Frequency of the largest line of the desired torque above 8 Hz, Hz.
+    pub torque_chatter_hz: Option<f64>,
+    /// Fraction of interface cycles in which the desired torque was saturated.
+    pub torque_saturated_fraction: Option<f64>,
+}
