@@ -3,6 +3,7 @@
 use crate::evaluate::metrics::Evaluation;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, REFERENCE, TICK_CHANNEL};
+use opspace_control::TaskParameters;
 use opspace_log::Recording;
 
 /// Largest fraction of missed cycles of a run that is worth its numbers.
@@ -47,7 +48,10 @@ fn held_joints(experiment: &Experiment, recording: &Recording) -> Vec<String> {
     let Some(tick) = recording.channel(TICK_CHANNEL) else { return Vec::new() };
     let Some(q) = tick.signal(signal_names::Q) else { return Vec::new() };
     let mut held = Vec::new();
-    for name in &experiment.task().file.priority {
+    let file = &experiment.task().file;
+    let is_joint_task =
+        |name: &&String| matches!(file.task.get(*name), Some(TaskParameters::JointTracking(_)));
+    for name in file.priority.iter().filter(is_joint_task) {
         let Some(reference) = tick.signal(&signal_names::of(name, REFERENCE)) else { continue };
         for (place, joint) in reference.elements().iter().enumerate() {
             let Some(j) = q.elements().iter().position(|name| name == joint) else { continue };

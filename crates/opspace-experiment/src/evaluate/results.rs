@@ -320,10 +320,10 @@ pub fn joint_table(summary: &Summary) -> Table {
     let mut table = Table::new(&[
         ("joint", ""),
         ("torque error", "N·m"),
-        ("of the limit", "%"),
-        ("of the desired", "%"),
-        ("chatter above 8 Hz", "N·m"),
-        ("largest line", "Hz"),
+        ("of limit", "%"),
+        ("of desired", "%"),
+        ("chatter", "N·m"),
+        ("chatter at", "Hz"),
         ("saturated", "%"),
     ]);
     let percent = |fraction: Option<f64>| Cell::from(fraction.map(|fraction| 100.0 * fraction));

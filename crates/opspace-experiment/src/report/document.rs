@@ -94,7 +94,10 @@ pub fn page(
             page = page.warning(warning);
         }
         let (tasks, joints) = (task_table(&run.summary), joint_table(&run.summary));
-        for (caption, table) in [("Errors of the tasks", tasks), ("Torques of the joints", joints)] {
+        for (caption, table) in [
+            ("Errors of the tasks", tasks),
+            ("Torques of the joints; chatter is the desired torque above 8 Hz", joints),
+        ] {
             if !table.rows.is_empty() {
                 page = page.table(caption, &table, &[]);
             }

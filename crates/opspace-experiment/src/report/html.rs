@@ -202,6 +202,8 @@ figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 0.5rem 1.5rem; font-size: 0.92rem }
 dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
 dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere }
+@media screen and (max-width: 40rem) { main { padding: 1.5rem 0.75rem 3rem } h1 { font-size: 1.4rem }
+  table { font-size: 0.72rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
 @media print { main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
   h2 { break-after: avoid } tr { break-inside: avoid } }
 ";

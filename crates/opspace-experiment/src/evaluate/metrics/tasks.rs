@@ -166,7 +166,7 @@ impl Run<'_> {
             masked_norm(&axes.tr_mul(&(pose.translation - start.translation)), &compliant[..3])
         });
         metrics.compliant_motion_rms_m = rms_and_max(moved).0;
-        if let Some((forces, _)) = self.forces_on(&task.frame) {
+        if let Some((forces, _)) = self.forces_on(&task.frame).filter(|(forces, _)| !forces.is_empty()) {
             let steps = poses.windows(2).map(|pair| {
                 let [(k, from, axes), (_, to, _)] = pair else { return 0.0 };
                 let force = axes.tr_mul(&total(&forces, *k));
@@ -178,7 +178,7 @@ impl Run<'_> {
     }
 
     /// True forces of the objects of the environment that act on the body of a frame, and the rows of control; `None`
-    /// without an object or without true forces.
+    /// if the log has no true state.
     fn forces_on(&self, frame: &str) -> Option<(Vec<Column<'_>>, Range<usize>)> {
         let model = &self.experiment.robot().model;
         let body = |name: &str| model.frame_id(name).ok().map(|id: FrameId| model.frame(id).body);
@@ -187,7 +187,7 @@ impl Run<'_> {
         let on_body = objects.filter(|(_, object)| body(object.frame()) == body(frame));
         let forces: Vec<_> =
             on_body.filter_map(|(name, _)| truth.signal(&signal_names::of(name, FORCE))).collect();
-        (!forces.is_empty()).then(|| (forces, self.controlled()))
+        Some((forces, self.controlled()))
     }
 }
 
