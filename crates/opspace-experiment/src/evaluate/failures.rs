@@ -49,11 +49,14 @@ fn held_joints(experiment: &Experiment, recording: &Recording) -> Vec<String> {
     let Some(q) = tick.signal(signal_names::Q) else { return Vec::new() };
     let mut held = Vec::new();
     let file = &experiment.task().file;
-    let is_joint_task =
-        |name: &&String| matches!(file.task.get(*name), Some(TaskParameters::JointTracking(_)));
-    for name in file.priority.iter().filter(is_joint_task) {
+    for name in &file.priority {
+        let Some(TaskParameters::JointTracking(task)) = file.task.get(name) else { continue };
         let Some(reference) = tick.signal(&signal_names::of(name, REFERENCE)) else { continue };
         for (place, joint) in reference.elements().iter().enumerate() {
+            // The log has references of all joints, also of those that the task does not control.
+            if task.joints.as_ref().is_some_and(|joints| !joints.contains(joint)) {
+                continue;
+            }
             let Some(j) = q.elements().iter().position(|name| name == joint) else { continue };
             let asked = range(reference.rows().map(|row| row[place]));
             let moved = range(q.rows().map(|row| row[j]));

@@ -1,7 +1,7 @@
 //! Metrics of single tasks and joints, failures that no metric shows, and expectations.
 #![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
 
-use opspace_backend::{Layout, Signal};
+use opspace_backend::{CommandKind, Layout, Signal};
 use opspace_experiment::evaluate::metrics::evaluate;
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
 use opspace_log::{ChannelData, OutcomeRecord, Recording};
@@ -145,6 +145,17 @@ fn joints_held_by_friction_are_a_failure() {
     };
     assert!(failures(&|_| 0.1)[0].contains("does not: friction"), "{:?}", failures(&|_| 0.1));
     assert!(failures(&wave).is_empty());
+}
+
+/// Checks a task of one joint: the log has references of the others too, which the joints need not follow.
+#[test]
+fn joints_beside_the_task_are_no_failure() {
+    let options = RunOptions { backend: CommandKind::Torque, ..RunOptions::default() };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/panda-levels.toml");
+    let experiment = Experiment::load(Files::Disk, &path, None, options, &[]).unwrap();
+    let (_, summary) = run(&experiment);
+    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+    assert!(summary.tasks.values().any(|task| task.elements.len() == 1), "{:?}", summary.tasks);
 }
 
 /// Checks expectations that are met and missed, of the run, a task and a joint, and of a metric that the run lacks.
