@@ -5,6 +5,7 @@
 use crate::common::{self, channels, header, is_prefix, log, row};
 use opspace_log::{Header, LogError, Pace, Recording, record};
 use opspace_testing::allocation::counted;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::process::Command;
 use std::thread::sleep;
@@ -155,4 +156,23 @@ fn killed_process_leaves_readable_log() {
         assert_eq!(tick.time_s[k], time(k));
         assert_eq!(common::bits(tick.row(k)), common::bits(&row(k, 9)));
     }
+}
+
+/// Checks a file whose chunks expand to far more than any log of its size: it is refused before they are all unpacked.
+#[test]
+fn chunks_that_expand_too_much_are_refused() {
+    const MEGABYTE: usize = 1 << 20;
+    let mut writer = mcap::Writer::new(std::io::Cursor::new(Vec::new())).expect("a writer");
+    let channel = writer.add_channel(0, "zeros", "none", &BTreeMap::new()).expect("a channel");
+    let zeros = vec![0; MEGABYTE];
+    for sequence in 0..64 {
+        let header =
+            mcap::records::MessageHeader { channel_id: channel, sequence, log_time: 0, publish_time: 0 };
+        writer.write_to_known_channel(&header, &zeros).expect("a message");
+    }
+    writer.finish().expect("an end");
+    let bytes = writer.into_inner().into_inner();
+    assert!(bytes.len() < MEGABYTE / 4, "{} bytes", bytes.len());
+    let error = Recording::from_bytes(&bytes).expect_err("no log").to_string();
+    assert!(error.contains("expand to more than"), "{error}");
 }
