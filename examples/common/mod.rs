@@ -22,7 +22,8 @@ pub fn record(
     let replayed = replay(experiment, &Recording::read(folder.join("run.mcap"))?)?;
     assert_eq!(replayed.differing, 0, "{:?}", replayed.first_difference);
     assert!(replayed.compared > 0 && replayed.unmatched.is_empty(), "{:?}", replayed.unmatched);
-    let error = summary.metrics.position_rms_m.map(|e| format!("; position error {:.2} mm rms", 1e3 * e));
+    let error =
+        summary.metrics.pose.position_rms_m.map(|e| format!("; position error {:.2} mm rms", 1e3 * e));
     println!(
         "{name}: {}{}; {} cycles replayed bit for bit; see {}",
         summary.faulted.as_deref().unwrap_or("completed"),

@@ -45,7 +45,7 @@ fn tracking_rms(experiment: &Experiment, recording: &Recording, from_s: f64) -> 
     task.file.settle_s = serde_json::from_value(from_s.into()).expect("a time");
     let options = experiment.options().clone();
     let late = common::experiment(experiment.robot().clone(), task, options);
-    metrics(&late, recording).position_rms_m.expect("a Cartesian task")
+    metrics(&late, recording).pose.position_rms_m.expect("a Cartesian task")
 }
 
 /// Dropout of 0.3 s at the fastest instant of the stroke. Also compared: the distance that each joint continues to
@@ -158,7 +158,7 @@ fn lost_cycles_are_tolerated() {
         let missed: f64 = run.signal("tick", "missed_cycles").rows().map(|row| row[0]).sum();
         assert!(missed > 3.0, "{profile}: {missed} cycles");
         assert_eq!(ticks(&run, Phase::Held).0, 0, "{profile}: none of them in a row of four");
-        let found = metrics(&experiment, &run.recording).position_rms_m.expect("a Cartesian task");
+        let found = metrics(&experiment, &run.recording).pose.position_rms_m.expect("a Cartesian task");
         assert!(found < 3e-3, "{profile}: {found} m");
     }
 }

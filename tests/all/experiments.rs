@@ -19,7 +19,7 @@ fn present(value: Option<f64>) -> f64 {
 #[test]
 fn torque_control_and_leading_kinematics_track_to_millimetres() {
     const BOUND_M: f64 = 1.5e-3;
-    let tracking = |options| present(measure(&load("cartesian-tracking", options, &[])).position_rms_m);
+    let tracking = |options| present(measure(&load("cartesian-tracking", options, &[])).pose.position_rms_m);
     for profile in ["a-med", "b-soft"] {
         let error = tracking(torque(profile));
         assert!(error < BOUND_M, "torque robot, {profile}: {error} m");

@@ -165,6 +165,11 @@ fn force_removes_only_results() {
         fs::create_dir_all(at("foreign")).unwrap();
         fs::write(at("foreign").join(name), "mine").unwrap();
     }
+    let identify = ["identify", &project("robots/asimo-arm"), "--joint", "elbow", "--out", "urdf"];
+    fs::create_dir(at("urdf")).unwrap();
+    fs::write(at("urdf/asimo-arm.urdf"), "mine").unwrap();
+    opspace(folder.path(), &identify).exits(2).says(&["asimo-arm.urdf", "differs"]);
+    assert_eq!(read(at("urdf/asimo-arm.urdf")), "mine");
     for arguments in [["run", &task()], ["identify", &project("robots/asimo-arm")]] {
         let arguments = [&arguments[..], &["--out", "foreign", "--force"]].concat();
         opspace(folder.path(), &arguments).exits(2).says(&["foreign/", "not a result"]);

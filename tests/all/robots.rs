@@ -72,7 +72,7 @@ fn every_robot_tracks_its_task_on_both_backends() {
             let options = RunOptions { backend, duration_s: Some(2.0), ..RunOptions::default() };
             let experiment = Experiment::load(Files::Disk, &first_task(&name), None, options, &[])
                 .unwrap_or_else(|e| panic!("{e}"));
-            let error = measure(&experiment).position_rms_m.expect("the task moves a frame");
+            let error = measure(&experiment).pose.position_rms_m.expect("the task moves a frame");
             assert!(error < bound, "{name}, {backend:?}: {error} m");
         }
     }

@@ -16,7 +16,7 @@
 //! let log = Recording::from_bytes(result.sink.get_ref())?;
 //! let summary = experiment.summary(&log, &result.record, None);
 //! assert_eq!(summary.faulted, None);
-//! assert!(summary.metrics.position_rms_m.ok_or("a Cartesian task")? < 1e-3);
+//! assert!(summary.metrics.pose.position_rms_m.ok_or("a Cartesian task")? < 1e-3);
 //!
 //! // Every row of the log is recomputed from its inputs, bit for bit.
 //! let report = replay(&experiment, &log)?;

@@ -9,9 +9,10 @@ use crate::result_folder::{IDENTIFICATION, ROBOT_FILE, SERVO_FILE, prepare};
 use indicatif::ProgressBar;
 use opspace_experiment::identify::{IdentificationJob, IdentificationResults, Request};
 use opspace_experiment::run::folder::REPORT;
-use opspace_experiment::{Files, RobotDefinition};
+use opspace_experiment::{Files, RobotDefinition, Source};
 use opspace_identify::ExcitationPlan;
 use opspace_identify::session::AbortReason;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -34,6 +35,7 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
     let inputs: Vec<PathBuf> = [&robot_paths.0, &robot_paths.1].map(PathBuf::from).into();
     let results = prepare(&args.output, &default, &files, &inputs, console)?;
     let folder = results.path();
+    refuse_other_urdf(folder, &identifying.robot().urdf)?;
     let watch = interrupt::watch();
     let identified = with_progress(&identifying, console, |begun| identifying.run(&mut arm, &watch, begun));
     let identified = identified.map_err(|stop| match stop {
@@ -55,6 +57,16 @@ pub fn identify(args: &IdentifyArgs, console: Console) -> Outcome {
         written.join(", ")
     ));
     Ok(if identified.is_complete() { Exit::Done } else { Exit::Failed })
+}
+
+/// Refuses a folder with another file under the name of the copy of the URDF.
+fn refuse_other_urdf(folder: &Path, urdf: &Source) -> Result<(), Failure> {
+    let copy = folder.join(Path::new(urdf.name()).file_name().unwrap_or_default());
+    if fs::read(&copy).is_ok_and(|bytes| bytes != urdf.text().as_bytes()) {
+        let text = format!("{}: already exists and differs from {}", copy.display(), urdf.name());
+        return Err(Failure::Other(text + "; choose another folder with --out", Exit::Bad));
+    }
+    Ok(())
 }
 
 /// Writes all results and returns their paths.

@@ -23,8 +23,8 @@ pub(crate) fn failures(
 ) -> Vec<String> {
     let mut failures = Vec::new();
     for (name, task) in &evaluation.tasks {
-        if task.in_contact_fraction == Some(0.0) {
-            failures.push(match task.contact_begin_s {
+        if task.contact.in_contact_fraction == Some(0.0) {
+            failures.push(match task.contact.contact_begin_s {
                 None => format!("task '{name}' never touched anything, although it controls a force"),
                 Some(_) => format!("task '{name}' lost contact before settle_s, and never touched again"),
             });

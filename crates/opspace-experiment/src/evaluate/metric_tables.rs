@@ -7,30 +7,17 @@ use std::collections::BTreeMap;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Metrics {
-    /// Distance from the reference over the motion axes, rms, m.
-    pub position_rms_m: Option<f64>,
-    /// Largest distance from the reference over the motion axes, m.
-    pub position_max_m: Option<f64>,
-    /// Angle from the reference over the motion axes, rms, rad.
-    pub orientation_rms_rad: Option<f64>,
-    /// Largest angle from the reference over the motion axes, rad.
-    pub orientation_max_rad: Option<f64>,
-    /// Joint error of a joint task, rms over time and joints, rad.
+    /// Errors of the pose of the first task that has some.
+    #[serde(flatten)]
+    pub pose: PoseErrors,
+    /// Error of the first joint task, rms over time and revolute joints, rad.
     pub joint_rms_rad: Option<f64>,
-    /// Error of the true contact force over the force axes of the first task that has some, rms, N.
-    pub force_rms_n: Option<f64>,
-    /// Fraction of the time after settling in which this task has contact.
-    pub in_contact_fraction: Option<f64>,
-    /// Time from the start of control to the first contact of this task, s.
-    pub contact_begin_s: Option<f64>,
-    /// Largest true contact force of this task in the first second of contact, N.
-    pub contact_peak_n: Option<f64>,
-    /// Number of times that this task lost contact.
-    pub contact_losses: Option<u64>,
-    /// Displacement from the start over the compliant axes of the first task that has some, rms, m.
-    pub compliant_motion_rms_m: Option<f64>,
-    /// Work of the environment over these axes, J.
-    pub compliant_work_j: Option<f64>,
+    /// Contact of the first task with force axes.
+    #[serde(flatten)]
+    pub contact: Contact,
+    /// Compliance of the first task with compliant axes.
+    #[serde(flatten)]
+    pub compliance: Compliance,
     /// True force of the simulated hand over the axes that it reports, rms, N.
     pub hand_force_rms_n: Option<f64>,
     /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
@@ -102,30 +89,19 @@ pub struct Evaluation {
 pub struct TaskMetrics {
     /// Kind of the task, as in its file.
     pub kind: String,
-    /// Distance from the reference over the motion axes, rms, m.
-    pub position_rms_m: Option<f64>,
-    /// Largest distance from the reference over the motion axes, m.
-    pub position_max_m: Option<f64>,
-    /// Angle from the reference over the motion axes, rms, rad.
-    pub orientation_rms_rad: Option<f64>,
-    /// Largest angle from the reference over the motion axes, rad.
-    pub orientation_max_rad: Option<f64>,
+    /// Errors of the pose.
+    #[serde(flatten)]
+    pub pose: PoseErrors,
+    /// Error of a joint task, rms over time and revolute joints, rad.
+    pub joint_rms_rad: Option<f64>,
     /// Errors of the joints of a joint task, or of the elements of a coordinate.
     pub elements: Vec<ElementError>,
-    /// Error of the true contact force over the force axes, rms, N.
-    pub force_rms_n: Option<f64>,
-    /// Fraction of the time after settling in which a force axis has contact (more than 0.1 N).
-    pub in_contact_fraction: Option<f64>,
-    /// Time from the start of control to the first contact, s.
-    pub contact_begin_s: Option<f64>,
-    /// Largest true contact force over the force axes in the first second of contact, N.
-    pub contact_peak_n: Option<f64>,
-    /// Number of times that contact was lost.
-    pub contact_losses: Option<u64>,
-    /// Displacement from the start over the compliant axes, rms, m.
-    pub compliant_motion_rms_m: Option<f64>,
-    /// Work of the environment on the robot over the compliant axes after settling, J.
-    pub compliant_work_j: Option<f64>,
+    /// Contact of the force axes.
+    #[serde(flatten)]
+    pub contact: Contact,
+    /// Compliance of the compliant axes.
+    #[serde(flatten)]
+    pub compliance: Compliance,
 }
 
 /// Error of a joint or of an element of a coordinate.
@@ -158,4 +134,44 @@ pub struct JointMetrics {
     pub torque_chatter_hz: Option<f64>,
     /// Fraction of interface cycles in which the desired torque was saturated.
     pub torque_saturated_fraction: Option<f64>,
+}
+
+/// Errors of a controlled frame over the motion axes of its task; `None` without such axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct PoseErrors {
+    /// Distance from the reference, rms, m.
+    pub position_rms_m: Option<f64>,
+    /// Largest distance from the reference, m.
+    pub position_max_m: Option<f64>,
+    /// Angle from the reference, rms, rad.
+    pub orientation_rms_rad: Option<f64>,
+    /// Largest angle from the reference, rad.
+    pub orientation_max_rad: Option<f64>,
+}
+
+/// True contact force over the force axes of a task; `None` without such axes, or without a true state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Contact {
+    /// Error of the force, rms, N; `None` if the target is streamed.
+    pub force_rms_n: Option<f64>,
+    /// Fraction of the time after settling with contact (more than 0.1 N).
+    pub in_contact_fraction: Option<f64>,
+    /// Time from the start of control to the first contact, s.
+    pub contact_begin_s: Option<f64>,
+    /// Largest force in the first second of contact, N.
+    pub contact_peak_n: Option<f64>,
+    /// Number of times that contact was lost.
+    pub contact_losses: Option<u64>,
+}
+
+/// Motion of a controlled frame over the compliant axes of its task; `None` without such axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Compliance {
+    /// Displacement from the start, rms, m.
+    pub compliant_motion_rms_m: Option<f64>,
+    /// Work of the environment on the robot after settling, J; `None` without an object that acts on the frame.
+    pub compliant_work_j: Option<f64>,
 }

@@ -11,7 +11,7 @@ mod run_log;
 mod tasks;
 
 pub use crate::evaluate::metric_tables::{
-    ElementError, Evaluation, JointMetrics, Metrics, TaskMetrics, Timing,
+    Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, TaskMetrics, Timing,
 };
 
 use crate::run::experiment::{ControllerKind, Experiment};
@@ -62,25 +62,16 @@ pub fn metrics(experiment: &Experiment, recording: &Recording) -> Metrics {
 impl Metrics {
     /// Takes the errors of a task where no task of higher priority has any.
     fn add_task(&mut self, task: &TaskMetrics) {
-        if self.position_rms_m.is_none() && self.orientation_rms_rad.is_none() {
-            (self.position_rms_m, self.position_max_m) = (task.position_rms_m, task.position_max_m);
-            (self.orientation_rms_rad, self.orientation_max_rad) =
-                (task.orientation_rms_rad, task.orientation_max_rad);
+        if self.pose == PoseErrors::default() {
+            self.pose = task.pose;
         }
-        if self.joint_rms_rad.is_none() && task.kind == "joint-tracking" {
-            let angles = task.elements.iter().filter(|element| element.unit == "rad");
-            self.joint_rms_rad = mean(angles.map(|element| element.rms.powi(2))).map(f64::sqrt);
+        if self.contact == Contact::default() {
+            self.contact = task.contact;
         }
-        if self.in_contact_fraction.is_none() {
-            self.force_rms_n = task.force_rms_n;
-            self.in_contact_fraction = task.in_contact_fraction;
-            (self.contact_begin_s, self.contact_peak_n) = (task.contact_begin_s, task.contact_peak_n);
-            self.contact_losses = task.contact_losses;
+        if self.compliance == Compliance::default() {
+            self.compliance = task.compliance;
         }
-        if self.compliant_motion_rms_m.is_none() {
-            self.compliant_motion_rms_m = task.compliant_motion_rms_m;
-            self.compliant_work_j = task.compliant_work_j;
-        }
+        self.joint_rms_rad = self.joint_rms_rad.or(task.joint_rms_rad);
     }
 
     /// Takes the numbers of a joint where they exceed those of all joints before it.

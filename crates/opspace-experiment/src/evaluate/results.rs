@@ -8,8 +8,10 @@ use serde::Deserialize;
 
 /// Note under tables of simulated runs.
 const OF_SIMULATION: &str = "All values are from simulation. Position, velocity and torque robots share one plant, one \
-                             interface rate, one measurement and one estimator. The parameters of the arm are partly assumed; \
-                             its robot.toml marks which.";
+                             interface rate and one measurement. The transformers 'emulation' and 'interpolating' estimate \
+                             velocities by an observer, which knows the desired torque; all others, and torque robots, \
+                             by filtered differences: part of a difference in tracking is due to the observer. The \
+                             parameters of the arm are partly assumed; its robot.toml marks which.";
 /// Note under tables with runs of a real robot.
 const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
                           motor torque are missing.";
@@ -218,12 +220,16 @@ impl Measure {
     /// Column of a measure.
     fn row(self) -> Row {
         match self {
-            Self::PositionRms => Row("position rms", "mm", 1e3, |s| s.metrics.position_rms_m),
-            Self::PositionMax => Row("position max", "mm", 1e3, |s| s.metrics.position_max_m),
-            Self::OrientationRms => Row("orientation rms", "mrad", 1e3, |s| s.metrics.orientation_rms_rad),
-            Self::OrientationMax => Row("orientation max", "mrad", 1e3, |s| s.metrics.orientation_max_rad),
+            Self::PositionRms => Row("position rms", "mm", 1e3, |s| s.metrics.pose.position_rms_m),
+            Self::PositionMax => Row("position max", "mm", 1e3, |s| s.metrics.pose.position_max_m),
+            Self::OrientationRms => {
+                Row("orientation rms", "mrad", 1e3, |s| s.metrics.pose.orientation_rms_rad)
+            }
+            Self::OrientationMax => {
+                Row("orientation max", "mrad", 1e3, |s| s.metrics.pose.orientation_max_rad)
+            }
             Self::JointRms => Row("joint rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
-            Self::ForceRms => Row("force rms", "N", 1.0, |s| s.metrics.force_rms_n),
+            Self::ForceRms => Row("force rms", "N", 1.0, |s| s.metrics.contact.force_rms_n),
             Self::HandForce => Row("operator force", "N", 1.0, |s| s.metrics.hand_force_rms_n),
             Self::HandMotion => Row("hand motion", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
             Self::TorqueErrorServo => Row("torque error servo", "%", 1e2, |s| s.metrics.torque_error_servo),
@@ -236,9 +242,11 @@ impl Measure {
             Self::TorqueStepMax => Row("torque step max", "N·m", 1.0, |s| s.metrics.torque_step_max_nm),
             Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
             Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
-            Self::InContact => Row("in contact", "%", 1e2, |s| s.metrics.in_contact_fraction),
-            Self::ContactPeak => Row("contact peak", "N", 1.0, |s| s.metrics.contact_peak_n),
-            Self::CompliantMotion => Row("compliant motion", "mm", 1e3, |s| s.metrics.compliant_motion_rms_m),
+            Self::InContact => Row("in contact", "%", 1e2, |s| s.metrics.contact.in_contact_fraction),
+            Self::ContactPeak => Row("contact peak", "N", 1.0, |s| s.metrics.contact.contact_peak_n),
+            Self::CompliantMotion => {
+                Row("compliant motion", "mm", 1e3, |s| s.metrics.compliance.compliant_motion_rms_m)
+            }
             Self::TorqueChatter => Row("torque chatter", "N·m", 1.0, |s| s.metrics.torque_chatter_rms_nm),
             Self::Damped => Row("damped", "%", 1e2, |s| s.metrics.damped_fraction),
             Self::Missed => Row("missed cycles", "%", 1e2, |s| s.metrics.missed_fraction),
@@ -302,11 +310,11 @@ pub fn task_table(summary: &Summary) -> Table {
                 ]);
             }
         };
-        row("position error", "m", task.position_rms_m, task.position_max_m);
-        row("orientation error", "rad", task.orientation_rms_rad, task.orientation_max_rad);
-        row("force error", "N", task.force_rms_n, None);
-        row("contact peak", "N", None, task.contact_peak_n);
-        row("compliant motion", "m", task.compliant_motion_rms_m, None);
+        row("position error", "m", task.pose.position_rms_m, task.pose.position_max_m);
+        row("orientation error", "rad", task.pose.orientation_rms_rad, task.pose.orientation_max_rad);
+        row("force error", "N", task.contact.force_rms_n, None);
+        row("contact peak", "N", None, task.contact.contact_peak_n);
+        row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         for element in &task.elements {
             row(&format!("{} error", element.name), &element.unit, Some(element.rms), Some(element.max));
         }
@@ -399,7 +407,7 @@ mod tests {
             metrics: crate::Metrics::default(),
             timing: crate::Timing::default(),
         };
-        summary.metrics.position_rms_m = Some(position);
+        summary.metrics.pose.position_rms_m = Some(position);
         summary
     }
 
@@ -417,7 +425,7 @@ mod tests {
             .map(|g| (g.first().task.as_str(), g.first().profile.as_str(), g.runs.len()))
             .collect();
         assert_eq!(heads, [("a", "p", 3), ("a", "q", 1), ("b", "p", 1)]);
-        assert_eq!(groups[0].median(|s| s.metrics.position_rms_m), Some(0.2));
+        assert_eq!(groups[0].median(|s| s.metrics.pose.position_rms_m), Some(0.2));
         assert_eq!(groups[0].median(|s| s.metrics.joint_rms_rad), None);
     }
 

@@ -322,7 +322,9 @@ fn series(label: &str, time_s: &[f64], column: &Column<'_>, element: usize, styl
 fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
     type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
     let quantities: [Quantity; 4] = [
-        ("Tracking", "position error, rms (mm)", Scale::Log, |s| s.metrics.position_rms_m.map(|v| 1e3 * v)),
+        ("Tracking", "position error, rms (mm)", Scale::Log, |s| {
+            s.metrics.pose.position_rms_m.map(|v| 1e3 * v)
+        }),
         ("Hand force", "force of the operator's hand, rms (N)", Scale::Linear, |s| {
             s.metrics.hand_force_rms_n
         }),

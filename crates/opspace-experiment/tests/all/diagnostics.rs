@@ -272,7 +272,7 @@ fn tracking(experiment: &Experiment) -> f64 {
         return f64::INFINITY;
     }
     let recording = Recording::from_bytes(&finished.sink.into_inner()).unwrap();
-    metrics(experiment, &recording).position_rms_m.unwrap()
+    metrics(experiment, &recording).pose.position_rms_m.unwrap()
 }
 
 /// Compared: diagnostics and simulated runs, on each kind of robot and at 1 kHz and 200 Hz. With gains that are

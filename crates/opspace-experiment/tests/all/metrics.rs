@@ -108,12 +108,15 @@ fn position_error_counts_motion_axes_after_settling() {
     let truth = |k: usize| [&Q[..], &[3.0, 100.0, if k.is_multiple_of(2) { 0.0 } else { 1.0 }]].concat();
     let recording = log(&experiment, tick, truth, |_| vec![1.0; 8]);
     let metrics = metrics(&experiment, &recording);
-    assert!(near(metrics.position_rms_m, 0.005), "{metrics:?}");
-    assert!(near(metrics.position_max_m, 0.005), "{metrics:?}");
+    assert!(near(metrics.pose.position_rms_m, 0.005), "{metrics:?}");
+    assert!(near(metrics.pose.position_max_m, 0.005), "{metrics:?}");
     // The hand reports only x: its force there is 3 N, independent of y and z, and it does not move.
     assert!(near(metrics.hand_force_rms_n, 3.0), "{metrics:?}");
     assert!(near(metrics.hand_motion_rms_m, 0.0), "{metrics:?}");
-    assert_eq!((metrics.orientation_rms_rad, metrics.joint_rms_rad, metrics.force_rms_n), (None, None, None));
+    assert_eq!(
+        (metrics.pose.orientation_rms_rad, metrics.joint_rms_rad, metrics.contact.force_rms_n),
+        (None, None, None)
+    );
 }
 
 /// Compared: the hand's motion, and the displacement from the start in x of two postures.

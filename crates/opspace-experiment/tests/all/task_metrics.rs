@@ -13,6 +13,15 @@ use std::path::Path;
 /// Relative difference of two sums of some thousand numbers.
 const ROUNDING: f64 = 1e-9;
 
+/// Relative error of the rms of a line of a spectrum: its side lobes within the window.
+const LEAKAGE: f64 = 1e-3;
+
+/// Chatter of a constant torque, Nm: rounding in its spectrum.
+const SILENCE_NM: f64 = 1e-6;
+
+/// Error of each joint of a log, rad.
+const OFFSET_RAD: f64 = 0.02;
+
 fn experiment(task: &str, settings: &[&str]) -> Experiment {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{task}.toml"));
     let settings: Vec<String> = settings.iter().map(|&setting| setting.to_owned()).collect();
@@ -42,17 +51,17 @@ fn force_task_is_judged_by_the_true_contact_force() {
         || forces.iter().filter(|(time_s, _)| *time_s >= start_s + 2.0 - 1e-4).map(|(_, force)| force);
     let rms = (settled().map(|force| (force + 10.0).powi(2)).sum::<f64>() / settled().count() as f64).sqrt();
     let metrics = &summary.metrics;
-    assert!((metrics.force_rms_n.unwrap() / rms - 1.0).abs() < ROUNDING, "{rms} in {metrics:?}");
+    assert!((metrics.contact.force_rms_n.unwrap() / rms - 1.0).abs() < ROUNDING, "{rms} in {metrics:?}");
     let (begin_s, _) = *forces.iter().find(|(_, force)| force.abs() > 0.1).unwrap();
     assert!(
-        (metrics.contact_begin_s.unwrap() - (begin_s - start_s)).abs() < ROUNDING,
+        (metrics.contact.contact_begin_s.unwrap() - (begin_s - start_s)).abs() < ROUNDING,
         "{begin_s}: {metrics:?}"
     );
     let peak = forces.iter().filter(|(time_s, _)| (begin_s..=begin_s + 1.0).contains(time_s));
     let peak = peak.map(|(_, force)| force.abs()).fold(0.0, f64::max);
-    assert!((metrics.contact_peak_n.unwrap() / peak - 1.0).abs() < ROUNDING, "{peak}: {metrics:?}");
-    assert!(metrics.in_contact_fraction.unwrap() > 0.9, "{metrics:?}");
-    assert_eq!(summary.tasks["hand"].force_rms_n, metrics.force_rms_n);
+    assert!((metrics.contact.contact_peak_n.unwrap() / peak - 1.0).abs() < ROUNDING, "{peak}: {metrics:?}");
+    assert!(metrics.contact.in_contact_fraction.unwrap() > 0.9, "{metrics:?}");
+    assert_eq!(summary.tasks["hand"].contact.force_rms_n, metrics.contact.force_rms_n);
     assert!(summary.failures.is_empty(), "{:?}", summary.failures);
 }
 
@@ -62,8 +71,11 @@ fn force_task_is_judged_by_the_true_contact_force() {
 fn force_task_without_contact_is_a_failure() {
     for setting in ["environment.board.wall.point_m=[0.9, 0.0, 0.0]", "environment={}"] {
         let (_, summary) = run(&experiment("press-wall", &[setting, "duration_s=3.0"]));
-        assert_eq!(summary.metrics.in_contact_fraction, Some(0.0), "{setting}");
-        assert_eq!((summary.metrics.contact_begin_s, summary.metrics.contact_peak_n), (None, None));
+        assert_eq!(summary.metrics.contact.in_contact_fraction, Some(0.0), "{setting}");
+        assert_eq!(
+            (summary.metrics.contact.contact_begin_s, summary.metrics.contact.contact_peak_n),
+            (None, None)
+        );
         let never = summary.failures.iter().any(|failure| failure.contains("'hand' never touched"));
         assert!(never, "{setting}: {:?}", summary.failures);
     }
@@ -76,10 +88,11 @@ fn compliant_task_has_displacement_and_work() {
     let (_, summary) = run(&experiment);
     let hand = &summary.tasks["hand"];
     // The operator reports x, the compliant axis: both are displacements of the hand along it.
-    let (ours, operator) = (hand.compliant_motion_rms_m.unwrap(), summary.metrics.hand_motion_rms_m.unwrap());
+    let (ours, operator) =
+        (hand.compliance.compliant_motion_rms_m.unwrap(), summary.metrics.hand_motion_rms_m.unwrap());
     assert!((ours / operator - 1.0).abs() < ROUNDING, "{ours} and {operator}");
     // At most force times path, and the damping of the axis takes energy from the operator.
-    let work = hand.compliant_work_j.unwrap();
+    let work = hand.compliance.compliant_work_j.unwrap();
     assert!(work > 0.0 && work < 10.0, "{work} J");
 }
 
@@ -117,20 +130,23 @@ fn joints_have_errors_and_chatter_of_their_own() {
     let experiment = experiment("joint-tracking", &[]);
     let wave = |t: f64| (0.5 * TAU * t).sin();
     let chatter = |j: usize, t: f64| if j == 1 { 3.0 + 0.8 * (15.0 * TAU * t).sin() } else { 3.0 };
-    let recording = joint_log(&experiment, |t| wave(t) + 0.02, wave, chatter);
+    let recording = joint_log(&experiment, |t| wave(t) + OFFSET_RAD, wave, chatter);
     let found = evaluate(&experiment, &recording);
     let errors = &found.tasks["joints"].elements;
     assert_eq!(errors.len(), 4);
     for error in errors {
-        assert!((error.rms - 0.02).abs() < ROUNDING && (error.max - 0.02).abs() < ROUNDING, "{error:?}");
+        assert!(
+            (error.rms - OFFSET_RAD).abs() < ROUNDING && (error.max - OFFSET_RAD).abs() < ROUNDING,
+            "{error:?}"
+        );
     }
-    assert!((found.metrics.joint_rms_rad.unwrap() - 0.02).abs() < ROUNDING);
+    assert!((found.metrics.joint_rms_rad.unwrap() - OFFSET_RAD).abs() < ROUNDING);
     let names: Vec<&str> =
         experiment.robot().model.joints().iter().map(|joint| joint.name.as_str()).collect();
     let noisy = &found.joints[names[1]];
-    assert!((noisy.torque_chatter_rms_nm.unwrap() / (0.8 / 2f64.sqrt()) - 1.0).abs() < 1e-3, "{noisy:?}");
+    assert!((noisy.torque_chatter_rms_nm.unwrap() / (0.8 / 2f64.sqrt()) - 1.0).abs() < LEAKAGE, "{noisy:?}");
     assert!((noisy.torque_chatter_hz.unwrap() - 15.0).abs() < 0.2, "{noisy:?}");
-    assert!(found.joints[names[0]].torque_chatter_rms_nm.unwrap() < 1e-6);
+    assert!(found.joints[names[0]].torque_chatter_rms_nm.unwrap() < SILENCE_NM);
     assert_eq!(found.metrics.torque_chatter_hz, noisy.torque_chatter_hz, "the joint with the most");
 }
 

@@ -255,12 +255,6 @@ pub enum UrdfErrorKind {
         /// Name of its child link.
         link: String,
     },
-    /// Finite numbers whose products overflow.
-    #[error("{element}: its pose or inertia overflows; check the magnitudes (SI units)")]
-    Overflow {
-        /// Joint or link.
-        element: String,
-    },
     /// Robot without links.
     #[error("the robot has no <link>")]
     NoLinks,

@@ -19,8 +19,9 @@ pub(super) struct Chatter {
 }
 
 impl Chatter {
-    /// Analyses samples at a rate (Hz), with a Hann window; `None` if they are too few, or one is not finite.
-    pub fn of(samples: &[f64], rate_hz: f64) -> Option<Self> {
+    /// Analyses samples at a rate (Hz), with a Hann window; `None` if they are too few, or one is not finite. `planner`
+    /// keeps the plan of the transform for signals of the same length.
+    pub fn of(samples: &[f64], rate_hz: f64, planner: &mut RealFftPlanner<f64>) -> Option<Self> {
         let n = samples.len();
         if n < MIN_SAMPLES || samples.iter().any(|sample| !sample.is_finite()) {
             return None;
@@ -30,7 +31,7 @@ impl Chatter {
         let mut windowed: Vec<f64> =
             samples.iter().enumerate().map(|(k, s)| window(k) * (s - mean)).collect();
         let power: f64 = (0..n).map(|k| window(k).powi(2)).sum();
-        let transform = RealFftPlanner::<f64>::new().plan_fft_forward(n);
+        let transform = planner.plan_fft_forward(n);
         let mut spectrum = transform.make_output_vec();
         transform.process(&mut windowed, &mut spectrum).ok()?;
         let line_hz = rate_hz / n as f64;
@@ -64,10 +65,11 @@ mod tests {
             .map(|k| f64::from(k) / rate_hz)
             .map(|t| 20.0 + 5.0 * (TAU * 0.7 * t).sin() + 0.8 * (TAU * 15.3 * t).sin())
             .collect();
-        let found = Chatter::of(&samples, rate_hz).expect("a spectrum");
+        let mut planner = RealFftPlanner::new();
+        let found = Chatter::of(&samples, rate_hz, &mut planner).expect("a spectrum");
         assert!((found.rms / (0.8 / 2f64.sqrt()) - 1.0).abs() < LEAKAGE, "{found:?}");
         assert!((found.largest_hz - 15.3).abs() <= rate_hz / samples.len() as f64, "{found:?}");
-        assert_eq!(Chatter::of(&samples[..20], rate_hz), None);
-        assert_eq!(Chatter::of(&[f64::NAN; 100], rate_hz), None);
+        assert_eq!(Chatter::of(&samples[..20], rate_hz, &mut planner), None);
+        assert_eq!(Chatter::of(&[f64::NAN; 100], rate_hz, &mut planner), None);
     }
 }

@@ -38,6 +38,8 @@ impl Run<'_> {
                 }
                 TaskParameters::JointTracking(task) => {
                     metrics.elements = self.joint_errors(name, task.joints.as_deref());
+                    let angles = metrics.elements.iter().filter(|element| element.unit == "rad");
+                    metrics.joint_rms_rad = mean(angles.map(|element| element.rms.powi(2))).map(f64::sqrt);
                 }
                 _ => metrics.elements = self.logged_errors(name),
             }
@@ -63,7 +65,7 @@ impl Run<'_> {
                 let error = pose.translation - Vector3::from_column_slice(reference.row(self.tick_of(k)?));
                 Some(masked_norm(&axes.tr_mul(&error), &motion[..3]))
             });
-            (metrics.position_rms_m, metrics.position_max_m) = rms_and_max(errors);
+            (metrics.pose.position_rms_m, metrics.pose.position_max_m) = rms_and_max(errors);
         }
         if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION))
             && motion[3..].contains(&true)
@@ -73,7 +75,7 @@ impl Run<'_> {
                 let error = log(&(pose.rotation * reference.transpose()));
                 Some(masked_norm(&axes.tr_mul(&error), &motion[3..]))
             });
-            (metrics.orientation_rms_rad, metrics.orientation_max_rad) = rms_and_max(errors);
+            (metrics.pose.orientation_rms_rad, metrics.pose.orientation_max_rad) = rms_and_max(errors);
         }
     }
 
@@ -142,10 +144,10 @@ impl Run<'_> {
         }
         // A streamed task gets its target from outside.
         let known = !matches!(task.reference, CartesianReference::Streamed(_));
-        metrics.force_rms_n = rms_and_max(errors.into_iter()).0.filter(|_| known);
-        metrics.in_contact_fraction = mean(touching.into_iter());
-        (metrics.contact_begin_s, metrics.contact_peak_n) = (begin_s, peak);
-        metrics.contact_losses = Some(losses);
+        metrics.contact.force_rms_n = rms_and_max(errors.into_iter()).0.filter(|_| known);
+        metrics.contact.in_contact_fraction = mean(touching.into_iter());
+        (metrics.contact.contact_begin_s, metrics.contact.contact_peak_n) = (begin_s, peak);
+        metrics.contact.contact_losses = Some(losses);
     }
 
     /// Computes the motion of a task's frame along its compliant axes, and the work done on it there.
@@ -165,7 +167,7 @@ impl Run<'_> {
         let moved = poses.iter().map(|(_, pose, axes)| {
             masked_norm(&axes.tr_mul(&(pose.translation - start.translation)), &compliant[..3])
         });
-        metrics.compliant_motion_rms_m = rms_and_max(moved).0;
+        metrics.compliance.compliant_motion_rms_m = rms_and_max(moved).0;
         if let Some((forces, _)) = self.forces_on(&task.frame).filter(|(forces, _)| !forces.is_empty()) {
             let steps = poses.windows(2).map(|pair| {
                 let [(k, from, axes), (_, to, _)] = pair else { return 0.0 };
@@ -173,7 +175,7 @@ impl Run<'_> {
                 let step = axes.tr_mul(&(to.translation - from.translation));
                 (0..3).filter(|&axis| compliant[axis]).map(|axis| force[axis] * step[axis]).sum()
             });
-            metrics.compliant_work_j = Some(steps.sum());
+            metrics.compliance.compliant_work_j = Some(steps.sum());
         }
     }
 
