@@ -1,6 +1,7 @@
 //! Objects of the environment that exert forces on the robot: an operator with a spring, pushes, a wall.
 //! `[environment.NAME.KIND]` in a task file.
 
+use crate::sines::{SINES, Sines};
 use nalgebra::Vector3;
 use opspace_backend::quantity::{NonNegative, Positive, exactly};
 use rand::RngExt;
@@ -183,8 +184,8 @@ pub struct Spring {
     damping: Vector3<f64>,
     home: Vector3<f64>,
     ramp_s: f64,
-    /// Amplitude (m), angular frequency (rad/s) and phase (rad) of the sines of each axis.
-    sines: [Vec<(f64, f64, f64)>; 3],
+    /// Random motion along each axis, m; no sines for an operator who does not move.
+    sines: Box<[Sines; 3]>,
 }
 
 /// Elastic plane.
@@ -215,7 +216,7 @@ impl EnvironmentObject {
     /// Returns the force (world axes, N) on the frame at position `x` (m) with velocity `v` (m/s), at `t` seconds after
     /// the controller's start.
     #[must_use]
-    pub fn force(&self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    pub fn force(&mut self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         match self {
             Self::Spring(spring) => spring.force(t, x, v),
             Self::Pushes(pushes) => pushes.iter().map(|push| push.force(t)).sum(),
@@ -243,16 +244,13 @@ fn minimum_jerk(t: f64, duration: f64) -> (f64, f64) {
     (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), rate)
 }
 
-/// Number of sines per axis of random motion.
-const SINES: usize = 24;
-
 impl Spring {
     fn new(p: &SpringParameters, home: Vector3<f64>, mut random: ChaCha8Rng) -> Self {
         let gain = Vector3::from(p.gain.map(NonNegative::get));
         let (ramp_s, sines) = match &p.motion {
-            OperatorMotion::Still {} => (1.0, [const { Vec::new() }; 3]),
+            OperatorMotion::Still {} => (1.0, Default::default()),
             OperatorMotion::Random(motion) => {
-                (motion.ramp_s.get(), std::array::from_fn(|_| motion.draw(&mut random)))
+                (motion.ramp_s.get(), Box::new(std::array::from_fn(|_| motion.draw(&mut random))))
             }
         };
         Self {
@@ -264,25 +262,22 @@ impl Spring {
         }
     }
 
-    fn force(&self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    fn force(&mut self, t: f64, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         let (offset, speed) = self.motion(t);
         self.stiffness.component_mul(&(self.home + offset - x)) + self.damping.component_mul(&(speed - v))
     }
 
-    /// Offset from home and velocity of the operator (m, m/s).
-    fn motion(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
+    /// Offset from home and velocity of the operator (m, m/s), along the axes on which it acts.
+    fn motion(&mut self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
         let (s, ds) = minimum_jerk(t, self.ramp_s);
         let mut offset = Vector3::zeros();
         let mut speed = Vector3::zeros();
-        for (axis, sines) in self.sines.iter().enumerate() {
-            let (mut p, mut dp) = (0.0, 0.0);
-            for &(size, omega, phase) in sines {
-                let (sin, cos) = (omega * t + phase).sin_cos();
-                p += size * sin;
-                dp += size * omega * cos;
+        for (axis, sines) in self.sines.iter_mut().enumerate() {
+            if self.stiffness[axis] != 0.0 || self.damping[axis] != 0.0 {
+                let (p, dp) = sines.at(t);
+                offset[axis] = s * p;
+                speed[axis] = ds * p + s * dp;
             }
-            offset[axis] = s * p;
-            speed[axis] = ds * p + s * dp;
         }
         (offset, speed)
     }
@@ -290,18 +285,16 @@ impl Spring {
 
 impl RandomMotion {
     /// Returns the sines of one axis; the rms of their sum is `rms_m`.
-    fn draw(&self, random: &mut ChaCha8Rng) -> Vec<(f64, f64, f64)> {
+    fn draw(&self, random: &mut ChaCha8Rng) -> Sines {
         let (from, to) = (self.from_hz.get(), self.to_hz.get());
-        let mut sines: Vec<(f64, f64, f64)> = (0..SINES)
-            .map(|_| {
-                let frequency = from + (to - from) * random.random_range(0.0..1.0);
-                let phase = random.random_range(0.0..TAU);
-                (random.random_range(0.3..=1.0), TAU * frequency, phase)
-            })
-            .collect();
-        let rms = (sines.iter().map(|s| s.0 * s.0 / 2.0).sum::<f64>()).sqrt();
-        sines.iter_mut().for_each(|s| s.0 *= self.rms_m.get() / rms);
-        sines
+        let mut drawn: [(f64, f64, f64); SINES] = std::array::from_fn(|_| {
+            let frequency = from + (to - from) * random.random_range(0.0..1.0);
+            let phase = random.random_range(0.0..TAU);
+            (random.random_range(0.3..=1.0), TAU * frequency, phase)
+        });
+        let rms = (drawn.iter().map(|s| s.0 * s.0 / 2.0).sum::<f64>()).sqrt();
+        drawn.iter_mut().for_each(|s| s.0 *= self.rms_m.get() / rms);
+        Sines::new(&drawn)
     }
 }
 

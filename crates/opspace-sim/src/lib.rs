@@ -75,6 +75,7 @@ pub mod plant;
 pub mod random;
 pub mod rigid;
 pub mod simulation;
+mod sines;
 mod timing;
 mod truth;
 
@@ -84,7 +85,7 @@ pub use config::{ArmConfig, CouplingConfig, SimulationConfig};
 pub use environment::{EnvironmentObject, EnvironmentObjectParameters, SpringParameters, WorldAxis};
 pub use error::{Key, SimulationError};
 pub use external::{ExternalForce, ExternalForceHandle, Pull};
-pub use integrator::RungeKutta;
+pub use integrator::Midpoint;
 pub use parameters::SimulatedParameters;
 pub use plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
 pub use rigid::RigidPlant;

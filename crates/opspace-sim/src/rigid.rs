@@ -1,8 +1,8 @@
-//! Plant of the library: rigid bodies simulated with the articulated-body algorithm and fourth-order integration.
+//! Plant of the library: rigid bodies simulated with the articulated-body algorithm and midpoint steps.
 
 use crate::environment::EnvironmentObject;
 use crate::external::ExternalForce;
-use crate::integrator::RungeKutta;
+use crate::integrator::Midpoint;
 use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
 use nalgebra::{DVector, Matrix6xX, Vector3};
 use opspace_model::{
@@ -10,8 +10,8 @@ use opspace_model::{
 };
 use std::ops::Range;
 
-/// Plant of any number of arms. Joint torques and contact forces are constant over a step; the rigid bodies are
-/// integrated to fourth order.
+/// Plant of any number of arms. Joint torques and contact forces are constant over a step, the latter those in its middle;
+/// the rigid bodies are integrated to second order.
 pub struct RigidPlant {
     arms: Vec<RigidArm>,
     couplings: Vec<Coupling>,
@@ -22,8 +22,11 @@ pub struct RigidPlant {
 /// Arm, and the forces on it.
 struct RigidArm {
     model: Model,
+    /// Kinematics of the state, if `is_placed`.
     data: Data,
-    integrator: RungeKutta,
+    /// True if `data` belongs to the present state.
+    is_placed: bool,
+    integrator: Midpoint,
     joints: Range<usize>,
     torque: DVector<f64>,
     objects: Vec<EnvironmentObject>,
@@ -74,10 +77,13 @@ impl RigidArm {
         let n = arm.model.n();
         let mut data = Data::new(&arm.model);
         kinematics(&arm.model, &mut data, &arm.q, &vec![0.0; n]);
+        let mut integrator = Midpoint::new(&arm.model);
+        integrator.predict(&arm.model, &arm.q, &vec![0.0; n], 0.0);
         let (frames, objects): (Vec<FrameId>, Vec<EnvironmentObject>) = arm.contacts.into_iter().unzip();
         Self {
-            integrator: RungeKutta::new(&arm.model),
+            integrator,
             data,
+            is_placed: true,
             joints: first_joint..first_joint + n,
             torque: DVector::zeros(n),
             objects,
@@ -87,22 +93,22 @@ impl RigidArm {
         }
     }
 
-    fn is_touched(&self) -> bool {
-        !self.contacts.is_empty() || self.external.set.is_some()
-    }
-
     fn place(&mut self, q: &[f64], dq: &[f64]) {
-        kinematics(&self.model, &mut self.data, &q[self.joints.clone()], &dq[self.joints.clone()]);
+        if !self.is_placed {
+            kinematics(&self.model, &mut self.data, &q[self.joints.clone()], &dq[self.joints.clone()]);
+            self.is_placed = true;
+        }
     }
 
-    /// Position (m) and velocity (m/s) of a frame's origin in the world.
+    /// Position (m) and velocity (m/s) of a frame's origin in the world, in the middle of the present step.
     fn point(&self, frame: FrameId) -> (Vector3<f64>, Vector3<f64>) {
-        let x = frame_placement(&self.model, &self.data, frame).translation;
-        let v = frame_velocity(&self.model, &self.data, frame).linear;
+        let middle = self.integrator.middle();
+        let x = frame_placement(&self.model, middle, frame).translation;
+        let v = frame_velocity(&self.model, middle, frame).linear;
         (x, v)
     }
 
-    /// Updates the forces of the environment and the external force.
+    /// Updates the forces of the environment and the external force, in the middle of the present step.
     fn touch(&mut self, time_s: f64) {
         for index in 0..self.objects.len() {
             let (x, v) = self.point(self.contacts[index].frame);
@@ -115,13 +121,14 @@ impl RigidArm {
     }
 
     fn add_contact_torques(&mut self) {
+        let middle = self.integrator.middle();
         for contact in &mut self.contacts {
-            frame_jacobian(&self.model, &self.data, contact.frame, &mut contact.jacobian);
+            frame_jacobian(&self.model, middle, contact.frame, &mut contact.jacobian);
             add_torques(&contact.jacobian, 0, &contact.force, &mut self.torque);
         }
         if let Some(force) = self.external.set {
             let External { jacobian, wrench, .. } = &mut self.external;
-            frame_jacobian(&self.model, &self.data, force.frame, jacobian);
+            frame_jacobian(&self.model, middle, force.frame, jacobian);
             add_torques(jacobian, 0, &wrench.linear, &mut self.torque);
             add_torques(jacobian, 3, &wrench.angular, &mut self.torque);
         }
@@ -213,10 +220,9 @@ impl Plant for RigidPlant {
     fn step(&mut self, time_s: f64, dt_s: f64, joint_torques: &[f64]) {
         for arm in &mut self.arms {
             arm.torque.copy_from_slice(&joint_torques[arm.joints.clone()]);
-            if arm.is_touched() {
-                arm.place(self.q.as_slice(), self.dq.as_slice());
-                arm.touch(time_s);
-            }
+            let (q, dq) = (&self.q.as_slice()[arm.joints.clone()], &self.dq.as_slice()[arm.joints.clone()]);
+            arm.integrator.predict(&arm.model, q, dq, dt_s);
+            arm.touch(time_s + 0.5 * dt_s);
         }
         for coupling in &self.couplings {
             coupling.pull(&mut self.arms);
@@ -225,7 +231,8 @@ impl Plant for RigidPlant {
             arm.add_contact_torques();
             let q = &mut self.q.as_mut_slice()[arm.joints.clone()];
             let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];
-            arm.integrator.step(&arm.model, q, dq, arm.torque.as_slice(), dt_s);
+            arm.integrator.advance(&arm.model, q, dq, arm.torque.as_slice(), dt_s);
+            arm.is_placed = false;
         }
     }
 

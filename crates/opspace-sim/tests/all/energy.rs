@@ -7,7 +7,7 @@ use opspace_model::{Data, Limits, Model, kinematics, kinetic_energy, potential_e
 use opspace_sim::drivetrain::{Brake, Drivetrain, Encoder, EndStop};
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
-use opspace_sim::{Plant, PlantArm, PlantConfig, RigidPlant, RungeKutta};
+use opspace_sim::{Midpoint, Plant, PlantArm, PlantConfig, RigidPlant};
 use opspace_transformer::JointParameters;
 
 /// Returns plant and drivetrains of the experiments' arm without friction, end stops and environment.
@@ -65,11 +65,12 @@ fn frictionless_arm_conserves_energy() {
 
 /// Returns all positions and velocities at the end of a swing of `duration_s` with steps of `dt` (s).
 fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
-    let mut integrator = RungeKutta::new(model);
+    let mut integrator = Midpoint::new(model);
     let mut q = DVector::from_column_slice(&START);
     let mut dq = DVector::zeros(model.n());
     for _ in 0..(duration_s / dt).round() as u32 {
-        integrator.step(model, q.as_mut_slice(), dq.as_mut_slice(), &[0.0; 4], dt);
+        integrator.predict(model, q.as_slice(), dq.as_slice(), dt);
+        integrator.advance(model, q.as_mut_slice(), dq.as_mut_slice(), &[0.0; 4], dt);
     }
     DVector::from_iterator(2 * model.n(), q.iter().chain(dq.iter()).copied())
 }
@@ -77,7 +78,7 @@ fn swing(model: &Model, dt: f64, duration_s: f64) -> DVector<f64> {
 /// Compared: swings with coarse steps, and one with steps 64 times smaller. Halving the step divides the error of a
 /// method of order p by 2^p.
 #[test]
-fn integrator_is_fourth_order() {
+fn integrator_is_second_order() {
     const DURATION_S: f64 = 1.28;
     let model = setup(CommandKind::Torque, "a-med").model;
     let exact = swing(&model, 0.02 / 256.0, DURATION_S);
@@ -85,6 +86,6 @@ fn integrator_is_fourth_order() {
         [0.02, 0.01, 0.005].iter().map(|&dt| (swing(&model, dt, DURATION_S) - &exact).norm()).collect();
     for pair in errors.windows(2) {
         let order = (pair[0] / pair[1]).log2();
-        assert!((3.7..4.6).contains(&order), "order {order} from errors {errors:?}");
+        assert!((1.8..2.3).contains(&order), "order {order} from errors {errors:?}");
     }
 }

@@ -13,7 +13,7 @@ const HOME: Vector3<f64> = Vector3::new(0.3, -0.1, -0.2);
 
 /// Returns the offset of an operator's hand over time: the force of a spring of 1 N/m without damping on a frame at
 /// home.
-fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
+fn offset_of_hand(stream: u32) -> impl FnMut(f64) -> Vector3<f64> {
     let parameters = object(
         r#"
         [spring]
@@ -23,7 +23,8 @@ fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
         motion.random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }
         "#,
     );
-    let hand = EnvironmentObject::new(&parameters, HOME, generator(5, RngStream::EnvironmentObject(stream)));
+    let mut hand =
+        EnvironmentObject::new(&parameters, HOME, generator(5, RngStream::EnvironmentObject(stream)));
     move |t| hand.force(t, &HOME, &Vector3::zeros())
 }
 
@@ -32,7 +33,7 @@ fn offset_of_hand(stream: u32) -> impl Fn(f64) -> Vector3<f64> {
 fn operator_motion_has_requested_rms() {
     // Error caused by sines of nearby frequencies, which beat; it is small over 4000 s.
     const TOLERANCE: f64 = 0.05;
-    let offset = offset_of_hand(0);
+    let mut offset = offset_of_hand(0);
     let samples = 40_000;
     let squares: Vector3<f64> = (0..samples).map(|k| offset(2.0 + 0.1 * f64::from(k)).map(|x| x * x)).sum();
     for square in squares.iter() {
@@ -46,7 +47,7 @@ fn operator_motion_has_requested_rms() {
 #[test]
 fn operator_motion_stays_within_its_band() {
     const OUTSIDE: f64 = 1e-4;
-    let offset = offset_of_hand(0);
+    let mut offset = offset_of_hand(0);
     let (duration_s, rate_hz) = (400.0, 10.0);
     let samples: Vec<(f64, f64)> = (0..(duration_s * rate_hz) as u32)
         .map(|k| {
@@ -76,7 +77,7 @@ fn operator_motion_stays_within_its_band() {
 /// Checks that the operator's force is zero at the beginning, and its value for offsets and speeds of both signs.
 #[test]
 fn operator_starts_at_rest_and_pulls_the_frame() {
-    let offset = offset_of_hand(0);
+    let mut offset = offset_of_hand(0);
     assert_eq!(offset(0.0), Vector3::zeros());
     assert!(offset(0.05).norm() < 1e-3 * 0.04 * 10.0, "comes in smoothly: {}", offset(0.05));
     let text = |motion: &str| {
@@ -84,7 +85,7 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
             "[spring]\nframe = 'hand'\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 15.0\ngain = [1.0, 0.5, 0.0]\nmotion.{motion}"
         )
     };
-    let still = EnvironmentObject::new(
+    let mut still = EnvironmentObject::new(
         &object(&text("still = {}")),
         HOME,
         generator(1, RngStream::EnvironmentObject(0)),
@@ -94,15 +95,15 @@ fn operator_starts_at_rest_and_pulls_the_frame() {
     assert!((force - Vector3::new(-3.5, -0.5, 0.0)).norm() < 1e-12, "{force}");
     // The damper acts relative to the hand's velocity, the derivative of its offset.
     let random = "random = { rms_m = 0.04, from_hz = 0.1, to_hz = 0.7, ramp_s = 1.0 }";
-    let moving =
+    let mut moving =
         EnvironmentObject::new(&object(&text(random)), HOME, generator(1, RngStream::EnvironmentObject(0)));
-    let at = |t: f64| moving.force(t, &HOME, &Vector3::zeros()).x;
-    let spring_only = EnvironmentObject::new(
+    let mut at = |t: f64| moving.force(t, &HOME, &Vector3::zeros()).x;
+    let mut spring_only = EnvironmentObject::new(
         &object(&text(random).replace("damping_ns_per_m = 15.0", "damping_ns_per_m = 0.0")),
         HOME,
         generator(1, RngStream::EnvironmentObject(0)),
     );
-    let offset = |t: f64| spring_only.force(t, &HOME, &Vector3::zeros()).x / 200.0;
+    let mut offset = |t: f64| spring_only.force(t, &HOME, &Vector3::zeros()).x / 200.0;
     for t in [0.4, 1.3, 5.7] {
         let speed = (offset(t + 1e-5) - offset(t - 1e-5)) / 2e-5;
         assert!((at(t) - 200.0 * offset(t) - 15.0 * speed).abs() < 1e-6, "at {t} s");
@@ -122,8 +123,8 @@ fn push_is_half_a_sine() {
     let parameters = object(
         "[pushes]\nframe = 'hand'\npush = [{ at_s = 1.0, duration_s = 0.5, force_n = [10.0, -4.0, 0.0] }]",
     );
-    let push = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
-    let force = |t: f64| push.force(t, &HOME, &Vector3::zeros());
+    let mut push = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let mut force = |t: f64| push.force(t, &HOME, &Vector3::zeros());
     assert_eq!(force(0.999), Vector3::zeros());
     assert_eq!(force(1.501), Vector3::zeros());
     assert!((force(1.25) - Vector3::new(10.0, -4.0, 0.0)).norm() < 1e-12);
@@ -145,8 +146,9 @@ fn wall_pushes_and_never_pulls() {
         damping_ns_per_m = 50.0
         "#,
     );
-    let wall = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
-    let force = |x: f64, v: f64| wall.force(0.0, &Vector3::new(x, 0.2, -0.3), &Vector3::new(v, 1.0, -1.0));
+    let mut wall = EnvironmentObject::new(&parameters, HOME, generator(1, RngStream::EnvironmentObject(0)));
+    let mut force =
+        |x: f64, v: f64| wall.force(0.0, &Vector3::new(x, 0.2, -0.3), &Vector3::new(v, 1.0, -1.0));
     for v in [-3.0, -0.1, 0.0, 0.1, 3.0] {
         assert_eq!(force(0.2999, v), Vector3::zeros(), "before the wall");
         for depth in [1e-5, 1e-3, 1e-2] {
