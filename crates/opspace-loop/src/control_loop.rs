@@ -366,6 +366,7 @@ impl ControlLoop {
         let Some(guard) = &mut self.guard else {
             check_finite(self.torque_desired.as_slice())?;
             self.held = false;
+            self.transformer.sent(&self.state.data, self.torque_desired.as_slice());
             self.outgoing = Outgoing::Torque;
             return Ok(());
         };

@@ -10,7 +10,7 @@ use opspace_backend::signal_names::{
 use opspace_backend::{Capabilities, Observable, Sample, SignalRecorder};
 use opspace_control::Measurement;
 use opspace_model::{Data, Force, FrameId, JointUnits, Model, UnknownFrame, frame_placement, update};
-use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator};
+use opspace_transformer::{EstimatorParameters, Transformer, VelocityEstimator, VelocitySource};
 
 const WRENCH_AXES: [&str; 6] = ["fx", "fy", "fz", "mx", "my", "mz"];
 
@@ -20,6 +20,8 @@ pub(crate) struct StateEstimator {
     units: JointUnits,
     sensor_frames: Vec<FrameId>,
     velocity: VelocityEstimator,
+    /// True if the transformer's estimate of the velocities is not used.
+    uses_filter: bool,
     supervisor: Supervisor,
     sample: Sample,
     measurement: Measurement,
@@ -52,6 +54,7 @@ impl StateEstimator {
         Ok(Self {
             units: model.joint_units(),
             sensor_frames: sensor_frames?,
+            uses_filter: estimator.velocity == Some(VelocitySource::Filter),
             velocity: VelocityEstimator::new(n, estimator, capabilities.period_s),
             supervisor: Supervisor::new(model, safety, capabilities.period_s),
             sample: Sample::new(capabilities),
@@ -111,7 +114,7 @@ impl StateEstimator {
     }
 
     /// Computes the measurement from a sample and updates `data`. Joint velocities are those of the transformer if it
-    /// estimates them, otherwise the measured ones, otherwise filtered differences of positions. While the robot is
+    /// estimates them and the filter is not asked for, otherwise the measured ones, otherwise filtered differences of positions. While the robot is
     /// `held`, the transformer's estimate is not used.
     ///
     /// # Errors
@@ -142,7 +145,7 @@ impl StateEstimator {
             SampleGap::Tolerated { missed } => transformer.missed(missed),
             SampleGap::Lost { .. } => transformer.reset(),
         }
-        let known = transformer.observe(sample).filter(|_| !held);
+        let known = transformer.observe(sample).filter(|_| !held && !self.uses_filter);
         measurement.dq.copy_from_slice(known.unwrap_or(velocity));
         if let (Some(to), Some(from)) = (&mut measurement.motor_torque, &sample.motor_torque) {
             to.copy_from_slice(from);

@@ -10,11 +10,28 @@ use opspace_backend::quantity::Positive;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+/// Estimate of joint velocities.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum VelocitySource {
+    /// Prediction of the arm and its drives under the command, corrected by the encoders.
+    Observer,
+    /// Filtered difference of positions.
+    Filter,
+}
+
 /// Estimation of joint velocity.
 #[derive(Clone, Debug, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EstimatorParameters {
+    /// Estimate of the velocities that the controller uses: `observer` or `filter`. By default robots that take torques
+    /// or velocities, and the transformers `emulation` and `interpolating`, use the observer, and all others the filter,
+    /// as the paper does. A torque robot that measures velocities uses these.
+    #[serde(default)]
+    pub velocity: Option<VelocitySource>,
     /// Cut-off frequency of the low-pass filter on the finite difference, Hz.
     pub velocity_filter_hz: Positive,
 }
@@ -22,7 +39,7 @@ pub struct EstimatorParameters {
 impl Default for EstimatorParameters {
     /// Returns the cut-off of the paper's experiments, 150 Hz.
     fn default() -> Self {
-        Self { velocity_filter_hz: Positive::literal(150.0) }
+        Self { velocity: None, velocity_filter_hz: Positive::literal(150.0) }
     }
 }
 

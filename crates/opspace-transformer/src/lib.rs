@@ -47,6 +47,7 @@ pub mod estimator;
 pub mod friction;
 pub mod gain_adaptation;
 pub mod identity;
+pub mod observed;
 pub mod observer;
 pub mod parameters;
 pub mod polynomial;
@@ -54,6 +55,7 @@ pub mod servo;
 pub mod servo_inversion;
 pub mod servo_law;
 pub mod servo_model_transformer;
+pub mod torque_observer;
 pub mod transformer;
 pub mod velocity_transformer;
 
@@ -61,16 +63,18 @@ pub use closed_loop_transformer::{
     ClosedLoopModel, IdentificationError, LiteralTransformer, TransferFunction,
 };
 pub use current::{CurrentFeedback, CurrentObserver};
-pub use estimator::{EstimatorParameters, VelocityEstimator};
+pub use estimator::{EstimatorParameters, VelocityEstimator, VelocitySource};
 pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
 pub use gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 pub use identity::Identity;
+pub use observed::ObservedTransformer;
 pub use observer::{ObservedJoint, ObserverGain};
 pub use parameters::{JointParameters, ProfileParameters, RotorParameters};
 pub use servo::{CascadedServo, ServoGains, ServoParameters, VelocityServo};
 pub use servo_inversion::{EmulationError, TorqueObjective};
 pub use servo_law::{ServoError, ServoLaw, ServoState};
 pub use servo_model_transformer::{EmulatingTransformer, EmulationSetup};
+pub use torque_observer::{TorqueObserver, TorqueObserverSetup};
 pub use transformer::{Method, PaperTransformer, Transformer, TransformerKind};
 pub use velocity_transformer::VelocityTransformer;
 

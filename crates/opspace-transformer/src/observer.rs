@@ -44,8 +44,8 @@ pub struct ObserverGain {
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct ObservedJoint<'a> {
-    /// Servo law of its drive.
-    pub servo: &'a ServoLaw,
+    /// Servo law of its drive; `None` for a drive that takes torques.
+    pub servo: Option<&'a ServoLaw>,
     /// Inertia that the drive moves, kg m² (kg).
     pub inertia: f64,
     /// Resolution of its encoder, rad (m).
@@ -79,7 +79,7 @@ impl ObserverGain {
                 break;
             }
         }
-        let order = joint.servo.order();
+        let order = joint.order();
         Self {
             position: gain[0],
             velocity: gain[1],
@@ -90,10 +90,15 @@ impl ObserverGain {
 }
 
 impl ObservedJoint<'_> {
+    /// Number of memory entries of the servo.
+    fn order(&self) -> usize {
+        self.servo.map_or(0, ServoLaw::order)
+    }
+
     /// Transition matrix of the state x over one reading, column by column. The setpoint is known and has no effect on
     /// the error.
     fn step(&self) -> DMatrix<f64> {
-        let order = self.servo.order();
+        let order = self.order();
         let n = order + 3;
         let mut step = DMatrix::zeros(n, n);
         for (column, mut after) in step.column_iter_mut().enumerate() {
@@ -102,7 +107,7 @@ impl ObservedJoint<'_> {
             let mut memory: ServoState =
                 std::array::from_fn(|i| if i < order.min(MAX_ORDER) { of(2 + i) } else { 0.0 });
             for _ in 0..self.servo_ticks_per_cycle {
-                let torque = self.servo.step(&mut memory, 0.0, q);
+                let torque = self.servo.map_or(0.0, |servo| servo.step(&mut memory, 0.0, q));
                 let ddq = torque / self.inertia + disturbance;
                 q += self.servo_period_s * (dq + 0.5 * self.servo_period_s * ddq);
                 dq += self.servo_period_s * ddq;
@@ -138,7 +143,7 @@ mod tests {
     /// the inertia for which the gain is computed.
     fn error_modes(servo: &ServoLaw, servo_hz: f64, ratio: u32, counts: f64, scale: f64) -> Vec<f64> {
         let joint = ObservedJoint {
-            servo,
+            servo: Some(servo),
             inertia: INERTIA,
             resolution_rad: std::f64::consts::TAU / (counts * 100.0),
             servo_period_s: 1.0 / servo_hz,

@@ -249,7 +249,7 @@ impl EmulatingTransformer {
             let law = ServoLaw::new(&setup.servos[i], setup.servo_period_s)?;
             check_inverse(&law, ticks, setup.matching)?;
             let gain = ObserverGain::steady(&ObservedJoint {
-                servo: &law,
+                servo: Some(&law),
                 inertia: setup.inertias[i],
                 resolution_rad: setup.resolution_rad[i],
                 servo_period_s: setup.servo_period_s,

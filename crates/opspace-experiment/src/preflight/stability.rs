@@ -497,7 +497,10 @@ mod tests {
         let ratio = (plant.period_s / plant.servo_period_s).round() as usize;
         let delay = (plant.delay_s / plant.servo_period_s).round() as usize;
         let ts = plant.servo_period_s;
-        let parameters = EstimatorParameters { velocity_filter_hz: Positive::literal(plant.filter_hz) };
+        let parameters = EstimatorParameters {
+            velocity_filter_hz: Positive::literal(plant.filter_hz),
+            ..EstimatorParameters::default()
+        };
         let mut estimator = VelocityEstimator::new(1, &parameters, plant.period_s);
         let (mut q, mut dq) = (1e-3, 0.0);
         let mut drive = plant.servo.map(|servo| (servo.law, servo.law.rest(q, 0.0).0));

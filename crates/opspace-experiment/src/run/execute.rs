@@ -3,7 +3,9 @@
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use opspace_backend::{Backend, Capabilities, GroundTruth, SERVO, Sink, TruthLayouts, World};
-use opspace_log::{Channel, OutcomeRecord, Pace, Recorder, WriteStats, Writer, record};
+use opspace_log::{
+    Channel, MemoryRecorder, OutcomeRecord, Pace, Recorder, Recording, WriteStats, Writer, record,
+};
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
 use std::io::Write;
 use std::sync::Arc;
@@ -30,6 +32,18 @@ pub struct RunResult<W> {
     pub written: WriteStats,
     /// The log.
     pub sink: W,
+    /// Ratio of robot time to wall-clock time.
+    pub realtime_factor: f64,
+}
+
+/// Rows and outcome of a finished run without a log file.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct MemoryRun {
+    /// All rows, with the header of the log.
+    pub recording: Recording,
+    /// Outcome of the run as text.
+    pub record: OutcomeRecord,
     /// Ratio of robot time to wall-clock time.
     pub realtime_factor: f64,
 }
@@ -141,6 +155,43 @@ impl Experiment {
         sink: W,
         progress: &'a Progress,
     ) -> Result<(ControlLoop, OpenLog<'a, W>), RunError> {
+        let (control, channels) = self.prepare(capabilities, truth)?;
+        let pace = match capabilities.world {
+            World::Simulated => Pace::Simulated,
+            World::Real => Pace::RealTime,
+        };
+        let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
+        let log =
+            OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, rows: 0, began: Instant::now() };
+        Ok((control, log))
+    }
+
+    /// Runs the experiment in simulation and keeps its rows in memory. They are those that [`run`](Self::run) writes to
+    /// its log, bit for bit, except for computing times.
+    ///
+    /// # Errors
+    /// A robot that cannot be simulated.
+    pub fn run_in_memory(&self, progress: &Progress) -> Result<MemoryRun, RunError> {
+        let mut arm = self.simulated_arm()?;
+        let truth = arm.ground_truth().map(GroundTruth::layouts);
+        let (control, channels) = self.prepare(arm.capabilities(), truth)?;
+        let mut log = MemoryRecorder::new(self.header(World::Simulated), channels);
+        let began = Instant::now();
+        let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
+        drive(&mut arm, &mut run);
+        let record = self.outcome_record(&run.finish());
+        let recording = log.finish();
+        let ticks = recording.tick()?.len();
+        let realtime_factor = ticks as f64 * self.profile().1.period_s() / began.elapsed().as_secs_f64();
+        Ok(MemoryRun { recording, record, realtime_factor })
+    }
+
+    /// Returns the control loop of the experiment and the channels of its log.
+    fn prepare(
+        &self,
+        capabilities: &Capabilities,
+        truth: Option<TruthLayouts>,
+    ) -> Result<(ControlLoop, Vec<Channel>), RunError> {
         if capabilities.world == World::Real {
             self.refuse_comparison_options()?;
         }
@@ -154,14 +205,7 @@ impl Experiment {
                 rate_hz: if channel == SERVO { servo_hz } else { cycle_hz },
             })
             .collect();
-        let pace = match capabilities.world {
-            World::Simulated => Pace::Simulated,
-            World::Real => Pace::RealTime,
-        };
-        let (recorder, writer) = record(sink, self.header(capabilities.world), channels, pace)?;
-        let log =
-            OpenLog { recorder, writer, progress: &progress.ticks, ticks: 0, rows: 0, began: Instant::now() };
-        Ok((control, log))
+        Ok((control, channels))
     }
 
     /// Describes the outcome of a run as text.

@@ -8,8 +8,9 @@ use opspace_backend::{CommandKind, Measured, Setpoints};
 use opspace_model::{Data, update};
 use opspace_transformer::{
     ClosedLoopModel, CurrentFeedback, EmulatingTransformer, EmulationSetup, FrictionCompensation,
-    FrictionCompensationParameters, Identity, LiteralTransformer, Method, PaperTransformer, ServoGains,
-    ServoParameters, TorqueObjective, Transformer, TransformerKind, VelocityTransformer,
+    FrictionCompensationParameters, Identity, LiteralTransformer, Method, ObservedTransformer,
+    PaperTransformer, ServoGains, ServoParameters, TorqueObjective, TorqueObserver, TorqueObserverSetup,
+    Transformer, TransformerKind, VelocitySource, VelocityTransformer,
 };
 
 impl Experiment {
@@ -50,8 +51,9 @@ impl Experiment {
     /// # Errors
     /// A servo that the transformer cannot invert.
     pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
+        let observes = self.velocity_source() == VelocitySource::Observer;
         if self.options.backend == CommandKind::Torque {
-            return Ok(Box::new(Identity));
+            return Ok(if observes { Box::new(self.torque_observer()?) } else { Box::new(Identity) });
         }
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
         let joints = || self.robot.identified(&self.profile);
@@ -77,16 +79,60 @@ impl Experiment {
             Method::Emulation => return self.emulating(TorqueObjective::IntervalMean, current),
             Method::Interpolating => return self.emulating(TorqueObjective::PerTick, current),
         };
-        if !current {
-            return Ok(plain);
+        let converting: Box<dyn Transformer> = if current {
+            let (ratio, delay) = (self.profile.servo_ticks_per_cycle.get(), self.profile.delay());
+            Box::new(CurrentFeedback::new(plain, &self.robot.torque_limits(), ratio, delay))
+        } else {
+            plain
+        };
+        if !observes {
+            return Ok(converting);
         }
-        let (ratio, delay) = (self.profile.servo_ticks_per_cycle.get(), self.profile.delay());
-        Ok(Box::new(CurrentFeedback::new(plain, &self.robot.torque_limits(), ratio, delay)))
+        let observer = self.emulator(TorqueObjective::IntervalMean, false)?;
+        Ok(Box::new(ObservedTransformer::new(observer, converting)))
+    }
+
+    /// Estimate of the joint velocities that the controller uses.
+    #[must_use]
+    pub fn velocity_source(&self) -> VelocitySource {
+        let knows_delay = self.profile.delay_servo_ticks.is_some();
+        let by_default = match self.options.backend {
+            CommandKind::Torque => !self.robot.file.interface.measured.contains(&Measured::Velocity),
+            CommandKind::Velocity => knows_delay,
+            CommandKind::Position => self.chosen_transformer().0.method.needs_delay(),
+        };
+        let default = if by_default { VelocitySource::Observer } else { VelocitySource::Filter };
+        self.profile.estimator.velocity.unwrap_or(default)
+    }
+
+    fn torque_observer(&self) -> Result<TorqueObserver, FileError> {
+        let joints = self.robot.joints();
+        Ok(TorqueObserver::new(&TorqueObserverSetup {
+            friction: self.whole_friction(),
+            resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
+            inertias: self.inertias()?,
+            period_s: self.profile.period_s(),
+            delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
+            gravity_compensated_by: self.gravity_compensated_by(),
+        }))
+    }
+
+    /// Modelled friction of the joints, all of it.
+    fn whole_friction(&self) -> FrictionCompensation {
+        let whole = FrictionCompensationParameters {
+            gain: NonNegative::literal(1.0),
+            ..self.task.file.friction_compensation.clone()
+        };
+        FrictionCompensation::new(self.robot.joints().iter().map(|j| &j.friction), &whole)
     }
 
     fn emulating(&self, matching: TorqueObjective, current: bool) -> Result<Box<dyn Transformer>, FileError> {
+        Ok(Box::new(self.emulator(matching, current)?))
+    }
+
+    fn emulator(&self, matching: TorqueObjective, current: bool) -> Result<EmulatingTransformer, FileError> {
         let emulating = EmulatingTransformer::new(&self.emulation(matching, current)?);
-        Ok(Box::new(emulating.map_err(|(joint, error)| self.joint_error(self.servo_table(), joint, &error))?))
+        emulating.map_err(|(joint, error)| self.joint_error(self.servo_table(), joint, &error))
     }
 
     fn takes_velocities(&self) -> bool {
@@ -108,14 +154,10 @@ impl Experiment {
 
     fn emulation(&self, matching: TorqueObjective, current: bool) -> Result<EmulationSetup, FileError> {
         let joints = self.robot.joints();
-        let whole = FrictionCompensationParameters {
-            gain: NonNegative::literal(1.0),
-            ..self.task.file.friction_compensation.clone()
-        };
         Ok(EmulationSetup {
             has_brakes: self.capabilities().has_brakes,
             servos: self.servos()?,
-            friction: FrictionCompensation::new(joints.iter().map(|j| &j.friction), &whole),
+            friction: self.whole_friction(),
             resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
             inertias: self.inertias()?,
             torque_limits: self.robot.torque_limits(),
@@ -259,6 +301,14 @@ impl Experiment {
                 format!("transformer '{name}' needs delay_servo_ticks, which this profile does not give");
             let help = "measure it, or use 'paper', which works with any delay".to_owned();
             return wrong(profile(&[]), message, help);
+        }
+        let observes = self.velocity_source() == VelocitySource::Observer;
+        if observes && self.options.backend != CommandKind::Torque && self.profile.delay_servo_ticks.is_none()
+        {
+            let message =
+                "the velocity observer needs delay_servo_ticks, which this profile does not give".to_owned();
+            let help = "measure it, or use velocity = \"filter\"".to_owned();
+            return wrong(profile(&["estimator", "velocity"]), message, help);
         }
         self.transformer().map(|_| ())
     }

@@ -1,0 +1,180 @@
+//! Observer of the joint velocities of a torque robot: the steady-state Kalman filter of [`observer`](crate::observer),
+//! whose prediction is the arm under the commanded torques.
+//!
+//! ```text
+//! q̈ = M⁻¹ (τ + g_robot − b − n) + d        x = [q, q̇, d]        x = x⁻ + L (y − q⁻)
+//! ```
+//!
+//! τ is the commanded torque in force, g_robot the gravity torque that the robot itself adds, b the Coriolis,
+//! centrifugal and gravity torques, n the modelled friction. d is the acceleration that the prediction does not include,
+//! contact forces for example. A filtered difference of positions lags by the filter's time constant and half a period;
+//! this estimate does not, as far as the model is right.
+
+use crate::friction::FrictionCompensation;
+use crate::observer::{ObservedJoint, ObserverGain};
+use crate::transformer::Transformer;
+use nalgebra::DVector;
+use opspace_backend::{CommandKind, GravityCompensation, Sample};
+use opspace_model::Data;
+
+/// Parameters of the observer: joints and timing of a torque robot.
+#[derive(Clone, Debug)]
+pub struct TorqueObserverSetup {
+    /// Nominal joint friction, with a compensation gain of 1.
+    pub friction: FrictionCompensation,
+    /// Resolution of each encoder at the joint (n; rad, m).
+    pub resolution_rad: Vec<f64>,
+    /// Inertia of each joint in a representative posture (n; kg m², kg), for the gain.
+    pub inertias: Vec<f64>,
+    /// Time between two samples, s.
+    pub period_s: f64,
+    /// Delay until a torque acts, s; at most one period.
+    pub delay_s: f64,
+    /// Side that compensates gravity: the robot or the controller.
+    pub gravity_compensated_by: GravityCompensation,
+}
+
+/// Transformer of a torque robot that returns the torques unchanged and estimates the joint velocities: see the
+/// [module](self).
+#[derive(Clone, Debug)]
+pub struct TorqueObserver {
+    gains: Vec<ObserverGain>,
+    friction: FrictionCompensation,
+    gravity_compensated_by: GravityCompensation,
+    period_s: f64,
+    delay_s: f64,
+    q: DVector<f64>,
+    dq: DVector<f64>,
+    /// Unmodelled joint accelerations (n; rad/s², m/s²).
+    disturbance: DVector<f64>,
+    /// Last torque sent (n; Nm, N).
+    torque: DVector<f64>,
+    /// Accelerations under the previous torque and under the last one (n; rad/s², m/s²).
+    before: DVector<f64>,
+    after: DVector<f64>,
+    /// True if the last torque was sent in the cycle of the last sample.
+    sent: bool,
+    /// True if a torque was sent since the last reset.
+    begun: bool,
+}
+
+impl TorqueObserver {
+    /// Returns the observer of a robot at rest.
+    #[must_use]
+    pub fn new(setup: &TorqueObserverSetup) -> Self {
+        let gain = |(&inertia, &resolution_rad): (&f64, &f64)| {
+            ObserverGain::steady(&ObservedJoint {
+                servo: None,
+                inertia,
+                resolution_rad,
+                servo_period_s: setup.period_s,
+                servo_ticks_per_cycle: 1,
+            })
+        };
+        let zero = DVector::zeros(setup.inertias.len());
+        Self {
+            gains: setup.inertias.iter().zip(&setup.resolution_rad).map(gain).collect(),
+            friction: setup.friction.clone(),
+            gravity_compensated_by: setup.gravity_compensated_by,
+            period_s: setup.period_s,
+            delay_s: setup.delay_s,
+            q: zero.clone(),
+            dq: zero.clone(),
+            disturbance: zero.clone(),
+            torque: zero.clone(),
+            before: zero.clone(),
+            after: zero,
+            sent: false,
+            begun: false,
+        }
+    }
+
+    /// Advances the state under constant accelerations.
+    fn advance(q: &mut DVector<f64>, dq: &mut DVector<f64>, ddq: &DVector<f64>, duration_s: f64) {
+        for ((q, dq), ddq) in q.iter_mut().zip(dq.iter_mut()).zip(ddq) {
+            *q += duration_s * (*dq + 0.5 * duration_s * ddq);
+            *dq += duration_s * ddq;
+        }
+    }
+
+    /// Computes the accelerations under a torque in the present state.
+    fn accelerations(&self, data: &Data, torque: &DVector<f64>, ddq: &mut DVector<f64>) {
+        for i in 0..torque.len() {
+            let carried = self.carried(data, i);
+            ddq[i] = torque[i] + carried - data.bias[i] - self.friction.torque(i, self.dq[i]);
+        }
+        data.mass_matrix_factor.solve(ddq.as_mut_slice());
+        *ddq += &self.disturbance;
+    }
+
+    /// Gravity torque of a joint that the robot itself compensates, Nm or N.
+    fn carried(&self, data: &Data, joint: usize) -> f64 {
+        match self.gravity_compensated_by {
+            GravityCompensation::Robot => data.gravity[joint],
+            GravityCompensation::Controller => 0.0,
+        }
+    }
+}
+
+impl Transformer for TorqueObserver {
+    fn takes(&self) -> CommandKind {
+        CommandKind::Torque
+    }
+
+    /// Corrects the prediction. Without a torque since the last sample there is none: the robot holds itself.
+    fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
+        if !std::mem::take(&mut self.sent) {
+            self.reset();
+            self.q.copy_from_slice(&sample.q);
+            self.dq.fill(0.0);
+            return None;
+        }
+        for (i, gain) in self.gains.iter().enumerate() {
+            let innovation = sample.q[i] - self.q[i];
+            self.q[i] += gain.position * innovation;
+            self.dq[i] += gain.velocity * innovation;
+            self.disturbance[i] += gain.disturbance * innovation;
+        }
+        Some(self.dq.as_slice())
+    }
+
+    fn transform(&mut self, _data: &Data, torque: &[f64], command: &mut [f64]) {
+        command.copy_from_slice(torque);
+    }
+
+    /// Predicts the state at the next sample.
+    fn sent(&mut self, data: &Data, torque: &[f64]) {
+        let mut ddq = std::mem::take(&mut self.before);
+        if !self.begun {
+            // The robot held itself.
+            for i in 0..torque.len() {
+                self.torque[i] = data.gravity[i] - self.carried(data, i);
+            }
+        }
+        self.accelerations(data, &self.torque, &mut ddq);
+        self.before = ddq;
+        self.torque.copy_from_slice(torque);
+        let mut ddq = std::mem::take(&mut self.after);
+        self.accelerations(data, &self.torque, &mut ddq);
+        self.after = ddq;
+        let Self { q, dq, before, after, delay_s, period_s, .. } = self;
+        Self::advance(q, dq, before, *delay_s);
+        Self::advance(q, dq, after, *period_s - *delay_s);
+        (self.sent, self.begun) = (true, true);
+    }
+
+    /// Predicts further: the last torque stays in force.
+    fn missed(&mut self, periods: u64) {
+        if self.sent {
+            let Self { q, dq, after, period_s, .. } = self;
+            for _ in 0..periods {
+                Self::advance(q, dq, after, *period_s);
+            }
+        }
+    }
+
+    fn reset(&mut self) {
+        self.disturbance.fill(0.0);
+        (self.sent, self.begun) = (false, false);
+    }
+}
