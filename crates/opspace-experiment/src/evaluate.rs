@@ -5,4 +5,5 @@ pub(crate) mod failures;
 pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod results;
+pub mod spread;
 pub mod table;

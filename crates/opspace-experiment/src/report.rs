@@ -1,5 +1,8 @@
 //! Reports: figures and HTML pages.
 
+mod comparisons;
 pub mod document;
 pub mod figure;
 pub mod html;
+mod run_figures;
+mod task_figures;

@@ -57,6 +57,21 @@ pub struct ObservedJoint<'a> {
 }
 
 impl ObserverGain {
+    /// Returns the steady-state gain of a joint of a torque robot, with an encoder of this resolution (rad, m) that is read
+    /// every `period_s` (s).
+    #[must_use]
+    pub fn of_torque_drive(resolution_rad: f64, period_s: f64) -> Self {
+        // Without a servo, the inertia has no influence.
+        let free = ObservedJoint {
+            servo: None,
+            inertia: 1.0,
+            resolution_rad,
+            servo_period_s: period_s,
+            servo_ticks_per_cycle: 1,
+        };
+        Self::steady(&free)
+    }
+
     /// Returns the steady-state gain: the fixed point of the Riccati recursion.
     #[must_use]
     pub fn steady(joint: &ObservedJoint<'_>) -> Self {

@@ -11,7 +11,7 @@
 //! this estimate does not, as far as the model is right.
 
 use crate::friction::FrictionCompensation;
-use crate::observer::{ObservedJoint, ObserverGain};
+use crate::observer::ObserverGain;
 use crate::transformer::Transformer;
 use nalgebra::DVector;
 use opspace_backend::{CommandKind, GravityCompensation, Sample};
@@ -24,8 +24,6 @@ pub struct TorqueObserverSetup {
     pub friction: FrictionCompensation,
     /// Resolution of each encoder at the joint (n; rad, m).
     pub resolution_rad: Vec<f64>,
-    /// Inertia of each joint in a representative posture (n; kg m², kg), for the gain.
-    pub inertias: Vec<f64>,
     /// Time between two samples, s.
     pub period_s: f64,
     /// Delay until a torque acts, s; at most one period.
@@ -62,18 +60,10 @@ impl TorqueObserver {
     /// Returns the observer of a robot at rest.
     #[must_use]
     pub fn new(setup: &TorqueObserverSetup) -> Self {
-        let gain = |(&inertia, &resolution_rad): (&f64, &f64)| {
-            ObserverGain::steady(&ObservedJoint {
-                servo: None,
-                inertia,
-                resolution_rad,
-                servo_period_s: setup.period_s,
-                servo_ticks_per_cycle: 1,
-            })
-        };
-        let zero = DVector::zeros(setup.inertias.len());
+        let gain = |&resolution_rad: &f64| ObserverGain::of_torque_drive(resolution_rad, setup.period_s);
+        let zero = DVector::zeros(setup.resolution_rad.len());
         Self {
-            gains: setup.inertias.iter().zip(&setup.resolution_rad).map(gain).collect(),
+            gains: setup.resolution_rad.iter().map(gain).collect(),
             friction: setup.friction.clone(),
             gravity_compensated_by: setup.gravity_compensated_by,
             period_s: setup.period_s,

@@ -7,8 +7,8 @@
 mod chatter;
 mod joints;
 mod ripple;
-mod run_log;
-mod tasks;
+pub(crate) mod run_log;
+pub(crate) mod tasks;
 
 pub use crate::evaluate::metric_tables::{
     Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, TaskMetrics, Timing,

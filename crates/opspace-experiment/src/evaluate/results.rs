@@ -1,10 +1,13 @@
 //! Comparison of summaries: the table that all commands print.
 
+use crate::evaluate::spread::Spread;
 use crate::evaluate::table::{Cell, Table};
 use crate::run::summary::Summary;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::Deserialize;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 /// Note under tables of simulated runs.
 const OF_SIMULATION: &str = "All values are from simulation. Position, velocity and torque robots share one plant, one \
@@ -24,6 +27,10 @@ const OF_TORQUE_ERRORS: &str = "Torque error: rms of motor torque minus desired 
                                 at servo rate, of the means over each interval between two setpoints, and in the first servo \
                                 period after each control cycle ('tick'), which does not show the torque between setpoints.";
 
+/// Note under tables of runs that differ in the seed.
+const OF_SEEDS: &str = "Rows are medians over the seeds; the row below has the interval that contains the median of all seeds with a \
+                        probability of 95 % (order statistics), with fewer than six runs the lowest and the highest value.";
+
 /// Notes under a table of results.
 #[must_use]
 pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
@@ -34,10 +41,11 @@ pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
     let compared = has(|summary| summary.metrics.hand_force_rms_n) && controllers(true) && controllers(false);
     let operator = compared.then_some(OF_AN_OPERATOR);
     let torque_errors = has(|summary| summary.metrics.torque_error_interval).then_some(OF_TORQUE_ERRORS);
-    [simulated, real, operator, torque_errors].into_iter().flatten().collect()
+    let seeds = group(summaries).iter().any(|group| group.runs.len() > 1).then_some(OF_SEEDS);
+    [seeds, simulated, real, operator, torque_errors].into_iter().flatten().collect()
 }
 
-/// Summaries that differ only in the seed, and the medians of their numbers.
+/// Summaries that differ only in the seed.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Group<'a> {
@@ -52,17 +60,47 @@ impl<'a> Group<'a> {
         self.runs[0]
     }
 
-    /// Median of a number over the runs that have it.
-    pub fn median(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<f64> {
-        let mut values: Vec<f64> = self.runs.iter().filter_map(|run| number(run)).collect();
-        values.sort_by(f64::total_cmp);
-        let middle = values.len() / 2;
-        match values.len() {
-            0 => None,
-            n if n % 2 == 1 => Some(values[middle]),
-            _ => Some(0.5 * (values[middle - 1] + values[middle])),
-        }
+    /// Median of a number over the runs that have it, with its interval.
+    pub fn spread(&self, number: impl Fn(&Summary) -> Option<f64>) -> Option<Spread> {
+        Spread::of(self.runs.iter().filter_map(|run| number(run)))
     }
+
+    /// Spread of each metric that a run of the group has, by its key in a summary.
+    #[must_use]
+    pub fn metrics(&self) -> BTreeMap<String, Spread> {
+        let mut numbers: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+        for run in &self.runs {
+            let Ok(Value::Object(metrics)) = serde_json::to_value(run.metrics) else { continue };
+            for (key, value) in metrics {
+                numbers.entry(key).or_default().extend(value.as_f64());
+            }
+        }
+        let spread = |(key, numbers): (String, Vec<f64>)| Some((key, Spread::of(numbers)?));
+        numbers.into_iter().filter_map(spread).collect()
+    }
+}
+
+/// Groups of runs that differ only in the seed, with the spread of each metric: the entry `groups` of a bench's file.
+#[must_use]
+pub fn group_rows(summaries: &[Summary]) -> Vec<Value> {
+    let row = |group: &Group<'_>| {
+        let first = group.first();
+        json!({
+            "task": first.task,
+            "robot": first.robot,
+            "backend": first.backend,
+            "controller": first.controller,
+            "transformer": first.transformer,
+            "profile": first.profile,
+            "ratio": first.ratio,
+            "duration_s": first.duration_s,
+            "overrides": first.overrides,
+            "label": first.label,
+            "seeds": group.runs.iter().map(|run| run.seed).collect::<Vec<u64>>(),
+            "metrics": group.metrics(),
+        })
+    };
+    group(summaries).iter().map(row).collect()
 }
 
 /// Groups runs that differ only in the seed. The groups are ordered by robot and task, then by profile.
@@ -100,7 +138,8 @@ fn same(a: &Summary, b: &Summary) -> bool {
         && a.label == b.label
 }
 
-/// The table of results: one row per group, the name of each task on a line above its rows, and one column per measure.
+/// The table of results: one row per group with medians, below it one with their intervals, the name of each task on a
+/// line above its rows, and one column per measure.
 #[must_use]
 pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
     let mut heads = vec![("robot, control", ""), ("profile", ""), ("runs", "")];
@@ -120,15 +159,21 @@ pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
             profile(first).into(),
             if summaries.len() > 1 { (runs as u64).into() } else { Cell::Empty },
         ];
-        row.extend(measures.iter().map(|measure| measure.cell(&group)));
+        row.extend(measures.iter().map(|measure| measure.median(&group)));
         row.push(stopped(&group));
         table.push(row);
+        if runs > 1 {
+            let mut row: Vec<Cell> = vec!["    interval".into(), "".into(), "".into()];
+            row.extend(measures.iter().map(|measure| measure.interval(&group)));
+            table.push(row);
+        }
     }
     drop_empty_columns(&mut table);
     table
 }
 
-fn control(summary: &Summary) -> String {
+/// Names the control of a run: controller, transformer and label.
+pub(crate) fn control(summary: &Summary) -> String {
     let mut text = summary.controller.clone();
     for more in [&summary.transformer, &summary.label].into_iter().flatten() {
         text += &format!(" + {more}");
@@ -265,9 +310,18 @@ impl Measure {
     }
 
     /// Median of the measure over runs, in the unit of its column.
-    fn cell(self, group: &Group<'_>) -> Cell {
+    fn median(self, group: &Group<'_>) -> Cell {
         let Row(.., factor, value) = self.row();
-        Cell::from(group.median(value).map(|value| factor * value))
+        Cell::from(group.spread(value).map(|spread| factor * spread.median))
+    }
+
+    /// Interval of that median; blank where it has no width.
+    fn interval(self, group: &Group<'_>) -> Cell {
+        let Row(.., factor, value) = self.row();
+        match group.spread(value).map(|spread| spread.scaled(factor)) {
+            Some(spread) if spread.high > spread.low => Cell::Interval(spread.low, spread.high),
+            _ => "".into(),
+        }
     }
 }
 
@@ -362,7 +416,8 @@ fn stopped(group: &Group<'_>) -> Cell {
 /// Drops the columns that are empty in all rows.
 fn drop_empty_columns(table: &mut Table) {
     for place in (0..table.columns.len()).rev() {
-        if table.rows.iter().all(|row| row.get(place).is_none_or(|cell| *cell == Cell::Empty)) {
+        let is_empty = |cell: &Cell| *cell == Cell::Empty || *cell == "".into();
+        if table.rows.iter().all(|row| row.get(place).is_none_or(is_empty)) {
             table.columns.remove(place);
             for row in table.rows.iter_mut().filter(|row| place < row.len()) {
                 row.remove(place);
@@ -425,8 +480,9 @@ mod tests {
             .map(|g| (g.first().task.as_str(), g.first().profile.as_str(), g.runs.len()))
             .collect();
         assert_eq!(heads, [("a", "p", 3), ("a", "q", 1), ("b", "p", 1)]);
-        assert_eq!(groups[0].median(|s| s.metrics.pose.position_rms_m), Some(0.2));
-        assert_eq!(groups[0].median(|s| s.metrics.joint_rms_rad), None);
+        let position = groups[0].spread(|s| s.metrics.pose.position_rms_m).expect("three runs");
+        assert_eq!((position.median, position.low, position.high, position.runs), (0.2, 0.1, 0.3, 3));
+        assert_eq!(groups[0].spread(|s| s.metrics.joint_rms_rad), None);
     }
 
     #[test]
@@ -443,8 +499,9 @@ mod tests {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
         let texts = table(&runs, MEASURES).texts();
         let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
-        assert_eq!(firsts, ["a", "  position osc", "b", "  position osc"]);
+        assert_eq!(firsts, ["a", "  position osc", "    interval", "b", "  position osc"]);
         assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);
-        assert_eq!(texts[3][1..4], ["q 1:5", "1", "5.000"]);
+        assert_eq!(texts[2][1..4], ["", "", "1.000 to 3.000"]);
+        assert_eq!(texts[4][1..4], ["q 1:5", "1", "5.000"]);
     }
 }

@@ -109,6 +109,7 @@ fn position(joint: &JointIdentification) -> Figure {
                   of the largest amplitude."
             .to_owned(),
         panels: bode(curves, "|T| (1)"),
+        overlays: false,
         columns: Some(2),
     }
 }
@@ -134,6 +135,7 @@ fn effective(joint: &JointIdentification) -> Figure {
                   friction dominates the torque, it depends on the amplitude."
             .to_owned(),
         panels: bode(curves, unit),
+        overlays: false,
         columns: Some(2),
     }
 }
@@ -223,6 +225,7 @@ fn friction(joint: &JointIdentification) -> Option<Figure> {
             ],
             ..Panel::default()
         }],
+        overlays: false,
         columns: None,
     })
 }

@@ -33,8 +33,8 @@
 //!
 //! In both cases the bracket is zero without hold and lag: the servo is then inverted exactly. With them, the first
 //! terms of the bracket in s act as additional damping and inertia, like a servo that lags. At |L| = 1, the phase
-//! margin is 180° + arg L. The emulating transformers are treated like that of the paper; their observer has an
-//! additional lag. The coupling of joints, friction and the lag of the motor are not included. Two cases are not
+//! margin is 180° + arg L. The emulating transformers are treated like that of the paper, and observers like the filter:
+//! with an exact model an observer allows higher gains, but how exact the model is, is not known here. The coupling of joints, friction and the lag of the motor are not included. Two cases are not
 //! examined: force feedback, which depends on the stiffness of the environment, and impedances, which depend on the
 //! inertia of the arm along the axis.
 

@@ -5,6 +5,7 @@
 //! to the samples that are visible on a screen. Values that are not finite are not drawn; a panel without data
 //! contains a remark.
 
+use crate::evaluate::spread::Spread;
 use std::ops::Range;
 
 use plotters::coord::Shift;
@@ -24,6 +25,8 @@ pub struct Figure {
     pub panels: Vec<Panel>,
     /// Number of panels side by side, at most four; `None` arranges up to three in one column, and more in two.
     pub columns: Option<usize>,
+    /// True if a page with several runs of one task draws this figure of all runs over each other, too.
+    pub overlays: bool,
 }
 
 /// Panel of a figure: one pair of axes.
@@ -95,8 +98,8 @@ pub struct Comparison {
 pub struct ComparisonRow {
     /// Name of the task or the metric.
     pub label: String,
-    /// Values, one per series; `None` if missing.
-    pub values: Vec<Option<f64>>,
+    /// Values with their intervals, one per series; `None` if missing.
+    pub values: Vec<Option<Spread>>,
 }
 
 /// Scale of an axis.
@@ -124,6 +127,29 @@ impl Series {
     /// Creates a solid line.
     pub fn new(label: impl Into<String>, x: Vec<f64>, y: Vec<f64>) -> Self {
         Self { label: label.into(), x, y, style: Style::Solid }
+    }
+
+    /// Returns the line with only the samples that differ on a screen of `columns` columns: its memory does not grow with
+    /// the duration of a run.
+    #[must_use]
+    pub fn thinned(self, columns: usize) -> Self {
+        let Some(range) = range(self.x.iter().copied()).filter(|range| range.end > range.start) else {
+            return self;
+        };
+        if self.x.len() <= 4 * columns {
+            return self;
+        }
+        let (mut x, mut y) = (Vec::new(), Vec::new());
+        for stretch in decimate(&self.x, &self.y, (range.start, range.end), columns) {
+            if !x.is_empty() {
+                // A value that is not finite interrupts the line.
+                x.push(f64::NAN);
+                y.push(f64::NAN);
+            }
+            x.extend(stretch.iter().map(|(x, _)| *x));
+            y.extend(stretch.iter().map(|(_, y)| *y));
+        }
+        Self { x, y, ..self }
     }
 
     /// Returns the line with another style.
@@ -346,15 +372,18 @@ impl Comparison {
     #[must_use]
     pub fn svg(&self) -> String {
         let scaled = |value: f64| if self.scale == Scale::Log { value.log10() } else { value };
-        let values = self.rows.iter().flat_map(|row| row.values.iter().flatten());
-        let (shown, hidden): (Vec<f64>, Vec<f64>) =
-            values.map(|value| scaled(*value)).partition(|value| value.is_finite());
+        let spreads = || self.rows.iter().flat_map(|row| row.values.iter().flatten());
+        let hidden = spreads().filter(|spread| !scaled(spread.median).is_finite()).count();
+        let ends = spreads().flat_map(|spread| [spread.low, spread.median, spread.high].map(scaled));
         let labels: Vec<&str> = self.series.iter().map(String::as_str).collect();
         let top = legend_height(&labels);
-        canvas(&self.title, &self.caption, top + px(71 + 30 * self.rows.len() as i32), |root| {
+        // Series have lines of their own within a row.
+        let lines = self.series.len().max(1);
+        let height = px(71 + 30.max(12 * lines as i32 + 12) * self.rows.len() as i32);
+        canvas(&self.title, &self.caption, top + height, |root| {
             let (strip, area) = root.split_vertically(top);
             draw_legend(&strip, &labels, |area, place| dot(area, (SAMPLE / 2, LEGEND_ROW / 2), place))?;
-            let Some(range) = range(shown.into_iter()) else { return say(&area, "no data") };
+            let Some(range) = range(ends) else { return say(&area, "no data") };
             let x = match self.scale {
                 Scale::Linear => {
                     Axis::linear(range.start.min(0.0)..range.end.max(0.0), 0.02, &self.x_label, 8)
@@ -362,7 +391,7 @@ impl Comparison {
                 Scale::Log => Axis::decades(range, &self.x_label),
             };
             let y = Axis::rows(&self.rows);
-            let note = match hidden.len() {
+            let note = match hidden {
                 0 => String::new(),
                 count => format!("{count} not shown: not finite, or not above 0"),
             };
@@ -370,8 +399,18 @@ impl Comparison {
             let chart = chart(&area, &note, left, &x, &y)?;
             for (row, line) in self.rows.iter().enumerate() {
                 for (place, value) in line.values.iter().enumerate() {
-                    if let Some(value) = value.map(scaled).filter(|value| value.is_finite()) {
-                        dot(root, chart.backend_coord(&(x.place(value), row as f64)), place)?;
+                    let Some(spread) = value else { continue };
+                    let at = |value: f64| {
+                        let placed = Some(x.place(scaled(value))).filter(|value| value.is_finite());
+                        let line = (place as f64 + 1.0) / (lines as f64 + 1.0) - 0.5;
+                        placed.map(|value| chart.backend_coord(&(value, row as f64 + line)))
+                    };
+                    if let (Some(low), Some(high)) = (at(spread.low), at(spread.high)) {
+                        let color = PALETTE[place % PALETTE.len()].0;
+                        root.draw(&PathElement::new(vec![low, high], color.stroke_width(6)))?;
+                    }
+                    if let Some(at) = at(spread.median) {
+                        dot(root, at, place)?;
                     }
                 }
             }
@@ -383,7 +422,8 @@ impl Comparison {
 /// Draws a dot of a series. Series differ in colour and in shape: discs, rings, triangles.
 fn dot(area: &Area<'_>, at: (i32, i32), place: usize) -> Drawn {
     let color = PALETTE[place % PALETTE.len()].0;
-    match place % 3 {
+    // A seventh series has the first colour and another shape.
+    match (place + place / PALETTE.len()) % 3 {
         0 => area.draw(&Circle::new(at, px(6), color.filled())),
         1 => area.draw(&Circle::new(at, px(5), color.stroke_width(11))),
         _ => area.draw(&TriangleMarker::new(at, px(8), color.filled())),

@@ -53,7 +53,7 @@ impl Experiment {
     pub(crate) fn transformer(&self) -> Result<Box<dyn Transformer>, FileError> {
         let observes = self.velocity_source() == VelocitySource::Observer;
         if self.options.backend == CommandKind::Torque {
-            return Ok(if observes { Box::new(self.torque_observer()?) } else { Box::new(Identity) });
+            return Ok(if observes { Box::new(self.torque_observer()) } else { Box::new(Identity) });
         }
         let (TransformerKind { method, current }, _) = self.chosen_transformer();
         let joints = || self.robot.identified(&self.profile);
@@ -105,16 +105,14 @@ impl Experiment {
         self.profile.estimator.velocity.unwrap_or(default)
     }
 
-    fn torque_observer(&self) -> Result<TorqueObserver, FileError> {
-        let joints = self.robot.joints();
-        Ok(TorqueObserver::new(&TorqueObserverSetup {
+    fn torque_observer(&self) -> TorqueObserver {
+        TorqueObserver::new(&TorqueObserverSetup {
             friction: self.whole_friction(),
-            resolution_rad: joints.iter().map(|j| j.rotor.resolution_rad()).collect(),
-            inertias: self.inertias()?,
+            resolution_rad: self.robot.joints().iter().map(|j| j.rotor.resolution_rad()).collect(),
             period_s: self.profile.period_s(),
             delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             gravity_compensated_by: self.gravity_compensated_by(),
-        }))
+        })
     }
 
     /// Modelled friction of the joints, all of it.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
+use opspace_experiment::evaluate::spread::Spread;
 use opspace_experiment::evaluate::table::{Cell, Table, format_number};
 use opspace_experiment::report::figure::{
     Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style, decimate,
@@ -55,7 +56,12 @@ fn panel(title: &str, series: Vec<Series>) -> Panel {
 }
 
 fn figure(panels: Vec<Panel>) -> Figure {
-    Figure { title: "Torques".to_owned(), caption: "Desired and measured.".to_owned(), panels, columns: None }
+    Figure {
+        title: "Torques".to_owned(),
+        caption: "Desired and measured.".to_owned(),
+        panels,
+        ..Figure::default()
+    }
 }
 
 fn wave(amplitude: f64, phase: f64, samples: usize) -> (Vec<f64>, Vec<f64>) {
@@ -303,7 +309,7 @@ fn arbitrary_numbers_make_valid_figures() {
 fn comparison() -> Comparison {
     let row = |label: &str, values: &[Option<f64>]| ComparisonRow {
         label: label.to_owned(),
-        values: values.to_vec(),
+        values: values.iter().map(|value| Spread::of(*value)).collect(),
     };
     Comparison {
         title: "Position error".to_owned(),
@@ -342,11 +348,46 @@ fn comparison_places_larger_values_further_right() {
     }
 }
 
+/// Compared: the lines of two spreads, and their ends on the scale: a line from the lowest to the highest value passes
+/// through the mark of the median.
+#[test]
+fn comparison_draws_intervals() {
+    let with = |values: [f64; 3]| {
+        let row = ComparisonRow { label: "r".to_owned(), values: vec![Spread::of(values)] };
+        let svg = Comparison {
+            rows: vec![row],
+            series: vec!["one".to_owned()],
+            scale: Scale::Linear,
+            ..comparison()
+        }
+        .svg();
+        let document = xml(&svg);
+        let wide = |node: &Node<'_, '_>| node.attribute("stroke-width") == Some("6");
+        let line = document
+            .descendants()
+            .find(wide)
+            .expect("a line")
+            .attribute("points")
+            .expect("points")
+            .to_owned();
+        let ends: Vec<f64> = line
+            .split_whitespace()
+            .map(|point| point.split(',').next().expect("x").parse().expect("a number"))
+            .collect();
+        (ends[0], ends[1])
+    };
+    let (low, high) = with([1.0, 2.0, 4.0]);
+    assert!(low < high);
+    let (narrow_low, narrow_high) = with([3.0, 2.0, 4.0]);
+    assert!(narrow_high - narrow_low < 0.8 * (high - low));
+}
+
 #[test]
 fn incomplete_comparisons_name_missing_values() {
     xml(&Comparison::default().svg());
     let with = |scale, values: Vec<Option<f64>>| {
-        let row = ComparisonRow { label: "r".to_owned(), values };
+        let row =
+            ComparisonRow { label: "r".to_owned(), values: values.into_iter().map(Spread::of).collect() };
         Comparison { rows: vec![row], scale, ..comparison() }.svg()
     };
     assert!(with(Scale::Linear, vec![None, None, None]).contains("no data"));
@@ -436,7 +477,7 @@ fn sample_page(samples: usize) -> Page {
         title: "The hand in world axes".to_owned(),
         caption: "x yields to the operator; y and z hold their place.".to_owned(),
         panels: ["x", "y", "z"].into_iter().enumerate().map(axis).collect(),
-        columns: None,
+        ..Figure::default()
     };
     let empty = figure(vec![
         panel("no sensor", vec![Series::new("measured", vec![], vec![])]),
@@ -510,7 +551,7 @@ fn all_text_is_escaped() {
         (panel.x_label, panel.y_label) = (text.to_owned(), text.to_owned());
         panel.marks.push((0.5, text.to_owned()));
         let figure = Figure { title: text.to_owned(), caption: text.to_owned(), ..figure(vec![panel]) };
-        let row = ComparisonRow { label: text.to_owned(), values: vec![Some(1.0)] };
+        let row = ComparisonRow { label: text.to_owned(), values: vec![Spread::of([1.0])] };
         let comparison = Comparison { rows: vec![row], series: vec![text.to_owned()], ..comparison() };
         let page =
             Page::new(text).lead(text).section(text).paragraph(text).warning(text).facts([(text, text)]);

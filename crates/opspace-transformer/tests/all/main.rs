@@ -4,5 +4,6 @@ mod closed_loop;
 mod emulation;
 
 mod servos;
+mod torque_observer;
 mod transformer;
 mod velocity_stability;

@@ -9,23 +9,23 @@ use opspace_loop::Phase;
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
 
 /// Log that is evaluated, with its experiment.
-pub(super) struct Run<'a> {
-    pub(super) experiment: &'a Experiment,
-    pub(super) recording: &'a Recording,
-    pub(super) tick: &'a ChannelData,
+pub(crate) struct Run<'a> {
+    pub(crate) experiment: &'a Experiment,
+    pub(crate) recording: &'a Recording,
+    pub(crate) tick: &'a ChannelData,
     /// Times (s) and positions (n; rad or m) of the joints: true ones if the log contains them, otherwise measured
     /// ones.
-    pub(super) joints: (&'a [f64], Column<'a>),
+    pub(crate) joints: (&'a [f64], Column<'a>),
     /// Time of the first cycle of control on the robot's clock, s.
-    pub(super) start_s: f64,
-    pub(super) from_s: f64,
-    pub(super) to_s: f64,
+    pub(crate) start_s: f64,
+    pub(crate) from_s: f64,
+    pub(crate) to_s: f64,
     /// Tolerance within which two times are equal, s: times are rounded multiples of a servo period.
-    pub(super) same_s: f64,
+    pub(crate) same_s: f64,
 }
 
 impl<'a> Run<'a> {
-    pub(super) fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
+    pub(crate) fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
         let tick = recording.channel(TICK_CHANNEL)?;
         let phase = tick.signal(PHASE)?;
         let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
@@ -46,14 +46,14 @@ impl<'a> Run<'a> {
     }
 
     /// Indices of the times in the evaluated interval: after settling, up to the last control cycle.
-    pub(super) fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
+    pub(crate) fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
         let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
         let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
     }
 
     /// Index of the interface cycle at row `k` of the joints; `None` if the cycle was missed.
-    pub(super) fn tick_of(&self, k: usize) -> Option<usize> {
+    pub(crate) fn tick_of(&self, k: usize) -> Option<usize> {
         let (times, _) = self.joints;
         let ticks = &self.tick.time_s;
         let tick = ticks.partition_point(|&t| t < times[k] - self.same_s);
@@ -61,14 +61,14 @@ impl<'a> Run<'a> {
     }
 
     /// Indices of the rows of the joints from the first control cycle to the last.
-    pub(super) fn controlled(&self) -> std::ops::Range<usize> {
+    pub(crate) fn controlled(&self) -> std::ops::Range<usize> {
         let times = self.joints.0;
         let begin = times.partition_point(|&t| t < self.start_s - self.same_s);
         begin..self.settled(times).end.max(begin)
     }
 
     /// Pose of a task's controlled frame and the task's axes at each evaluated row of the joints, with the row index.
-    pub(super) fn poses(
+    pub(crate) fn poses(
         &self,
         subject: ControlledFrame,
         directions: AxesFrame,
@@ -77,7 +77,7 @@ impl<'a> Run<'a> {
     }
 
     /// Pose of a task's controlled frame and the task's axes at some rows of the joints, with the row index.
-    pub(super) fn poses_of(
+    pub(crate) fn poses_of(
         &self,
         rows: std::ops::Range<usize>,
         subject: ControlledFrame,
@@ -95,7 +95,7 @@ impl<'a> Run<'a> {
     }
 
     /// Pose of a frame at the start of control.
-    pub(super) fn start_pose(&self, frame: FrameId) -> Option<Placement> {
+    pub(crate) fn start_pose(&self, frame: FrameId) -> Option<Placement> {
         let model = &self.experiment.robot().model;
         let (times, q) = self.joints;
         let k = times.iter().position(|&t| t >= self.start_s - self.same_s)?;
@@ -107,48 +107,48 @@ impl<'a> Run<'a> {
 
 /// Sums of the squares of an error and of the quantity to which it is relative.
 #[derive(Clone, Default)]
-pub(super) struct Relative {
+pub(crate) struct Relative {
     error: f64,
     size: f64,
     count: u64,
 }
 
 impl Relative {
-    pub(super) fn add(&mut self, desired: f64, actual: f64) {
+    pub(crate) fn add(&mut self, desired: f64, actual: f64) {
         self.error += (actual - desired).powi(2);
         self.size += desired.powi(2);
         self.count += 1;
     }
 
-    pub(super) fn get(&self) -> Option<f64> {
+    pub(crate) fn get(&self) -> Option<f64> {
         finite((self.error / self.size).sqrt())
     }
 
-    pub(super) fn mean_square(&self) -> f64 {
+    pub(crate) fn mean_square(&self) -> f64 {
         self.error / self.count as f64
     }
 
     /// Rms of the error.
-    pub(super) fn rms(&self) -> Option<f64> {
+    pub(crate) fn rms(&self) -> Option<f64> {
         finite(self.mean_square().sqrt())
     }
 }
 
-pub(super) fn finite(number: f64) -> Option<f64> {
+pub(crate) fn finite(number: f64) -> Option<f64> {
     number.is_finite().then_some(number)
 }
 
 /// Norm over the selected elements.
-pub(super) fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
+pub(crate) fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
     v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
 }
 
-pub(super) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (count, sum) = values.fold((0_u64, 0.0), |(count, sum), v| (count + 1, sum + v));
     (count > 0).then(|| sum / count as f64)
 }
 
-pub(super) fn rms_and_max(values: impl Iterator<Item = f64>) -> (Option<f64>, Option<f64>) {
+pub(crate) fn rms_and_max(values: impl Iterator<Item = f64>) -> (Option<f64>, Option<f64>) {
     let mut max = None;
     let squares = values.map(|v| {
         max = Some(max.map_or(v, |m: f64| m.max(v)));

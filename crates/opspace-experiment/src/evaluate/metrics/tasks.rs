@@ -19,7 +19,7 @@ const PEAK_S: f64 = 1.0;
 
 impl Run<'_> {
     /// Computes the metrics of all tasks that have a priority at the start.
-    pub(super) fn tasks(&self) -> BTreeMap<String, TaskMetrics> {
+    pub(crate) fn tasks(&self) -> BTreeMap<String, TaskMetrics> {
         let file = &self.experiment.task().file;
         let mut all = BTreeMap::new();
         for (name, parameters) in file.task.iter().filter(|(name, _)| file.priority.contains(name)) {
@@ -80,7 +80,7 @@ impl Run<'_> {
     }
 
     /// Compares true (otherwise measured) joint positions with the reference of a joint task, for some or all joints.
-    pub(super) fn joint_errors(&self, name: &str, joints: Option<&[String]>) -> Vec<ElementError> {
+    pub(crate) fn joint_errors(&self, name: &str, joints: Option<&[String]>) -> Vec<ElementError> {
         let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE)) else { return Vec::new() };
         let (times, q) = self.joints;
         let rows: Vec<(usize, usize)> =
@@ -181,7 +181,7 @@ impl Run<'_> {
 
     /// True forces of the objects of the environment that act on the body of a frame, and the rows of control; `None`
     /// if the log has no true state.
-    fn forces_on(&self, frame: &str) -> Option<(Vec<Column<'_>>, Range<usize>)> {
+    pub(crate) fn forces_on(&self, frame: &str) -> Option<(Vec<Column<'_>>, Range<usize>)> {
         let model = &self.experiment.robot().model;
         let body = |name: &str| model.frame_id(name).ok().map(|id: FrameId| model.frame(id).body);
         let truth = self.recording.channel(TRUTH_CHANNEL)?;
@@ -200,12 +200,12 @@ impl ElementError {
 }
 
 /// Sum of the forces in row `k`, world axes.
-fn total(forces: &[Column<'_>], k: usize) -> Vector3<f64> {
+pub(crate) fn total(forces: &[Column<'_>], k: usize) -> Vector3<f64> {
     forces.iter().map(|force| Vector3::from_column_slice(force.row(k))).sum()
 }
 
 /// Converts a logged orientation: a quaternion, real part first.
-fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
+pub(crate) fn orientation(wxyz: &[f64]) -> Matrix3<f64> {
     let quaternion = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
     UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix().into_inner()
 }

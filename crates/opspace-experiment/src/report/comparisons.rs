@@ -1,0 +1,142 @@
+//! Charts that compare runs: medians of all runs, and runs of one task drawn over each other.
+
+use crate::evaluate::results::{Group, control, group};
+use crate::report::document::RunSection;
+use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
+use crate::run::summary::Summary;
+
+/// Creates a chart for each quantity: a row per task and profile, a mark per kind of robot, controller and transformer.
+pub(super) fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
+    type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
+    let quantities: [Quantity; 4] = [
+        ("Tracking", "position error, rms (mm)", Scale::Log, |s| {
+            s.metrics.pose.position_rms_m.map(|v| 1e3 * v)
+        }),
+        ("Hand force", "force of the operator's hand, rms (N)", Scale::Linear, |s| {
+            s.metrics.hand_force_rms_n
+        }),
+        ("Hand motion", "motion of the operator's hand, rms (mm)", Scale::Log, |s| {
+            s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
+        }),
+        ("Torque error", "rms of interval means (%)", Scale::Log, |s| {
+            s.metrics.torque_error_interval.map(|v| 1e2 * v)
+        }),
+    ];
+    let groups = group(summaries);
+    quantities
+        .into_iter()
+        .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
+        // With a single kind of control there is nothing to compare.
+        .filter(|comparison| comparison.series.len() > 1)
+        .collect()
+}
+
+fn comparison(
+    groups: &[Group<'_>],
+    title: &str,
+    x_label: &str,
+    scale: Scale,
+    number: fn(&Summary) -> Option<f64>,
+) -> Comparison {
+    let control = |s: &Summary| format!("{} {}", s.backend, control(s));
+    let place = |s: &Summary| format!("{}, {} 1:{}", s.task, s.profile, s.ratio);
+    let mut controls: Vec<String> = Vec::new();
+    let mut rows: Vec<ComparisonRow> = Vec::new();
+    for group in groups {
+        let first = group.first();
+        let Some(value) = group.spread(number) else { continue };
+        let column = controls.iter().position(|c| *c == control(first)).unwrap_or_else(|| {
+            controls.push(control(first));
+            controls.len() - 1
+        });
+        let label = place(first);
+        let at = rows.iter().position(|row| row.label == label).unwrap_or_else(|| {
+            rows.push(ComparisonRow { label, values: Vec::new() });
+            rows.len() - 1
+        });
+        let values = &mut rows[at].values;
+        values.resize(values.len().max(column + 1), None);
+        values[column] = Some(value);
+    }
+    rows.iter_mut().for_each(|row| row.values.resize(controls.len(), None));
+    Comparison {
+        title: title.to_owned(),
+        caption: "Medians over the seeds; the lines are the intervals of the table.".to_owned(),
+        x_label: x_label.to_owned(),
+        series: controls,
+        rows,
+        scale,
+    }
+}
+
+/// Draws the runs of each task over each other, where a page shows several: what they did, and their errors. A reference
+/// is drawn once if it is the same for all.
+pub(super) fn overlays(shown: &[RunSection]) -> Vec<Figure> {
+    let mut figures = Vec::new();
+    let mut done: Vec<(&str, &str)> = Vec::new();
+    for first in shown {
+        let key = (first.summary.task.as_str(), first.summary.robot.as_str());
+        if done.contains(&key) {
+            continue;
+        }
+        done.push(key);
+        let runs: Vec<&RunSection> = shown
+            .iter()
+            .filter(|run| (run.summary.task.as_str(), run.summary.robot.as_str()) == key)
+            .collect();
+        if runs.len() > 1 {
+            figures.extend(
+                first.figures.iter().filter(|figure| figure.overlays).filter_map(|f| overlay(f, &runs)),
+            );
+        }
+    }
+    figures
+}
+
+/// Draws one figure of several runs into one; `None` if only one run has it.
+fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
+    let same = |other: &&Figure| other.title == figure.title && other.panels.len() == figure.panels.len();
+    let found: Vec<(String, &Figure)> =
+        runs.iter().filter_map(|run| Some((name(&run.summary), run.figures.iter().find(same)?))).collect();
+    if found.len() < 2 {
+        return None;
+    }
+    let panel = |place: usize| {
+        let mut series: Vec<Series> = Vec::new();
+        for (name, figure) in &found {
+            for one in &figure.panels[place].series {
+                let label = if one.style == Style::Desired {
+                    one.label.clone()
+                } else {
+                    format!("{name}: {}", one.label)
+                };
+                let known = series.iter().any(|s| s.label == label && s.x == one.x && s.y == one.y);
+                let label = match series.iter().any(|s| s.label == label) {
+                    true => format!("{name}: {}", one.label),
+                    false => label,
+                };
+                if !known {
+                    series.push(Series { label, ..one.clone() });
+                }
+            }
+        }
+        Panel { series, ..figure.panels[place].clone() }
+    };
+    Some(Figure {
+        title: format!("{}: {} runs", figure.title, found.len()),
+        panels: (0..figure.panels.len()).map(panel).collect(),
+        ..figure.clone()
+    })
+}
+
+/// Name of a run in an overlay.
+fn name(summary: &Summary) -> String {
+    format!(
+        "{} {}, {} 1:{}, seed {}",
+        summary.backend,
+        control(summary),
+        summary.profile,
+        summary.ratio,
+        summary.seed
+    )
+}

@@ -1,0 +1,273 @@
+//! Figures of one run: torques, their errors, the tasks, setpoints and computing times. All are computed from the log.
+
+use crate::evaluate::metrics::run_log::Run;
+use crate::report::figure::{Figure, Panel, Scale, Series, Style};
+use crate::report::task_figures::task_figures;
+use crate::run::experiment::Experiment;
+use opspace_backend::signal_names::{
+    DQ, DQ_DESIRED, MOTOR_TORQUE, PHASE, Q, Q_DESIRED, SERVO_CHANNEL, TICK_TIME, TORQUE_DESIRED,
+};
+use opspace_log::{ChannelData, Column, Recording};
+use opspace_loop::Phase;
+use realfft::RealFftPlanner;
+use std::f64::consts::TAU;
+
+/// Number of parts of the time axis in which a line keeps its first, lowest, highest and last sample: more than a screen
+/// shows.
+const COLUMNS: usize = 1500;
+
+/// Fraction of the largest value shown, beside which a limit is drawn.
+const NEAR_LIMIT: f64 = 0.4;
+
+/// Creates the figures of a run: torques by joint, then the signals of its tasks and sensors.
+#[must_use]
+pub(super) fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
+    let Some(run) = Run::new(experiment, recording) else { return Vec::new() };
+    let mut figures: Vec<Figure> = torques(&run).into_iter().collect();
+    figures.extend(task_figures(&run));
+    figures.extend(setpoint_figure(&run));
+    figures.extend(torque_error_spectrum(&run));
+    figures.extend(computing_times(&run));
+    figures
+}
+
+/// Figure of desired and motor torque of each joint, at servo rate if the log contains it.
+fn torques(run: &Run<'_>) -> Option<Figure> {
+    let (channel, caption) = match run.recording.channel(SERVO_CHANNEL) {
+        Some(servo) => (servo, "True motor torque, mean over each servo period, and desired torque."),
+        None => (run.tick, "Motor torque measured by current, and desired torque."),
+    };
+    let motor = channel.signal(MOTOR_TORQUE)?;
+    let desired = channel.signal(TORQUE_DESIRED);
+    let limits = run.experiment.robot().torque_limits();
+    let panel = |(j, joint): (usize, &String)| {
+        let lines = [("motor", Style::Solid, Some(motor)), ("desired", Style::Desired, desired)];
+        let series = lines
+            .into_iter()
+            .filter_map(|(label, style, column)| element(run, label, &channel.time_s, &column?, j, style));
+        let mut panel = time_panel(joint, &label_of("torque", &motor, j), series.collect());
+        let limit = limits.get(j).copied().unwrap_or(f64::INFINITY);
+        draw_limits(&mut panel, -limit..limit);
+        panel
+    };
+    Some(Figure {
+        title: "Desired and motor torque".to_owned(),
+        caption: format!("{caption} Torque limits are drawn where the torques come near them."),
+        panels: motor.elements().iter().enumerate().map(panel).collect(),
+        overlays: true,
+        ..Figure::default()
+    })
+}
+
+/// Figure of setpoints and measured values: velocities for a velocity robot, positions for a position robot.
+fn setpoint_figure(run: &Run<'_>) -> Option<Figure> {
+    if let Some(velocities) = run.tick.signal(DQ_DESIRED) {
+        return joint_figure(
+            run,
+            "Setpoints",
+            "Velocity setpoints (commands of the velocity servos), and measured or estimated velocities.",
+            "velocity",
+            (run.tick, DQ, "measured"),
+            &velocities,
+        );
+    }
+    let positions = run.tick.signal(Q_DESIRED)?;
+    let caption = "Position setpoints (commands of the position servos), and measured positions.";
+    joint_figure(run, "Setpoints", caption, "position", (run.tick, Q, "measured"), &positions)
+}
+
+/// Figure of a quantity of each joint, with the desired one of the control cycles and the position limits that it comes
+/// near.
+pub(super) fn joint_figure(
+    run: &Run<'_>,
+    title: &str,
+    caption: &str,
+    quantity: &str,
+    (channel, name, label): (&ChannelData, &str, &str),
+    desired: &Column<'_>,
+) -> Option<Figure> {
+    let actual = channel.signal(name)?;
+    let joints = run.experiment.robot().model.joints();
+    let panel = |(j, joint): (usize, &String)| {
+        let place = desired.elements().iter().position(|name| name == joint);
+        let series = [
+            element(run, label, &channel.time_s, &actual, j, Style::Solid),
+            place.and_then(|place| element(run, "desired", &run.tick.time_s, desired, place, Style::Desired)),
+        ];
+        let mut panel =
+            time_panel(joint, &label_of(quantity, &actual, j), series.into_iter().flatten().collect());
+        if let Some(joint) = joints.iter().find(|known| known.name == *joint).filter(|_| name == Q) {
+            draw_limits(&mut panel, joint.limits.lower..joint.limits.upper);
+        }
+        panel
+    };
+    Some(Figure {
+        title: title.to_owned(),
+        caption: caption.to_owned(),
+        panels: actual.elements().iter().enumerate().map(panel).collect(),
+        overlays: true,
+        ..Figure::default()
+    })
+}
+
+/// Figure of the spectrum of the torque error of each joint, at servo rate, after settling: where motor torque and desired
+/// torque differ. `None` without a true motor torque.
+fn torque_error_spectrum(run: &Run<'_>) -> Option<Figure> {
+    let servo = run.recording.channel(SERVO_CHANNEL)?;
+    let (motor, desired) = (servo.signal(MOTOR_TORQUE)?, servo.signal(TORQUE_DESIRED)?);
+    let profile = run.experiment.profile().1;
+    let rows = run.settled(&servo.time_s);
+    let mut planner = RealFftPlanner::new();
+    let panels: Vec<Panel> = (motor.elements().iter().enumerate())
+        .filter_map(|(j, joint)| {
+            let errors: Vec<f64> = rows.clone().map(|k| motor.row(k)[j] - desired.row(k)[j]).collect();
+            let (hz, amplitude) = spectrum(errors, profile.servo_hz.get(), &mut planner)?;
+            let mut panel = Panel {
+                title: joint.clone(),
+                x_label: "frequency (Hz)".to_owned(),
+                y_label: label_of("amplitude", &motor, j),
+                series: vec![Series::new("motor minus desired torque", hz, amplitude).thinned(COLUMNS)],
+                y_scale: Scale::Log,
+                ..Panel::default()
+            };
+            if profile.servo_ticks_per_cycle.get() > 1 {
+                panel.marks.push((1.0 / profile.period_s(), "interface rate".to_owned()));
+            }
+            Some(panel)
+        })
+        .collect();
+    (!panels.is_empty()).then(|| Figure {
+        title: "Spectrum of the torque error".to_owned(),
+        caption: "Amplitude of each frequency, Hann window, after settle_s. A held setpoint gives lines at multiples of the \
+                  interface rate; the controller's own errors are at low frequencies."
+            .to_owned(),
+        panels,
+        ..Figure::default()
+    })
+}
+
+/// Returns frequencies (Hz) and amplitudes of a signal; `None` if it is too short or has gaps.
+fn spectrum(
+    mut samples: Vec<f64>,
+    rate_hz: f64,
+    planner: &mut RealFftPlanner<f64>,
+) -> Option<(Vec<f64>, Vec<f64>)> {
+    let n = samples.len();
+    if n < 64 || samples.iter().any(|sample| !sample.is_finite()) {
+        return None;
+    }
+    for (k, sample) in samples.iter_mut().enumerate() {
+        *sample *= 0.5 - 0.5 * (TAU * k as f64 / n as f64).cos();
+    }
+    let transform = planner.plan_fft_forward(n);
+    let mut lines = transform.make_output_vec();
+    transform.process(&mut samples, &mut lines).ok()?;
+    // The mean of the window is one half, and a line stands for two.
+    let amplitudes = lines.iter().skip(1).map(|line| 4.0 * line.norm() / n as f64).collect();
+    let frequencies = (1..lines.len()).map(|line| line as f64 * rate_hz / n as f64).collect();
+    Some((frequencies, amplitudes))
+}
+
+/// Histogram of the durations of the control cycles.
+fn computing_times(run: &Run<'_>) -> Option<Figure> {
+    const BINS: usize = 60;
+    let (phase, time) = (run.tick.signal(PHASE)?, run.tick.signal(TICK_TIME)?);
+    let controlled = phase.rows().zip(time.rows()).filter(|(phase, _)| phase[0] == Phase::Control.code());
+    let mut times_us: Vec<f64> =
+        controlled.map(|(_, time)| 1e-3 * time[0]).filter(|t| t.is_finite() && *t > 0.0).collect();
+    times_us.sort_by(f64::total_cmp);
+    let (least, largest) = (*times_us.first()?, *times_us.last()?);
+    // Bins of equal ratio: a few cycles take a hundred times longer than the others.
+    let ratio = (largest / least).max(1.1).powf(1.0 / BINS as f64);
+    let (mut x, mut y) = (Vec::new(), Vec::new());
+    let mut counted = 0;
+    for bin in 0..BINS {
+        let (from, to) = (least * ratio.powf(bin as f64), least * ratio.powf(bin as f64 + 1.0));
+        let until = if bin + 1 == BINS { times_us.len() } else { times_us.partition_point(|t| *t < to) };
+        let count = until.saturating_sub(counted) as f64;
+        counted = until;
+        // Steps; an empty bin interrupts the line, as a logarithmic axis has no zero.
+        x.extend([from, to]);
+        y.extend([if count > 0.0 { count } else { f64::NAN }; 2]);
+    }
+    let at = |share: f64| times_us[((times_us.len() - 1) as f64 * share).round() as usize];
+    let panel = Panel {
+        x_label: "duration of a control cycle (µs)".to_owned(),
+        y_label: "cycles".to_owned(),
+        series: vec![Series::new("cycles", x, y)],
+        marks: vec![(at(0.5), "median".to_owned()), (at(0.99), "99 %".to_owned())],
+        x_scale: Scale::Log,
+        y_scale: Scale::Log,
+        ..Panel::default()
+    };
+    Some(Figure {
+        title: "Computing time".to_owned(),
+        caption: "Number of control cycles by duration: estimator, model, controller and transformer, without communication. \
+                  Measured on the computer of this run, among its other work."
+            .to_owned(),
+        panels: vec![panel],
+        ..Figure::default()
+    })
+}
+
+/// Panel over time.
+pub(super) fn time_panel(title: &str, y_label: &str, series: Vec<Series>) -> Panel {
+    Panel {
+        title: title.to_owned(),
+        x_label: "time (s)".to_owned(),
+        y_label: y_label.to_owned(),
+        series,
+        ..Panel::default()
+    }
+}
+
+/// Axis label: the quantity, and the unit of one element of a signal.
+pub(super) fn label_of(quantity: &str, column: &Column<'_>, element: usize) -> String {
+    format!("{quantity} ({})", column.units()[element].replace("Nm", "N·m"))
+}
+
+/// Line of a quantity at times on the robot's clock, from the start of control on. `None` if no value is finite.
+pub(super) fn line(
+    run: &Run<'_>,
+    label: &str,
+    samples: impl Iterator<Item = (f64, f64)>,
+    style: Style,
+) -> Option<Series> {
+    let (mut x, mut y) = (Vec::new(), Vec::new());
+    for (time_s, value) in samples.filter(|(time_s, _)| *time_s >= run.start_s - run.same_s) {
+        x.push(time_s - run.start_s);
+        y.push(value);
+    }
+    y.iter().any(|v| v.is_finite()).then(|| Series::new(label, x, y).style(style).thinned(COLUMNS))
+}
+
+/// Line of one element of a signal.
+pub(super) fn element(
+    run: &Run<'_>,
+    label: &str,
+    time_s: &[f64],
+    column: &Column<'_>,
+    element: usize,
+    style: Style,
+) -> Option<Series> {
+    line(run, label, time_s.iter().copied().zip(column.rows().map(|row| row[element])), style)
+}
+
+/// Draws the limits that the lines of a panel come near.
+fn draw_limits(panel: &mut Panel, limits: std::ops::Range<f64>) {
+    let values = || panel.series.iter().flat_map(|series| series.y.iter().copied()).filter(|v| v.is_finite());
+    let times = || panel.series.iter().flat_map(|series| series.x.iter().copied());
+    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
+    let (begin, end) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
+    let span = limits.end - limits.start;
+    let mut near = Vec::new();
+    if limits.end.is_finite() && span.is_finite() && high > limits.end - NEAR_LIMIT * 0.5 * span {
+        near.push(limits.end);
+    }
+    if limits.start.is_finite() && span.is_finite() && low < limits.start + NEAR_LIMIT * 0.5 * span {
+        near.push(limits.start);
+    }
+    for limit in near {
+        panel.series.push(Series::new("limit", vec![begin, end], vec![limit; 2]).style(Style::Thin));
+    }
+}
