@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 
 /// Note under tables of simulated runs.
 const OF_SIMULATION: &str = "All values are from simulation. Position, velocity and torque robots share one plant, one \
-                             interface rate and one measurement. The transformers 'emulation' and 'interpolating' estimate \
-                             velocities by an observer, which knows the desired torque; all others, and torque robots, \
-                             by filtered differences: part of a difference in tracking is due to the observer. The \
-                             parameters of the arm are partly assumed; its robot.toml marks which.";
+                             interface rate and one measurement. Velocities are estimated by an observer with the model of \
+                             the arm, which knows the command; the position robot with 'paper' uses filtered differences, \
+                             as the paper does, unless the row says 'observer'. The parameters \
+                             of the arm are partly assumed; its robot.toml marks which.";
 /// Note under tables with runs of a real robot.
 const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
                           motor torque are missing.";

@@ -102,21 +102,23 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
         return None;
     }
     let panel = |place: usize| {
-        let mut series: Vec<Series> = Vec::new();
-        for (name, figure) in &found {
+        let of = |figure: &Figure, label: &str| {
+            figure.panels[place].series.iter().find(|series| series.label == label).cloned()
+        };
+        // A reference that is the same in all runs is drawn once.
+        let is_shared = |one: &Series| {
+            one.style == Style::Desired
+                && found.iter().all(|(_, figure)| {
+                    of(figure, &one.label).is_some_and(|other| other.x == one.x && other.y == one.y)
+                })
+        };
+        let mut series = Vec::new();
+        for (index, (name, figure)) in found.iter().enumerate() {
             for one in &figure.panels[place].series {
-                let label = if one.style == Style::Desired {
-                    one.label.clone()
-                } else {
-                    format!("{name}: {}", one.label)
-                };
-                let known = series.iter().any(|s| s.label == label && s.x == one.x && s.y == one.y);
-                let label = match series.iter().any(|s| s.label == label) {
-                    true => format!("{name}: {}", one.label),
-                    false => label,
-                };
-                if !known {
-                    series.push(Series { label, ..one.clone() });
+                match is_shared(one) {
+                    true if index > 0 => {}
+                    true => series.push(one.clone()),
+                    false => series.push(Series { label: format!("{name}: {}", one.label), ..one.clone() }),
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::results::{Measure, joint_table, notes, table, task_table};
+use crate::evaluate::results::{Measure, group, joint_table, notes, table, task_table};
 use crate::report::comparisons::{comparisons, overlays};
 use crate::report::figure::Figure;
 use crate::report::html::Page;
@@ -70,7 +70,7 @@ pub fn page(
     shown: &[RunSection],
 ) -> String {
     let mut page = Page::new(title).lead(lead).section("Results").table(
-        if summaries.len() == 1 {
+        if group(summaries).iter().all(|group| group.runs.len() == 1) {
             "Values after settle_s"
         } else {
             "Medians over the seeds of each row, and their intervals, after settle_s"

@@ -121,12 +121,13 @@ fn torque_error_spectrum(run: &Run<'_>) -> Option<Figure> {
     let panels: Vec<Panel> = (motor.elements().iter().enumerate())
         .filter_map(|(j, joint)| {
             let errors: Vec<f64> = rows.clone().map(|k| motor.row(k)[j] - desired.row(k)[j]).collect();
-            let (hz, amplitude) = spectrum(errors, profile.servo_hz.get(), &mut planner)?;
+            let (hz, amplitude) = spectrum(&errors, profile.servo_hz.get(), &mut planner)?;
             let mut panel = Panel {
                 title: joint.clone(),
                 x_label: "frequency (Hz)".to_owned(),
                 y_label: label_of("amplitude", &motor, j),
                 series: vec![Series::new("motor minus desired torque", hz, amplitude).thinned(COLUMNS)],
+                x_scale: Scale::Log,
                 y_scale: Scale::Log,
                 ..Panel::default()
             };
@@ -138,32 +139,41 @@ fn torque_error_spectrum(run: &Run<'_>) -> Option<Figure> {
         .collect();
     (!panels.is_empty()).then(|| Figure {
         title: "Spectrum of the torque error".to_owned(),
-        caption: "Amplitude of each frequency, Hann window, after settle_s. A held setpoint gives lines at multiples of the \
-                  interface rate; the controller's own errors are at low frequencies."
+        caption: "Amplitude by frequency after settle_s, rms over segments of one second (Hann window, Welch). A held setpoint \
+                  gives lines at multiples of the interface rate; friction, noise and the transformer's model errors are \
+                  below it."
             .to_owned(),
         panels,
         ..Figure::default()
     })
 }
 
-/// Returns frequencies (Hz) and amplitudes of a signal; `None` if it is too short or has gaps.
+/// Returns frequencies (Hz) and amplitudes of a signal, rms over segments of a second that overlap by half, with a Hann
+/// window (P. D. Welch, 1967); `None` if the signal is too short or has gaps.
 fn spectrum(
-    mut samples: Vec<f64>,
+    samples: &[f64],
     rate_hz: f64,
     planner: &mut RealFftPlanner<f64>,
 ) -> Option<(Vec<f64>, Vec<f64>)> {
-    let n = samples.len();
+    let n = samples.len().min(rate_hz.round() as usize);
     if n < 64 || samples.iter().any(|sample| !sample.is_finite()) {
         return None;
     }
-    for (k, sample) in samples.iter_mut().enumerate() {
-        *sample *= 0.5 - 0.5 * (TAU * k as f64 / n as f64).cos();
-    }
     let transform = planner.plan_fft_forward(n);
-    let mut lines = transform.make_output_vec();
-    transform.process(&mut samples, &mut lines).ok()?;
-    // The mean of the window is one half, and a line stands for two.
-    let amplitudes = lines.iter().skip(1).map(|line| 4.0 * line.norm() / n as f64).collect();
+    let (mut segment, mut lines) = (transform.make_input_vec(), transform.make_output_vec());
+    let mut squares = vec![0.0; lines.len()];
+    let mut segments = 0.0;
+    for start in (0..=samples.len() - n).step_by(n.div_ceil(2)) {
+        let mean = samples[start..start + n].iter().sum::<f64>() / n as f64;
+        for (k, value) in segment.iter_mut().enumerate() {
+            *value = (samples[start + k] - mean) * (0.5 - 0.5 * (TAU * k as f64 / n as f64).cos());
+        }
+        transform.process(&mut segment, &mut lines).ok()?;
+        // The mean of the window is one half, and a line stands for two.
+        squares.iter_mut().zip(&lines).for_each(|(sum, line)| *sum += (4.0 * line.norm() / n as f64).powi(2));
+        segments += 1.0;
+    }
+    let amplitudes = squares.iter().skip(1).map(|sum| (sum / segments).sqrt()).collect();
     let frequencies = (1..lines.len()).map(|line| line as f64 * rate_hz / n as f64).collect();
     Some((frequencies, amplitudes))
 }
@@ -269,5 +279,25 @@ fn draw_limits(panel: &mut Panel, limits: std::ops::Range<f64>) {
     }
     for limit in near {
         panel.series.push(Series::new("limit", vec![begin, end], vec![limit; 2]).style(Style::Thin));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Compared: the amplitudes at the frequencies of two sines, and these sines' amplitudes.
+    #[test]
+    fn spectrum_has_the_amplitudes_of_sines() {
+        let rate_hz = 1000.0;
+        let samples: Vec<f64> = (0..5300)
+            .map(|k| f64::from(k) / rate_hz)
+            .map(|t| 7.0 + 0.5 * (TAU * 20.0 * t).sin() + 0.02 * (TAU * 310.0 * t).cos())
+            .collect();
+        let (hz, amplitude) = spectrum(&samples, rate_hz, &mut RealFftPlanner::new()).expect("a spectrum");
+        assert_eq!((hz[0], hz[19], hz[309]), (1.0, 20.0, 310.0));
+        assert!((amplitude[19] - 0.5).abs() < 1e-9 && (amplitude[309] - 0.02).abs() < 1e-9);
+        assert!(amplitude[99] < 1e-9, "{}", amplitude[99]);
+        assert_eq!(spectrum(&samples[..20], rate_hz, &mut RealFftPlanner::new()), None);
     }
 }

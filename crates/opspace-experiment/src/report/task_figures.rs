@@ -122,10 +122,10 @@ impl<'a> CartesianFigures<'a> {
         let caption = match followed.len() {
             3 => "World axes.".to_owned(),
             0 => "World axes. No axis of the world alone follows a reference.".to_owned(),
-            _ => format!(
-                "World axes. Only {} follows a reference; the other axes are free.",
-                followed.join(" and ")
-            ),
+            1 => format!("World axes. Only {} follows a reference; the other axes are free.", followed[0]),
+            _ => {
+                format!("World axes. {} follow a reference; the other axis is free.", followed.join(" and "))
+            }
         };
         Some(Figure {
             title: format!("Position of '{}'", self.task.frame),
