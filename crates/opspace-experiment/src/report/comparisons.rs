@@ -105,12 +105,12 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
         let of = |figure: &Figure, label: &str| {
             figure.panels[place].series.iter().find(|series| series.label == label).cloned()
         };
-        // A reference that is the same in all runs is drawn once.
+        // A reference that looks the same in all runs is drawn once.
         let is_shared = |one: &Series| {
             one.style == Style::Desired
-                && found.iter().all(|(_, figure)| {
-                    of(figure, &one.label).is_some_and(|other| other.x == one.x && other.y == one.y)
-                })
+                && found
+                    .iter()
+                    .all(|(_, figure)| of(figure, &one.label).is_some_and(|other| looks_equal(one, &other)))
         };
         let mut series = Vec::new();
         for (index, (name, figure)) in found.iter().enumerate() {
@@ -129,6 +129,16 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
         panels: (0..figure.panels.len()).map(panel).collect(),
         ..figure.clone()
     })
+}
+
+/// True if two lines cannot be told apart in a figure: references begin at the measured position of each run.
+fn looks_equal(one: &Series, other: &Series) -> bool {
+    const FRACTION_OF_RANGE: f64 = 2e-3;
+    let finite = || one.y.iter().copied().filter(|y| y.is_finite());
+    let range = finite().fold(f64::NEG_INFINITY, f64::max) - finite().fold(f64::INFINITY, f64::min);
+    let near =
+        |(a, b): (&f64, &f64)| (a - b).abs() <= FRACTION_OF_RANGE * range || (a.is_nan() && b.is_nan());
+    one.x == other.x && one.y.len() == other.y.len() && one.y.iter().zip(&other.y).all(near)
 }
 
 /// Name of a run in an overlay.

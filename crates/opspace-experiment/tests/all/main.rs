@@ -7,6 +7,7 @@ mod panicking_task;
 mod real_robot;
 mod recorded;
 mod report;
+mod run_figures;
 mod servo_gain;
 mod source;
 mod streamed;

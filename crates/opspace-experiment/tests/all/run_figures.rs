@@ -1,0 +1,146 @@
+//! Figures of runs: what each of them shows, and what not.
+#![expect(clippy::unwrap_used, reason = "a test that can't go on has failed")]
+
+use opspace_backend::CommandKind;
+use opspace_experiment::evaluate::results::MEASURES;
+use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::report::figure::{Figure, Panel, Style};
+use opspace_experiment::{Experiment, Files, MemoryRun, Progress, RunOptions, Summary};
+use opspace_log::Recording;
+use opspace_loop::Phase;
+use std::io::Cursor;
+use std::path::Path;
+
+fn load(task: &str, backend: CommandKind, duration_s: f64) -> Experiment {
+    let options = RunOptions { backend, duration_s: Some(duration_s), ..RunOptions::default() };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{task}.toml"));
+    Experiment::load(Files::Disk, &path, None, options, &["settle_s=0.2".to_owned()]).unwrap()
+}
+
+fn shown(experiment: &Experiment) -> (MemoryRun, RunSection) {
+    let run = experiment.run_in_memory(&Progress::default()).unwrap();
+    let summary = experiment.summary(&run.recording, &run.record, None);
+    let section = RunSection::new(experiment, &run.recording, summary);
+    (run, section)
+}
+
+fn figure<'a>(section: &'a RunSection, title: &str) -> &'a Figure {
+    let titles: Vec<&str> = section.figures.iter().map(|figure| figure.title.as_str()).collect();
+    let found = section.figures.iter().find(|figure| figure.title.starts_with(title));
+    found.unwrap_or_else(|| panic!("no figure '{title}' in {titles:?}"))
+}
+
+fn labels(panel: &Panel) -> Vec<&str> {
+    panel.series.iter().map(|series| series.label.as_str()).collect()
+}
+
+/// Checks that a compliant axis has no reference, and the axes that hold their place have one.
+#[test]
+fn free_axes_have_no_reference() {
+    let (_, section) = shown(&load("compliant-x", CommandKind::Position, 0.6));
+    let position = figure(&section, "Position of");
+    let with: Vec<Vec<&str>> = position.panels.iter().map(labels).collect();
+    assert_eq!(with, [vec!["true"], vec!["true", "reference"], vec!["true", "reference"]]);
+    assert!(position.caption.contains("y and z follow a reference"), "{}", position.caption);
+}
+
+/// Compared: the force figure's true force and target, and those of log and task file; the error figure, and the metric
+/// of the summary.
+#[test]
+fn force_is_drawn_with_its_target_and_errors_over_time() {
+    let experiment = load("press-wall", CommandKind::Position, 1.0);
+    let (run, section) = shown(&experiment);
+    let x = &figure(&section, "Contact force").panels[0];
+    assert_eq!(labels(x), ["true", "sensed", "target"]);
+    assert!(x.series[2].y.iter().all(|force| *force == -10.0));
+    let logged = run.recording.channel("truth").unwrap().signal("board.force").unwrap();
+    let largest = |values: &mut dyn Iterator<Item = f64>| {
+        values.filter(|v| v.is_finite()).map(f64::abs).fold(0.0, f64::max)
+    };
+    let in_log = largest(&mut logged.rows().map(|row| row[0]));
+    assert!(in_log > 0.0);
+    assert_eq!(largest(&mut x.series[0].y.iter().copied()), in_log);
+    let y = &figure(&section, "Contact force").panels[1];
+    assert!(!labels(y).contains(&"target"), "{:?}", labels(y));
+
+    let error = &figure(&section, "Error of task").panels[0].series[0];
+    let settled = error.x.iter().zip(&error.y).filter(|(t, _)| **t >= 0.2 - 1e-4).map(|(_, mm)| *mm);
+    let largest = settled.fold(0.0, f64::max);
+    let metric = 1e3 * section.summary.metrics.pose.position_max_m.unwrap();
+    assert!((largest / metric - 1.0).abs() < 1e-9, "{largest} mm drawn, {metric} mm in the table");
+}
+
+/// Checks that orientation, the spectrum of the torque error and computing times have figures, and that a mark shows the
+/// interface rate.
+#[test]
+fn orientation_spectrum_and_computing_time_are_drawn() {
+    let (run, section) = shown(&load("ur5e-tracking", CommandKind::Position, 0.6));
+    let rotations = figure(&section, "Orientation of");
+    assert!(
+        !rotations.panels.is_empty() && rotations.panels.iter().all(|panel| panel.y_label.contains("mrad"))
+    );
+    let spectrum = figure(&section, "Spectrum of the torque error");
+    assert_eq!(spectrum.panels.len(), 6);
+    assert!(spectrum.panels.iter().all(|panel| panel.marks[0].1 == "interface rate"));
+    let times = &figure(&section, "Computing time").panels[0].series[0];
+    let counted: f64 = times.y.iter().filter(|count| count.is_finite()).sum::<f64>() / 2.0;
+    let phase = run.recording.channel("tick").unwrap().signal("phase").unwrap();
+    let cycles = phase.rows().filter(|phase| phase[0] == Phase::Control.code()).count();
+    assert_eq!(counted, cycles as f64, "every control cycle");
+}
+
+/// Checks that the page of two runs of one task draws them over each other, each named, and one reference for both.
+#[test]
+fn runs_of_one_task_are_drawn_over_each_other() {
+    let sections: Vec<RunSection> = [CommandKind::Position, CommandKind::Torque]
+        .map(|backend| shown(&load("cartesian-tracking", backend, 0.6)).1)
+        .into();
+    let summaries: Vec<Summary> = sections.iter().map(|section| section.summary.clone()).collect();
+    let html = page("Title", "Lead.", &summaries, MEASURES, &sections);
+    assert!(html.contains("Position of &#39;hand&#39;: 2 runs"));
+    for name in
+        ["position osc + emulation+current, a-med 1:5, seed 1: true", "torque osc, a-med 1:5, seed 1: true"]
+    {
+        assert!(html.contains(name), "{name}");
+    }
+    assert!(!html.contains("seed 1: reference"));
+    let alone = page("Title", "Lead.", &summaries[..1], MEASURES, &sections[..1]);
+    assert!(!alone.contains(": 2 runs") && !alone.contains(": 1 runs"));
+}
+
+/// Compared: all rows of a run in memory, and those of the log of the same run, bit for bit; computing times differ.
+#[test]
+fn run_in_memory_has_the_rows_of_the_log() {
+    let experiment = load("compliant-x", CommandKind::Position, 0.3);
+    let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
+    let logged = Recording::from_bytes(&result.sink.into_inner()).unwrap();
+    let (run, _) = shown(&experiment);
+    assert_eq!(run.record, result.record);
+    for channel in &logged.channels {
+        let other = run.recording.channel(&channel.layout.channel).unwrap();
+        assert_eq!((&channel.layout, &channel.time_s), (&other.layout, &other.time_s));
+        for signal in channel.layout.signals.iter().filter(|signal| signal.unit() != "ns") {
+            let [a, b] = [channel, other].map(|data| data.signal(&signal.name).unwrap());
+            let bits = |row: &[f64]| row.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
+            assert!(a.rows().map(bits).eq(b.rows().map(bits)), "{} differs", signal.name);
+        }
+    }
+}
+
+/// Compared: the ends, the highest and the lowest sample of a long line before and after it was thinned.
+#[test]
+fn thinned_line_keeps_its_extremes() {
+    use opspace_experiment::report::figure::Series;
+    let x: Vec<f64> = (0..100_000).map(f64::from).collect();
+    let mut y: Vec<f64> = x.iter().map(|x| (x * 1e-3).sin()).collect();
+    (y[31_234], y[77_777]) = (40.0, -30.0);
+    y[50_000..50_500].fill(f64::NAN);
+    let line = Series::new("line", x, y).style(Style::Thin);
+    let thin = line.clone().thinned(100);
+    assert!(thin.x.len() < 500 && thin.style == Style::Thin);
+    assert!(thin.y.contains(&40.0) && thin.y.contains(&-30.0));
+    assert_eq!((thin.x.first(), thin.x.last()), (line.x.first(), line.x.last()));
+    let gap = thin.x.iter().position(|x| x.is_nan());
+    let pairs: Vec<(f64, f64)> = thin.x.iter().copied().zip(thin.x.iter().copied().skip(1)).collect();
+    assert!(gap.is_none() || pairs.len() > 2);
+}
