@@ -168,11 +168,14 @@ impl Baseline {
     pub fn parse(text: &str) -> Result<Self, String> {
         let file: Value = serde_json::from_str(text).map_err(|error| format!("is not JSON: {error}"))?;
         if file["schema"] != "opspace.bench/1" {
-            return Err("is not a file of `opspace bench` (its `schema` is not \"opspace.bench/1\")".to_owned());
+            return Err(
+                "is not a file of `opspace bench` (its `schema` is not \"opspace.bench/1\")".to_owned()
+            );
         }
         let rows = file["rows"].as_array().ok_or("has no `rows`")?;
         let runs = rows.iter().enumerate().map(|(place, row)| {
-            ComparedRun::new(row).ok_or_else(|| format!("rows[{place}] lacks a key of a run, such as `task` or `seed`"))
+            ComparedRun::new(row)
+                .ok_or_else(|| format!("rows[{place}] lacks a key of a run, such as `task` or `seed`"))
         });
         Ok(Self { runs: runs.collect::<Result<_, _>>()? })
     }
@@ -358,7 +361,8 @@ fn compare(key: &RunKey, name: &str, values: &[(f64, f64)]) -> MetricComparison 
     let mean = |value: &dyn Fn(&(f64, f64)) -> f64| values.iter().map(value).sum::<f64>() / n;
     let difference = mean(&|(old, new)| new - old);
     let half_width = (values.len() > 1).then(|| {
-        let variance = values.iter().map(|(old, new)| (new - old - difference).powi(2)).sum::<f64>() / (n - 1.0);
+        let variance =
+            values.iter().map(|(old, new)| (new - old - difference).powi(2)).sum::<f64>() / (n - 1.0);
         student_95(values.len() - 1) * (variance / n).sqrt()
     });
     let counts = difference.abs() > TOLERANCE * mean(&|(old, _)| old.abs());
@@ -367,7 +371,11 @@ fn compare(key: &RunKey, name: &str, values: &[(f64, f64)]) -> MetricComparison 
         (false, ..) => Verdict::Same,
         (true, false, false) => Verdict::Changed,
         (true, smaller, _) => {
-            if (difference < 0.0) == smaller { Verdict::Better } else { Verdict::Worse }
+            if (difference < 0.0) == smaller {
+                Verdict::Better
+            } else {
+                Verdict::Worse
+            }
         }
     };
     MetricComparison {
@@ -417,9 +425,14 @@ mod tests {
     /// Compared: quantiles of Student's t, and those of SciPy's `t.ppf(0.975, n)`.
     #[test]
     fn quantiles_of_student_match_scipy() {
-        for (degrees, expected) in
-            [(1, 12.706_205), (4, 2.776_445), (9, 2.262_157), (11, 2.200_985), (19, 2.093_024), (99, 1.984_217)]
-        {
+        for (degrees, expected) in [
+            (1, 12.706_205),
+            (4, 2.776_445),
+            (9, 2.262_157),
+            (11, 2.200_985),
+            (19, 2.093_024),
+            (99, 1.984_217),
+        ] {
             assert!((student_95(degrees) - expected).abs() < 1e-4, "{degrees}: {}", student_95(degrees));
         }
     }
@@ -429,7 +442,11 @@ mod tests {
     fn difference_counts_beyond_interval_and_tolerance() {
         let verdict = |name: &str, values: &[(f64, f64)]| compare(&key(), name, values).verdict;
         let error = "position_rms_m";
-        assert_eq!(verdict(error, &[(1.0, 1.2), (1.0, 0.9), (1.0, 1.1)]), Verdict::Same, "within the interval");
+        assert_eq!(
+            verdict(error, &[(1.0, 1.2), (1.0, 0.9), (1.0, 1.1)]),
+            Verdict::Same,
+            "within the interval"
+        );
         assert_eq!(verdict(error, &[(1.0, 1.001), (1.0, 1.001)]), Verdict::Same, "within the tolerance");
         assert_eq!(verdict(error, &[(1.0, 1.1), (2.0, 2.1), (3.0, 3.1)]), Verdict::Worse);
         assert_eq!(verdict(error, &[(1.0, 0.9), (2.0, 1.9), (3.0, 2.9)]), Verdict::Better);

@@ -37,7 +37,8 @@ pub fn csv(summaries: &[Summary]) -> String {
     let head = columns.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(",");
     let mut text = head + "\n";
     for row in &rows {
-        let cells = (0..columns.len()).map(|place| row.get(&place).map_or_else(String::new, |cell| quoted(cell)));
+        let cells =
+            (0..columns.len()).map(|place| row.get(&place).map_or_else(String::new, |cell| quoted(cell)));
         text += &(cells.collect::<Vec<_>>().join(",") + "\n");
     }
     text
@@ -48,7 +49,9 @@ type Add<'a> = &'a mut dyn FnMut(String, String);
 
 /// Values of the run itself.
 fn keys(row: &Value, add: Add<'_>) {
-    for (name, value) in entries(row).filter(|(_, value)| !value.is_object()).filter(|(n, _)| *n != "overrides") {
+    for (name, value) in
+        entries(row).filter(|(_, value)| !value.is_object()).filter(|(n, _)| *n != "overrides")
+    {
         add(name.clone(), cell(value));
     }
 }
@@ -105,5 +108,9 @@ fn cell(value: &Value) -> String {
 
 /// Quotes a cell that contains a separator.
 fn quoted(cell: &str) -> String {
-    if cell.contains([',', '"', '\n', '\r']) { format!("\"{}\"", cell.replace('"', "\"\"")) } else { cell.to_owned() }
+    if cell.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.to_owned()
+    }
 }

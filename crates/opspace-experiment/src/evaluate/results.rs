@@ -285,7 +285,9 @@ impl Measure {
                 "a task with a Cartesian frame"
             }
             Self::JointRms => "a task of the kind `joint-tracking`",
-            Self::HandForce | Self::HandMotion => "a task with a spring in `environment`, which is the operator",
+            Self::HandForce | Self::HandMotion => {
+                "a task with a spring in `environment`, which is the operator"
+            }
             Self::HoldRipple => "a position robot with the controller `osc`",
             Self::TorqueErrorServo
             | Self::TorqueErrorInterval

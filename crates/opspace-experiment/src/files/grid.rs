@@ -63,7 +63,10 @@ impl Grid {
             GridMode::Zip => {
                 if let Some(other) = axes.iter().find(|axis| axis.values.len() != first.values.len()) {
                     let (n, m) = (other.values.len(), first.values.len());
-                    let message = format!("{n} values, but `{}` has {m}: a zipped grid needs lists of equal lengths", first.key);
+                    let message = format!(
+                        "{n} values, but `{}` has {m}: a zipped grid needs lists of equal lengths",
+                        first.key
+                    );
                     let help = Some("remove `grid_mode = \"zip\"` to cross the lists".to_owned());
                     return Err(FileError::at_key(source, &other.place, message, help));
                 }
@@ -132,9 +135,8 @@ fn short_names(axes: &[Axis<'_>]) -> Vec<String> {
     let all: Vec<Vec<String>> = axes.iter().map(|axis| axis.key.segments()).collect();
     let end = |key: &[String], length: usize| key[key.len().saturating_sub(length)..].to_vec();
     let name = |key: &Vec<String>| {
-        let unique = |&length: &usize| {
-            all.iter().filter(|other| end(other, length) == end(key, length)).count() == 1
-        };
+        let unique =
+            |&length: &usize| all.iter().filter(|other| end(other, length) == end(key, length)).count() == 1;
         let length = (1..key.len()).find(unique).unwrap_or(key.len());
         end(key, length).join(".")
     };
@@ -167,7 +169,8 @@ mod tests {
         let points = grid.points(mode, &source, &["grid".to_owned()], 100);
         points.map_err(|error| format!("{error} {:?}", error.help())).map(|points| {
             let each = points.unwrap_or_default().into_iter();
-            each.map(|point| (point.settings.into_iter().map(|(set, _)| set).collect(), point.label)).collect()
+            each.map(|point| (point.settings.into_iter().map(|(set, _)| set).collect(), point.label))
+                .collect()
         })
     }
 

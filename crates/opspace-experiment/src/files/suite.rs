@@ -181,7 +181,9 @@ impl Suite {
         add(self.source.text());
         for experiment in &self.experiments {
             let (robot, task) = (experiment.robot(), experiment.task());
-            for source in [&task.source, &robot.source, &robot.urdf].into_iter().chain(task.recordings.values()) {
+            for source in
+                [&task.source, &robot.source, &robot.urdf].into_iter().chain(task.recordings.values())
+            {
                 add(source.text());
             }
         }
@@ -243,7 +245,8 @@ impl SuiteRun {
             return Err(FileError::at_key(source, own(&[]), message, None));
         }
         let placed = |set: &[String], keys: &[&str]| {
-            let place = |k: usize| own(keys).into_iter().chain(["override".to_owned(), k.to_string()]).collect();
+            let place =
+                |k: usize| own(keys).into_iter().chain(["override".to_owned(), k.to_string()]).collect();
             set.iter().enumerate().map(|(k, set)| (set.clone(), place(k))).collect::<Vec<_>>()
         };
         let mut runs = Vec::new();
@@ -254,8 +257,11 @@ impl SuiteRun {
                 });
                 for point in &points {
                     let of_grid = point.iter().flat_map(|point| point.settings.clone());
-                    let settings: Vec<_> =
-                        placed(&self.overrides, &[]).into_iter().chain(further.clone()).chain(of_grid).collect();
+                    let settings: Vec<_> = placed(&self.overrides, &[])
+                        .into_iter()
+                        .chain(further.clone())
+                        .chain(of_grid)
+                        .collect();
                     let label = self.label_of(variant.as_ref(), point.as_ref());
                     for (profile, seed) in
                         profiles.iter().flat_map(|profile| seeds.iter().map(move |seed| (profile, *seed)))

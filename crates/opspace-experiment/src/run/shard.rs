@@ -52,7 +52,8 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let parts = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
+        let parts =
+            text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
         let shard = parts.and_then(|(index, count)| Self::new(index, count));
         shard.ok_or_else(|| format!("expected a part such as 1/8 (1 to 8 of 8), got {text}"))
     }

@@ -62,6 +62,12 @@ impl SuiteHeader {
         }
     }
 
+    /// Header of the whole suite to which these rows belong.
+    #[must_use]
+    pub fn of_whole_suite(&self) -> Self {
+        Self { shard: None, ..self.clone() }
+    }
+
     /// True if both are about the same suite and the same version of opspace, whatever the part.
     #[must_use]
     pub fn is_of_same_suite(&self, other: &Self) -> bool {
