@@ -107,17 +107,37 @@ fn mistakes_in_a_suite_have_their_line() {
     let base = "title = \"s\"\n[[run]]\ntasks = [\"circle.toml\"]\n";
     let grid = |list: &str| format!("title = \"s\"\n[grid]\n{list}\n[[run]]\ntasks = [\"circle.toml\"]\n");
     let cases = [
-        (grid("\"task.tip.gains.damping_rato\" = [0.7, 1.0]"), "suite.toml:3: ", "did you mean `damping_ratio`?"),
+        (
+            grid("\"task.tip.gains.damping_rato\" = [0.7, 1.0]"),
+            "suite.toml:3: ",
+            "did you mean `damping_ratio`?",
+        ),
         (grid("task.tip.gains.damping_ratio = [0.7,\n -1.0]"), "suite.toml:4: ", "-1"),
         (grid("duration_s = 1.0"), "suite.toml:3: ", "expected a list of values"),
-        (format!("{base}override = [\n\"duration_s=1\",\n\"robot.simulated.true_over_nominal.kq=1\"]\n"), "suite.toml:6: ", "`kp`"),
-        (format!("{base}variant = [{{ label = \"a\", override = [\"seed=one\"] }}]\n"), "suite.toml:4: ", "one"),
+        (
+            format!("{base}override = [\n\"duration_s=1\",\n\"robot.simulated.true_over_nominal.kq=1\"]\n"),
+            "suite.toml:6: ",
+            "`kp`",
+        ),
+        (
+            format!("{base}variant = [{{ label = \"a\", override = [\"seed=one\"] }}]\n"),
+            "suite.toml:4: ",
+            "one",
+        ),
         (format!("{base}seeds = {{ from = 3, to = 1 }}\n"), "suite.toml:4: ", "this range is empty"),
         (format!("{base}seeds = {{ from = 3 }}\n"), "suite.toml:4: ", "missing key `to`"),
         (format!("{base}seeds = \"1..3\"\n"), "suite.toml:4: ", "{ from = 1, to = 20 }"),
         (format!("{base}seeds = {{ from = 1, to = 9999999 }}\n"), "suite.toml:4: ", "more than 100000 seeds"),
-        (format!("columns = [\"position-rms\",\n\"positon-max\"]\n{base}"), "suite.toml:2: ", "did you mean `position-max`?"),
-        (format!("columns = [\"position-rms\",\n\"joint-rms\"]\n{base}"), "suite.toml:2: no run of this suite has a value for `joint-rms`", "joint-tracking"),
+        (
+            format!("columns = [\"position-rms\",\n\"positon-max\"]\n{base}"),
+            "suite.toml:2: ",
+            "did you mean `position-max`?",
+        ),
+        (
+            format!("columns = [\"position-rms\",\n\"joint-rms\"]\n{base}"),
+            "suite.toml:2: no run of this suite has a value for `joint-rms`",
+            "joint-tracking",
+        ),
         (format!("columns = [\"hand-force\"]\n{base}"), "suite.toml:1: ", "spring"),
     ];
     for (suite, place, words) in cases {
@@ -130,7 +150,9 @@ fn mistakes_in_a_suite_have_their_line() {
 /// A column whose values are only known after the runs.
 #[test]
 fn column_without_values_fails_after_the_runs() {
-    let folder = folder("title = \"s\"\ncolumns = [\"position-rms\", \"force-rms\"]\n[[run]]\ntasks = [\"circle.toml\"]\n");
+    let folder = folder(
+        "title = \"s\"\ncolumns = [\"position-rms\", \"force-rms\"]\n[[run]]\ntasks = [\"circle.toml\"]\n",
+    );
     bench(folder.path(), &[]).exits(1).says(&["no run has a value for the column `force-rms`"]);
     assert!(folder.path().join("runs/bench-suite/bench.json").exists(), "the results are there");
 }
@@ -149,9 +171,14 @@ fn csv_has_a_row_per_run_and_a_column_per_metric() {
     bench(folder.path(), &["--csv", "rows.csv", "--json", "rows.json"]).exits(0);
     let text = read(folder.path().join("rows.csv"));
     let json = read_json(folder.path().join("rows.json"));
-    let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(text.as_bytes());
+    let cells = |record: csv::StringRecord| record.iter().map(str::to_owned).collect::<Vec<_>>();
+    let lines: Vec<Vec<String>> =
+        reader.records().map(|record| cells(record.expect("as many cells as heads"))).collect();
     assert_eq!(lines.len(), 1 + 8);
-    let place = |name: &str| lines[0].iter().position(|head| *head == name).unwrap_or_else(|| panic!("{name}: {text}"));
+    let place = |name: &str| {
+        lines[0].iter().position(|head| *head == name).unwrap_or_else(|| panic!("{name}: {text}"))
+    };
     for (row, line) in json["rows"].as_array().unwrap().iter().zip(&lines[1..]) {
         assert_eq!(row["metrics"]["position_rms_m"].to_string(), line[place("position_rms_m")]);
         assert_eq!(row["timing"]["tick_ns_median"].to_string(), line[place("tick_ns_median")]);
@@ -161,6 +188,7 @@ fn csv_has_a_row_per_run_and_a_column_per_metric() {
         assert_eq!(row["seed"].to_string(), line[place("seed")]);
         let set = format!("task.tip.gains.damping_ratio={}", line[place("task.tip.gains.damping_ratio")]);
         assert_eq!(row["overrides"][0], set);
+        assert_eq!(row["label"], line[place("label")], "a cell with a comma");
         assert_eq!(line[place("joint_rms_rad")], "", "a missing value is an empty cell");
     }
     let printed = bench(folder.path(), &["--csv", "-"]).exits(0).stdout;
@@ -244,10 +272,12 @@ fn merged_shards_equal_the_whole_suite() {
     bench(folder.path(), &["--out", "whole"]).exits(0);
     for count in [1, 3, 7] {
         for index in 1..=count {
-            bench(folder.path(), &["--shard", &format!("{index}/{count}"), "--out", &format!("in-{count}")]).exits(0);
+            bench(folder.path(), &["--shard", &format!("{index}/{count}"), "--out", &format!("in-{count}")])
+                .exits(0);
         }
         let out = format!("of-{count}");
-        opspace(folder.path(), &["merge", &format!("in-{count}"), "--out", &out, "--json", "merged.json"]).exits(0);
+        opspace(folder.path(), &["merge", &format!("in-{count}"), "--out", &out, "--json", "merged.json"])
+            .exits(0);
         for json in [at("merged.json"), at(&out).join("bench.json")] {
             assert_eq!(without_timing(json), without_timing(at("whole/bench.json")), "{count} shards");
         }
@@ -283,9 +313,12 @@ fn merge_lists_missing_runs_and_refuses_other_suites() {
     fs::write(at("suite.toml"), read(at("suite.toml")).replace("0.9", "0.95")).unwrap();
     bench(folder.path(), &["--shard", "2/3", "--out", "all"]).exits(0);
     let mixed = ["merge", "all"];
-    opspace(folder.path(), &mixed).exits(2).says(&["shard-1-of-3 and all/shard-2-of-3 are not shards of one suite"]);
+    opspace(folder.path(), &mixed)
+        .exits(2)
+        .says(&["shard-1-of-3 and all/shard-2-of-3 are not shards of one suite"]);
     let rows = at("all/shard-2-of-3/rows.jsonl");
-    let text = read(at("all/shard-3-of-3/rows.jsonl")).replace("\"opspace_version\":\"", "\"opspace_version\":\"9.");
+    let text =
+        read(at("all/shard-3-of-3/rows.jsonl")).replace("\"opspace_version\":\"", "\"opspace_version\":\"9.");
     fs::write(rows, text).unwrap();
     opspace(folder.path(), &mixed).exits(2).says(&["are results of opspace"]);
     fs::create_dir(at("empty")).unwrap();
@@ -315,7 +348,8 @@ fn merge_refuses_two_results_of_one_run() {
 fn two_processes_on_one_shard_give_one_result() {
     let folder = folder(&GRID.replace("to = 2", "to = 4"));
     let arguments = ["bench", "suite.toml", "--jobs", "1", "--shard", "1/1", "--out", "all"];
-    let spawn = || command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let spawn =
+        || command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let outputs = [spawn(), spawn()].map(|child| child.wait_with_output().unwrap());
     let said: String = outputs.iter().map(|output| String::from_utf8_lossy(&output.stderr)).collect();
     assert!(outputs.iter().all(|output| output.status.code() == Some(0)), "{said}");
@@ -382,9 +416,12 @@ fn baseline_finds_what_is_worse() {
     bench(folder.path(), &["--baseline", "edited.json"]).exits(0);
     // One seed more than the baseline has, and one less.
     fs::write(at("suite.toml"), suite.replace("from = 1, to = 3", "from = 2, to = 4")).unwrap();
-    bench(folder.path(), &["--baseline", "old.json"])
-        .exits(0)
-        .says(&["only in the baseline: circle on planar-2-link", "seed 1", "not in the baseline: ", "seed 4"]);
+    bench(folder.path(), &["--baseline", "old.json"]).exits(0).says(&[
+        "only in the baseline: circle on planar-2-link",
+        "seed 1",
+        "not in the baseline: ",
+        "seed 4",
+    ]);
     fs::write(at("suite.toml"), suite.replace("from = 1, to = 3", "from = 7, to = 8")).unwrap();
     bench(folder.path(), &["--baseline", "old.json"]).exits(2).says(&["old.json: has none of the runs"]);
     fs::write(at("none.json"), "{}").unwrap();

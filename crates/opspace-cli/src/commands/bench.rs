@@ -74,12 +74,12 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     let pending: Vec<usize> =
         rows.header.numbers().filter(|number| !rows.rows.contains_key(number)).collect();
     let mut interrupted = BTreeMap::new();
+    let file = rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
     if !pending.is_empty() {
         let jobs = args
             .jobs
             .map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
         let sweep = Sweep { suite: &suite, logs: &logs, folder, watch: &watch, console };
-        let file = rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
         announce(&suite, &rows, &pending, jobs, console);
         for row in sweep.run(&pending, jobs, &file)? {
             // A run that was interrupted is repeated when the suite is continued.
@@ -129,7 +129,11 @@ fn lock(folder: &Path, wait: bool, watch: &Progress, console: Console) -> Result
     let mut said = false;
     loop {
         match ResultFolder::open(folder) {
-            Err(RunError::Locked { .. }) if wait && !watch.interrupt.load(Ordering::Relaxed) => {
+            Err(RunError::Locked { .. }) if wait => {
+                if watch.interrupt.load(Ordering::Relaxed) {
+                    let text = format!("{}: interrupted while waiting for another opspace", folder.display());
+                    return Err(Failure::Other(text, Exit::Interrupted));
+                }
                 if !said {
                     console.note(&format!(
                         "{}: waiting for another opspace that is writing here",
