@@ -328,6 +328,25 @@ fn merge_lists_missing_runs_and_refuses_other_suites() {
     opspace(folder.path(), &["merge", "empty"]).exits(2).says(&["is not a file of rows"]);
 }
 
+/// Default folders: parts of a changed suite are moved aside, and merged without the earlier ones.
+#[test]
+fn shards_of_a_changed_suite_take_the_place_of_earlier_ones() {
+    let folder = folder(&GRID.replace("to = 2", "to = 1"));
+    let suite = folder.path().join("suite.toml");
+    let all = || {
+        for shard in ["1/2", "2/2"] {
+            bench(folder.path(), &["--shard", shard]).exits(0);
+        }
+    };
+    all();
+    fs::write(&suite, read(&suite).replace("0.9", "0.95")).unwrap();
+    all();
+    assert!(folder.path().join("runs/bench-suite-shards/shard-2-of-2.previous/bench.json").exists());
+    opspace(folder.path(), &["merge", "runs/bench-suite-shards"]).exits(0);
+    let rows = read_json(folder.path().join("runs/bench-suite/bench.json"));
+    assert_eq!(rows["rows"][0]["overrides"][1], "robot.simulated.true_over_nominal.inertia=0.95");
+}
+
 /// A part that runs differently on another machine is not merged.
 #[test]
 fn merge_refuses_two_results_of_one_run() {
@@ -424,6 +443,12 @@ fn baseline_finds_what_is_worse() {
     ]);
     fs::write(at("suite.toml"), suite.replace("from = 1, to = 3", "from = 7, to = 8")).unwrap();
     bench(folder.path(), &["--baseline", "old.json"]).exits(2).says(&["old.json: has none of the runs"]);
+    fs::write(at("suite.toml"), suite).unwrap();
+    // The results in the default folder are moved aside, those in a chosen one would be overwritten.
+    bench(folder.path(), &["--baseline", "runs/bench-suite/bench.json"]).exits(0);
+    bench(folder.path(), &["--out", "out"]).exits(0);
+    let own = ["--baseline", "out/bench.json", "--out", "out", "--force"];
+    bench(folder.path(), &own).exits(2).says(&["is an input"]);
     fs::write(at("none.json"), "{}").unwrap();
     bench(folder.path(), &["--baseline", "none.json"]).exits(2).says(&["is not a file of `opspace bench`"]);
     bench(folder.path(), &["--baseline", "missing.json"]).exits(2).says(&["there is no such file"]);

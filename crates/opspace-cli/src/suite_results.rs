@@ -2,7 +2,7 @@
 
 use crate::cli::SuiteOutputArgs;
 use crate::commands::run::exit_code;
-use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, results};
+use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results};
 use crate::output::{Format, pretty, write, write_named};
 use crate::result_folder::{LOGS, ROWS};
 use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
@@ -29,6 +29,13 @@ impl SuiteOutputArgs {
     pub fn outputs(&self) -> Vec<PathBuf> {
         let csv = self.csv.as_deref().filter(|path| !is_stdout(path));
         [self.output.json.path(), csv].into_iter().flatten().map(Path::to_owned).collect()
+    }
+
+    /// Files that the command may overwrite: a default folder is moved aside, so that the results in it can be the
+    /// baseline.
+    pub fn overwritten(&self, files: &[String]) -> Vec<PathBuf> {
+        let chosen = self.output.out.iter().flat_map(|out| files.iter().map(|name| out.join(name)));
+        chosen.chain(self.outputs()).collect()
     }
 
     /// Reads the baseline, if any, and refuses contradictory outputs.
@@ -62,97 +69,116 @@ fn is_stdout(path: &Path) -> bool {
     path == Path::new("-")
 }
 
-/// Writes and prints the results in a folder, and returns the exit code that they give.
-///
-/// `summaries` are shown; those of `rows` are in the folder. Rows without all their runs leave no `bench.json` unless
-/// `partial`.
-pub fn write_results(
-    rows: &SuiteRows,
-    summaries: &[Summary],
-    partial: bool,
-    folder: &Path,
-    args: &SuiteOutputArgs,
-    baseline: Option<&Baseline>,
-    extensions: &Extensions,
-    console: Console,
-) -> Outcome {
-    let header = &rows.header;
-    let missing: Vec<usize> = header.numbers().filter(|number| !rows.rows.contains_key(number)).collect();
-    let comparison = baseline.map(|baseline| baseline.compare(summaries));
-    let (shown, logs) = sections(rows, folder, extensions);
-    let lead = format!("{} runs in simulation. {LEAD}", summaries.len());
-    write(&folder.join(REPORT), &page(&header.title, &lead, summaries, &header.columns, &shown))?;
-    let mut json = json!({
-        "schema": "opspace.bench/1",
-        "opspace_version": header.opspace_version,
-        "suite_sha256": header.suite_sha256,
-        "title": header.title,
-        "runs": header.runs,
-    });
-    if let Some(shard) = header.shard {
-        json["shard"] = shard.to_string().into();
-    }
-    if !missing.is_empty() {
-        json["missing"] = missing.clone().into();
-    }
-    json["rows"] = json!(summaries);
-    json[LOGS] = logs.into();
-    if let Some(comparison) = &comparison {
-        json["comparison"] = comparison_json(comparison);
-    }
-    let json = pretty(&json);
-    let written = if missing.is_empty() || partial {
-        write(&folder.join(ROWS), &json)?;
-        format!("{ROWS}, {SUITE_ROWS}")
-    } else {
-        SUITE_ROWS.to_owned()
-    };
-    if let Some(path) = args.csv.as_deref().filter(|path| !is_stdout(path)) {
-        write_named(path, &csv(summaries), Format::Csv)?;
-    }
-    let text = || {
-        let compared =
-            comparison.as_ref().map_or_else(String::new, |comparison| compared(comparison, console));
-        results(console, summaries, &header.columns) + &compared
-    };
-    if args.csv.as_deref().is_some_and(is_stdout) {
-        if let Some(path) = args.output.json.path() {
-            write_named(path, &json, Format::Json)?;
-        }
-        print_exactly(&csv(summaries))?;
-    } else {
-        args.output.json.print(|| json.clone(), text)?;
-    }
-    console.note(&format!("wrote {}, {written} and {} logs", folder.join(REPORT).display(), shown.len()));
-    if let Some(comparison) = &comparison {
-        list_unmatched(comparison, console);
-    }
-    let mut codes: Vec<Exit> = summaries.iter().map(exit_code).collect();
-    if comparison.is_some_and(|comparison| comparison.is_worse()) {
-        codes.push(Exit::Failed);
-    }
-    if header.columns_required && header.shard.is_none() && missing.is_empty() {
-        for column in header.columns.iter().filter(|column| !column.is_in(summaries)) {
-            crate::console::report(&Failure::Other(
-                format!("no run has a value for the column `{}`, which the suite lists", column.name()),
-                Exit::Failed,
-            ));
-            codes.push(Exit::Failed);
-        }
-    }
-    let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));
-    Ok(worst.unwrap_or(Exit::Done))
+/// Results of a suite in a folder.
+pub struct SuiteResults<'a> {
+    /// Rows in the folder.
+    pub rows: &'a SuiteRows,
+    /// Summaries to be shown: those of the rows, and of runs that were interrupted.
+    pub summaries: &'a [Summary],
+    /// True if results without all runs are final; otherwise they leave no `bench.json`, and can be continued.
+    pub partial: bool,
+    /// The folder.
+    pub folder: &'a Path,
 }
 
-/// Sections of the runs whose logs are in the folder, and the names of these logs.
-fn sections(rows: &SuiteRows, folder: &Path, extensions: &Extensions) -> (Vec<RunSection>, Vec<String>) {
-    let kept = rows.rows.values().filter_map(|row| {
-        let name = row.log.clone()?;
-        let recording = Recording::read(folder.join(&name)).ok()?;
-        let experiment = Experiment::of_log_with(extensions, &recording).ok()?;
-        Some((RunSection::new(&experiment, &recording, row.row.clone()), name))
-    });
-    kept.unzip()
+impl SuiteResults<'_> {
+    /// Writes and prints the results, and returns the exit code that they give.
+    pub fn write(
+        &self,
+        args: &SuiteOutputArgs,
+        baseline: Option<&Baseline>,
+        extensions: &Extensions,
+        console: Console,
+    ) -> Outcome {
+        let (header, summaries, folder) = (&self.rows.header, self.summaries, self.folder);
+        let comparison = baseline.map(|baseline| baseline.compare(summaries));
+        let (shown, logs) = self.sections(extensions);
+        let lead = format!("{} runs in simulation. {LEAD}", summaries.len());
+        write(&folder.join(REPORT), &page(&header.title, &lead, summaries, &header.columns, &shown))?;
+        let json = self.json(&logs, comparison.as_ref());
+        let is_final = self.partial || self.missing().is_empty();
+        if is_final {
+            write(&folder.join(ROWS), &json)?;
+        }
+        if let Some(path) = args.csv.as_deref().filter(|path| !is_stdout(path)) {
+            write_named(path, &csv(summaries), Format::Csv)?;
+        }
+        if args.csv.as_deref().is_some_and(is_stdout) {
+            if let Some(path) = args.output.json.path() {
+                write_named(path, &json, Format::Json)?;
+            }
+            print_exactly(&csv(summaries))?;
+        } else {
+            let text = || {
+                let compared = comparison.as_ref().map(|comparison| compared(comparison, console));
+                results(console, summaries, &header.columns) + &compared.unwrap_or_default()
+            };
+            args.output.json.print(|| json.clone(), text)?;
+        }
+        let rows = if is_final { format!("{ROWS}, {SUITE_ROWS}") } else { SUITE_ROWS.to_owned() };
+        console.note(&format!("wrote {}, {rows} and {} logs", folder.join(REPORT).display(), logs.len()));
+        let mut codes: Vec<Exit> = summaries.iter().map(exit_code).collect();
+        if let Some(comparison) = &comparison {
+            list_unmatched(comparison, console);
+            codes.extend(comparison.is_worse().then_some(Exit::Failed));
+        }
+        for column in self.empty_columns() {
+            let text = format!("no run has a value for the column `{column}`, which the suite lists");
+            codes.push(report(&Failure::Other(text, Exit::Failed)));
+        }
+        let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));
+        Ok(worst.unwrap_or(Exit::Done))
+    }
+
+    /// Numbers of the runs without a row.
+    fn missing(&self) -> Vec<usize> {
+        self.rows.header.numbers().filter(|number| !self.rows.rows.contains_key(number)).collect()
+    }
+
+    /// Formats the results as JSON.
+    fn json(&self, logs: &[String], comparison: Option<&BaselineComparison>) -> String {
+        let header = &self.rows.header;
+        let mut json = json!({
+            "schema": "opspace.bench/1",
+            "opspace_version": header.opspace_version,
+            "suite_sha256": header.suite_sha256,
+            "title": header.title,
+            "runs": header.runs,
+        });
+        if let Some(shard) = header.shard {
+            json["shard"] = shard.to_string().into();
+        }
+        let missing = self.missing();
+        if !missing.is_empty() {
+            json["missing"] = missing.into();
+        }
+        json["rows"] = json!(self.summaries);
+        json[LOGS] = json!(logs);
+        if let Some(comparison) = comparison {
+            json["comparison"] = comparison_json(comparison);
+        }
+        pretty(&json)
+    }
+
+    /// Columns that the suite lists and for which no run has a value, if all runs of the suite are there.
+    fn empty_columns(&self) -> Vec<String> {
+        let header = &self.rows.header;
+        if !header.columns_required || header.shard.is_some() || !self.missing().is_empty() {
+            return Vec::new();
+        }
+        header.columns.iter().filter(|column| !column.is_in(self.summaries)).map(|c| c.name()).collect()
+    }
+
+    /// Sections of the runs whose logs are in the folder, and the names of these logs.
+    fn sections(&self, extensions: &Extensions) -> (Vec<RunSection>, Vec<String>) {
+        let kept = self.rows.rows.values().filter_map(|row| {
+            let name = row.log.clone()?;
+            let recording = Recording::read(self.folder.join(&name)).ok()?;
+            let experiment = Experiment::of_log_with(extensions, &recording).ok()?;
+            Some((RunSection::new(&experiment, &recording, row.row.clone()), name))
+        });
+        kept.unzip()
+    }
 }
 
 fn comparison_json(comparison: &BaselineComparison) -> Value {

@@ -7,13 +7,14 @@ use crate::interrupt;
 use crate::outputs::check_outputs;
 use crate::result_folder::{ROWS, empty};
 use crate::shard::ShardChoice;
-use crate::suite_results::write_results;
+use crate::suite_results::SuiteResults;
 use indicatif::ProgressBar;
 use opspace_experiment::Progress;
 use opspace_experiment::evaluate::baseline::RunKey;
 use opspace_experiment::files::origin::PAPER_SUITE;
 use opspace_experiment::run::folder::REPORT;
 use opspace_experiment::run::result_files::{ResultFolder, replace_file};
+use opspace_experiment::run::shard::Shard;
 use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, SuiteRows, SuiteRowsFile};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, Suite, Summary};
 use opspace_log::Recording;
@@ -43,22 +44,15 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
     }
     let mut logs = log_names(&suite.experiments);
     logs.retain(|&number, _| shard.is_none_or(|shard| shard.contains(number)));
-    let folder = match (shard, &args.results.output.out) {
-        (None, Some(out)) => out.clone(),
-        (None, None) => PathBuf::from("runs").join(&name),
-        (Some(shard), out) => {
-            let all = out.clone().unwrap_or_else(|| PathBuf::from("runs").join(format!("{name}-shards")));
-            all.join(format!("shard-{}-of-{}", shard.index(), shard.count()))
-        }
-    };
+    let folder = folder_of(args.results.output.out.as_deref(), &name, shard);
     let files: Vec<String> =
         logs.values().cloned().chain([REPORT, ROWS, SUITE_ROWS].map(str::to_owned)).collect();
     let mut inputs: Vec<PathBuf> = suite.experiments.iter().flat_map(Experiment::input_paths).collect();
     inputs.push(suite.source.name().into());
-    inputs.extend(args.results.baseline.clone());
     let mut outputs: Vec<PathBuf> = files.iter().map(|name| folder.join(name)).collect();
     outputs.extend(args.results.outputs());
     check_outputs(&inputs, &outputs)?;
+    check_outputs(args.results.baseline.as_slice(), &args.results.overwritten(&files))?;
 
     let watch = interrupt::watch();
     let locked = lock(&folder, shard.is_some(), &watch, console)?;
@@ -102,16 +96,8 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         rows.rows.iter().map(|(&number, row)| (number, row.row.clone())).collect();
     all.extend(interrupted);
     let summaries: Vec<Summary> = all.into_values().collect();
-    let exit = write_results(
-        &rows,
-        &summaries,
-        false,
-        folder,
-        &args.results,
-        baseline.as_ref(),
-        extensions,
-        console,
-    )?;
+    let results = SuiteResults { rows: &rows, summaries: &summaries, partial: false, folder };
+    let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
     let missing = rows.header.numbers().count() - rows.rows.len();
     if missing > 0 {
         console.note(&format!(
@@ -121,6 +107,18 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
         return Ok(if exit == Exit::Failed { exit } else { Exit::Interrupted });
     }
     Ok(exit)
+}
+
+/// Folder of the results: the one that the user named or that of the suite, and in it that of the shard.
+fn folder_of(out: Option<&Path>, name: &str, shard: Option<Shard>) -> PathBuf {
+    let runs = Path::new("runs");
+    match shard {
+        None => out.map_or_else(|| runs.join(name), Path::to_owned),
+        Some(shard) => {
+            let all = out.map_or_else(|| runs.join(format!("{name}-shards")), Path::to_owned);
+            all.join(format!("shard-{}-of-{}", shard.index(), shard.count()))
+        }
+    }
 }
 
 /// Locks the folder. With `wait`, waits for a process that has locked it: the rest of a job that was killed and started

@@ -2,8 +2,9 @@
 
 use crate::cli::MergeArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
+use crate::outputs::check_outputs;
 use crate::result_folder::{ROWS, prepare};
-use crate::suite_results::write_results;
+use crate::suite_results::SuiteResults;
 use opspace_experiment::run::folder::REPORT;
 use opspace_experiment::run::result_files::replace_file;
 use opspace_experiment::run::shard::Shard;
@@ -18,47 +19,8 @@ const MAX_LISTED: usize = 20;
 
 pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Outcome {
     let baseline = args.results.check()?;
-    let mut shards = Vec::new();
-    for path in &args.shards {
-        for folder in folders(path)? {
-            let rows = SuiteRows::read(&folder).ok_or_else(|| {
-                let text = format!(
-                    "{}: is not a file of rows of `opspace bench`",
-                    folder.join(SUITE_ROWS).display()
-                );
-                Failure::Other(text, Exit::Bad)
-            })?;
-            shards.push((folder, rows));
-        }
-    }
-    let Some((first, of_first)) = shards.first() else {
-        return Err(Failure::Other("no shards were given".to_owned(), Exit::Bad));
-    };
-    for (folder, rows) in &shards {
-        if !rows.header.is_of_same_suite(&of_first.header) {
-            return Err(mixed((first, &of_first.header), (folder, &rows.header)));
-        }
-    }
-    let mut rows = SuiteRows::new(of_first.header.of_whole_suite());
-    let mut logs: BTreeMap<String, PathBuf> = BTreeMap::new();
-    for (folder, shard) in &shards {
-        for (number, row) in &shard.rows {
-            if let Some(log) = &row.log {
-                logs.entry(log.clone()).or_insert_with(|| folder.join(log));
-            }
-            if let Some(other) = rows.rows.insert(*number, row.clone())
-                && !is_same(&other, row)
-            {
-                let text = format!(
-                    "{}: run {number} ({}) differs from that of another shard; it is the same run of the same suite, so \
-                     the programs or the machines differ",
-                    folder.display(),
-                    row.row.task
-                );
-                return Err(Failure::Other(text, Exit::Failed));
-            }
-        }
-    }
+    let shards = read_shards(&args.shards)?;
+    let (rows, logs) = join(&shards)?;
     let summaries: Vec<Summary> = rows.rows.values().map(|row| row.row.clone()).collect();
     if let Some(baseline) = &baseline
         && baseline.compare(&summaries).metrics.is_empty()
@@ -70,10 +32,10 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     let files: Vec<String> =
         logs.keys().cloned().chain([REPORT, ROWS, SUITE_ROWS].map(str::to_owned)).collect();
     let mut inputs: Vec<PathBuf> = shards.iter().map(|(folder, _)| folder.join(SUITE_ROWS)).collect();
-    inputs.extend(logs.values().cloned().chain(args.results.baseline.clone()));
-    let mut outputs = args.results.outputs();
-    outputs.extend(args.results.output.out.iter().flat_map(|out| files.iter().map(|name| out.join(name))));
-    crate::outputs::check_outputs(&inputs, &outputs)?;
+    inputs.extend(logs.values().cloned());
+    let overwritten = args.results.overwritten(&files);
+    check_outputs(&inputs, &overwritten)?;
+    check_outputs(args.results.baseline.as_slice(), &overwritten)?;
     let locked = prepare(&args.results.output, &PathBuf::from("runs").join(name), &files, &inputs, console)?;
     let folder = locked.path();
     let mut lost = Vec::new();
@@ -87,19 +49,58 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
         }
     }
     rows.append_to(folder).map_err(|e| Failure::io("cannot be written", folder, &e))?;
-    let exit = write_results(
-        &rows,
-        &summaries,
-        true,
-        folder,
-        &args.results,
-        baseline.as_ref(),
-        extensions,
-        console,
-    )?;
+    let results = SuiteResults { rows: &rows, summaries: &summaries, partial: true, folder };
+    let exit = results.write(&args.results, baseline.as_ref(), extensions, console)?;
     lost.iter().for_each(|text| console.note(text));
     let incomplete = list_missing(&rows, &shards, console) || !lost.is_empty();
     Ok(if incomplete && exit == Exit::Done { Exit::DataLost } else { exit })
+}
+
+/// Reads all shards in these folders.
+fn read_shards(paths: &[PathBuf]) -> Result<Vec<(PathBuf, SuiteRows)>, Failure> {
+    let mut shards = Vec::new();
+    for path in paths {
+        for folder in folders(path)? {
+            let rows = SuiteRows::read(&folder).ok_or_else(|| {
+                let file = folder.join(SUITE_ROWS);
+                Failure::Other(
+                    format!("{}: is not a file of rows of `opspace bench`", file.display()),
+                    Exit::Bad,
+                )
+            })?;
+            shards.push((folder, rows));
+        }
+    }
+    Ok(shards)
+}
+
+/// Joins the rows of shards, and the paths of their logs by file name.
+fn join(shards: &[(PathBuf, SuiteRows)]) -> Result<(SuiteRows, BTreeMap<String, PathBuf>), Failure> {
+    let Some((first, of_first)) = shards.first() else {
+        return Err(Failure::Other("no shards were given".to_owned(), Exit::Bad));
+    };
+    let (mut rows, mut logs) = (SuiteRows::new(of_first.header.of_whole_suite()), BTreeMap::new());
+    for (folder, shard) in shards {
+        if !shard.header.is_of_same_suite(&of_first.header) {
+            return Err(mixed((first, &of_first.header), (folder, &shard.header)));
+        }
+        for (&number, row) in &shard.rows {
+            if let Some(log) = &row.log {
+                logs.entry(log.clone()).or_insert_with(|| folder.join(log));
+            }
+            let other = rows.rows.insert(number, row.clone());
+            if other.is_some_and(|other| !is_same(&other, row)) {
+                let text = format!(
+                    "{}: run {number} ({}) differs from that of another shard; it is the same run of the same suite, so \
+                     the programs or the machines differ",
+                    folder.display(),
+                    row.row.task
+                );
+                return Err(Failure::Other(text, Exit::Failed));
+            }
+        }
+    }
+    Ok((rows, logs))
 }
 
 /// Folders with rows that a path denotes: the folder itself, or those in it, by name.
@@ -109,7 +110,10 @@ fn folders(path: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     let entries = fs::read_dir(path).map_err(|e| Failure::io("cannot be read", path, &e))?;
     let mut inner: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
-    inner.retain(|folder| folder.join(SUITE_ROWS).exists());
+    // Earlier results that were moved aside are no part of the suite.
+    let is_aside =
+        |folder: &PathBuf| folder.file_name().unwrap_or_default().to_string_lossy().contains(".previous");
+    inner.retain(|folder| folder.join(SUITE_ROWS).exists() && !is_aside(folder));
     inner.sort();
     if inner.is_empty() {
         let text = format!("{}: has no {SUITE_ROWS}, which `opspace bench --shard` writes", path.display());
