@@ -88,6 +88,23 @@ fn grid_runs_every_combination_or_pairs() {
     assert_eq!(labels, [a, a, b, b, "plain"].map(Value::from));
 }
 
+/// A grid whose key contains the name of the profile, with a run per profile.
+#[test]
+fn grid_key_contains_the_profile() {
+    let folder = folder(
+        "title = \"s\"\nprofiles = [\"default\"]\n[grid]\n\"robot.profile.{profile}.servo_ticks_per_cycle\" = [1, 2]\n\
+         [[run]]\ntasks = [\"circle.toml\"]\nlabel = \"rate\"\nbackend = \"torque\"\n",
+    );
+    bench(folder.path(), &["--json", "rows.json"]).exits(0);
+    let rows = read_json(folder.path().join("rows.json"));
+    assert_eq!(column(&rows, "ratio"), [1, 2].map(Value::from));
+    assert_eq!(
+        column(&rows, "label"),
+        [1, 2].map(|n| Value::from(format!("rate, servo_ticks_per_cycle={n}")))
+    );
+    assert_eq!(rows["rows"][0]["overrides"][0], "robot.profile.default.servo_ticks_per_cycle=1");
+}
+
 /// Compared: a suite without optional keys, and `opspace run` without options.
 #[test]
 fn suite_without_keys_equals_run_without_options() {
@@ -433,6 +450,13 @@ fn baseline_finds_what_is_worse() {
     assert_eq!((&found["metric"], &found["pairs"]), (&Value::from("position_rms_m"), &Value::from(3)));
     edited(1.1);
     bench(folder.path(), &["--baseline", "edited.json"]).exits(0);
+    // A value that the baseline has and the new results lack.
+    let mut old = read_json(at("old.json"));
+    old["rows"][1]["metrics"]["joint_rms_rad"] = Value::from(0.1);
+    fs::write(at("edited.json"), old.to_string()).unwrap();
+    bench(folder.path(), &["--baseline", "edited.json"])
+        .exits(1)
+        .says(&["has no value any more: circle", "joint_rms_rad"]);
     // One seed more than the baseline has, and one less.
     fs::write(at("suite.toml"), suite.replace("from = 1, to = 3", "from = 2, to = 4")).unwrap();
     bench(folder.path(), &["--baseline", "old.json"]).exits(0).says(&[

@@ -186,3 +186,72 @@ impl SuiteRowsFile {
 fn line(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default() + "\n"
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{SCHEMA, SuiteHeader, SuiteRow, SuiteRows};
+    use crate::run::summary::Summary;
+    use serde_json::{Value, json};
+
+    fn header() -> SuiteHeader {
+        SuiteHeader {
+            schema: SCHEMA.to_owned(),
+            opspace_version: "1".to_owned(),
+            suite_sha256: "ab".to_owned(),
+            name: "bench-a".to_owned(),
+            title: "a".to_owned(),
+            columns: Vec::new(),
+            columns_required: false,
+            runs: 4,
+            shard: "1/2".parse().ok(),
+        }
+    }
+
+    /// Summary with numbers that are hard to print, and one that is missing.
+    fn summary() -> Summary {
+        let summary: Value = json!({
+            "task": "a", "robot": "r", "backend": "torque", "controller": "osc", "profile": "p", "ratio": 5, "seed": 1,
+            "simulated": true, "duration_s": 0.1, "overrides": [], "interrupted": false, "rows_lost": 0,
+            "not_saved": [], "missed_cycles": 0, "stale_target_cycles": 0, "resumed": 0, "missed_expectations": [],
+            "failures": [], "metrics": { "position_rms_m": 1.0e-17, "contact_losses": 3 }, "tasks": {}, "joints": {},
+            "timing": { "tick_ns_median": null, "tick_ns_p99": 0.1, "tick_ns_max": 1e300 },
+        });
+        serde_json::from_value(summary).expect("a summary")
+    }
+
+    /// Compared: a file of rows, and the text of what was read from it.
+    #[test]
+    fn rows_are_read_as_they_were_written() {
+        let mut rows = SuiteRows::new(header());
+        rows.rows.insert(3, SuiteRow::new(3, Some("a.mcap".to_owned()), summary()));
+        let text = rows.text();
+        let read = SuiteRows::parse(text.as_bytes()).expect("rows");
+        assert_eq!(read.text(), text);
+        assert!(read.rows[&3].row.timing.tick_ns_median.is_nan());
+        assert_eq!(read.rows[&3].row.metrics, summary().metrics);
+    }
+
+    /// Lines that were cut off or mixed with others, a second row of a run, runs of other shards, and logs elsewhere.
+    #[test]
+    fn lines_that_are_no_rows_are_ignored() {
+        let line = |run: usize, log: Option<&str>, task: &str| {
+            let summary = Summary { task: task.to_owned(), ..summary() };
+            super::line(&SuiteRow::new(run, log.map(str::to_owned), summary))
+        };
+        let first = line(1, None, "a");
+        let mut text = super::line(&header()).into_bytes();
+        text.extend(&first.as_bytes()[..20]);
+        text.extend(b"\n\xff\xfe\n{}\n");
+        for part in [&first, &line(1, None, "b"), &line(2, None, "c"), &line(5, None, "d")] {
+            text.extend(part.as_bytes());
+        }
+        text.extend(line(3, Some("../a.mcap"), "e").as_bytes());
+        text.extend(&first.as_bytes()[..first.len() / 2]);
+        let rows = SuiteRows::parse(&text).expect("rows").rows;
+        assert_eq!(rows.keys().copied().collect::<Vec<_>>(), [1]);
+        assert_eq!(rows[&1].row.task, "a");
+        for wrong in ["", "{}", "x", &first] {
+            assert_eq!(SuiteRows::parse(wrong.as_bytes()), None, "{wrong}");
+        }
+    }
+}
