@@ -17,6 +17,7 @@ mod report_browser;
 mod result_files;
 mod robots;
 mod safety;
+mod suites;
 
 #[global_allocator]
 static ALLOCATOR: opspace_testing::allocation::CountingAllocator =

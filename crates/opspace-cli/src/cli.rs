@@ -1,5 +1,6 @@
 //! Command-line arguments.
 
+use crate::shard::{ShardChoice, shard_choice};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -65,9 +66,33 @@ runs/TASK-ROBOT-BACKEND. An existing run is renamed to NAME.previous, the next o
     /// Run every task of a suite on each robot and controller that it names, and print one table.
     #[command(after_help = "\
 Without SUITE, runs the experiments of the paper, which are built into the program. The table lists medians \
-over the seeds of a row; --json lists every run. Writes report.html, bench.json and the log of the first run \
-of each task into runs/bench.")]
+over the seeds of a row; --json and --csv list every run. Writes report.html, bench.json, rows.jsonl (one line per \
+run, as soon as it is complete) and the log of the first run of each task into runs/bench-SUITE. The same command \
+continues a suite that was cut off, and repeats only the runs that were cut.
+
+With --baseline, each metric is compared with that of the same runs in an earlier bench.json: it is worse (exit \
+code 1) if the 95 % confidence interval of the mean difference over the seeds (Student's t) excludes zero and the \
+mean differs by more than 1 %. With one seed, only the 1 % counts.
+
+With --shard I/N, every Nth run is executed, beginning with the Ith, into the folder shard-I-of-N of --out; \
+`opspace merge` joins the folders. `auto` reads the part from a Slurm array; `auto/N`, with indices from 0, from \
+Slurm or a Kubernetes job. A part that is complete is not run again.
+
+Examples:
+  opspace bench tasks/suites/limits.toml --csv limits.csv
+  opspace bench --baseline runs/bench.previous/bench.json
+  opspace bench tasks/suites/limits.toml --shard 1/3 --out runs/limits")]
     Bench(BenchArgs),
+
+    /// Join the results of all shards of a suite to those of the whole suite.
+    #[command(after_help = "\
+SHARD is a folder that `opspace bench --shard` wrote, or a folder of such folders. The results equal those of the \
+whole suite in one process, except for computing times. Shards of different suites or versions are refused; missing \
+runs are listed (exit code 3).
+
+Example:
+  opspace merge runs/limits --json limits.json")]
+    Merge(MergeArgs),
 
     /// Recompute every command of a log from its measurements and compare it with what was logged.
     #[command(after_help = "\
@@ -236,8 +261,37 @@ pub struct BenchArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
 
+    /// Run only one part of the suite: I/N, `auto` or `auto/N`.
+    #[arg(long, value_name = "I/N", value_parser = shard_choice)]
+    pub shard: Option<ShardChoice>,
+
+    #[command(flatten)]
+    pub results: SuiteOutputArgs,
+}
+
+/// Output of the results of a suite.
+#[derive(Debug, Args)]
+pub struct SuiteOutputArgs {
     #[command(flatten)]
     pub output: OutputArgs,
+
+    /// Write the results as CSV to this file, one row per run; `-` prints CSV instead of the text.
+    #[arg(long, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
+
+    /// Compare with these results of an earlier `opspace bench`; exit code 1 if a metric is worse.
+    #[arg(long, value_name = "FILE")]
+    pub baseline: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct MergeArgs {
+    /// Folders of shards, or folders of such folders.
+    #[arg(required = true)]
+    pub shards: Vec<PathBuf>,
+
+    #[command(flatten)]
+    pub results: SuiteOutputArgs,
 }
 
 #[derive(Debug, Args)]

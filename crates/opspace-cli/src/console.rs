@@ -140,6 +140,9 @@ pub fn print_exactly(text: &str) -> Result<(), Failure> {
 
 /// Renders results as a table with its notes.
 pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) -> String {
+    if summaries.is_empty() {
+        return "no runs\n".to_owned();
+    }
     let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
     text += &render(&table(summaries, measures));
     if let [one] = summaries {

@@ -19,6 +19,8 @@ mod interrupt;
 mod output;
 mod outputs;
 mod result_folder;
+mod shard;
+mod suite_results;
 
 use clap::Parser;
 use cli::{Cli, Command};
@@ -35,6 +37,7 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
     let outcome = match &cli.command {
         Command::Run(args) => commands::run::run(args, extensions, console),
         Command::Bench(args) => commands::bench::bench(args, extensions, console),
+        Command::Merge(args) => commands::merge::merge(args, extensions, console),
         Command::Replay(args) => commands::replay::replay(args, extensions, console),
         Command::Report(args) => commands::report::report(args, extensions, console),
         Command::Check(args) => commands::check::check(args, extensions, console),

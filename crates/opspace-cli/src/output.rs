@@ -35,6 +35,7 @@ pub enum Format {
     Json,
     JsonLines,
     Html,
+    Csv,
 }
 
 impl Format {
@@ -43,6 +44,7 @@ impl Format {
             Self::Json => "a JSON file",
             Self::JsonLines => "a file of JSON lines",
             Self::Html => "a web page",
+            Self::Csv => "a CSV file of results",
         }
     }
 
@@ -55,6 +57,7 @@ impl Format {
                 Self::Json => is_json(&text),
                 Self::JsonLines => text.lines().all(|line| line.trim().is_empty() || is_json(line)),
                 Self::Html => text.trim_start().to_ascii_lowercase().starts_with("<!doctype html"),
+                Self::Csv => text.starts_with("task,robot,"),
             }
     }
 }

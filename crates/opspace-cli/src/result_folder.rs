@@ -5,6 +5,7 @@ use crate::console::{Console, Exit, Failure};
 use crate::outputs::check_outputs;
 use opspace_experiment::run::folder::{LOG, REPORT, SUMMARY};
 use opspace_experiment::run::result_files::ResultFolder;
+use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -37,17 +38,28 @@ pub fn prepare(
     let mut outputs: Vec<PathBuf> = files.iter().map(|name| path.join(name)).collect();
     outputs.extend(args.json.path().map(Path::to_owned));
     check_outputs(inputs, &outputs)?;
-    let folder = ResultFolder::open(&path)?;
+    empty(ResultFolder::open(&path)?, args.out.is_some(), args.force, files, console)
+}
+
+/// Makes a locked folder ready for new results, as [`prepare`] does; `chosen` is true for a folder that the user named.
+pub fn empty(
+    folder: ResultFolder,
+    chosen: bool,
+    force: bool,
+    files: &[String],
+    console: Console,
+) -> Result<ResultFolder, Failure> {
+    let path = folder.path().to_owned();
     if !holds_results(&path) {
         refuse_foreign(&path, files)?;
         return Ok(folder);
     }
-    if args.out.is_none() {
+    if !chosen {
         set_aside(&path, console)?;
         // The lock stays with the folder that was moved: the new one has its own.
         return Ok(ResultFolder::open(&path)?);
     }
-    if !args.force {
+    if !force {
         let text = format!("{}: already contains a run; use --force to replace it", path.display());
         return Err(Failure::Other(text, Exit::Bad));
     }
@@ -67,7 +79,8 @@ fn refuse_foreign(folder: &Path, files: &[String]) -> Result<(), Failure> {
 }
 
 fn holds_results(folder: &Path) -> bool {
-    let named = [LOG, SUMMARY, ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
+    let named =
+        [LOG, SUMMARY, ROWS, SUITE_ROWS, IDENTIFICATION].iter().any(|name| folder.join(name).exists());
     named || folder.join(MOVE_TO_START).join(LOG).exists()
 }
 
@@ -92,12 +105,15 @@ fn clear(folder: &Path) -> Result<(), Failure> {
     if holds_results(&motion) {
         clear(&motion)?;
     }
-    let mut ours = vec![LOG, REPORT, SUMMARY, ROWS, IDENTIFICATION];
+    let mut ours = vec![LOG, REPORT, SUMMARY, ROWS, SUITE_ROWS, IDENTIFICATION];
     // A robot file is ours only beside an identification.
     if folder.join(IDENTIFICATION).exists() {
         ours.extend([SERVO_FILE, ROBOT_FILE]);
     }
-    let logs = logs_of_suite(&folder.join(ROWS));
+    let mut logs = logs_of_suite(&folder.join(ROWS));
+    // A suite that was cut off has no other list of its logs.
+    let rows = SuiteRows::read(folder).into_iter().flat_map(|rows| rows.rows.into_values());
+    logs.extend(rows.filter_map(|row| row.log));
     for name in ours.into_iter().chain(logs.iter().map(String::as_str)) {
         let path = folder.join(name);
         if path.exists() {

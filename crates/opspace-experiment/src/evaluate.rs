@@ -1,5 +1,7 @@
 //! Metrics of runs, and tables of these metrics.
 
+pub mod baseline;
+pub mod csv;
 pub mod expectations;
 pub(crate) mod failures;
 pub(crate) mod metric_tables;

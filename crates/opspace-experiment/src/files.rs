@@ -2,11 +2,13 @@
 
 pub mod expectation;
 pub(crate) mod explain;
+pub mod grid;
 pub mod interface;
 pub mod origin;
 pub mod overrides;
 pub(crate) mod renamed;
 pub mod robot;
+pub(crate) mod seeds;
 pub mod source;
 pub mod suggest;
 pub mod suite;

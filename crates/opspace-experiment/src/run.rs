@@ -10,5 +10,7 @@ mod on_driver;
 mod real_robot;
 pub mod replay;
 pub mod result_files;
+pub mod shard;
+pub mod suite_rows;
 pub mod summary;
 mod transformer;

@@ -1,10 +1,10 @@
 //! Tables of metrics: of a run, of its tasks and of its joints.
 
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 
 /// Metrics of a run; a metric that does not apply to the run is `None`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Metrics {
     /// Errors of the pose of the first task that has some.
@@ -58,14 +58,17 @@ pub struct Metrics {
 }
 
 /// Computing times of a run; they are not reproducible.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Timing {
     /// Median duration of a control cycle with estimator, model, control and transformer, ns.
+    #[serde(deserialize_with = "nan_if_null")]
     pub tick_ns_median: f64,
     /// Duration of a control cycle with estimator, model, control and transformer, 99th percentile, ns.
+    #[serde(deserialize_with = "nan_if_null")]
     pub tick_ns_p99: f64,
     /// Largest duration of a control cycle with estimator, model, control and transformer, ns.
+    #[serde(deserialize_with = "nan_if_null")]
     pub tick_ns_max: f64,
     /// Ratio of robot time to wall-clock time.
     pub realtime_factor: Option<f64>,
@@ -84,7 +87,7 @@ pub struct Evaluation {
 }
 
 /// Metrics of one task; a metric that does not apply to the task is `None`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct TaskMetrics {
     /// Kind of the task, as in its file.
@@ -105,7 +108,7 @@ pub struct TaskMetrics {
 }
 
 /// Error of a joint or of an element of a coordinate.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ElementError {
     /// Name of the joint or element.
@@ -113,13 +116,15 @@ pub struct ElementError {
     /// Unit of the errors.
     pub unit: String,
     /// Error, rms.
+    #[serde(deserialize_with = "nan_if_null")]
     pub rms: f64,
     /// Largest magnitude of the error.
+    #[serde(deserialize_with = "nan_if_null")]
     pub max: f64,
 }
 
 /// Metrics of one joint; a metric that does not apply to the run is `None`. For a prismatic joint read N for Nm.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct JointMetrics {
     /// Error of the mean motor torque over each interface interval, rms, Nm.
@@ -137,7 +142,7 @@ pub struct JointMetrics {
 }
 
 /// Errors of a controlled frame over the motion axes of its task; `None` without such axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PoseErrors {
     /// Distance from the reference, rms, m.
@@ -151,7 +156,7 @@ pub struct PoseErrors {
 }
 
 /// True contact force over the force axes of a task; `None` without such axes, or without a true state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Contact {
     /// Error of the force, rms, N; `None` if the target is streamed.
@@ -167,11 +172,16 @@ pub struct Contact {
 }
 
 /// Motion of a controlled frame over the compliant axes of its task; `None` without such axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Compliance {
     /// Displacement from the start, rms, m.
     pub compliant_motion_rms_m: Option<f64>,
     /// Work of the environment on the robot after settling, J; `None` without an object that acts on the frame.
     pub compliant_work_j: Option<f64>,
+}
+
+/// Reads a number that is written as `null` if it is not a number.
+fn nan_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }

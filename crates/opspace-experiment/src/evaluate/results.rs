@@ -2,10 +2,14 @@
 
 use crate::evaluate::spread::Spread;
 use crate::evaluate::table::{Cell, Table};
+use crate::run::experiment::{ControllerKind, Experiment};
 use crate::run::summary::Summary;
+use opspace_backend::CommandKind;
+use opspace_control::TaskParameters;
+use opspace_sim::EnvironmentObjectParameters;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -186,7 +190,7 @@ fn profile(summary: &Summary) -> String {
 }
 
 /// Column of a table of results.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -300,6 +304,72 @@ impl Measure {
             }
             Self::TickTime => Row("cycle time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
             Self::RealTime => Row("real time", "×", 1.0, |s| s.timing.realtime_factor),
+        }
+    }
+
+    /// Name of the measure in a suite file.
+    #[must_use]
+    pub fn name(self) -> String {
+        serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
+    }
+
+    /// True if any of the runs has a value for the measure.
+    #[must_use]
+    pub fn is_in(self, summaries: &[Summary]) -> bool {
+        let Row(.., value) = self.row();
+        summaries.iter().any(|summary| value(summary).is_some())
+    }
+
+    /// What an experiment needs to have a value for the measure, as far as this can be known before a run.
+    pub(crate) fn needed(self) -> Option<&'static str> {
+        Some(match self {
+            Self::PositionRms | Self::PositionMax | Self::OrientationRms | Self::OrientationMax => {
+                "a task with a Cartesian frame or the centre of mass"
+            }
+            Self::ForceRms | Self::InContact | Self::ContactPeak | Self::CompliantMotion => {
+                "a task with a Cartesian frame"
+            }
+            Self::JointRms => "a task of the kind `joint-tracking`",
+            Self::HandForce | Self::HandMotion => {
+                "a task with a spring in `environment`, which is the operator"
+            }
+            Self::HoldRipple => "a position robot with the controller `osc`",
+            Self::TorqueErrorServo
+            | Self::TorqueErrorInterval
+            | Self::TorqueErrorTick
+            | Self::TorqueErrorOfLimit
+            | Self::TorqueMax
+            | Self::TorqueStepMax => "the controller `osc`",
+            _ => return None,
+        })
+    }
+
+    /// False if a run of the experiment cannot have a value for the measure.
+    pub(crate) fn is_possible(self, experiment: &Experiment) -> bool {
+        let file = &experiment.task().file;
+        let task = |kind: fn(&TaskParameters) -> bool| {
+            file.task.iter().any(|(name, task)| file.priority.contains(name) && kind(task))
+        };
+        let torques = experiment.options().controller == ControllerKind::Osc;
+        match self {
+            Self::PositionRms | Self::PositionMax | Self::OrientationRms | Self::OrientationMax => {
+                task(|t| matches!(t, TaskParameters::Cartesian(_) | TaskParameters::CenterOfMass(_)))
+            }
+            Self::ForceRms | Self::InContact | Self::ContactPeak | Self::CompliantMotion => {
+                task(|t| matches!(t, TaskParameters::Cartesian(_)))
+            }
+            Self::JointRms => task(|t| matches!(t, TaskParameters::JointTracking(_))),
+            Self::HandForce | Self::HandMotion => {
+                file.environment.values().any(|o| matches!(o, EnvironmentObjectParameters::Spring(_)))
+            }
+            Self::HoldRipple => torques && experiment.options().backend == CommandKind::Position,
+            Self::TorqueErrorServo
+            | Self::TorqueErrorInterval
+            | Self::TorqueErrorTick
+            | Self::TorqueErrorOfLimit
+            | Self::TorqueMax
+            | Self::TorqueStepMax => torques,
+            _ => true,
         }
     }
 

@@ -92,7 +92,7 @@ impl Kind {
         const KEYS: [(Kind, &[&str]); 3] = [
             (Kind::Robot, &["urdf", "default_profile", "interface", "joint", "simulated"]),
             (Kind::Task, &["robot", "duration_s", "priority", "task", "environment"]),
-            (Kind::Suite, &["title", "profiles", "run"]),
+            (Kind::Suite, &["title", "profiles", "grid", "grid_mode", "run"]),
         ];
         let mut tops = BTreeSet::new();
         let mut inside = false;

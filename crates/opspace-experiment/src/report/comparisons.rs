@@ -1,29 +1,16 @@
 //! Charts that compare runs: medians of all runs, and runs of one task drawn over each other.
 
 use crate::evaluate::results::{Group, control, group};
+use crate::evaluate::spread::Spread;
 use crate::report::document::RunSection;
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
 use crate::run::summary::Summary;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Creates a chart for each quantity: a row per task and profile, a mark per kind of robot, controller and transformer.
 pub(super) fn comparisons(summaries: &[Summary]) -> Vec<Comparison> {
-    type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
-    let quantities: [Quantity; 4] = [
-        ("Tracking", "position error, rms (mm)", Scale::Log, |s| {
-            s.metrics.pose.position_rms_m.map(|v| 1e3 * v)
-        }),
-        ("Hand force", "force of the operator's hand, rms (N)", Scale::Linear, |s| {
-            s.metrics.hand_force_rms_n
-        }),
-        ("Hand motion", "motion of the operator's hand, rms (mm)", Scale::Log, |s| {
-            s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
-        }),
-        ("Torque error", "rms of interval means (%)", Scale::Log, |s| {
-            s.metrics.torque_error_interval.map(|v| 1e2 * v)
-        }),
-    ];
     let groups = group(summaries);
-    quantities
+    QUANTITIES
         .into_iter()
         .map(|(title, x_label, scale, number)| comparison(&groups, title, x_label, scale, number))
         // With a single kind of control there is nothing to compare.
@@ -67,6 +54,101 @@ fn comparison(
         rows,
         scale,
     }
+}
+
+/// Quantities of the charts: title, label, scale, and value of a run.
+type Quantity = (&'static str, &'static str, Scale, fn(&Summary) -> Option<f64>);
+
+const QUANTITIES: [Quantity; 5] = [
+    ("Tracking", "position error, rms (mm)", Scale::Log, |s| s.metrics.pose.position_rms_m.map(|v| 1e3 * v)),
+    ("Orientation", "orientation error, rms (mrad)", Scale::Log, |s| {
+        s.metrics.pose.orientation_rms_rad.map(|v| 1e3 * v)
+    }),
+    ("Hand force", "force of the operator's hand, rms (N)", Scale::Linear, |s| s.metrics.hand_force_rms_n),
+    ("Hand motion", "motion of the operator's hand, rms (mm)", Scale::Log, |s| {
+        s.metrics.hand_motion_rms_m.map(|v| 1e3 * v)
+    }),
+    ("Torque error", "torque error, rms of interval means (%)", Scale::Log, |s| {
+        s.metrics.torque_error_interval.map(|v| 1e2 * v)
+    }),
+];
+
+/// Draws the quantities over each setting that has three or more numbers in the runs.
+pub(super) fn sweeps(summaries: &[Summary]) -> Vec<Figure> {
+    let groups = group(summaries);
+    let keys: BTreeSet<&str> =
+        groups.iter().flat_map(|group| numbers(group.first())).map(|(key, _)| key).collect();
+    keys.into_iter().filter_map(|key| sweep(&groups, key)).collect()
+}
+
+/// Settings of a run that are numbers.
+fn numbers(summary: &Summary) -> impl Iterator<Item = (&str, f64)> {
+    summary.overrides.iter().filter_map(|setting| {
+        let (key, value) = setting.split_once('=')?;
+        Some((key.trim(), value.trim().parse().ok()?))
+    })
+}
+
+fn sweep(groups: &[Group<'_>], key: &str) -> Option<Figure> {
+    let value =
+        |group: &Group<'_>| numbers(group.first()).find(|(own, _)| *own == key).map(|(_, value)| value);
+    let mut values: Vec<f64> = groups.iter().filter_map(value).collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    if values.len() < 3 {
+        return None;
+    }
+    // Runs that differ in nothing but the seed and this setting are one line.
+    let line_of = |group: &Group<'_>| {
+        let run = group.first();
+        let others: Vec<&str> = run
+            .overrides
+            .iter()
+            .filter(|own| !own.starts_with(&format!("{key}=")))
+            .map(String::as_str)
+            .collect();
+        let label = Summary { label: None, ..run.clone() };
+        let mut name = format!("{}, {} {}, {}", run.task, run.backend, control(&label), run.profile);
+        others.iter().for_each(|other| name += &format!(", {other}"));
+        name
+    };
+    let panels: Vec<Panel> = QUANTITIES
+        .iter()
+        .filter_map(|(title, y_label, y_scale, number)| {
+            let mut lines: BTreeMap<String, Vec<(f64, Spread)>> = BTreeMap::new();
+            for group in groups {
+                if let (Some(value), Some(spread)) = (value(group), group.spread(number)) {
+                    lines.entry(line_of(group)).or_default().push((value, spread));
+                }
+            }
+            let series = lines.into_iter().flat_map(|(name, mut points)| {
+                points.sort_by(|a, b| a.0.total_cmp(&b.0));
+                let x: Vec<f64> = points.iter().map(|point| point.0).collect();
+                let along =
+                    |end: fn(&Spread) -> f64| points.iter().map(|point| end(&point.1)).collect::<Vec<f64>>();
+                let ends = [along(|s| s.low), along(|s| s.high)]
+                    .map(|y| Series::new(format!("{name}: interval"), x.clone(), y).style(Style::Thin));
+                let is_wide = points.iter().any(|point| point.1.high > point.1.low);
+                let median = Series::new(name.clone(), x.clone(), along(|s| s.median));
+                std::iter::once(median).chain(ends.into_iter().filter(move |_| is_wide)).collect::<Vec<_>>()
+            });
+            let series: Vec<Series> = series.collect();
+            (!series.is_empty()).then(|| Panel {
+                title: (*title).to_owned(),
+                x_label: key.to_owned(),
+                y_label: (*y_label).to_owned(),
+                series,
+                y_scale: *y_scale,
+                ..Panel::default()
+            })
+        })
+        .collect();
+    (!panels.is_empty()).then(|| Figure {
+        title: format!("Sweep of {key}"),
+        caption: "Medians over the seeds; thin lines are the ends of their intervals.".to_owned(),
+        panels,
+        ..Figure::default()
+    })
 }
 
 /// Draws the runs of each task over each other, where a page shows several: what they did, and their errors. A reference

@@ -1,7 +1,7 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
 use crate::evaluate::results::{Measure, group, joint_table, notes, table, task_table};
-use crate::report::comparisons::{comparisons, overlays};
+use crate::report::comparisons::{comparisons, overlays, sweeps};
 use crate::report::figure::Figure;
 use crate::report::html::Page;
 use crate::report::run_figures::figures;
@@ -82,7 +82,7 @@ pub fn page(
         for comparison in comparisons(summaries) {
             page = page.comparison(&comparison);
         }
-        for figure in overlays(shown) {
+        for figure in sweeps(summaries).into_iter().chain(overlays(shown)) {
             page = page.figure(&figure);
         }
     }

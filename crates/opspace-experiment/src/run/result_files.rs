@@ -5,6 +5,8 @@ use opspace_log::MAGIC;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Number of times that a folder which is moved while it is locked is tried again.
 const ATTEMPTS: usize = 100;
@@ -79,11 +81,24 @@ pub fn write_file(path: &Path, text: &str) -> io::Result<()> {
     if existing.is_some() && is_log(&path)? {
         return Err(io::Error::other("it is a log, and logs are never overwritten"));
     }
+    replace_file(&path, text.as_bytes())
+}
+
+/// Writes a file aside, under a name that no other process uses, and renames it: a complete file takes the place of an
+/// existing one, or nothing changes.
+///
+/// # Errors
+/// A file that can't be written.
+pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let aside = path.with_file_name(format!(".{name}.{}", std::process::id()));
-    let written = File::create(&aside)
-        .and_then(|mut file| file.write_all(text.as_bytes()))
-        .and_then(|()| fs::rename(&aside, &path));
+    // Processes of different machines may have the same number: the time tells them apart, and a taken name is refused.
+    let time = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_nanos());
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+    let aside = path.with_file_name(format!(".{name}.{}.{time}.{number}", std::process::id()));
+    let written = File::create_new(&aside)
+        .and_then(|mut file| file.write_all(bytes))
+        .and_then(|()| fs::rename(&aside, path));
     if written.is_err() {
         let _ = fs::remove_file(&aside);
     }

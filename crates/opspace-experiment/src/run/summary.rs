@@ -8,11 +8,11 @@ use crate::run::log_header::is_real;
 use opspace_backend::signal_names::{self, MISSED_CYCLES, PHASE, TARGET_STALE, TICK_CHANNEL};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// The summary of a run.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Summary {
     /// Name of the task.

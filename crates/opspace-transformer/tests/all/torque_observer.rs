@@ -110,7 +110,7 @@ fn observer_follows_known_torques() {
 /// change sign twice a second.
 #[test]
 fn observer_follows_an_unknown_load() {
-    let load = |cycle: u32| if cycle / 250 % 2 == 0 { 3.0 } else { -3.0 };
+    let load = |cycle: u32| if (cycle / 250).is_multiple_of(2) { 3.0 } else { -3.0 };
     let (observed, filtered) = errors(load, 200, |_| false);
     assert!(observed < filtered, "{observed} rad/s, filter {filtered} rad/s");
 }

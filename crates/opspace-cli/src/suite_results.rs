@@ -1,0 +1,233 @@
+//! Results of a suite: table, page, JSON, CSV, and the comparison with a baseline.
+
+use crate::cli::SuiteOutputArgs;
+use crate::commands::run::exit_code;
+use crate::console::{Console, Exit, Failure, Outcome, print_exactly, render, report, results};
+use crate::output::{Format, pretty, write, write_named};
+use crate::result_folder::{LOGS, ROWS};
+use opspace_experiment::evaluate::baseline::{Baseline, BaselineComparison, TOLERANCE, Verdict};
+use opspace_experiment::evaluate::csv::csv;
+use opspace_experiment::evaluate::results::group_rows;
+use opspace_experiment::report::document::{RunSection, page};
+use opspace_experiment::run::folder::REPORT;
+use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
+use opspace_experiment::{Experiment, Extensions, Source, Summary};
+use opspace_log::Recording;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Maximum number of lines of each list of runs.
+const MAX_LISTED: usize = 10;
+
+const LEAD: &str = "A transformer converts desired torques into setpoints, the commands of position or velocity servos; ik is \
+                    inverse kinematics without torque control. The profile is the set of servo parameters and rates; 1:5 means \
+                    a setpoint every five servo ticks. The operator is a simulated person whose hand pulls at the robot.";
+
+impl SuiteOutputArgs {
+    /// Files outside the folder of results to which the command writes.
+    pub fn outputs(&self) -> Vec<PathBuf> {
+        let csv = self.csv.as_deref().filter(|path| !is_stdout(path));
+        [self.output.json.path(), csv].into_iter().flatten().map(Path::to_owned).collect()
+    }
+
+    /// Files that the command may overwrite: a default folder is moved aside, so that the results in it can be the
+    /// baseline.
+    pub fn overwritten(&self, files: &[String]) -> Vec<PathBuf> {
+        let chosen = self.output.out.iter().flat_map(|out| files.iter().map(|name| out.join(name)));
+        chosen.chain(self.outputs()).collect()
+    }
+
+    /// Reads the baseline, if any, and refuses contradictory outputs.
+    pub fn check(&self) -> Result<Option<Baseline>, Failure> {
+        let printed = |path: &Option<PathBuf>| path.as_deref().is_some_and(is_stdout);
+        if printed(&self.csv) && printed(&self.output.json.json) {
+            return Err(Failure::Other("--json and --csv cannot both be `-`".to_owned(), Exit::Bad));
+        }
+        let Some(path) = &self.baseline else { return Ok(None) };
+        let text = std::fs::read_to_string(path).map_err(|error| match Source::read(path) {
+            // The same message as for any other file.
+            Err(unread) => Failure::from(unread),
+            Ok(_) => Failure::io("cannot be read", path, &error),
+        })?;
+        let refused = |words: String| Failure::Other(format!("{}: {words}", path.display()), Exit::Bad);
+        Baseline::parse(&text).map(Some).map_err(refused)
+    }
+
+    /// Fails if the baseline has none of the runs.
+    pub fn refuse_foreign(&self) -> Failure {
+        let path = self.baseline.as_deref().unwrap_or(Path::new(""));
+        let text = format!(
+            "{}: has none of the runs of this suite: no task, robot, controller, profile, settings and seed are equal",
+            path.display()
+        );
+        Failure::Other(text, Exit::Bad)
+    }
+}
+
+fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
+/// Results of a suite in a folder.
+pub struct SuiteResults<'a> {
+    /// Rows in the folder.
+    pub rows: &'a SuiteRows,
+    /// Summaries to be shown: those of the rows, and of runs that were interrupted.
+    pub summaries: &'a [Summary],
+    /// True if results without all runs are final; otherwise they leave no `bench.json`, and can be continued.
+    pub partial: bool,
+    /// The folder.
+    pub folder: &'a Path,
+}
+
+impl SuiteResults<'_> {
+    /// Writes and prints the results, and returns the exit code that they give.
+    pub fn write(
+        &self,
+        args: &SuiteOutputArgs,
+        baseline: Option<&Baseline>,
+        extensions: &Extensions,
+        console: Console,
+    ) -> Outcome {
+        let (header, summaries, folder) = (&self.rows.header, self.summaries, self.folder);
+        let comparison = baseline.map(|baseline| baseline.compare(summaries));
+        let (shown, logs) = self.sections(extensions);
+        let lead = format!("{} runs in simulation. {LEAD}", summaries.len());
+        write(&folder.join(REPORT), &page(&header.title, &lead, summaries, &header.columns, &shown))?;
+        let json = self.json(&logs, comparison.as_ref());
+        let is_final = self.partial || self.missing().is_empty();
+        if is_final {
+            write(&folder.join(ROWS), &json)?;
+        }
+        if let Some(path) = args.csv.as_deref().filter(|path| !is_stdout(path)) {
+            write_named(path, &csv(summaries), Format::Csv)?;
+        }
+        if args.csv.as_deref().is_some_and(is_stdout) {
+            if let Some(path) = args.output.json.path() {
+                write_named(path, &json, Format::Json)?;
+            }
+            print_exactly(&csv(summaries))?;
+        } else {
+            let text = || {
+                let compared = comparison.as_ref().map(|comparison| compared(comparison, console));
+                results(console, summaries, &header.columns) + &compared.unwrap_or_default()
+            };
+            args.output.json.print(|| json.clone(), text)?;
+        }
+        let rows = if is_final { format!("{ROWS}, {SUITE_ROWS}") } else { SUITE_ROWS.to_owned() };
+        console.note(&format!("wrote {}, {rows} and {} logs", folder.join(REPORT).display(), logs.len()));
+        let mut codes: Vec<Exit> = summaries.iter().map(exit_code).collect();
+        if let Some(comparison) = &comparison {
+            list_unmatched(comparison, console);
+            codes.extend(comparison.is_worse().then_some(Exit::Failed));
+        }
+        for column in self.empty_columns() {
+            let text = format!("no run has a value for the column `{column}`, which the suite lists");
+            codes.push(report(&Failure::Other(text, Exit::Failed)));
+        }
+        let worst = [Exit::Failed, Exit::Interrupted, Exit::DataLost].into_iter().find(|e| codes.contains(e));
+        Ok(worst.unwrap_or(Exit::Done))
+    }
+
+    /// Numbers of the runs without a row.
+    fn missing(&self) -> Vec<usize> {
+        self.rows.header.numbers().filter(|number| !self.rows.rows.contains_key(number)).collect()
+    }
+
+    /// Formats the results as JSON.
+    fn json(&self, logs: &[String], comparison: Option<&BaselineComparison>) -> String {
+        let header = &self.rows.header;
+        let mut json = json!({
+            "schema": "opspace.bench/1",
+            "opspace_version": header.opspace_version,
+            "suite_sha256": header.suite_sha256,
+            "title": header.title,
+            "runs": header.runs,
+        });
+        if let Some(shard) = header.shard {
+            json["shard"] = shard.to_string().into();
+        }
+        let missing = self.missing();
+        if !missing.is_empty() {
+            json["missing"] = missing.into();
+        }
+        json["rows"] = json!(self.summaries);
+        json["groups"] = json!(group_rows(self.summaries));
+        json[LOGS] = json!(logs);
+        if let Some(comparison) = comparison {
+            json["comparison"] = comparison_json(comparison);
+        }
+        pretty(&json)
+    }
+
+    /// Columns that the suite lists and for which no run has a value, if all runs of the suite are there.
+    fn empty_columns(&self) -> Vec<String> {
+        let header = &self.rows.header;
+        if !header.columns_required || header.shard.is_some() || !self.missing().is_empty() {
+            return Vec::new();
+        }
+        header.columns.iter().filter(|column| !column.is_in(self.summaries)).map(|c| c.name()).collect()
+    }
+
+    /// Sections of the runs whose logs are in the folder, and the names of these logs.
+    fn sections(&self, extensions: &Extensions) -> (Vec<RunSection>, Vec<String>) {
+        let kept = self.rows.rows.values().filter_map(|row| {
+            let name = row.log.clone()?;
+            let recording = Recording::read(self.folder.join(&name)).ok()?;
+            let experiment = Experiment::of_log_with(extensions, &recording).ok()?;
+            Some((RunSection::new(&experiment, &recording, row.row.clone()), name))
+        });
+        kept.unzip()
+    }
+}
+
+fn comparison_json(comparison: &BaselineComparison) -> Value {
+    let mut json = json!({ "tolerance": TOLERANCE, "confidence": 0.95 });
+    if let (Some(json), Ok(Value::Object(parts))) = (json.as_object_mut(), serde_json::to_value(comparison)) {
+        json.extend(parts);
+    }
+    json
+}
+
+/// Renders the comparison with a baseline.
+fn compared(comparison: &BaselineComparison, console: Console) -> String {
+    let table = comparison.table();
+    let count = |verdict| comparison.count(verdict);
+    let mut text = format!(
+        "\nCompared with the baseline: {} metrics: {} worse, {} better, {} the same, {} changed\n",
+        comparison.metrics.len(),
+        count(Verdict::Worse),
+        count(Verdict::Better),
+        count(Verdict::Same),
+        count(Verdict::Changed),
+    );
+    if !table.rows.is_empty() {
+        text += &render(&table);
+    }
+    if !console.quiet {
+        text += &format!(
+            "\nMeans over the pairs of runs with equal seeds; ± is half of the 95 % confidence interval of the mean \
+             difference (Student's t). A metric is better or worse if this interval excludes zero and the means differ by \
+             more than {} %. With one pair, only the latter counts. 'changed': neither better nor worse.\n",
+            100.0 * TOLERANCE
+        );
+    }
+    text
+}
+
+/// Lists the runs that are in only one of the two results, and those that fail now.
+fn list_unmatched(comparison: &BaselineComparison, console: Console) {
+    for (title, list) in [
+        ("fails, but did not in the baseline", &comparison.newly_failed),
+        ("has no value any more", &comparison.lost),
+        ("only in the baseline", &comparison.only_baseline),
+        ("not in the baseline", &comparison.only_new),
+    ] {
+        for text in list.iter().take(MAX_LISTED) {
+            console.note(&format!("{title}: {text}"));
+        }
+        if list.len() > MAX_LISTED {
+            console.note(&format!("{title}: {} more", list.len() - MAX_LISTED));
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Table of runs as CSV, for notebooks and spreadsheets.
+
+use crate::run::summary::Summary;
+use serde_json::{Map, Value};
+use std::collections::HashMap;
+
+/// First columns, which every table has.
+const FIRST: [&str; 5] = ["task", "robot", "backend", "controller", "transformer"];
+
+/// Formats runs as CSV (RFC 4180, with LF): one row per run, one column per key and metric.
+///
+/// The columns are those of `summary.json`, with the unit in the name: the keys of the run, one column for each setting
+/// (`robot.profile.a-med.servo_ticks_per_cycle`), its metrics and timing, then the metrics of each task
+/// (`task.hand.position_rms_m`) and each joint (`joint.elbow.torque_error_rms_nm`). A cell is empty where a run has no
+/// value; texts of a list are separated by `; `.
+#[must_use]
+pub fn csv(summaries: &[Summary]) -> String {
+    let mut columns: Vec<String> = FIRST.map(str::to_owned).to_vec();
+    let mut places: HashMap<String, usize> = columns.iter().cloned().zip(0..).collect();
+    // Columns of one part stand together, whichever run has them first.
+    let parts = [keys, settings, metrics, tasks, joints];
+    let mut rows = vec![HashMap::new(); summaries.len()];
+    let values: Vec<Value> =
+        summaries.iter().map(|summary| serde_json::to_value(summary).unwrap_or_default()).collect();
+    for part in parts {
+        for (row, value) in rows.iter_mut().zip(&values) {
+            let mut add = |name: String, cell: String| {
+                let place = *places.entry(name.clone()).or_insert_with(|| {
+                    columns.push(name);
+                    columns.len() - 1
+                });
+                row.insert(place, cell);
+            };
+            part(value, &mut add);
+        }
+    }
+    let head = columns.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(",");
+    let mut text = head + "\n";
+    for row in &rows {
+        let cells =
+            (0..columns.len()).map(|place| row.get(&place).map_or_else(String::new, |cell| quoted(cell)));
+        text += &(cells.collect::<Vec<_>>().join(",") + "\n");
+    }
+    text
+}
+
+/// Receiver of a column's name and the cell in it.
+type Add<'a> = &'a mut dyn FnMut(String, String);
+
+/// Values of the run itself.
+fn keys(row: &Value, add: Add<'_>) {
+    for (name, value) in
+        entries(row).filter(|(_, value)| !value.is_object()).filter(|(n, _)| *n != "overrides")
+    {
+        add(name.clone(), cell(value));
+    }
+}
+
+/// Settings that were applied to the files, by key.
+fn settings(row: &Value, add: Add<'_>) {
+    for setting in row["overrides"].as_array().into_iter().flatten().filter_map(Value::as_str) {
+        if let Some((name, value)) = setting.split_once('=') {
+            add(name.trim().to_owned(), value.trim().trim_matches('"').to_owned());
+        }
+    }
+}
+
+fn metrics(row: &Value, add: Add<'_>) {
+    for (name, value) in entries(&row["metrics"]).chain(entries(&row["timing"])) {
+        add(name.clone(), cell(value));
+    }
+}
+
+fn tasks(row: &Value, add: Add<'_>) {
+    for (task, metrics) in entries(&row["tasks"]) {
+        for (name, value) in entries(metrics).filter(|(name, _)| *name != "elements") {
+            add(format!("task.{task}.{name}"), cell(value));
+        }
+        for element in metrics["elements"].as_array().into_iter().flatten() {
+            let (name, unit) = (cell(&element["name"]), cell(&element["unit"]));
+            for quantity in ["rms", "max"] {
+                add(format!("task.{task}.{name}.{quantity}_{unit}"), cell(&element[quantity]));
+            }
+        }
+    }
+}
+
+fn joints(row: &Value, add: Add<'_>) {
+    for (joint, metrics) in entries(&row["joints"]) {
+        for (name, value) in entries(metrics) {
+            add(format!("joint.{joint}.{name}"), cell(value));
+        }
+    }
+}
+
+fn entries(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
+    value.as_object().into_iter().flat_map(Map::iter)
+}
+
+fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        Value::Array(list) => list.iter().map(cell).collect::<Vec<_>>().join("; "),
+        other => other.to_string(),
+    }
+}
+
+/// Quotes a cell that contains a separator.
+fn quoted(cell: &str) -> String {
+    if cell.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.to_owned()
+    }
+}

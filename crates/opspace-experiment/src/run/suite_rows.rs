@@ -1,0 +1,257 @@
+//! Rows of a suite's runs: a file of JSON lines, to which each run is appended when it is complete.
+//!
+//! The first line identifies the suite, and each other line is a [`SuiteRow`]. A line that was cut off, by the end of the
+//! process in the middle of it for example, is ignored when the file is read.
+
+use crate::evaluate::results::Measure;
+use crate::files::suite::Suite;
+use crate::run::result_files::write_file;
+use crate::run::shard::Shard;
+use crate::run::summary::Summary;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::Mutex;
+
+/// File name of the rows in a folder of results.
+pub const SUITE_ROWS: &str = "rows.jsonl";
+
+/// Format of the file.
+const SCHEMA: &str = "opspace.rows/1";
+
+/// First line of the file: what has been run, and with what.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct SuiteHeader {
+    /// Format of the file.
+    pub schema: String,
+    /// Version of opspace that executed the runs.
+    pub opspace_version: String,
+    /// [Fingerprint](Suite::fingerprint) of the suite.
+    pub suite_sha256: String,
+    /// Name of the folder for the results of the whole suite.
+    pub name: String,
+    /// Subject of the suite.
+    pub title: String,
+    /// Columns of the suite's table.
+    pub columns: Vec<Measure>,
+    /// True if the suite lists the columns.
+    pub columns_required: bool,
+    /// Number of runs of the whole suite.
+    pub runs: usize,
+    /// Part of the suite to which the rows are limited; `None` for the whole suite.
+    pub shard: Option<Shard>,
+}
+
+impl SuiteHeader {
+    /// Describes the results of a suite, or of a part of it, by this version of opspace.
+    #[must_use]
+    pub fn new(suite: &Suite, name: &str, shard: Option<Shard>) -> Self {
+        Self {
+            schema: SCHEMA.to_owned(),
+            opspace_version: env!("CARGO_PKG_VERSION").to_owned(),
+            suite_sha256: suite.fingerprint(),
+            name: name.to_owned(),
+            title: suite.title.clone(),
+            columns: suite.columns.clone(),
+            columns_required: suite.columns_required,
+            runs: suite.experiments.len(),
+            shard,
+        }
+    }
+
+    /// Header of the whole suite to which these rows belong.
+    #[must_use]
+    pub fn of_whole_suite(&self) -> Self {
+        Self { shard: None, ..self.clone() }
+    }
+
+    /// True if both are about the same suite and the same version of opspace, whatever the part.
+    #[must_use]
+    pub fn is_of_same_suite(&self, other: &Self) -> bool {
+        self.opspace_version == other.opspace_version && self.suite_sha256 == other.suite_sha256
+    }
+
+    /// Numbers of the runs, from 1, to which the rows are limited.
+    pub fn numbers(&self) -> impl Iterator<Item = usize> + use<> {
+        let shard = self.shard;
+        (1..=self.runs).filter(move |&number| shard.is_none_or(|shard| shard.contains(number)))
+    }
+}
+
+/// Results of one run of a suite.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct SuiteRow {
+    /// Number of the run in the suite, from 1.
+    pub run: usize,
+    /// File name of its log; `None` if the log is not kept.
+    pub log: Option<String>,
+    /// Summary of the run.
+    pub row: Summary,
+}
+
+impl SuiteRow {
+    /// Creates the row of a run.
+    #[must_use]
+    pub fn new(run: usize, log: Option<String>, row: Summary) -> Self {
+        Self { run, log, row }
+    }
+}
+
+/// Rows of a suite's runs, with their header.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct SuiteRows {
+    /// What has been run.
+    pub header: SuiteHeader,
+    /// Rows by the number of their run.
+    pub rows: BTreeMap<usize, SuiteRow>,
+}
+
+impl SuiteRows {
+    /// Creates rows without any run.
+    #[must_use]
+    pub fn new(header: SuiteHeader) -> Self {
+        Self { header, rows: BTreeMap::new() }
+    }
+
+    /// Reads the rows in a folder of results; `None` if it has none, or none that can be read.
+    #[must_use]
+    pub fn read(folder: &Path) -> Option<Self> {
+        Self::parse(&fs::read(folder.join(SUITE_ROWS)).ok()?)
+    }
+
+    /// Parses a file of rows; `None` if its first line is not a header. Lines that are not complete rows of a run that
+    /// the header includes are ignored, as is the second row of a run.
+    #[must_use]
+    pub fn parse(bytes: &[u8]) -> Option<Self> {
+        let mut lines = bytes.split(|&byte| byte == b'\n');
+        let header: SuiteHeader = serde_json::from_slice(lines.next()?).ok()?;
+        if header.schema != SCHEMA {
+            return None;
+        }
+        let mut rows = BTreeMap::new();
+        let included = |run: usize| {
+            (1..=header.runs).contains(&run) && header.shard.is_none_or(|shard| shard.contains(run))
+        };
+        for row in lines.filter_map(|line| serde_json::from_slice::<SuiteRow>(line).ok()) {
+            // A log is a file beside the rows: a path to elsewhere is not one that a suite wrote.
+            let beside = row.log.as_ref().is_none_or(|log| Path::new(log).file_name() == Some(log.as_ref()));
+            if included(row.run) && beside {
+                rows.entry(row.run).or_insert(row);
+            }
+        }
+        Some(Self { header, rows })
+    }
+
+    /// Text of the file, with the rows in the order of the suite.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let rows = self.rows.values().map(line);
+        std::iter::once(line(&self.header)).chain(rows).collect()
+    }
+
+    /// Replaces the file in a folder of results, and opens it for further rows.
+    ///
+    /// # Errors
+    /// A file that can't be written.
+    pub fn append_to(&self, folder: &Path) -> io::Result<SuiteRowsFile> {
+        let path = folder.join(SUITE_ROWS);
+        write_file(&path, &self.text())?;
+        Ok(SuiteRowsFile(Mutex::new(File::options().append(true).open(path)?)))
+    }
+}
+
+/// Open file of rows, to which several threads append.
+#[derive(Debug)]
+pub struct SuiteRowsFile(Mutex<File>);
+
+impl SuiteRowsFile {
+    /// Appends a row as one complete line and waits until it is on the disk.
+    ///
+    /// # Errors
+    /// A file that can't be written.
+    pub fn push(&self, row: &SuiteRow) -> io::Result<()> {
+        let mut file = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        file.write_all(line(row).as_bytes())?;
+        // Not every file can be synchronised, and the row is written in any case.
+        let _ = file.sync_data();
+        Ok(())
+    }
+}
+
+fn line(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default() + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{SCHEMA, SuiteHeader, SuiteRow, SuiteRows};
+    use crate::run::summary::Summary;
+    use serde_json::{Value, json};
+
+    fn header() -> SuiteHeader {
+        SuiteHeader {
+            schema: SCHEMA.to_owned(),
+            opspace_version: "1".to_owned(),
+            suite_sha256: "ab".to_owned(),
+            name: "bench-a".to_owned(),
+            title: "a".to_owned(),
+            columns: Vec::new(),
+            columns_required: false,
+            runs: 4,
+            shard: "1/2".parse().ok(),
+        }
+    }
+
+    /// Summary with numbers that are hard to print, and one that is missing.
+    fn summary() -> Summary {
+        let summary: Value = json!({
+            "task": "a", "robot": "r", "backend": "torque", "controller": "osc", "profile": "p", "ratio": 5, "seed": 1,
+            "simulated": true, "duration_s": 0.1, "overrides": [], "interrupted": false, "rows_lost": 0,
+            "not_saved": [], "missed_cycles": 0, "stale_target_cycles": 0, "resumed": 0, "missed_expectations": [],
+            "failures": [], "metrics": { "position_rms_m": 1.0e-17, "contact_losses": 3 }, "tasks": {}, "joints": {},
+            "timing": { "tick_ns_median": null, "tick_ns_p99": 0.1, "tick_ns_max": 1e300 },
+        });
+        serde_json::from_value(summary).expect("a summary")
+    }
+
+    /// Compared: a file of rows, and the text of what was read from it.
+    #[test]
+    fn rows_are_read_as_they_were_written() {
+        let mut rows = SuiteRows::new(header());
+        rows.rows.insert(3, SuiteRow::new(3, Some("a.mcap".to_owned()), summary()));
+        let text = rows.text();
+        let read = SuiteRows::parse(text.as_bytes()).expect("rows");
+        assert_eq!(read.text(), text);
+        assert!(read.rows[&3].row.timing.tick_ns_median.is_nan());
+        assert_eq!(read.rows[&3].row.metrics, summary().metrics);
+    }
+
+    /// Lines that were cut off or mixed with others, a second row of a run, runs of other shards, and logs elsewhere.
+    #[test]
+    fn lines_that_are_no_rows_are_ignored() {
+        let line = |run: usize, log: Option<&str>, task: &str| {
+            let summary = Summary { task: task.to_owned(), ..summary() };
+            super::line(&SuiteRow::new(run, log.map(str::to_owned), summary))
+        };
+        let first = line(1, None, "a");
+        let mut text = super::line(&header()).into_bytes();
+        text.extend(&first.as_bytes()[..20]);
+        text.extend(b"\n\xff\xfe\n{}\n");
+        for part in [&first, &line(1, None, "b"), &line(2, None, "c"), &line(5, None, "d")] {
+            text.extend(part.as_bytes());
+        }
+        text.extend(line(3, Some("../a.mcap"), "e").as_bytes());
+        text.extend(&first.as_bytes()[..first.len() / 2]);
+        let rows = SuiteRows::parse(&text).expect("rows").rows;
+        assert_eq!(rows.keys().copied().collect::<Vec<_>>(), [1]);
+        assert_eq!(rows[&1].row.task, "a");
+        for wrong in ["", "{}", "x", &first] {
+            assert_eq!(SuiteRows::parse(wrong.as_bytes()), None, "{wrong}");
+        }
+    }
+}
