@@ -74,7 +74,7 @@ pub fn bench(args: &BenchArgs, extensions: &Extensions, console: Console) -> Out
             .jobs
             .map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
         let sweep = Sweep { suite: &suite, logs: &logs, folder, watch: &watch, console };
-        announce(&suite, &rows, &pending, jobs, console);
+        print_start(&suite, &rows, &pending, jobs, console);
         for row in sweep.run(&pending, jobs, &file)? {
             // A run that was interrupted is repeated when the suite is continued.
             if row.row.interrupted {
@@ -166,7 +166,7 @@ fn continued(
 }
 
 /// Prints the number of runs and their simulated time.
-fn announce(suite: &Suite, rows: &SuiteRows, pending: &[usize], jobs: usize, console: Console) {
+fn print_start(suite: &Suite, rows: &SuiteRows, pending: &[usize], jobs: usize, console: Console) {
     let simulated_s: f64 = pending.iter().map(|number| suite.experiments[number - 1].duration_s()).sum();
     let mut text = format!("{} runs, {} of simulated time", pending.len(), duration(simulated_s));
     if jobs.min(pending.len()) > 1 {

@@ -57,7 +57,7 @@ const NEUTRAL: [&str; 10] = [
     "torque_chatter_hz",
 ];
 
-/// What identifies a run among those of a suite.
+/// Identity of a run among those of a suite.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize)]
 #[non_exhaustive]
 pub struct RunKey {
@@ -404,6 +404,8 @@ fn student_95(degrees: usize) -> f64 {
             z + z * (z2 + 1.0) / (4.0 * v)
                 + z * ((5.0 * z2 + 16.0) * z2 + 3.0) / (96.0 * v * v)
                 + z * (((3.0 * z2 + 19.0) * z2 + 17.0) * z2 - 15.0) / (384.0 * v.powi(3))
+                + z * ((((79.0 * z2 + 776.0) * z2 + 1482.0) * z2 - 1920.0) * z2 - 945.0)
+                    / (92160.0 * v.powi(4))
         }
     }
 }

@@ -320,7 +320,7 @@ impl Measure {
         summaries.iter().any(|summary| value(summary).is_some())
     }
 
-    /// What an experiment needs to have a value for the measure, as far as this can be known before a run.
+    /// Requirement on an experiment for a value of the measure, as far as it is known before a run.
     pub(crate) fn needed(self) -> Option<&'static str> {
         Some(match self {
             Self::PositionRms | Self::PositionMax | Self::OrientationRms | Self::OrientationMax => {

@@ -105,7 +105,7 @@ impl SuiteRow {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SuiteRows {
-    /// What has been run.
+    /// Description of the suite and its part.
     pub header: SuiteHeader,
     /// Rows by the number of their run.
     pub rows: BTreeMap<usize, SuiteRow>,
