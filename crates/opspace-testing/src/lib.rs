@@ -2,7 +2,7 @@
 //!
 //! Shared by the tests and benches of all crates, without dependencies on them: a counter of allocations
 //! ([`allocation`]) and reference values computed by other programs ([`oracle`]). The example `same-bits` compares
-//! two builds of opspace.
+//! two builds of opspace. The package also compiles tests of the other crates (see its Cargo.toml).
 
 pub mod allocation;
 pub mod oracle;

@@ -206,7 +206,7 @@ proptest! {
 
 proptest! {
     // Only few of the programs are difficult.
-    #![proptest_config(config(20_000))]
+    #![proptest_config(config(5_000))]
 
     #[test]
     fn degenerate_vertex_is_feasible(program in programme(true)) {

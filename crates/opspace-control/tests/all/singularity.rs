@@ -49,14 +49,14 @@ fn elbow_sweep(text: &str, from: f64, to: f64, steps: u32) -> (f64, f64) {
 /// per step for two step sizes: a jump would not shrink with the step size.
 #[test]
 fn torques_are_bounded_and_continuous_through_singularity() {
-    let (largest, coarse) = elbow_sweep(POSITION, -0.3, 0.3, 40_000);
-    let (_, fine) = elbow_sweep(POSITION, -0.3, 0.3, 80_000);
+    let (largest, coarse) = elbow_sweep(POSITION, -0.3, 0.3, 10_000);
+    let (_, fine) = elbow_sweep(POSITION, -0.3, 0.3, 20_000);
     let undamped = POSITION.replace("singularity_threshold = 0.03", "singularity_threshold = 1e-30");
-    let (exploding, _) = elbow_sweep(&undamped, -0.3, 0.3, 40_001);
+    let (exploding, _) = elbow_sweep(&undamped, -0.3, 0.3, 10_001);
     // Bound √λ_max(M) |a| / √(threshold λ_max(Λ⁻¹)), with |a| up to 70 m/s² on this path.
     assert!(largest < 2000.0, "{largest} Nm");
     assert!(exploding > 1e3 * largest, "without damping only {exploding} Nm: the test shows nothing");
-    assert!(coarse < 1.0, "a step of {coarse} Nm");
+    assert!(coarse < 4.0, "a step of {coarse} Nm");
     assert!((0.45..0.55).contains(&(fine / coarse)), "steps of {coarse} Nm shrink to {fine} Nm");
 }
 

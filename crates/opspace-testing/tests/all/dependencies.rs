@@ -32,6 +32,26 @@ fn every_dependency_has_a_row_in_the_table_of_reasons() {
     }
 }
 
+/// Compared: the optimisation of dependencies in tests/own-driver and in this workspace. If they differed, .ci/run would
+/// compile the dependencies twice.
+#[test]
+fn own_driver_compiles_the_dependencies_as_this_workspace() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let read = |name: &str| {
+        let text = fs::read_to_string(root.join(name)).expect("a file of the project");
+        let manifest: toml::Table = toml::from_str(&text).expect("a manifest");
+        let mut profile = manifest["profile"]["dev"].as_table().expect("a table").clone();
+        let packages = profile["package"].as_table_mut().expect("a table");
+        packages.retain(|name, _| !name.starts_with("opspace"));
+        profile
+    };
+    let (mut here, there) = (read("Cargo.toml"), read("tests/own-driver/Cargo.toml"));
+    // Only tests use it: it would be named in vain there.
+    here["package"].as_table_mut().expect("a table").remove("chacha20");
+    assert!(here["package"].as_table().expect("a table").len() > 5, "{here:?}");
+    assert_eq!(here, there);
+}
+
 /// Cells of the table rows.
 fn rows(design: &str) -> Vec<Vec<&str>> {
     let table = design.lines().skip_while(|line| *line != HEAD).skip(2);

@@ -26,26 +26,29 @@ fn no_old_name_is_in_use() {
         })
         .collect();
     assert!(files.len() > 400, "only {} files were read", files.len());
+    let small: Vec<(String, String)> =
+        files.iter().map(|(file, text)| (file.clone(), text.to_lowercase())).collect();
     let found: Vec<String> = LIST
         .lines()
         .filter(|line| !line.is_empty() && !line.starts_with('#'))
         .flat_map(|line| {
             let (kind, rest) = line.split_once(' ').expect("a kind and its words");
-            uses(kind, rest, &files).into_iter().map(move |place| format!("{place}: {line}"))
+            uses(kind, rest, &files, &small).into_iter().map(move |place| format!("{place}: {line}"))
         })
         .collect();
     assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
-/// Lists the places in the files where the name in a line of the list is in use.
-fn uses(kind: &str, rest: &str, files: &[(String, String)]) -> Vec<String> {
+/// Lists the places in the files where the name in a line of the list is in use. `small` are the files in small letters.
+fn uses(kind: &str, rest: &str, files: &[(String, String)], small: &[(String, String)]) -> Vec<String> {
     if kind == "text" {
-        return lines(files, |_, line| has_words(&line.to_lowercase(), rest));
+        return lines(small, rest, |_, line| has_words(line, rest));
     }
     let (place, name) = rest.split_once(' ').expect("a place and a name");
     match kind {
         "name" => {
-            lines(files, |file, line| file.starts_with(place) && file.ends_with(".rs") && defines(line, name))
+            let is_in = |file: &str| file.starts_with(place) && file.ends_with(".rs");
+            lines(files, name, |file, line| is_in(file) && defines(line, name))
         }
         "file" => {
             let is_one = |file: &str| file.starts_with(place) && file.rsplit('/').next() == Some(name);
@@ -53,7 +56,7 @@ fn uses(kind: &str, rest: &str, files: &[(String, String)]) -> Vec<String> {
         }
         "key" => files
             .iter()
-            .filter(|(file, _)| file.ends_with(".toml"))
+            .filter(|(file, text)| file.ends_with(".toml") && text.contains(name))
             .filter(|(_, text)| {
                 let table: toml::Table = text.parse().expect("a TOML file");
                 has_key(&table, &mut Vec::new(), place, name)
@@ -73,10 +76,10 @@ fn has_words(text: &str, words: &str) -> bool {
     })
 }
 
-/// Lists the lines for which `is_found` is true, as `file:line`.
-fn lines(files: &[(String, String)], is_found: impl Fn(&str, &str) -> bool) -> Vec<String> {
+/// Lists the lines that contain `name` and for which `is_found` is true, as `file:line`.
+fn lines(files: &[(String, String)], name: &str, is_found: impl Fn(&str, &str) -> bool) -> Vec<String> {
     let mut found = Vec::new();
-    for (file, text) in files {
+    for (file, text) in files.iter().filter(|(_, text)| text.contains(name)) {
         let numbered = text.lines().enumerate();
         found.extend(
             numbered.filter(|(_, line)| is_found(file, line)).map(|(n, _)| format!("{file}:{}", n + 1)),
