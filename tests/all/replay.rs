@@ -87,7 +87,7 @@ fn rewritten(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelDat
     let header = Header {
         metadata: recording.metadata.iter().filter(|(name, _)| own(name)).cloned().collect(),
         attachments: recording.attachments.clone(),
-        model: None,
+        ..Header::default()
     };
     let channels = recording.channels.iter().map(|c| Channel { layout: c.layout.clone(), rate_hz: 1e3 });
     let sink = File::create(&to).unwrap();

@@ -12,3 +12,4 @@ pub mod replay;
 pub mod result_files;
 pub mod summary;
 mod transformer;
+mod viewer_scene;

@@ -16,10 +16,10 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     check_outputs(&inputs, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
     let (log, recording) = read_log(&args.log)?;
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
-    let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
     if let Some(damage) = &recording.damage {
         console.note(&format!("{}: damaged: {damage}", log.display()));
     }
+    let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
     let other = match &args.task {
         None => None,
         Some(path) => {

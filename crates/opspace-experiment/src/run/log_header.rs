@@ -74,6 +74,7 @@ impl Experiment {
                 .map(|(name, media, source)| Attachment::new(name, media, source.text().as_bytes()))
                 .collect(),
             model: Some(Arc::new(self.robot().model.clone())),
+            scene: self.viewer_scene(),
         }
     }
 

@@ -70,9 +70,17 @@ fn is_at(_handle: &File, _path: &Path) -> bool {
 /// # Errors
 /// A file that can't be written; an existing log, which is never overwritten.
 pub fn write_file(path: &Path, text: &str) -> io::Result<()> {
+    write_file_with(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// Writes a file like [`write_file`], with the content that `write` writes.
+///
+/// # Errors
+/// As [`write_file`], and errors of `write`.
+pub fn write_file_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let existing = fs::metadata(path).ok();
     if existing.as_ref().is_some_and(|metadata| !metadata.is_file()) {
-        return fs::write(path, text);
+        return write(&mut File::create(path)?);
     }
     // Not the link itself is replaced, but the file that it denotes.
     let path = if existing.is_some() { fs::canonicalize(path)? } else { path.to_owned() };
@@ -81,9 +89,8 @@ pub fn write_file(path: &Path, text: &str) -> io::Result<()> {
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let aside = path.with_file_name(format!(".{name}.{}", std::process::id()));
-    let written = File::create(&aside)
-        .and_then(|mut file| file.write_all(text.as_bytes()))
-        .and_then(|()| fs::rename(&aside, &path));
+    let written =
+        File::create(&aside).and_then(|mut file| write(&mut file)).and_then(|()| fs::rename(&aside, &path));
     if written.is_err() {
         let _ = fs::remove_file(&aside);
     }
