@@ -11,8 +11,8 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
-const COMMANDS: [&str; 9] =
-    ["run", "bench", "replay", "report", "check", "model", "new", "schema", "completion"];
+const COMMANDS: [&str; 10] =
+    ["run", "bench", "replay", "report", "log", "check", "model", "new", "schema", "completion"];
 
 /// Keys that a summary and a row of bench always contain.
 const ROW: [&str; 14] = [

@@ -72,8 +72,9 @@ of each task into runs/bench.")]
     /// Recompute every command of a log from its measurements and compare it with what was logged.
     #[command(after_help = "\
 If any bit differs, prints the first tick and joint with both values (exit code 1). A damaged log is compared up \
-to the damage (exit code 3 if that part is equal). With --task, computes the commands of another task from the \
-same measurements; this is open loop, since the motion of the robot is the logged one.")]
+to the damage (exit code 3 if that part is equal). With --task or --set, computes the commands of other files \
+from the same measurements, and says where and why this ends; it is open loop, since the motion of the robot is the \
+logged one. --report plots the torques.")]
     Replay(ReplayArgs),
 
     /// Make one HTML page with the figures and the table of one or more logs.
@@ -330,6 +331,14 @@ pub struct ReplayArgs {
     /// Another task, computed from the same measurements.
     #[arg(long, value_name = "FILE")]
     pub task: Option<PathBuf>,
+
+    /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+
+    /// With --task or --set: write a page with the logged and the recomputed torques and their difference.
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
 
     #[command(flatten)]
     pub json: JsonArgs,

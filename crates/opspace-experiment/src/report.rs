@@ -3,3 +3,4 @@
 pub mod document;
 pub mod figure;
 pub mod html;
+pub mod what_if;
