@@ -3,10 +3,10 @@
 //! | topic | message | when |
 //! |---|---|---|
 //! | `/robot_description` | `std_msgs/msg/String`: the URDF | once |
-//! | `/tf_static` | `foxglove.FrameTransforms`: frames that are fixed to the world or to a link | once |
+//! | `/tf_static` | `foxglove.FrameTransforms`: the base in the world, and frames that are fixed to a link | once |
 //! | `/scene/environment` | `foxglove.SceneUpdate`: walls | once |
 //! | `/joint_states` | `foxglove.JointStates` | 50 Hz |
-//! | `/tf` | `foxglove.FrameTransforms`: links in the world | 50 Hz |
+//! | `/tf` | `foxglove.FrameTransforms`: each moving link in its parent, as in the URDF | 50 Hz |
 //! | `/TASK/reference`, `/TASK/controlled_frame` | `foxglove.PoseInFrame` | 50 Hz |
 //! | `/scene/forces` | `foxglove.SceneUpdate`: arrows | 50 Hz |
 //! | `/scene/paths` | `foxglove.SceneUpdate`: references of the last two seconds | 10 Hz |
@@ -83,7 +83,8 @@ struct Bodies {
     transforms: FrameTransforms,
     model: Arc<Model>,
     data: Data,
-    frames: Vec<FrameId>,
+    /// Frames of the links, and those of their parents.
+    frames: Vec<(FrameId, Option<FrameId>)>,
     at_rest: Vec<f64>,
 }
 
@@ -338,30 +339,30 @@ impl Bodies {
             let model_name = model.name().to_owned();
             return Err(LogError::ModelMismatch { model: model_name, joints: model.n(), elements: n });
         }
-        let world = world(&model);
-        let links: Vec<&str> = (model.frames().iter().enumerate())
-            .filter(|(k, frame)| frame.body.is_some() && link(&model, *k) == *k)
-            .map(|(_, frame)| frame.name.as_str())
-            .collect();
-        let transform = |name: &&str| FrameTransform {
-            parent_frame_id: world.clone(),
-            child_frame_id: (*name).to_owned(),
-            ..FrameTransform::default()
-        };
-        let transforms = links.iter().map(transform).collect();
-        let frames = links.iter().filter_map(|name| model.frame_id(name).ok()).collect();
+        let (mut transforms, mut frames) = (Vec::new(), Vec::new());
+        for (k, frame) in model.frames().iter().enumerate() {
+            let (Some(body), true) = (frame.body, link(&model, k) == k) else { continue };
+            let Ok(id) = model.frame_id(&frame.name) else { continue };
+            let parent = parent_link(&model, body).map(|parent| model.frames()[parent].name.clone());
+            frames.push((id, parent.as_ref().and_then(|name| model.frame_id(name).ok())));
+            transforms.push(FrameTransform {
+                parent_frame_id: parent.unwrap_or_else(|| world(&model)),
+                child_frame_id: frame.name.clone(),
+                ..FrameTransform::default()
+            });
+        }
         let data = Data::new(&model);
         Ok(Self { transforms: FrameTransforms { transforms }, data, frames, at_rest: vec![0.0; n], model })
     }
 
-    /// Frames that are fixed to the world, or to the link frame of their body.
+    /// Frames that are fixed to the link frame of their body; the base, which is fixed to the world.
     fn fixed(&self, world: &str) -> FrameTransforms {
         let model = &self.model;
         let fixed = |(k, frame): (usize, &opspace_model::Frame)| {
             let (parent, placement) = match (frame.body, link(model, k)) {
-                (None, _) => (world, frame.placement),
+                (None, link) if link == k => (world, frame.placement),
                 (Some(_), link) if link == k => return None,
-                (Some(_), link) => {
+                (_, link) => {
                     let link = &model.frames()[link];
                     (link.name.as_str(), link.placement.inverse() * frame.placement)
                 }
@@ -379,10 +380,25 @@ impl Bodies {
 
     fn place(&mut self, time: Timestamp, q: &[f64]) {
         kinematics(&self.model, &mut self.data, q, &self.at_rest);
-        for (&frame, transform) in self.frames.iter().zip(&mut self.transforms.transforms) {
+        for (&(frame, parent), transform) in self.frames.iter().zip(&mut self.transforms.transforms) {
+            let in_world = |frame| frame_placement(&self.model, &self.data, frame);
+            let placement = in_world(frame);
             transform.timestamp = time;
-            set(transform, frame_placement(&self.model, &self.data, frame));
+            set(transform, parent.map_or(placement, |parent| in_world(parent).inverse() * placement));
         }
+    }
+}
+
+/// Index of the link frame of a body's parent; `None` if the parent is the world.
+fn parent_link(model: &Model, body: usize) -> Option<usize> {
+    let mut parent = model.bodies()[body].parent;
+    loop {
+        let link = model.frames().iter().position(|frame| frame.body == parent);
+        if link.is_some() {
+            return link;
+        }
+        // The joints of a floating base have no links between them.
+        parent = model.bodies()[parent?].parent;
     }
 }
 

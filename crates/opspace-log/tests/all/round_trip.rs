@@ -177,9 +177,17 @@ fn viewers_get_joint_states_and_transforms() {
         (vec!["upper".to_owned(), "lower".to_owned()], vec!["world".to_owned()])
     );
     for transform in transforms.iter().chain(&fixed) {
-        // A link is named "world" here.
-        assert_eq!(transform.parent_frame_id, "world_");
-        let placement = frame_placement(&model, &data, model.frame_id(&transform.child_frame_id).unwrap());
+        let of = |name: &str| frame_placement(&model, &data, model.frame_id(name).unwrap());
+        // A link is named "world" here, which is the base.
+        let (child, parent) = (transform.child_frame_id.as_str(), transform.parent_frame_id.as_str());
+        let placement = match parent {
+            "world_" => of(child),
+            parent => of(parent).inverse() * of(child),
+        };
+        assert!(
+            [("world", "world_"), ("upper", "world"), ("lower", "upper")].contains(&(child, parent)),
+            "{child}"
+        );
         let (p, r) = (transform.translation.unwrap(), transform.rotation.unwrap());
         let from_message = nalgebra::Quaternion::new(r.w, r.x, r.y, r.z);
         let rotation = nalgebra::UnitQuaternion::new_unchecked(from_message).to_rotation_matrix();
