@@ -25,11 +25,11 @@ pub struct Header {
     pub attachments: Vec<Attachment>,
     /// Model of the robot, for the poses of its links in the log (`/tf`); needs `q` in the channel `tick`.
     pub model: Option<Arc<Model>>,
-    /// What viewers show beside the links.
+    /// Scene that viewers show beside the links.
     pub scene: Scene,
 }
 
-/// What viewers show beside the poses of the links.
+/// Scene that viewers show beside the poses of the links.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
     /// URDF for the topic `/robot_description`.

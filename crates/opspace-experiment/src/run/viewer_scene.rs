@@ -1,4 +1,4 @@
-//! What viewers of a log show beside the links: URDF, walls, forces, and the frames of tasks.
+//! Scene that viewers of a log show beside the links: URDF, walls, forces, and the frames of tasks.
 
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, FORCE, TICK_CHANNEL, TRUTH_CHANNEL, WRENCH};
