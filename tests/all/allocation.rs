@@ -48,7 +48,7 @@ impl Sink for Counter<'_> {
 }
 
 /// Index of the signal `phase` in a tick row.
-const PHASE: usize = 3;
+const PHASE: usize = 2;
 
 fn count(
     experiment: &Experiment,

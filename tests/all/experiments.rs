@@ -100,7 +100,7 @@ fn difference(a: &Recording, b: &Recording) -> Option<String> {
         if let Some(k) = time {
             return Some(format!("time of row {k}"));
         }
-        for signal in one.layout.signals.iter().filter(|s| s.name != "tick_time") {
+        for signal in one.layout.signals.iter().filter(|_| one.layout.channel != "timing") {
             let (x, y) = (one.signal(&signal.name)?, other.signal(&signal.name)?);
             let bits = |row: &[f64]| row.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
             if let Some(k) = (0..one.len()).find(|&k| bits(x.row(k)) != bits(y.row(k))) {

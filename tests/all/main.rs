@@ -11,6 +11,7 @@ mod experiments;
 mod files;
 mod identification;
 mod identified;
+mod logs;
 mod model_samples;
 mod replay;
 mod report_browser;

@@ -87,7 +87,7 @@ fn rewritten(recording: &Recording, to: PathBuf, change: impl Fn(&mut ChannelDat
     let header = Header {
         metadata: recording.metadata.iter().filter(|(name, _)| own(name)).cloned().collect(),
         attachments: recording.attachments.clone(),
-        model: None,
+        ..Header::default()
     };
     let channels = recording.channels.iter().map(|c| Channel { layout: c.layout.clone(), rate_hz: 1e3 });
     let sink = File::create(&to).unwrap();
@@ -231,6 +231,34 @@ fn replay_of_another_task_is_marked_what_if() {
     };
     assert_eq!(difference(&own), [0.0; 4]);
     assert!(difference(&other).iter().all(|rms| *rms > 0.1));
+}
+
+/// A replay with changed files says where and why it ends, and its page plots logged and recomputed torques.
+#[test]
+fn what_if_states_its_end_and_plots_torques() {
+    let folder = scratch();
+    run(folder.path(), "out", "compliant-x", &[]);
+    let what_if = |arguments: &[&str]| opspace(folder.path(), &[&["replay", "out"], arguments].concat());
+    let damping = ["--set", "task.hand.cartesian.gains.damping_ratio=0.5", "--report", "page.html"];
+    let ran = what_if(&damping).exits(0);
+    assert!(
+        ran.stdout.contains("open loop") && ran.stdout.contains("ticks: its duration of 2 s is over."),
+        "{}",
+        ran.stdout
+    );
+    assert!(ran.stdout.contains("torque_desired of 'elbow'"), "{}", ran.stdout);
+    let page = std::fs::read_to_string(folder.path().join("page.html")).unwrap();
+    for word in ["Logged and recomputed torque", "recomputed − logged", "elbow", "duration of 2 s is over"]
+    {
+        assert!(page.contains(word), "{word}");
+    }
+    let shorter = what_if(&["--set", "duration_s=1.6"]).exits(0).stdout;
+    assert!(shorter.contains("ticks: its duration of 1.6 s is over."), "{shorter}");
+    let strict = "robot.safety.watchdog.torque_deviation_share=1e-4";
+    let end = what_if(&["--set", strict, "--json", "-"]).exits(0).json()["end"].as_str().unwrap().to_owned();
+    assert!(end.contains("it would have been stopped at ") && end.contains("s of control: "), "{end}");
+    what_if(&["--report", "a.html"]).exits(2).says(&["add --task or --set"]);
+    what_if(&["--set", "task.hand.cartesian.gains.damping_rato=0.5"]).exits(2).says(&["damping_ratio"]);
 }
 
 #[test]

@@ -75,7 +75,7 @@ pub use low_pass::LowPass;
 pub use sample::{Sample, Status};
 pub use signal::{Layout, Observable, Signal, SignalName, SignalRecorder, Units};
 pub use signal_names::{DEVICE_FAILED, STOP_REQUESTED, TICK_TIME};
-pub use sink::{EXTERNAL, SERVO, Sink, TICK, TRUTH};
+pub use sink::{EXTERNAL, SERVO, Sink, TICK, TIMING, TRUTH};
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

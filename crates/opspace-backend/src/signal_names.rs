@@ -7,6 +7,9 @@ use crate::signal::SignalName;
 
 /// Channel of the control loop: a row per interface cycle.
 pub const TICK_CHANNEL: &str = "tick";
+/// Channel of the wall-clock times of the control loop: a row per computed interface cycle. All that differs between two
+/// simulations of the same files, seed and binary is in this channel.
+pub const TIMING_CHANNEL: &str = "timing";
 /// Channel of the true state of a simulation: a row per interface cycle.
 pub const TRUTH_CHANNEL: &str = "truth";
 /// Channel of the drives of a simulation: a row per servo tick.

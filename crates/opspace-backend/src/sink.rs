@@ -2,12 +2,14 @@
 
 /// Channel number of the control loop: one row per interface cycle.
 pub const TICK: usize = 0;
+/// Channel number of the wall-clock times of the control loop: one row per computed interface cycle.
+pub const TIMING: usize = 1;
 /// Channel number of the true state of a simulation: one row per interface cycle.
-pub const TRUTH: usize = 1;
+pub const TRUTH: usize = 2;
 /// Channel number of the drives of a simulation: one row per servo tick.
-pub const SERVO: usize = 2;
+pub const SERVO: usize = 3;
 /// Channel number of the external forces in a simulation: one row per interface cycle.
-pub const EXTERNAL: usize = 3;
+pub const EXTERNAL: usize = 4;
 
 /// A receiver of rows: a log, a live view, or a comparison.
 pub trait Sink {

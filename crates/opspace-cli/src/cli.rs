@@ -97,12 +97,17 @@ Example:
     /// Recompute every command of a log from its measurements and compare it with what was logged.
     #[command(after_help = "\
 If any bit differs, prints the first tick and joint with both values (exit code 1). A damaged log is compared up \
-to the damage (exit code 3 if that part is equal). With --task, computes the commands of another task from the \
-same measurements; this is open loop, since the motion of the robot is the logged one.")]
+to the damage (exit code 3 if that part is equal). With --task or --set, computes the commands of other files \
+from the same measurements, and says where and why this ends; it is open loop, since the motion of the robot is the \
+logged one. --report plots the torques.")]
     Replay(ReplayArgs),
 
     /// Make one HTML page with the figures and the table of one or more logs.
     Report(ReportArgs),
+
+    /// Show what is in a log, recover a damaged one, export one as CSV, or compare two.
+    #[command(subcommand)]
+    Log(LogCommand),
 
     /// Check robot, task and suite files, against each other too, without running anything.
     #[command(after_help = "\
@@ -155,6 +160,84 @@ The new robot.toml lists every required value as a comment with its meaning; no 
         /// Shell of the script.
         shell: Shell,
     },
+}
+
+#[derive(Debug, Subcommand)]
+pub enum LogCommand {
+    /// List the contents of a log: its run, channels, attachments and metadata, and where damage begins.
+    Info(LogInfoArgs),
+
+    /// Write the good part of a damaged log as a complete log.
+    #[command(after_help = "\
+The good part is everything before the first damage of the rows, and all attachments and metadata that are intact. \
+An existing file is never replaced. Exit code 0 if the log was whole, 3 if data was lost.")]
+    Recover(LogRecoverArgs),
+
+    /// Write the rows of a channel as a CSV file.
+    #[command(after_help = "\
+The first line has the names of the columns: time_s, then SIGNAL.ELEMENT_UNIT, for example \
+torque_desired.elbow_nm. A signal that does not apply is an empty field.")]
+    Export(LogExportArgs),
+
+    /// Compare every message of every channel of two logs, and print the first difference of each channel.
+    #[command(after_help = "\
+Exit code 0 if all messages are equal, 1 if any differs. Wall-clock times are in the channel /opspace/timing \
+(computing times), differ from run to run, and do not count: two simulations of the same files and seed are \
+equal. Attachments and metadata are not compared. A damaged log is compared up to the damage (exit code 3 if that \
+part is equal).")]
+    Diff(LogDiffArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct LogInfoArgs {
+    /// A log (run.mcap) or the folder of a run.
+    pub log: PathBuf,
+
+    #[command(flatten)]
+    pub json: JsonArgs,
+}
+
+#[derive(Debug, Args)]
+pub struct LogRecoverArgs {
+    /// A log (run.mcap) or the folder of a run.
+    pub log: PathBuf,
+
+    /// The new log.
+    #[arg(short, long, value_name = "NEW.mcap")]
+    pub out: PathBuf,
+
+    #[command(flatten)]
+    pub json: JsonArgs,
+}
+
+#[derive(Debug, Args)]
+pub struct LogExportArgs {
+    /// A log (run.mcap) or the folder of a run.
+    pub log: PathBuf,
+
+    /// The CSV file; `-` prints the rows.
+    #[arg(short, long, value_name = "FILE.csv")]
+    pub out: PathBuf,
+
+    /// Name of the channel.
+    #[arg(long, value_name = "NAME", default_value = "tick")]
+    pub channel: String,
+
+    /// Replace an existing CSV file.
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct LogDiffArgs {
+    /// A log (run.mcap) or the folder of a run.
+    pub first: PathBuf,
+
+    /// Another one.
+    pub second: PathBuf,
+
+    #[command(flatten)]
+    pub json: JsonArgs,
 }
 
 /// Output of results for other programs.
@@ -302,6 +385,14 @@ pub struct ReplayArgs {
     /// Another task, computed from the same measurements.
     #[arg(long, value_name = "FILE")]
     pub task: Option<PathBuf>,
+
+    /// Override a value of the task file, or, with the prefix `robot.`, of the robot file. Can be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+
+    /// With --task or --set: write a page with the logged and the recomputed torques and their difference.
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
 
     #[command(flatten)]
     pub json: JsonArgs,

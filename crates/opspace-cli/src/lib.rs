@@ -40,6 +40,7 @@ pub fn main_with(extensions: &Extensions) -> ExitCode {
         Command::Merge(args) => commands::merge::merge(args, extensions, console),
         Command::Replay(args) => commands::replay::replay(args, extensions, console),
         Command::Report(args) => commands::report::report(args, extensions, console),
+        Command::Log(command) => commands::log::log(command, console),
         Command::Check(args) => commands::check::check(args, extensions, console),
         Command::Identify(args) => commands::identify::identify(args, console),
         Command::Model(args) => commands::model::model(args, console),

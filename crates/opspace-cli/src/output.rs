@@ -5,7 +5,7 @@ use crate::console::{Exit, Failure, print, print_exactly};
 use opspace_experiment::Source;
 use opspace_experiment::run::folder::LOG;
 use opspace_experiment::run::result_files::write_file;
-use opspace_log::{LogError, Recording};
+use opspace_log::{LogError, Recording, read_file};
 use serde::Serialize;
 use serde::de::IgnoredAny;
 use std::fs;
@@ -39,17 +39,17 @@ pub enum Format {
 }
 
 impl Format {
-    fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Json => "a JSON file",
             Self::JsonLines => "a file of JSON lines",
             Self::Html => "a web page",
-            Self::Csv => "a CSV file of results",
+            Self::Csv => "a CSV file of opspace",
         }
     }
 
     /// True if an existing file has this format, or is empty.
-    fn is_that_of(self, path: &Path) -> bool {
+    pub fn is_that_of(self, path: &Path) -> bool {
         let Ok(text) = fs::read_to_string(path) else { return false };
         let is_json = |text: &str| serde_json::from_str::<IgnoredAny>(text).is_ok();
         text.trim().is_empty()
@@ -57,7 +57,7 @@ impl Format {
                 Self::Json => is_json(&text),
                 Self::JsonLines => text.lines().all(|line| line.trim().is_empty() || is_json(line)),
                 Self::Html => text.trim_start().to_ascii_lowercase().starts_with("<!doctype html"),
-                Self::Csv => text.starts_with("task,robot,"),
+                Self::Csv => text.starts_with("time_s") || text.starts_with("task,robot,"),
             }
     }
 }
@@ -92,12 +92,22 @@ pub fn log_path(path: &Path) -> PathBuf {
 /// Reads the log that a path denotes, as [`log_path`] does.
 pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
     let path = log_path(path);
-    match Recording::read(&path) {
-        Ok(recording) => Ok((path, recording)),
-        Err(error) => match Source::read(&path) {
-            // The file cannot be opened: use the same message as for any other file.
-            Err(unread) if matches!(error, LogError::Read { .. }) => Err(unread.into()),
-            _ => Err(Failure::Other(format!("{}: {error}", path.display()), Exit::Bad)),
-        },
+    let recording = Recording::read(&path).map_err(|error| unreadable(&path, &error))?;
+    Ok((path, recording))
+}
+
+/// Reads the bytes of the log that a path denotes, as [`log_path`] does.
+pub fn read_log_bytes(path: &Path) -> Result<(PathBuf, Vec<u8>), Failure> {
+    let path = log_path(path);
+    let bytes = read_file(&path).map_err(|error| unreadable(&path, &error))?;
+    Ok((path, bytes))
+}
+
+/// Error about a log that cannot be read.
+pub fn unreadable(path: &Path, error: &LogError) -> Failure {
+    match Source::read(path) {
+        // The file cannot be opened: use the same message as for any other file.
+        Err(unread) if matches!(error, LogError::Read { .. }) => unread.into(),
+        _ => Failure::Other(format!("{}: {error}", path.display()), Exit::Bad),
     }
 }

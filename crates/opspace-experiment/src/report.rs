@@ -6,3 +6,4 @@ pub mod figure;
 pub mod html;
 mod run_figures;
 mod task_figures;
+pub mod what_if;

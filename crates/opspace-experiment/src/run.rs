@@ -14,3 +14,4 @@ pub mod shard;
 pub mod suite_rows;
 pub mod summary;
 mod transformer;
+mod viewer_scene;

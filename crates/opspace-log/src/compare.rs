@@ -55,7 +55,12 @@ impl<'a> Comparer<'a> {
             }
         }
         let squares = vec![0.0; slots.len()];
-        let names = |layout| offsets(layout).map(|(name, _, length)| (name.to_owned(), length));
+        // Logs written before the channel `timing` have the signal among the others.
+        let names = |layout| {
+            offsets(layout)
+                .filter(|(name, ..)| *name != TICK_TIME)
+                .map(|(name, _, length)| (name.to_owned(), length))
+        };
         let (then, now): (BTreeSet<_>, BTreeSet<_>) =
             (names(&logged.layout).collect(), names(replay).collect());
         let unmatched = then.symmetric_difference(&now).map(|(name, _)| name.clone()).collect();

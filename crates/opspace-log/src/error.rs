@@ -53,7 +53,7 @@ pub enum LogError {
     },
 }
 
-/// Damage in a log. Everything read before it is intact.
+/// Damage in a log. Everything that was read is intact.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Corruption {
@@ -61,11 +61,16 @@ pub struct Corruption {
     pub what: String,
     /// Time of the last intact row, s; `None` if there is none.
     pub after_s: Option<f64>,
+    /// False if all rows were read, as the end of the file confirms; true if some are missing or may be.
+    pub rows_lost: bool,
+    /// Byte offset in the file at which the damage begins, if it is known.
+    pub at_byte: Option<usize>,
 }
 
 impl fmt::Display for Corruption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.after_s {
+            Some(_) if !self.rows_lost => write!(f, "{}; all rows are readable", self.what),
             Some(t) => write!(f, "{}; readable up to t = {t} s", self.what),
             None => write!(f, "{}; no row is readable", self.what),
         }

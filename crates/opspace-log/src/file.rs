@@ -5,10 +5,10 @@
 //! the ends of chunks in a real-time run.
 
 use crate::error::LogError;
-use crate::foxglove::{FrameTransforms, JointStates, Message, Warning};
+use crate::foxglove::{Encode, Kind, Message, Warning};
 use crate::header::{Channel, GAPS, Header, LOG, TIME_ZERO_NS};
 use crate::outcome::{OUTCOME, OutcomeRecord};
-use crate::schema;
+use crate::schema::{self, Shape};
 use crate::viewer::{Viewer, nanoseconds, warning};
 use mcap::records::MessageHeader;
 use mcap::write::{Metadata, NoSeek};
@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use std::io::{BufWriter, Write};
 
 /// Size at which a chunk is closed, bytes: large enough to compress well, small enough to limit a loss.
-const CHUNK_BYTES: usize = 256 * 1024;
+pub(crate) const CHUNK_BYTES: usize = 256 * 1024;
 
 /// Duration on the robot's clock after which a chunk is closed, ns: the largest loss if a run is killed.
 const CHUNK_NS: u64 = 1_000_000_000;
@@ -46,8 +46,8 @@ pub(crate) struct Gap {
 
 pub(crate) struct File<W: Write> {
     mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
-    rows: Vec<(Topic, Vec<usize>)>,
-    viewer: Option<(Viewer, Topic, Topic)>,
+    rows: Vec<(Topic, Vec<Shape>)>,
+    viewer: Option<(Viewer, Vec<Topic>)>,
     log: Topic,
     /// Size of the messages in the open chunk, bytes; and the time of the first one.
     chunk_bytes: usize,
@@ -62,7 +62,7 @@ impl<W: Write> File<W> {
     /// Writes the header and all definitions, which are known before the run.
     pub fn create(sink: W, header: Header, channels: &[Channel]) -> Result<Self, LogError> {
         let layouts: Vec<&Layout> = channels.iter().map(|c| &c.layout).collect();
-        let viewer = Viewer::new(&layouts, header.model)?;
+        let viewer = Viewer::new(&layouts, header.model, header.scene)?;
         let mut mcap = mcap::WriteOptions::new()
             .profile("opspace")
             .library(concat!("opspace ", env!("CARGO_PKG_VERSION")))
@@ -89,16 +89,17 @@ impl<W: Write> File<W> {
             let schema = mcap.add_schema(&name, "protobuf", &data)?;
             let topic = format!("/opspace/{}", layout.channel);
             let id = mcap.add_channel(schema, &topic, "protobuf", &schema::channel_metadata(layout))?;
-            rows.push((Topic { id, sequence: 0 }, schema::widths(layout)));
+            rows.push((Topic { id, sequence: 0 }, schema::shapes(layout)));
         }
         let viewer = match viewer {
             None => None,
             Some(viewer) => {
-                let joints = known_topic::<JointStates, _>(&mut mcap, "/joint_states")?;
-                Some((viewer, joints, known_topic::<FrameTransforms, _>(&mut mcap, "/tf")?))
+                let topics = viewer.topics().iter().map(|(topic, kind)| add_topic(&mut mcap, topic, kind));
+                let topics = topics.collect::<Result<_, _>>()?;
+                Some((viewer, topics))
             }
         };
-        let log = known_topic::<Warning, _>(&mut mcap, "/log")?;
+        let log = add_topic(&mut mcap, "/log", &Warning::KIND)?;
         mcap.flush()?;
         Ok(Self {
             mcap,
@@ -126,22 +127,18 @@ impl<W: Write> File<W> {
         if self.chunk_bytes == 0 {
             self.chunk_from_ns = ns;
         }
-        let (topic, widths) = &mut self.rows[channel];
+        let (topic, shapes) = &mut self.rows[channel];
         self.message.clear();
-        schema::encode(widths, time_s, row, &mut self.message);
+        schema::encode(shapes, time_s, row, &mut self.message);
         self.chunk_bytes += put(&mut self.mcap, topic, ns, &self.message)?;
-        let Some((viewer, joints, tf)) = &mut self.viewer else {
+        let Self { viewer: Some((viewer, topics)), mcap, message, chunk_bytes, .. } = self else {
             return Ok(());
         };
-        if viewer.channel == channel && viewer.show(ns, row) {
-            encode(&viewer.joints, &mut self.message);
-            self.chunk_bytes += put(&mut self.mcap, joints, ns, &self.message)?;
-            if let Some(bodies) = &viewer.bodies {
-                encode(&bodies.transforms, &mut self.message);
-                self.chunk_bytes += put(&mut self.mcap, tf, ns, &self.message)?;
-            }
-        }
-        Ok(())
+        viewer.show(channel, ns, row, &mut |topic, shown| {
+            encode(shown, message);
+            *chunk_bytes += put(mcap, &mut topics[topic], ns, message)?;
+            Ok(())
+        })
     }
 
     /// Records a gap of dropped rows.
@@ -202,17 +199,19 @@ fn own_metadata() -> BTreeMap<String, String> {
     entries.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
 }
 
-/// Adds a topic of a Foxglove message type.
-fn known_topic<M: Message, W: Write>(
+/// Adds a topic of a message type for viewers.
+fn add_topic<W: Write>(
     mcap: &mut mcap::Writer<NoSeek<W>>,
     topic: &str,
+    kind: &Kind,
 ) -> Result<Topic, LogError> {
-    let schema = mcap.add_schema(M::NAME, "protobuf", M::DEFINITION)?;
-    let id = mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
+    let [definition, messages] = kind.encodings;
+    let schema = mcap.add_schema(kind.name, definition, kind.definition)?;
+    let id = mcap.add_channel(schema, topic, messages, &BTreeMap::new())?;
     Ok(Topic { id, sequence: 0 })
 }
 
-fn encode<M: Message>(message: &M, out: &mut Vec<u8>) {
+fn encode(message: &dyn Encode, out: &mut Vec<u8>) {
     out.clear();
     message.encode(out);
 }

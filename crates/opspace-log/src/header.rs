@@ -25,6 +25,43 @@ pub struct Header {
     pub attachments: Vec<Attachment>,
     /// Model of the robot, for the poses of its links in the log (`/tf`); needs `q` in the channel `tick`.
     pub model: Option<Arc<Model>>,
+    /// Scene that viewers show beside the links.
+    pub scene: Scene,
+}
+
+/// Scene that viewers show beside the poses of the links.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    /// URDF for the topic `/robot_description`.
+    pub robot_description: Option<String>,
+    /// Frame in whose coordinates a task's poses are given, by the name of the task; the world for all other tasks.
+    pub relative_to: BTreeMap<String, String>,
+    /// Walls of the environment.
+    pub walls: Vec<Wall>,
+    /// Forces, shown as arrows.
+    pub forces: Vec<ForceArrow>,
+}
+
+/// Plane of the environment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wall {
+    /// Name.
+    pub name: String,
+    /// Point of the plane in world coordinates, m.
+    pub point_m: [f64; 3],
+    /// Outward normal in world axes; any length except 0.
+    pub normal: [f64; 3],
+}
+
+/// Force on a frame, shown as an arrow.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ForceArrow {
+    /// Name of the channel of its signal.
+    pub channel: String,
+    /// Name of its signal: N in world axes, in the first three elements.
+    pub signal: String,
+    /// Name of the frame on whose origin it acts.
+    pub frame: String,
 }
 
 /// File within the log.
@@ -49,8 +86,7 @@ impl Attachment {
 /// Channel to be recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// Layout of its rows. `/joint_states` and `/tf` are computed from the signals `q`, `dq` and `motor_torque` of the
-    /// channel named `tick`.
+    /// Layout of its rows. The topics for viewers are computed from the signals of the channel named `tick`.
     pub layout: Layout,
     /// Rate of the rows, Hz; it determines the size of the ring.
     pub rate_hz: f64,

@@ -43,7 +43,11 @@
 #![forbid(unsafe_code)]
 
 pub mod compare;
+pub mod contents;
+pub mod csv;
+pub mod difference;
 pub mod error;
+mod fields;
 mod file;
 mod foxglove;
 pub mod header;
@@ -53,18 +57,24 @@ pub mod outcome;
 pub mod recorder;
 pub mod recording;
 mod records;
+pub mod recover;
 mod schema;
 mod viewer;
+mod walk;
 
 pub use compare::{Comparer, Difference};
+pub use contents::{ChannelContents, Contents};
+pub use csv::write_csv;
+pub use difference::{ChannelComparison, LogComparison, MessageDifference, compare_logs};
 pub use error::{Corruption, LogError};
-pub use header::{Attachment, Channel, GAPS, Header, LOG, TIME_ZERO_NS};
+pub use header::{Attachment, Channel, ForceArrow, GAPS, Header, LOG, Scene, TIME_ZERO_NS, Wall};
 pub use inputs::{LoggedInput, LoggedInputs};
 pub use mcap::MAGIC;
 pub use memory::MemoryRecorder;
 pub use outcome::OutcomeRecord;
 pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
-pub use recording::{ChannelData, Column, Recording};
+pub use recording::{ChannelData, Column, Recording, read_file};
+pub use recover::{RECOVERED, Recovery, recover};
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

@@ -6,22 +6,15 @@
 
 use crate::error::{Corruption, LogError};
 use crate::header::{Attachment, GAPS};
-use crate::records::{Raw, Record, Records, checksum};
-use crate::schema;
+use crate::records::{Record, Statistics};
+use crate::schema::{self, Shape};
+use crate::walk::{Step, Stop, Walk, verify};
 use mcap::MAGIC;
-use mcap::records::op;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;
-
-/// Largest ratio of the size of all chunks, unpacked, to that of the file: a log of a simulation without noise has
-/// some 10.
-const MAX_EXPANSION: u64 = 100;
-
-/// Size of all chunks, unpacked, that is accepted of any file, bytes.
-const MIN_UNPACKED_BYTES: u64 = 16 << 20;
 
 /// Log in memory.
 #[derive(Clone, Debug, Default)]
@@ -34,8 +27,12 @@ pub struct Recording {
     pub metadata: Vec<(String, BTreeMap<String, String>)>,
     /// Library that wrote the log.
     pub library: String,
-    /// Damage of the file, because of which rows may be missing; `None` for an intact file.
+    /// Attachments and metadata records that are damaged and therefore missing here: `the attachment 'task.toml'`.
+    pub damaged_parts: Vec<String>,
+    /// Damage of the file; `None` for an intact file.
     pub damage: Option<Corruption>,
+    /// True if the file has an end, that is, if it was closed by its writer.
+    pub closed: bool,
 }
 
 /// Rows of a channel.
@@ -47,6 +44,27 @@ pub struct ChannelData {
     pub time_s: Vec<f64>,
     /// All rows, concatenated.
     pub rows: Vec<f64>,
+}
+
+/// Receiver of the records of a log.
+pub(crate) type Accept<'f> = dyn FnMut(&Record<'_>, usize) -> Result<(), LogError> + 'f;
+
+/// Reads the bytes of an MCAP file.
+///
+/// # Errors
+/// If the file can't be read, or doesn't begin with the magic bytes of MCAP.
+pub fn read_file(path: impl AsRef<Path>) -> Result<Vec<u8>, LogError> {
+    let path = path.as_ref();
+    let failed = |source| LogError::Read { path: path.to_owned(), source };
+    let mut file = std::fs::File::open(path).map_err(failed)?;
+    let mut bytes = Vec::new();
+    // The first bytes first: a device without end is none of our files.
+    file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
+    if bytes != MAGIC {
+        return Err(LogError::NotMcap);
+    }
+    file.read_to_end(&mut bytes).map_err(failed)?;
+    Ok(bytes)
 }
 
 /// Signal of a channel, over all rows.
@@ -64,17 +82,7 @@ impl Recording {
     /// # Errors
     /// If it can't be read, or [`from_bytes`](Self::from_bytes) fails.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, LogError> {
-        let path = path.as_ref();
-        let failed = |source| LogError::Read { path: path.to_owned(), source };
-        let mut file = std::fs::File::open(path).map_err(failed)?;
-        let mut bytes = Vec::new();
-        // The first bytes first: a device without end is none of our files.
-        file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
-        if bytes != MAGIC {
-            return Err(LogError::NotMcap);
-        }
-        file.read_to_end(&mut bytes).map_err(failed)?;
-        Self::from_bytes(&bytes)
+        Self::from_bytes(&read_file(path)?)
     }
 
     /// Reads a log from memory.
@@ -83,20 +91,36 @@ impl Recording {
     /// If the bytes are not an MCAP file, or contain no readable channel of opspace. Other damage is reported in
     /// [`damage`](Self::damage).
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
+        Self::with_records(bytes, &mut |_, _| Ok(())).map(|(recording, _)| recording)
+    }
+
+    /// Reads a log from memory and passes each record up to the damage, if there is any, to `accept`, with the byte
+    /// offset of the record or of its chunk. Also returns the statistics at the end of the file, if they are intact.
+    ///
+    /// # Errors
+    /// As [`from_bytes`](Self::from_bytes), and errors of `accept`.
+    pub(crate) fn with_records(
+        bytes: &[u8],
+        accept: &mut Accept<'_>,
+    ) -> Result<(Self, Option<Statistics>), LogError> {
         if !bytes.starts_with(MAGIC) {
             return Err(LogError::NotMcap);
         }
         let whole = verify(bytes);
-        let max_unpacked_bytes = MIN_UNPACKED_BYTES.max(MAX_EXPANSION * bytes.len() as u64);
-        let mut reader = Reader { count_rows: whole.is_err(), max_unpacked_bytes, ..Reader::default() };
-        let what = reader.read(bytes).err().or(reader.continued_after.take()).or(whole.err());
+        let mut reader = Reader { count_rows: whole.problem.is_some(), ..Reader::default() };
+        let stop = reader.read(bytes, accept)?;
+        let rows_lost = stop.is_some() || !reader.is_complete(whole.statistics.as_ref());
+        let part = reader.damaged_part.take();
+        let found = stop.map(|stop| (stop.what, Some(stop.at))).or(part).or(whole.problem);
         let mut recording = reader.recording;
         let last = recording.channels.iter().filter_map(|c| c.time_s.last()).copied();
-        recording.damage = what.map(|what| Corruption { what, after_s: last.reduce(f64::max) });
+        let after_s = last.reduce(f64::max);
+        recording.damage = found.map(|(what, at)| Corruption { what, after_s, rows_lost, at_byte: at });
+        recording.closed = whole.closed;
         if recording.channels.is_empty() {
             return Err(LogError::NoChannel { damage: recording.damage });
         }
-        Ok(recording)
+        Ok((recording, whole.statistics))
     }
 
     /// Returns the channel of that name.
@@ -212,99 +236,60 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Verifies that the file is complete and unchanged: it has an end, and the checksums of its data and summary sections
-/// match.
-fn verify(bytes: &[u8]) -> Result<(), String> {
-    let mut summary = None;
-    let mut records = Records { bytes, at: MAGIC.len() };
-    while let Some(raw) = records.next() {
-        let raw = raw?;
-        if !matches!(raw.opcode, op::DATA_END | op::FOOTER) {
-            continue;
-        }
-        match (raw.parse()?, summary) {
-            (Record::DataEnd { crc }, None) => {
-                checksum("the data", crc, &bytes[..raw.at])?;
-                summary = Some(records.at);
-            }
-            (Record::Footer { crc }, Some(from)) => {
-                // The checksum covers the footer up to the checksum itself.
-                checksum("the summary", crc, &bytes[from..records.at - size_of::<u32>()])?;
-                return if &bytes[records.at..] == MAGIC { Ok(()) } else { Err(no_end()) };
-            }
-            _ => return Err(no_end()),
-        }
-    }
-    Err(no_end())
-}
-
-fn no_end() -> String {
-    "the file is truncated: it has no end record".to_owned()
-}
-
 /// State of a recording while it is read.
 #[derive(Default)]
 struct Reader {
     recording: Recording,
-    /// For each channel of the recording, the lengths of its signals and the number of its next row.
-    shape: Vec<(Vec<usize>, u32)>,
+    /// For each channel of the recording, the form of its signals and the number of its next row.
+    shape: Vec<(Vec<Shape>, u32)>,
     /// Map from the file's channel ids to the recording's channels; `None` for channels of other programs.
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
-    /// Size of all chunks so far, unpacked.
-    unpacked_bytes: u64,
-    /// Largest size of all chunks, unpacked.
-    max_unpacked_bytes: u64,
-    /// Damage after which reading continues: a table or an attachment that can't be read.
-    continued_after: Option<String>,
+    /// First damage after which reading continues, with its byte offset.
+    damaged_part: Option<(String, Option<usize>)>,
 }
 
 impl Reader {
-    /// Reads records until one is damaged; the error describes the damage.
-    fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
-        for raw in (Records { bytes, at: MAGIC.len() }) {
-            let raw = raw?;
-            match raw.opcode {
-                op::DATA_END => break,
-                // The rows don't depend on these records.
-                op::HEADER | op::METADATA | op::ATTACHMENT => match raw.parse() {
-                    Ok(record) => self.take(record)?,
-                    Err(what) => self.continued_after = self.continued_after.take().or(Some(what)),
-                },
-                op::CHUNK => {
-                    self.chunk(&raw).map_err(|what| format!("{what} (the chunk at byte {})", raw.at))?;
+    /// Reads records until one is damaged, and returns that damage.
+    fn read(&mut self, bytes: &[u8], accept: &mut Accept<'_>) -> Result<Option<Stop>, LogError> {
+        let mut walk = Walk::new(bytes);
+        loop {
+            let (record, at) = match walk.next() {
+                None => return Ok(None),
+                Some(Err(stop)) => return Ok(Some(stop)),
+                Some(Ok(Step::Damaged { part, what, at })) => {
+                    self.damaged_part
+                        .get_or_insert_with(|| (format!("{part} at byte {at} is damaged: {what}"), Some(at)));
+                    self.recording.damaged_parts.push(part);
+                    continue;
                 }
-                _ => self.take(raw.parse()?)?,
+                Some(Ok(Step::Record(record, at))) => (record, at),
+            };
+            if let Err(what) = self.take(&record) {
+                return Ok(Some(Stop { what, at }));
             }
+            accept(&record, at)?;
         }
-        Ok(())
     }
 
-    fn chunk(&mut self, raw: &Raw<'_>) -> Result<(), String> {
-        let Record::Chunk(chunk) = raw.parse()? else {
-            return Ok(());
-        };
-        self.unpacked_bytes = self.unpacked_bytes.saturating_add(chunk.size());
-        if self.unpacked_bytes > self.max_unpacked_bytes {
-            let most = self.max_unpacked_bytes;
-            return Err(format!(
-                "the chunks expand to more than {most} bytes, which no log of this size does"
-            ));
-        }
-        let bytes = chunk.unpack()?;
-        for inner in (Records { bytes: &bytes, at: 0 }) {
-            self.take(inner?.parse()?)?;
-        }
-        Ok(())
+    /// True if the file's own statistics confirm that every row was read.
+    fn is_complete(&self, statistics: Option<&Statistics>) -> bool {
+        let rows = |place: usize| self.recording.channels[place].len() as u64;
+        statistics.is_some_and(|statistics| {
+            let mut own = self.index.iter().filter_map(|(id, place)| place.map(|place| (id, place)));
+            own.all(|(id, place)| statistics.messages.get(id).copied().unwrap_or(0) == rows(place))
+        })
     }
 
-    fn take(&mut self, record: Record<'_>) -> Result<(), String> {
+    fn take(&mut self, record: &Record<'_>) -> Result<(), String> {
         match record {
-            Record::Header { library } => self.recording.library = library,
-            Record::Metadata { name, entries } => self.recording.metadata.push((name, entries)),
-            Record::Attachment(attachment) => self.recording.attachments.push(attachment),
-            Record::Channel { id, metadata } => self.define(id, &metadata)?,
-            Record::Message { channel, sequence, data } => self.message(channel, sequence, data)?,
+            Record::Header { library, .. } => self.recording.library.clone_from(library),
+            Record::Metadata { name, entries } => {
+                self.recording.metadata.push((name.clone(), entries.clone()));
+            }
+            Record::Attachment(attachment) => self.recording.attachments.push(attachment.clone()),
+            Record::Channel(channel) => self.define(channel.id, &channel.metadata)?,
+            Record::Message(message) => self.message(message.channel, message.sequence, message.data)?,
             _ => {}
         }
         Ok(())
@@ -317,8 +302,8 @@ impl Reader {
         let layout = schema::layout(metadata).transpose()?;
         let place = layout.is_some().then_some(self.shape.len());
         self.index.insert(id, place);
-        if let Some(layout) = layout {
-            self.shape.push((schema::widths(&layout), 0));
+        if let Some((layout, shapes)) = layout {
+            self.shape.push((shapes, 0));
             let data = ChannelData { layout, time_s: Vec::new(), rows: Vec::new() };
             self.recording.channels.push(data);
         }
@@ -332,13 +317,13 @@ impl Reader {
         let Some(place) = *place else {
             return Ok(());
         };
-        let (widths, next) = &mut self.shape[place];
+        let (shapes, next) = &mut self.shape[place];
         let channel = &mut self.recording.channels[place];
         let name = &channel.layout.channel;
         if self.count_rows && sequence != *next {
             return Err(format!("row {next} of channel '{name}' is missing"));
         }
-        let Some(time_s) = schema::decode(widths, data, &mut channel.rows) else {
+        let Some(time_s) = schema::decode(shapes, data, &mut channel.rows) else {
             return Err(format!("row {next} of channel '{name}' does not match the layout of the channel"));
         };
         channel.time_s.push(time_s);

@@ -30,15 +30,45 @@ pub(crate) struct Raw<'a> {
 
 /// Parsed record.
 pub(crate) enum Record<'a> {
-    Header { library: String },
-    Channel { id: u16, metadata: BTreeMap<String, String> },
-    Message { channel: u16, sequence: u32, data: &'a [u8] },
+    Header { profile: String, library: String },
+    Schema { id: u16, name: String, encoding: String, data: &'a [u8] },
+    Channel(ChannelRecord),
+    Message(Message<'a>),
     Chunk(Chunk<'a>),
     Attachment(Attachment),
     Metadata { name: String, entries: BTreeMap<String, String> },
+    Statistics(Statistics),
     DataEnd { crc: u32 },
     Footer { crc: u32 },
     Other,
+}
+
+/// Channel of a file.
+pub(crate) struct ChannelRecord {
+    pub id: u16,
+    /// Number of its schema; 0 if it has none.
+    pub schema: u16,
+    pub topic: String,
+    pub encoding: String,
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// Message of a channel.
+#[derive(Clone, Copy)]
+pub(crate) struct Message<'a> {
+    pub channel: u16,
+    pub sequence: u32,
+    pub log_ns: u64,
+    pub publish_ns: u64,
+    pub data: &'a [u8],
+}
+
+/// Numbers of messages that the end of a file states.
+pub(crate) struct Statistics {
+    /// Time of the last message, ns.
+    pub end_ns: u64,
+    /// Number of messages of each channel.
+    pub messages: BTreeMap<u16, u64>,
 }
 
 /// Chunk of records, possibly compressed.
@@ -70,7 +100,29 @@ impl<'a> Iterator for Records<'a> {
 fn first(rest: &[u8], at: usize) -> Option<Raw<'_>> {
     let mut fields = Fields(rest);
     let opcode = fields.take::<1>()?[0];
-    Some(Raw { opcode, body: fields.long_bytes()?, at })
+    let length = fields.u64()?;
+    if opcode == op::ATTACHMENT
+        && let Some(body) = attachment_body(fields.0)
+        && body.len() as u64 != length
+    {
+        return Some(Raw { opcode, body, at });
+    }
+    Some(Raw { opcode, body: fields.bytes(length)?, at })
+}
+
+/// Body of an intact attachment at the beginning of `bytes`, according to the lengths of its fields. It is found also
+/// where the length of the record is wrong; `None` if its checksum does not match.
+fn attachment_body(bytes: &[u8]) -> Option<&[u8]> {
+    let mut fields = Fields(bytes);
+    let _times = fields.take::<16>()?;
+    for _name_and_media_type in 0..2 {
+        let length = fields.u32()?;
+        fields.bytes(length.into())?;
+    }
+    fields.long_bytes()?;
+    let checked = bytes.len() - fields.0.len();
+    let crc = fields.u32()?;
+    (crc != 0 && crc32fast::hash(&bytes[..checked]) == crc).then(|| &bytes[..checked + size_of::<u32>()])
 }
 
 impl<'a> Raw<'a> {
@@ -85,23 +137,57 @@ impl<'a> Raw<'a> {
         Ok(record)
     }
 
+    /// Names a part of the log that is not made of rows, for messages about its damage.
+    pub fn part(&self) -> String {
+        let mut fields = Fields(self.body);
+        let name = match self.opcode {
+            op::ATTACHMENT => fields.take::<16>().and_then(|_times| fields.lossy_text()),
+            op::METADATA => fields.lossy_text(),
+            _ => None,
+        };
+        let kind = match self.opcode {
+            op::ATTACHMENT => "attachment",
+            op::METADATA => "metadata record",
+            _ => "header",
+        };
+        name.map_or_else(|| format!("a {kind}"), |name| format!("the {kind} '{name}'"))
+    }
+
     /// Fields of the record; `None` if it is too short for them.
     fn fields(&self) -> Option<Record<'a>> {
         let mut fields = Fields(self.body);
         Some(match self.opcode {
-            op::HEADER => {
-                let _profile = fields.text()?;
-                Record::Header { library: fields.text()? }
+            op::HEADER => Record::Header { profile: fields.text()?, library: fields.text()? },
+            op::SCHEMA => {
+                let (id, name, encoding) = (fields.u16()?, fields.text()?, fields.text()?);
+                let length = fields.u32()?;
+                Record::Schema { id, name, encoding, data: fields.bytes(length.into())? }
             }
-            op::CHANNEL => {
-                let (id, _schema) = (fields.u16()?, fields.u16()?);
-                let (_topic, _encoding) = (fields.text()?, fields.text()?);
-                Record::Channel { id, metadata: fields.map()? }
-            }
-            op::MESSAGE => {
-                let (channel, sequence) = (fields.u16()?, fields.u32()?);
-                let _times = fields.take::<16>()?;
-                Record::Message { channel, sequence, data: fields.0 }
+            op::CHANNEL => Record::Channel(ChannelRecord {
+                id: fields.u16()?,
+                schema: fields.u16()?,
+                topic: fields.text()?,
+                encoding: fields.text()?,
+                metadata: fields.map()?,
+            }),
+            op::MESSAGE => Record::Message(Message {
+                channel: fields.u16()?,
+                sequence: fields.u32()?,
+                log_ns: fields.u64()?,
+                publish_ns: fields.u64()?,
+                data: fields.0,
+            }),
+            op::STATISTICS => {
+                // Numbers of messages, schemas, channels, attachments, metadata records and chunks; first time.
+                let _others = fields.take::<34>()?;
+                let end_ns = fields.u64()?;
+                let length = fields.u32()?;
+                let mut counts = Fields(fields.bytes(length.into())?);
+                let mut messages = BTreeMap::new();
+                while !counts.0.is_empty() {
+                    messages.insert(counts.u16()?, counts.u64()?);
+                }
+                Record::Statistics(Statistics { end_ns, messages })
             }
             op::CHUNK => {
                 let _times = fields.take::<16>()?;
@@ -193,6 +279,14 @@ impl<'a> Fields<'a> {
     fn text(&mut self) -> Option<String> {
         let length = self.u32()?;
         String::from_utf8(self.bytes(length.into())?.to_vec()).ok()
+    }
+
+    /// Text for a message about damage: of limited length, whatever its bytes are.
+    fn lossy_text(&mut self) -> Option<String> {
+        const LONGEST: usize = 100;
+        let length = self.u32()?;
+        let bytes = self.bytes(length.into())?;
+        Some(String::from_utf8_lossy(&bytes[..bytes.len().min(LONGEST)]).into_owned())
     }
 
     fn map(&mut self) -> Option<BTreeMap<String, String>> {

@@ -6,10 +6,10 @@ use crate::control_loop::ControlLoop;
 use crate::fault::Fault;
 use crate::phase::Phase;
 use crate::target_stream::TargetReceiver;
-use opspace_backend::signal_names::TORQUE_DESIRED;
+use opspace_backend::signal_names::{TIMING_CHANNEL, TORQUE_DESIRED};
 use opspace_backend::{
     Command, DEVICE_FAILED, DeviceFault, EXTERNAL, GroundTruth, Layout, SERVO, STOP_REQUESTED, Sample,
-    Signal, SignalRecorder, Sink, TICK, TICK_TIME, TRUTH, TruthLayouts, TruthRow,
+    Signal, SignalRecorder, Sink, TICK, TICK_TIME, TIMING, TRUTH, TruthLayouts, TruthRow,
 };
 use opspace_control::Targets;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -85,10 +85,11 @@ impl<'a> Run<'a> {
         Self { stop_request: Some(request), ..self }
     }
 
-    /// Layouts of the rows, by channel number: [`TICK`], and for a simulation [`TRUTH`], [`SERVO`] and [`EXTERNAL`].
+    /// Layouts of the rows, by channel number: [`TICK`] and [`TIMING`], and for a simulation [`TRUTH`], [`SERVO`] and
+    /// [`EXTERNAL`].
     #[must_use]
     pub fn layouts(control: &ControlLoop, truth: Option<TruthLayouts>) -> Vec<Layout> {
-        let mut layouts = vec![tick_layout(control)];
+        let mut layouts = vec![tick_layout(control), timing_layout()];
         if let Some(truth) = truth {
             let TruthLayouts { truth, mut servo, external, .. } = truth;
             servo.signals =
@@ -145,7 +146,10 @@ impl<'a> Run<'a> {
         let step = self.control.step(sample, &self.targets);
         let (faulted, control_cycles) = (step.fault.is_some(), step.control_cycles);
         let elapsed_ns = began.elapsed().as_nanos() as f64;
-        self.record([if faulted || stopped { f64::NAN } else { elapsed_ns }, flag(stop_requested), 0.0]);
+        self.record([flag(stop_requested), 0.0]);
+        if !(faulted || stopped) {
+            self.sink.row(TIMING, self.control.clock_s(), &[elapsed_ns]);
+        }
         if stopped {
             self.aftermath_cycles -= 1;
             return None;
@@ -169,7 +173,7 @@ impl<'a> Run<'a> {
             return None;
         }
         let _ = self.control.fail(fault);
-        self.record([f64::NAN, 0.0, 1.0]);
+        self.record([0.0, 1.0]);
         self.end_faulted();
         self.outgoing()
     }
@@ -182,7 +186,7 @@ impl<'a> Run<'a> {
             return;
         }
         let _ = self.control.fail(fault);
-        self.record([f64::NAN, 0.0, 1.0]);
+        self.record([0.0, 1.0]);
         self.end_faulted();
     }
 
@@ -268,7 +272,7 @@ impl<'a> Run<'a> {
     }
 
     /// Records the row of a cycle; it begins with the run's own signals.
-    fn record(&mut self, own: [f64; 3]) {
+    fn record(&mut self, own: [f64; 2]) {
         let mut out = SignalRecorder::sampling(&mut self.row);
         record_tick(&self.control, &self.targets, own, &mut out);
         self.sink.row(TICK, self.control.clock_s(), &self.row);
@@ -281,9 +285,8 @@ fn flag(value: bool) -> f64 {
 }
 
 /// Writes the row of a cycle: the run's own signals, then the loop's row, then its targets.
-fn record_tick(control: &ControlLoop, targets: &Targets, own: [f64; 3], out: &mut SignalRecorder<'_>) {
-    let [tick_time_ns, stop_requested, device_failed] = own;
-    out.scalar(TICK_TIME, "ns", tick_time_ns);
+fn record_tick(control: &ControlLoop, targets: &Targets, own: [f64; 2], out: &mut SignalRecorder<'_>) {
+    let [stop_requested, device_failed] = own;
     out.scalar(STOP_REQUESTED, "1", stop_requested);
     out.scalar(DEVICE_FAILED, "1", device_failed);
     out.block(&control.layout().signals, control.row());
@@ -291,8 +294,12 @@ fn record_tick(control: &ControlLoop, targets: &Targets, own: [f64; 3], out: &mu
 }
 
 fn tick_layout(control: &ControlLoop) -> Layout {
-    let record = |out: &mut SignalRecorder<'_>| record_tick(control, &control.targets(), [0.0; 3], out);
+    let record = |out: &mut SignalRecorder<'_>| record_tick(control, &control.targets(), [0.0; 2], out);
     Layout { channel: control.layout().channel.clone(), signals: SignalRecorder::describe(record) }
+}
+
+fn timing_layout() -> Layout {
+    Layout { channel: TIMING_CHANNEL.to_owned(), signals: vec![Signal::scalar(TICK_TIME, "ns")] }
 }
 
 /// Writes the row of a servo tick: the desired torque, then the signals of the simulation.

@@ -4,6 +4,7 @@ pub mod bench;
 pub mod check;
 pub mod completion;
 pub mod identify;
+pub mod log;
 pub mod merge;
 pub mod model;
 pub mod new;

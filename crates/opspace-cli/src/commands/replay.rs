@@ -2,9 +2,12 @@
 
 use crate::cli::ReplayArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{log_path, pretty, read_log};
+use crate::output::{Format, log_path, pretty, read_log, write_named};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::TICK_CHANNEL;
+use opspace_experiment::files::overrides::split;
+use opspace_experiment::report::html::Page;
+use opspace_experiment::report::what_if::torque_difference;
 use opspace_experiment::run::replay::{ReplayReport, replay as recompute};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, TaskDefinition};
 use opspace_log::Recording;
@@ -13,24 +16,25 @@ use std::path::Path;
 
 pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> Outcome {
     let inputs: Vec<_> = args.task.iter().cloned().chain([log_path(&args.log)]).collect();
-    check_outputs(&inputs, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
+    let outputs = [args.json.path(), args.report.as_deref()].into_iter().flatten().map(Path::to_owned);
+    check_outputs(&inputs, &outputs.collect::<Vec<_>>())?;
+    if args.report.is_some() && args.task.is_none() && args.set.is_empty() {
+        let text = "--report shows other torques than those of the log: add --task or --set, or use `opspace report`";
+        return Err(Failure::Other(text.to_owned(), Exit::Bad));
+    }
     let (log, recording) = read_log(&args.log)?;
     let bad = |error: RunError| Failure::Other(format!("{}: {error}", log.display()), Exit::Bad);
-    let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
     if let Some(damage) = &recording.damage {
         console.note(&format!("{}: damaged: {damage}", log.display()));
     }
-    let other = match &args.task {
-        None => None,
-        Some(path) => {
-            let task = TaskDefinition::load_with(&extensions.tasks, Files::Disk, path, &[])?;
-            let (robot, options) = (logged.robot().clone(), logged.options().clone());
-            Some(Experiment::new(robot, task, options, Vec::new())?)
-        }
-    };
+    let logged = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
+    let other = other_files(args, extensions, &recording, &logged)?;
     let experiment = other.as_ref().unwrap_or(&logged);
     let replayed = recompute(experiment, &recording).map_err(bad)?;
     let open_loop = other.is_some();
+    if let Some(page) = &args.report {
+        write_report(page, &log, experiment, &recording, &replayed)?;
+    }
     args.json.print(
         || pretty(&as_json(&log, experiment, &recording, &replayed, open_loop)),
         || match open_loop {
@@ -48,6 +52,58 @@ pub fn replay(args: &ReplayArgs, extensions: &Extensions, console: Console) -> O
     } else {
         Exit::Done
     })
+}
+
+/// Experiment of a replay with another task or with changed files; `None` for that of the log itself.
+fn other_files(
+    args: &ReplayArgs,
+    extensions: &Extensions,
+    recording: &Recording,
+    logged: &Experiment,
+) -> Result<Option<Experiment>, Failure> {
+    let Some(path) = &args.task else {
+        let changed =
+            (!args.set.is_empty()).then(|| Experiment::of_log_changed(extensions, recording, &args.set));
+        return Ok(changed.transpose()?);
+    };
+    let (robot_settings, task_settings) = split(&args.set, "robot");
+    let robot = match robot_settings.as_slice() {
+        [] => logged.robot().clone(),
+        _ => Experiment::of_log_changed(extensions, recording, &robot_settings)?.robot().clone(),
+    };
+    let task = TaskDefinition::load_with(&extensions.tasks, Files::Disk, path, &task_settings)?;
+    Ok(Some(Experiment::new(robot, task, logged.options().clone(), Vec::new())?))
+}
+
+fn write_report(
+    page: &Path,
+    log: &Path,
+    experiment: &Experiment,
+    recording: &Recording,
+    replayed: &ReplayReport,
+) -> Result<(), Failure> {
+    let title = format!("{}: replay with '{}'", log.display(), experiment.task().name());
+    let lead = "Open loop: torques computed from the logged measurements. The motion is the logged one.";
+    let mut report = Page::new(title).lead(lead).paragraph(&end(experiment, replayed));
+    if let Some(figure) = torque_difference(experiment, recording)? {
+        report = report.figure(&figure);
+    }
+    write_named(page, &report.render(), Format::Html)
+}
+
+/// States where and why a replay with other files ends.
+fn end(experiment: &Experiment, replayed: &ReplayReport) -> String {
+    let ReplayReport { compared, logged, outcome, .. } = replayed;
+    let reason = match (&outcome.fault, outcome.interrupted) {
+        (Some(fault), _) => {
+            let at = outcome.time_s.map_or_else(String::new, |s| format!(" at {s:.3} s of control"));
+            format!("it would have been stopped{at}: {fault}")
+        }
+        (None, false) => format!("its duration of {} s is over", experiment.duration_s()),
+        (None, true) if compared < logged => "a stop was requested in the log".to_owned(),
+        (None, true) => "the log ends".to_owned(),
+    };
+    format!("It ends after {compared} of {logged} ticks: {reason}.")
 }
 
 /// Describes the result of a replay: equality of all bits, or the first difference.
@@ -75,9 +131,7 @@ fn what_if(experiment: &Experiment, recording: &Recording, replayed: &ReplayRepo
     let mut text = format!(
         "open loop: commands of '{name}' computed from the logged measurements, over {compared} ticks\n"
     );
-    if compared < replayed.logged {
-        text += &format!("it would have stopped there; the log has {} ticks\n", replayed.logged);
-    }
+    text += &format!("{}\n", end(experiment, replayed));
     let tick = recording.channel(TICK_CHANNEL);
     for (signal, elements) in &replayed.rms {
         let units = tick.and_then(|tick| tick.signal(signal)).map_or(&[][..], |column| column.units());
@@ -116,6 +170,7 @@ fn as_json(
         "log": log,
         "task": experiment.task().name(),
         "open_loop": open_loop,
+        "end": open_loop.then(|| end(experiment, replayed)),
         "ticks_logged": replayed.logged,
         "ticks_compared": replayed.compared,
         "ticks_differing": replayed.differing,

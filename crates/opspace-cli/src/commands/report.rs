@@ -23,11 +23,11 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
     for path in &args.logs {
         let (path, recording) = read_log(path)?;
         let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
-        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
         if let Some(damage) = &recording.damage {
             console.note(&format!("{}: damaged: {damage}", path.display()));
             exit = Exit::DataLost;
         }
+        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
         if recording.dropped() > 0 {
             exit = Exit::DataLost;
         }

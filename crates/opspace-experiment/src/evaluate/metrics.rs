@@ -19,8 +19,8 @@ use nalgebra::{Matrix3, Vector3};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
     self, COMMAND, DQ, FORCE, LIMITS_SOLVER, MIN_SINGULAR_GAIN, MISSED_CYCLES, MOTOR_TORQUE, PHASE,
-    SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL, TICK_TIME, TORQUE_DESIRED,
-    TORQUE_SATURATED, TRUTH_CHANNEL,
+    SERVO_CHANNEL, SETPOINT_ACCELERATION, SETPOINT_SPEED, TICK_CHANNEL, TICK_TIME, TIMING_CHANNEL,
+    TORQUE_DESIRED, TORQUE_SATURATED, TRUTH_CHANNEL,
 };
 use opspace_backend::{CommandKind, Setpoints};
 use opspace_control::{AxesFrame, ControlledFrame};
@@ -90,11 +90,16 @@ impl Metrics {
 #[must_use]
 pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
     let mut ticks: Vec<f64> = Vec::new();
-    if let Some(tick) = recording.channel(TICK_CHANNEL)
-        && let (Some(phase), Some(time)) = (tick.signal(PHASE), tick.signal(TICK_TIME))
+    if let (Some(tick), Some(timing)) = (recording.channel(TICK_CHANNEL), recording.channel(TIMING_CHANNEL))
+        && let (Some(phase), Some(time)) = (tick.signal(PHASE), timing.signal(TICK_TIME))
     {
-        let controlled = phase.rows().zip(time.rows()).filter(|(p, t)| p[0] == 1.0 && t[0].is_finite());
-        ticks.extend(controlled.map(|(_, t)| t[0]));
+        // Rows belong together that have the same time; a cycle without a computed command has no row in `timing`.
+        let mut cycles = tick.time_s.iter().zip(phase.rows()).peekable();
+        for (time_s, elapsed) in timing.time_s.iter().zip(time.rows()) {
+            while cycles.next_if(|(cycle_s, _)| *cycle_s < time_s).is_some() {}
+            let controlled = cycles.peek().is_some_and(|(cycle_s, p)| *cycle_s == time_s && p[0] == 1.0);
+            ticks.extend(controlled.then_some(elapsed[0]));
+        }
     }
     ticks.sort_by(f64::total_cmp);
     let quantile = |share: f64| {

@@ -31,7 +31,8 @@ impl RunSection {
     pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
         let mut warnings = Vec::new();
         if let Some(damage) = &recording.damage {
-            warnings.push(format!("The log is damaged; only the readable part is shown. {damage}"));
+            let shown = if damage.rows_lost { "; only the readable part is shown" } else { "" };
+            warnings.push(format!("The log is damaged{shown}: {damage}."));
         }
         if recording.dropped() > 0 {
             warnings.push(format!("{} rows were dropped and are not in the log.", recording.dropped()));

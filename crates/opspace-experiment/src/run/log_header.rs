@@ -1,6 +1,7 @@
 //! Files and settings stored in a log, from which the experiment can be rebuilt.
 
 use crate::extensions::Extensions;
+use crate::files::overrides;
 use crate::files::robot::RobotDefinition;
 use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
@@ -74,6 +75,7 @@ impl Experiment {
                 .map(|(name, media, source)| Attachment::new(name, media, source.text().as_bytes()))
                 .collect(),
             model: Some(Arc::new(self.robot().model.clone())),
+            scene: self.viewer_scene(),
         }
     }
 
@@ -90,6 +92,23 @@ impl Experiment {
     /// # Errors
     /// As [`of_log`](Self::of_log).
     pub fn of_log_with(extensions: &Extensions, recording: &Recording) -> Result<Self, RunError> {
+        Self::of_log_changed(extensions, recording, &[])
+    }
+
+    /// Rebuilds the experiment of a log like [`of_log_with`](Self::of_log_with), with changes of its files: settings as on
+    /// the command line of a run.
+    ///
+    /// # Errors
+    /// As [`of_log`](Self::of_log), and mistakes in `changes`.
+    pub fn of_log_changed(
+        extensions: &Extensions,
+        recording: &Recording,
+        changes: &[String],
+    ) -> Result<Self, RunError> {
+        let (robot_changes, task_changes) = overrides::split(changes, "robot");
+        let is_changed = |key: &str| {
+            task_changes.iter().any(|change| change.split('=').next().is_some_and(|name| name.trim() == key))
+        };
         let entries = recording
             .metadata(RUN)
             .ok_or_else(|| RunError::Incomplete { what: format!("the metadata '{RUN}'") })?;
@@ -101,18 +120,22 @@ impl Experiment {
                 .ok_or_else(|| RunError::Incomplete { what: format!("'{key}' in the metadata '{RUN}'") })
         };
         let robot = RobotDefinition::from_sources(
-            attached(recording, ROBOT_FILE, entry("robot")?)?,
+            overrides::apply_below(
+                &attached(recording, ROBOT_FILE, entry("robot")?)?,
+                "robot",
+                &robot_changes,
+            )?,
             attached(recording, URDF_FILE, URDF_FILE)?,
         )?;
         let task = TaskDefinition::from_sources_with(
             &extensions.tasks,
-            attached(recording, TASK_FILE, entry("task")?)?,
+            overrides::apply(&attached(recording, TASK_FILE, entry("task")?)?, &task_changes)?,
             |named| attached(recording, &recording_file(named.file), &named.path.display().to_string()),
         )?;
         let unknown = |key: &str| RunError::Incomplete { what: format!("a known '{key}'") };
         let transformer =
             TransformerKind::named(entry("transformer")?).ok_or_else(|| unknown("transformer"))?;
-        let options = RunOptions {
+        let mut options = RunOptions {
             backend: CommandKind::ALL
                 .into_iter()
                 .find(|kind| entry("backend").is_ok_and(|name| name == kind.name()))
@@ -127,9 +150,13 @@ impl Experiment {
             label: None,
             duration_s: Some(entry("duration_s")?.parse().map_err(|_| unknown("duration_s"))?),
         };
-        let settings: Vec<String> = entry("overrides")?.lines().map(str::to_owned).collect();
+        // The options of the run take precedence over the files, except over a change.
+        options.seed = options.seed.filter(|_| !is_changed("seed"));
+        options.duration_s = options.duration_s.filter(|_| !is_changed("duration_s"));
+        let settings: Vec<String> =
+            entry("overrides")?.lines().map(str::to_owned).chain(changes.iter().cloned()).collect();
         let chosen = Self::new(robot.clone(), task.clone(), options.clone(), settings.clone())?;
-        if chosen.chosen_transformer().0 == transformer {
+        if !changes.is_empty() || chosen.chosen_transformer().0 == transformer {
             return Ok(chosen);
         }
         // This version would choose another transformer: use the one that was in use when the log was written.

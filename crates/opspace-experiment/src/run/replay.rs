@@ -4,7 +4,7 @@ use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use opspace_backend::Sink;
 use opspace_backend::signal_names::{COMMAND, DQ_DESIRED, Q_DESIRED, TORQUE_DESIRED};
-use opspace_log::{Comparer, Difference, LoggedInputs, Recording};
+use opspace_log::{Comparer, Difference, LoggedInputs, OutcomeRecord, Recording};
 use opspace_loop::{Run, RunOutcome};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -22,6 +22,8 @@ pub struct ReplayReport {
     pub first_difference: Option<Difference>,
     /// Signals that only the log or only the replay has, or that differ in length.
     pub unmatched: Vec<String>,
+    /// Outcome of the replay. Interrupted means that the log ends, or that a stop was requested in it.
+    pub outcome: OutcomeRecord,
     /// Rms difference between replayed and logged commands, by signal and element, in the units of the signal.
     pub rms: Vec<(String, Vec<(String, f64)>)>,
 }
@@ -36,7 +38,7 @@ const COMMANDS: [&str; 4] = [COMMAND, TORQUE_DESIRED, Q_DESIRED, DQ_DESIRED];
 pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<ReplayReport, RunError> {
     let control = experiment.control_loop()?;
     let mut comparer = Comparer::new(recording, &Run::layouts(&control, None)[opspace_backend::TICK])?;
-    replay_into(experiment, recording, &mut comparer)?;
+    let outcome = replay_into(experiment, recording, &mut comparer)?;
     let rms = COMMANDS.map(|signal| (signal.to_owned(), comparer.rms_difference(signal)));
     Ok(ReplayReport {
         compared: comparer.compared(),
@@ -44,6 +46,7 @@ pub fn replay(experiment: &Experiment, recording: &Recording) -> Result<ReplayRe
         differing: comparer.differing(),
         first_difference: comparer.first_difference(),
         unmatched: comparer.unmatched().to_vec(),
+        outcome: experiment.outcome_record(&outcome),
         rms: rms.into_iter().filter(|(_, elements)| !elements.is_empty()).collect(),
     })
 }

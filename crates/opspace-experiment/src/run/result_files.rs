@@ -72,16 +72,24 @@ fn is_at(_handle: &File, _path: &Path) -> bool {
 /// # Errors
 /// A file that can't be written; an existing log, which is never overwritten.
 pub fn write_file(path: &Path, text: &str) -> io::Result<()> {
+    write_file_with(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// Writes a file like [`write_file`], with the content that `write` writes.
+///
+/// # Errors
+/// As [`write_file`], and errors of `write`.
+pub fn write_file_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let existing = fs::metadata(path).ok();
     if existing.as_ref().is_some_and(|metadata| !metadata.is_file()) {
-        return fs::write(path, text);
+        return write(&mut File::create(path)?);
     }
     // Not the link itself is replaced, but the file that it denotes.
     let path = if existing.is_some() { fs::canonicalize(path)? } else { path.to_owned() };
     if existing.is_some() && is_log(&path)? {
         return Err(io::Error::other("it is a log, and logs are never overwritten"));
     }
-    replace_file(&path, text.as_bytes())
+    replace_with(&path, write)
 }
 
 /// Writes a file aside, under a name that no other process uses, and renames it: a complete file takes the place of an
@@ -90,6 +98,10 @@ pub fn write_file(path: &Path, text: &str) -> io::Result<()> {
 /// # Errors
 /// A file that can't be written.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    replace_with(path, |file| file.write_all(bytes))
+}
+
+fn replace_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     // Processes of different machines may have the same number: the time tells them apart, and a taken name is refused.
@@ -97,7 +109,7 @@ pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     let aside = path.with_file_name(format!(".{name}.{}.{time}.{number}", std::process::id()));
     let written = File::create_new(&aside)
-        .and_then(|mut file| file.write_all(bytes))
+        .and_then(|mut file| write(&mut file))
         .and_then(|()| fs::rename(&aside, path));
     if written.is_err() {
         let _ = fs::remove_file(&aside);

@@ -2,8 +2,8 @@
 //! wrong data are accepted.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use crate::common::{self, channels, header, is_prefix, log, row};
-use opspace_log::{Header, LogError, Pace, Recording, record};
+use crate::common::{self, attachments, channels, header, is_prefix, log, places, row};
+use opspace_log::{Attachment, Header, LogError, Pace, Recording, record};
 use opspace_testing::allocation::counted;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -83,20 +83,68 @@ fn corrupt_chunk_ends_the_valid_part() {
     assert_eq!(damage.after_s, part.channels[1].time_s.last().copied());
 }
 
+/// Flips each bit of an attachment: all rows are read, and the message names the attachment, unless the bit is in the
+/// length of the record, which is then found from the lengths of its fields, or in its kind. The other attachment is
+/// always read.
+#[test]
+fn flipped_bit_of_an_attachment_costs_that_attachment() {
+    let mut header = header();
+    header.attachments.push(Attachment::new("task.toml", "application/toml", "seed = 1"));
+    let (_, mut bytes) = log(header, 30);
+    let whole = Recording::from_bytes(&bytes).unwrap();
+    let begin = attachments(&bytes)[0];
+    let body = u64::from_le_bytes(bytes[begin + 1..begin + 9].try_into().unwrap()) as usize;
+    for at in begin..begin + 9 + body {
+        for bit in 0..8 {
+            bytes[at] ^= 1 << bit;
+            let read = Recording::from_bytes(&bytes).unwrap();
+            let damage = read.damage.as_ref().unwrap_or_else(|| panic!("bit {bit} of byte {at} unnoticed"));
+            assert!(!damage.rows_lost, "bit {bit} of byte {}: {damage}", at - begin);
+            assert!(damage.to_string().contains("all rows are readable"), "{damage}");
+            for (channel, original) in read.channels.iter().zip(&whole.channels) {
+                assert_eq!(channel.len(), original.len());
+            }
+            assert_eq!(read.attachment("task.toml"), whole.attachment("task.toml"));
+            if at >= begin + 9 {
+                assert_eq!(read.damaged_parts.len(), 1, "bit {bit} of byte {}: {damage}", at - begin);
+                assert!(damage.what.contains("attachment"), "{damage}");
+                assert_eq!(damage.at_byte, Some(begin));
+            }
+            bytes[at] ^= 1 << bit;
+        }
+    }
+    bytes[begin + 9 + body - 8] ^= 1;
+    let damage = Recording::from_bytes(&bytes).unwrap().damage.unwrap().to_string();
+    assert!(damage.contains("the attachment 'arm.urdf'"), "{damage}");
+}
+
+/// Flips bits in the summary: all rows and attachments are read, and the message says so if the statistics or the
+/// rest of the summary confirm it.
+#[test]
+fn flipped_bit_of_the_summary_costs_no_row() {
+    let (_, mut bytes) = log(header(), 30);
+    let whole = Recording::from_bytes(&bytes).unwrap();
+    let end = places(&bytes).into_iter().find(|&(kind, _)| kind == mcap::records::op::DATA_END).unwrap().1;
+    for at in (end + 13..bytes.len()).step_by(3) {
+        bytes[at] ^= 0x10;
+        let read = Recording::from_bytes(&bytes).unwrap();
+        assert!(read.damage.is_some(), "byte {at} unnoticed");
+        for (channel, original) in read.channels.iter().zip(&whole.channels) {
+            assert_eq!(channel.len(), original.len());
+        }
+        assert_eq!((&read.attachments, &read.metadata), (&whole.attachments, &whole.metadata));
+        bytes[at] ^= 0x10;
+    }
+}
+
 /// Changes the kind of a chunk to an unknown one, which a reader skips: the rows after it must not be read as if they
 /// followed the rows before it.
 #[test]
 fn unknown_chunk_kind_leaves_no_gap() {
     let (_, mut bytes) = log(header(), 5000);
     let whole = Recording::from_bytes(&bytes).unwrap();
-    // Format: eight bytes of magic, then records of one byte of kind, eight bytes of length, and the body.
-    let (mut chunks, mut at) = (Vec::new(), 8);
-    while bytes.len() - at > 8 {
-        if bytes[at] == mcap::records::op::CHUNK {
-            chunks.push(at);
-        }
-        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
-    }
+    let places = places(&bytes);
+    let chunks: Vec<usize> = places.iter().filter(|p| p.0 == mcap::records::op::CHUNK).map(|p| p.1).collect();
     // The first chunk has the definitions, each of the next four one second of rows.
     bytes[chunks[3]] = 0x90;
     let part = Recording::from_bytes(&bytes).unwrap();

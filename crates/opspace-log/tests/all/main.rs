@@ -4,6 +4,7 @@ mod common;
 mod damage;
 mod recorder;
 mod round_trip;
+mod tools;
 
 #[global_allocator]
 static ALLOCATOR: opspace_testing::allocation::CountingAllocator =

@@ -2,9 +2,12 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{bits, channels, header, log, row, time};
-use foxglove::messages::{FrameTransforms, JointStates};
+use foxglove::messages::{FrameTransform, FrameTransforms, JointStates, PoseInFrame, SceneUpdate};
 use mcap::MessageStream;
-use opspace_log::{Channel, Header, LOG, LogError, Pace, Recording, TIME_ZERO_NS, record};
+use opspace_backend::{Layout, Signal};
+use opspace_log::{
+    Channel, ForceArrow, Header, LOG, LogError, Pace, Recording, Scene, TIME_ZERO_NS, Wall, record,
+};
 use opspace_model::{Data, Model, frame_placement, kinematics};
 use prost::Message;
 use prost_types::FileDescriptorSet;
@@ -96,15 +99,28 @@ fn generic_protobuf_reader_finds_the_fields() {
     struct Tick {
         #[prost(double, tag = "1")]
         t: f64,
-        #[prost(double, repeated, tag = "2")]
-        q: Vec<f64>,
-        #[prost(double, repeated, tag = "6")]
-        hand_position: Vec<f64>,
+        #[prost(message, optional, tag = "2")]
+        q: Option<Values>,
+        #[prost(message, optional, tag = "6")]
+        hand_position: Option<Values>,
     }
+
+    /// Elements of a signal.
+    #[derive(Clone, Copy, PartialEq, prost::Message)]
+    struct Values {
+        #[prost(double, optional, tag = "1")]
+        first: Option<f64>,
+        #[prost(double, optional, tag = "2")]
+        second: Option<f64>,
+        #[prost(double, optional, tag = "3")]
+        third: Option<f64>,
+    }
+    let values = |values: &[f64]| values.iter().copied().map(Some).collect::<Vec<_>>();
     let tick = Tick::decode(&*message.data).unwrap();
     assert_eq!(tick.t, time(3));
-    assert_eq!(bits(&tick.q), bits(&row(3, 9)[..2]));
-    assert_eq!(bits(&tick.hand_position), bits(&row(3, 9)[6..]));
+    let (q, hand) = (tick.q.unwrap(), tick.hand_position.unwrap());
+    assert_eq!([q.first, q.second].as_slice(), values(&row(3, 9)[..2]));
+    assert_eq!([hand.first, hand.second, hand.third].as_slice(), values(&row(3, 9)[6..]));
 }
 
 const ARM: &str = r#"<robot name="arm">
@@ -117,7 +133,8 @@ const ARM: &str = r#"<robot name="arm">
     <origin xyz="0 0 0.5"/><axis xyz="1 0 0"/></joint>
 </robot>"#;
 
-/// Compared: `/joint_states` and the rows, `/tf` and the model's kinematics, at no more than 50 Hz.
+/// Compared: `/joint_states` and the rows, `/tf` with `/tf_static` and the model's kinematics, at no more than 50 Hz; fixed
+/// frames are written once.
 #[test]
 fn viewers_get_joint_states_and_transforms() {
     let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
@@ -130,9 +147,12 @@ fn viewers_get_joint_states_and_transforms() {
     };
     let states = of("/joint_states", "foxglove.JointStates");
     let transforms = of("/tf", "foxglove.FrameTransforms");
-    assert_eq!((states.len(), transforms.len()), (6, 6), "0.1 s at 50 Hz");
+    // Some rows have a position that is not finite.
+    let finite = (0..=100).step_by(20).filter(|&k| row(k, 9)[..2].iter().all(|q| q.is_finite())).count();
+    assert_eq!((states.len(), transforms.len()), (6, finite), "0.1 s at 50 Hz");
 
     let shown = 20;
+    let shown_transforms = transforms.iter().find(|m| m.log_time == states[1].log_time).unwrap();
     assert_eq!(states[1].log_time, TIME_ZERO_NS + 18_000_000);
     let joints = JointStates::decode(&*states[1].data).unwrap().joints;
     let row = row(shown, 9);
@@ -143,14 +163,31 @@ fn viewers_get_joint_states_and_transforms() {
         assert_eq!(joints[i].effort.unwrap().to_bits(), row[4 + i].to_bits());
     }
 
-    let transforms = FrameTransforms::decode(&*transforms[1].data).unwrap().transforms;
+    let transforms = FrameTransforms::decode(&*shown_transforms.data).unwrap().transforms;
     let mut data = Data::new(&model);
     kinematics(&model, &mut data, &row[..2], &[0.0; 2]);
-    assert_eq!(transforms.len(), model.frames().len());
-    for transform in &transforms {
-        // A link is named "world" here.
-        assert_eq!(transform.parent_frame_id, "world_");
-        let placement = frame_placement(&model, &data, model.frame_id(&transform.child_frame_id).unwrap());
+    let fixed = of("/tf_static", "foxglove.FrameTransforms");
+    assert_eq!((fixed.len(), fixed[0].log_time), (1, states[0].log_time));
+    let fixed = FrameTransforms::decode(&*fixed[0].data).unwrap().transforms;
+    let names = |transforms: &[FrameTransform]| {
+        transforms.iter().map(|t| t.child_frame_id.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        (names(&transforms), names(&fixed)),
+        (vec!["upper".to_owned(), "lower".to_owned()], vec!["world".to_owned()])
+    );
+    for transform in transforms.iter().chain(&fixed) {
+        let of = |name: &str| frame_placement(&model, &data, model.frame_id(name).unwrap());
+        // A link is named "world" here, which is the base.
+        let (child, parent) = (transform.child_frame_id.as_str(), transform.parent_frame_id.as_str());
+        let placement = match parent {
+            "world_" => of(child),
+            parent => of(parent).inverse() * of(child),
+        };
+        assert!(
+            [("world", "world_"), ("upper", "world"), ("lower", "upper")].contains(&(child, parent)),
+            "{child}"
+        );
         let (p, r) = (transform.translation.unwrap(), transform.rotation.unwrap());
         let from_message = nalgebra::Quaternion::new(r.w, r.x, r.y, r.z);
         let rotation = nalgebra::UnitQuaternion::new_unchecked(from_message).to_rotation_matrix();
@@ -158,6 +195,78 @@ fn viewers_get_joint_states_and_transforms() {
         assert!((rotation.matrix() - placement.rotation).amax() < 16.0 * f64::EPSILON);
         assert_eq!([p.x, p.y, p.z], <[f64; 3]>::from(placement.translation));
     }
+}
+
+/// Compared: poses of tasks, walls, arrows of forces and the URDF, and the rows and the scene they are made from. A task
+/// that does not apply (NaN) has no pose.
+#[test]
+fn viewers_get_tasks_and_scene() {
+    let model = Arc::new(Model::from_urdf(ARM).unwrap().model);
+    let xyz = ["x", "y", "z"];
+    let wxyz = ["w", "x", "y", "z"];
+    let tick = Layout {
+        channel: "tick".to_owned(),
+        signals: vec![
+            Signal::new("q", "rad", &["shoulder", "elbow"]),
+            Signal::new("hand.reference", "m", &xyz),
+            Signal::new("hand.reference_orientation", "1", &wxyz),
+            Signal::new("hand.position", "m", &xyz),
+            Signal::new("hand.orientation", "1", &wxyz),
+        ],
+    };
+    let truth = Layout { channel: "truth".to_owned(), signals: vec![Signal::new("wall.force", "N", &xyz)] };
+    let channels = [tick, truth].map(|layout| Channel { layout, rate_hz: 50.0 });
+    let scene = Scene {
+        robot_description: Some(ARM.to_owned()),
+        relative_to: [("hand".to_owned(), "upper".to_owned())].into(),
+        walls: vec![Wall { name: "wall".to_owned(), point_m: [0.5, 0.0, 0.2], normal: [-2.0, 0.0, 0.0] }],
+        forces: vec![ForceArrow {
+            channel: "truth".to_owned(),
+            signal: "wall.force".to_owned(),
+            frame: "lower".to_owned(),
+        }],
+    };
+    let header = Header { model: Some(model), scene, ..Header::default() };
+    let (mut recorder, writer) =
+        record(Cursor::new(Vec::new()), header, channels.to_vec(), Pace::Simulated).unwrap();
+    let pose = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0];
+    for k in 0..10 {
+        recorder.push(1, k as f64 * 0.02, &[0.0, 0.0, 5.0]);
+        let reference = if k < 5 { pose } else { [f64::NAN; 7] };
+        recorder.push(0, k as f64 * 0.02, &[&[0.3, 0.4], &reference[..], &pose].concat());
+    }
+    drop(recorder);
+    let bytes = writer.finish().unwrap().1.into_inner();
+    let messages: Vec<_> = MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+    let of = |topic: &str| messages.iter().filter(|m| m.channel.topic == topic).collect::<Vec<_>>();
+
+    assert_eq!((of("/hand/reference").len(), of("/hand/controlled_frame").len()), (5, 10));
+    let shown = PoseInFrame::decode(&*of("/hand/reference")[0].data).unwrap();
+    assert_eq!(shown.frame_id, "upper");
+    let position = shown.pose.unwrap().position.unwrap();
+    assert_eq!([position.x, position.y, position.z], [0.1, 0.2, 0.3]);
+
+    let walls = of("/scene/environment");
+    assert_eq!(walls.len(), 1);
+    let walls = SceneUpdate::decode(&*walls[0].data).unwrap().entities;
+    let center = walls[0].cubes[0].pose.unwrap().position.unwrap();
+    assert_eq!((walls[0].id.as_str(), [center.x, center.y, center.z]), ("wall", [0.505, 0.0, 0.2]));
+
+    let forces = SceneUpdate::decode(&*of("/scene/forces")[3].data).unwrap().entities;
+    let arrow = forces[0].arrows[0];
+    assert!((arrow.shaft_length + arrow.head_length - 0.05).abs() < 1e-15, "{arrow:?}");
+    let r = arrow.pose.unwrap().orientation.unwrap();
+    let up = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(r.w, r.x, r.y, r.z))
+        * nalgebra::Vector3::x();
+    assert!((up - nalgebra::Vector3::z()).amax() < 8.0 * f64::EPSILON, "{up}");
+
+    let paths = SceneUpdate::decode(&*of("/scene/paths")[1].data).unwrap().entities;
+    assert_eq!((paths[0].frame_id.as_str(), paths[0].lines[0].points.len()), ("upper", 5));
+
+    let urdf = of("/robot_description");
+    assert_eq!(urdf.len(), 1);
+    assert_eq!(urdf[0].channel.schema.as_ref().unwrap().name, "std_msgs/msg/String");
+    assert_eq!(&urdf[0].data[8..urdf[0].data.len() - 1], ARM.as_bytes());
 }
 
 /// Checks the errors for data that can't be recorded.

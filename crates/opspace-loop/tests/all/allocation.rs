@@ -30,9 +30,11 @@ impl Seen {
 }
 
 impl Sink for Seen {
-    fn row(&mut self, _channel: usize, _time_s: f64, row: &[f64]) {
-        self.phases[row[self.phase] as usize] = true;
-        self.device_fault |= row[self.device_failed] == 1.0;
+    fn row(&mut self, channel: usize, _time_s: f64, row: &[f64]) {
+        if channel == TICK {
+            self.phases[row[self.phase] as usize] = true;
+            self.device_fault |= row[self.device_failed] == 1.0;
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::common::{self, REST, Scripted, at_rest, capabilities, columns, config, gravity_controller};
 use opspace_backend::{
     Backend, Capabilities, Command, CommandKind, DeviceFault, GroundTruth, Layout, SERVO, Sample, Signal,
-    Sink, TICK, TRUTH, TruthLayouts, TruthRow,
+    Sink, TICK, TIMING, TRUTH, TruthLayouts, TruthRow,
 };
 use opspace_loop::{ControlLoop, Run, drive};
 
@@ -117,6 +117,6 @@ fn true_state_row_precedes_its_cycle_row() {
     let mut all = All::default();
     let mut run = Run::new(control, 0.01, &mut all);
     drive(&mut robot, &mut run);
-    let channels: Vec<usize> = all.0.iter().take(6).map(|row| row.0).collect();
-    assert_eq!(channels, [TRUTH, SERVO, TICK, TRUTH, SERVO, TICK]);
+    let channels: Vec<usize> = all.0.iter().take(8).map(|row| row.0).collect();
+    assert_eq!(channels, [TRUTH, SERVO, TICK, TIMING, TRUTH, SERVO, TICK, TIMING]);
 }

@@ -2,7 +2,7 @@
 
 use crate::common::{self, parsed};
 use opspace_backend::quantity::Positive;
-use opspace_backend::{Capabilities, CommandKind, Sink, TICK};
+use opspace_backend::{Capabilities, CommandKind, Sink, TIMING};
 use opspace_control::{
     Compensation, ControlContext, JointGains, JointPostureParameters, LimitParameters,
     OperationalSpaceController, TaskParameters, TaskSet,
@@ -46,15 +46,16 @@ fn control_loop(arm: usize) -> ControlLoop {
     ControlLoop::new(LoopConfig::new(model, capabilities, Box::new(controller))).expect("parts that fit")
 }
 
-/// Sink that keeps the rows of an arm as bits, without their first value, the wall time of a step.
+/// Sink that keeps the rows of an arm as bits, without the wall-clock times of the steps.
 #[derive(Default)]
 struct Rows(Vec<u64>);
 
 impl Sink for Rows {
     fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
-        let values = if channel == TICK { &row[1..] } else { row };
-        self.0.push(time_s.to_bits());
-        self.0.extend(values.iter().map(|value| value.to_bits()));
+        if channel != TIMING {
+            self.0.push(time_s.to_bits());
+            self.0.extend(row.iter().map(|value| value.to_bits()));
+        }
     }
 }
 

@@ -44,7 +44,7 @@ pub fn header() -> Header {
     Header {
         metadata: vec![("run".to_owned(), facts)],
         attachments: vec![Attachment::new("arm.urdf", "application/xml", "<robot/>")],
-        model: None,
+        ..Header::default()
     }
 }
 
@@ -74,4 +74,20 @@ pub fn is_prefix(part: &ChannelData, whole: &ChannelData) -> bool {
         && bits(&whole.time_s).starts_with(&bits(&part.time_s))
         && bits(&whole.rows).starts_with(&bits(&part.rows))
         && part.rows.len() == part.time_s.len() * part.layout.width()
+}
+
+/// Returns kind and byte offset of each record of a file: eight bytes of magic, then records of one byte of kind, eight
+/// bytes of length, and the body.
+pub fn places(bytes: &[u8]) -> Vec<(u8, usize)> {
+    let (mut places, mut at) = (Vec::new(), 8);
+    while bytes.len() - at > 8 {
+        places.push((bytes[at], at));
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes")) as usize;
+    }
+    places
+}
+
+/// Returns the byte offsets of the attachments of a file.
+pub fn attachments(bytes: &[u8]) -> Vec<usize> {
+    places(bytes).into_iter().filter(|(kind, _)| *kind == 9).map(|(_, at)| at).collect()
 }

@@ -1,7 +1,7 @@
 //! Record of a run on a scripted robot.
 
 use super::{AFTERMATH, Received, Scripted, capabilities, config};
-use opspace_backend::{CommandKind, Layout, Sample, Sink, TICK, TICK_TIME};
+use opspace_backend::{CommandKind, Layout, Sample, Sink, TICK};
 use opspace_control::Controller;
 use opspace_loop::{ControlLoop, Fault, LoopConfig, Phase, Run, RunOutcome, drive};
 use std::ops::Range;
@@ -73,12 +73,9 @@ impl Record {
         &self.received[..end]
     }
 
-    /// Rows as bits, without the wall time.
+    /// Rows as bits.
     pub fn row_bits(&self) -> Vec<Vec<u64>> {
-        let wall_time = self.columns(TICK_TIME);
-        let without =
-            |(column, value): (usize, &f64)| (!wall_time.contains(&column)).then(|| value.to_bits());
-        self.rows.iter().map(|row| row.iter().enumerate().filter_map(without).collect()).collect()
+        self.rows.iter().map(|row| row.iter().map(|value| value.to_bits()).collect()).collect()
     }
 
     /// Calls with their cycles, and the outcome, as text. The debug text of a float is unique.

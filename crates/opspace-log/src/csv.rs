@@ -1,0 +1,58 @@
+//! Rows of a channel as text with comma-separated values.
+
+use crate::recording::ChannelData;
+use std::io::{self, Write};
+
+/// Writes the rows of a channel. The first line has the names of the columns: `time_s`, then a column for each element of
+/// each signal with its unit at the end, as in keys of files: `torque_desired.elbow_nm`. Numbers are those of the log to
+/// the last bit; NaN, of a signal that does not apply, is an empty field.
+///
+/// # Errors
+/// If the sink fails.
+pub fn write_csv(channel: &ChannelData, sink: &mut dyn Write) -> io::Result<()> {
+    writeln!(sink, "{}", columns(channel).join(","))?;
+    let mut line = String::new();
+    for (k, time_s) in channel.time_s.iter().enumerate() {
+        line.clear();
+        line += &format!("{time_s:?}");
+        for value in channel.row(k) {
+            line.push(',');
+            if !value.is_nan() {
+                line += &format!("{value:?}");
+            }
+        }
+        writeln!(sink, "{line}")?;
+    }
+    Ok(())
+}
+
+/// Names of the columns of [`write_csv`].
+fn columns(channel: &ChannelData) -> Vec<String> {
+    let mut columns = vec!["time_s".to_owned()];
+    for signal in &channel.layout.signals {
+        for (element, unit) in signal.elements.iter().zip(&signal.units) {
+            let name = match signal.elements.as_slice() {
+                [only] if only == "value" || only.contains(' ') => signal.name.clone(),
+                _ => format!("{}.{element}", signal.name),
+            };
+            columns.push(quoted(&(name + &suffix(unit))));
+        }
+    }
+    columns
+}
+
+/// Unit at the end of a name: `_rad_per_s` for rad/s.
+fn suffix(unit: &str) -> String {
+    if unit == "1" {
+        return String::new();
+    }
+    let plain = unit.to_lowercase().replace('²', "2").replace('/', "_per_");
+    format!("_{}", plain.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_"))
+}
+
+fn quoted(name: &str) -> String {
+    if name.contains([',', '"', '\n', '\r']) {
+        return format!("\"{}\"", name.replace('"', "\"\""));
+    }
+    name.to_owned()
+}

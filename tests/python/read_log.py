@@ -1,0 +1,86 @@
+"""Reads every message of a log with the Python packages `mcap`, `mcap-protobuf-support` and `mcap-ros2-support`.
+
+usage: read_log.py LOG [LAYOUT ...]
+
+Prints each topic with its type and number of messages. Fails if a message cannot be decoded, if a number of a row is NaN,
+or if a topic or field that a layout of Foxglove (.json) or PlotJuggler (.xml) names is not in the log.
+"""
+
+import json
+import math
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+
+from google.protobuf.message import Message
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as Protobuf
+from mcap_ros2.decoder import DecoderFactory as Ros2
+
+
+def flat(value, prefix, out):
+    """Adds each number and text of a message to `out`: path and value."""
+    if isinstance(value, Message):
+        for field, inner in value.ListFields():
+            flat(inner, f"{prefix}.{field.name}", out)
+    elif hasattr(value, "__slots__"):
+        for name in value.__slots__:
+            flat(getattr(value, name), f"{prefix}.{name}", out)
+    elif hasattr(value, "__len__") and not isinstance(value, (str, bytes)):
+        for index, inner in enumerate(value):
+            flat(inner, f"{prefix}[{index}]", out)
+    else:
+        out[prefix] = value
+
+
+def foxglove_paths(node):
+    """Topics and paths that a Foxglove layout names."""
+    if isinstance(node, dict):
+        for key, inner in node.items():
+            if key == "topics" and isinstance(inner, dict):
+                yield from inner
+            elif key in ("value", "topicPath", "path") and isinstance(inner, str) and inner.startswith("/"):
+                yield inner
+            else:
+                yield from foxglove_paths(inner)
+    elif isinstance(node, list):
+        for inner in node:
+            yield from foxglove_paths(inner)
+
+
+def layout_paths(file):
+    if file.endswith(".json"):
+        with open(file, encoding="utf-8") as text:
+            return list(foxglove_paths(json.load(text)))
+    curves = ElementTree.parse(file).iter("curve")
+    # PlotJuggler separates fields by slashes.
+    return [curve.get("name") for curve in curves]
+
+
+def main(log, layouts):
+    counts, schemas, paths, absent = Counter(), {}, set(), []
+    with open(log, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[Protobuf(), Ros2()])
+        for schema, channel, _, message in reader.iter_decoded_messages():
+            counts[channel.topic] += 1
+            schemas[channel.topic] = schema.name
+            values = {}
+            flat(message, channel.topic, values)
+            paths.update(values)
+            absent += [path for path, value in values.items() if isinstance(value, float) and math.isnan(value)]
+    for topic, count in sorted(counts.items()):
+        print(f"{topic}  {schemas[topic]}  {count} messages")
+    if absent:
+        sys.exit(f"NaN in {len(absent)} values, first in {absent[0]}")
+    known = set(counts) | paths | {re.sub(r"\[\d+\]", "[:]", path) for path in paths}
+    slashed = {path.replace(".", "/") for path in paths}
+    for layout in layouts:
+        missing = [path for path in layout_paths(layout) if path not in known and path not in slashed]
+        if missing:
+            sys.exit(f"{layout}: not in the log: {', '.join(missing)}")
+        print(f"{layout}: {len(layout_paths(layout))} topics and fields are in the log")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])
