@@ -11,8 +11,8 @@
 //! | `/scene/forces` | `foxglove.SceneUpdate`: arrows | 50 Hz |
 //! | `/scene/paths` | `foxglove.SceneUpdate`: references of the last two seconds | 10 Hz |
 //!
-//! A message that is written once has a topic of its own, so that a viewer that seeks still finds it as the last message of its
-//! topic. A quantity that does not apply has no message.
+//! A message that is written once has a topic of its own, so that a viewer that seeks still finds it as the last message
+//! of its topic. A quantity that does not apply has no message.
 
 use crate::error::LogError;
 use crate::foxglove::{
