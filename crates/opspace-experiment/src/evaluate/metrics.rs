@@ -86,9 +86,8 @@ impl Metrics {
     }
 }
 
-/// Computes the statistics of the control cycles' durations from a log.
-#[must_use]
-pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
+/// Durations of the control cycles of a log, in ascending order, ns.
+pub(crate) fn cycle_times_ns(recording: &Recording) -> Vec<f64> {
     let mut ticks: Vec<f64> = Vec::new();
     if let (Some(tick), Some(timing)) = (recording.channel(TICK_CHANNEL), recording.channel(TIMING_CHANNEL))
         && let (Some(phase), Some(time)) = (tick.signal(PHASE), timing.signal(TICK_TIME))
@@ -102,6 +101,13 @@ pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
         }
     }
     ticks.sort_by(f64::total_cmp);
+    ticks
+}
+
+/// Computes the statistics of the control cycles' durations from a log.
+#[must_use]
+pub fn timing(recording: &Recording, realtime_factor: Option<f64>) -> Timing {
+    let ticks = cycle_times_ns(recording);
     let quantile = |share: f64| {
         let index = (share * ticks.len().saturating_sub(1) as f64).round() as usize;
         ticks.get(index).copied().unwrap_or(f64::NAN)

@@ -1,14 +1,14 @@
 //! Figures of one run: torques, their errors, the tasks, setpoints and computing times. All are computed from the log.
 
+use crate::evaluate::metrics::cycle_times_ns;
 use crate::evaluate::metrics::run_log::Run;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::task_figures::task_figures;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
-    DQ, DQ_DESIRED, MOTOR_TORQUE, PHASE, Q, Q_DESIRED, SERVO_CHANNEL, TICK_TIME, TORQUE_DESIRED,
+    DQ, DQ_DESIRED, MOTOR_TORQUE, Q, Q_DESIRED, SERVO_CHANNEL, TORQUE_DESIRED,
 };
 use opspace_log::{ChannelData, Column, Recording};
-use opspace_loop::Phase;
 use realfft::RealFftPlanner;
 use std::f64::consts::TAU;
 
@@ -181,11 +181,11 @@ fn spectrum(
 /// Histogram of the durations of the control cycles.
 fn computing_times(run: &Run<'_>) -> Option<Figure> {
     const BINS: usize = 60;
-    let (phase, time) = (run.tick.signal(PHASE)?, run.tick.signal(TICK_TIME)?);
-    let controlled = phase.rows().zip(time.rows()).filter(|(phase, _)| phase[0] == Phase::Control.code());
-    let mut times_us: Vec<f64> =
-        controlled.map(|(_, time)| 1e-3 * time[0]).filter(|t| t.is_finite() && *t > 0.0).collect();
-    times_us.sort_by(f64::total_cmp);
+    let times_us: Vec<f64> = cycle_times_ns(run.recording)
+        .into_iter()
+        .map(|time| 1e-3 * time)
+        .filter(|time| *time > 0.0)
+        .collect();
     let (least, largest) = (*times_us.first()?, *times_us.last()?);
     // Bins of equal ratio: a few cycles take a hundred times longer than the others.
     let ratio = (largest / least).max(1.1).powf(1.0 / BINS as f64);
