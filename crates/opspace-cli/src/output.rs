@@ -36,6 +36,8 @@ pub enum Format {
     JsonLines,
     Html,
     Csv,
+    /// Rows of a channel of a log.
+    LogCsv,
 }
 
 impl Format {
@@ -44,7 +46,8 @@ impl Format {
             Self::Json => "a JSON file",
             Self::JsonLines => "a file of JSON lines",
             Self::Html => "a web page",
-            Self::Csv => "a CSV file of opspace",
+            Self::Csv => "a CSV file of results",
+            Self::LogCsv => "a CSV file of a log",
         }
     }
 
@@ -57,7 +60,8 @@ impl Format {
                 Self::Json => is_json(&text),
                 Self::JsonLines => text.lines().all(|line| line.trim().is_empty() || is_json(line)),
                 Self::Html => text.trim_start().to_ascii_lowercase().starts_with("<!doctype html"),
-                Self::Csv => text.starts_with("time_s") || text.starts_with("task,robot,"),
+                Self::Csv => text.starts_with("task,robot,"),
+                Self::LogCsv => text.starts_with("time_s"),
             }
     }
 }

@@ -5,5 +5,6 @@ pub mod document;
 pub mod figure;
 pub mod html;
 mod run_figures;
+mod run_section;
 mod task_figures;
 pub mod what_if;

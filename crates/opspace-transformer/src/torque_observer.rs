@@ -90,15 +90,15 @@ impl TorqueObserver {
     /// Computes the accelerations under a torque in the present state.
     fn accelerations(&self, data: &Data, torque: &DVector<f64>, ddq: &mut DVector<f64>) {
         for i in 0..torque.len() {
-            let carried = self.carried(data, i);
-            ddq[i] = torque[i] + carried - data.bias[i] - self.friction.torque(i, self.dq[i]);
+            let held = self.gravity_of_robot(data, i);
+            ddq[i] = torque[i] + held - data.bias[i] - self.friction.torque(i, self.dq[i]);
         }
         data.mass_matrix_factor.solve(ddq.as_mut_slice());
         *ddq += &self.disturbance;
     }
 
     /// Gravity torque of a joint that the robot itself compensates, Nm or N.
-    fn carried(&self, data: &Data, joint: usize) -> f64 {
+    fn gravity_of_robot(&self, data: &Data, joint: usize) -> f64 {
         match self.gravity_compensated_by {
             GravityCompensation::Robot => data.gravity[joint],
             GravityCompensation::Controller => 0.0,
@@ -138,7 +138,7 @@ impl Transformer for TorqueObserver {
         if !self.begun {
             // The robot held itself.
             for i in 0..torque.len() {
-                self.torque[i] = data.gravity[i] - self.carried(data, i);
+                self.torque[i] = data.gravity[i] - self.gravity_of_robot(data, i);
             }
         }
         self.accelerations(data, &self.torque, &mut ddq);

@@ -256,11 +256,12 @@ fn export(args: &LogExportArgs, console: Console) -> Outcome {
     let out = (args.out != Path::new("-")).then_some(args.out.as_path());
     check_outputs(&[log_path(&args.log)], &Vec::from_iter(out.map(Path::to_owned)))?;
     if let Some(out) = out.filter(|out| out.is_file()) {
-        let reason = match (args.force, Format::Csv.is_that_of(out)) {
+        let reason = match (args.force, Format::LogCsv.is_that_of(out)) {
             (true, true) => None,
-            (true, false) => {
-                Some(format!("exists and is not {}; choose another file for the output", Format::Csv.name()))
-            }
+            (true, false) => Some(format!(
+                "exists and is not {}; choose another file for the output",
+                Format::LogCsv.name()
+            )),
             (false, _) => Some("already exists; use --force to replace it".to_owned()),
         };
         if let Some(reason) = reason {

@@ -32,7 +32,7 @@ const OF_TORQUE_ERRORS: &str = "Torque error: rms of motor torque minus desired 
                                 period after each control cycle ('tick'), which does not show the torque between setpoints.";
 
 /// Note under tables of runs that differ in the seed.
-const OF_SEEDS: &str = "Rows are medians over the seeds; the row below has the interval that contains the median of all seeds with a \
+const OF_SEEDS: &str = "Rows are medians over the seeds; the rows below have the interval that contains the median of all seeds with a \
                         probability of 95 % (order statistics), with fewer than six runs the lowest and the highest value.";
 
 /// Notes under a table of results.
@@ -142,7 +142,7 @@ fn same(a: &Summary, b: &Summary) -> bool {
         && a.label == b.label
 }
 
-/// The table of results: one row per group with medians, below it one with their intervals, the name of each task on a
+/// The table of results: one row per group with medians, below it the ends of their intervals, the name of each task on a
 /// line above its rows, and one column per measure.
 #[must_use]
 pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
@@ -167,9 +167,11 @@ pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
         row.push(stopped(&group));
         table.push(row);
         if runs > 1 {
-            let mut row: Vec<Cell> = vec!["    interval".into(), "".into(), "".into()];
-            row.extend(measures.iter().map(|measure| measure.interval(&group)));
-            table.push(row);
+            for (name, end) in [("    from", Spread::low as fn(&Spread) -> f64), ("    to", Spread::high)] {
+                let mut row: Vec<Cell> = vec![name.into(), "".into(), "".into()];
+                row.extend(measures.iter().map(|measure| measure.end(&group, end)));
+                table.push(row);
+            }
         }
     }
     drop_empty_columns(&mut table);
@@ -385,13 +387,12 @@ impl Measure {
         Cell::from(group.spread(value).map(|spread| factor * spread.median))
     }
 
-    /// Interval of that median; blank where it has no width.
-    fn interval(self, group: &Group<'_>) -> Cell {
+    /// End of the interval of that median; blank where the interval has no width, and for computing times.
+    fn end(self, group: &Group<'_>, end: fn(&Spread) -> f64) -> Cell {
         let Row(.., factor, value) = self.row();
-        match group.spread(value).map(|spread| spread.scaled(factor)) {
-            Some(spread) if spread.high > spread.low => Cell::Interval(spread.low, spread.high),
-            _ => "".into(),
-        }
+        let is_reproducible = !matches!(self, Self::TickTime | Self::RealTime);
+        let spread = group.spread(value).filter(|spread| is_reproducible && spread.high > spread.low);
+        spread.map_or("".into(), |spread| (factor * end(&spread)).into())
     }
 }
 
@@ -569,9 +570,10 @@ mod tests {
         let runs = [summary("a", "p", 1, 0.001), summary("a", "p", 2, 0.003), summary("b", "q", 1, 0.005)];
         let texts = table(&runs, MEASURES).texts();
         let firsts: Vec<&str> = texts.iter().map(|row| row[0].as_str()).collect();
-        assert_eq!(firsts, ["a", "  position osc", "    interval", "b", "  position osc"]);
+        assert_eq!(firsts, ["a", "  position osc", "    from", "    to", "b", "  position osc"]);
         assert_eq!(texts[1][1..4], ["p 1:5", "2", "2.000"]);
-        assert_eq!(texts[2][1..4], ["", "", "1.000 to 3.000"]);
-        assert_eq!(texts[4][1..4], ["q 1:5", "1", "5.000"]);
+        assert_eq!(texts[2][1..4], ["", "", "1.000"]);
+        assert_eq!(texts[3][1..4], ["", "", "3.000"]);
+        assert_eq!(texts[5][1..4], ["q 1:5", "1", "5.000"]);
     }
 }

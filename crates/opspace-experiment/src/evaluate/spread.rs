@@ -40,10 +40,14 @@ impl Spread {
         Some(Self { median, low: sorted[outside], high: sorted[runs - 1 - outside], runs })
     }
 
-    /// Returns the spread with all numbers scaled by a positive factor.
-    #[must_use]
-    pub fn scaled(self, factor: f64) -> Self {
-        Self { median: factor * self.median, low: factor * self.low, high: factor * self.high, ..self }
+    /// Lower end of the interval.
+    pub(crate) fn low(&self) -> f64 {
+        self.low
+    }
+
+    /// Upper end of the interval.
+    pub(crate) fn high(&self) -> f64 {
+        self.high
     }
 }
 

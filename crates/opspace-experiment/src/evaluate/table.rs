@@ -25,8 +25,6 @@ pub enum Cell {
     Text(String),
     /// A measured or computed value.
     Number(f64),
-    /// An interval of the quantity above it.
-    Interval(f64, f64),
     /// An integer, shown in full: a seed or a count.
     Count(u64),
     /// A criterion that is met, with a short text.
@@ -54,9 +52,6 @@ impl Table {
         let text = |(place, cell): (usize, &Cell)| match (cell, decimals[place]) {
             (Cell::Number(number), Some(decimals)) if number.is_finite() => {
                 format!("{:.decimals$}", number + 0.0)
-            }
-            (Cell::Interval(low, high), Some(decimals)) => {
-                format!("{:.decimals$} to {:.decimals$}", low + 0.0, high + 0.0)
             }
             _ => cell.text(),
         };
@@ -99,7 +94,6 @@ impl Cell {
         match self {
             Self::Text(text) | Self::Pass(text) | Self::Fail(text) => text.clone(),
             Self::Number(number) => format_number(*number),
-            Self::Interval(low, high) => format!("{} to {}", format_number(*low), format_number(*high)),
             Self::Count(count) => count.to_string(),
             Self::Empty => "–".to_owned(),
         }
@@ -109,7 +103,7 @@ impl Cell {
     #[must_use]
     pub fn is_numeric(&self) -> bool {
         match self {
-            Self::Number(_) | Self::Interval(..) | Self::Count(_) | Self::Empty => true,
+            Self::Number(_) | Self::Count(_) | Self::Empty => true,
             Self::Text(text) => text.is_empty(),
             Self::Pass(_) | Self::Fail(_) => false,
         }

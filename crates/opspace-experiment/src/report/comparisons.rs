@@ -2,8 +2,8 @@
 
 use crate::evaluate::results::{Group, control, group};
 use crate::evaluate::spread::Spread;
-use crate::report::document::RunSection;
 use crate::report::figure::{Comparison, ComparisonRow, Figure, Panel, Scale, Series, Style};
+use crate::report::run_section::RunSection;
 use crate::run::summary::Summary;
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,0 +1,67 @@
+//! Section of a page about one run.
+
+use crate::report::figure::Figure;
+use crate::report::run_figures::figures;
+use crate::run::experiment::Experiment;
+use crate::run::log_header;
+use crate::run::summary::Summary;
+use opspace_log::Recording;
+
+/// Section of a page about one run, with all its figures.
+#[derive(Clone, Debug)]
+pub struct RunSection {
+    /// Title of the run, in one line.
+    pub title: String,
+    /// Summary of the run.
+    pub summary: Summary,
+    /// Figures of the run.
+    pub figures: Vec<Figure>,
+    /// Warnings about the log: damage, lost rows.
+    pub warnings: Vec<String>,
+    /// Origin of the run: files, seed, versions.
+    pub facts: Vec<(String, String)>,
+}
+
+impl RunSection {
+    /// Creates the section of a run from its log.
+    #[must_use]
+    pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
+        let mut warnings = Vec::new();
+        if let Some(damage) = &recording.damage {
+            let shown = if damage.rows_lost { "; only the readable part is shown" } else { "" };
+            warnings.push(format!("The log is damaged{shown}: {damage}."));
+        }
+        if recording.dropped() > 0 {
+            warnings.push(format!("{} rows were dropped and are not in the log.", recording.dropped()));
+        }
+        warnings.extend(summary.failures.iter().map(|failure| format!("Failure: {failure}.")));
+        warnings.extend(
+            summary.missed_expectations.iter().map(|missed| format!("Expectation missed: {missed}.")),
+        );
+        if let Some(fault) = &summary.faulted {
+            let time = summary.fault_time_s.unwrap_or(f64::NAN);
+            warnings.push(format!("The run was stopped at {time:.3} s: {fault}."));
+        }
+        // Entries for a replay; a robot without a transformer has none to be shown.
+        let has_transformer = summary.transformer.is_some();
+        let is_shown =
+            |key: &str| key != log_header::ASKED_FOR && (has_transformer || !key.starts_with("transformer"));
+        let metadata = recording.metadata(log_header::RUN).into_iter().flatten();
+        let facts = metadata.filter(|(key, value)| is_shown(key) && !value.is_empty());
+        Self {
+            title: title(&summary),
+            figures: figures(experiment, recording),
+            summary,
+            warnings,
+            facts: facts.map(|(key, value)| (key.clone(), value.clone())).collect(),
+        }
+    }
+}
+
+fn title(summary: &Summary) -> String {
+    let by = summary.transformer.as_ref().map_or_else(String::new, |t| format!(" through '{t}'"));
+    format!(
+        "{}: {} robot, {}{by}, {} 1:{}, seed {}",
+        summary.task, summary.backend, summary.controller, summary.profile, summary.ratio, summary.seed
+    )
+}
