@@ -4,6 +4,7 @@ mod comparisons;
 pub mod document;
 pub mod figure;
 pub mod html;
+mod lines;
 mod run_figures;
 mod run_section;
 mod task_figures;

@@ -3,21 +3,15 @@
 use crate::evaluate::metrics::cycle_times_ns;
 use crate::evaluate::metrics::run_log::Run;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
+use crate::report::lines::{COLUMNS, draw_limits, element, joint_figure, label_of, time_panel};
 use crate::report::task_figures::task_figures;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     DQ, DQ_DESIRED, MOTOR_TORQUE, Q, Q_DESIRED, SERVO_CHANNEL, TORQUE_DESIRED,
 };
-use opspace_log::{ChannelData, Column, Recording};
+use opspace_log::Recording;
 use realfft::RealFftPlanner;
 use std::f64::consts::TAU;
-
-/// Number of parts of the time axis in which a line keeps its first, lowest, highest and last sample: more than a screen
-/// shows.
-const COLUMNS: usize = 1500;
-
-/// Fraction of the largest value shown, beside which a limit is drawn.
-const NEAR_LIMIT: f64 = 0.4;
 
 /// Creates the figures of a run: torques by joint, then the signals of its tasks and sensors.
 #[must_use]
@@ -74,40 +68,6 @@ fn setpoint_figure(run: &Run<'_>) -> Option<Figure> {
     let positions = run.tick.signal(Q_DESIRED)?;
     let caption = "Position setpoints (commands of the position servos), and measured positions.";
     joint_figure(run, "Setpoints", caption, "position", (run.tick, Q, "measured"), &positions)
-}
-
-/// Figure of a quantity of each joint, with the desired one of the control cycles and the position limits that it comes
-/// near.
-pub(super) fn joint_figure(
-    run: &Run<'_>,
-    title: &str,
-    caption: &str,
-    quantity: &str,
-    (channel, name, label): (&ChannelData, &str, &str),
-    desired: &Column<'_>,
-) -> Option<Figure> {
-    let actual = channel.signal(name)?;
-    let joints = run.experiment.robot().model.joints();
-    let panel = |(j, joint): (usize, &String)| {
-        let place = desired.elements().iter().position(|name| name == joint);
-        let series = [
-            element(run, label, &channel.time_s, &actual, j, Style::Solid),
-            place.and_then(|place| element(run, "desired", &run.tick.time_s, desired, place, Style::Desired)),
-        ];
-        let mut panel =
-            time_panel(joint, &label_of(quantity, &actual, j), series.into_iter().flatten().collect());
-        if let Some(joint) = joints.iter().find(|known| known.name == *joint).filter(|_| name == Q) {
-            draw_limits(&mut panel, joint.limits.lower..joint.limits.upper);
-        }
-        panel
-    };
-    Some(Figure {
-        title: title.to_owned(),
-        caption: caption.to_owned(),
-        panels: actual.elements().iter().enumerate().map(panel).collect(),
-        overlays: true,
-        ..Figure::default()
-    })
 }
 
 /// Figure of the spectrum of the torque error of each joint, at servo rate, after settling: where motor torque and desired
@@ -218,68 +178,6 @@ fn computing_times(run: &Run<'_>) -> Option<Figure> {
         panels: vec![panel],
         ..Figure::default()
     })
-}
-
-/// Panel over time.
-pub(super) fn time_panel(title: &str, y_label: &str, series: Vec<Series>) -> Panel {
-    Panel {
-        title: title.to_owned(),
-        x_label: "time (s)".to_owned(),
-        y_label: y_label.to_owned(),
-        series,
-        ..Panel::default()
-    }
-}
-
-/// Axis label: the quantity, and the unit of one element of a signal.
-pub(super) fn label_of(quantity: &str, column: &Column<'_>, element: usize) -> String {
-    format!("{quantity} ({})", column.units()[element].replace("Nm", "N·m"))
-}
-
-/// Line of a quantity at times on the robot's clock, from the start of control on. `None` if no value is finite.
-pub(super) fn line(
-    run: &Run<'_>,
-    label: &str,
-    samples: impl Iterator<Item = (f64, f64)>,
-    style: Style,
-) -> Option<Series> {
-    let (mut x, mut y) = (Vec::new(), Vec::new());
-    for (time_s, value) in samples.filter(|(time_s, _)| *time_s >= run.start_s - run.same_s) {
-        x.push(time_s - run.start_s);
-        y.push(value);
-    }
-    y.iter().any(|v| v.is_finite()).then(|| Series::new(label, x, y).style(style).thinned(COLUMNS))
-}
-
-/// Line of one element of a signal.
-pub(super) fn element(
-    run: &Run<'_>,
-    label: &str,
-    time_s: &[f64],
-    column: &Column<'_>,
-    element: usize,
-    style: Style,
-) -> Option<Series> {
-    line(run, label, time_s.iter().copied().zip(column.rows().map(|row| row[element])), style)
-}
-
-/// Draws the limits that the lines of a panel come near.
-fn draw_limits(panel: &mut Panel, limits: std::ops::Range<f64>) {
-    let values = || panel.series.iter().flat_map(|series| series.y.iter().copied()).filter(|v| v.is_finite());
-    let times = || panel.series.iter().flat_map(|series| series.x.iter().copied());
-    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
-    let (begin, end) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
-    let span = limits.end - limits.start;
-    let mut near = Vec::new();
-    if limits.end.is_finite() && span.is_finite() && high > limits.end - NEAR_LIMIT * 0.5 * span {
-        near.push(limits.end);
-    }
-    if limits.start.is_finite() && span.is_finite() && low < limits.start + NEAR_LIMIT * 0.5 * span {
-        near.push(limits.start);
-    }
-    for limit in near {
-        panel.series.push(Series::new("limit", vec![begin, end], vec![limit; 2]).style(Style::Thin));
-    }
 }
 
 #[cfg(test)]

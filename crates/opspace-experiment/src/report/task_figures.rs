@@ -3,7 +3,7 @@
 use crate::evaluate::metrics::run_log::{Run, masked_norm};
 use crate::evaluate::metrics::tasks::{orientation, total};
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::report::run_figures::{element, joint_figure, line, time_panel};
+use crate::report::lines::{element, joint_figure, line, time_panel};
 use nalgebra::{Matrix3, Vector3};
 use opspace_backend::signal_names::{self, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH};
 use opspace_control::orientation::log;
