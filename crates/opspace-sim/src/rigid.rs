@@ -5,9 +5,7 @@ use crate::external::ExternalForce;
 use crate::integrator::Midpoint;
 use crate::plant::{Plant, PlantArm, PlantConfig, PlantCoupling, PlantFrame};
 use nalgebra::{DVector, Matrix6xX, Vector3};
-use opspace_model::{
-    Data, Force, FrameId, Model, frame_jacobian, frame_placement, frame_velocity, kinematics,
-};
+use opspace_model::{Force, FrameId, Model, frame_jacobian, frame_placement, frame_velocity};
 use std::ops::Range;
 
 /// Plant of any number of arms. Joint torques and contact forces are constant over a step, the latter those in its middle;
@@ -22,10 +20,6 @@ pub struct RigidPlant {
 /// Arm, and the forces on it.
 struct RigidArm {
     model: Model,
-    /// Kinematics of the state, if `is_placed`.
-    data: Data,
-    /// True if `data` belongs to the present state.
-    is_placed: bool,
     integrator: Midpoint,
     joints: Range<usize>,
     torque: DVector<f64>,
@@ -75,28 +69,17 @@ fn add_torques(jacobian: &Matrix6xX<f64>, first_row: usize, force: &Vector3<f64>
 impl RigidArm {
     fn new(arm: PlantArm, first_joint: usize) -> Self {
         let n = arm.model.n();
-        let mut data = Data::new(&arm.model);
-        kinematics(&arm.model, &mut data, &arm.q, &vec![0.0; n]);
         let mut integrator = Midpoint::new(&arm.model);
         integrator.predict(&arm.model, &arm.q, &vec![0.0; n], 0.0);
         let (frames, objects): (Vec<FrameId>, Vec<EnvironmentObject>) = arm.contacts.into_iter().unzip();
         Self {
             integrator,
-            data,
-            is_placed: true,
             joints: first_joint..first_joint + n,
             torque: DVector::zeros(n),
             objects,
             contacts: frames.into_iter().map(|frame| PointForce::new(frame, n)).collect(),
             external: External { set: None, jacobian: Matrix6xX::zeros(n), wrench: Force::zero() },
             model: arm.model,
-        }
-    }
-
-    fn place(&mut self, q: &[f64], dq: &[f64]) {
-        if !self.is_placed {
-            kinematics(&self.model, &mut self.data, &q[self.joints.clone()], &dq[self.joints.clone()]);
-            self.is_placed = true;
         }
     }
 
@@ -134,14 +117,15 @@ impl RigidArm {
         }
     }
 
+    /// Wrench of the contacts on the body of a frame during the last step, where the arm was in its middle.
     fn contact_wrench(&self, frame: FrameId) -> Force {
-        let model = &self.model;
-        let sensor = frame_placement(model, &self.data, frame);
+        let (model, middle) = (&self.model, self.integrator.middle());
+        let sensor = frame_placement(model, middle, frame);
         let body = model.frame(frame).body;
         let mut wrench = Force::zero();
         let mut add = |frame: FrameId, force: &Vector3<f64>, moment: Option<&Vector3<f64>>| {
             if model.frame(frame).body == body {
-                let at = frame_placement(model, &self.data, frame).translation;
+                let at = frame_placement(model, middle, frame).translation;
                 wrench.linear += force;
                 wrench.angular += (at - sensor.translation).cross(force);
                 if let Some(moment) = moment {
@@ -232,14 +216,11 @@ impl Plant for RigidPlant {
             let q = &mut self.q.as_mut_slice()[arm.joints.clone()];
             let dq = &mut self.dq.as_mut_slice()[arm.joints.clone()];
             arm.integrator.advance(&arm.model, q, dq, arm.torque.as_slice(), dt_s);
-            arm.is_placed = false;
         }
     }
 
     fn contact_wrench(&mut self, frame: PlantFrame) -> Force {
-        let arm = &mut self.arms[frame.arm];
-        arm.place(self.q.as_slice(), self.dq.as_slice());
-        arm.contact_wrench(frame.frame)
+        self.arms[frame.arm].contact_wrench(frame.frame)
     }
 
     fn contact_force(&self, arm: usize, contact: usize) -> Vector3<f64> {

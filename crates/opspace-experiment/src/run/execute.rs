@@ -175,7 +175,9 @@ impl Experiment {
         let mut arm = self.simulated_arm()?;
         let truth = arm.ground_truth().map(GroundTruth::layouts);
         let (control, channels) = self.prepare(arm.capabilities(), truth)?;
-        let mut log = MemoryRecorder::new(self.header(World::Simulated), channels);
+        // Control, and the rest before it.
+        let duration_s = (self.ticks() + 2) as f64 * self.profile().1.period_s();
+        let mut log = MemoryRecorder::new(self.header(World::Simulated), channels, duration_s);
         let began = Instant::now();
         let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
         drive(&mut arm, &mut run);
