@@ -134,15 +134,17 @@ impl Transformer for TorqueObserver {
 
     /// Predicts the state at the next sample.
     fn sent(&mut self, data: &Data, torque: &[f64]) {
-        let mut ddq = std::mem::take(&mut self.before);
         if !self.begun {
             // The robot held itself.
             for i in 0..torque.len() {
                 self.torque[i] = data.gravity[i] - self.gravity_of_robot(data, i);
             }
         }
-        self.accelerations(data, &self.torque, &mut ddq);
-        self.before = ddq;
+        if self.delay_s > 0.0 {
+            let mut ddq = std::mem::take(&mut self.before);
+            self.accelerations(data, &self.torque, &mut ddq);
+            self.before = ddq;
+        }
         self.torque.copy_from_slice(torque);
         let mut ddq = std::mem::take(&mut self.after);
         self.accelerations(data, &self.torque, &mut ddq);

@@ -10,7 +10,8 @@ use opspace_transformer::{
 use std::f64::consts::TAU;
 
 const PERIOD_S: f64 = 1e-3;
-const DELAY_S: f64 = 2e-4;
+/// Delays until a torque acts, s.
+const DELAYS_S: [f64; 2] = [0.0, 2e-4];
 const RESOLUTION_RAD: f64 = 4e-6;
 
 /// Simulation steps per interface cycle.
@@ -33,12 +34,12 @@ fn double_pendulum() -> Model {
     model
 }
 
-fn observer(model: &Model) -> TorqueObserver {
+fn observer(model: &Model, delay_s: f64) -> TorqueObserver {
     TorqueObserver::new(&TorqueObserverSetup {
         friction: FrictionCompensation::none(model.n()),
         resolution_rad: vec![RESOLUTION_RAD; model.n()],
         period_s: PERIOD_S,
-        delay_s: DELAY_S,
+        delay_s,
         gravity_compensated_by: GravityCompensation::Controller,
     })
 }
@@ -51,9 +52,14 @@ fn torque(cycle: u32) -> [f64; 2] {
 
 /// Error of the observed and of the filtered velocity, rms over the cycles from `settled` on, rad/s. `load` is a torque on
 /// the first joint that the observer does not know, over cycles.
-fn errors(load: impl Fn(u32) -> f64, settled: u32, is_lost: impl Fn(u32) -> bool) -> (f64, f64) {
+fn errors(
+    delay_s: f64,
+    load: impl Fn(u32) -> f64,
+    settled: u32,
+    is_lost: impl Fn(u32) -> bool,
+) -> (f64, f64) {
     let model = double_pendulum();
-    let mut observer = observer(&model);
+    let mut observer = observer(&model, delay_s);
     let mut filter = VelocityEstimator::new(2, &EstimatorParameters::default(), PERIOD_S);
     let (mut truth, mut data) = (Data::new(&model), Data::new(&model));
     let (mut q, mut dq, mut acting) = ([0.0; 2], [0.0; 2], [0.0; 2]);
@@ -85,7 +91,7 @@ fn errors(load: impl Fn(u32) -> f64, settled: u32, is_lost: impl Fn(u32) -> bool
         }
         let dt = PERIOD_S / f64::from(STEPS);
         for step in 0..STEPS {
-            if f64::from(step) * dt >= DELAY_S {
+            if f64::from(step) * dt >= delay_s {
                 acting = commanded;
             }
             kinematics(&model, &mut truth, &q, &dq);
@@ -102,8 +108,10 @@ fn errors(load: impl Fn(u32) -> f64, settled: u32, is_lost: impl Fn(u32) -> bool
 /// Compared: errors of the observed and of the filtered velocity, where the observer knows all torques.
 #[test]
 fn observer_follows_known_torques() {
-    let (observed, filtered) = errors(|_| 0.0, 200, |_| false);
-    assert!(observed < 0.1 * filtered, "{observed} rad/s, filter {filtered} rad/s");
+    for delay_s in DELAYS_S {
+        let (observed, filtered) = errors(delay_s, |_| 0.0, 200, |_| false);
+        assert!(observed < 0.1 * filtered, "{delay_s} s: {observed} rad/s, filter {filtered} rad/s");
+    }
 }
 
 /// Compared: errors of the observed and of the filtered velocity under a load that the observer does not know: 3 Nm that
@@ -111,7 +119,7 @@ fn observer_follows_known_torques() {
 #[test]
 fn observer_follows_an_unknown_load() {
     let load = |cycle: u32| if (cycle / 250).is_multiple_of(2) { 3.0 } else { -3.0 };
-    let (observed, filtered) = errors(load, 200, |_| false);
+    let (observed, filtered) = errors(DELAYS_S[1], load, 200, |_| false);
     assert!(observed < filtered, "{observed} rad/s, filter {filtered} rad/s");
 }
 
@@ -119,7 +127,7 @@ fn observer_follows_an_unknown_load() {
 #[test]
 fn observer_predicts_over_missed_cycles() {
     let is_lost = |cycle: u32| cycle % 7 == 3 || (1000..1010).contains(&cycle);
-    let (observed, filtered) = errors(|_| 0.0, 200, is_lost);
+    let (observed, filtered) = errors(DELAYS_S[1], |_| 0.0, 200, is_lost);
     assert!(observed < 0.1 * filtered, "{observed} rad/s, filter {filtered} rad/s");
 }
 
@@ -127,7 +135,7 @@ fn observer_predicts_over_missed_cycles() {
 #[test]
 fn observer_begins_with_a_command() {
     let model = double_pendulum();
-    let mut observer = observer(&model);
+    let mut observer = observer(&model, DELAYS_S[1]);
     let mut data = Data::new(&model);
     assert!(update(&model, &mut data, &[0.0; 2], &[0.0; 2]));
     let capabilities = Capabilities::new(["first", "second"], CommandKind::Torque, PERIOD_S);
