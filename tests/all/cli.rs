@@ -810,3 +810,23 @@ fn run_uses_robot_kind_of_robot_toml() {
         assert_eq!(ran.json()["simulated"], true);
     }
 }
+
+/// Compared: the start that `run` and `check` print, and the start of the task file; the hand is where the log begins.
+#[test]
+fn start_is_printed_before_a_run() {
+    let folder = scratch();
+    let task = project("tasks/press-wall.toml");
+    let ran = opspace(folder.path(), &["run", &task, "--duration-s", "2.1", "--out", "out"]).exits(0);
+    let start =
+        "starts at shoulder_pitch -0.45 rad, shoulder_roll -0.35 rad, shoulder_yaw 0.25 rad, elbow -1.35 rad";
+    let line =
+        ran.stderr.lines().find(|line| line.contains(start)).unwrap_or_else(|| panic!("{}", ran.stderr));
+    let at = line.split_once("'hand' is at (").unwrap().1.split_once(") m").unwrap().0;
+    let printed: Vec<f64> = at.split(", ").map(|value| value.parse().unwrap()).collect();
+    let recording = opspace_log::Recording::read(folder.path().join("out/run.mcap")).unwrap();
+    let reference = recording.channel("tick").unwrap().signal("hand.reference").unwrap();
+    let begin = reference.rows().find(|row| row[0].is_finite()).unwrap();
+    // Three digits are printed.
+    assert!(printed.iter().zip(begin).all(|(a, b)| (a - b).abs() < 1e-3), "{printed:?}, {begin:?}");
+    opspace(folder.path(), &["check", &task]).exits(0).says(&[start]);
+}

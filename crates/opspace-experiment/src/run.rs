@@ -11,6 +11,7 @@ mod real_robot;
 pub mod replay;
 pub mod result_files;
 pub mod shard;
+mod start;
 pub mod suite_rows;
 pub mod summary;
 mod transformer;

@@ -32,6 +32,7 @@ pub fn run(args: &RunArgs, extensions: &Extensions, console: Console) -> Outcome
     let results = prepare(&args.output, &default, &files, &experiment.input_paths(), console)?;
     let folder = results.path();
     let progress = interrupt::watch();
+    console.note(&format!("{task} {}", experiment.start_text()?));
     if args.move_to_start {
         let moved = experiment.move_to_start(extensions, &folder.join(MOVE_TO_START), &progress)?;
         if let Some(moved) = moved.filter(|moved| exit_code(moved) != Exit::Done) {

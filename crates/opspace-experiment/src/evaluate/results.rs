@@ -166,11 +166,12 @@ pub fn table(summaries: &[Summary], measures: &[Measure]) -> Table {
         row.extend(measures.iter().map(|measure| measure.median(&group)));
         row.push(stopped(&group));
         table.push(row);
-        if runs > 1 {
-            for (name, end) in [("    from", Spread::low as fn(&Spread) -> f64), ("    to", Spread::high)] {
-                let mut row: Vec<Cell> = vec![name.into(), "".into(), "".into()];
-                row.extend(measures.iter().map(|measure| measure.end(&group, end)));
-                table.push(row);
+        let ends = [("    from", Spread::low as fn(&Spread) -> f64), ("    to", Spread::high)];
+        for (name, end) in ends {
+            let ends: Vec<Cell> = measures.iter().map(|measure| measure.end(&group, end)).collect();
+            // Runs without any random influence have no spread.
+            if ends.iter().any(|cell| *cell != "".into()) {
+                table.push([name.into(), "".into(), "".into()].into_iter().chain(ends).collect());
             }
         }
     }
