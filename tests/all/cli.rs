@@ -824,8 +824,10 @@ fn start_is_printed_before_a_run() {
     let at = line.split_once("'hand' is at (").unwrap().1.split_once(") m").unwrap().0;
     let printed: Vec<f64> = at.split(", ").map(|value| value.parse().unwrap()).collect();
     let recording = opspace_log::Recording::read(folder.path().join("out/run.mcap")).unwrap();
-    let reference = recording.channel("tick").unwrap().signal("hand.reference").unwrap();
-    let begin = reference.rows().find(|row| row[0].is_finite()).unwrap();
+    let tick = recording.channel("tick").unwrap();
+    // The reference begins where the hand is at the first cycle of control.
+    let first = tick.signal("phase").unwrap().rows().position(|phase| phase[0] == 1.0).unwrap();
+    let begin = tick.signal("hand.reference").unwrap().row(first);
     // Three digits are printed.
     assert!(printed.iter().zip(begin).all(|(a, b)| (a - b).abs() < 1e-3), "{printed:?}, {begin:?}");
     opspace(folder.path(), &["check", &task]).exits(0).says(&[start]);
