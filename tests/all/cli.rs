@@ -830,5 +830,5 @@ fn start_is_printed_before_a_run() {
     let begin = tick.signal("hand.reference").unwrap().row(first);
     // Three digits are printed.
     assert!(printed.iter().zip(begin).all(|(a, b)| (a - b).abs() < 1e-3), "{printed:?}, {begin:?}");
-    opspace(folder.path(), &["check", &task]).exits(0).says(&[start]);
+    opspace(folder.path(), &["check", &task, "-v"]).exits(0).says(&[start]);
 }

@@ -133,7 +133,7 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
                 RunOptions { backend: own_backend(path, None, &[], extensions), ..RunOptions::default() };
             let experiment = Experiment::load_with(extensions, Files::Disk, path, None, options, &[])?;
             let what = format!("a task for the robot '{}'", experiment.robot().name());
-            console.note(&format!("{}: {}", path.display(), experiment.start_text()?));
+            console.detail(&format!("{}: {}", path.display(), experiment.start_text()?));
             let margin = gain_margin(&experiment);
             let mut found = find([&experiment], diagnostics);
             let skipped = find([&experiment], not_checked);
