@@ -286,7 +286,8 @@ fn velocity(transformer: &str) -> [&str; 3] {
 }
 
 /// Compared: torque errors of the velocity rows of the paper's suite with `paper` and with `emulation+current`, and
-/// fixed bounds.
+/// fixed bounds. Both have the observer: with the fast servo of `a-med` the inner stage of the paper is as accurate as the
+/// emulation, with the slow servo of `b-soft` it is not.
 #[test]
 #[ignore = "needs results of a suite, OPSPACE_BENCH_JSON: .ci/run acceptance"]
 fn velocity_robots_produce_desired_torques() {
@@ -298,7 +299,11 @@ fn velocity_robots_produce_desired_torques() {
             rows.below(bound, (task, emulation, profile, ""), INTERVAL);
             let error = |control| rows.values(task, control, profile, "", INTERVAL).0;
             let (paper, emulated) = (error(velocity("paper")), error(emulation));
-            assert!(paper > emulated, "{task} {profile}: paper {paper}, emulation+current {emulated}");
+            let least = if profile == "b-soft" { 1.5 } else { 0.9 };
+            assert!(
+                paper > least * emulated,
+                "{task} {profile}: paper {paper}, emulation+current {emulated}"
+            );
         }
     }
 }
