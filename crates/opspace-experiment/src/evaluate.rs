@@ -7,5 +7,6 @@ pub(crate) mod failures;
 pub(crate) mod metric_tables;
 pub mod metrics;
 pub mod results;
+pub(crate) mod spectrum;
 pub mod spread;
 pub mod table;

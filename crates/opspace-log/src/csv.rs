@@ -10,20 +10,13 @@ use std::io::{self, Write};
 /// # Errors
 /// If the sink fails.
 pub fn write_csv(channel: &ChannelData, sink: &mut dyn Write) -> io::Result<()> {
-    writeln!(sink, "{}", columns(channel).join(","))?;
-    let mut line = String::new();
+    let mut writer = csv::Writer::from_writer(sink);
+    writer.write_record(columns(channel))?;
     for (k, time_s) in channel.time_s.iter().enumerate() {
-        line.clear();
-        line += &format!("{time_s:?}");
-        for value in channel.row(k) {
-            line.push(',');
-            if !value.is_nan() {
-                line += &format!("{value:?}");
-            }
-        }
-        writeln!(sink, "{line}")?;
+        let text = |value: &f64| if value.is_nan() { String::new() } else { format!("{value:?}") };
+        writer.write_record(std::iter::once(time_s).chain(channel.row(k)).map(text))?;
     }
-    Ok(())
+    writer.flush()
 }
 
 /// Names of the columns of [`write_csv`].
@@ -35,7 +28,7 @@ fn columns(channel: &ChannelData) -> Vec<String> {
                 [only] if only == "value" || only.contains(' ') => signal.name.clone(),
                 _ => format!("{}.{element}", signal.name),
             };
-            columns.push(quoted(&(name + &suffix(unit))));
+            columns.push(name + &suffix(unit));
         }
     }
     columns
@@ -48,11 +41,4 @@ fn suffix(unit: &str) -> String {
     }
     let plain = unit.to_lowercase().replace('²', "2").replace('/', "_per_");
     format!("_{}", plain.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_"))
-}
-
-fn quoted(name: &str) -> String {
-    if name.contains([',', '"', '\n', '\r']) {
-        return format!("\"{}\"", name.replace('"', "\"\""));
-    }
-    name.to_owned()
 }

@@ -19,7 +19,7 @@ pub fn csv(summaries: &[Summary]) -> String {
     let mut places: HashMap<String, usize> = columns.iter().cloned().zip(0..).collect();
     // Columns of one part stand together, whichever run has them first.
     let parts = [keys, settings, metrics, tasks, joints];
-    let mut rows = vec![HashMap::new(); summaries.len()];
+    let mut rows: Vec<HashMap<usize, String>> = vec![HashMap::new(); summaries.len()];
     let values: Vec<Value> =
         summaries.iter().map(|summary| serde_json::to_value(summary).unwrap_or_default()).collect();
     for part in parts {
@@ -34,14 +34,15 @@ pub fn csv(summaries: &[Summary]) -> String {
             part(value, &mut add);
         }
     }
-    let head = columns.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(",");
-    let mut text = head + "\n";
-    for row in &rows {
-        let cells =
-            (0..columns.len()).map(|place| row.get(&place).map_or_else(String::new, |cell| quoted(cell)));
-        text += &(cells.collect::<Vec<_>>().join(",") + "\n");
-    }
-    text
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let mut lines = vec![columns.iter().map(String::as_str).collect::<Vec<&str>>()];
+    lines.extend(
+        rows.iter()
+            .map(|row| (0..columns.len()).map(|place| row.get(&place).map_or("", String::as_str)).collect()),
+    );
+    // Writing to memory cannot fail, and every line has as many cells as there are columns.
+    lines.iter().for_each(|line| drop(writer.write_record(line)));
+    writer.into_inner().ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
 }
 
 /// Receiver of a column's name and the cell in it.
@@ -103,14 +104,5 @@ fn cell(value: &Value) -> String {
         Value::String(text) => text.clone(),
         Value::Array(list) => list.iter().map(cell).collect::<Vec<_>>().join("; "),
         other => other.to_string(),
-    }
-}
-
-/// Quotes a cell that contains a separator.
-fn quoted(cell: &str) -> String {
-    if cell.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", cell.replace('"', "\"\""))
-    } else {
-        cell.to_owned()
     }
 }

@@ -500,8 +500,9 @@ fn drop_empty_columns(table: &mut Table) {
 
 #[cfg(test)]
 mod tests {
-    use super::{MEASURES, group, table};
+    use super::{MEASURES, group, group_rows, table};
     use crate::run::summary::Summary;
+    use serde_json::json;
 
     fn summary(task: &str, profile: &str, seed: u64, position: f64) -> Summary {
         let mut summary = Summary {
@@ -555,6 +556,21 @@ mod tests {
         let position = groups[0].spread(|s| s.metrics.pose.position_rms_m).expect("three runs");
         assert_eq!((position.median, position.low, position.high, position.runs), (0.2, 0.1, 0.3, 3));
         assert_eq!(groups[0].spread(|s| s.metrics.joint_rms_rad), None);
+    }
+
+    /// Compared: the entry of a group in a bench's file, and its runs' seeds and metrics.
+    #[test]
+    fn groups_of_a_file_have_the_spread_of_each_metric() {
+        let runs = [summary("a", "p", 1, 0.1), summary("a", "p", 4, 0.4), summary("a", "p", 2, 0.2)];
+        let groups = group_rows(&runs);
+        assert_eq!(groups.len(), 1);
+        assert_eq!(groups[0]["seeds"], json!([1, 4, 2]));
+        let spread = json!({ "median": 0.2, "low": 0.1, "high": 0.4, "runs": 3 });
+        assert_eq!(
+            groups[0]["metrics"],
+            json!({ "position_rms_m": spread }),
+            "only metrics that the runs have"
+        );
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::evaluate::metrics::cycle_times_ns;
 use crate::evaluate::metrics::run_log::Run;
+use crate::evaluate::spectrum::windowed_transform;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, draw_limits, element, joint_figure, label_of, time_panel};
 use crate::report::task_figures::task_figures;
@@ -11,7 +12,6 @@ use opspace_backend::signal_names::{
 };
 use opspace_log::Recording;
 use realfft::RealFftPlanner;
-use std::f64::consts::TAU;
 
 /// Creates the figures of a run: torques by joint, then the signals of its tasks and sensors.
 #[must_use]
@@ -116,25 +116,16 @@ fn spectrum(
     planner: &mut RealFftPlanner<f64>,
 ) -> Option<(Vec<f64>, Vec<f64>)> {
     let n = samples.len().min(rate_hz.round() as usize);
-    if n < 64 || samples.iter().any(|sample| !sample.is_finite()) {
-        return None;
-    }
-    let transform = planner.plan_fft_forward(n);
-    let (mut segment, mut lines) = (transform.make_input_vec(), transform.make_output_vec());
-    let mut squares = vec![0.0; lines.len()];
+    let mut squares = vec![0.0; n / 2 + 1];
     let mut segments = 0.0;
-    for start in (0..=samples.len() - n).step_by(n.div_ceil(2)) {
-        let mean = samples[start..start + n].iter().sum::<f64>() / n as f64;
-        for (k, value) in segment.iter_mut().enumerate() {
-            *value = (samples[start + k] - mean) * (0.5 - 0.5 * (TAU * k as f64 / n as f64).cos());
-        }
-        transform.process(&mut segment, &mut lines).ok()?;
+    for start in (0..=samples.len() - n).step_by(n.div_ceil(2).max(1)) {
+        let lines = windowed_transform(&samples[start..start + n], planner)?;
         // The mean of the window is one half, and a line stands for two.
         squares.iter_mut().zip(&lines).for_each(|(sum, line)| *sum += (4.0 * line.norm() / n as f64).powi(2));
         segments += 1.0;
     }
     let amplitudes = squares.iter().skip(1).map(|sum| (sum / segments).sqrt()).collect();
-    let frequencies = (1..lines.len()).map(|line| line as f64 * rate_hz / n as f64).collect();
+    let frequencies = (1..squares.len()).map(|line| line as f64 * rate_hz / n as f64).collect();
     Some((frequencies, amplitudes))
 }
 
@@ -183,6 +174,10 @@ fn computing_times(run: &Run<'_>) -> Option<Figure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::TAU;
+
+    /// Rounding of a transform of a thousand samples, N·m.
+    const ROUNDING: f64 = 1e-9;
 
     /// Compared: the amplitudes at the frequencies of two sines, and these sines' amplitudes.
     #[test]
@@ -194,8 +189,8 @@ mod tests {
             .collect();
         let (hz, amplitude) = spectrum(&samples, rate_hz, &mut RealFftPlanner::new()).expect("a spectrum");
         assert_eq!((hz[0], hz[19], hz[309]), (1.0, 20.0, 310.0));
-        assert!((amplitude[19] - 0.5).abs() < 1e-9 && (amplitude[309] - 0.02).abs() < 1e-9);
-        assert!(amplitude[99] < 1e-9, "{}", amplitude[99]);
+        assert!((amplitude[19] - 0.5).abs() < ROUNDING && (amplitude[309] - 0.02).abs() < ROUNDING);
+        assert!(amplitude[99] < ROUNDING, "{}", amplitude[99]);
         assert_eq!(spectrum(&samples[..20], rate_hz, &mut RealFftPlanner::new()), None);
     }
 }

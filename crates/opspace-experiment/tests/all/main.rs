@@ -14,3 +14,4 @@ mod streamed;
 mod task_kinds;
 mod task_metrics;
 mod velocity_robot;
+mod velocity_source;

@@ -11,6 +11,9 @@ use opspace_loop::Phase;
 use std::io::Cursor;
 use std::path::Path;
 
+/// Relative rounding of the largest of some thousand numbers in other units.
+const ROUNDING: f64 = 1e-9;
+
 fn load(task: &str, backend: CommandKind, duration_s: f64) -> Experiment {
     let options = RunOptions { backend, duration_s: Some(duration_s), ..RunOptions::default() };
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tasks/{task}.toml"));
@@ -67,7 +70,7 @@ fn force_is_drawn_with_its_target_and_errors_over_time() {
     let settled = error.x.iter().zip(&error.y).filter(|(t, _)| **t >= 0.2 - 1e-4).map(|(_, mm)| *mm);
     let largest = settled.fold(0.0, f64::max);
     let metric = 1e3 * section.summary.metrics.pose.position_max_m.unwrap();
-    assert!((largest / metric - 1.0).abs() < 1e-9, "{largest} mm drawn, {metric} mm in the table");
+    assert!((largest / metric - 1.0).abs() < ROUNDING, "{largest} mm drawn, {metric} mm in the table");
 }
 
 /// Checks that orientation, the spectrum of the torque error and computing times have figures, and that a mark shows the
@@ -127,20 +130,37 @@ fn run_in_memory_has_the_rows_of_the_log() {
     }
 }
 
-/// Compared: the ends, the highest and the lowest sample of a long line before and after it was thinned.
+/// Compared: the ends, the extremes and a gap of a long line before and after it was thinned.
 #[test]
 fn thinned_line_keeps_its_extremes() {
     use opspace_experiment::report::figure::Series;
     let x: Vec<f64> = (0..100_000).map(f64::from).collect();
     let mut y: Vec<f64> = x.iter().map(|x| (x * 1e-3).sin()).collect();
     (y[31_234], y[77_777]) = (40.0, -30.0);
-    y[50_000..50_500].fill(f64::NAN);
+    y[50_000..55_000].fill(f64::NAN);
     let line = Series::new("line", x, y).style(Style::Thin);
     let thin = line.clone().thinned(100);
     assert!(thin.x.len() < 500 && thin.style == Style::Thin);
     assert!(thin.y.contains(&40.0) && thin.y.contains(&-30.0));
     assert_eq!((thin.x.first(), thin.x.last()), (line.x.first(), line.x.last()));
-    let gap = thin.x.iter().position(|x| x.is_nan());
-    let pairs: Vec<(f64, f64)> = thin.x.iter().copied().zip(thin.x.iter().copied().skip(1)).collect();
-    assert!(gap.is_none() || pairs.len() > 2);
+    let gap = thin.x.iter().position(|x| x.is_nan()).expect("the gap of five columns interrupts the line");
+    assert!(thin.x[gap - 1] < 50_000.0 && thin.x[gap + 1] >= 55_000.0);
+}
+
+/// Checks that the page of runs with three values of a setting draws the metrics over it, and of two values does not.
+#[test]
+fn sweep_is_drawn_over_its_setting() {
+    let run = |ticks: u32, seed: u64| {
+        let options = RunOptions { duration_s: Some(0.4), seed: Some(seed), ..RunOptions::default() };
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cartesian-tracking.toml");
+        let key = "robot.profile.a-med.servo_ticks_per_cycle";
+        let settings = ["settle_s=0.2".to_owned(), format!("{key}={ticks}")];
+        shown(&Experiment::load(Files::Disk, &path, None, options, &settings).unwrap()).1.summary
+    };
+    let runs: Vec<Summary> =
+        [1, 5, 10].into_iter().flat_map(|ticks| [run(ticks, 1), run(ticks, 2)]).collect();
+    let html = page("Title", "Lead.", &runs, MEASURES, &[]);
+    assert!(html.contains("Sweep of robot.profile.a-med.servo_ticks_per_cycle"));
+    let few = page("Title", "Lead.", &runs[..4], MEASURES, &[]);
+    assert!(!few.contains("Sweep of"));
 }

@@ -1,13 +1,10 @@
 //! Chatter: the part of a signal above a frequency, by its spectrum.
 
+use crate::evaluate::spectrum::{hann, windowed_transform};
 use realfft::RealFftPlanner;
-use std::f64::consts::TAU;
 
 /// Frequency above which a desired torque is chatter, Hz: motions of tasks and of an operator are slower.
 pub(super) const CHATTER_HZ: f64 = 8.0;
-
-/// Least number of samples of a spectrum.
-const MIN_SAMPLES: usize = 64;
 
 /// The part of a signal above [`CHATTER_HZ`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,17 +20,8 @@ impl Chatter {
     /// keeps the plan of the transform for signals of the same length.
     pub fn of(samples: &[f64], rate_hz: f64, planner: &mut RealFftPlanner<f64>) -> Option<Self> {
         let n = samples.len();
-        if n < MIN_SAMPLES || samples.iter().any(|sample| !sample.is_finite()) {
-            return None;
-        }
-        let mean = samples.iter().sum::<f64>() / n as f64;
-        let window = |k: usize| 0.5 - 0.5 * (TAU * k as f64 / n as f64).cos();
-        let mut windowed: Vec<f64> =
-            samples.iter().enumerate().map(|(k, s)| window(k) * (s - mean)).collect();
-        let power: f64 = (0..n).map(|k| window(k).powi(2)).sum();
-        let transform = planner.plan_fft_forward(n);
-        let mut spectrum = transform.make_output_vec();
-        transform.process(&mut windowed, &mut spectrum).ok()?;
+        let spectrum = windowed_transform(samples, planner)?;
+        let power: f64 = (0..n).map(|k| hann(k, n).powi(2)).sum();
         let line_hz = rate_hz / n as f64;
         // One-sided: every line but those at 0 and at half the rate stands for two.
         let weight = |line: usize| if 2 * line == n { 1.0 } else { 2.0 };
@@ -53,6 +41,7 @@ impl Chatter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::TAU;
 
     /// Relative error of the rms of a line: its side lobes within the window.
     const LEAKAGE: f64 = 1e-3;
