@@ -5,7 +5,7 @@ use crate::console::{Exit, Failure, print, print_exactly};
 use opspace_experiment::Source;
 use opspace_experiment::run::folder::LOG;
 use opspace_experiment::run::result_files::write_file;
-use opspace_log::{LogError, Recording, read_file};
+use opspace_log::{LogError, LogFile, Recording};
 use serde::Serialize;
 use serde::de::IgnoredAny;
 use std::fs;
@@ -100,11 +100,11 @@ pub fn read_log(path: &Path) -> Result<(PathBuf, Recording), Failure> {
     Ok((path, recording))
 }
 
-/// Reads the bytes of the log that a path denotes, as [`log_path`] does.
-pub fn read_log_bytes(path: &Path) -> Result<(PathBuf, Vec<u8>), Failure> {
+/// Opens the log that a path denotes, as [`log_path`] does, to read it in segments.
+pub fn open_log(path: &Path) -> Result<(PathBuf, LogFile), Failure> {
     let path = log_path(path);
-    let bytes = read_file(&path).map_err(|error| unreadable(&path, &error))?;
-    Ok((path, bytes))
+    let log = LogFile::open(&path).map_err(|error| unreadable(&path, &error))?;
+    Ok((path, log))
 }
 
 /// Error about a log that cannot be read.

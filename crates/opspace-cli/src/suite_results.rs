@@ -12,7 +12,7 @@ use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::run::folder::REPORT;
 use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteRows};
 use opspace_experiment::{Experiment, Extensions, Source, Summary};
-use opspace_log::Recording;
+use opspace_log::LogFile;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -173,9 +173,9 @@ impl SuiteResults<'_> {
     fn sections(&self, extensions: &Extensions) -> (Vec<RunSection>, Vec<String>) {
         let kept = self.rows.rows.values().filter_map(|row| {
             let name = row.log.clone()?;
-            let recording = Recording::read(self.folder.join(&name)).ok()?;
-            let experiment = Experiment::of_log_with(extensions, &recording).ok()?;
-            Some((RunSection::new(&experiment, &recording, row.row.clone()), name))
+            let log = LogFile::open(self.folder.join(&name)).ok()?;
+            let experiment = Experiment::of_log_with(extensions, log.recording()).ok()?;
+            Some((RunSection::of_file(&experiment, &log, row.row.clone()).ok()?, name))
         });
         kept.unzip()
     }

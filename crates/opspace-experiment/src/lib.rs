@@ -44,7 +44,7 @@ pub use files::task::TaskDefinition;
 pub use files::task_kinds::{TaskKindError, TaskKinds};
 pub use preflight::{Diagnostic, diagnostics};
 pub use run::error::RunError;
-pub use run::execute::{MemoryRun, Progress, RunResult};
+pub use run::execute::{Progress, RunResult};
 pub use run::experiment::{ControllerKind, Experiment, RunOptions};
 pub use run::summary::Summary;
 

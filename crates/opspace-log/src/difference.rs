@@ -1,9 +1,11 @@
 //! Comparison of the messages of two logs, channel by channel and in order.
 
+use crate::bytes::Bytes;
 use crate::error::{Corruption, LogError};
 use crate::fields::{Definition, Fields};
 use crate::header::TIME_ZERO_NS;
-use crate::recording::Recording;
+use crate::log_file::LogFile;
+use crate::recording::scan;
 use crate::records::{Message, Record};
 use crate::walk::{Step, Walk};
 use opspace_backend::signal_names::TIMING_CHANNEL;
@@ -68,8 +70,8 @@ impl LogComparison {
 /// Compares every message of every channel of two logs. One unpacked chunk of each is in memory at a time.
 ///
 /// # Errors
-/// As [`Recording::from_bytes`], with the index of the log: 0 or 1.
-pub fn compare_logs(first: &[u8], second: &[u8]) -> Result<LogComparison, (usize, LogError)> {
+/// If a log can no longer be read, with its index: 0 or 1.
+pub fn compare_logs(first: &LogFile, second: &LogFile) -> Result<LogComparison, (usize, LogError)> {
     let logs = [Log::new(first).map_err(|e| (0, e))?, Log::new(second).map_err(|e| (1, e))?];
     let mut topics: Vec<&String> = logs[0].topics.iter().collect();
     topics.extend(logs[1].topics.iter().filter(|topic| !logs[0].topics.contains(topic)));
@@ -80,7 +82,7 @@ pub fn compare_logs(first: &[u8], second: &[u8]) -> Result<LogComparison, (usize
 
 /// Log and the definitions of its channels.
 struct Log<'a> {
-    bytes: &'a [u8],
+    source: &'a dyn Bytes,
     topics: Vec<String>,
     channels: BTreeMap<u16, (String, Option<Definition>)>,
     /// Number of readable messages of each topic.
@@ -89,11 +91,12 @@ struct Log<'a> {
 }
 
 impl<'a> Log<'a> {
-    fn new(bytes: &'a [u8]) -> Result<Self, LogError> {
+    fn new(file: &'a LogFile) -> Result<Self, LogError> {
         let mut schemas = BTreeMap::new();
         let (mut topics, mut counts) = (Vec::new(), BTreeMap::new());
         let mut channels: BTreeMap<u16, (String, Option<Definition>)> = BTreeMap::new();
-        let (recording, _) = Recording::with_records(bytes, &mut |record, _| {
+        scan(file.source(), &mut |recording, record, _| {
+            recording.clear_rows();
             match record {
                 Record::Schema { id, name, encoding, data } => {
                     let definition = (encoding == "protobuf").then(|| Definition::protobuf(name, data));
@@ -117,7 +120,8 @@ impl<'a> Log<'a> {
             }
             Ok(())
         })?;
-        Ok(Self { bytes, topics, channels, counts, damage: recording.damage })
+        let damage = file.recording().damage.clone();
+        Ok(Self { source: file.source(), topics, channels, counts, damage })
     }
 
     fn definition(&self, channel: u16) -> Option<&Definition> {
@@ -136,7 +140,7 @@ struct Messages<'l, 'a> {
 impl<'l, 'a> Messages<'l, 'a> {
     fn new(log: &'l Log<'a>, topic: &'l str) -> Self {
         let left = log.counts.get(topic).copied().unwrap_or(0);
-        Self { log, topic, walk: Walk::new(log.bytes), left }
+        Self { log, topic, walk: Walk::new(log.source), left }
     }
 
     /// Calls `f` with the next message, and returns its result; `None` at the end of the readable messages.

@@ -42,8 +42,8 @@
 
 #![forbid(unsafe_code)]
 
+mod bytes;
 pub mod compare;
-pub mod contents;
 pub mod csv;
 pub mod difference;
 pub mod error;
@@ -52,29 +52,30 @@ mod file;
 mod foxglove;
 pub mod header;
 pub mod inputs;
-pub mod memory;
+pub mod log_file;
 pub mod outcome;
 pub mod recorder;
 pub mod recording;
 mod records;
 pub mod recover;
 mod schema;
+pub mod segments;
 mod viewer;
 mod walk;
 
 pub use compare::{Comparer, Difference};
-pub use contents::{ChannelContents, Contents};
-pub use csv::write_csv;
+pub use csv::CsvWriter;
 pub use difference::{ChannelComparison, LogComparison, MessageDifference, compare_logs};
 pub use error::{Corruption, LogError};
 pub use header::{Attachment, Channel, ForceArrow, GAPS, Header, LOG, Scene, TIME_ZERO_NS, Wall};
 pub use inputs::{LoggedInput, LoggedInputs};
+pub use log_file::{ChannelContents, LogFile};
 pub use mcap::MAGIC;
-pub use memory::MemoryRecorder;
 pub use outcome::OutcomeRecord;
 pub use recorder::{Pace, Recorder, WriteStats, Writer, record};
-pub use recording::{ChannelData, Column, Recording, read_file};
+pub use recording::{ChannelData, Column, Recording};
 pub use recover::{RECOVERED, Recovery, recover};
+pub use segments::SegmentRecorder;
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

@@ -4,16 +4,16 @@
 //! If the file is incomplete or its checksum fails, row numbers are also verified, so that a chunk that is no longer
 //! recognizable leaves no undetected gap.
 
+use crate::bytes::{Bytes, FileBytes};
 use crate::error::{Corruption, LogError};
 use crate::header::{Attachment, GAPS};
 use crate::records::{Record, Statistics};
 use crate::schema::{self, Shape};
-use crate::walk::{Step, Stop, Walk, verify};
+use crate::walk::{Step, Stop, Verified, Walk, verify};
 use mcap::MAGIC;
 use opspace_backend::signal_names::TICK_CHANNEL;
 use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
-use std::io::Read;
 use std::path::Path;
 
 /// Log in memory.
@@ -46,25 +46,27 @@ pub struct ChannelData {
     pub rows: Vec<f64>,
 }
 
-/// Receiver of the records of a log.
-pub(crate) type Accept<'f> = dyn FnMut(&Record<'_>, usize) -> Result<(), LogError> + 'f;
+/// Receiver of the records of a log, each with the byte offset of it or of its chunk. The recording has the rows up to
+/// this record; the receiver may remove rows.
+pub(crate) type Accept<'f> = dyn FnMut(&mut Recording, &Record<'_>, usize) -> Result<(), LogError> + 'f;
 
-/// Reads the bytes of an MCAP file.
-///
-/// # Errors
-/// If the file can't be read, or doesn't begin with the magic bytes of MCAP.
-pub fn read_file(path: impl AsRef<Path>) -> Result<Vec<u8>, LogError> {
-    let path = path.as_ref();
-    let failed = |source| LogError::Read { path: path.to_owned(), source };
-    let mut file = std::fs::File::open(path).map_err(failed)?;
-    let mut bytes = Vec::new();
-    // The first bytes first: a device without end is none of our files.
-    file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
-    if bytes != MAGIC {
-        return Err(LogError::NotMcap);
-    }
-    file.read_to_end(&mut bytes).map_err(failed)?;
-    Ok(bytes)
+/// Result of a walk through a log.
+pub(crate) struct Scan {
+    /// Everything that the receiver of the records has not removed.
+    pub recording: Recording,
+    /// Rows of each channel, which may have been removed.
+    pub rows: Vec<Rows>,
+    /// Numbers of messages that the end of the file states, if it is intact.
+    pub statistics: Option<Statistics>,
+}
+
+/// Rows of a channel of a log.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Rows {
+    /// Number of rows.
+    pub count: u64,
+    /// Times of the first and the last row, s.
+    pub span_s: Option<[f64; 2]>,
 }
 
 /// Signal of a channel, over all rows.
@@ -82,7 +84,7 @@ impl Recording {
     /// # Errors
     /// If it can't be read, or [`from_bytes`](Self::from_bytes) fails.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, LogError> {
-        Self::from_bytes(&read_file(path)?)
+        Self::of(&FileBytes::open(path.as_ref())?)
     }
 
     /// Reads a log from memory.
@@ -91,36 +93,19 @@ impl Recording {
     /// If the bytes are not an MCAP file, or contain no readable channel of opspace. Other damage is reported in
     /// [`damage`](Self::damage).
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
-        Self::with_records(bytes, &mut |_, _| Ok(())).map(|(recording, _)| recording)
+        Self::of(&bytes)
     }
 
-    /// Reads a log from memory and passes each record up to the damage, if there is any, to `accept`, with the byte
-    /// offset of the record or of its chunk. Also returns the statistics at the end of the file, if they are intact.
-    ///
-    /// # Errors
-    /// As [`from_bytes`](Self::from_bytes), and errors of `accept`.
-    pub(crate) fn with_records(
-        bytes: &[u8],
-        accept: &mut Accept<'_>,
-    ) -> Result<(Self, Option<Statistics>), LogError> {
-        if !bytes.starts_with(MAGIC) {
-            return Err(LogError::NotMcap);
+    fn of(source: &dyn Bytes) -> Result<Self, LogError> {
+        scan(source, &mut |_, _, _| Ok(())).map(|scan| scan.recording)
+    }
+
+    /// Removes all rows.
+    pub(crate) fn clear_rows(&mut self) {
+        for channel in &mut self.channels {
+            channel.time_s.clear();
+            channel.rows.clear();
         }
-        let whole = verify(bytes);
-        let mut reader = Reader { count_rows: whole.problem.is_some(), ..Reader::default() };
-        let stop = reader.read(bytes, accept)?;
-        let rows_lost = stop.is_some() || !reader.is_complete(whole.statistics.as_ref());
-        let part = reader.damaged_part.take();
-        let found = stop.map(|stop| (stop.what, Some(stop.at))).or(part).or(whole.problem);
-        let mut recording = reader.recording;
-        let last = recording.channels.iter().filter_map(|c| c.time_s.last()).copied();
-        let after_s = last.reduce(f64::max);
-        recording.damage = found.map(|(what, at)| Corruption { what, after_s, rows_lost, at_byte: at });
-        recording.closed = whole.closed;
-        if recording.channels.is_empty() {
-            return Err(LogError::NoChannel { damage: recording.damage });
-        }
-        Ok((recording, whole.statistics))
     }
 
     /// Returns the channel of that name.
@@ -236,12 +221,38 @@ impl<'a> Column<'a> {
     }
 }
 
+/// Walks through a log and passes each record up to the damage, if there is any, to `accept`.
+///
+/// # Errors
+/// As [`Recording::from_bytes`], and errors of `accept`.
+pub(crate) fn scan(source: &dyn Bytes, accept: &mut Accept<'_>) -> Result<Scan, LogError> {
+    let mut magic = [0; MAGIC.len()];
+    if source.read_at(0, &mut magic).is_err() || magic != MAGIC {
+        return Err(LogError::NotMcap);
+    }
+    let Verified { problem, statistics, closed } = verify(source);
+    let mut reader = Reader { count_rows: problem.is_some(), ..Reader::default() };
+    let stop = reader.read(source, accept)?;
+    let rows_lost = stop.is_some() || !reader.is_complete(statistics.as_ref());
+    let part = reader.damaged_part.take();
+    let found = stop.map(|stop| (stop.what, Some(stop.at))).or(part).or(problem);
+    let mut recording = reader.recording;
+    let rows: Vec<Rows> = reader.tracks.into_iter().map(|track| track.rows).collect();
+    let after_s = rows.iter().filter_map(|rows| Some(rows.span_s?[1])).reduce(f64::max);
+    recording.damage = found.map(|(what, at)| Corruption { what, after_s, rows_lost, at_byte: at });
+    recording.closed = closed;
+    if recording.channels.is_empty() {
+        return Err(LogError::NoChannel { damage: recording.damage });
+    }
+    Ok(Scan { recording, rows, statistics })
+}
+
 /// State of a recording while it is read.
 #[derive(Default)]
 struct Reader {
     recording: Recording,
-    /// For each channel of the recording, the form of its signals and the number of its next row.
-    shape: Vec<(Vec<Shape>, u32)>,
+    /// State of each channel of the recording.
+    tracks: Vec<Track>,
     /// Map from the file's channel ids to the recording's channels; `None` for channels of other programs.
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
@@ -249,10 +260,19 @@ struct Reader {
     damaged_part: Option<(String, Option<usize>)>,
 }
 
+/// State of a channel while it is read.
+struct Track {
+    /// Forms of the channel's signals.
+    shapes: Vec<Shape>,
+    /// Number of the next row, as messages have it.
+    next: u32,
+    rows: Rows,
+}
+
 impl Reader {
     /// Reads records until one is damaged, and returns that damage.
-    fn read(&mut self, bytes: &[u8], accept: &mut Accept<'_>) -> Result<Option<Stop>, LogError> {
-        let mut walk = Walk::new(bytes);
+    fn read(&mut self, source: &dyn Bytes, accept: &mut Accept<'_>) -> Result<Option<Stop>, LogError> {
+        let mut walk = Walk::new(source);
         loop {
             let (record, at) = match walk.next() {
                 None => return Ok(None),
@@ -268,16 +288,17 @@ impl Reader {
             if let Err(what) = self.take(&record) {
                 return Ok(Some(Stop { what, at }));
             }
-            accept(&record, at)?;
+            accept(&mut self.recording, &record, at)?;
         }
     }
 
     /// True if the file's own statistics confirm that every row was read.
     fn is_complete(&self, statistics: Option<&Statistics>) -> bool {
-        let rows = |place: usize| self.recording.channels[place].len() as u64;
         statistics.is_some_and(|statistics| {
             let mut own = self.index.iter().filter_map(|(id, place)| place.map(|place| (id, place)));
-            own.all(|(id, place)| statistics.messages.get(id).copied().unwrap_or(0) == rows(place))
+            own.all(|(id, place)| {
+                statistics.messages.get(id).copied().unwrap_or(0) == self.tracks[place].rows.count
+            })
         })
     }
 
@@ -300,10 +321,10 @@ impl Reader {
             return Ok(());
         }
         let layout = schema::layout(metadata).transpose()?;
-        let place = layout.is_some().then_some(self.shape.len());
+        let place = layout.is_some().then_some(self.tracks.len());
         self.index.insert(id, place);
         if let Some((layout, shapes)) = layout {
-            self.shape.push((shapes, 0));
+            self.tracks.push(Track { shapes, next: 0, rows: Rows::default() });
             let data = ChannelData { layout, time_s: Vec::new(), rows: Vec::new() };
             self.recording.channels.push(data);
         }
@@ -317,7 +338,7 @@ impl Reader {
         let Some(place) = *place else {
             return Ok(());
         };
-        let (shapes, next) = &mut self.shape[place];
+        let Track { shapes, next, rows } = &mut self.tracks[place];
         let channel = &mut self.recording.channels[place];
         let name = &channel.layout.channel;
         if self.count_rows && sequence != *next {
@@ -328,6 +349,8 @@ impl Reader {
         };
         channel.time_s.push(time_s);
         *next = next.wrapping_add(1);
+        rows.count += 1;
+        rows.span_s = Some([rows.span_s.map_or(time_s, |[first, _]| first), time_s]);
         Ok(())
     }
 }

@@ -5,16 +5,18 @@
 
 use crate::header::Attachment;
 use mcap::records::op;
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// Largest accepted chunk, bytes. Chunks of opspace have a quarter of a MiB, those of other tools some MiB.
 const CHUNK_MAX: u64 = 64 << 20;
 
 /// Size of opcode and length, bytes.
-const PREFIX: usize = 9;
+pub(crate) const PREFIX_BYTES: usize = 9;
 
-/// Iterator over the records in `bytes`, from a given position.
+/// Size of the two times with which an attachment begins, bytes.
+pub(crate) const ATTACHMENT_TIMES_BYTES: u64 = 16;
+
+/// Iterator over the records of a chunk, from a given position.
 pub(crate) struct Records<'a> {
     pub bytes: &'a [u8],
     pub at: usize,
@@ -64,6 +66,7 @@ pub(crate) struct Message<'a> {
 }
 
 /// Numbers of messages that the end of a file states.
+#[derive(Debug)]
 pub(crate) struct Statistics {
     /// Time of the last message, ns.
     pub end_ns: u64,
@@ -92,7 +95,7 @@ impl<'a> Iterator for Records<'a> {
             self.at = self.bytes.len();
             return Some(Err(format!("the file ends within the record at byte {at}")));
         };
-        self.at += PREFIX + raw.body.len();
+        self.at += PREFIX_BYTES + raw.body.len();
         Some(Ok(raw))
     }
 }
@@ -101,28 +104,7 @@ fn first(rest: &[u8], at: usize) -> Option<Raw<'_>> {
     let mut fields = Fields(rest);
     let opcode = fields.take::<1>()?[0];
     let length = fields.u64()?;
-    if opcode == op::ATTACHMENT
-        && let Some(body) = attachment_body(fields.0)
-        && body.len() as u64 != length
-    {
-        return Some(Raw { opcode, body, at });
-    }
     Some(Raw { opcode, body: fields.bytes(length)?, at })
-}
-
-/// Body of an intact attachment at the beginning of `bytes`, according to the lengths of its fields. It is found also
-/// where the length of the record is wrong; `None` if its checksum does not match.
-fn attachment_body(bytes: &[u8]) -> Option<&[u8]> {
-    let mut fields = Fields(bytes);
-    let _times = fields.take::<16>()?;
-    for _name_and_media_type in 0..2 {
-        let length = fields.u32()?;
-        fields.bytes(length.into())?;
-    }
-    fields.long_bytes()?;
-    let checked = bytes.len() - fields.0.len();
-    let crc = fields.u32()?;
-    (crc != 0 && crc32fast::hash(&bytes[..checked]) == crc).then(|| &bytes[..checked + size_of::<u32>()])
 }
 
 impl<'a> Raw<'a> {
@@ -217,16 +199,14 @@ impl<'a> Chunk<'a> {
     }
 
     /// Returns the records in it, after verifying their checksum.
-    pub fn unpack(&self) -> Result<Cow<'a, [u8]>, String> {
+    pub fn unpack(&self) -> Result<Vec<u8>, String> {
         if self.size > CHUNK_MAX {
             return Err(format!("a chunk of {} bytes; at most {CHUNK_MAX} are allowed", self.size));
         }
         let bytes = match self.compression.as_str() {
-            "" => Cow::Borrowed(self.packed),
-            "zstd" => {
-                let unpacked = zstd::bulk::decompress(self.packed, self.size as usize);
-                Cow::Owned(unpacked.map_err(|e| format!("a chunk cannot be decompressed: {e}"))?)
-            }
+            "" => self.packed.to_vec(),
+            "zstd" => zstd::bulk::decompress(self.packed, self.size as usize)
+                .map_err(|e| format!("a chunk cannot be decompressed: {e}"))?,
             other => return Err(format!("a chunk is compressed by '{other}'; only zstd is supported")),
         };
         checksum("a chunk", self.crc, &bytes)?;
@@ -235,12 +215,13 @@ impl<'a> Chunk<'a> {
 }
 
 /// Verifies a checksum; 0 means that none was written.
-pub(crate) fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), String> {
-    if saved == 0 || crc32fast::hash(bytes) == saved {
-        Ok(())
-    } else {
-        Err(format!("the checksum of {what} does not match"))
-    }
+fn checksum(what: &str, saved: u32, bytes: &[u8]) -> Result<(), String> {
+    compare_checksums(what, saved, crc32fast::hash(bytes))
+}
+
+/// Compares a checksum with that of the bytes as they are; 0 means that none was written.
+pub(crate) fn compare_checksums(what: &str, saved: u32, actual: u32) -> Result<(), String> {
+    if saved == 0 || actual == saved { Ok(()) } else { Err(format!("the checksum of {what} does not match")) }
 }
 
 /// Remaining fields of a record.

@@ -3,8 +3,9 @@
 use crate::error::{Corruption, LogError};
 use crate::file::CHUNK_BYTES;
 use crate::header::TIME_ZERO_NS;
-use crate::recording::Recording;
-use crate::records::{Record, Statistics};
+use crate::log_file::LogFile;
+use crate::recording::scan;
+use crate::records::Record;
 use mcap::records::MessageHeader;
 use mcap::write::{Metadata, NoSeek};
 use opspace_backend::signal_names::TICK_CHANNEL;
@@ -46,23 +47,21 @@ impl Recovery {
 /// attachments and metadata that are intact.
 ///
 /// # Errors
-/// As [`Recording::from_bytes`], and if the sink fails.
-pub fn recover<W: Write>(bytes: &[u8], sink: W) -> Result<Recovery, LogError> {
-    let mut copy = Copy::default();
-    // Their number and damage are only known at the end, and the header of the new file comes first.
-    let (recording, statistics) = Recording::with_records(bytes, &mut |record, _| {
-        copy.note(record);
-        Ok(())
-    })?;
+/// If the sink fails, or the log can no longer be read.
+pub fn recover<W: Write>(log: &LogFile, sink: W) -> Result<Recovery, LogError> {
     let mut mcap = mcap::WriteOptions::new()
-        .profile(copy.profile.as_str())
-        .library(recording.library.as_str())
+        .profile(log.profile())
+        .library(log.recording().library.as_str())
         .chunk_size(Some(CHUNK_BYTES as u64))
         .disable_seeking(true)
         .compression_threads(0)
         .create(NoSeek::new(BufWriter::new(sink)))?;
-    Recording::with_records(bytes, &mut |record, _| copy.write(record, &mut mcap))?;
-    let recovery = outcome(&recording, statistics.as_ref(), copy.tick);
+    let mut written = BTreeSet::new();
+    scan(log.source(), &mut |recording, record, _| {
+        recording.clear_rows();
+        write(record, &mut written, &mut mcap)
+    })?;
+    let recovery = outcome(log);
     if let Some(damage) = &recovery.damage {
         let mut metadata = BTreeMap::from([
             ("damage".to_owned(), damage.to_string()),
@@ -82,13 +81,14 @@ pub fn recover<W: Write>(bytes: &[u8], sink: W) -> Result<Recovery, LogError> {
     Ok(recovery)
 }
 
-fn outcome(recording: &Recording, statistics: Option<&Statistics>, tick: Option<u16>) -> Recovery {
-    let times = recording.channel(TICK_CHANNEL).map_or(&[][..], |tick| &tick.time_s);
-    let (first, last) = (times.first().copied().unwrap_or(0.0), times.last().copied().unwrap_or(0.0));
-    let cycles = times.len() as u64;
+fn outcome(log: &LogFile) -> Recovery {
+    let recording = log.recording();
+    let (cycles, span_s) = log.rows(TICK_CHANNEL);
+    let [first, last] = span_s.unwrap_or_default();
     let whole = !recording.damage.as_ref().is_some_and(|damage| damage.rows_lost);
-    let counted = statistics.zip(tick).and_then(|(statistics, tick)| statistics.messages.get(&tick));
-    let end_s = statistics.map(|statistics| (statistics.end_ns as f64 - TIME_ZERO_NS as f64) * 1e-9);
+    let stated = log.stated();
+    let counted = stated.and_then(|(cycles, _)| cycles);
+    let end_s = stated.map(|(_, end_ns)| (end_ns as f64 - TIME_ZERO_NS as f64) * 1e-9);
     Recovery {
         damage: recording.damage.clone(),
         lost_parts: recording.damaged_parts.clone(),
@@ -99,61 +99,41 @@ fn outcome(recording: &Recording, statistics: Option<&Statistics>, tick: Option<
     }
 }
 
-/// State of the copy of a file.
-#[derive(Default)]
-struct Copy {
-    profile: String,
-    /// Number of the channel of the control cycles in the file.
-    tick: Option<u16>,
-    written: BTreeSet<u16>,
-}
-
-impl Copy {
-    fn note(&mut self, record: &Record<'_>) {
-        match record {
-            Record::Header { profile, .. } => self.profile.clone_from(profile),
-            Record::Channel(channel) if channel.topic == format!("/opspace/{TICK_CHANNEL}") => {
-                self.tick = Some(channel.id);
-            }
-            _ => {}
+/// Writes a record; `written` has the channels that the new log defines.
+fn write<W: Write>(
+    record: &Record<'_>,
+    written: &mut BTreeSet<u16>,
+    mcap: &mut mcap::Writer<NoSeek<BufWriter<W>>>,
+) -> Result<(), LogError> {
+    match record {
+        Record::Schema { id, name, encoding, data } => {
+            mcap.add_schema_with_id(*id, name, encoding, data)?;
         }
-    }
-
-    fn write<W: Write>(
-        &mut self,
-        record: &Record<'_>,
-        mcap: &mut mcap::Writer<NoSeek<BufWriter<W>>>,
-    ) -> Result<(), LogError> {
-        match record {
-            Record::Schema { id, name, encoding, data } => {
-                mcap.add_schema_with_id(*id, name, encoding, data)?;
-            }
-            // A channel may be defined again in a later chunk.
-            Record::Channel(channel) if self.written.insert(channel.id) => {
-                let (topic, encoding) = (&channel.topic, &channel.encoding);
-                mcap.add_channel_with_id(channel.id, channel.schema, topic, encoding, &channel.metadata)?;
-            }
-            Record::Message(message) => {
-                let header = MessageHeader {
-                    channel_id: message.channel,
-                    sequence: message.sequence,
-                    log_time: message.log_ns,
-                    publish_time: message.publish_ns,
-                };
-                mcap.write_to_known_channel(&header, message.data)?;
-            }
-            Record::Attachment(attachment) => mcap.attach(&mcap::Attachment {
-                log_time: TIME_ZERO_NS,
-                create_time: 0,
-                name: attachment.name.clone(),
-                media_type: attachment.media_type.clone(),
-                data: Cow::Borrowed(&attachment.data),
-            })?,
-            Record::Metadata { name, entries } => {
-                mcap.write_metadata(&Metadata { name: name.clone(), metadata: entries.clone() })?;
-            }
-            _ => {}
+        // A channel may be defined again in a later chunk.
+        Record::Channel(channel) if written.insert(channel.id) => {
+            let (topic, encoding) = (&channel.topic, &channel.encoding);
+            mcap.add_channel_with_id(channel.id, channel.schema, topic, encoding, &channel.metadata)?;
         }
-        Ok(())
+        Record::Message(message) => {
+            let header = MessageHeader {
+                channel_id: message.channel,
+                sequence: message.sequence,
+                log_time: message.log_ns,
+                publish_time: message.publish_ns,
+            };
+            mcap.write_to_known_channel(&header, message.data)?;
+        }
+        Record::Attachment(attachment) => mcap.attach(&mcap::Attachment {
+            log_time: TIME_ZERO_NS,
+            create_time: 0,
+            name: attachment.name.clone(),
+            media_type: attachment.media_type.clone(),
+            data: Cow::Borrowed(&attachment.data),
+        })?,
+        Record::Metadata { name, entries } => {
+            mcap.write_metadata(&Metadata { name: name.clone(), metadata: entries.clone() })?;
+        }
+        _ => {}
     }
+    Ok(())
 }

@@ -1,9 +1,10 @@
 //! Walk through the records of a file, also of those in chunks, with one unpacked chunk in memory at a time.
 
-use crate::records::{Raw, Record, Records, Statistics, checksum};
+use crate::bytes::{Bytes, OuterRecords};
+use crate::records::{Raw, Record, Records, Statistics, compare_checksums};
+use crc32fast::Hasher;
 use mcap::MAGIC;
 use mcap::records::op;
-use std::borrow::Cow;
 
 /// Largest ratio of the size of all chunks, unpacked, to that of the file: a log of a simulation without noise has
 /// some 10.
@@ -14,8 +15,10 @@ const MIN_UNPACKED_BYTES: u64 = 16 << 20;
 
 /// Records of a file up to its end record, in order.
 pub(crate) struct Walk<'a> {
-    outer: Records<'a>,
-    chunk: Cow<'a, [u8]>,
+    outer: OuterRecords<'a>,
+    ended: bool,
+    /// Unpacked chunk.
+    chunk: Vec<u8>,
     within: usize,
     chunk_at: usize,
     /// Size of all chunks so far, unpacked.
@@ -48,46 +51,44 @@ pub(crate) struct Stop {
 }
 
 impl<'a> Walk<'a> {
-    /// Returns a walk through a file, which begins with the magic bytes.
-    pub fn new(bytes: &'a [u8]) -> Self {
+    /// Returns a walk through a log, which begins with the magic bytes.
+    pub fn new(source: &'a dyn Bytes) -> Self {
         Self {
-            outer: Records { bytes, at: MAGIC.len() },
-            chunk: Cow::Borrowed(&[]),
+            outer: OuterRecords::new(source, MAGIC.len() as u64),
+            ended: false,
+            chunk: Vec::new(),
             within: 0,
             chunk_at: 0,
             unpacked_bytes: 0,
-            max_unpacked_bytes: MIN_UNPACKED_BYTES.max(MAX_EXPANSION.saturating_mul(bytes.len() as u64)),
+            max_unpacked_bytes: MIN_UNPACKED_BYTES.max(MAX_EXPANSION.saturating_mul(source.len())),
         }
     }
 
     /// Returns the next record; `None` at the end of the data. Use nothing after a [`Stop`].
     pub fn next(&mut self) -> Option<Result<Step<'_>, Stop>> {
         while self.within >= self.chunk.len() {
-            let at = self.outer.at;
+            if self.ended {
+                return None;
+            }
+            let at = self.outer.at() as usize;
             self.chunk_at = at;
-            let raw = match self.outer.next()? {
-                Ok(raw) => raw,
+            match self.outer.advance()? {
+                Ok(()) => {}
                 Err(what) => return Some(Err(Stop { what, at })),
-            };
-            match raw.opcode {
+            }
+            let opcode = self.outer.record().opcode;
+            match opcode {
                 op::DATA_END => {
-                    self.outer.at = self.outer.bytes.len();
+                    self.ended = true;
                     return None;
                 }
-                op::HEADER | op::METADATA | op::ATTACHMENT => {
-                    return Some(Ok(match raw.parse() {
-                        Ok(record) => Step::Record(record, at),
-                        Err(what) => Step::Damaged { part: raw.part(), what, at },
-                    }));
-                }
                 op::CHUNK => {
-                    if let Err(what) = self.open(&raw) {
+                    if let Err(what) = self.open() {
                         return Some(Err(Stop { what: format!("{what} (the chunk at byte {at})"), at }));
                     }
                 }
-                op::SCHEMA | op::CHANNEL | op::MESSAGE => {
-                    let step = raw.parse().map(|record| Step::Record(record, at));
-                    return Some(step.map_err(|what| Stop { what, at }));
+                op::HEADER | op::METADATA | op::ATTACHMENT | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
+                    return Some(outermost(self.outer.record()));
                 }
                 // No row depends on other records, or on a record whose kind is damaged: chunks are checked themselves.
                 _ => {}
@@ -101,8 +102,9 @@ impl<'a> Walk<'a> {
         Some(raw.and_then(|raw| raw.parse()).map(|record| Step::Record(record, at)).map_err(stop))
     }
 
-    fn open(&mut self, raw: &Raw<'a>) -> Result<(), String> {
-        let Record::Chunk(chunk) = raw.parse()? else {
+    /// Unpacks the chunk that is the present record of the file.
+    fn open(&mut self) -> Result<(), String> {
+        let Record::Chunk(chunk) = self.outer.record().parse()? else {
             return Ok(());
         };
         self.unpacked_bytes = self.unpacked_bytes.saturating_add(chunk.size());
@@ -115,6 +117,16 @@ impl<'a> Walk<'a> {
         self.chunk = chunk.unpack()?;
         self.within = 0;
         Ok(())
+    }
+}
+
+/// Parses a record that is in no chunk.
+fn outermost(raw: Raw<'_>) -> Result<Step<'_>, Stop> {
+    let at = raw.at;
+    match (raw.parse(), raw.opcode) {
+        (Ok(record), _) => Ok(Step::Record(record, at)),
+        (Err(what), op::SCHEMA | op::CHANNEL | op::MESSAGE) => Err(Stop { what, at }),
+        (Err(what), _) => Ok(Step::Damaged { part: raw.part(), what, at }),
     }
 }
 
@@ -131,26 +143,38 @@ pub(crate) struct Verified {
 
 /// Verifies that the file is complete and unchanged: it has an end, and the checksums of its data and summary sections
 /// match.
-pub(crate) fn verify(bytes: &[u8]) -> Verified {
+pub(crate) fn verify(source: &dyn Bytes) -> Verified {
     let mut verified = Verified::default();
-    let mut summary = None;
-    let mut records = Records { bytes, at: MAGIC.len() };
-    while let Some(raw) = records.next() {
-        let Ok(raw) = raw else { break };
-        match (raw.opcode, raw.parse(), summary) {
+    let mut summary_at = None;
+    let mut records = OuterRecords::new(source, MAGIC.len() as u64);
+    let mut hasher = Hasher::new();
+    hasher.update(MAGIC);
+    while let Some(Ok(())) = records.advance() {
+        let raw = records.record();
+        match (raw.opcode, raw.parse(), summary_at) {
             (op::DATA_END, Ok(Record::DataEnd { crc }), None) => {
-                let problem = checksum("the data", crc, &bytes[..raw.at]).err();
+                let problem = compare_checksums("the data", crc, hasher.finalize()).err();
                 verified.problem = problem.map(|what| (what, None));
-                summary = Some(records.at);
+                summary_at = Some(records.at() as usize);
+                hasher = Hasher::new();
+                continue;
             }
             (op::STATISTICS, Ok(Record::Statistics(statistics)), Some(_)) => {
                 verified.statistics = Some(statistics);
             }
             (op::FOOTER, Ok(Record::Footer { crc }), Some(from)) => {
                 // The checksum covers the footer up to the checksum itself.
-                let sum = checksum("the summary", crc, &bytes[from..records.at - size_of::<u32>()]);
-                verified.closed = &bytes[records.at..] == MAGIC;
-                if let Err(what) = sum {
+                let [prefix, body] = records.bytes();
+                hasher.update(prefix);
+                hasher.update(
+                    body.split_last_chunk::<{ size_of::<u32>() }>().map_or(&[], |(before, _)| before),
+                );
+                let problem = compare_checksums("the summary", crc, hasher.finalize()).err();
+                let mut end = [0; MAGIC.len()];
+                verified.closed = source.len() == records.at() + MAGIC.len() as u64
+                    && source.read_at(records.at(), &mut end).is_ok()
+                    && end == MAGIC;
+                if let Some(what) = problem {
                     verified.statistics = None;
                     verified.problem.get_or_insert((what, Some(from)));
                 }
@@ -159,11 +183,13 @@ pub(crate) fn verify(bytes: &[u8]) -> Verified {
             (op::DATA_END | op::FOOTER, ..) => break,
             _ => {}
         }
+        records.bytes().iter().for_each(|part| hasher.update(part));
     }
     if !verified.closed {
         verified.statistics = None;
         verified.problem.get_or_insert_with(|| {
-            ("the file is truncated: it has no end record".to_owned(), Some(bytes.len()))
+            let len = usize::try_from(source.len()).ok();
+            ("the file is truncated: it has no end record".to_owned(), len)
         });
     }
     verified

@@ -17,9 +17,9 @@ use opspace_experiment::run::result_files::{ResultFolder, replace_file};
 use opspace_experiment::run::shard::Shard;
 use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, SuiteRows, SuiteRowsFile};
 use opspace_experiment::{Experiment, Extensions, Files, RunError, Suite, Summary};
-use opspace_log::Recording;
+use opspace_log::LogFile;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Cursor;
+use std::io::{self, BufWriter};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -252,27 +252,40 @@ impl Sweep<'_> {
         file: &SuiteRowsFile,
     ) -> Result<SuiteRow, Failure> {
         let name = self.logs.get(&number);
-        let (summary, log) = if name.is_some() {
-            let finished = experiment.run(Cursor::new(Vec::new()), self.watch)?;
-            let log = finished.sink.into_inner();
-            let recording = Recording::from_bytes(&log).map_err(RunError::from)?;
-            (experiment.summary(&recording, &finished.record, Some(finished.realtime_factor)), log)
-        } else {
-            let run = experiment.run_in_memory(self.watch)?;
-            (experiment.summary(&run.recording, &run.record, Some(run.realtime_factor)), Vec::new())
+        let summary = match name {
+            Some(name) => self.run_with_log(&self.folder.join(name), experiment)?,
+            None => experiment.run_without_log(self.watch)?,
         };
         let row = SuiteRow::new(number, name.cloned(), summary);
         if row.row.interrupted {
             return Ok(row);
         }
         // The log is there before the row that names it.
-        if let Some(name) = &row.log {
-            let path = self.folder.join(name);
-            replace_file(&path, &log).map_err(|e| Failure::io("cannot be written", &path, &e))?;
-        }
         let path = self.folder.join(SUITE_ROWS);
         file.push(&row).map_err(|e| Failure::io("cannot be written", &path, &e))?;
         Ok(row)
+    }
+
+    /// Runs an experiment with a log, which is kept if the run was not interrupted.
+    fn run_with_log(&self, path: &Path, experiment: &Experiment) -> Result<Summary, Failure> {
+        let mut result = None;
+        let written = replace_file(path, |file| {
+            let (writer, reader) = (file.try_clone()?, file.try_clone()?);
+            let summary = experiment.run(BufWriter::new(writer), self.watch).and_then(|finished| {
+                let log = LogFile::from_file(reader, path)?;
+                experiment.summary_of_file(&log, &finished.record, Some(finished.realtime_factor))
+            });
+            let is_kept = summary.as_ref().is_ok_and(|summary| !summary.interrupted);
+            result = Some(summary);
+            if is_kept { Ok(()) } else { Err(io::ErrorKind::Interrupted.into()) }
+        });
+        match (result, written) {
+            (Some(Err(error)), _) => Err(error.into()),
+            (Some(Ok(summary)), Ok(())) => Ok(summary),
+            (Some(Ok(summary)), Err(_)) if summary.interrupted => Ok(summary),
+            (_, Err(error)) => Err(Failure::io("cannot be written", path, &error)),
+            (None, Ok(())) => Err(Failure::io("cannot be written", path, &io::ErrorKind::Other.into())),
+        }
     }
 }
 

@@ -2,19 +2,18 @@
 
 use crate::cli::{LogCommand, LogDiffArgs, LogExportArgs, LogInfoArgs, LogRecoverArgs};
 use crate::console::{Console, Exit, Failure, Outcome, render};
-use crate::output::{Format, log_path, pretty, read_log, read_log_bytes, unreadable};
+use crate::output::{Format, log_path, open_log, pretty, unreadable};
 use crate::outputs::check_outputs;
 use opspace_backend::signal_names::{MISSED_CYCLES, TICK_CHANNEL};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::run::log_header::RUN;
 use opspace_experiment::run::result_files::write_file_with;
 use opspace_log::{
-    ChannelComparison, Contents, LOG, LogComparison, LogError, OutcomeRecord, RECOVERED, Recording, Recovery,
-    compare_logs, recover as recover_log, write_csv,
+    ChannelComparison, Column, CsvWriter, LOG, LogComparison, LogError, LogFile, OutcomeRecord, RECOVERED,
+    Recording, Recovery, compare_logs, recover as recover_log,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
@@ -29,28 +28,31 @@ pub fn log(command: &LogCommand, console: Console) -> Outcome {
 
 fn info(args: &LogInfoArgs) -> Outcome {
     check_outputs(&[log_path(&args.log)], &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
-    let (path, bytes) = read_log_bytes(&args.log)?;
-    let contents = Contents::from_bytes(&bytes).map_err(|error| unreadable(&path, &error))?;
-    args.json.print(|| pretty(&info_json(&path, &contents)), || describe(&path, &contents))?;
-    let damaged = contents.recording.damage.is_some() || contents.recording.dropped() > 0;
+    let (path, log) = open_log(&args.log)?;
+    let numbers = Numbers::of(&log).map_err(|error| unreadable(&path, &error))?;
+    args.json.print(|| pretty(&info_json(&path, &log, &numbers)), || describe(&path, &log, &numbers))?;
+    let damaged = log.recording().damage.is_some() || log.recording().dropped() > 0;
     Ok(if damaged { Exit::DataLost } else { Exit::Done })
 }
 
 /// Numbers of a log, computed from its channel `tick`.
 struct Numbers {
-    cycles: usize,
+    cycles: u64,
     missed_cycles: f64,
     duration_s: f64,
 }
 
 impl Numbers {
-    fn of(recording: &Recording) -> Self {
-        let tick = recording.channel(TICK_CHANNEL);
-        let times = tick.map_or(&[][..], |tick| &tick.time_s);
-        let missed = tick.and_then(|tick| tick.signal(MISSED_CYCLES));
-        let missed = missed.into_iter().flat_map(|missed| missed.rows().map(|row| row[0]));
-        let duration_s = times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0);
-        Self { cycles: times.len(), missed_cycles: missed.filter(|m| m.is_finite()).sum(), duration_s }
+    fn of(log: &LogFile) -> Result<Self, LogError> {
+        let (cycles, span_s) = log.rows(TICK_CHANNEL);
+        let [first, last] = span_s.unwrap_or_default();
+        let mut missed_cycles = 0.0;
+        log.for_each_segment(&mut |segment, _| {
+            let missed = segment.channel(TICK_CHANNEL).and_then(|tick| tick.signal(MISSED_CYCLES));
+            let missed = missed.into_iter().flat_map(Column::rows).map(|row| row[0]);
+            missed_cycles += missed.filter(|missed| missed.is_finite()).sum::<f64>();
+        })?;
+        Ok(Self { cycles, missed_cycles, duration_s: last - first })
     }
 }
 
@@ -93,10 +95,9 @@ fn outcome(recording: &Recording) -> String {
     }
 }
 
-fn describe(path: &Path, contents: &Contents) -> String {
-    let recording = &contents.recording;
-    let numbers = Numbers::of(recording);
-    let mut text = format!("{}: {} bytes\n", path.display(), contents.file_bytes);
+fn describe(path: &Path, log: &LogFile, numbers: &Numbers) -> String {
+    let recording = log.recording();
+    let mut text = format!("{}: {} bytes\n", path.display(), log.size_bytes());
     states(recording).iter().for_each(|state| text += &format!("  {state}\n"));
     for key in ORIGIN {
         if let Some(value) = entry(recording, RUN, key) {
@@ -111,7 +112,7 @@ fn describe(path: &Path, contents: &Contents) -> String {
         numbers.cycles, numbers.duration_s, numbers.missed_cycles
     );
     let mut channels = Table::new(&[("channel", ""), ("type", ""), ("messages", ""), ("size", "bytes")]);
-    for channel in &contents.channels {
+    for channel in log.channels() {
         let texts = [&channel.topic, &channel.schema].map(|text| Cell::from(text.clone()));
         channels.push(
             texts.into_iter().chain([Cell::Count(channel.messages), Cell::Count(channel.bytes)]).collect(),
@@ -132,9 +133,8 @@ fn size(entries: &BTreeMap<String, String>) -> u64 {
     entries.iter().map(|(key, value)| (key.len() + value.len()) as u64).sum()
 }
 
-fn info_json(path: &Path, contents: &Contents) -> Value {
-    let recording = &contents.recording;
-    let numbers = Numbers::of(recording);
+fn info_json(path: &Path, log: &LogFile, numbers: &Numbers) -> Value {
+    let recording = log.recording();
     let channel = |channel: &opspace_log::ChannelContents| {
         json!({
             "topic": channel.topic,
@@ -153,7 +153,7 @@ fn info_json(path: &Path, contents: &Contents) -> Value {
     json!({
         "schema": "opspace.log-info/1",
         "log": path,
-        "bytes": contents.file_bytes,
+        "bytes": log.size_bytes(),
         "closed": recording.closed,
         "damage": recording.damage.as_ref().map(|damage| json!({
             "what": damage.what,
@@ -176,7 +176,7 @@ fn info_json(path: &Path, contents: &Contents) -> Value {
         "cycles": numbers.cycles,
         "missed_cycles": numbers.missed_cycles,
         "rows_dropped": recording.dropped(),
-        "channels": contents.channels.iter().map(channel).collect::<Vec<_>>(),
+        "channels": log.channels().iter().map(channel).collect::<Vec<_>>(),
         "attachments": attachments,
         "metadata": metadata,
     })
@@ -194,10 +194,10 @@ fn recover(args: &LogRecoverArgs) -> Outcome {
         );
         return Err(Failure::Other(text, Exit::Bad));
     }
-    let (path, bytes) = read_log_bytes(&args.log)?;
+    let (path, log) = open_log(&args.log)?;
     let mut result = None;
     let written = write_file_with(&args.out, |file| {
-        result = Some(recover_log(&bytes, file));
+        result = Some(recover_log(&log, file));
         match &result {
             Some(Err(error)) => Err(io::Error::other(error.to_string())),
             _ => Ok(()),
@@ -211,9 +211,7 @@ fn recover(args: &LogRecoverArgs) -> Outcome {
         (Some(Ok(recovery)), Ok(())) => recovery,
         (None, Ok(())) => return Ok(Exit::Failed),
     };
-    let planned = Recording::from_bytes(&bytes).ok().and_then(|recording| {
-        entry(&recording, RUN, "duration_s").and_then(|seconds| seconds.parse::<f64>().ok())
-    });
+    let planned = entry(log.recording(), RUN, "duration_s").and_then(|s| s.parse::<f64>().ok());
     args.json.print(
         || pretty(&recovery_json(&path, &args.out, &recovery)),
         || recovery_text(&path, &args.out, &recovery, planned),
@@ -268,26 +266,23 @@ fn export(args: &LogExportArgs, console: Console) -> Outcome {
             return Err(Failure::Other(format!("{}: {reason}", out.display()), Exit::Bad));
         }
     }
-    let (path, recording) = read_log(&args.log)?;
-    let Some(channel) = recording.channel(&args.channel) else {
-        let known: Vec<&str> = recording.channels.iter().map(|c| c.layout.channel.as_str()).collect();
+    let (path, log) = open_log(&args.log)?;
+    let recording = log.recording();
+    let channels = &recording.channels;
+    if recording.channel(&args.channel).is_none() {
+        let known: Vec<&str> = channels.iter().map(|c| c.layout.channel.as_str()).collect();
         let text =
             format!("{}: no channel '{}'; its channels: {}", path.display(), args.channel, known.join(", "));
         return Err(Failure::Other(text, Exit::Bad));
-    };
+    }
     match out {
-        Some(out) => write_file_with(out, |file: &mut File| {
-            let mut file = BufWriter::new(file);
-            write_csv(channel, &mut file).and_then(|()| file.flush())
-        })
-        .map_err(|error| Failure::io("cannot be written", out, &error))?,
+        Some(out) => write_file_with(out, |file| export_rows(&log, &args.channel, BufWriter::new(file)))
+            .map_err(|error| Failure::io("cannot be written", out, &error))?,
         None => {
-            let mut stdout = BufWriter::new(io::stdout().lock());
-            write_csv(channel, &mut stdout).and_then(|()| stdout.flush()).map_err(|error| {
-                match error.kind() {
-                    io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
-                    _ => Failure::Other(format!("cannot write to standard output: {error}"), Exit::Failed),
-                }
+            let stdout = BufWriter::new(io::stdout().lock());
+            export_rows(&log, &args.channel, stdout).map_err(|error| match error.kind() {
+                io::ErrorKind::BrokenPipe => Failure::ClosedPipe,
+                _ => Failure::Other(format!("cannot write to standard output: {error}"), Exit::Failed),
             })?;
         }
     }
@@ -298,11 +293,25 @@ fn export(args: &LogExportArgs, console: Console) -> Outcome {
     Ok(if lost { Exit::DataLost } else { Exit::Done })
 }
 
+/// Writes the rows of a channel as CSV.
+fn export_rows(log: &LogFile, name: &str, sink: impl Write) -> io::Result<()> {
+    let Some(channel) = log.recording().channel(name) else { return Ok(()) };
+    let mut csv = CsvWriter::new(&channel.layout, sink)?;
+    let mut written = Ok(());
+    log.for_each_segment(&mut |segment, _| {
+        if let Some(rows) = segment.channel(name).filter(|_| written.is_ok()) {
+            written = csv.write_rows(rows);
+        }
+    })
+    .map_err(io::Error::other)?;
+    written.and_then(|()| csv.flush())
+}
+
 fn diff(args: &LogDiffArgs) -> Outcome {
     let inputs = [log_path(&args.first), log_path(&args.second)];
     check_outputs(&inputs, &Vec::from_iter(args.json.path().map(Path::to_owned)))?;
-    let (first, a) = read_log_bytes(&args.first)?;
-    let (second, b) = read_log_bytes(&args.second)?;
+    let (first, a) = open_log(&args.first)?;
+    let (second, b) = open_log(&args.second)?;
     let paths = [first.as_path(), second.as_path()];
     let comparison = compare_logs(&a, &b).map_err(|(which, error)| unreadable(paths[which], &error))?;
     args.json.print(|| pretty(&diff_json(paths, &comparison)), || diff_text(paths, &comparison))?;

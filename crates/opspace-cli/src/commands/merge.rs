@@ -12,6 +12,7 @@ use opspace_experiment::run::suite_rows::{SUITE_ROWS, SuiteHeader, SuiteRow, Sui
 use opspace_experiment::{Extensions, Summary};
 use std::collections::BTreeMap;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Maximum number of missing runs that are listed.
@@ -40,10 +41,11 @@ pub fn merge(args: &MergeArgs, extensions: &Extensions, console: Console) -> Out
     let folder = locked.path();
     let mut lost = Vec::new();
     for (name, path) in &logs {
-        match fs::read(path) {
-            Ok(log) => {
+        match fs::File::open(path) {
+            Ok(mut log) => {
                 let to = folder.join(name);
-                replace_file(&to, &log).map_err(|e| Failure::io("cannot be written", &to, &e))?;
+                replace_file(&to, |file| io::copy(&mut log, file).map(|_| ()))
+                    .map_err(|e| Failure::io("cannot be written", &to, &e))?;
             }
             Err(error) => lost.push(format!("{}: cannot be read: {error}", path.display())),
         }

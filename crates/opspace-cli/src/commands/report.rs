@@ -2,7 +2,7 @@
 
 use crate::cli::ReportArgs;
 use crate::console::{Console, Exit, Failure, Outcome};
-use crate::output::{Format, log_path, pretty, read_log, write_named};
+use crate::output::{Format, log_path, open_log, pretty, write_named};
 use crate::outputs::check_outputs;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
@@ -21,18 +21,19 @@ pub fn report(args: &ReportArgs, extensions: &Extensions, console: Console) -> O
     let mut shown = Vec::new();
     let mut exit = Exit::Done;
     for path in &args.logs {
-        let (path, recording) = read_log(path)?;
+        let (path, log) = open_log(path)?;
+        let recording = log.recording();
         let bad = |error: RunError| Failure::Other(format!("{}: {error}", path.display()), Exit::Bad);
         if let Some(damage) = &recording.damage {
             console.note(&format!("{}: damaged: {damage}", path.display()));
             exit = Exit::DataLost;
         }
-        let experiment = Experiment::of_log_with(extensions, &recording).map_err(bad)?;
+        let experiment = Experiment::of_log_with(extensions, recording).map_err(bad)?;
         if recording.dropped() > 0 {
             exit = Exit::DataLost;
         }
-        let summary = experiment.summary(&recording, &OutcomeRecord::of(&recording), None);
-        shown.push(RunSection::new(&experiment, &recording, summary));
+        let summary = experiment.summary_of_file(&log, &OutcomeRecord::of(recording), None).map_err(bad)?;
+        shown.push(RunSection::of_file(&experiment, &log, summary).map_err(bad)?);
     }
     let summaries: Vec<_> = shown.iter().map(|s| s.summary.clone()).collect();
     let title = match shown.as_slice() {

@@ -1,10 +1,11 @@
 //! Failures that no single metric shows: a run that ended as planned and still missed the purpose of its task.
 
-use crate::evaluate::metrics::Evaluation;
+use crate::evaluate::metric_tables::Evaluation;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, REFERENCE, TICK_CHANNEL};
 use opspace_control::TaskParameters;
 use opspace_log::Recording;
+use std::ops::Range;
 
 /// Largest fraction of missed cycles of a run that is worth its numbers.
 const MAX_MISSED: f64 = 0.5;
@@ -16,11 +17,7 @@ const MIN_CHANGE: f64 = 0.01;
 const MIN_MOTION: f64 = 0.1;
 
 /// Describes the failures of a run.
-pub(crate) fn failures(
-    experiment: &Experiment,
-    recording: &Recording,
-    evaluation: &Evaluation,
-) -> Vec<String> {
+pub(super) fn failures(evaluation: &Evaluation, held: &HeldJoints) -> Vec<String> {
     let mut failures = Vec::new();
     for (name, task) in &evaluation.tasks {
         if task.contact.in_contact_fraction == Some(0.0) {
@@ -33,7 +30,7 @@ pub(crate) fn failures(
     if let Some(missed) = evaluation.metrics.missed_fraction.filter(|missed| *missed > MAX_MISSED) {
         failures.push(format!("{:.0} % of the interface cycles were missed", 100.0 * missed));
     }
-    let held = held_joints(experiment, recording);
+    let held = held.names();
     if !held.is_empty() {
         failures.push(format!(
             "the reference moves, but {} does not: friction or a brake may hold it",
@@ -43,35 +40,82 @@ pub(crate) fn failures(
     failures
 }
 
-/// Joints of joint tasks that hardly move although their reference does.
-fn held_joints(experiment: &Experiment, recording: &Recording) -> Vec<String> {
-    let Some(tick) = recording.channel(TICK_CHANNEL) else { return Vec::new() };
-    let Some(q) = tick.signal(signal_names::Q) else { return Vec::new() };
-    let mut held = Vec::new();
-    let file = &experiment.task().file;
-    for name in &file.priority {
-        let Some(TaskParameters::JointTracking(task)) = file.task.get(name) else { continue };
-        let Some(reference) = tick.signal(&signal_names::of(name, REFERENCE)) else { continue };
-        for (place, joint) in reference.elements().iter().enumerate() {
-            // The log has references of all joints, also of those that the task does not control.
-            if task.joints.as_ref().is_some_and(|joints| !joints.contains(joint)) {
-                continue;
+/// Ranges of the joints of joint tasks and of their references, over a whole log.
+pub(super) struct HeldJoints {
+    joints: Vec<JointRanges>,
+    /// Names of the signals of references, each with the joints of its task; `None` for all.
+    references: Vec<(String, Option<Vec<String>>)>,
+}
+
+/// Range of a joint, and of its reference in one task.
+struct JointRanges {
+    reference: String,
+    joint: String,
+    asked: Option<Range<f64>>,
+    moved: Option<Range<f64>>,
+}
+
+impl HeldJoints {
+    pub(super) fn new(experiment: &Experiment) -> Self {
+        let file = &experiment.task().file;
+        let references = file.priority.iter().filter_map(|name| match file.task.get(name)? {
+            TaskParameters::JointTracking(task) => {
+                Some((signal_names::of(name, REFERENCE), task.joints.clone()))
             }
-            let Some(j) = q.elements().iter().position(|name| name == joint) else { continue };
-            let asked = range(reference.rows().map(|row| row[place]));
-            let moved = range(q.rows().map(|row| row[j]));
-            if asked > MIN_CHANGE && moved < MIN_MOTION * asked && !held.contains(joint) {
-                held.push(joint.clone());
+            _ => None,
+        });
+        Self { joints: Vec::new(), references: references.collect() }
+    }
+
+    pub(super) fn add(&mut self, segment: &Recording) {
+        let Some(tick) = segment.channel(TICK_CHANNEL) else { return };
+        let Some(q) = tick.signal(signal_names::Q) else { return };
+        for (signal, joints) in &self.references {
+            let Some(reference) = tick.signal(signal) else { continue };
+            for (place, joint) in reference.elements().iter().enumerate() {
+                // The log has references of all joints, also of those that the task does not control.
+                if joints.as_ref().is_some_and(|joints| !joints.contains(joint)) {
+                    continue;
+                }
+                let Some(j) = q.elements().iter().position(|name| name == joint) else { continue };
+                let known = self.joints.iter().position(|r| r.joint == *joint && r.reference == *signal);
+                let known = known.unwrap_or_else(|| {
+                    let (reference, joint) = (signal.clone(), joint.clone());
+                    self.joints.push(JointRanges { reference, joint, asked: None, moved: None });
+                    self.joints.len() - 1
+                });
+                let ranges = &mut self.joints[known];
+                reference.rows().for_each(|row| widen(&mut ranges.asked, row[place]));
+                q.rows().for_each(|row| widen(&mut ranges.moved, row[j]));
             }
         }
     }
-    held
+
+    /// Joints that hardly move although their reference does.
+    fn names(&self) -> Vec<&str> {
+        let is_held = |ranges: &&JointRanges| {
+            let (asked, moved) = (width(ranges.asked.as_ref()), width(ranges.moved.as_ref()));
+            asked > MIN_CHANGE && moved < MIN_MOTION * asked
+        };
+        let mut names: Vec<&str> = Vec::new();
+        for ranges in self.joints.iter().filter(is_held) {
+            if !names.contains(&ranges.joint.as_str()) {
+                names.push(&ranges.joint);
+            }
+        }
+        names
+    }
 }
 
-/// Difference of the largest and the smallest finite value; 0 without one.
-fn range(values: impl Iterator<Item = f64>) -> f64 {
-    let ends = values.filter(|value| value.is_finite()).fold(None, |ends: Option<(f64, f64)>, value| {
-        Some(ends.map_or((value, value), |(low, high)| (low.min(value), high.max(value))))
-    });
-    ends.map_or(0.0, |(low, high)| high - low)
+/// Widens a range so that it contains a value, if the value is finite.
+fn widen(range: &mut Option<Range<f64>>, value: f64) {
+    if value.is_finite() {
+        let before = range.take().unwrap_or(value..value);
+        *range = Some(before.start.min(value)..before.end.max(value));
+    }
+}
+
+/// Width of a range; 0 without one.
+fn width(range: Option<&Range<f64>>) -> f64 {
+    range.map_or(0.0, |range| range.end - range.start)
 }

@@ -47,6 +47,8 @@ pub struct Panel {
     pub x_scale: Scale,
     /// Scale of the ordinate: linear or logarithmic.
     pub y_scale: Scale,
+    /// Limits of the quantity: lines are added where a run comes near them.
+    pub limits: Option<Range<f64>>,
 }
 
 /// A line: `y` over `x`, of equal lengths; a value that is not finite interrupts it.

@@ -1,10 +1,10 @@
 //! Figures of one run: torques, their errors, the tasks, setpoints and computing times. All are computed from the log.
 
-use crate::evaluate::metrics::cycle_times_ns;
-use crate::evaluate::metrics::run_log::Run;
-use crate::evaluate::spectrum::windowed_transform;
+use crate::evaluate::metrics::run_log::{Control, Run};
+use crate::evaluate::metrics::times::CycleTimes;
+use crate::evaluate::spectrum::Welch;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
-use crate::report::lines::{COLUMNS, draw_limits, element, joint_figure, label_of, time_panel};
+use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
 use crate::report::task_figures::task_figures;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
@@ -13,16 +13,74 @@ use opspace_backend::signal_names::{
 use opspace_log::Recording;
 use realfft::RealFftPlanner;
 
-/// Creates the figures of a run: torques by joint, then the signals of its tasks and sensors.
-#[must_use]
-pub(super) fn figures(experiment: &Experiment, recording: &Recording) -> Vec<Figure> {
-    let Some(run) = Run::new(experiment, recording) else { return Vec::new() };
-    let mut figures: Vec<Figure> = torques(&run).into_iter().collect();
-    figures.extend(task_figures(&run));
-    figures.extend(setpoint_figure(&run));
-    figures.extend(torque_error_spectrum(&run));
-    figures.extend(computing_times(&run));
-    figures
+/// Duration of a block of the spectrum of a torque error, s.
+const ERROR_BLOCK_S: f64 = 1.0;
+
+/// Figures of a run while segments of its log arrive: torques by joint, then the signals of its tasks and sensors.
+pub(super) struct RunFigures<'a> {
+    experiment: &'a Experiment,
+    control: Control,
+    /// Figures over time.
+    figures: Vec<Figure>,
+    /// Joint, axis label and spectrum of the torque error of each joint, at servo rate, after settling.
+    errors: Vec<(String, String, Welch)>,
+    times: CycleTimes,
+}
+
+impl<'a> RunFigures<'a> {
+    pub(super) fn new(experiment: &'a Experiment) -> Self {
+        Self {
+            experiment,
+            control: Control::default(),
+            figures: Vec::new(),
+            errors: Vec::new(),
+            times: CycleTimes::new(),
+        }
+    }
+
+    /// Adds the next segment of the log.
+    pub(super) fn add(&mut self, segment: &Recording, is_last: bool) {
+        self.times.add(segment);
+        let Some(run) = Run::new(self.experiment, segment, &mut self.control, is_last) else { return };
+        let mut next: Vec<Figure> = torques(&run).into_iter().collect();
+        next.extend(task_figures(&run));
+        next.extend(setpoint_figure(&run));
+        append(&mut self.figures, next);
+        self.add_torque_errors(&run);
+    }
+
+    /// Adds the torque errors of a segment; there are none without a true motor torque.
+    fn add_torque_errors(&mut self, run: &Run<'_>) {
+        let Some(servo) = run.recording.channel(SERVO_CHANNEL) else { return };
+        let (Some(motor), Some(desired)) = (servo.signal(MOTOR_TORQUE), servo.signal(TORQUE_DESIRED)) else {
+            return;
+        };
+        if self.errors.is_empty() {
+            let mut planner = RealFftPlanner::new();
+            let block = (ERROR_BLOCK_S * run.experiment.profile().1.servo_hz.get()).round() as usize;
+            let joints = motor.elements().iter().enumerate();
+            self.errors = joints
+                .map(|(j, joint)| {
+                    (joint.clone(), label_of("amplitude", &motor, j), Welch::new(block, &mut planner))
+                })
+                .collect();
+        }
+        for k in run.settled(&servo.time_s) {
+            let errors = motor.row(k).iter().zip(desired.row(k)).map(|(motor, desired)| motor - desired);
+            self.errors.iter_mut().zip(errors).for_each(|((.., spectrum), error)| spectrum.add(error));
+        }
+    }
+
+    /// Returns the figures; none if the log has no control cycle.
+    pub(super) fn finish(self) -> Vec<Figure> {
+        if self.control.start_s.is_none() {
+            return Vec::new();
+        }
+        let mut figures = complete(self.figures);
+        figures.extend(torque_error_spectrum(self.experiment, self.errors));
+        figures.extend(computing_times(&self.times));
+        figures
+    }
 }
 
 /// Figure of desired and motor torque of each joint, at servo rate if the log contains it.
@@ -36,13 +94,14 @@ fn torques(run: &Run<'_>) -> Option<Figure> {
     let limits = run.experiment.robot().torque_limits();
     let panel = |(j, joint): (usize, &String)| {
         let lines = [("motor", Style::Solid, Some(motor)), ("desired", Style::Desired, desired)];
-        let series = lines
-            .into_iter()
-            .filter_map(|(label, style, column)| element(run, label, &channel.time_s, &column?, j, style));
-        let mut panel = time_panel(joint, &label_of("torque", &motor, j), series.collect());
+        let series = lines.into_iter().filter_map(|(label, style, column)| {
+            Some(element(run, label, &channel.time_s, &column?, j, style))
+        });
         let limit = limits.get(j).copied().unwrap_or(f64::INFINITY);
-        draw_limits(&mut panel, -limit..limit);
-        panel
+        Panel {
+            limits: Some(-limit..limit),
+            ..time_panel(joint, &label_of("torque", &motor, j), series.collect())
+        }
     };
     Some(Figure {
         title: "Desired and motor torque".to_owned(),
@@ -70,36 +129,32 @@ fn setpoint_figure(run: &Run<'_>) -> Option<Figure> {
     joint_figure(run, "Setpoints", caption, "position", (run.tick, Q, "measured"), &positions)
 }
 
-/// Figure of the spectrum of the torque error of each joint, at servo rate, after settling: where motor torque and desired
-/// torque differ. `None` without a true motor torque.
-fn torque_error_spectrum(run: &Run<'_>) -> Option<Figure> {
-    let servo = run.recording.channel(SERVO_CHANNEL)?;
-    let (motor, desired) = (servo.signal(MOTOR_TORQUE)?, servo.signal(TORQUE_DESIRED)?);
-    let profile = run.experiment.profile().1;
-    let rows = run.settled(&servo.time_s);
-    let mut planner = RealFftPlanner::new();
-    let panels: Vec<Panel> = (motor.elements().iter().enumerate())
-        .filter_map(|(j, joint)| {
-            let errors: Vec<f64> = rows.clone().map(|k| motor.row(k)[j] - desired.row(k)[j]).collect();
-            let (hz, amplitude) = spectrum(&errors, profile.servo_hz.get(), &mut planner)?;
-            let mut panel = Panel {
-                title: joint.clone(),
-                x_label: "frequency (Hz)".to_owned(),
-                y_label: label_of("amplitude", &motor, j),
-                series: vec![Series::new("motor minus desired torque", hz, amplitude).thinned(COLUMNS)],
-                x_scale: Scale::Log,
-                y_scale: Scale::Log,
-                ..Panel::default()
-            };
-            if profile.servo_ticks_per_cycle.get() > 1 {
-                panel.marks.push((1.0 / profile.period_s(), "interface rate".to_owned()));
-            }
-            Some(panel)
-        })
-        .collect();
+/// Figure of the spectra of the torque errors: where motor torque and desired torque differ.
+fn torque_error_spectrum(experiment: &Experiment, errors: Vec<(String, String, Welch)>) -> Option<Figure> {
+    let profile = experiment.profile().1;
+    let panel = |(title, y_label, spectrum): (String, String, Welch)| {
+        let spectrum = spectrum.finish()?;
+        let line_hz = profile.servo_hz.get() / spectrum.n as f64;
+        let amplitudes: Vec<f64> = spectrum.amplitudes().collect();
+        let frequencies = (1..=amplitudes.len()).map(|line| line as f64 * line_hz).collect();
+        let mut panel = Panel {
+            title,
+            x_label: "frequency (Hz)".to_owned(),
+            y_label,
+            series: vec![Series::new("motor minus desired torque", frequencies, amplitudes).thinned(COLUMNS)],
+            x_scale: Scale::Log,
+            y_scale: Scale::Log,
+            ..Panel::default()
+        };
+        if profile.servo_ticks_per_cycle.get() > 1 {
+            panel.marks.push((1.0 / profile.period_s(), "interface rate".to_owned()));
+        }
+        Some(panel)
+    };
+    let panels: Vec<Panel> = errors.into_iter().filter_map(panel).collect();
     (!panels.is_empty()).then(|| Figure {
         title: "Spectrum of the torque error".to_owned(),
-        caption: "Amplitude by frequency after settle_s, rms over segments of one second (Hann window, Welch). A held setpoint \
+        caption: "Amplitude by frequency after settle_s, rms over blocks of one second (Hann window, Welch). A held setpoint \
                   gives lines at multiples of the interface rate; friction, noise and the transformer's model errors are \
                   below it."
             .to_owned(),
@@ -108,50 +163,28 @@ fn torque_error_spectrum(run: &Run<'_>) -> Option<Figure> {
     })
 }
 
-/// Returns frequencies (Hz) and amplitudes of a signal, rms over segments of a second that overlap by half, with a Hann
-/// window (P. D. Welch, 1967); `None` if the signal is too short or has gaps.
-fn spectrum(
-    samples: &[f64],
-    rate_hz: f64,
-    planner: &mut RealFftPlanner<f64>,
-) -> Option<(Vec<f64>, Vec<f64>)> {
-    let n = samples.len().min(rate_hz.round() as usize);
-    let mut squares = vec![0.0; n / 2 + 1];
-    let mut segments = 0.0;
-    for start in (0..=samples.len() - n).step_by(n.div_ceil(2).max(1)) {
-        let lines = windowed_transform(&samples[start..start + n], planner)?;
-        // The mean of the window is one half, and a line stands for two.
-        squares.iter_mut().zip(&lines).for_each(|(sum, line)| *sum += (4.0 * line.norm() / n as f64).powi(2));
-        segments += 1.0;
-    }
-    let amplitudes = squares.iter().skip(1).map(|sum| (sum / segments).sqrt()).collect();
-    let frequencies = (1..squares.len()).map(|line| line as f64 * rate_hz / n as f64).collect();
-    Some((frequencies, amplitudes))
-}
-
 /// Histogram of the durations of the control cycles.
-fn computing_times(run: &Run<'_>) -> Option<Figure> {
+fn computing_times(times: &CycleTimes) -> Option<Figure> {
     const BINS: usize = 60;
-    let times_us: Vec<f64> = cycle_times_ns(run.recording)
-        .into_iter()
-        .map(|time| 1e-3 * time)
-        .filter(|time| *time > 0.0)
-        .collect();
-    let (least, largest) = (*times_us.first()?, *times_us.last()?);
+    let times_ns = times.histogram()?;
+    let (least, largest) = (times_ns.min_nz() as f64, times_ns.max() as f64);
+    if largest <= 0.0 {
+        return None;
+    }
     // Bins of equal ratio: a few cycles take a hundred times longer than the others.
     let ratio = (largest / least).max(1.1).powf(1.0 / BINS as f64);
-    let (mut x, mut y) = (Vec::new(), Vec::new());
-    let mut counted = 0;
-    for bin in 0..BINS {
-        let (from, to) = (least * ratio.powf(bin as f64), least * ratio.powf(bin as f64 + 1.0));
-        let until = if bin + 1 == BINS { times_us.len() } else { times_us.partition_point(|t| *t < to) };
-        let count = until.saturating_sub(counted) as f64;
-        counted = until;
-        // Steps; an empty bin interrupts the line, as a logarithmic axis has no zero.
-        x.extend([from, to]);
-        y.extend([if count > 0.0 { count } else { f64::NAN }; 2]);
+    let mut counts = [0_u64; BINS];
+    for counted in times_ns.iter_recorded().filter(|counted| counted.value_iterated_to() > 0) {
+        let bin = ((counted.value_iterated_to() as f64 / least).ln() / ratio.ln()) as usize;
+        counts[bin.min(BINS - 1)] += counted.count_at_value();
     }
-    let at = |share: f64| times_us[((times_us.len() - 1) as f64 * share).round() as usize];
+    let (mut x, mut y) = (Vec::new(), Vec::new());
+    for (bin, count) in counts.into_iter().enumerate() {
+        // Steps; an empty bin interrupts the line, as a logarithmic axis has no zero.
+        x.extend([0, 1].map(|end| 1e-3 * least * ratio.powi((bin + end) as i32)));
+        y.extend([if count > 0 { count as f64 } else { f64::NAN }; 2]);
+    }
+    let at = |share: f64| 1e-3 * times_ns.value_at_quantile(share) as f64;
     let panel = Panel {
         x_label: "duration of a control cycle (µs)".to_owned(),
         y_label: "cycles".to_owned(),
@@ -169,28 +202,4 @@ fn computing_times(run: &Run<'_>) -> Option<Figure> {
         panels: vec![panel],
         ..Figure::default()
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::f64::consts::TAU;
-
-    /// Rounding of a transform of a thousand samples, N·m.
-    const ROUNDING: f64 = 1e-9;
-
-    /// Compared: the amplitudes at the frequencies of two sines, and these sines' amplitudes.
-    #[test]
-    fn spectrum_has_the_amplitudes_of_sines() {
-        let rate_hz = 1000.0;
-        let samples: Vec<f64> = (0..5300)
-            .map(|k| f64::from(k) / rate_hz)
-            .map(|t| 7.0 + 0.5 * (TAU * 20.0 * t).sin() + 0.02 * (TAU * 310.0 * t).cos())
-            .collect();
-        let (hz, amplitude) = spectrum(&samples, rate_hz, &mut RealFftPlanner::new()).expect("a spectrum");
-        assert_eq!((hz[0], hz[19], hz[309]), (1.0, 20.0, 310.0));
-        assert!((amplitude[19] - 0.5).abs() < ROUNDING && (amplitude[309] - 0.02).abs() < ROUNDING);
-        assert!(amplitude[99] < ROUNDING, "{}", amplitude[99]);
-        assert_eq!(spectrum(&samples[..20], rate_hz, &mut RealFftPlanner::new()), None);
-    }
 }

@@ -1,11 +1,12 @@
 //! Section of a page about one run.
 
 use crate::report::figure::Figure;
-use crate::report::run_figures::figures;
+use crate::report::run_figures::RunFigures;
+use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header;
 use crate::run::summary::Summary;
-use opspace_log::Recording;
+use opspace_log::{LogFile, Recording};
 
 /// Section of a page about one run, with all its figures.
 #[derive(Clone, Debug)]
@@ -26,6 +27,22 @@ impl RunSection {
     /// Creates the section of a run from its log.
     #[must_use]
     pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
+        let mut figures = RunFigures::new(experiment);
+        figures.add(recording, true);
+        Self::with_figures(recording, figures.finish(), summary)
+    }
+
+    /// Creates the section of a run from its log, which is read in segments.
+    ///
+    /// # Errors
+    /// If the log can no longer be read.
+    pub fn of_file(experiment: &Experiment, log: &LogFile, summary: Summary) -> Result<Self, RunError> {
+        let mut figures = RunFigures::new(experiment);
+        log.for_each_segment(&mut |segment, is_last| figures.add(segment, is_last))?;
+        Ok(Self::with_figures(log.recording(), figures.finish(), summary))
+    }
+
+    fn with_figures(recording: &Recording, figures: Vec<Figure>, summary: Summary) -> Self {
         let mut warnings = Vec::new();
         if let Some(damage) = &recording.damage {
             let shown = if damage.rows_lost { "; only the readable part is shown" } else { "" };
@@ -50,7 +67,7 @@ impl RunSection {
         let facts = metadata.filter(|(key, value)| is_shown(key) && !value.is_empty());
         Self {
             title: title(&summary),
-            figures: figures(experiment, recording),
+            figures,
             summary,
             warnings,
             facts: facts.map(|(key, value)| (key.clone(), value.clone())).collect(),

@@ -67,7 +67,7 @@ impl<'a> CartesianFigures<'a> {
             name,
             task,
             directions,
-            poses: run.poses_of(run.controlled(), controlled, directions).collect(),
+            poses: run.poses(controlled, directions).collect(),
             reference: run.tick.signal(&signal_names::of(name, REFERENCE)),
             reference_orientation: run.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION)),
         })
@@ -83,13 +83,13 @@ impl<'a> CartesianFigures<'a> {
         self.run.joints.0[row]
     }
 
-    /// Line of a number that is computed for each pose; `None` where it has no value.
+    /// Line of a number that is computed for each pose; it is interrupted where there is none.
     fn line(
         &self,
         label: &str,
         style: Style,
         value: impl Fn(usize, &Placement, &Matrix3<f64>) -> Option<f64>,
-    ) -> Option<Series> {
+    ) -> Series {
         let samples = self
             .poses
             .iter()
@@ -98,10 +98,8 @@ impl<'a> CartesianFigures<'a> {
     }
 
     /// Panels of the three axes.
-    fn panels(&self, y_label: &str, series: impl Fn(usize) -> Vec<Option<Series>>) -> Vec<Panel> {
-        let panel =
-            |axis: usize| time_panel(AXES[axis], y_label, series(axis).into_iter().flatten().collect());
-        (0..3).map(panel).collect()
+    fn panels(&self, y_label: &str, series: impl Fn(usize) -> Vec<Series>) -> Vec<Panel> {
+        (0..3).map(|axis| time_panel(AXES[axis], y_label, series(axis))).collect()
     }
 
     /// Position in world axes. An axis that is not a motion axis follows no reference, and has none in the figure.
@@ -111,12 +109,12 @@ impl<'a> CartesianFigures<'a> {
         let follows = |axis: usize| if self.is_in_world() { motion[axis] } else { motion[..3] == [true; 3] };
         let panels = self.panels("position (m)", |axis| {
             let reference = self.reference.filter(|_| follows(axis));
-            vec![
-                self.line("true", Style::Solid, |_, pose, _| Some(pose.translation[axis])),
-                reference.and_then(|r| {
+            let mut series = vec![self.line("true", Style::Solid, |_, pose, _| Some(pose.translation[axis]))];
+            series
+                .extend(reference.map(|r| {
                     element(self.run, "reference", &self.run.tick.time_s, &r, axis, Style::Desired)
-                }),
-            ]
+                }));
+            series
         });
         let followed: Vec<&str> = (0..3).filter(|&axis| follows(axis)).map(|axis| AXES[axis]).collect();
         let caption = match followed.len() {
@@ -166,21 +164,20 @@ impl<'a> CartesianFigures<'a> {
     /// Distance and angle from the reference over the motion axes.
     fn errors(&self) -> Option<Figure> {
         let motion = self.task.motion_axes();
-        let position = self.reference.filter(|_| motion[..3].contains(&true)).and_then(|reference| {
+        let position = self.reference.filter(|_| motion[..3].contains(&true)).map(|reference| {
             self.line("error", Style::Solid, |k, pose, axes| {
                 let error =
                     pose.translation - Vector3::from_column_slice(reference.row(self.run.tick_of(k)?));
                 Some(1e3 * masked_norm(&axes.tr_mul(&error), &motion[..3]))
             })
         });
-        let angle =
-            self.reference_orientation.filter(|_| motion[3..].contains(&true)).and_then(|reference| {
-                self.line("error", Style::Solid, |k, pose, axes| {
-                    let reference = orientation(reference.row(self.run.tick_of(k)?));
-                    let error = log(&(pose.rotation * reference.transpose()));
-                    Some(1e3 * masked_norm(&axes.tr_mul(&error), &motion[3..]))
-                })
-            });
+        let angle = self.reference_orientation.filter(|_| motion[3..].contains(&true)).map(|reference| {
+            self.line("error", Style::Solid, |k, pose, axes| {
+                let reference = orientation(reference.row(self.run.tick_of(k)?));
+                let error = log(&(pose.rotation * reference.transpose()));
+                Some(1e3 * masked_norm(&axes.tr_mul(&error), &motion[3..]))
+            })
+        });
         let panels: Vec<Panel> =
             [("position", "distance (mm)", position), ("orientation", "angle (mrad)", angle)]
                 .into_iter()
@@ -206,26 +203,25 @@ impl<'a> CartesianFigures<'a> {
         let on_force = self.task.axes.with_mode(AxisMode::Force);
         let sensor = self.task.force.as_ref().map(|force| force.sensor.as_str());
         let sensed = sensor.and_then(|sensor| self.run.tick.signal(&signal_names::of(sensor, WRENCH)));
-        let truth = self.run.forces_on(&self.task.frame).filter(|(forces, _)| !forces.is_empty());
+        let truth = self.run.forces_on(&self.task.frame).filter(|forces| !forces.is_empty());
         if sensed.is_none() && (truth.is_none() || !on_force[..3].contains(&true)) {
             return None;
         }
         let target = self.task.target_force();
         let is_filed = !matches!(self.task.reference, CartesianReference::Streamed(_));
         let panels = self.panels("force (N)", |axis| {
-            let true_force = truth.as_ref().and_then(|(forces, _)| {
+            let true_force = truth.as_ref().map(|forces| {
                 self.line("true", Style::Solid, |k, _, axes| Some(axes.tr_mul(&total(forces, k))[axis]))
             });
-            let sensed = sensed.and_then(|sensed| {
+            let sensed = sensed.map(|sensed| {
                 self.line("sensed", Style::Thin, |k, _, axes| {
                     let force = Vector3::from_column_slice(&sensed.row(self.run.tick_of(k)?)[..3]);
                     Some(axes.tr_mul(&force)[axis])
                 })
             });
             let target = (is_filed && on_force[axis])
-                .then(|| self.line("target", Style::Desired, |_, _, _| Some(target[axis])))
-                .flatten();
-            vec![true_force, sensed, target]
+                .then(|| self.line("target", Style::Desired, |_, _, _| Some(target[axis])));
+            [true_force, sensed, target].into_iter().flatten().collect()
         });
         Some(Figure {
             title: format!("Contact force of task '{}'", self.name),

@@ -1,10 +1,12 @@
 //! Execution of an experiment, with its log.
 
+use crate::evaluate::metrics::Evaluator;
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
+use crate::run::summary::Summary;
 use opspace_backend::{Backend, Capabilities, GroundTruth, SERVO, Sink, TruthLayouts, World};
 use opspace_log::{
-    Channel, MemoryRecorder, OutcomeRecord, Pace, Recorder, Recording, WriteStats, Writer, record,
+    Channel, OutcomeRecord, Pace, Recorder, Recording, SegmentRecorder, WriteStats, Writer, record,
 };
 use opspace_loop::{ControlLoop, Fault, Run, RunOutcome, drive};
 use std::io::Write;
@@ -36,18 +38,6 @@ pub struct RunResult<W> {
     pub realtime_factor: f64,
 }
 
-/// Rows and outcome of a finished run without a log file.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub struct MemoryRun {
-    /// All rows, with the header of the log.
-    pub recording: Recording,
-    /// Outcome of the run as text.
-    pub record: OutcomeRecord,
-    /// Ratio of robot time to wall-clock time.
-    pub realtime_factor: f64,
-}
-
 /// The log of a run in progress.
 pub struct OpenLog<'a, W> {
     recorder: Recorder,
@@ -68,6 +58,22 @@ impl<W> Sink for OpenLog<'_, W> {
         self.ticks += 1;
         self.progress.fetch_add(1, Ordering::Relaxed);
         self.recorder.wait_for_space();
+    }
+}
+
+/// Sink that counts the cycles.
+struct Counted<'a, S> {
+    log: &'a mut S,
+    ticks: u64,
+}
+
+impl<S: Sink> Sink for Counted<'_, S> {
+    fn row(&mut self, channel: usize, time_s: f64, row: &[f64]) {
+        self.log.row(channel, time_s, row);
+    }
+
+    fn between_ticks(&mut self) {
+        self.ticks += 1;
     }
 }
 
@@ -166,26 +172,42 @@ impl Experiment {
         Ok((control, log))
     }
 
-    /// Runs the experiment in simulation and keeps its rows in memory. They are those that [`run`](Self::run) writes to
-    /// its log, bit for bit, except for computing times.
+    /// Runs the experiment in simulation without a log, and returns its summary.
     ///
     /// # Errors
     /// A robot that cannot be simulated.
-    pub fn run_in_memory(&self, progress: &Progress) -> Result<MemoryRun, RunError> {
+    pub fn run_without_log(&self, progress: &Progress) -> Result<Summary, RunError> {
+        let mut evaluator = Evaluator::new(self);
+        let (record, realtime_factor) =
+            self.run_in_segments(progress, |segment, is_last| evaluator.add(segment, is_last))?;
+        Ok(self.summary_of(&Recording::default(), evaluator.finish(), &record, Some(realtime_factor)))
+    }
+
+    /// Runs the experiment in simulation and passes its rows to `receive` in segments, in order, with true for the last
+    /// one. They are those that [`run`](Self::run) writes to its log, bit for bit, except for computing times. Returns
+    /// the outcome of the run, and the ratio of robot time to wall-clock time.
+    ///
+    /// # Errors
+    /// A robot that cannot be simulated.
+    pub fn run_in_segments(
+        &self,
+        progress: &Progress,
+        receive: impl FnMut(&Recording, bool),
+    ) -> Result<(OutcomeRecord, f64), RunError> {
         let mut arm = self.simulated_arm()?;
         let truth = arm.ground_truth().map(GroundTruth::layouts);
         let (control, channels) = self.prepare(arm.capabilities(), truth)?;
-        // Control, and the rest before it.
-        let duration_s = (self.ticks() + 2) as f64 * self.profile().1.period_s();
-        let mut log = MemoryRecorder::new(self.header(World::Simulated), channels, duration_s);
+        let layouts = channels.into_iter().map(|channel| channel.layout).collect();
+        let mut log = SegmentRecorder::new(layouts, receive);
+        let mut counted = Counted { log: &mut log, ticks: 0 };
         let began = Instant::now();
-        let mut run = Run::new(control, self.duration_s(), &mut log).with_stop_request(&progress.interrupt);
+        let mut run =
+            Run::new(control, self.duration_s(), &mut counted).with_stop_request(&progress.interrupt);
         drive(&mut arm, &mut run);
         let record = self.outcome_record(&run.finish());
-        let recording = log.finish();
-        let ticks = recording.tick()?.len();
-        let realtime_factor = ticks as f64 * self.profile().1.period_s() / began.elapsed().as_secs_f64();
-        Ok(MemoryRun { recording, record, realtime_factor })
+        let robot_s = counted.ticks as f64 * self.profile().1.period_s();
+        log.finish();
+        Ok((record, robot_s / began.elapsed().as_secs_f64()))
     }
 
     /// Returns the control loop of the experiment and the channels of its log.

@@ -7,9 +7,9 @@ use crate::run::execute::RunResult;
 use crate::run::experiment::Experiment;
 use crate::run::result_files::{ResultFolder, write_file};
 use crate::run::summary::Summary;
-use opspace_log::{LogError, Recording};
+use opspace_log::{LogError, LogFile};
 use std::fs::File;
-use std::io::{BufWriter, Read, Seek};
+use std::io::BufWriter;
 use std::path::Path;
 
 /// File name of a run's log.
@@ -59,7 +59,7 @@ impl Experiment {
         let log = folder.path().join(LOG);
         let created = File::options().read(true).write(true).create_new(true).open(&log);
         let unwritable = |source| RunError::Write { path: log.clone(), source };
-        let mut file = created.map_err(unwritable)?;
+        let file = created.map_err(unwritable)?;
         // Both handles denote the file that is open here, even if another one takes its path.
         let written = run(BufWriter::new(file.try_clone().map_err(unwritable)?));
         let mut not_saved = Vec::new();
@@ -72,32 +72,32 @@ impl Experiment {
             Err(error) => {
                 // A run that did not begin leaves no log.
                 if matches!(
-                    read_back(&mut file, &log),
-                    Err(RunError::Log(LogError::NotMcap | LogError::NoChannel { .. }))
+                    LogFile::from_file(file, &log),
+                    Err(LogError::NotMcap | LogError::NoChannel { .. })
                 ) {
                     let _ = std::fs::remove_file(&log);
                 }
                 return Err(error);
             }
         };
-        let recording = read_back(&mut file, &log)?;
-        let mut summary = self.summary(&recording, &record, realtime_factor);
+        let recorded = LogFile::from_file(file, &log)?;
+        let mut summary = self.summary_of_file(&recorded, &record, realtime_factor)?;
         if let Some(rows) = cut_after {
-            summary.rows_lost = rows.saturating_sub(recording.channels.iter().map(|c| c.len() as u64).sum());
+            summary.rows_lost = rows.saturating_sub(recorded.row_count());
         }
-        self.write_pages(folder, &recording, summary, not_saved)
+        self.write_pages(folder, &recorded, summary, not_saved)
     }
 
     /// Writes report and summary, and returns the summary with the files that could not be written.
     fn write_pages(
         &self,
         folder: &ResultFolder,
-        recording: &Recording,
+        log: &LogFile,
         mut summary: Summary,
         not_saved: Vec<String>,
     ) -> Result<Summary, RunError> {
         summary.not_saved = not_saved;
-        let shown = RunSection::new(self, recording, summary.clone());
+        let shown = RunSection::of_file(self, log, summary.clone())?;
         let lead = "Desired and actual behaviour of the robot in one run.";
         let html = page(&shown.title.clone(), lead, std::slice::from_ref(&summary), MEASURES, &[shown]);
         let save = |name: &str, text: &str, summary: &mut Summary| {
@@ -112,13 +112,4 @@ impl Experiment {
         save(SUMMARY, &(json + "\n"), &mut summary);
         Ok(summary)
     }
-}
-
-/// Reads the log through the handle with which it was written.
-fn read_back(file: &mut File, path: &Path) -> Result<Recording, RunError> {
-    let mut bytes = Vec::new();
-    file.rewind()
-        .and_then(|()| file.read_to_end(&mut bytes))
-        .map_err(|source| LogError::Read { path: path.to_owned(), source })?;
-    Ok(Recording::from_bytes(&bytes)?)
 }

@@ -89,26 +89,26 @@ pub fn write_file_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<
     if existing.is_some() && is_log(&path)? {
         return Err(io::Error::other("it is a log, and logs are never overwritten"));
     }
-    replace_with(&path, write)
+    replace_file(&path, write)
 }
 
 /// Writes a file aside, under a name that no other process uses, and renames it: a complete file takes the place of an
-/// existing one, or nothing changes.
+/// existing one, or nothing changes. The file that `write` gets can be read too.
 ///
 /// # Errors
-/// A file that can't be written.
-pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    replace_with(path, |file| file.write_all(bytes))
-}
-
-fn replace_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
+/// A file that can't be written, and errors of `write`.
+pub fn replace_file(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     // Processes of different machines may have the same number: the time tells them apart, and a taken name is refused.
     let time = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_nanos());
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     let aside = path.with_file_name(format!(".{name}.{}.{time}.{number}", std::process::id()));
-    let written = File::create_new(&aside)
+    let written = File::options()
+        .read(true)
+        .write(true)
+        .create_new(true)
+        .open(&aside)
         .and_then(|mut file| write(&mut file))
         .and_then(|()| fs::rename(&aside, path));
     if written.is_err() {

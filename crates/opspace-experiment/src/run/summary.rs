@@ -1,13 +1,11 @@
 //! Summary of a run: one row of a table, and `summary.json`.
 
 use crate::evaluate::expectations;
-use crate::evaluate::failures::failures;
-use crate::evaluate::metrics::{JointMetrics, Metrics, TaskMetrics, Timing, evaluate, timing};
+use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
+use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
-use opspace_backend::signal_names::{self, MISSED_CYCLES, PHASE, TARGET_STALE, TICK_CHANNEL};
-use opspace_log::{OutcomeRecord, Recording};
-use opspace_loop::Phase;
+use opspace_log::{LogFile, OutcomeRecord, Recording};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -82,8 +80,35 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let (missed_cycles, resumed) = continuity(recording);
-        let evaluation = evaluate(self, recording);
+        let mut evaluator = Evaluator::new(self);
+        evaluator.add(recording, true);
+        self.summary_of(recording, evaluator.finish(), outcome, realtime_factor)
+    }
+
+    /// Computes the summary of a run of this experiment from its log, which is read in segments.
+    ///
+    /// # Errors
+    /// If the log can no longer be read.
+    pub fn summary_of_file(
+        &self,
+        log: &LogFile,
+        outcome: &OutcomeRecord,
+        realtime_factor: Option<f64>,
+    ) -> Result<Summary, RunError> {
+        let mut evaluator = Evaluator::new(self);
+        log.for_each_segment(&mut |segment, is_last| evaluator.add(segment, is_last))?;
+        Ok(self.summary_of(log.recording(), evaluator.finish(), outcome, realtime_factor))
+    }
+
+    /// Summary of a run from its metrics; `recording` needs no rows.
+    pub(super) fn summary_of(
+        &self,
+        recording: &Recording,
+        evaluated: Evaluated,
+        outcome: &OutcomeRecord,
+        realtime_factor: Option<f64>,
+    ) -> Summary {
+        let Evaluated { evaluation, failures, interruptions, times } = evaluated;
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -104,37 +129,15 @@ impl Experiment {
             interrupted_time_s: outcome.time_s.filter(|_| outcome.interrupted),
             rows_lost: recording.dropped(),
             not_saved: Vec::new(),
-            missed_cycles,
-            stale_target_cycles: stale_target_cycles(recording),
-            resumed,
+            missed_cycles: interruptions.missed_cycles(),
+            stale_target_cycles: interruptions.stale_target_cycles,
+            resumed: interruptions.resumed,
             missed_expectations: expectations::missed(self.task(), &evaluation),
-            failures: failures(self, recording, &evaluation),
+            failures,
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
             joints: evaluation.joints,
-            timing: timing(recording, realtime_factor),
+            timing: times.timing(realtime_factor),
         }
     }
-}
-
-/// Number of missed cycles in a log, and number of times that control was resumed.
-fn continuity(recording: &Recording) -> (u64, u64) {
-    let Some(tick) = recording.channel(TICK_CHANNEL) else { return (0, 0) };
-    let missed = tick.signal(MISSED_CYCLES).map_or(0.0, |missed| missed.rows().map(|row| row[0]).sum());
-    let resuming = Phase::Resuming.code();
-    let resumed = tick.signal(PHASE).map_or(0, |phase| {
-        (1..phase.len()).filter(|&k| phase.row(k)[0] == resuming && phase.row(k - 1)[0] != resuming).count()
-    });
-    (missed as u64, resumed as u64)
-}
-
-/// Number of control cycles in a log in which a streamed target of any task was stale.
-fn stale_target_cycles(recording: &Recording) -> u64 {
-    let Some(tick) = recording.channel(TICK_CHANNEL) else { return 0 };
-    let stale_of = signal_names::of("", TARGET_STALE);
-    let names = tick.layout.signals.iter().map(|signal| signal.name.as_str());
-    let stale: Vec<_> =
-        names.filter(|name| name.ends_with(&stale_of)).filter_map(|n| tick.signal(n)).collect();
-    let rows = tick.time_s.len();
-    (0..rows).filter(|&k| stale.iter().any(|stale| stale.row(k)[0] == 1.0)).count() as u64
 }

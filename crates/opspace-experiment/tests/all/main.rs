@@ -8,6 +8,7 @@ mod real_robot;
 mod recorded;
 mod report;
 mod run_figures;
+mod segments;
 mod servo_gain;
 mod source;
 mod streamed;

@@ -207,7 +207,9 @@ fn computing_times_count_controlled_cycles() {
     };
     let recording = log(&experiment, tick, |_| vec![0.0; 7], |_| vec![1.0; 8]);
     let timing = timing(&recording, Some(3.0));
-    assert_eq!((timing.tick_ns_max, timing.realtime_factor), (7999.0, Some(3.0)));
-    assert!((timing.tick_ns_median - 4050.0).abs() <= 1.0, "{timing:?}");
-    assert!((timing.tick_ns_p99 - 7920.0).abs() <= 1.0, "{timing:?}");
+    assert_eq!(timing.realtime_factor, Some(3.0));
+    // Three digits.
+    assert!((timing.tick_ns_max - 7999.0).abs() <= 8.0, "{timing:?}");
+    assert!((timing.tick_ns_median - 4050.0).abs() <= 5.0, "{timing:?}");
+    assert!((timing.tick_ns_p99 - 7920.0).abs() <= 8.0, "{timing:?}");
 }

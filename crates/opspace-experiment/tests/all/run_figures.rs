@@ -5,8 +5,8 @@ use opspace_backend::CommandKind;
 use opspace_experiment::evaluate::results::MEASURES;
 use opspace_experiment::report::document::{RunSection, page};
 use opspace_experiment::report::figure::{Figure, Panel, Style};
-use opspace_experiment::{Experiment, Files, MemoryRun, Progress, RunOptions, Summary};
-use opspace_log::Recording;
+use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
+use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
 use std::io::Cursor;
 use std::path::Path;
@@ -20,11 +20,17 @@ fn load(task: &str, backend: CommandKind, duration_s: f64) -> Experiment {
     Experiment::load(Files::Disk, &path, None, options, &["settle_s=0.2".to_owned()]).unwrap()
 }
 
-fn shown(experiment: &Experiment) -> (MemoryRun, RunSection) {
-    let run = experiment.run_in_memory(&Progress::default()).unwrap();
-    let summary = experiment.summary(&run.recording, &run.record, None);
-    let section = RunSection::new(experiment, &run.recording, summary);
-    (run, section)
+/// Runs an experiment without a log, and returns its rows, its outcome and its figures.
+fn shown(experiment: &Experiment) -> ((Recording, OutcomeRecord), RunSection) {
+    let mut rows = Recording::default();
+    let receive = |segment: &Recording, is_last: bool| {
+        assert!(is_last);
+        rows = segment.clone();
+    };
+    let (record, _) = experiment.run_in_segments(&Progress::default(), receive).unwrap();
+    let summary = experiment.summary(&rows, &record, None);
+    let section = RunSection::new(experiment, &rows, summary);
+    ((rows, record), section)
 }
 
 fn figure<'a>(section: &'a RunSection, title: &str) -> &'a Figure {
@@ -56,7 +62,7 @@ fn force_is_drawn_with_its_target_and_errors_over_time() {
     let x = &figure(&section, "Contact force").panels[0];
     assert_eq!(labels(x), ["true", "sensed", "target"]);
     assert!(x.series[2].y.iter().all(|force| *force == -10.0));
-    let logged = run.recording.channel("truth").unwrap().signal("board.force").unwrap();
+    let logged = run.0.channel("truth").unwrap().signal("board.force").unwrap();
     let largest = |values: &mut dyn Iterator<Item = f64>| {
         values.filter(|v| v.is_finite()).map(f64::abs).fold(0.0, f64::max)
     };
@@ -87,7 +93,7 @@ fn orientation_spectrum_and_computing_time_are_drawn() {
     assert!(spectrum.panels.iter().all(|panel| panel.marks[0].1 == "interface rate"));
     let times = &figure(&section, "Computing time").panels[0].series[0];
     let counted: f64 = times.y.iter().filter(|count| count.is_finite()).sum::<f64>() / 2.0;
-    let phase = run.recording.channel("tick").unwrap().signal("phase").unwrap();
+    let phase = run.0.channel("tick").unwrap().signal("phase").unwrap();
     let cycles = phase.rows().filter(|phase| phase[0] == Phase::Control.code()).count();
     assert_eq!(counted, cycles as f64, "every control cycle");
 }
@@ -111,16 +117,16 @@ fn runs_of_one_task_are_drawn_over_each_other() {
     assert!(!alone.contains(": 2 runs") && !alone.contains(": 1 runs"));
 }
 
-/// Compared: all rows of a run in memory, and those of the log of the same run, bit for bit; computing times differ.
+/// Compared: all rows of a run without a log, and those of the log of the same run, bit for bit; computing times differ.
 #[test]
-fn run_in_memory_has_the_rows_of_the_log() {
+fn segments_of_a_run_have_the_rows_of_its_log() {
     let experiment = load("compliant-x", CommandKind::Position, 0.3);
     let result = experiment.run(Cursor::new(Vec::new()), &Progress::default()).unwrap();
     let logged = Recording::from_bytes(&result.sink.into_inner()).unwrap();
     let (run, _) = shown(&experiment);
-    assert_eq!(run.record, result.record);
+    assert_eq!(run.1, result.record);
     for channel in &logged.channels {
-        let other = run.recording.channel(&channel.layout.channel).unwrap();
+        let other = run.0.channel(&channel.layout.channel).unwrap();
         assert_eq!((&channel.layout, &channel.time_s), (&other.layout, &other.time_s));
         for signal in channel.layout.signals.iter().filter(|signal| signal.unit() != "ns") {
             let [a, b] = [channel, other].map(|data| data.signal(&signal.name).unwrap());

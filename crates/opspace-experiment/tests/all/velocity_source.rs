@@ -45,8 +45,7 @@ fn observer_tracks_better_than_the_filter() {
     for (backend, transformer) in [(CommandKind::Torque, None), (CommandKind::Velocity, Some("paper"))] {
         let [observer, filter] = ["observer", "filter"].map(|name| {
             let experiment = load(backend, transformer, &[format!("{SOURCE}={name}")]).unwrap();
-            let run = experiment.run_in_memory(&Progress::default()).unwrap();
-            experiment.summary(&run.recording, &run.record, None).metrics.pose.position_rms_m.unwrap()
+            experiment.run_without_log(&Progress::default()).unwrap().metrics.pose.position_rms_m.unwrap()
         });
         assert!(observer < 0.8 * filter, "{backend:?}: {observer} m, filter {filter} m");
     }

@@ -3,22 +3,32 @@
 
 use crate::common::{attachments, header, is_prefix, log, places, row};
 use opspace_log::{
-    Channel, Contents, Header, Pace, RECOVERED, Recording, compare_logs, record, recover, write_csv,
+    Channel, CsvWriter, Header, LogComparison, LogError, LogFile, Pace, RECOVERED, Recording, Recovery,
+    record,
 };
 use std::io::Cursor;
+
+fn recover(bytes: &[u8], sink: &mut Vec<u8>) -> Result<Recovery, LogError> {
+    opspace_log::recover(&LogFile::from_bytes(bytes.to_vec())?, sink)
+}
+
+fn compare_logs(first: &[u8], second: &[u8]) -> Result<LogComparison, LogError> {
+    let [first, second] = [first, second].map(|bytes| LogFile::from_bytes(bytes.to_vec()));
+    opspace_log::compare_logs(&first?, &second?).map_err(|(_, error)| error)
+}
 
 /// Compared: numbers of messages and the rows of the run; sizes of the file and of its messages.
 #[test]
 fn contents_count_messages_of_each_channel() {
     let (_, bytes) = log(header(), 2500);
-    let contents = Contents::from_bytes(&bytes).unwrap();
-    let of = |topic: &str| contents.channels.iter().find(|c| c.topic == topic).unwrap();
+    let contents = LogFile::from_bytes(bytes.clone()).unwrap();
+    let of = |topic: &str| contents.channels().iter().find(|c| c.topic == topic).unwrap();
     assert_eq!((of("/opspace/tick").messages, of("/opspace/servo.current").messages), (2500, 5000));
     assert_eq!((of("/joint_states").messages, of("/log").messages), (125, 0));
     assert_eq!(of("/opspace/servo.current").schema, "opspace.ServoCurrent");
     assert!(of("/opspace/tick").bytes > 2500 * 9 * 8, "{contents:?}");
-    assert_eq!(contents.file_bytes, bytes.len() as u64);
-    assert!(contents.recording.closed);
+    assert_eq!(contents.size_bytes(), bytes.len() as u64);
+    assert!(contents.recording().closed);
 }
 
 /// Cuts and corrupts a log: the recovered log is whole, and has exactly the rows, attachments and metadata that can be
@@ -137,7 +147,9 @@ fn exported_rows_are_those_of_the_log() {
     let recording = Recording::from_bytes(&bytes).unwrap();
     let tick = &recording.channels[0];
     let mut text = Vec::new();
-    write_csv(tick, &mut text).unwrap();
+    let mut csv = CsvWriter::new(&tick.layout, &mut text).unwrap();
+    csv.write_rows(tick).and_then(|()| csv.flush()).unwrap();
+    drop(csv);
     let text = String::from_utf8(text).unwrap();
     let mut lines = text.lines();
     let head = "time_s,q.shoulder_rad,q.elbow_rad,dq.shoulder_rad_per_s,dq.elbow_rad_per_s,\
@@ -165,7 +177,7 @@ fn tools_bear_any_damage() {
     assert!(last > 5);
     for at in (0..bytes.len()).step_by(3) {
         bytes[at] ^= 0x21;
-        let _ = Contents::from_bytes(&bytes);
+        let _ = LogFile::from_bytes(bytes.clone());
         let _ = compare_logs(&whole, &bytes);
         let mut out = Vec::new();
         if recover(&bytes, &mut out).is_ok() {
@@ -173,4 +185,49 @@ fn tools_bear_any_damage() {
         }
         bytes[at] ^= 0x21;
     }
+}
+
+/// Compared: the rows of all segments, of several sizes, and those of the log; the times of rows of one cycle, and those
+/// of the segments before and after.
+#[test]
+fn segments_have_all_rows_and_divide_no_cycle() {
+    let (_, bytes) = log(header(), 2500);
+    let whole = Recording::from_bytes(&bytes).unwrap();
+    for values in [1, 1000, 7777, 1 << 20] {
+        let file = LogFile::from_bytes(bytes.clone()).unwrap().segment_values(values);
+        let mut read: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); whole.channels.len()];
+        let (mut segments, mut last_s, mut ended) = (0, f64::NEG_INFINITY, false);
+        file.for_each_segment(&mut |segment, is_last| {
+            assert!(!ended);
+            ended = is_last;
+            segments += 1;
+            let times = || segment.channels.iter().flat_map(|channel| channel.time_s.iter().copied());
+            assert!(times().all(|time_s| time_s > last_s), "{values}");
+            last_s = times().fold(last_s, f64::max);
+            for (channel, (time_s, rows)) in segment.channels.iter().zip(&mut read) {
+                time_s.extend(&channel.time_s);
+                rows.extend(&channel.rows);
+            }
+        })
+        .unwrap();
+        assert!(ended && if values < 10_000 { segments > 3 } else { segments == 1 }, "{values}: {segments}");
+        for (channel, (time_s, rows)) in whole.channels.iter().zip(read) {
+            assert_eq!(channel.time_s, time_s);
+            assert!(channel.rows.iter().map(|v| v.to_bits()).eq(rows.iter().map(|v| v.to_bits())));
+        }
+        assert_eq!(file.row_count(), whole.channels.iter().map(|c| c.len() as u64).sum::<u64>());
+    }
+}
+
+/// Checks the error about a log that becomes shorter while it is read.
+#[test]
+fn changed_file_is_refused() {
+    let (_, bytes) = log(header(), 2500);
+    let path = std::env::temp_dir().join(format!("opspace-changed-{}.mcap", std::process::id()));
+    std::fs::write(&path, &bytes).unwrap();
+    let file = LogFile::open(&path).unwrap();
+    std::fs::File::options().write(true).open(&path).unwrap().set_len(bytes.len() as u64 / 2).unwrap();
+    let error = file.for_each_segment(&mut |_, _| ()).unwrap_err().to_string();
+    std::fs::remove_file(&path).unwrap();
+    assert!(error.contains("changed while it was read"), "{error}");
 }

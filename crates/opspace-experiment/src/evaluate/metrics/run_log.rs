@@ -1,4 +1,4 @@
-//! The log that is evaluated: its rows after settling, and poses at them.
+//! The log that is evaluated, segment by segment: its rows after settling, and poses at them.
 
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Vector3};
@@ -7,8 +7,18 @@ use opspace_control::{AxesFrame, ControlledFrame};
 use opspace_log::{ChannelData, Column, Recording};
 use opspace_loop::Phase;
 use opspace_model::{Data, FrameId, Placement, frame_placement, kinematics};
+use std::ops::Range;
 
-/// Log that is evaluated, with its experiment.
+/// Beginning and end of control, as far as a log was read.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Control {
+    /// Time of the first cycle of control on the robot's clock, s.
+    pub(crate) start_s: Option<f64>,
+    /// True after the robot was stopped.
+    pub(crate) is_over: bool,
+}
+
+/// Segment of a log that is evaluated, with its experiment.
 pub(crate) struct Run<'a> {
     pub(crate) experiment: &'a Experiment,
     pub(crate) recording: &'a Recording,
@@ -25,31 +35,57 @@ pub(crate) struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    pub(crate) fn new(experiment: &'a Experiment, recording: &'a Recording) -> Option<Self> {
+    /// Returns the segment `recording`, which follows those with which `control` was called before. `None` before
+    /// control begins.
+    pub(crate) fn new(
+        experiment: &'a Experiment,
+        recording: &'a Recording,
+        control: &mut Control,
+        is_last: bool,
+    ) -> Option<Self> {
         let tick = recording.channel(TICK_CHANNEL)?;
         let phase = tick.signal(PHASE)?;
         let idle = [Phase::Rest, Phase::Stopped].map(Phase::code);
-        let mut controlled = (0..tick.len()).filter(|&k| !idle.contains(&phase.row(k)[0]));
-        let first = controlled.next()?;
-        let last = controlled.next_back().unwrap_or(first);
+        let is_controlled = |k: &usize| !idle.contains(&phase.row(*k)[0]);
+        let first = (0..tick.len()).find(is_controlled);
+        let start_s = match control.start_s {
+            Some(start_s) => start_s,
+            None => *control.start_s.insert(tick.time_s[first?]),
+        };
+        let same_s = 0.25 * experiment.profile().1.servo_period_s();
+        let begin = first.unwrap_or(0);
+        let stopped = (begin..tick.len()).find(|k| phase.row(*k)[0] == Phase::Stopped.code());
+        let was_over = control.is_over;
+        control.is_over |= stopped.is_some();
+        let to_s = match stopped {
+            _ if was_over => f64::NEG_INFINITY,
+            Some(stopped) => tick.time_s[stopped] - 2.0 * same_s,
+            None if is_last => (begin..tick.len()).rfind(is_controlled).map_or(start_s, |k| tick.time_s[k]),
+            None => f64::INFINITY,
+        };
         let positions = recording.channel(TRUTH_CHANNEL).unwrap_or(tick);
         Some(Self {
             experiment,
             recording,
             tick,
             joints: (&positions.time_s, positions.signal(Q)?),
-            start_s: tick.time_s[first],
-            from_s: tick.time_s[first] + experiment.task().file.settle_s.get(),
-            to_s: tick.time_s[last],
-            same_s: 0.25 * experiment.profile().1.servo_period_s(),
+            start_s,
+            from_s: start_s + experiment.task().file.settle_s.get(),
+            to_s,
+            same_s,
         })
     }
 
     /// Indices of the times in the evaluated interval: after settling, up to the last control cycle.
-    pub(crate) fn settled(&self, times: &'a [f64]) -> std::ops::Range<usize> {
+    pub(crate) fn settled(&self, times: &[f64]) -> Range<usize> {
         let begin = times.partition_point(|&t| t < self.from_s - self.same_s);
         let end = times.partition_point(|&t| t <= self.to_s + self.same_s);
         begin..end.max(begin)
+    }
+
+    /// Indices of the control cycles in the evaluated interval.
+    pub(crate) fn settled_ticks(&self) -> Range<usize> {
+        self.settled(&self.tick.time_s)
     }
 
     /// Index of the interface cycle at row `k` of the joints; `None` if the cycle was missed.
@@ -61,25 +97,16 @@ impl<'a> Run<'a> {
     }
 
     /// Indices of the rows of the joints from the first control cycle to the last.
-    pub(crate) fn controlled(&self) -> std::ops::Range<usize> {
+    pub(crate) fn controlled(&self) -> Range<usize> {
         let times = self.joints.0;
         let begin = times.partition_point(|&t| t < self.start_s - self.same_s);
         begin..self.settled(times).end.max(begin)
     }
 
-    /// Pose of a task's controlled frame and the task's axes at each evaluated row of the joints, with the row index.
+    /// Pose of a task's controlled frame and the task's axes at each row of the joints during control, with the row
+    /// index.
     pub(crate) fn poses(
         &self,
-        subject: ControlledFrame,
-        directions: AxesFrame,
-    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
-        self.poses_of(self.settled(self.joints.0), subject, directions)
-    }
-
-    /// Pose of a task's controlled frame and the task's axes at some rows of the joints, with the row index.
-    pub(crate) fn poses_of(
-        &self,
-        rows: std::ops::Range<usize>,
         subject: ControlledFrame,
         directions: AxesFrame,
     ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
@@ -87,26 +114,65 @@ impl<'a> Run<'a> {
         let mut data = Data::new(model);
         let rest = vec![0.0; model.n()];
         let (_, q) = self.joints;
-        rows.map(move |k| {
+        self.controlled().map(move |k| {
             kinematics(model, &mut data, q.row(k), &rest);
             let axes = directions.rotation(model, &data, subject);
             (k, subject.placement(model, &data), axes)
         })
     }
 
-    /// Pose of a frame at the start of control.
-    pub(crate) fn start_pose(&self, frame: FrameId) -> Option<Placement> {
+    /// Pose of a frame at the first row of control.
+    pub(crate) fn first_pose(&self, frame: FrameId) -> Option<Placement> {
         let model = &self.experiment.robot().model;
-        let (times, q) = self.joints;
-        let k = times.iter().position(|&t| t >= self.start_s - self.same_s)?;
+        let k = Some(self.controlled()).filter(|rows| !rows.is_empty())?.start;
         let mut data = Data::new(model);
-        kinematics(model, &mut data, q.row(k), &vec![0.0; model.n()]);
+        kinematics(model, &mut data, self.joints.1.row(k), &vec![0.0; model.n()]);
         Some(frame_placement(model, &data, frame))
     }
 }
 
+/// Mean of numbers that arrive one by one.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Mean {
+    sum: f64,
+    count: u64,
+}
+
+impl Mean {
+    pub(crate) fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1;
+    }
+
+    pub(crate) fn get(self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum / self.count as f64)
+    }
+}
+
+/// Rms and largest of numbers that arrive one by one.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RmsMax {
+    squares: Mean,
+    max: Option<f64>,
+}
+
+impl RmsMax {
+    pub(crate) fn add(&mut self, value: f64) {
+        self.squares.add(value * value);
+        self.max = Some(self.max.map_or(value, |max| max.max(value)));
+    }
+
+    pub(crate) fn rms(self) -> Option<f64> {
+        self.squares.get().map(f64::sqrt)
+    }
+
+    pub(crate) fn max(self) -> Option<f64> {
+        self.max
+    }
+}
+
 /// Sums of the squares of an error and of the quantity to which it is relative.
-#[derive(Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Relative {
     error: f64,
     size: f64,
@@ -141,19 +207,4 @@ pub(crate) fn finite(number: f64) -> Option<f64> {
 /// Norm over the selected elements.
 pub(crate) fn masked_norm(v: &Vector3<f64>, counted: &[bool]) -> f64 {
     v.iter().zip(counted).filter(|(_, counted)| **counted).map(|(x, _)| x * x).sum::<f64>().sqrt()
-}
-
-pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (count, sum) = values.fold((0_u64, 0.0), |(count, sum), v| (count + 1, sum + v));
-    (count > 0).then(|| sum / count as f64)
-}
-
-pub(crate) fn rms_and_max(values: impl Iterator<Item = f64>) -> (Option<f64>, Option<f64>) {
-    let mut max = None;
-    let squares = values.map(|v| {
-        max = Some(max.map_or(v, |m: f64| m.max(v)));
-        v * v
-    });
-    let rms = mean(squares).map(f64::sqrt);
-    (rms, max)
 }

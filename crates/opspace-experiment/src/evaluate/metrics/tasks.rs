@@ -1,15 +1,17 @@
 //! Metrics of single tasks: the error of each task against its own reference, contact, and compliance.
 
-use super::run_log::{Run, masked_norm, mean, rms_and_max};
+use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
+use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL};
 use opspace_control::orientation::log;
-use opspace_control::{AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters};
+use opspace_control::{
+    AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
+};
 use opspace_log::Column;
 use opspace_model::{FrameId, Placement};
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 /// Smallest true contact force that counts as contact, N.
 const CONTACT_N: f64 = 0.1;
@@ -17,185 +19,330 @@ const CONTACT_N: f64 = 0.1;
 /// Time after the first contact in which the largest force is the peak at contact, s.
 const PEAK_S: f64 = 1.0;
 
-impl Run<'_> {
-    /// Computes the metrics of all tasks that have a priority at the start.
-    pub(crate) fn tasks(&self) -> BTreeMap<String, TaskMetrics> {
-        let file = &self.experiment.task().file;
-        let mut all = BTreeMap::new();
-        for (name, parameters) in file.task.iter().filter(|(name, _)| file.priority.contains(name)) {
-            let mut metrics = TaskMetrics { kind: parameters.kind().to_owned(), ..TaskMetrics::default() };
-            match parameters {
-                TaskParameters::Cartesian(task) => {
-                    if let Ok(controlled) = task.controlled_frame(&self.experiment.robot().model) {
-                        self.pose_errors(name, task, controlled, &mut metrics);
-                        self.contact(task, controlled, &mut metrics);
-                        self.compliance(task, controlled, &mut metrics);
-                    }
-                }
+/// Metrics of all tasks that have a priority at the start, while segments of the log arrive.
+pub(super) struct Tasks {
+    tasks: Vec<(String, TaskMetrics, Option<Errors>)>,
+}
+
+/// Errors of a task, by its kind.
+enum Errors {
+    Cartesian(Box<CartesianErrors>),
+    Joints(ElementErrors, Option<Vec<String>>),
+    /// Errors that the task has logged: those of its own coordinate, as the controller measured them.
+    Logged(ElementErrors),
+}
+
+impl Tasks {
+    pub(super) fn new(experiment: &Experiment) -> Self {
+        let file = &experiment.task().file;
+        let model = &experiment.robot().model;
+        let with_priority = file.task.iter().filter(|(name, _)| file.priority.contains(name));
+        let tasks = with_priority.map(|(name, parameters)| {
+            let errors = match parameters {
+                TaskParameters::Cartesian(task) => task
+                    .controlled_frame(model)
+                    .ok()
+                    .and_then(|controlled| {
+                        CartesianErrors::new(experiment, name, (**task).clone(), controlled)
+                    })
+                    .map(|errors| Errors::Cartesian(Box::new(errors))),
                 TaskParameters::CenterOfMass(task) => {
-                    let (task, controlled) = (task.as_cartesian(), ControlledFrame::CenterOfMass);
-                    self.pose_errors(name, &task, controlled, &mut metrics);
+                    let controlled = ControlledFrame::CenterOfMass;
+                    CartesianErrors::new(experiment, name, task.as_cartesian(), controlled)
+                        .map(|errors| Errors::Cartesian(Box::new(errors.without_contact())))
                 }
                 TaskParameters::JointTracking(task) => {
-                    metrics.elements = self.joint_errors(name, task.joints.as_deref());
-                    let angles = metrics.elements.iter().filter(|element| element.unit == "rad");
-                    metrics.joint_rms_rad = mean(angles.map(|element| element.rms.powi(2))).map(f64::sqrt);
+                    Some(Errors::Joints(ElementErrors::default(), task.joints.clone()))
                 }
-                _ => metrics.elements = self.logged_errors(name),
+                _ => Some(Errors::Logged(ElementErrors::default())),
+            };
+            let metrics = TaskMetrics { kind: parameters.kind().to_owned(), ..TaskMetrics::default() };
+            (name.clone(), metrics, errors)
+        });
+        Self { tasks: tasks.collect() }
+    }
+
+    pub(super) fn add(&mut self, run: &Run<'_>) {
+        for (name, _, errors) in &mut self.tasks {
+            match errors {
+                Some(Errors::Cartesian(errors)) => errors.add(run),
+                Some(Errors::Joints(errors, joints)) => errors.add_joints(run, name, joints.as_deref()),
+                Some(Errors::Logged(errors)) => errors.add_logged(run, name),
+                None => {}
             }
-            all.insert(name.clone(), metrics);
-        }
-        all
-    }
-
-    /// Computes the distance and the angle of a task's controlled frame from its reference, along the motion axes.
-    fn pose_errors(
-        &self,
-        name: &str,
-        task: &CartesianParameters,
-        subject: ControlledFrame,
-        metrics: &mut TaskMetrics,
-    ) {
-        let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, subject) else { return };
-        let motion = task.motion_axes();
-        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE))
-            && motion[..3].contains(&true)
-        {
-            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
-                let error = pose.translation - Vector3::from_column_slice(reference.row(self.tick_of(k)?));
-                Some(masked_norm(&axes.tr_mul(&error), &motion[..3]))
-            });
-            (metrics.pose.position_rms_m, metrics.pose.position_max_m) = rms_and_max(errors);
-        }
-        if let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION))
-            && motion[3..].contains(&true)
-        {
-            let errors = self.poses(subject, directions).filter_map(|(k, pose, axes)| {
-                let reference = orientation(reference.row(self.tick_of(k)?));
-                let error = log(&(pose.rotation * reference.transpose()));
-                Some(masked_norm(&axes.tr_mul(&error), &motion[3..]))
-            });
-            (metrics.pose.orientation_rms_rad, metrics.pose.orientation_max_rad) = rms_and_max(errors);
         }
     }
 
-    /// Compares true (otherwise measured) joint positions with the reference of a joint task, for some or all joints.
-    pub(crate) fn joint_errors(&self, name: &str, joints: Option<&[String]>) -> Vec<ElementError> {
-        let Some(reference) = self.tick.signal(&signal_names::of(name, REFERENCE)) else { return Vec::new() };
-        let (times, q) = self.joints;
+    pub(super) fn finish(self) -> BTreeMap<String, TaskMetrics> {
+        let finished = self.tasks.into_iter().map(|(name, mut metrics, errors)| {
+            match errors {
+                Some(Errors::Cartesian(errors)) => errors.finish(&mut metrics),
+                Some(Errors::Joints(errors, _)) => {
+                    metrics.elements = errors.finish();
+                    let mut squares = Mean::default();
+                    let angles = metrics.elements.iter().filter(|element| element.unit == "rad");
+                    angles.for_each(|element| squares.add(element.rms.powi(2)));
+                    metrics.joint_rms_rad = squares.get().map(f64::sqrt);
+                }
+                Some(Errors::Logged(errors)) => metrics.elements = errors.finish(),
+                None => {}
+            }
+            (name, metrics)
+        });
+        finished.collect()
+    }
+}
+
+/// Errors of elements, each with its name and unit.
+#[derive(Default)]
+struct ElementErrors {
+    elements: Vec<(String, String, RmsMax)>,
+}
+
+impl ElementErrors {
+    /// Adds the distances of true (otherwise measured) joint positions from the reference of a joint task, for some or
+    /// all joints.
+    fn add_joints(&mut self, run: &Run<'_>, name: &str, joints: Option<&[String]>) {
+        let Some(reference) = run.tick.signal(&signal_names::of(name, REFERENCE)) else { return };
+        let (times, q) = run.joints;
         let rows: Vec<(usize, usize)> =
-            self.settled(times).filter_map(|k| Some((k, self.tick_of(k)?))).collect();
+            run.settled(times).filter_map(|k| Some((k, run.tick_of(k)?))).collect();
         let selected = |joint: &str| joints.is_none_or(|joints| joints.iter().any(|name| name == joint));
-        let mut errors = Vec::new();
         for (j, (joint, unit)) in q.elements().iter().zip(q.units()).enumerate() {
             let Some(place) = reference.elements().iter().position(|name| name == joint) else { continue };
             if !selected(joint) {
                 continue;
             }
-            let distances = rows.iter().map(|&(k, tick)| (q.row(k)[j] - reference.row(tick)[place]).abs());
-            errors.extend(ElementError::new(joint, unit, rms_and_max(distances)));
+            let sums = self.of(joint, unit);
+            rows.iter().for_each(|&(k, tick)| sums.add((q.row(k)[j] - reference.row(tick)[place]).abs()));
         }
-        errors
     }
 
-    /// Summarises the errors that a task has logged: those of its own coordinate, as the controller measured them.
-    fn logged_errors(&self, name: &str) -> Vec<ElementError> {
-        let Some(error) = self.tick.signal(&signal_names::of(name, ERROR)) else { return Vec::new() };
-        let settled = self.settled(&self.tick.time_s);
-        let elements = error.elements().iter().zip(error.units()).enumerate();
-        let summarised = elements.filter_map(|(place, (element, unit))| {
-            let distances = settled.clone().map(|k| error.row(k)[place].abs());
-            ElementError::new(element, unit, rms_and_max(distances.filter(|distance| distance.is_finite())))
+    /// Adds the errors that a task has logged.
+    fn add_logged(&mut self, run: &Run<'_>, name: &str) {
+        let Some(error) = run.tick.signal(&signal_names::of(name, ERROR)) else { return };
+        for (place, (element, unit)) in error.elements().iter().zip(error.units()).enumerate() {
+            let sums = self.of(element, unit);
+            let distances = run.settled_ticks().map(|k| error.row(k)[place].abs());
+            distances.filter(|distance| distance.is_finite()).for_each(|distance| sums.add(distance));
+        }
+    }
+
+    fn of(&mut self, name: &str, unit: &str) -> &mut RmsMax {
+        let place = self.elements.iter().position(|(known, ..)| known == name).unwrap_or_else(|| {
+            self.elements.push((name.to_owned(), unit.to_owned(), RmsMax::default()));
+            self.elements.len() - 1
         });
-        summarised.collect()
+        &mut self.elements[place].2
     }
 
-    /// Compares the true contact force on a task's frame with the target of its force axes.
-    fn contact(&self, task: &CartesianParameters, controlled: ControlledFrame, metrics: &mut TaskMetrics) {
-        let on_force = task.axes.with_mode(AxisMode::Force);
-        let Some((forces, rows)) = self.forces_on(&task.frame).filter(|_| on_force[..3].contains(&true))
-        else {
-            return;
-        };
-        let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, controlled) else {
-            return;
-        };
-        let target: Vector3<f64> = task.target_force().fixed_rows::<3>(0).into_owned();
-        let settled = self.settled(self.joints.0);
-        let (mut errors, mut touching) = (Vec::new(), Vec::new());
-        let (mut begin_s, mut peak, mut losses, mut touched) = (None, None, 0, false);
-        for (k, _, axes) in self.poses_of(rows, controlled, directions) {
-            let force = axes.tr_mul(&total(&forces, k));
-            let size = masked_norm(&force, &on_force[..3]);
-            let since_start_s = self.joints.0[k] - self.start_s;
-            let touches = size > CONTACT_N;
-            if touches && begin_s.is_none() {
-                begin_s = Some(since_start_s);
-            }
-            if begin_s.is_some_and(|begin_s| since_start_s <= begin_s + PEAK_S) {
-                peak = Some(f64::max(peak.unwrap_or(0.0), size));
-            }
-            losses += u64::from(touched && !touches);
-            touched = touches;
-            if settled.contains(&k) {
-                errors.push(masked_norm(&(force - target), &on_force[..3]));
-                touching.push(f64::from(u8::from(touches)));
-            }
-        }
-        // A streamed task gets its target from outside.
-        let known = !matches!(task.reference, CartesianReference::Streamed(_));
-        metrics.contact.force_rms_n = rms_and_max(errors.into_iter()).0.filter(|_| known);
-        metrics.contact.in_contact_fraction = mean(touching.into_iter());
-        (metrics.contact.contact_begin_s, metrics.contact.contact_peak_n) = (begin_s, peak);
-        metrics.contact.contact_losses = Some(losses);
+    fn finish(self) -> Vec<ElementError> {
+        let elements = self.elements.into_iter();
+        elements
+            .filter_map(|(name, unit, sums)| {
+                Some(ElementError { name, unit, rms: sums.rms()?, max: sums.max()? })
+            })
+            .collect()
+    }
+}
+
+/// Errors, contact and compliance of a Cartesian task.
+struct CartesianErrors {
+    name: String,
+    task: CartesianParameters,
+    controlled: ControlledFrame,
+    directions: AxesFrame,
+    position_m: RmsMax,
+    orientation_rad: RmsMax,
+    contact: Option<ContactForce>,
+    compliance: Option<CompliantMotion>,
+}
+
+impl CartesianErrors {
+    fn new(
+        experiment: &Experiment,
+        name: &str,
+        task: CartesianParameters,
+        controlled: ControlledFrame,
+    ) -> Option<Self> {
+        let directions = task.axes_frame.resolve(&experiment.robot().model, controlled).ok()?;
+        Some(Self {
+            name: name.to_owned(),
+            controlled,
+            directions,
+            position_m: RmsMax::default(),
+            orientation_rad: RmsMax::default(),
+            contact: ContactForce::new(&task),
+            compliance: CompliantMotion::new(&task),
+            task,
+        })
     }
 
-    /// Computes the motion of a task's frame along its compliant axes, and the work done on it there.
-    fn compliance(&self, task: &CartesianParameters, controlled: ControlledFrame, metrics: &mut TaskMetrics) {
-        let compliant = task.axes.with_mode(AxisMode::Compliant);
-        let Ok(directions) = task.axes_frame.resolve(&self.experiment.robot().model, controlled) else {
-            return;
-        };
-        if !compliant[..3].contains(&true) {
-            return;
-        }
-        let Some((_, start, _)) = self.poses_of(self.controlled(), controlled, directions).next() else {
-            return;
-        };
-        let poses: Vec<(usize, Placement, Matrix3<f64>)> =
-            self.poses_of(self.settled(self.joints.0), controlled, directions).collect();
-        let moved = poses.iter().map(|(_, pose, axes)| {
-            masked_norm(&axes.tr_mul(&(pose.translation - start.translation)), &compliant[..3])
-        });
-        metrics.compliance.compliant_motion_rms_m = rms_and_max(moved).0;
-        if let Some((forces, _)) = self.forces_on(&task.frame).filter(|(forces, _)| !forces.is_empty()) {
-            let steps = poses.windows(2).map(|pair| {
-                let [(k, from, axes), (_, to, _)] = pair else { return 0.0 };
-                let force = axes.tr_mul(&total(&forces, *k));
-                let step = axes.tr_mul(&(to.translation - from.translation));
-                (0..3).filter(|&axis| compliant[axis]).map(|axis| force[axis] * step[axis]).sum()
-            });
-            metrics.compliance.compliant_work_j = Some(steps.sum());
+    fn without_contact(self) -> Self {
+        Self { contact: None, compliance: None, ..self }
+    }
+
+    fn add(&mut self, run: &Run<'_>) {
+        let motion = self.task.motion_axes();
+        let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
+        let reference = signal(REFERENCE).filter(|_| motion[..3].contains(&true));
+        let reference_orientation = signal(REFERENCE_ORIENTATION).filter(|_| motion[3..].contains(&true));
+        let forces = run.forces_on(&self.task.frame);
+        let settled = run.settled(run.joints.0);
+        for (k, pose, axes) in run.poses(self.controlled, self.directions) {
+            let is_settled = settled.contains(&k);
+            let tick = if is_settled { run.tick_of(k) } else { None };
+            if let Some(reference) = reference.zip(tick).map(|(reference, tick)| reference.row(tick)) {
+                let error = pose.translation - Vector3::from_column_slice(reference);
+                self.position_m.add(masked_norm(&axes.tr_mul(&error), &motion[..3]));
+            }
+            if let Some(reference) =
+                reference_orientation.zip(tick).map(|(reference, tick)| reference.row(tick))
+            {
+                let error = log(&(pose.rotation * orientation(reference).transpose()));
+                self.orientation_rad.add(masked_norm(&axes.tr_mul(&error), &motion[3..]));
+            }
+            let force = forces.as_ref().map(|forces| axes.tr_mul(&total(forces, k)));
+            if let Some((contact, force)) = self.contact.as_mut().zip(force) {
+                contact.add(&force, run.joints.0[k] - run.start_s, is_settled);
+            }
+            if let Some(compliance) = &mut self.compliance {
+                let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
+                compliance.add(&pose, &axes, force.filter(|_| acts), is_settled);
+            }
         }
     }
 
-    /// True forces of the objects of the environment that act on the body of a frame, and the rows of control; `None`
-    /// if the log has no true state.
-    pub(crate) fn forces_on(&self, frame: &str) -> Option<(Vec<Column<'_>>, Range<usize>)> {
+    fn finish(self, metrics: &mut TaskMetrics) {
+        let (position, orientation) = (self.position_m, self.orientation_rad);
+        (metrics.pose.position_rms_m, metrics.pose.position_max_m) = (position.rms(), position.max());
+        (metrics.pose.orientation_rms_rad, metrics.pose.orientation_max_rad) =
+            (orientation.rms(), orientation.max());
+        if let Some(contact) = self.contact {
+            contact.finish(metrics);
+        }
+        if let Some(compliance) = self.compliance {
+            compliance.finish(metrics);
+        }
+    }
+}
+
+/// True contact force on a task's frame, compared with the target of its force axes.
+struct ContactForce {
+    on_force: [bool; 3],
+    target: Vector3<f64>,
+    /// False for a streamed task, which gets its target from outside.
+    target_is_known: bool,
+    error_n: RmsMax,
+    touching: Mean,
+    begin_s: Option<f64>,
+    peak_n: Option<f64>,
+    /// Number of losses of contact; `None` before the first force.
+    losses: Option<u64>,
+    touched: bool,
+}
+
+impl ContactForce {
+    /// Returns `None` for a task without force axes.
+    fn new(task: &CartesianParameters) -> Option<Self> {
+        let [x, y, z, ..] = task.axes.with_mode(AxisMode::Force);
+        [x, y, z].contains(&true).then(|| Self {
+            on_force: [x, y, z],
+            target: task.target_force().fixed_rows::<3>(0).into_owned(),
+            target_is_known: !matches!(task.reference, CartesianReference::Streamed(_)),
+            error_n: RmsMax::default(),
+            touching: Mean::default(),
+            begin_s: None,
+            peak_n: None,
+            losses: None,
+            touched: false,
+        })
+    }
+
+    /// Adds a force in the axes of the task, at a time since the start of control.
+    fn add(&mut self, force: &Vector3<f64>, since_start_s: f64, is_settled: bool) {
+        let size = masked_norm(force, &self.on_force);
+        let touches = size > CONTACT_N;
+        if touches && self.begin_s.is_none() {
+            self.begin_s = Some(since_start_s);
+        }
+        if self.begin_s.is_some_and(|begin_s| since_start_s <= begin_s + PEAK_S) {
+            self.peak_n = Some(f64::max(self.peak_n.unwrap_or(0.0), size));
+        }
+        self.losses = Some(self.losses.unwrap_or(0) + u64::from(self.touched && !touches));
+        self.touched = touches;
+        if is_settled {
+            self.error_n.add(masked_norm(&(force - self.target), &self.on_force));
+            self.touching.add(f64::from(u8::from(touches)));
+        }
+    }
+
+    fn finish(self, metrics: &mut TaskMetrics) {
+        metrics.contact.force_rms_n = self.error_n.rms().filter(|_| self.target_is_known);
+        metrics.contact.in_contact_fraction = self.touching.get();
+        (metrics.contact.contact_begin_s, metrics.contact.contact_peak_n) = (self.begin_s, self.peak_n);
+        metrics.contact.contact_losses = self.losses;
+    }
+}
+
+/// Motion of a task's frame along its compliant axes, and the work done on it there.
+struct CompliantMotion {
+    compliant: [bool; 3],
+    /// Position at the start of control, m.
+    start: Option<Vector3<f64>>,
+    moved_m: RmsMax,
+    work_j: Option<f64>,
+    /// Position (m), axes and force (N, in these axes) at the settled row before.
+    before: Option<(Vector3<f64>, Matrix3<f64>, Vector3<f64>)>,
+}
+
+impl CompliantMotion {
+    /// Returns `None` for a task without compliant axes.
+    fn new(task: &CartesianParameters) -> Option<Self> {
+        let [x, y, z, ..] = task.axes.with_mode(AxisMode::Compliant);
+        [x, y, z].contains(&true).then(|| Self {
+            compliant: [x, y, z],
+            start: None,
+            moved_m: RmsMax::default(),
+            work_j: None,
+            before: None,
+        })
+    }
+
+    /// Adds a pose, the axes of the task there, and the true force in these axes if it is known.
+    fn add(&mut self, pose: &Placement, axes: &Matrix3<f64>, force: Option<Vector3<f64>>, is_settled: bool) {
+        let start = *self.start.get_or_insert(pose.translation);
+        if !is_settled {
+            return;
+        }
+        self.moved_m.add(masked_norm(&axes.tr_mul(&(pose.translation - start)), &self.compliant));
+        let Some(force) = force else { return };
+        let mut work_j = self.work_j.unwrap_or(0.0);
+        if let Some((position, axes, force)) = self.before {
+            let step = axes.tr_mul(&(pose.translation - position));
+            let works = (0..3).filter(|&axis| self.compliant[axis]).map(|axis| force[axis] * step[axis]);
+            work_j += works.sum::<f64>();
+        }
+        self.work_j = Some(work_j);
+        self.before = Some((pose.translation, *axes, force));
+    }
+
+    fn finish(self, metrics: &mut TaskMetrics) {
+        metrics.compliance.compliant_motion_rms_m = self.moved_m.rms();
+        metrics.compliance.compliant_work_j = self.work_j;
+    }
+}
+
+impl Run<'_> {
+    /// True forces of the objects of the environment that act on the body of a frame; `None` if the log has no true
+    /// state.
+    pub(crate) fn forces_on(&self, frame: &str) -> Option<Vec<Column<'_>>> {
         let model = &self.experiment.robot().model;
         let body = |name: &str| model.frame_id(name).ok().map(|id: FrameId| model.frame(id).body);
         let truth = self.recording.channel(TRUTH_CHANNEL)?;
         let objects = self.experiment.task().file.environment.iter();
         let on_body = objects.filter(|(_, object)| body(object.frame()) == body(frame));
-        let forces: Vec<_> =
-            on_body.filter_map(|(name, _)| truth.signal(&signal_names::of(name, FORCE))).collect();
-        Some((forces, self.controlled()))
-    }
-}
-
-impl ElementError {
-    fn new(name: &str, unit: &str, (rms, max): (Option<f64>, Option<f64>)) -> Option<Self> {
-        Some(Self { name: name.to_owned(), unit: unit.to_owned(), rms: rms?, max: max? })
+        Some(on_body.filter_map(|(name, _)| truth.signal(&signal_names::of(name, FORCE))).collect())
     }
 }
 
