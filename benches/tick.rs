@@ -3,12 +3,15 @@
 use divan::{Bencher, black_box};
 use nalgebra::Matrix6xX;
 use opspace::control::{ControlInput, Measurement, Targets};
+use opspace::control_loop::Run;
 use opspace::experiment::{Experiment, Files, RunOptions};
+use opspace::log::{Channel, Header, Pace, record};
 use opspace::model::{
     Data, Model, OperationalSpace, aba, bias, crba, frame_jacobian, gravity, kinematics, rnea, update,
 };
 use opspace::transformer::{PaperTransformer, Transformer};
 use opspace_testing::oracle::urdf;
+use std::cell::RefCell;
 use std::path::Path;
 
 fn main() {
@@ -115,6 +118,30 @@ fn controller_and_transformer(bencher: Bencher, task: &str) {
         controller.update(&input, &mut tau);
         transformer.transform(&data, &tau, &mut q_desired);
     });
+}
+
+/// Recording of the rows of a control cycle, those that a real robot has: what a log costs the control thread. The writer
+/// runs on another core, and is waited for outside the measured time.
+#[divan::bench(args = ["cartesian-tracking", "compliant-x"], sample_size = 100)]
+fn record_a_cycle(bencher: Bencher, task: &str) {
+    let path = format!("tasks/{task}.toml");
+    let experiment = Experiment::load(Files::Embedded, Path::new(&path), None, RunOptions::default(), &[])
+        .expect("is embedded");
+    let layouts = Run::layouts(&experiment.control_loop().expect("was checked"), None);
+    let rows: Vec<Vec<f64>> =
+        layouts.iter().map(|layout| (0..layout.width()).map(|k| (k as f64).sin()).collect()).collect();
+    let channels = layouts.into_iter().map(|layout| Channel { layout, rate_hz: 1000.0 }).collect();
+    let (recorder, writer) =
+        record(std::io::sink(), Header::default(), channels, Pace::Simulated).expect("a log");
+    let recorder = RefCell::new(recorder);
+    bencher.with_inputs(|| recorder.borrow_mut().wait_for_space()).bench_local_values(|()| {
+        for (channel, row) in rows.iter().enumerate() {
+            recorder.borrow_mut().push(channel, 0.0, black_box(row));
+        }
+    });
+    drop(recorder);
+    let (written, _) = writer.finish().expect("the sink does not fail");
+    assert_eq!(written.dropped, 0);
 }
 
 /// Controller input whose clock counts from the start of control.

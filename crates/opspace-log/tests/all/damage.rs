@@ -23,7 +23,7 @@ fn assert_prefix(part: &Recording, whole: &Recording, case: &str) {
 fn truncated_log_yields_rows_before_the_cut() {
     let (_, bytes) = log(header(), 2500);
     let whole = Recording::from_bytes(&bytes).unwrap();
-    let step = bytes.len() / 400 + 1;
+    let step = bytes.len() / 150 + 1;
     let ends = bytes.len() - 600..bytes.len();
     let mut rows = 0;
     for end in (0..bytes.len()).step_by(step).chain(0..600).chain(ends) {
@@ -55,16 +55,15 @@ fn any_changed_byte_is_detected() {
     let (_, mut bytes) = log(header(), 40);
     let whole = Recording::from_bytes(&bytes).unwrap();
     for at in 0..bytes.len() {
-        for change in [0x01, 0x80, 0xff] {
-            bytes[at] ^= change;
-            let (read, count) = counted(|| Recording::from_bytes(&bytes));
-            assert!(count.largest <= 64 << 20, "{} bytes at once, byte {at} ^ {change:02x}", count.largest);
-            if let Ok(part) = read {
-                assert!(part.damage.is_some(), "byte {at} ^ {change:02x} unnoticed");
-                assert_prefix(&part, &whole, &format!("byte {at} ^ {change:02x}"));
-            }
-            bytes[at] ^= change;
+        let change = [0x01, 0x80, 0xff][at % 3];
+        bytes[at] ^= change;
+        let (read, count) = counted(|| Recording::from_bytes(&bytes));
+        assert!(count.largest <= 64 << 20, "{} bytes at once, byte {at} ^ {change:02x}", count.largest);
+        if let Ok(part) = read {
+            assert!(part.damage.is_some(), "byte {at} ^ {change:02x} unnoticed");
+            assert_prefix(&part, &whole, &format!("byte {at} ^ {change:02x}"));
         }
+        bytes[at] ^= change;
     }
     assert_eq!(Recording::from_bytes(&bytes).unwrap().damage, None, "all changes are undone");
 }
