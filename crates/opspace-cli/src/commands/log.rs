@@ -48,7 +48,8 @@ impl Numbers {
         let tick = recording.channel(TICK_CHANNEL);
         let times = tick.map_or(&[][..], |tick| &tick.time_s);
         let missed = tick.and_then(|tick| tick.signal(MISSED_CYCLES));
-        let missed = missed.into_iter().flat_map(|missed| missed.rows().map(|row| row[0]));
+        let missed =
+            missed.into_iter().flat_map(|missed| missed.rows().filter_map(|row| row.first().copied()));
         let duration_s = times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0);
         Self { cycles: times.len(), missed_cycles: missed.filter(|m| m.is_finite()).sum(), duration_s }
     }
