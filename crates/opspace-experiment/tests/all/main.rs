@@ -1,6 +1,7 @@
 //! Tests of files, preflight, experiments, metrics and reports.
 
 mod diagnostics;
+mod log_header;
 mod metrics;
 mod overrides;
 mod panicking_task;
