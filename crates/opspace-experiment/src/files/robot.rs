@@ -305,6 +305,9 @@ fn check_servos(
 /// Maximum number of servo ticks per interface cycle; a larger number indicates a mistake in a rate.
 const MAX_RATIO: u32 = 10_000;
 
+/// Maximum inertia of a rotor reflected to its joint, kg m² (kg): that of a URDF's moments.
+const MAX_REFLECTED_INERTIA: f64 = 1e9;
+
 /// Maximum rest period before a start, s; a longer one indicates a mistake in a unit.
 const MAX_TARE_S: f64 = 60.0;
 
@@ -335,6 +338,13 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
     for joint in model.joints() {
         let name = joint.name.as_str();
         let friction = file.joint.get(name).map(|j| &j.friction);
+        let reflected = file.joint.get(name).map_or(0.0, |j| j.rotor.reflected_inertia());
+        // Infinite if the square of the ratio overflows, NaN if its product with zero does.
+        if reflected.is_nan() || reflected > MAX_REFLECTED_INERTIA {
+            let message = format!("the rotor's inertia times gear_ratio² is {reflected:e} kg m²");
+            let help = Some(format!("give values whose product is at most {MAX_REFLECTED_INERTIA:e}"));
+            return Err(FileError::at_key(source, ["joint", name, "rotor"], message, help));
+        }
         if friction.is_some_and(|f| f.static_nm < f.coulomb_nm) {
             let key = ["joint", name, "friction", "static_nm"];
             let message = "static friction must not be below Coulomb friction";

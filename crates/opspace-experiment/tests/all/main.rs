@@ -8,6 +8,7 @@ mod panicking_task;
 mod real_robot;
 mod recorded;
 mod report;
+mod robot_file;
 mod run_figures;
 mod servo_gain;
 mod source;

@@ -1,0 +1,29 @@
+//! Tests of the values of a robot file that depend on each other.
+
+use opspace_experiment::{Files, RobotDefinition, Source};
+use std::path::Path;
+
+/// Checks that a rotor whose reflected inertia is too large for the dynamics, or overflows, is refused at its line.
+#[test]
+fn reflected_inertia_is_bounded() {
+    let read = |name: &str| {
+        let path = Path::new("robots/asimo-arm").join(name);
+        Files::Embedded.read(&path).expect("an embedded file").text().to_owned()
+    };
+    let (text, urdf) = (read("robot.toml"), read("asimo-arm.urdf"));
+    let rotor = text.lines().position(|line| line.starts_with("rotor = ")).expect("a rotor");
+    for (value, shown) in [
+        ("rotor = { inertia_kg_m2 = 1e308, gear_ratio = 100.0, encoder_counts_per_turn = 4096 }", "inf"),
+        ("rotor = { inertia_kg_m2 = 1e-5, gear_ratio = 1e200, encoder_counts_per_turn = 4096 }", "inf"),
+        ("rotor = { inertia_kg_m2 = 0.0, gear_ratio = 1e200, encoder_counts_per_turn = 4096 }", "NaN"),
+        ("rotor = { inertia_kg_m2 = 1.0, gear_ratio = 1e5, encoder_counts_per_turn = 4096 }", "1e10"),
+    ] {
+        let mut lines: Vec<&str> = text.lines().collect();
+        lines[rotor] = value;
+        let source = Source::new("robot.toml", lines.join("\n"));
+        let error = RobotDefinition::from_sources(source, Source::new("robot.urdf", urdf.as_str()));
+        let error = error.expect_err(value).to_string();
+        let wanted = format!("robot.toml:{}: the rotor's inertia times gear_ratio² is {shown}", rotor + 1);
+        assert!(error.starts_with(&wanted), "{error}");
+    }
+}
