@@ -3,14 +3,36 @@
 use opspace_experiment::{Files, RobotDefinition, Source};
 use std::path::Path;
 
-/// Checks that a rotor whose reflected inertia is too large for the dynamics, or overflows, is refused at its line.
-#[test]
-fn reflected_inertia_is_bounded() {
+/// Texts of the robot file and the URDF of the embedded robot.
+fn files() -> (String, String) {
     let read = |name: &str| {
         let path = Path::new("robots/asimo-arm").join(name);
         Files::Embedded.read(&path).expect("an embedded file").text().to_owned()
     };
-    let (text, urdf) = (read("robot.toml"), read("asimo-arm.urdf"));
+    (read("robot.toml"), read("asimo-arm.urdf"))
+}
+
+/// Checks that a servo rate whose period is infinite, or has no unit that makes sense, is refused at its line.
+#[test]
+fn servo_rate_is_bounded() {
+    let (text, urdf) = files();
+    let line = text.lines().position(|line| line.starts_with("servo_hz = ")).expect("a rate");
+    for (value, shown) in [("1e-308", "1e-308"), ("0.0001", "1e-4"), ("2e9", "2e9"), ("1e308", "1e308")] {
+        let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+        lines[line] = format!("servo_hz = {value}");
+        let source = Source::new("robot.toml", lines.join("\n"));
+        let error = RobotDefinition::from_sources(source, Source::new("robot.urdf", urdf.as_str()));
+        let error = error.expect_err(value).to_string();
+        let wanted =
+            format!("robot.toml:{}: a servo rate of {shown} Hz is not from 1e-3 to 1e9 Hz", line + 1);
+        assert_eq!(error, wanted);
+    }
+}
+
+/// Checks that a rotor whose reflected inertia is too large for the dynamics, or overflows, is refused at its line.
+#[test]
+fn reflected_inertia_is_bounded() {
+    let (text, urdf) = files();
     let rotor = text.lines().position(|line| line.starts_with("rotor = ")).expect("a rotor");
     for (value, shown) in [
         ("rotor = { inertia_kg_m2 = 1e308, gear_ratio = 100.0, encoder_counts_per_turn = 4096 }", "inf"),
