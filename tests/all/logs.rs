@@ -218,7 +218,7 @@ fn info_of_a_log_without_elements_is_printed() {
     let (mut recorder, writer) = record(sink, Header::default(), channels, Pace::Simulated).unwrap();
     recorder.push(0, 0.0, &[]);
     drop(recorder);
-    writer.finish().unwrap();
+    assert_eq!(writer.finish().unwrap().0.records, 1);
     let json = opspace(folder.path(), &["log", "info", "empty.mcap", "--json", "-"]).exits(0).json();
     assert_eq!((json["cycles"].as_u64(), json["missed_cycles"].as_f64()), (Some(1), Some(0.0)));
 }
