@@ -3,7 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "a test")]
 
 use crate::cli_common::{opspace, project, read, run, scratch};
-use opspace_log::Recording;
+use opspace_backend::{Layout, Signal, signal_names};
+use opspace_log::{Channel, Header, Pace, Recording, record};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
@@ -204,4 +205,20 @@ fn layouts_of_viewers_name_topics_and_fields_of_a_log() {
     for name in &curves {
         assert!(slashed.contains(name), "{name} is not in a log");
     }
+}
+
+/// Checks the contents of a log whose signals have no elements: those of a program that writes the layout itself.
+#[test]
+fn info_of_a_log_without_elements_is_printed() {
+    let folder = scratch();
+    let names = [signal_names::MISSED_CYCLES, signal_names::FAULT];
+    let signals = names.map(|name| Signal::new::<&str>(name, "1", &[])).to_vec();
+    let channels = vec![Channel { layout: Layout { channel: "tick".to_owned(), signals }, rate_hz: 1000.0 }];
+    let sink = fs::File::create(folder.path().join("empty.mcap")).unwrap();
+    let (mut recorder, writer) = record(sink, Header::default(), channels, Pace::Simulated).unwrap();
+    recorder.push(0, 0.0, &[]);
+    drop(recorder);
+    assert_eq!(writer.finish().unwrap().0.records, 1);
+    let json = opspace(folder.path(), &["log", "info", "empty.mcap", "--json", "-"]).exits(0).json();
+    assert_eq!((json["cycles"].as_u64(), json["missed_cycles"].as_f64()), (Some(1), Some(0.0)));
 }

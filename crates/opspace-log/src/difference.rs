@@ -96,7 +96,7 @@ impl<'a> Log<'a> {
         let (mut topics, mut counts) = (Vec::new(), BTreeMap::new());
         let mut channels: BTreeMap<u16, (String, Option<Definition>)> = BTreeMap::new();
         scan(file.source(), &mut |recording, record, _| {
-            recording.clear_rows();
+            recording.keep_last_rows();
             match record {
                 Record::Schema { id, name, encoding, data } => {
                     let definition = (encoding == "protobuf").then(|| Definition::protobuf(name, data));

@@ -96,7 +96,7 @@ impl LogFile {
                         channel.messages += 1;
                         channel.bytes += message.data.len() as u64;
                     }
-                    recording.clear_rows();
+                    recording.keep_last_rows();
                 }
                 _ => {}
             }
@@ -121,7 +121,7 @@ impl LogFile {
         Self { segment_values: values, ..self }
     }
 
-    /// Returns everything but the rows: layouts, attachments, metadata and damage.
+    /// Returns layouts, attachments, metadata and damage, and the last row of each channel.
     #[must_use]
     pub fn recording(&self) -> &Recording {
         &self.recording

@@ -43,7 +43,8 @@ impl OutcomeRecord {
 
     fn of_last_row(recording: &Recording) -> Self {
         let fault = recording.channel("tick").and_then(|tick| tick.signal(FAULT));
-        let code = fault.and_then(|fault| fault.rows().last()).map_or(0.0, |row| row[0]);
+        let last = fault.and_then(|fault| fault.rows().last());
+        let code = last.and_then(|row| row.first()).copied().unwrap_or(0.0);
         let words = format!("fault {code}; the log was cut short before its cause");
         Self { fault: (code != 0.0).then_some(words), ..Self::default() }
     }
@@ -64,5 +65,26 @@ impl OutcomeRecord {
         put("device_code", self.device_fault.as_ref().map(|fault| fault.code.to_string()));
         put("device_words", self.device_fault.as_ref().map(|fault| fault.words.to_string()));
         entries
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FAULT, OutcomeRecord};
+    use crate::recording::{ChannelData, Recording};
+    use opspace_backend::{Layout, Signal};
+
+    /// Checks the last row of a log without an outcome: with a fault, without one, and with a signal that has no element.
+    #[test]
+    fn outcome_of_a_cut_log_is_the_fault_of_its_last_row() {
+        let outcome = |elements: &[&str], rows: Vec<f64>| {
+            let layout =
+                Layout { channel: "tick".to_owned(), signals: vec![Signal::new(FAULT, "1", elements)] };
+            let tick = ChannelData { layout, time_s: vec![0.0, 0.1], rows };
+            OutcomeRecord::of(&Recording { channels: vec![tick], ..Recording::default() }).fault
+        };
+        assert!(outcome(&["value"], vec![0.0, 3.0]).is_some_and(|fault| fault.contains("fault 3")));
+        assert_eq!(outcome(&["value"], vec![3.0, 0.0]), None);
+        assert_eq!(outcome(&[], vec![]), None);
     }
 }

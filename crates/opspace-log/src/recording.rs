@@ -16,6 +16,13 @@ use opspace_backend::{Layout, Signal};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
+/// Largest ratio of the memory that all rows need to the size of the file. A number that is absent takes no byte in the
+/// file; logs of simulations have ratios below 5.
+const MAX_ROW_EXPANSION: u64 = 32;
+
+/// Memory of all rows that is accepted of any file, bytes.
+const MIN_ROW_BYTES: u64 = 16 << 20;
+
 /// Log in memory.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
@@ -100,11 +107,11 @@ impl Recording {
         scan(source, &mut |_, _, _| Ok(())).map(|scan| scan.recording)
     }
 
-    /// Removes all rows.
-    pub(crate) fn clear_rows(&mut self) {
-        for channel in &mut self.channels {
-            channel.time_s.clear();
-            channel.rows.clear();
+    /// Removes all rows but the last one of each channel.
+    pub(crate) fn keep_last_rows(&mut self) {
+        for channel in self.channels.iter_mut().filter(|channel| channel.len() > 1) {
+            channel.time_s.drain(..channel.time_s.len() - 1);
+            channel.rows.drain(..channel.rows.len() - channel.layout.width());
         }
     }
 
@@ -164,11 +171,11 @@ impl ChannelData {
         &self.rows[k * width..(k + 1) * width]
     }
 
-    /// Returns the signal of that name.
+    /// Returns the signal of that name; `None` if there is no such signal, or it has no element.
     #[must_use]
     pub fn signal(&self, name: &str) -> Option<Column<'_>> {
         let signals = &self.layout.signals;
-        let index = signals.iter().position(|s| s.name == name)?;
+        let index = signals.iter().position(|s| s.name == name && !s.is_empty())?;
         let offset = signals[..index].iter().map(Signal::len).sum();
         Some(Column { data: self, signal: &signals[index], offset, stride: self.layout.width() })
     }
@@ -231,7 +238,8 @@ pub(crate) fn scan(source: &dyn Bytes, accept: &mut Accept<'_>) -> Result<Scan, 
         return Err(LogError::NotMcap);
     }
     let Verified { problem, statistics, closed } = verify(source);
-    let mut reader = Reader { count_rows: problem.is_some(), ..Reader::default() };
+    let max_row_bytes = MIN_ROW_BYTES.max(MAX_ROW_EXPANSION.saturating_mul(source.len()));
+    let mut reader = Reader { count_rows: problem.is_some(), max_row_bytes, ..Reader::default() };
     let stop = reader.read(source, accept)?;
     let rows_lost = stop.is_some() || !reader.is_complete(statistics.as_ref());
     let part = reader.damaged_part.take();
@@ -253,9 +261,14 @@ struct Reader {
     recording: Recording,
     /// State of each channel of the recording.
     tracks: Vec<Track>,
+    /// Name, encoding and content of each schema so far.
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
     /// Map from the file's channel ids to the recording's channels; `None` for channels of other programs.
     index: HashMap<u16, Option<usize>>,
     count_rows: bool,
+    /// Size of all rows so far, and the largest one that is accepted, bytes.
+    row_bytes: u64,
+    max_row_bytes: u64,
     /// First damage after which reading continues, with its byte offset.
     damaged_part: Option<(String, Option<usize>)>,
 }
@@ -309,7 +322,22 @@ impl Reader {
                 self.recording.metadata.push((name.clone(), entries.clone()));
             }
             Record::Attachment(attachment) => self.recording.attachments.push(attachment.clone()),
-            Record::Channel(channel) => self.define(channel.id, &channel.metadata)?,
+            Record::Schema { id, name, encoding, data } => {
+                let definition = (name.clone(), encoding.clone(), data.to_vec());
+                if *self.schemas.entry(*id).or_insert_with(|| definition.clone()) != definition {
+                    return Err(format!("schema {id} is defined twice, differently"));
+                }
+            }
+            Record::Channel(channel) => {
+                // 0 is no schema.
+                if channel.schema != 0 && !self.schemas.contains_key(&channel.schema) {
+                    let (topic, schema) = (&channel.topic, channel.schema);
+                    return Err(format!(
+                        "channel '{topic}' has schema {schema}, which is not defined before it"
+                    ));
+                }
+                self.define(channel.id, &channel.metadata)?;
+            }
             Record::Message(message) => self.message(message.channel, message.sequence, message.data)?,
             _ => {}
         }
@@ -343,6 +371,13 @@ impl Reader {
         let name = &channel.layout.channel;
         if self.count_rows && sequence != *next {
             return Err(format!("row {next} of channel '{name}' is missing"));
+        }
+        self.row_bytes += (size_of::<f64>() * (1 + channel.layout.width())) as u64;
+        if self.row_bytes > self.max_row_bytes {
+            let most = self.max_row_bytes;
+            return Err(format!(
+                "the rows need more than {most} bytes of memory, which no log of this size does"
+            ));
         }
         let Some(time_s) = schema::decode(shapes, data, &mut channel.rows) else {
             return Err(format!("row {next} of channel '{name}' does not match the layout of the channel"));

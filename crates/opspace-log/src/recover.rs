@@ -58,7 +58,7 @@ pub fn recover<W: Write>(log: &LogFile, sink: W) -> Result<Recovery, LogError> {
         .create(NoSeek::new(BufWriter::new(sink)))?;
     let mut written = BTreeSet::new();
     scan(log.source(), &mut |recording, record, _| {
-        recording.clear_rows();
+        recording.keep_last_rows();
         write(record, &mut written, &mut mcap)
     })?;
     let recovery = outcome(log);

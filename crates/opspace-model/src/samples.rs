@@ -122,13 +122,16 @@ pub struct Quantities {
 }
 
 impl Quantities {
-    /// Returns true if the quantities computed for every state are finite. The task quantities are computed from the
-    /// same matrices.
+    /// Returns true if all quantities are finite.
     fn is_finite(&self) -> bool {
-        let all = [
+        let lists = [
+            &self.tip_rotation,
+            &self.tip_position,
             &self.tip_velocity,
+            &self.jacobian,
             &self.tip_bias_acceleration,
             &self.mass_matrix,
+            &self.gravity,
             &self.bias,
             &self.coriolis_matrix,
             &self.tau_rnea,
@@ -136,7 +139,10 @@ impl Quantities {
             &self.tau_rnea_fext,
             &self.ddq_aba_fext,
         ];
-        all.into_iter().flatten().chain([&self.kinetic_energy]).all(|x| x.is_finite())
+        let optional = [&self.com, &self.task_inertia, &self.dynamically_consistent_inverse, &self.nullspace];
+        let energies = [self.kinetic_energy, self.potential_energy];
+        let present = optional.into_iter().flatten();
+        lists.into_iter().chain(present).flatten().chain(&energies).all(|x| x.is_finite())
     }
 }
 
@@ -197,7 +203,7 @@ pub enum SampleError {
         angle: f64,
     },
     /// State so large that products overflow.
-    #[error("the numbers overflow: `dq`, `ddq`, `tau_in` or `f_tip` is too large")]
+    #[error("the numbers overflow: `q`, `dq`, `ddq`, `tau_in` or `f_tip` is too large")]
     Overflow,
 }
 

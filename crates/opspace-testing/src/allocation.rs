@@ -18,6 +18,14 @@ pub struct Count {
 
 thread_local! {
     static COUNT: Cell<Count> = const { Cell::new(Count { allocations: 0, frees: 0, largest: 0 }) };
+    static HELD: Cell<Held> = const { Cell::new(Held { now: 0, most: 0 }) };
+}
+
+/// Size of all blocks that a thread has allocated and not freed, bytes; negative if it freed blocks of other threads.
+#[derive(Clone, Copy)]
+struct Held {
+    now: isize,
+    most: isize,
 }
 
 /// System allocator that counts the requests of each thread; a test binary must declare it as its
@@ -38,6 +46,16 @@ fn note_allocation(size: usize) {
         count.allocations += 1;
         count.largest = count.largest.max(size);
     });
+    note_held(size, 0);
+}
+
+/// Notes that blocks of `more` bytes were allocated and blocks of `less` bytes freed.
+fn note_held(more: usize, less: usize) {
+    let _ = HELD.try_with(|cell| {
+        let Held { now, most } = cell.get();
+        let now = now.wrapping_add_unsigned(more).wrapping_sub_unsigned(less);
+        cell.set(Held { now, most: most.max(now) });
+    });
 }
 
 // SAFETY: all requests are forwarded to the system allocator.
@@ -56,12 +74,14 @@ unsafe impl GlobalAlloc for CountingAllocator {
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         note_allocation(size);
+        note_held(0, layout.size());
         // SAFETY: the caller guarantees the same conditions.
         unsafe { System.realloc(block, layout, size) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         note(|count| count.frees += 1);
+        note_held(0, layout.size());
         // SAFETY: the caller guarantees the same conditions.
         unsafe { System.dealloc(block, layout) }
     }
@@ -96,4 +116,16 @@ pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Count) {
 /// Number of allocations that `work` makes on this thread.
 pub fn allocations(work: impl FnOnce()) -> usize {
     counted(work).1.allocations
+}
+
+/// Returns the result of `work`, and the most memory that this thread held in addition to before `work`, bytes.
+///
+/// # Panics
+/// As [`counted`].
+pub fn most_held<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = HELD.get();
+    HELD.set(Held { most: before.now, ..before });
+    let (result, _) = counted(work);
+    let most = HELD.get().most.wrapping_sub(before.now);
+    (result, most.try_into().unwrap_or(0))
 }

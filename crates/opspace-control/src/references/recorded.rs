@@ -121,16 +121,16 @@ pub enum RecordedReason {
         /// Number of columns in the first line.
         columns: u64,
     },
-    /// A value that is not a finite number.
-    #[error("column `{column}`: expected a finite number, got '{value}'")]
+    /// A value that is not a finite number, or too large for a time or a position.
+    #[error("column `{column}`: expected a number from -1e9 to 1e9, got '{value}'")]
     Number {
         /// Column of the value.
         column: &'static str,
         /// Text in the file.
         value: String,
     },
-    /// A sample that is not later than the previous one.
-    #[error("column `time_s`: {time_s} s is not after the previous {previous_s} s")]
+    /// A sample that is not later than the previous one, or by too little for its velocity to be a number.
+    #[error("column `time_s`: {time_s} s is not after the previous {previous_s} s, by at least 1 ns")]
     Time {
         /// Time of the sample, s.
         time_s: f64,
@@ -169,6 +169,12 @@ pub enum RecordedReason {
 /// Columns in the file of a recorded path; the last four are all present or all absent.
 pub const COLUMNS: [&str; 8] = ["time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
 
+/// Largest magnitude of a time (s) and of a position (m): squares of it are far from the largest number.
+const MAX_NUMBER: f64 = 1e9;
+
+/// Shortest interval between two samples, s.
+const MIN_INTERVAL_S: f64 = 1e-9;
+
 /// Tolerance of a quaternion's length; the error of a quaternion written with four digits is smaller.
 const LENGTH_TOLERANCE: f64 = 1e-3;
 
@@ -189,7 +195,7 @@ pub fn parse(text: &str) -> Result<Vec<PoseSample>, RecordedError> {
         let mut numbers = [0.0; COLUMNS.len()];
         for ((number, place), column) in numbers.iter_mut().zip(places).zip(COLUMNS) {
             let Some(value) = place.and_then(|place| record.get(place)) else { continue };
-            let parsed = value.parse().ok().filter(|parsed: &f64| parsed.is_finite());
+            let parsed = value.parse().ok().filter(|parsed: &f64| parsed.abs() <= MAX_NUMBER);
             *number = parsed.ok_or_else(|| at(RecordedReason::Number { column, value: value.to_owned() }))?;
         }
         let [time_s, x, y, z, q @ ..] = numbers;
@@ -236,7 +242,7 @@ fn unit(q: [f64; 4]) -> Result<[f64; 4], RecordedReason> {
 
 fn follows(sample: &PoseSample, previous: &PoseSample) -> Result<(), RecordedReason> {
     let (time_s, previous_s) = (sample.time_s, previous.time_s);
-    if time_s <= previous_s {
+    if time_s - previous_s < MIN_INTERVAL_S {
         return Err(RecordedReason::Time { time_s, previous_s });
     }
     if let (Some(q), Some(previous)) = (sample.quaternion, previous.quaternion) {

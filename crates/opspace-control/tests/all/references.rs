@@ -457,9 +457,27 @@ fn recorded_path_errors_name_the_line() {
         (head.to_owned(), None, "0 samples"),
         (format!("{head}0,0,0,0,1,0,0,0"), None, "1 samples"),
         (format!("{head}0,0,0,0,1,0,0,0\n1,0,0\n"), Some(3), "3 values for 8 columns"),
-        (format!("{head}0,0,O,0,1,0,0,0\n"), Some(2), "column `y_m`: expected a finite number, got 'O'"),
-        (format!("{head}0,0,0,inf,1,0,0,0\n"), Some(2), "column `z_m`: expected a finite number, got 'inf'"),
-        (format!("{head}0,0,0,,1,0,0,0\n"), Some(2), "column `z_m`: expected a finite number, got ''"),
+        (
+            format!("{head}0,0,O,0,1,0,0,0\n"),
+            Some(2),
+            "column `y_m`: expected a number from -1e9 to 1e9, got 'O'",
+        ),
+        (
+            format!("{head}0,0,0,inf,1,0,0,0\n"),
+            Some(2),
+            "column `z_m`: expected a number from -1e9 to 1e9, got 'inf'",
+        ),
+        (
+            format!("{head}0,0,0,,1,0,0,0\n"),
+            Some(2),
+            "column `z_m`: expected a number from -1e9 to 1e9, got ''",
+        ),
+        (format!("{head}0,0,-1e308,0,1,0,0,0\n"), Some(2), "column `y_m`: expected a number from -1e9"),
+        (
+            "time_s,x_m,y_m,z_m\n0,0,0,0\n1e-10,0,0,1\n".to_owned(),
+            Some(3),
+            "0.0000000001 s is not after the previous 0 s, by at least 1 ns",
+        ),
         (
             "time_s,x_m,y_m,z_m\n0,0,0,0\n1,0,0,0\n1,0,0,1\n".to_owned(),
             Some(4),

@@ -366,7 +366,8 @@ fn compare(key: &RunKey, name: &str, values: &[(f64, f64)]) -> MetricComparison 
         student_95(values.len() - 1) * (variance / n).sqrt()
     });
     let counts = difference.abs() > TOLERANCE * mean(&|(old, _)| old.abs());
-    let is_certain = half_width.is_none_or(|half| difference.abs() > half);
+    // Values so large that their interval overflows differ.
+    let is_certain = half_width.is_none_or(|half| difference.abs() > half || !half.is_finite());
     let verdict = match (counts && is_certain, SMALLER.contains(&name), LARGER.contains(&name)) {
         (false, ..) => Verdict::Same,
         (true, false, false) => Verdict::Changed,
@@ -459,6 +460,7 @@ mod tests {
         assert_eq!(verdict("speed_max_rad_per_s", &[(0.5, 0.4)]), Verdict::Changed);
         assert_eq!(verdict(error, &[(1.0, 1.009)]), Verdict::Same);
         assert_eq!(verdict(error, &[(1.0, 1.011)]), Verdict::Worse);
+        assert_eq!(verdict(error, &[(0.5, 1e308), (0.5, 0.5)]), Verdict::Worse);
         assert_eq!(verdict(error, &[(0.0, 0.0)]), Verdict::Same);
         assert_eq!(verdict(error, &[(0.0, 1e-9)]), Verdict::Worse);
     }

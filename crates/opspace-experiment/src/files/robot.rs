@@ -17,6 +17,7 @@ use opspace_transformer::{ClosedLoopModel, JointParameters, ProfileParameters, S
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Contents of a robot file.
@@ -112,6 +113,7 @@ impl RobotDefinition {
             rotors.push(joint.rotor.reflected_inertia());
         }
         for (name, profile) in &file.profile {
+            check_rate(&source, name, profile)?;
             check_servos(&source, &model, name, profile)?;
             if !profile.identified.is_empty() {
                 joints_of(&source, &model, &profile.identified, &["profile", name, "identified"])?;
@@ -268,6 +270,21 @@ pub fn load_urdf(urdf: &Source, options: UrdfOptions) -> Result<ParsedUrdf, File
     })
 }
 
+fn check_rate(source: &Source, name: &str, profile: &ProfileParameters) -> Result<(), FileError> {
+    let rate_hz = profile.servo_hz.get();
+    if SERVO_RATES_HZ.contains(&rate_hz) {
+        return Ok(());
+    }
+    let (low, high) = (SERVO_RATES_HZ.start(), SERVO_RATES_HZ.end());
+    let message = format!("a servo rate of {rate_hz:e} Hz is not from {low:e} to {high:e} Hz");
+    Err(FileError::at_key(
+        source,
+        ["profile", name, "servo_hz"],
+        message,
+        Some("give it in hertz".to_owned()),
+    ))
+}
+
 /// Checks that a profile has a position servo for every joint, a velocity servo for every joint, or both.
 fn check_servos(
     source: &Source,
@@ -305,6 +322,12 @@ fn check_servos(
 /// Maximum number of servo ticks per interface cycle; a larger number indicates a mistake in a rate.
 const MAX_RATIO: u32 = 10_000;
 
+/// Range of servo rates, Hz; a rate beyond it indicates a mistake in a unit, and its period may be infinite.
+const SERVO_RATES_HZ: RangeInclusive<f64> = 1e-3..=1e9;
+
+/// Maximum inertia of a rotor reflected to its joint, kg m² (kg): that of a URDF's moments.
+const MAX_REFLECTED_INERTIA: f64 = 1e9;
+
 /// Maximum rest period before a start, s; a longer one indicates a mistake in a unit.
 const MAX_TARE_S: f64 = 60.0;
 
@@ -335,6 +358,13 @@ fn check_values(source: &Source, file: &RobotFile, model: &Model) -> Result<(), 
     for joint in model.joints() {
         let name = joint.name.as_str();
         let friction = file.joint.get(name).map(|j| &j.friction);
+        let reflected = file.joint.get(name).map_or(0.0, |j| j.rotor.reflected_inertia());
+        // Infinite if the square of the ratio overflows, NaN if its product with zero does.
+        if reflected.is_nan() || reflected > MAX_REFLECTED_INERTIA {
+            let message = format!("the rotor's inertia times gear_ratio² is {reflected:e} kg m²");
+            let help = Some(format!("give values whose product is at most {MAX_REFLECTED_INERTIA:e}"));
+            return Err(FileError::at_key(source, ["joint", name, "rotor"], message, help));
+        }
         if friction.is_some_and(|f| f.static_nm < f.coulomb_nm) {
             let key = ["joint", name, "friction", "static_nm"];
             let message = "static friction must not be below Coulomb friction";

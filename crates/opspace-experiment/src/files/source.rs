@@ -148,8 +148,10 @@ impl FileError {
             let begin: usize =
                 source.text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
             let text = source.text.get(begin..)?.lines().next()?;
-            let indent = text.len() - text.trim_start().len();
-            Some(begin + indent..begin + text.trim_end().len())
+            let shown = text.trim_end();
+            // A line without text is its own end.
+            let indent = shown.len() - shown.trim_start().len();
+            Some(begin + indent..begin + shown.len())
         });
         let path = source.name.clone();
         let text = Arc::clone(&source.text);

@@ -16,7 +16,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// Maximum number of runs of a suite: more are probably a grid that is crossed by mistake.
-const MAX_RUNS: usize = 100_000;
+pub(crate) const MAX_RUNS: usize = 100_000;
 
 /// Contents of a suite file.
 #[derive(Clone, Debug, Deserialize)]

@@ -35,6 +35,9 @@ pub struct ToolFile {
     pub inertia_kg_m2: [f64; 6],
 }
 
+/// Largest magnitude of a number of a tool: that of a URDF's numbers.
+const MAX_NUMBER: f64 = 1e9;
+
 /// Tolerance for comparisons of principal moments, relative to the largest; data sheets give few digits.
 const INERTIA_TOLERANCE: f64 = 1e-3;
 
@@ -75,6 +78,19 @@ pub(crate) fn mount(
                 message,
                 Some("give it another name".to_owned()),
             ));
+        }
+        let numbers: [(&str, &[f64]); 5] = [
+            ("xyz_m", &tool.xyz_m),
+            ("rpy_rad", &tool.rpy_rad),
+            ("mass_kg", &[tool.mass_kg.get()]),
+            ("com_m", &tool.com_m),
+            ("inertia_kg_m2", &tool.inertia_kg_m2),
+        ];
+        for (key, numbers) in numbers {
+            if let Some(number) = numbers.iter().find(|number| number.abs() > MAX_NUMBER) {
+                let help = Some(format!("give numbers from -{MAX_NUMBER:e} to {MAX_NUMBER:e}"));
+                return refuse(key, format!("{number:e} is too large"), help);
+            }
         }
         let moments = principal_moments(&tool.inertia().rotational);
         let tolerance = INERTIA_TOLERANCE * moments[2].abs().max(moments[0].abs());

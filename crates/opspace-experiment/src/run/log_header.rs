@@ -7,6 +7,7 @@ use crate::files::source::Source;
 use crate::files::task::TaskDefinition;
 use crate::run::error::RunError;
 use crate::run::experiment::{ControllerKind, Experiment, RunOptions};
+use opspace_backend::quantity::Positive;
 use opspace_backend::{CommandKind, World};
 use opspace_log::{Attachment, Header, LOG, Recording};
 use opspace_transformer::TransformerKind;
@@ -148,7 +149,7 @@ impl Experiment {
             profile: Some(entry("profile")?.to_owned()),
             seed: Some(entry("seed")?.parse().map_err(|_| unknown("seed"))?),
             label: None,
-            duration_s: Some(entry("duration_s")?.parse().map_err(|_| unknown("duration_s"))?),
+            duration_s: Some(duration_s(entry("duration_s")?).ok_or_else(|| unknown("duration_s"))?),
         };
         // The options of the run take precedence over the files, except over a change.
         options.seed = options.seed.filter(|_| !is_changed("seed"));
@@ -162,6 +163,11 @@ impl Experiment {
         // This version would choose another transformer: use the one that was in use when the log was written.
         Ok(Self::new(robot, task, RunOptions { transformer: Some(transformer), ..options }, settings)?)
     }
+}
+
+/// Reads a duration as a task file does: a finite number above 0, s.
+fn duration_s(text: &str) -> Option<f64> {
+    text.parse().ok().and_then(|duration_s: f64| Positive::try_from(duration_s).ok()).map(Positive::get)
 }
 
 /// Extracts a file from a log, under its original name.

@@ -4,7 +4,7 @@
 //! process in the middle of it for example, is ignored when the file is read.
 
 use crate::evaluate::results::Measure;
-use crate::files::suite::Suite;
+use crate::files::suite::{MAX_RUNS, Suite};
 use crate::run::result_files::write_file;
 use crate::run::shard::Shard;
 use crate::run::summary::Summary;
@@ -124,13 +124,14 @@ impl SuiteRows {
         Self::parse(&fs::read(folder.join(SUITE_ROWS)).ok()?)
     }
 
-    /// Parses a file of rows; `None` if its first line is not a header. Lines that are not complete rows of a run that
+    /// Parses a file of rows; `None` if its first line is not the header of a suite. Lines that are not complete rows of a run that
     /// the header includes are ignored, as is the second row of a run.
     #[must_use]
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let mut lines = bytes.split(|&byte| byte == b'\n');
         let header: SuiteHeader = serde_json::from_slice(lines.next()?).ok()?;
-        if header.schema != SCHEMA {
+        // The numbers of all runs of a suite are listed when some are missing.
+        if header.schema != SCHEMA || header.runs > MAX_RUNS {
             return None;
         }
         let mut rows = BTreeMap::new();
@@ -229,6 +230,16 @@ mod tests {
         assert_eq!(read.text(), text);
         assert!(read.rows[&3].row.timing.tick_ns_median.is_nan());
         assert_eq!(read.rows[&3].row.metrics, summary().metrics);
+    }
+
+    /// Checks a header of more runs than a suite may have, whose numbers fill the memory.
+    #[test]
+    fn header_of_too_many_runs_is_refused() {
+        let rows = |runs: usize| SuiteRows::new(SuiteHeader { runs, ..header() }).text();
+        assert!(SuiteRows::parse(rows(100_000).as_bytes()).is_some());
+        for runs in [100_001, usize::MAX] {
+            assert_eq!(SuiteRows::parse(rows(runs).as_bytes()), None);
+        }
     }
 
     /// Lines that were cut off or mixed with others, a second row of a run, runs of other shards, and logs elsewhere.

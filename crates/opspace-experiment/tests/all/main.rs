@@ -1,12 +1,14 @@
 //! Tests of files, preflight, experiments, metrics and reports.
 
 mod diagnostics;
+mod log_header;
 mod metrics;
 mod overrides;
 mod panicking_task;
 mod real_robot;
 mod recorded;
 mod report;
+mod robot_file;
 mod run_figures;
 mod segments;
 mod servo_gain;

@@ -103,7 +103,12 @@ fn replay_with_another_path_differs() {
 fn recorded_path_errors_name_their_line() {
     let line = 1 + TASK.lines().position(|line| line.contains("hand.csv")).unwrap();
     for (path, file, at, said) in [
-        (PATH.replace("0.51,", "0.5l,"), "hand.csv", Some(4), "`x_m`: expected a finite number, got '0.5l'"),
+        (
+            PATH.replace("0.51,", "0.5l,"),
+            "hand.csv",
+            Some(4),
+            "`x_m`: expected a number from -1e9 to 1e9, got '0.5l'",
+        ),
         (PATH.replace("z_m", "zm"), "hand.csv", Some(1), "unknown column `zm`"),
         (PATH.lines().take(2).collect::<Vec<_>>().join("\n"), "hand.csv", None, "1 samples"),
     ] {

@@ -345,6 +345,16 @@ fn later_error_points_at_its_key() {
     assert_eq!(FileError::at_key(&source, "nothing.at.all", "m", None).to_string(), "tasks/x.toml: m");
 }
 
+/// Checks that the place in a blank line is a range, and in other lines their text without indentation.
+#[test]
+fn error_at_a_line_underlines_its_text() {
+    let source = Source::new("x.urdf", "<robot>\n  \n  <link/> \n");
+    for (line, text) in [(1, "<robot>"), (2, ""), (3, "<link/>")] {
+        let error = FileError::at_line(&source, Some(line), "m", None);
+        assert_eq!((error.line(), underlined(&error)), (Some(line), text.to_owned()));
+    }
+}
+
 #[test]
 fn keys_with_dots_are_located() {
     let source = Source::new("r", "[joint.\"arm.1\"]\nkp = 1.0\n[joint.arm]\n1 = 2\n");

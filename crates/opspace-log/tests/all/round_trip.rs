@@ -54,7 +54,7 @@ fn layout_and_attachments_round_trip() {
     assert_eq!(bits(dq.row(2)), bits(&row(2, 9)[2..4]));
     let hand = tick.signal("hand.position").unwrap();
     assert_eq!(bits(&hand.rows().flatten().copied().collect::<Vec<_>>()[6..]), bits(&row(2, 9)[6..]));
-    assert!(tick.signal("no.joints").unwrap().row(1).is_empty());
+    assert!(tick.signal("no.joints").is_none(), "it has no element");
     assert!(tick.signal("nothing").is_none() && recording.channel("nothing").is_none());
 }
 

@@ -185,6 +185,20 @@ fn overflowing_states_are_refused() {
     assert_eq!(refused(&Sample { q, ..good }), turned);
 }
 
+/// Checks that a floating base so far away that its centre of mass or its energy overflows is refused.
+#[test]
+fn overflowing_positions_are_refused() {
+    let options = UrdfOptions { floating_base: true, ..UrdfOptions::default() };
+    let model = Model::from_urdf_with(&urdf("ur5"), options).unwrap().model;
+    let tip = model.frame_id("tool0").unwrap();
+    for axis in 0..3 {
+        let mut q = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0, 0.3, -1.2, 1.4, -0.7, 0.9, 0.2].to_vec();
+        q[axis] = 1e308;
+        let sample = Sample { q, ..at(&[0.1; 12], &ALL) };
+        assert_eq!(evaluate(&model, tip, &sample), Err(SampleError::Overflow), "axis {axis}");
+    }
+}
+
 /// Checks that a quaternion of a floating base that is not of unit length is refused.
 #[test]
 fn non_unit_quaternion_is_refused() {
