@@ -589,7 +589,7 @@ fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>
     area.draw_text(&printable(title), &text(13, FontStyle::Bold), (left, px(8)))?;
     let mut chart = ChartBuilder::on(area)
         .margin_top(px(28))
-        .margin_right(px(16))
+        .margin_right(px(20))
         .x_label_area_size(px(43))
         .y_label_area_size(left)
         .build_cartesian_2d(x.range.clone(), y.range.clone())?;

@@ -6,7 +6,7 @@ use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header;
 use crate::run::summary::Summary;
-use opspace_log::{LogFile, Recording};
+use opspace_log::{LogFile, RECOVERED, Recording};
 
 /// Section of a page about one run, with all its figures.
 #[derive(Clone, Debug)]
@@ -50,6 +50,9 @@ impl RunSection {
         }
         if recording.dropped() > 0 {
             warnings.push(format!("{} rows were dropped and are not in the log.", recording.dropped()));
+        }
+        if recording.metadata(RECOVERED).is_some() {
+            warnings.push("The log was recovered from a damaged one: the run may have gone on.".to_owned());
         }
         warnings.extend(summary.failures.iter().map(|failure| format!("Failure: {failure}.")));
         warnings.extend(

@@ -67,7 +67,7 @@ impl<'a> CartesianFigures<'a> {
             name,
             task,
             directions,
-            poses: run.poses(controlled, directions).collect(),
+            poses: run.poses(controlled, |_| directions).collect(),
             reference: run.tick.signal(&signal_names::of(name, REFERENCE)),
             reference_orientation: run.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION)),
         })
@@ -187,11 +187,16 @@ impl<'a> CartesianFigures<'a> {
                     Some(panel)
                 })
                 .collect();
+        let shown = match (motion[..3].contains(&true), motion[3..].contains(&true)) {
+            (true, true) => "Distance and angle",
+            (true, false) => "Distance",
+            (false, _) => "Angle",
+        };
         (!panels.is_empty()).then(|| Figure {
             title: format!("Error of task '{}'", self.name),
-            caption: "Distance and angle from the reference over the motion axes of the task. The values of the tables begin at \
-                      settle_s."
-                .to_owned(),
+            caption: format!(
+                "{shown} from the reference over the motion axes of the task. The values of the tables begin at settle_s."
+            ),
             panels,
             overlays: true,
             ..Figure::default()
@@ -223,10 +228,12 @@ impl<'a> CartesianFigures<'a> {
                 .then(|| self.line("target", Style::Desired, |_, _, _| Some(target[axis])));
             [true_force, sensed, target].into_iter().flatten().collect()
         });
+        let of_sensor = if sensed.is_some() { "; the sensor is tared at the start" } else { "" };
+        let of_target =
+            if on_force[..3].contains(&true) && is_filed { " Force axes have a target." } else { "" };
         Some(Figure {
             title: format!("Contact force of task '{}'", self.name),
-            caption: "Force on the robot in the axes of the task; the sensor is tared at the start. Force axes have a target."
-                .to_owned(),
+            caption: format!("Force on the robot in the axes of the task{of_sensor}.{of_target}"),
             panels,
             overlays: true,
             ..Figure::default()

@@ -225,3 +225,36 @@ fn every_metric_is_documented() {
         }
     }
 }
+
+/// Compared: the compliant motion of a task with one axis that is compliant between two events, and the motion along that
+/// axis in the log; the tracking error, and that of an experiment in which the axis stays a motion axis.
+#[test]
+fn axes_are_those_of_the_task_set_in_force() {
+    let events = "event=[{ time_s = 0.3, set = [\"task.hand.cartesian.axes.x=compliant\"] }, \
+                  { time_s = 0.7, set = [\"task.hand.cartesian.axes.x=motion\"] }]";
+    let load = |events: &str| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cartesian-tracking.toml");
+        let options = RunOptions { duration_s: Some(1.0), ..RunOptions::default() };
+        let settings = ["settle_s=0.0", events].map(str::to_owned);
+        Experiment::load(Files::Disk, &path, None, options, &settings).unwrap()
+    };
+    let experiment = load(events);
+    let (recording, summary) = run(&experiment);
+    let tick = recording.tick().unwrap();
+    let position = tick.signal("hand.position").unwrap();
+    let phase = tick.signal("phase").unwrap();
+    let first = (0..tick.len()).find(|&k| phase.row(k)[0] == Phase::Control.code()).unwrap();
+    let (start_s, start) = (tick.time_s[first], position.row(first)[0]);
+    let within = |k: &usize| (0.3 - 1e-6..0.7 - 1e-6).contains(&(tick.time_s[*k] - start_s));
+    let squares: Vec<f64> =
+        (first..tick.len()).filter(within).map(|k| (position.row(k)[0] - start).powi(2)).collect();
+    let expected = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    let task = &summary.tasks["hand"];
+    let found = task.compliance.compliant_motion_rms_m.unwrap();
+    // The log has the measured position, the metric uses the true one.
+    assert!((found / expected - 1.0).abs() < 1e-2, "{found} m for {expected} m");
+
+    let as_motion = evaluate(&load("seed=1"), &recording);
+    let [with, without] = [task.pose, as_motion.tasks["hand"].pose].map(|pose| pose.position_rms_m.unwrap());
+    assert!(with < 0.5 * without, "{with} m with the axes in force, {without} m with those at the start");
+}

@@ -53,7 +53,7 @@ impl Hand {
         let world = AxesFrame::Fixed(Matrix3::identity());
         let settled = run.settled(run.joints.0);
         for (_, pose, _) in
-            run.poses(ControlledFrame::Frame(frame), world).filter(|(k, ..)| settled.contains(k))
+            run.poses(ControlledFrame::Frame(frame), |_| world).filter(|(k, ..)| settled.contains(k))
         {
             self.motion_m.add(masked_norm(&(pose.translation - home.translation), &self.axes));
         }

@@ -103,12 +103,12 @@ impl<'a> Run<'a> {
         begin..self.settled(times).end.max(begin)
     }
 
-    /// Pose of a task's controlled frame and the task's axes at each row of the joints during control, with the row
-    /// index.
+    /// Pose of a task's controlled frame and the task's axes, whose frame `directions` returns for a row, at each row of
+    /// the joints during control, with the row index.
     pub(crate) fn poses(
         &self,
         subject: ControlledFrame,
-        directions: AxesFrame,
+        mut directions: impl FnMut(usize) -> AxesFrame,
     ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
         let model = &self.experiment.robot().model;
         let mut data = Data::new(model);
@@ -116,7 +116,7 @@ impl<'a> Run<'a> {
         let (_, q) = self.joints;
         self.controlled().map(move |k| {
             kinematics(model, &mut data, q.row(k), &rest);
-            let axes = directions.rotation(model, &data, subject);
+            let axes = directions(k).rotation(model, &data, subject);
             (k, subject.placement(model, &data), axes)
         })
     }

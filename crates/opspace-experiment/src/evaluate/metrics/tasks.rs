@@ -4,13 +4,15 @@ use super::run_log::{Mean, RmsMax, Run, masked_norm};
 use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL};
+use opspace_backend::signal_names::{
+    self, ERROR, FORCE, MODES, REFERENCE, REFERENCE_ORIENTATION, TASK_SET, TRUTH_CHANNEL,
+};
 use opspace_control::orientation::log;
 use opspace_control::{
     AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
 };
 use opspace_log::Column;
-use opspace_model::{FrameId, Placement};
+use opspace_model::{FrameId, Model, Placement};
 use std::collections::BTreeMap;
 
 /// Smallest true contact force that counts as contact, N.
@@ -32,6 +34,12 @@ enum Errors {
     Logged(ElementErrors),
 }
 
+impl Errors {
+    fn cartesian(experiment: &Experiment, name: &str, frame: &str, controlled: ControlledFrame) -> Self {
+        Self::Cartesian(Box::new(CartesianErrors::new(experiment, name, frame, controlled)))
+    }
+}
+
 impl Tasks {
     pub(super) fn new(experiment: &Experiment) -> Self {
         let file = &experiment.task().file;
@@ -39,17 +47,10 @@ impl Tasks {
         let with_priority = file.task.iter().filter(|(name, _)| file.priority.contains(name));
         let tasks = with_priority.map(|(name, parameters)| {
             let errors = match parameters {
-                TaskParameters::Cartesian(task) => task
-                    .controlled_frame(model)
-                    .ok()
-                    .and_then(|controlled| {
-                        CartesianErrors::new(experiment, name, (**task).clone(), controlled)
-                    })
-                    .map(|errors| Errors::Cartesian(Box::new(errors))),
-                TaskParameters::CenterOfMass(task) => {
-                    let controlled = ControlledFrame::CenterOfMass;
-                    CartesianErrors::new(experiment, name, task.as_cartesian(), controlled)
-                        .map(|errors| Errors::Cartesian(Box::new(errors.without_contact())))
+                TaskParameters::Cartesian(task) => (task.controlled_frame(model).ok())
+                    .map(|controlled| Errors::cartesian(experiment, name, &task.frame, controlled)),
+                TaskParameters::CenterOfMass(_) => {
+                    Some(Errors::cartesian(experiment, name, "", ControlledFrame::CenterOfMass))
                 }
                 TaskParameters::JointTracking(task) => {
                     Some(Errors::Joints(ElementErrors::default(), task.joints.clone()))
@@ -114,7 +115,9 @@ impl ElementErrors {
                 continue;
             }
             let sums = self.of(joint, unit);
-            rows.iter().for_each(|&(k, tick)| sums.add((q.row(k)[j] - reference.row(tick)[place]).abs()));
+            let errors = rows.iter().map(|&(k, tick)| (q.row(k)[j] - reference.row(tick)[place]).abs());
+            // The reference is absent while the task has no priority.
+            errors.filter(|error| error.is_finite()).for_each(|error| sums.add(error));
         }
     }
 
@@ -149,68 +152,165 @@ impl ElementErrors {
 /// Errors, contact and compliance of a Cartesian task.
 struct CartesianErrors {
     name: String,
-    task: CartesianParameters,
+    /// Name of the frame on which forces act; empty for the centre of mass.
+    frame: String,
     controlled: ControlledFrame,
-    directions: AxesFrame,
+    /// Axes of the task in each task set: that at the start, and those after each event. `None` where it has no priority.
+    sets: Vec<Option<TaskAxes>>,
+    /// Number of the task set in force.
+    set: usize,
+    /// Position at the start of control, m.
+    start: Option<Vector3<f64>>,
     position_m: RmsMax,
     orientation_rad: RmsMax,
     contact: Option<ContactForce>,
     compliance: Option<CompliantMotion>,
 }
 
-impl CartesianErrors {
-    fn new(
-        experiment: &Experiment,
-        name: &str,
-        task: CartesianParameters,
-        controlled: ControlledFrame,
-    ) -> Option<Self> {
-        let directions = task.axes_frame.resolve(&experiment.robot().model, controlled).ok()?;
+/// Axes of a task by mode, their frame, and the target of the force axes.
+#[derive(Clone, Copy)]
+struct TaskAxes {
+    directions: AxesFrame,
+    motion: [bool; 6],
+    compliant: [bool; 3],
+    force: [bool; 3],
+    /// Target force, N; `None` for a streamed task, which gets its target from outside.
+    target: Option<Vector3<f64>>,
+}
+
+impl TaskAxes {
+    fn new(model: &Model, task: &CartesianParameters, controlled: ControlledFrame) -> Option<Self> {
+        let translation = |mode: AxisMode| {
+            let [x, y, z, ..] = task.axes.with_mode(mode);
+            [x, y, z]
+        };
+        let is_streamed = matches!(task.reference, CartesianReference::Streamed(_));
         Some(Self {
-            name: name.to_owned(),
-            controlled,
-            directions,
-            position_m: RmsMax::default(),
-            orientation_rad: RmsMax::default(),
-            contact: ContactForce::new(&task),
-            compliance: CompliantMotion::new(&task),
-            task,
+            directions: task.axes_frame.resolve(model, controlled).ok()?,
+            motion: task.motion_axes(),
+            compliant: translation(AxisMode::Compliant),
+            force: translation(AxisMode::Force),
+            target: (!is_streamed).then(|| task.target_force().fixed_rows::<3>(0).into_owned()),
         })
     }
 
-    fn without_contact(self) -> Self {
-        Self { contact: None, compliance: None, ..self }
+    /// Axes with the modes of a row of the log: those of a streamed task.
+    fn with_modes(self, modes: &[f64]) -> Self {
+        let has = |mode: AxisMode| move |axis: usize| modes.get(axis) == Some(&mode.code());
+        let translation = |mode: AxisMode| [0, 1, 2].map(has(mode));
+        Self {
+            motion: [0, 1, 2, 3, 4, 5].map(has(AxisMode::Motion)),
+            compliant: translation(AxisMode::Compliant),
+            force: translation(AxisMode::Force),
+            ..self
+        }
+    }
+}
+
+/// Axes of a task in each task set of an experiment.
+fn sets(experiment: &Experiment, name: &str, controlled: ControlledFrame) -> Vec<Option<TaskAxes>> {
+    let (file, model) = (&experiment.task().file, &experiment.robot().model);
+    let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
+    let sets = std::iter::once((&file.priority, &file.task)).chain(events);
+    let axes = sets.map(|(priority, tasks)| {
+        match tasks.get(name).filter(|_| priority.iter().any(|other| other == name))? {
+            TaskParameters::Cartesian(task) => TaskAxes::new(model, task, controlled),
+            // Nothing touches a centre of mass.
+            TaskParameters::CenterOfMass(task) => {
+                let axes = TaskAxes::new(model, &task.as_cartesian(), controlled)?;
+                Some(TaskAxes { compliant: [false; 3], force: [false; 3], ..axes })
+            }
+            _ => None,
+        }
+    });
+    axes.collect()
+}
+
+impl CartesianErrors {
+    fn new(experiment: &Experiment, name: &str, frame: &str, controlled: ControlledFrame) -> Self {
+        Self {
+            name: name.to_owned(),
+            frame: frame.to_owned(),
+            controlled,
+            sets: sets(experiment, name, controlled),
+            set: 0,
+            start: None,
+            position_m: RmsMax::default(),
+            orientation_rad: RmsMax::default(),
+            contact: None,
+            compliance: None,
+        }
     }
 
     fn add(&mut self, run: &Run<'_>) {
-        let motion = self.task.motion_axes();
         let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
-        let reference = signal(REFERENCE).filter(|_| motion[..3].contains(&true));
-        let reference_orientation = signal(REFERENCE_ORIENTATION).filter(|_| motion[3..].contains(&true));
-        let forces = run.forces_on(&self.task.frame);
+        let (reference, reference_orientation) = (signal(REFERENCE), signal(REFERENCE_ORIENTATION));
+        let (set_in_force, modes) = (run.tick.signal(TASK_SET), signal(MODES));
+        let forces = run.forces_on(&self.frame);
         let settled = run.settled(run.joints.0);
-        for (k, pose, axes) in run.poses(self.controlled, self.directions) {
+        // Axes of the task at each row of the joints; a missed cycle leaves the task set as it was.
+        let axes_at: Vec<Option<TaskAxes>> = (run.controlled())
+            .map(|k| {
+                let tick = run.tick_of(k);
+                // The number is logged if a program can change it too.
+                self.set = match (set_in_force, tick) {
+                    (Some(set), Some(tick)) => set.row(tick)[0] as usize,
+                    (Some(_), None) => self.set,
+                    (None, _) => {
+                        let since_start_s = run.joints.0[k] - run.start_s + run.same_s;
+                        run.experiment.task().events.iter().filter(|e| e.time_s <= since_start_s).count()
+                    }
+                };
+                let axes = self.sets.get(self.set).copied().flatten()?;
+                Some(modes.zip(tick).map_or(axes, |(modes, tick)| axes.with_modes(modes.row(tick))))
+            })
+            .collect();
+        let first = run.controlled().start;
+        let world = AxesFrame::Fixed(Matrix3::identity());
+        let directions = |k: usize| axes_at[k - first].map_or(world, |axes| axes.directions);
+        for (k, pose, rotation) in run.poses(self.controlled, directions) {
+            let start = *self.start.get_or_insert(pose.translation);
+            let Some(axes) = axes_at[k - first] else {
+                self.leave();
+                continue;
+            };
             let is_settled = settled.contains(&k);
             let tick = if is_settled { run.tick_of(k) } else { None };
-            if let Some(reference) = reference.zip(tick).map(|(reference, tick)| reference.row(tick)) {
+            if let Some(reference) = logged_row(reference, tick).filter(|_| axes.motion[..3].contains(&true))
+            {
                 let error = pose.translation - Vector3::from_column_slice(reference);
-                self.position_m.add(masked_norm(&axes.tr_mul(&error), &motion[..3]));
+                self.position_m.add(masked_norm(&rotation.tr_mul(&error), &axes.motion[..3]));
             }
             if let Some(reference) =
-                reference_orientation.zip(tick).map(|(reference, tick)| reference.row(tick))
+                logged_row(reference_orientation, tick).filter(|_| axes.motion[3..].contains(&true))
             {
                 let error = log(&(pose.rotation * orientation(reference).transpose()));
-                self.orientation_rad.add(masked_norm(&axes.tr_mul(&error), &motion[3..]));
+                self.orientation_rad.add(masked_norm(&rotation.tr_mul(&error), &axes.motion[3..]));
             }
-            let force = forces.as_ref().map(|forces| axes.tr_mul(&total(forces, k)));
-            if let Some((contact, force)) = self.contact.as_mut().zip(force) {
-                contact.add(&force, run.joints.0[k] - run.start_s, is_settled);
+            let force = forces.as_ref().map(|forces| rotation.tr_mul(&total(forces, k)));
+            match force.filter(|_| axes.force.contains(&true)) {
+                Some(force) => self.contact.get_or_insert_default().add(
+                    &force,
+                    &axes,
+                    run.joints.0[k] - run.start_s,
+                    is_settled,
+                ),
+                None => self.contact.iter_mut().for_each(ContactForce::leave),
             }
-            if let Some(compliance) = &mut self.compliance {
-                let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
-                compliance.add(&pose, &axes, force.filter(|_| acts), is_settled);
+            let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
+            if axes.compliant.contains(&true) {
+                let compliance = self.compliance.get_or_insert_with(|| CompliantMotion::new(start));
+                compliance.add(&pose, &rotation, axes.compliant, force.filter(|_| acts), is_settled);
+            } else {
+                self.compliance.iter_mut().for_each(CompliantMotion::leave);
             }
         }
+    }
+
+    /// Notes that the task has no priority at a row.
+    fn leave(&mut self) {
+        self.contact.iter_mut().for_each(ContactForce::leave);
+        self.compliance.iter_mut().for_each(CompliantMotion::leave);
     }
 
     fn finish(self, metrics: &mut TaskMetrics) {
@@ -228,40 +328,20 @@ impl CartesianErrors {
 }
 
 /// True contact force on a task's frame, compared with the target of its force axes.
+#[derive(Default)]
 struct ContactForce {
-    on_force: [bool; 3],
-    target: Vector3<f64>,
-    /// False for a streamed task, which gets its target from outside.
-    target_is_known: bool,
     error_n: RmsMax,
     touching: Mean,
     begin_s: Option<f64>,
     peak_n: Option<f64>,
-    /// Number of losses of contact; `None` before the first force.
-    losses: Option<u64>,
+    losses: u64,
     touched: bool,
 }
 
 impl ContactForce {
-    /// Returns `None` for a task without force axes.
-    fn new(task: &CartesianParameters) -> Option<Self> {
-        let [x, y, z, ..] = task.axes.with_mode(AxisMode::Force);
-        [x, y, z].contains(&true).then(|| Self {
-            on_force: [x, y, z],
-            target: task.target_force().fixed_rows::<3>(0).into_owned(),
-            target_is_known: !matches!(task.reference, CartesianReference::Streamed(_)),
-            error_n: RmsMax::default(),
-            touching: Mean::default(),
-            begin_s: None,
-            peak_n: None,
-            losses: None,
-            touched: false,
-        })
-    }
-
     /// Adds a force in the axes of the task, at a time since the start of control.
-    fn add(&mut self, force: &Vector3<f64>, since_start_s: f64, is_settled: bool) {
-        let size = masked_norm(force, &self.on_force);
+    fn add(&mut self, force: &Vector3<f64>, axes: &TaskAxes, since_start_s: f64, is_settled: bool) {
+        let size = masked_norm(force, &axes.force);
         let touches = size > CONTACT_N;
         if touches && self.begin_s.is_none() {
             self.begin_s = Some(since_start_s);
@@ -269,27 +349,33 @@ impl ContactForce {
         if self.begin_s.is_some_and(|begin_s| since_start_s <= begin_s + PEAK_S) {
             self.peak_n = Some(f64::max(self.peak_n.unwrap_or(0.0), size));
         }
-        self.losses = Some(self.losses.unwrap_or(0) + u64::from(self.touched && !touches));
+        self.losses += u64::from(self.touched && !touches);
         self.touched = touches;
         if is_settled {
-            self.error_n.add(masked_norm(&(force - self.target), &self.on_force));
+            if let Some(target) = axes.target {
+                self.error_n.add(masked_norm(&(force - target), &axes.force));
+            }
             self.touching.add(f64::from(u8::from(touches)));
         }
     }
 
+    /// Notes that the task controls no force: contact that ends until it does again is not lost.
+    fn leave(&mut self) {
+        self.touched = false;
+    }
+
     fn finish(self, metrics: &mut TaskMetrics) {
-        metrics.contact.force_rms_n = self.error_n.rms().filter(|_| self.target_is_known);
+        metrics.contact.force_rms_n = self.error_n.rms();
         metrics.contact.in_contact_fraction = self.touching.get();
         (metrics.contact.contact_begin_s, metrics.contact.contact_peak_n) = (self.begin_s, self.peak_n);
-        metrics.contact.contact_losses = self.losses;
+        metrics.contact.contact_losses = Some(self.losses);
     }
 }
 
 /// Motion of a task's frame along its compliant axes, and the work done on it there.
 struct CompliantMotion {
-    compliant: [bool; 3],
     /// Position at the start of control, m.
-    start: Option<Vector3<f64>>,
+    start: Vector3<f64>,
     moved_m: RmsMax,
     work_j: Option<f64>,
     /// Position (m), axes and force (N, in these axes) at the settled row before.
@@ -297,34 +383,37 @@ struct CompliantMotion {
 }
 
 impl CompliantMotion {
-    /// Returns `None` for a task without compliant axes.
-    fn new(task: &CartesianParameters) -> Option<Self> {
-        let [x, y, z, ..] = task.axes.with_mode(AxisMode::Compliant);
-        [x, y, z].contains(&true).then(|| Self {
-            compliant: [x, y, z],
-            start: None,
-            moved_m: RmsMax::default(),
-            work_j: None,
-            before: None,
-        })
+    fn new(start: Vector3<f64>) -> Self {
+        Self { start, moved_m: RmsMax::default(), work_j: None, before: None }
     }
 
     /// Adds a pose, the axes of the task there, and the true force in these axes if it is known.
-    fn add(&mut self, pose: &Placement, axes: &Matrix3<f64>, force: Option<Vector3<f64>>, is_settled: bool) {
-        let start = *self.start.get_or_insert(pose.translation);
+    fn add(
+        &mut self,
+        pose: &Placement,
+        axes: &Matrix3<f64>,
+        compliant: [bool; 3],
+        force: Option<Vector3<f64>>,
+        is_settled: bool,
+    ) {
         if !is_settled {
             return;
         }
-        self.moved_m.add(masked_norm(&axes.tr_mul(&(pose.translation - start)), &self.compliant));
+        self.moved_m.add(masked_norm(&axes.tr_mul(&(pose.translation - self.start)), &compliant));
         let Some(force) = force else { return };
         let mut work_j = self.work_j.unwrap_or(0.0);
         if let Some((position, axes, force)) = self.before {
             let step = axes.tr_mul(&(pose.translation - position));
-            let works = (0..3).filter(|&axis| self.compliant[axis]).map(|axis| force[axis] * step[axis]);
+            let works = (0..3).filter(|&axis| compliant[axis]).map(|axis| force[axis] * step[axis]);
             work_j += works.sum::<f64>();
         }
         self.work_j = Some(work_j);
         self.before = Some((pose.translation, *axes, force));
+    }
+
+    /// Notes that the task has no compliant axis: no work is done until it has one again.
+    fn leave(&mut self) {
+        self.before = None;
     }
 
     fn finish(self, metrics: &mut TaskMetrics) {
@@ -344,6 +433,11 @@ impl Run<'_> {
         let on_body = objects.filter(|(_, object)| body(object.frame()) == body(frame));
         Some(on_body.filter_map(|(name, _)| truth.signal(&signal_names::of(name, FORCE))).collect())
     }
+}
+
+/// Row of a signal, if it is there and finite.
+fn logged_row<'a>(column: Option<Column<'a>>, k: Option<usize>) -> Option<&'a [f64]> {
+    Some(column?.row(k?)).filter(|row| row.iter().all(|value| value.is_finite()))
 }
 
 /// Sum of the forces in row `k`, world axes.
