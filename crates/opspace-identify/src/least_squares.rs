@@ -1,9 +1,11 @@
 //! Nonlinear least squares by the Levenberg-Marquardt method with finite differences, for a few parameters.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SVD};
 
 const STEPS: usize = 60;
 const DIFFERENCE: f64 = 1e-6;
+/// Largest number of iterations of a decomposition; some ten are enough.
+const MAX_ITERATIONS: usize = 1000;
 /// Relative change of the cost at which the iteration ends.
 const GAIN: f64 = 1e-9;
 
@@ -54,7 +56,9 @@ pub fn minimise(start: &[f64], residuals: impl Fn(&[f64]) -> Option<Vec<f64>>) -
     let jacobian = jacobian(&x, &r, &finite)?;
     let cost = r.norm_squared();
     let degrees = r.len().saturating_sub(x.len()).max(1) as f64;
-    let covariance = jacobian.tr_mul(&jacobian).pseudo_inverse(1e-300).ok()?;
+    let normal = jacobian.tr_mul(&jacobian);
+    let decomposed = SVD::try_new_unordered(normal, true, true, 5.0 * f64::EPSILON, MAX_ITERATIONS)?;
+    let covariance = decomposed.pseudo_inverse(1e-300).ok()?;
     let deviation = covariance.diagonal().iter().map(|v| (v.max(0.0) * cost / degrees).sqrt()).collect();
     Some(Minimum { x, cost, deviation })
 }

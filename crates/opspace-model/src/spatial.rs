@@ -16,7 +16,7 @@
 //! ```
 
 use crate::real::Real;
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, SymmetricEigen, Vector3};
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
 /// Pose of a frame B in a frame A: `p_A = rotation · p_B + translation` (m).
@@ -315,7 +315,11 @@ impl Add for Inertia {
     }
 }
 
-/// Returns the principal moments (eigenvalues) of a rotational inertia in ascending order, kg m².
+/// Largest number of iterations of a decomposition; some ten are enough.
+const MAX_ITERATIONS: usize = 1000;
+
+/// Returns the principal moments (eigenvalues) of a rotational inertia in ascending order, kg m²; NaN if it has a number
+/// that is not finite.
 #[must_use]
 pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     // Scaled to order one first, because the square of a tiny or huge moment under- or overflows.
@@ -326,7 +330,10 @@ pub fn principal_moments(rotational: &Matrix3<f64>) -> [f64; 3] {
     if !scale.is_finite() || rotational.iter().any(|moment| moment.is_nan()) {
         return [f64::NAN; 3];
     }
-    let mut moments: [f64; 3] = ((rotational / scale).symmetric_eigenvalues() * scale).into();
+    let Some(decomposed) = SymmetricEigen::try_new(rotational / scale, f64::EPSILON, MAX_ITERATIONS) else {
+        return [f64::NAN; 3];
+    };
+    let mut moments: [f64; 3] = (decomposed.eigenvalues * scale).into();
     moments.sort_by(f64::total_cmp);
     moments
 }
