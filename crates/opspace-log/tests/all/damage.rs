@@ -3,10 +3,12 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use crate::common::{self, attachments, channels, header, is_prefix, log, places, row};
-use opspace_log::{Attachment, Header, LogError, Pace, Recording, record};
+use opspace_backend::{Layout, Signal};
+use opspace_log::{Attachment, Channel, Header, LogError, Pace, Recording, record};
 use opspace_testing::allocation::counted;
 use std::collections::BTreeMap;
 use std::fs::File;
+use std::io::Cursor;
 use std::process::Command;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -222,4 +224,26 @@ fn chunks_that_expand_too_much_are_refused() {
     assert!(bytes.len() < MEGABYTE / 4, "{} bytes", bytes.len());
     let error = Recording::from_bytes(&bytes).expect_err("no log").to_string();
     assert!(error.contains("expand to more than"), "{error}");
+}
+
+/// Checks that a log in which nothing changes, and in which most numbers are absent, is read: its rows need many times the
+/// memory that the file has bytes.
+#[test]
+fn log_of_a_robot_at_rest_is_read() {
+    const ROWS: usize = 20_000;
+    for present in [300, 50] {
+        let elements: Vec<String> = (0..300).map(|k| k.to_string()).collect();
+        let layout = Layout { channel: "tick".to_owned(), signals: vec![Signal::new("q", "rad", &elements)] };
+        let channels = vec![Channel { layout, rate_hz: 1000.0 }];
+        let (mut recorder, writer) =
+            record(Cursor::new(Vec::new()), Header::default(), channels, Pace::Simulated).unwrap();
+        let row: Vec<f64> = (0..300).map(|k| if k < present { f64::from(k) } else { f64::NAN }).collect();
+        for k in 0..ROWS {
+            recorder.wait_for_space();
+            recorder.push(0, k as f64 * 1e-3, &row);
+        }
+        drop(recorder);
+        let recording = Recording::from_bytes(writer.finish().unwrap().1.get_ref()).unwrap();
+        assert_eq!((&recording.damage, recording.channels[0].len()), (&None, ROWS), "{present} numbers");
+    }
 }
