@@ -93,6 +93,10 @@ refused! {
         ["no joint 'elbo'", "did you mean 'elbow'?", "shoulder_yaw"];
     start_outside_limits_is_refused: "task.toml", "elbow = -1.35" => "elbow = 1.35", Some("elbow = 1.35"),
         ["1.35 is outside", "from -2.26", "to 0"];
+    distant_start_is_refused: "task.toml", "elbow = -1.35" => "elbow = -2e4", Some("elbow = -2e4"),
+        ["-2e4 is too far from 0", "from -2.26", "to 0"];
+    huge_number_is_refused: "task.toml", "duration_s = 8.0" => "duration_s = 2e12", Some("duration_s"),
+        ["2e12 is too large", "from -1e12 to 1e12"];
     settling_beyond_the_run_is_refused: "task.toml", "settle_s = 1.5" => "settle_s = 9", Some("settle_s"), ["8 s"];
     unknown_reference_is_refused: "task.toml", "reference = \"hold\"" => "reference = \"hodl\"", Some("hodl"), ["`hold`"];
     value_of_wrong_type_is_refused: "task.toml", "seed = 1" => "seed = \"one\"", Some("seed"), ["\"one\""];

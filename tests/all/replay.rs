@@ -194,8 +194,8 @@ fn corruption_is_reported_and_intact_part_compared() {
     let bytes = fs::read(&log).unwrap();
     let damaged = folder.path().join("damaged.mcap");
     let mut codes = Vec::new();
-    for part in 0..24 {
-        let at = bytes.len() * part / 24;
+    for part in 0..12 {
+        let at = bytes.len() * part / 12;
         let mut flipped = bytes.clone();
         flipped[at] ^= 0x10;
         for (case, bytes) in [("flipped", flipped.as_slice()), ("cut", &bytes[..at])] {
@@ -209,7 +209,7 @@ fn corruption_is_reported_and_intact_part_compared() {
         }
     }
     // Only corruption before the first row can make a log completely unreadable.
-    assert!(codes.iter().filter(|c| **c == 3).count() > 40, "{codes:?}");
+    assert!(codes.iter().filter(|c| **c == 3).count() > 20, "{codes:?}");
 }
 
 #[test]

@@ -11,6 +11,7 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::run::execute::Progress;
+use crate::run::experiment::check_start;
 use nalgebra::DMatrix;
 use opspace_backend::{Backend, CommandKind};
 use opspace_identify::response::Point;
@@ -144,12 +145,13 @@ impl IdentificationJob {
             .collect();
         for (name, value) in &request.start_rad {
             let at = joint(name)?;
-            let limits = &robot.model.joints()[at].limits;
-            if !(limits.lower..=limits.upper).contains(value) {
-                let message = format!("joint '{name}' cannot be at {value}: this is outside its limits");
-                let help = Some(format!("give a value from {} to {}", limits.lower, limits.upper));
-                return Err(FileError::of_file(robot.source.name(), message, help));
-            }
+            check_start(&robot.model.joints()[at].limits, *value).map_err(|(message, help)| {
+                FileError::of_file(
+                    robot.source.name(),
+                    format!("start of joint '{name}': {message}"),
+                    Some(help),
+                )
+            })?;
             start[at] = *value;
         }
         let identifying = Self { robot, profile_name, profile, start, joints, plan: request.plan };

@@ -28,13 +28,14 @@ pub(crate) fn check(task: &TaskDefinition, robot: &RobotDefinition) -> Result<()
             continue;
         };
         let is_joint = robot.model.joints().iter().any(|joint| joint.name == owner);
-        let is_task = task.file.priority.iter().any(|task| task == owner);
+        let tasks = task.tasks_of_the_run();
+        let is_task = tasks.iter().any(|(task, _)| *task == owner);
         if is_joint && !is_task && !keys(&JointMetrics::default()).iter().any(|key| key == metric) {
             let help = choices(metric, &keys(&JointMetrics::default()));
             return refuse(format!("unknown metric `{metric}` of a joint"), Some(help));
         }
         if !is_joint && !is_task {
-            let tasks = task.file.priority.iter().map(String::as_str);
+            let tasks = tasks.iter().map(|(task, _)| *task);
             let joints = robot.model.joints().iter().map(|joint| joint.name.as_str());
             let help = choices(owner, tasks.chain(joints).collect::<Vec<_>>());
             return refuse(format!("no task and no joint has the name `{owner}`"), Some(help));

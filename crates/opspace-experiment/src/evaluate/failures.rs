@@ -57,8 +57,8 @@ struct JointRanges {
 
 impl HeldJoints {
     pub(super) fn new(experiment: &Experiment) -> Self {
-        let file = &experiment.task().file;
-        let references = file.priority.iter().filter_map(|name| match file.task.get(name)? {
+        let tasks = experiment.task().tasks_of_the_run();
+        let references = tasks.into_iter().filter_map(|(name, task)| match task {
             TaskParameters::JointTracking(task) => {
                 Some((signal_names::of(name, REFERENCE), task.joints.clone()))
             }

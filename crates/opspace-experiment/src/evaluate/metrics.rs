@@ -11,6 +11,7 @@ mod interruptions;
 mod joints;
 mod ripple;
 pub(crate) mod run_log;
+pub(crate) mod task_axes;
 pub(crate) mod tasks;
 pub(crate) mod times;
 mod torque_errors;
@@ -117,8 +118,8 @@ impl<'a> Evaluator<'a> {
             let intervals = self.torque_errors.finish(metrics);
             *tasks = self.tasks.finish();
             *joints = self.joint_torques.finish(self.experiment, &intervals);
-            let by_priority = self.experiment.task().file.priority.iter();
-            by_priority.filter_map(|name| tasks.get(name)).for_each(|task| metrics.add_task(task));
+            let by_priority = self.experiment.task().tasks_of_the_run().into_iter();
+            by_priority.filter_map(|(name, _)| tasks.get(name)).for_each(|task| metrics.add_task(task));
             joints.values().for_each(|joint| metrics.add_joint(joint));
             self.cycles.finish(metrics);
             if let Some(hand) = self.hand {

@@ -349,10 +349,8 @@ impl Measure {
 
     /// False if a run of the experiment cannot have a value for the measure.
     pub(crate) fn is_possible(self, experiment: &Experiment) -> bool {
-        let file = &experiment.task().file;
-        let task = |kind: fn(&TaskParameters) -> bool| {
-            file.task.iter().any(|(name, task)| file.priority.contains(name) && kind(task))
-        };
+        let tasks = experiment.task().tasks_of_the_run();
+        let task = |kind: fn(&TaskParameters) -> bool| tasks.iter().any(|(_, task)| kind(task));
         let torques = experiment.options().controller == ControllerKind::Osc;
         match self {
             Self::PositionRms | Self::PositionMax | Self::OrientationRms | Self::OrientationMax => {
@@ -362,9 +360,12 @@ impl Measure {
                 task(|t| matches!(t, TaskParameters::Cartesian(_)))
             }
             Self::JointRms => task(|t| matches!(t, TaskParameters::JointTracking(_))),
-            Self::HandForce | Self::HandMotion => {
-                file.environment.values().any(|o| matches!(o, EnvironmentObjectParameters::Spring(_)))
-            }
+            Self::HandForce | Self::HandMotion => experiment
+                .task()
+                .file
+                .environment
+                .values()
+                .any(|o| matches!(o, EnvironmentObjectParameters::Spring(_))),
             Self::HoldRipple => torques && experiment.options().backend == CommandKind::Position,
             Self::TorqueErrorServo
             | Self::TorqueErrorInterval

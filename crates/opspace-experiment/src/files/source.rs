@@ -336,11 +336,21 @@ pub fn parse<T: DeserializeOwned>(source: &Source) -> Result<T, FileError> {
 /// Parsed document; each value has its byte range in the text.
 pub(crate) type Document<'a> = toml::Spanned<DeTable<'a>>;
 
-/// Parses the document and checks that its numbers are finite.
+/// Largest size of a number with a decimal point or an exponent. Products of numbers up to this size do not overflow.
+const LARGEST: f64 = 1e12;
+
+/// Parses the document and checks the size of its numbers.
 pub(crate) fn checked(source: &Source) -> Result<Document<'_>, FileError> {
     let document = check_syntax(source)?;
-    check_finite(document.get_ref(), &mut Vec::new()).map_err(|(path, number)| {
-        FileError::at_key(source, path, format!("expected a finite number, got {number}"), None)
+    check_size(document.get_ref(), &mut Vec::new()).map_err(|(path, number)| {
+        // 1e400 is valid TOML and is parsed to infinity.
+        let message = match number.parse() {
+            Ok(value) if f64::is_finite(value) => {
+                format!("{number} is too large: expected a number from -{LARGEST:e} to {LARGEST:e}")
+            }
+            _ => format!("expected a finite number, got {number}"),
+        };
+        FileError::at_key(source, path, message, None)
     })?;
     Ok(document)
 }
@@ -354,31 +364,30 @@ pub(crate) fn check_syntax(source: &Source) -> Result<Document<'_>, FileError> {
     })
 }
 
-/// Returns an error with the key path and the text of the first number that is not finite.
-fn check_finite(table: &DeTable<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
+/// Returns an error with the key path and the text of the first number that is not finite, or too large.
+fn check_size(table: &DeTable<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
     for (key, value) in table {
         path.push(key.get_ref().to_string());
-        check_finite_value(value.get_ref(), path)?;
+        check_size_of_value(value.get_ref(), path)?;
         path.pop();
     }
     Ok(())
 }
 
-fn check_finite_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
+fn check_size_of_value(value: &DeValue<'_>, path: &mut Vec<String>) -> Result<(), (Vec<String>, String)> {
     match value {
-        // 1e400 is valid TOML and is parsed to infinity.
-        DeValue::Float(number) if !number.as_str().parse().is_ok_and(f64::is_finite) => {
+        DeValue::Float(number) if !number.as_str().parse().is_ok_and(|x: f64| x.abs() <= LARGEST) => {
             Err((path.clone(), number.as_str().to_owned()))
         }
         DeValue::Array(array) => {
             for (index, element) in array.iter().enumerate() {
                 path.push(index.to_string());
-                check_finite_value(element.get_ref(), path)?;
+                check_size_of_value(element.get_ref(), path)?;
                 path.pop();
             }
             Ok(())
         }
-        DeValue::Table(table) => check_finite(table, path),
+        DeValue::Table(table) => check_size(table, path),
         _ => Ok(()),
     }
 }

@@ -180,6 +180,23 @@ impl TaskDefinition {
         stem.map_or_else(|| self.source.name().to_owned(), |s| s.to_string_lossy().into_owned())
     }
 
+    /// Tasks that have a priority at some time of the run: those at the start in the order of priority, and then those
+    /// to which an event gives one, each as it is then.
+    pub(crate) fn tasks_of_the_run(&self) -> Vec<(&str, &TaskParameters)> {
+        let sets = std::iter::once((&self.file.priority, &self.file.task))
+            .chain(self.events.iter().map(|event| (&event.priority, &event.task)));
+        let mut tasks: Vec<(&str, &TaskParameters)> = Vec::new();
+        for (priority, parameters) in sets {
+            for name in priority {
+                let is_new = tasks.iter().all(|(known, _)| known != name);
+                if let Some(parameters) = parameters.get(name).filter(|_| is_new) {
+                    tasks.push((name, parameters));
+                }
+            }
+        }
+        tasks
+    }
+
     /// Path of the task's robot.
     #[must_use]
     pub fn robot_path(&self) -> PathBuf {

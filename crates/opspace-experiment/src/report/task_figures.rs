@@ -1,36 +1,31 @@
 //! Figures of the tasks of a run: path and errors of Cartesian tasks, contact forces, joint positions.
 
 use crate::evaluate::metrics::run_log::{Run, masked_norm};
+use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow};
 use crate::evaluate::metrics::tasks::{orientation, total};
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::report::lines::{element, joint_figure, line, time_panel};
-use nalgebra::{Matrix3, Vector3};
+use crate::report::lines::{joint_figure, line, time_panel};
+use nalgebra::Vector3;
 use opspace_backend::signal_names::{self, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH};
 use opspace_control::orientation::log;
-use opspace_control::{
-    AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
-};
+use opspace_control::{CartesianParameters, TaskParameters};
 use opspace_log::Column;
-use opspace_model::Placement;
 
 /// Names of the axes of space.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Creates the figures of the tasks that have a priority at the start, in the order of priority.
+/// Creates the figures of the tasks that have a priority at some time of the run, in the order of priority.
 pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
-    let file = &run.experiment.task().file;
     let mut figures = Vec::new();
-    for name in &file.priority {
-        match file.task.get(name) {
-            Some(TaskParameters::Cartesian(task)) => {
+    for (name, task) in run.experiment.task().tasks_of_the_run() {
+        match task {
+            TaskParameters::Cartesian(task) => {
                 if let Some(shown) = CartesianFigures::new(run, name, task) {
-                    figures.extend(shown.position());
-                    figures.extend(shown.orientation());
-                    figures.extend(shown.errors());
+                    figures.extend([shown.position(), shown.orientation(), shown.errors()]);
                     figures.extend(shown.forces());
                 }
             }
-            Some(TaskParameters::JointTracking(_)) => figures.extend(joints(run, name)),
+            TaskParameters::JointTracking(_) => figures.extend(joints(run, name)),
             _ => {}
         }
     }
@@ -50,50 +45,31 @@ struct CartesianFigures<'a> {
     run: &'a Run<'a>,
     name: &'a str,
     task: &'a CartesianParameters,
-    directions: AxesFrame,
-    /// Row of the joints, pose and axes of the task.
-    poses: Vec<(usize, Placement, Matrix3<f64>)>,
+    rows: Vec<TaskRow>,
+    /// Axes of the task if events and streamed modes leave them as they are.
+    constant: Option<TaskAxes>,
     reference: Option<Column<'a>>,
     reference_orientation: Option<Column<'a>>,
 }
 
 impl<'a> CartesianFigures<'a> {
     fn new(run: &'a Run<'a>, name: &'a str, task: &'a CartesianParameters) -> Option<Self> {
-        let model = &run.experiment.robot().model;
-        let controlled: ControlledFrame = task.controlled_frame(model).ok()?;
-        let directions = task.axes_frame.resolve(model, controlled).ok()?;
+        let controlled = task.controlled_frame(&run.experiment.robot().model).ok()?;
+        let axes = AxesOfTask::new(run.experiment, name, controlled);
         Some(Self {
             run,
             name,
             task,
-            directions,
-            poses: run.poses(controlled, |_| directions).collect(),
+            rows: axes.rows(run),
+            constant: axes.constant(run),
             reference: run.tick.signal(&signal_names::of(name, REFERENCE)),
             reference_orientation: run.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION)),
         })
     }
 
-    /// True if the axes of the task are those of the world.
-    fn is_in_world(&self) -> bool {
-        self.directions == AxesFrame::Fixed(Matrix3::identity())
-    }
-
-    /// Time of a row of the joints on the robot's clock, s.
-    fn time_s(&self, row: usize) -> f64 {
-        self.run.joints.0[row]
-    }
-
-    /// Line of a number that is computed for each pose; it is interrupted where there is none.
-    fn line(
-        &self,
-        label: &str,
-        style: Style,
-        value: impl Fn(usize, &Placement, &Matrix3<f64>) -> Option<f64>,
-    ) -> Series {
-        let samples = self
-            .poses
-            .iter()
-            .map(|(k, pose, axes)| (self.time_s(*k), value(*k, pose, axes).unwrap_or(f64::NAN)));
+    /// Line of a number that is computed for each row; it is interrupted where there is none.
+    fn line(&self, label: &str, style: Style, value: impl Fn(&TaskRow) -> Option<f64>) -> Series {
+        let samples = self.rows.iter().map(|row| (self.run.joints.0[row.k], value(row).unwrap_or(f64::NAN)));
         line(self.run, label, samples, style)
     }
 
@@ -102,55 +78,67 @@ impl<'a> CartesianFigures<'a> {
         (0..3).map(|axis| time_panel(AXES[axis], y_label, series(axis))).collect()
     }
 
-    /// Position in world axes. An axis that is not a motion axis follows no reference, and has none in the figure.
-    fn position(&self) -> Option<Figure> {
-        let motion = self.task.motion_axes();
-        // In axes of the task's own, each axis of the world may mix motion axes and others.
-        let follows = |axis: usize| if self.is_in_world() { motion[axis] } else { motion[..3] == [true; 3] };
+    /// Position in world axes. An axis has a reference while it is a motion axis.
+    fn position(&self) -> Figure {
         let panels = self.panels("position (m)", |axis| {
-            let reference = self.reference.filter(|_| follows(axis));
-            let mut series = vec![self.line("true", Style::Solid, |_, pose, _| Some(pose.translation[axis]))];
-            series
-                .extend(reference.map(|r| {
-                    element(self.run, "reference", &self.run.tick.time_s, &r, axis, Style::Desired)
-                }));
-            series
+            let reference = self.reference.map(|reference| {
+                self.line("reference", Style::Desired, |row| {
+                    let follows = row.axes.is_some_and(|axes| follows(&axes, axis));
+                    Some(reference.row(self.run.tick_of(row.k).filter(|_| follows)?)[axis])
+                })
+            });
+            let truth = self.line("true", Style::Solid, |row| Some(row.pose.translation[axis]));
+            [Some(truth), reference].into_iter().flatten().collect()
         });
-        let followed: Vec<&str> = (0..3).filter(|&axis| follows(axis)).map(|axis| AXES[axis]).collect();
-        let caption = match followed.len() {
-            3 => "World axes.".to_owned(),
-            0 => "World axes. No axis of the world alone follows a reference.".to_owned(),
-            1 => format!("World axes. Only {} follows a reference; the other axes are free.", followed[0]),
-            _ => {
-                format!("World axes. {} follow a reference; the other axis is free.", followed.join(" and "))
+        let caption = match self.constant {
+            Some(axes) => {
+                let followed: Vec<&str> =
+                    (0..3).filter(|&axis| follows(&axes, axis)).map(|axis| AXES[axis]).collect();
+                match followed.len() {
+                    3 => "World axes.".to_owned(),
+                    0 => "World axes. No axis of the world alone follows a reference.".to_owned(),
+                    1 => {
+                        format!(
+                            "World axes. Only {} follows a reference; the other axes are free.",
+                            followed[0]
+                        )
+                    }
+                    _ => {
+                        format!(
+                            "World axes. {} follow a reference; the other axis is free.",
+                            followed.join(" and ")
+                        )
+                    }
+                }
             }
+            None => "World axes. A reference is drawn while the axis follows it.".to_owned(),
         };
-        Some(Figure {
+        Figure {
             title: format!("Position of '{}'", self.task.frame),
             caption,
             panels,
             overlays: true,
             ..Figure::default()
-        })
+        }
+    }
+
+    /// Rotation vector (rad) from the reference to the true orientation at a row, in the axes of the task; `None` while
+    /// no axis follows it.
+    fn rotation_error(&self, row: &TaskRow) -> Option<(TaskAxes, Vector3<f64>)> {
+        let axes = row.axes.filter(|axes| axes.motion[3..].contains(&true))?;
+        let reference = orientation(self.reference_orientation?.row(self.run.tick_of(row.k)?));
+        Some((axes, row.rotation.tr_mul(&log(&(row.pose.rotation * reference.transpose())))))
     }
 
     /// Deviation of the orientation from its reference, about the motion axes of the task.
-    fn orientation(&self) -> Option<Figure> {
-        let motion = self.task.motion_axes();
-        let reference = self.reference_orientation.filter(|_| motion[3..].contains(&true))?;
+    fn orientation(&self) -> Figure {
         let panels = self.panels("rotation (mrad)", |axis| {
-            vec![self.line("true relative to the reference", Style::Solid, |k, pose, axes| {
-                let reference = orientation(reference.row(self.run.tick_of(k)?));
-                Some(1e3 * axes.tr_mul(&log(&(pose.rotation * reference.transpose())))[axis])
+            vec![self.line("true relative to the reference", Style::Solid, |row| {
+                let (axes, error) = self.rotation_error(row)?;
+                axes.motion[3 + axis].then(|| 1e3 * error[axis])
             })]
         });
-        let panels: Vec<Panel> = panels
-            .into_iter()
-            .enumerate()
-            .filter(|(axis, _)| motion[3 + axis])
-            .map(|(_, panel)| panel)
-            .collect();
-        Some(Figure {
+        Figure {
             title: format!("Orientation of '{}'", self.task.frame),
             caption: "Rotation vector from the reference to the true orientation, in the axes of the task; axes that follow \
                       no reference are omitted."
@@ -158,79 +146,69 @@ impl<'a> CartesianFigures<'a> {
             panels,
             overlays: true,
             ..Figure::default()
-        })
+        }
     }
 
     /// Distance and angle from the reference over the motion axes.
-    fn errors(&self) -> Option<Figure> {
-        let motion = self.task.motion_axes();
-        let position = self.reference.filter(|_| motion[..3].contains(&true)).map(|reference| {
-            self.line("error", Style::Solid, |k, pose, axes| {
-                let error =
-                    pose.translation - Vector3::from_column_slice(reference.row(self.run.tick_of(k)?));
-                Some(1e3 * masked_norm(&axes.tr_mul(&error), &motion[..3]))
-            })
+    fn errors(&self) -> Figure {
+        let position = self.line("error", Style::Solid, |row| {
+            let axes = row.axes.filter(|axes| axes.motion[..3].contains(&true))?;
+            let reference = self.reference?.row(self.run.tick_of(row.k)?);
+            let error = row.pose.translation - Vector3::from_column_slice(reference);
+            Some(1e3 * masked_norm(&row.rotation.tr_mul(&error), &axes.motion[..3]))
         });
-        let angle = self.reference_orientation.filter(|_| motion[3..].contains(&true)).map(|reference| {
-            self.line("error", Style::Solid, |k, pose, axes| {
-                let reference = orientation(reference.row(self.run.tick_of(k)?));
-                let error = log(&(pose.rotation * reference.transpose()));
-                Some(1e3 * masked_norm(&axes.tr_mul(&error), &motion[3..]))
-            })
+        let angle = self.line("error", Style::Solid, |row| {
+            let (axes, error) = self.rotation_error(row)?;
+            Some(1e3 * masked_norm(&error, &axes.motion[3..]))
         });
-        let panels: Vec<Panel> =
-            [("position", "distance (mm)", position), ("orientation", "angle (mrad)", angle)]
-                .into_iter()
-                .filter_map(|(title, label, series)| {
-                    let mut panel = time_panel(title, label, vec![series?]);
-                    panel.marks.push((self.run.experiment.task().file.settle_s.get(), "settle_s".to_owned()));
-                    Some(panel)
-                })
-                .collect();
-        let shown = match (motion[..3].contains(&true), motion[3..].contains(&true)) {
-            (true, true) => "Distance and angle",
-            (true, false) => "Distance",
-            (false, _) => "Angle",
-        };
-        (!panels.is_empty()).then(|| Figure {
+        let panels = [("position", "distance (mm)", position), ("orientation", "angle (mrad)", angle)];
+        let panels = panels.map(|(title, label, series)| {
+            let mut panel = time_panel(title, label, vec![series]);
+            panel.marks.push((self.run.experiment.task().file.settle_s.get(), "settle_s".to_owned()));
+            panel
+        });
+        Figure {
             title: format!("Error of task '{}'", self.name),
-            caption: format!(
-                "{shown} from the reference over the motion axes of the task. The values of the tables begin at settle_s."
-            ),
-            panels,
+            caption: "Distance or angle from the reference over the motion axes of the task. The values of the tables \
+                      begin at settle_s."
+                .to_owned(),
+            panels: panels.to_vec(),
             overlays: true,
             ..Figure::default()
-        })
+        }
     }
 
     /// Force on the frame: true, sensed, and the target of the force axes.
     fn forces(&self) -> Option<Figure> {
-        let on_force = self.task.axes.with_mode(AxisMode::Force);
         let sensor = self.task.force.as_ref().map(|force| force.sensor.as_str());
         let sensed = sensor.and_then(|sensor| self.run.tick.signal(&signal_names::of(sensor, WRENCH)));
         let truth = self.run.forces_on(&self.task.frame).filter(|forces| !forces.is_empty());
-        if sensed.is_none() && (truth.is_none() || !on_force[..3].contains(&true)) {
+        let has_force_axes = self.constant.is_none_or(|axes| axes.force.contains(&true));
+        if sensed.is_none() && (truth.is_none() || !has_force_axes) {
             return None;
         }
-        let target = self.task.target_force();
-        let is_filed = !matches!(self.task.reference, CartesianReference::Streamed(_));
         let panels = self.panels("force (N)", |axis| {
             let true_force = truth.as_ref().map(|forces| {
-                self.line("true", Style::Solid, |k, _, axes| Some(axes.tr_mul(&total(forces, k))[axis]))
+                self.line("true", Style::Solid, |row| Some(row.rotation.tr_mul(&total(forces, row.k))[axis]))
             });
             let sensed = sensed.map(|sensed| {
-                self.line("sensed", Style::Thin, |k, _, axes| {
-                    let force = Vector3::from_column_slice(&sensed.row(self.run.tick_of(k)?)[..3]);
-                    Some(axes.tr_mul(&force)[axis])
+                self.line("sensed", Style::Thin, |row| {
+                    let force = Vector3::from_column_slice(&sensed.row(self.run.tick_of(row.k)?)[..3]);
+                    Some(row.rotation.tr_mul(&force)[axis])
                 })
             });
-            let target = (is_filed && on_force[axis])
-                .then(|| self.line("target", Style::Desired, |_, _, _| Some(target[axis])));
-            [true_force, sensed, target].into_iter().flatten().collect()
+            let target = self.line("target", Style::Desired, |row| {
+                let axes = row.axes.filter(|axes| axes.force[axis])?;
+                Some(axes.target?[axis])
+            });
+            [true_force, sensed, Some(target)].into_iter().flatten().collect()
         });
         let of_sensor = if sensed.is_some() { "; the sensor is tared at the start" } else { "" };
-        let of_target =
-            if on_force[..3].contains(&true) && is_filed { " Force axes have a target." } else { "" };
+        let of_target = match self.constant {
+            Some(axes) if axes.force.contains(&true) && axes.target.is_some() => " Force axes have a target.",
+            None => " A target is drawn while the axis is a force axis.",
+            Some(_) => "",
+        };
         Some(Figure {
             title: format!("Contact force of task '{}'", self.name),
             caption: format!("Force on the robot in the axes of the task{of_sensor}.{of_target}"),
@@ -239,4 +217,10 @@ impl<'a> CartesianFigures<'a> {
             ..Figure::default()
         })
     }
+}
+
+/// True if an axis of the world follows the reference of a task. In axes of the task's own, each axis of the world may mix
+/// motion axes and others.
+fn follows(axes: &TaskAxes, axis: usize) -> bool {
+    if axes.are_in_world() { axes.motion[axis] } else { axes.motion[..3] == [true; 3] }
 }

@@ -14,7 +14,7 @@ use opspace_control::{
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
 };
 use opspace_loop::{ControlLoop, LoopConfig, LoopError};
-use opspace_model::Placement;
+use opspace_model::{Limits, Placement};
 use opspace_sim::{ArmConfig, Key, SimulatedArm, SimulationError};
 use opspace_transformer::{FrictionCompensation, ProfileParameters, ServoGains, TransformerKind};
 #[cfg(feature = "schema")]
@@ -22,6 +22,10 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// Largest distance of a start position from 0, rad or m: far beyond it, the dynamics of a joint without position limits
+/// are rounding errors.
+const LARGEST_START: f64 = 1e4;
 
 /// Controller of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
@@ -466,13 +470,7 @@ impl Experiment {
                 at(format!("this robot has no joint '{name}'"), Some(choices(name, &unknown.known)))
             })?;
             let limits = &model.joints()[joint].limits;
-            if value < limits.lower || value > limits.upper {
-                let message = format!("{value} is outside the joint's limits");
-                return Err(at(
-                    message,
-                    Some(format!("give a value from {} to {}", limits.lower, limits.upper)),
-                ));
-            }
+            check_start(limits, value).map_err(|(message, help)| at(message, Some(help)))?;
             start[joint] = value;
         }
         for (joint, &value) in model.joints().iter().zip(&start) {
@@ -552,4 +550,18 @@ fn explained(error: &ControlError) -> (String, Option<String>) {
         other => other.to_string(),
     };
     (message, help)
+}
+
+/// Checks a start position of a joint, rad or m. The error is a message and a help.
+pub(crate) fn check_start(limits: &Limits, value: f64) -> Result<(), (String, String)> {
+    let (lower, upper) = (limits.lower.max(-LARGEST_START), limits.upper.min(LARGEST_START));
+    if value >= lower && value <= upper {
+        return Ok(());
+    }
+    let message = if value.abs() > LARGEST_START {
+        format!("{value:e} is too far from 0")
+    } else {
+        format!("{value} is outside the joint's limits")
+    };
+    Err((message, format!("give a value from {lower} to {upper}")))
 }

@@ -53,6 +53,37 @@ fn free_axes_have_no_reference() {
     assert!(position.caption.contains("y and z follow a reference"), "{}", position.caption);
 }
 
+/// Checks that a reference is drawn exactly while its axis follows it, and that a task to which an event gives a priority
+/// has figures and metrics.
+#[test]
+fn figures_follow_the_task_set_in_force() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/cartesian-tracking.toml");
+    let options = RunOptions { duration_s: Some(1.0), ..RunOptions::default() };
+    let events = r#"event=[{ time_s = 0.4, set = ["task.hand.cartesian.axes.x=compliant"] },
+        { time_s = 0.7, set = ["task.hand.cartesian.axes.x=motion"] },
+        { time_s = 0.8, set = ['task={ fist = { cartesian = { frame = "hand", axes = { z = "motion" }, reference = "hold", gains = { frequency_rad_per_s = 10.0, damping_ratio = 1.0 } } } }',
+          'priority=["fist"]'] }]"#;
+    let settings = ["settle_s=0.2", events];
+    let experiment =
+        Experiment::load(Files::Disk, &path, None, options, &settings.map(str::to_owned)).unwrap();
+    let (_, section) = shown(&experiment);
+    let position = figure(&section, "Position of 'hand'");
+    assert_eq!(position.caption, "World axes. A reference is drawn while the axis follows it.");
+    let drawn = |axis: usize, time_s: f64| {
+        let reference = &position.panels[axis].series[1];
+        let at = reference.x.iter().position(|t| (t - time_s).abs() < 1e-3).unwrap();
+        reference.y[at].is_finite()
+    };
+    // Lines are interrupted where the task has no such axis, or no priority.
+    assert_eq!(
+        [0.39, 0.41, 0.69, 0.71, 0.79, 0.81].map(|time_s| drawn(0, time_s)),
+        [true, false, false, true, true, false]
+    );
+    assert_eq!([0.41, 0.79, 0.81].map(|time_s| drawn(2, time_s)), [true, true, false]);
+    assert!(section.summary.tasks["fist"].pose.position_rms_m.is_some());
+    assert!(section.figures.iter().any(|figure| figure.title == "Error of task 'fist'"));
+}
+
 /// Compared: the force figure's true force and target, and those of log and task file; the error figure, and the metric
 /// of the summary.
 #[test]

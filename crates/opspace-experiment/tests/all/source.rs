@@ -258,10 +258,16 @@ fn unknown_fields_of_a_kind_are_refused() {
 }
 
 #[test]
-fn non_finite_numbers_are_refused_at_their_line() {
+fn non_finite_and_huge_numbers_are_refused_at_their_line() {
     for (text, shown) in [("nan", "nan"), ("-inf", "-inf"), ("1e400", "1e400"), ("+inf", "+inf")] {
         let error = error("400.0", text);
         assert_eq!(error.to_string(), format!("tasks/x.toml:7: expected a finite number, got {shown}"));
+        assert_eq!(underlined(&error), text);
+    }
+    for text in ["1e308", "-1.1e12"] {
+        let error = error("400.0", text);
+        let wanted = format!("tasks/x.toml:7: {text} is too large: expected a number from -1e12 to 1e12");
+        assert_eq!(error.to_string(), wanted);
         assert_eq!(underlined(&error), text);
     }
     // Also for an unknown key, and in an inline table, an array, and an array of tables.

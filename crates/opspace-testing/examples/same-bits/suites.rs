@@ -171,9 +171,12 @@ mod tests {
         assert_eq!(values(arguments, "--set"), experiment.settings());
     }
 
+    /// The suites with the most runs are left out.
     #[test]
     fn runs_match_those_of_bench() {
-        for suite in SUITES {
+        for suite in
+            SUITES.into_iter().filter(|suite| !["paper", "transformer", "robustness"].contains(suite))
+        {
             let runs = runs(&checkout(), suite).unwrap();
             let path = checkout().join("tasks/suites").join(suite).with_extension("toml");
             let bench = Suite::load(Files::Disk, &path).unwrap().experiments;

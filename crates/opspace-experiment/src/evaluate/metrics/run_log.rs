@@ -96,6 +96,14 @@ impl<'a> Run<'a> {
         ticks.get(tick).is_some_and(|&t| t <= times[k] + self.same_s).then_some(tick)
     }
 
+    /// Index of the last cycle that was not missed, at row `k` of the joints or before; the first one of the segment if
+    /// there is none.
+    pub(crate) fn tick_up_to(&self, k: usize) -> Option<usize> {
+        let ticks = &self.tick.time_s;
+        let after = ticks.partition_point(|&t| t <= self.joints.0[k] + self.same_s);
+        (!ticks.is_empty()).then(|| after.saturating_sub(1))
+    }
+
     /// Indices of the rows of the joints from the first control cycle to the last.
     pub(crate) fn controlled(&self) -> Range<usize> {
         let times = self.joints.0;

@@ -1,18 +1,15 @@
 //! Metrics of single tasks: the error of each task against its own reference, contact, and compliance.
 
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
+use super::task_axes::{AxesOfTask, TaskAxes, TaskRow};
 use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-use opspace_backend::signal_names::{
-    self, ERROR, FORCE, MODES, REFERENCE, REFERENCE_ORIENTATION, TASK_SET, TRUTH_CHANNEL,
-};
+use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL};
 use opspace_control::orientation::log;
-use opspace_control::{
-    AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
-};
+use opspace_control::{ControlledFrame, TaskParameters};
 use opspace_log::Column;
-use opspace_model::{FrameId, Model, Placement};
+use opspace_model::{FrameId, Placement};
 use std::collections::BTreeMap;
 
 /// Smallest true contact force that counts as contact, N.
@@ -21,7 +18,7 @@ const CONTACT_N: f64 = 0.1;
 /// Time after the first contact in which the largest force is the peak at contact, s.
 const PEAK_S: f64 = 1.0;
 
-/// Metrics of all tasks that have a priority at the start, while segments of the log arrive.
+/// Metrics of all tasks that have a priority at some time of the run, while segments of the log arrive.
 pub(super) struct Tasks {
     tasks: Vec<(String, TaskMetrics, Option<Errors>)>,
 }
@@ -42,10 +39,8 @@ impl Errors {
 
 impl Tasks {
     pub(super) fn new(experiment: &Experiment) -> Self {
-        let file = &experiment.task().file;
         let model = &experiment.robot().model;
-        let with_priority = file.task.iter().filter(|(name, _)| file.priority.contains(name));
-        let tasks = with_priority.map(|(name, parameters)| {
+        let tasks = experiment.task().tasks_of_the_run().into_iter().map(|(name, parameters)| {
             let errors = match parameters {
                 TaskParameters::Cartesian(task) => (task.controlled_frame(model).ok())
                     .map(|controlled| Errors::cartesian(experiment, name, &task.frame, controlled)),
@@ -58,7 +53,7 @@ impl Tasks {
                 _ => Some(Errors::Logged(ElementErrors::default())),
             };
             let metrics = TaskMetrics { kind: parameters.kind().to_owned(), ..TaskMetrics::default() };
-            (name.clone(), metrics, errors)
+            (name.to_owned(), metrics, errors)
         });
         Self { tasks: tasks.collect() }
     }
@@ -154,11 +149,7 @@ struct CartesianErrors {
     name: String,
     /// Name of the frame on which forces act; empty for the centre of mass.
     frame: String,
-    controlled: ControlledFrame,
-    /// Axes of the task in each task set: that at the start, and those after each event. `None` where it has no priority.
-    sets: Vec<Option<TaskAxes>>,
-    /// Number of the task set in force.
-    set: usize,
+    axes: AxesOfTask,
     /// Position at the start of control, m.
     start: Option<Vector3<f64>>,
     position_m: RmsMax,
@@ -167,73 +158,12 @@ struct CartesianErrors {
     compliance: Option<CompliantMotion>,
 }
 
-/// Axes of a task by mode, their frame, and the target of the force axes.
-#[derive(Clone, Copy)]
-struct TaskAxes {
-    directions: AxesFrame,
-    motion: [bool; 6],
-    compliant: [bool; 3],
-    force: [bool; 3],
-    /// Target force, N; `None` for a streamed task, which gets its target from outside.
-    target: Option<Vector3<f64>>,
-}
-
-impl TaskAxes {
-    fn new(model: &Model, task: &CartesianParameters, controlled: ControlledFrame) -> Option<Self> {
-        let translation = |mode: AxisMode| {
-            let [x, y, z, ..] = task.axes.with_mode(mode);
-            [x, y, z]
-        };
-        let is_streamed = matches!(task.reference, CartesianReference::Streamed(_));
-        Some(Self {
-            directions: task.axes_frame.resolve(model, controlled).ok()?,
-            motion: task.motion_axes(),
-            compliant: translation(AxisMode::Compliant),
-            force: translation(AxisMode::Force),
-            target: (!is_streamed).then(|| task.target_force().fixed_rows::<3>(0).into_owned()),
-        })
-    }
-
-    /// Axes with the modes of a row of the log: those of a streamed task.
-    fn with_modes(self, modes: &[f64]) -> Self {
-        let has = |mode: AxisMode| move |axis: usize| modes.get(axis) == Some(&mode.code());
-        let translation = |mode: AxisMode| [0, 1, 2].map(has(mode));
-        Self {
-            motion: [0, 1, 2, 3, 4, 5].map(has(AxisMode::Motion)),
-            compliant: translation(AxisMode::Compliant),
-            force: translation(AxisMode::Force),
-            ..self
-        }
-    }
-}
-
-/// Axes of a task in each task set of an experiment.
-fn sets(experiment: &Experiment, name: &str, controlled: ControlledFrame) -> Vec<Option<TaskAxes>> {
-    let (file, model) = (&experiment.task().file, &experiment.robot().model);
-    let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
-    let sets = std::iter::once((&file.priority, &file.task)).chain(events);
-    let axes = sets.map(|(priority, tasks)| {
-        match tasks.get(name).filter(|_| priority.iter().any(|other| other == name))? {
-            TaskParameters::Cartesian(task) => TaskAxes::new(model, task, controlled),
-            // Nothing touches a centre of mass.
-            TaskParameters::CenterOfMass(task) => {
-                let axes = TaskAxes::new(model, &task.as_cartesian(), controlled)?;
-                Some(TaskAxes { compliant: [false; 3], force: [false; 3], ..axes })
-            }
-            _ => None,
-        }
-    });
-    axes.collect()
-}
-
 impl CartesianErrors {
     fn new(experiment: &Experiment, name: &str, frame: &str, controlled: ControlledFrame) -> Self {
         Self {
             name: name.to_owned(),
             frame: frame.to_owned(),
-            controlled,
-            sets: sets(experiment, name, controlled),
-            set: 0,
+            axes: AxesOfTask::new(experiment, name, controlled),
             start: None,
             position_m: RmsMax::default(),
             orientation_rad: RmsMax::default(),
@@ -245,32 +175,11 @@ impl CartesianErrors {
     fn add(&mut self, run: &Run<'_>) {
         let signal = |name: &str| run.tick.signal(&signal_names::of(&self.name, name));
         let (reference, reference_orientation) = (signal(REFERENCE), signal(REFERENCE_ORIENTATION));
-        let (set_in_force, modes) = (run.tick.signal(TASK_SET), signal(MODES));
         let forces = run.forces_on(&self.frame);
         let settled = run.settled(run.joints.0);
-        // Axes of the task at each row of the joints; a missed cycle leaves the task set as it was.
-        let axes_at: Vec<Option<TaskAxes>> = (run.controlled())
-            .map(|k| {
-                let tick = run.tick_of(k);
-                // The number is logged if a program can change it too.
-                self.set = match (set_in_force, tick) {
-                    (Some(set), Some(tick)) => set.row(tick)[0] as usize,
-                    (Some(_), None) => self.set,
-                    (None, _) => {
-                        let since_start_s = run.joints.0[k] - run.start_s + run.same_s;
-                        run.experiment.task().events.iter().filter(|e| e.time_s <= since_start_s).count()
-                    }
-                };
-                let axes = self.sets.get(self.set).copied().flatten()?;
-                Some(modes.zip(tick).map_or(axes, |(modes, tick)| axes.with_modes(modes.row(tick))))
-            })
-            .collect();
-        let first = run.controlled().start;
-        let world = AxesFrame::Fixed(Matrix3::identity());
-        let directions = |k: usize| axes_at[k - first].map_or(world, |axes| axes.directions);
-        for (k, pose, rotation) in run.poses(self.controlled, directions) {
+        for TaskRow { k, pose, rotation, axes } in self.axes.rows(run) {
             let start = *self.start.get_or_insert(pose.translation);
-            let Some(axes) = axes_at[k - first] else {
+            let Some(axes) = axes else {
                 self.leave();
                 continue;
             };

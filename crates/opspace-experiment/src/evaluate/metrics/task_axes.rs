@@ -1,0 +1,124 @@
+//! Axes of a Cartesian task at each moment of a run: events and streamed modes change them.
+
+use super::run_log::Run;
+use crate::run::experiment::Experiment;
+use nalgebra::{Matrix3, Vector3};
+use opspace_backend::signal_names::{self, MODES, TASK_SET};
+use opspace_control::{
+    AxesFrame, AxisMode, CartesianParameters, CartesianReference, ControlledFrame, TaskParameters,
+};
+use opspace_model::{Model, Placement};
+
+/// Axes of a task by mode, their frame, and the target of the force axes.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) struct TaskAxes {
+    pub(crate) directions: AxesFrame,
+    pub(crate) motion: [bool; 6],
+    pub(crate) compliant: [bool; 3],
+    pub(crate) force: [bool; 3],
+    /// Target force, N; `None` for a streamed task, which gets its target from outside.
+    pub(crate) target: Option<Vector3<f64>>,
+}
+
+impl TaskAxes {
+    fn new(model: &Model, task: &CartesianParameters, controlled: ControlledFrame) -> Option<Self> {
+        let translation = |mode: AxisMode| {
+            let [x, y, z, ..] = task.axes.with_mode(mode);
+            [x, y, z]
+        };
+        let is_streamed = matches!(task.reference, CartesianReference::Streamed(_));
+        Some(Self {
+            directions: task.axes_frame.resolve(model, controlled).ok()?,
+            motion: task.motion_axes(),
+            compliant: translation(AxisMode::Compliant),
+            force: translation(AxisMode::Force),
+            target: (!is_streamed).then(|| task.target_force().fixed_rows::<3>(0).into_owned()),
+        })
+    }
+
+    /// Axes with the modes of a row of the log: those of a streamed task.
+    fn with_modes(self, modes: &[f64]) -> Self {
+        let has = |mode: AxisMode| move |axis: usize| modes.get(axis) == Some(&mode.code());
+        let translation = |mode: AxisMode| [0, 1, 2].map(has(mode));
+        Self {
+            motion: [0, 1, 2, 3, 4, 5].map(has(AxisMode::Motion)),
+            compliant: translation(AxisMode::Compliant),
+            force: translation(AxisMode::Force),
+            ..self
+        }
+    }
+
+    /// True if the axes are those of the world.
+    pub(crate) fn are_in_world(&self) -> bool {
+        self.directions == AxesFrame::Fixed(Matrix3::identity())
+    }
+}
+
+/// Row of the joints during control, with the pose of a task's controlled frame and the task's axes.
+#[derive(Clone, Copy)]
+pub(crate) struct TaskRow {
+    /// Index of the row.
+    pub(crate) k: usize,
+    pub(crate) pose: Placement,
+    /// Axes of the task in the world, one per column; those of the world where the task has no priority.
+    pub(crate) rotation: Matrix3<f64>,
+    /// `None` where the task has no priority.
+    pub(crate) axes: Option<TaskAxes>,
+}
+
+/// Axes of a task in each task set of an experiment: that at the start, and those after each event.
+pub(crate) struct AxesOfTask {
+    name: String,
+    controlled: ControlledFrame,
+    /// Axes in each set; `None` where the task has no priority.
+    sets: Vec<Option<TaskAxes>>,
+}
+
+impl AxesOfTask {
+    pub(crate) fn new(experiment: &Experiment, name: &str, controlled: ControlledFrame) -> Self {
+        let (file, model) = (&experiment.task().file, &experiment.robot().model);
+        let events = experiment.task().events.iter().map(|event| (&event.priority, &event.task));
+        let sets = std::iter::once((&file.priority, &file.task)).chain(events);
+        let axes = sets.map(|(priority, tasks)| {
+            match tasks.get(name).filter(|_| priority.iter().any(|other| other == name))? {
+                TaskParameters::Cartesian(task) => TaskAxes::new(model, task, controlled),
+                // Nothing touches a centre of mass.
+                TaskParameters::CenterOfMass(task) => {
+                    let axes = TaskAxes::new(model, &task.as_cartesian(), controlled)?;
+                    Some(TaskAxes { compliant: [false; 3], force: [false; 3], ..axes })
+                }
+                _ => None,
+            }
+        });
+        Self { name: name.to_owned(), controlled, sets: axes.collect() }
+    }
+
+    /// Axes of the task if they are the same during the whole run.
+    pub(crate) fn constant(&self, run: &Run<'_>) -> Option<TaskAxes> {
+        let first = (*self.sets.first()?)?;
+        let is_constant = self.sets.iter().all(|axes| *axes == Some(first));
+        (is_constant && run.tick.signal(&signal_names::of(&self.name, MODES)).is_none()).then_some(first)
+    }
+
+    /// Rows of the joints during control.
+    pub(crate) fn rows(&self, run: &Run<'_>) -> Vec<TaskRow> {
+        let (set_in_force, modes) =
+            (run.tick.signal(TASK_SET), run.tick.signal(&signal_names::of(&self.name, MODES)));
+        let axes_at = |k: usize| {
+            let set = match &set_in_force {
+                // The number is logged if a program can change it too.
+                Some(set) => set.row(run.tick_up_to(k)?)[0] as usize,
+                None => {
+                    let since_start_s = run.joints.0[k] - run.start_s + run.same_s;
+                    run.experiment.task().events.iter().filter(|e| e.time_s <= since_start_s).count()
+                }
+            };
+            let axes = self.sets.get(set).copied().flatten()?;
+            Some(modes.zip(run.tick_of(k)).map_or(axes, |(modes, tick)| axes.with_modes(modes.row(tick))))
+        };
+        let world = AxesFrame::Fixed(Matrix3::identity());
+        let directions = |k: usize| axes_at(k).map_or(world, |axes| axes.directions);
+        let poses = run.poses(self.controlled, directions);
+        poses.map(|(k, pose, rotation)| TaskRow { k, pose, rotation, axes: axes_at(k) }).collect()
+    }
+}
