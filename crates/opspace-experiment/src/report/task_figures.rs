@@ -4,11 +4,13 @@ use crate::evaluate::metrics::run_log::{Run, masked_norm};
 use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow};
 use crate::evaluate::metrics::tasks::{orientation, total};
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::report::lines::{joint_figure, line, time_panel};
+use crate::report::lines::{element, joint_figure, label_of, line, time_panel};
 use nalgebra::Vector3;
-use opspace_backend::signal_names::{self, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH};
+use opspace_backend::signal_names::{
+    self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH,
+};
 use opspace_control::orientation::log;
-use opspace_control::{CartesianParameters, TaskParameters};
+use opspace_control::{CartesianParameters, ControlledFrame, TaskParameters};
 use opspace_log::Column;
 
 /// Names of the axes of space.
@@ -20,16 +22,37 @@ pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
     for (name, task) in run.experiment.task().tasks_of_the_run() {
         match task {
             TaskParameters::Cartesian(task) => {
-                if let Some(shown) = CartesianFigures::new(run, name, task) {
-                    figures.extend([shown.position(), shown.orientation(), shown.errors()]);
-                    figures.extend(shown.forces());
-                }
+                let Ok(controlled) = task.controlled_frame(&run.experiment.robot().model) else { continue };
+                let shown = CartesianFigures::new(run, name, format!("'{}'", task.frame), controlled);
+                figures.extend([shown.position(), shown.orientation(), shown.errors()]);
+                figures.extend(shown.forces(task));
+            }
+            TaskParameters::CenterOfMass(_) => {
+                let of_mass = "the centre of mass".to_owned();
+                let shown = CartesianFigures::new(run, name, of_mass, ControlledFrame::CenterOfMass);
+                figures.extend([shown.position(), shown.errors()]);
             }
             TaskParameters::JointTracking(_) => figures.extend(joints(run, name)),
-            _ => {}
+            _ => figures.extend(logged_errors(run, name)),
         }
     }
     figures
+}
+
+/// Figure of the errors that a task has logged.
+fn logged_errors(run: &Run<'_>, task: &str) -> Option<Figure> {
+    let error = run.tick.signal(&signal_names::of(task, ERROR))?;
+    let panel = |(j, name): (usize, &String)| {
+        let line = element(run, "error", &run.tick.time_s, &error, j, Style::Solid);
+        time_panel(name, &label_of("error", &error, j), vec![line])
+    };
+    Some(Figure {
+        title: format!("Error of task '{task}'"),
+        caption: "Deviation from the reference, as the controller measured it.".to_owned(),
+        panels: error.elements().iter().enumerate().map(panel).collect(),
+        overlays: true,
+        ..Figure::default()
+    })
 }
 
 /// Figure of the positions of the joints of a task.
@@ -44,7 +67,8 @@ fn joints(run: &Run<'_>, task: &str) -> Option<Figure> {
 struct CartesianFigures<'a> {
     run: &'a Run<'a>,
     name: &'a str,
-    task: &'a CartesianParameters,
+    /// Controlled frame, as in a title.
+    frame: String,
     rows: Vec<TaskRow>,
     /// Axes of the task if events and streamed modes leave them as they are.
     constant: Option<TaskAxes>,
@@ -53,18 +77,17 @@ struct CartesianFigures<'a> {
 }
 
 impl<'a> CartesianFigures<'a> {
-    fn new(run: &'a Run<'a>, name: &'a str, task: &'a CartesianParameters) -> Option<Self> {
-        let controlled = task.controlled_frame(&run.experiment.robot().model).ok()?;
+    fn new(run: &'a Run<'a>, name: &'a str, frame: String, controlled: ControlledFrame) -> Self {
         let axes = AxesOfTask::new(run.experiment, name, controlled);
-        Some(Self {
+        Self {
             run,
             name,
-            task,
+            frame,
             rows: axes.rows(run),
             constant: axes.constant(run),
             reference: run.tick.signal(&signal_names::of(name, REFERENCE)),
             reference_orientation: run.tick.signal(&signal_names::of(name, REFERENCE_ORIENTATION)),
-        })
+        }
     }
 
     /// Line of a number that is computed for each row; it is interrupted where there is none.
@@ -114,7 +137,7 @@ impl<'a> CartesianFigures<'a> {
             None => "World axes. A reference is drawn while the axis follows it.".to_owned(),
         };
         Figure {
-            title: format!("Position of '{}'", self.task.frame),
+            title: format!("Position of {}", self.frame),
             caption,
             panels,
             overlays: true,
@@ -139,7 +162,7 @@ impl<'a> CartesianFigures<'a> {
             })]
         });
         Figure {
-            title: format!("Orientation of '{}'", self.task.frame),
+            title: format!("Orientation of {}", self.frame),
             caption: "Rotation vector from the reference to the true orientation, in the axes of the task; axes that follow \
                       no reference are omitted."
                 .to_owned(),
@@ -179,10 +202,10 @@ impl<'a> CartesianFigures<'a> {
     }
 
     /// Force on the frame: true, sensed, and the target of the force axes.
-    fn forces(&self) -> Option<Figure> {
-        let sensor = self.task.force.as_ref().map(|force| force.sensor.as_str());
+    fn forces(&self, task: &CartesianParameters) -> Option<Figure> {
+        let sensor = task.force.as_ref().map(|force| force.sensor.as_str());
         let sensed = sensor.and_then(|sensor| self.run.tick.signal(&signal_names::of(sensor, WRENCH)));
-        let truth = self.run.forces_on(&self.task.frame).filter(|forces| !forces.is_empty());
+        let truth = self.run.forces_on(&task.frame).filter(|forces| !forces.is_empty());
         let has_force_axes = self.constant.is_none_or(|axes| axes.force.contains(&true));
         if sensed.is_none() && (truth.is_none() || !has_force_axes) {
             return None;

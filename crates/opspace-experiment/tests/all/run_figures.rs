@@ -84,6 +84,32 @@ fn figures_follow_the_task_set_in_force() {
     assert!(section.figures.iter().any(|figure| figure.title == "Error of task 'fist'"));
 }
 
+/// Compared: the largest error in the figure of a centre of mass, and in the table.
+#[test]
+fn centre_of_mass_has_figures() {
+    let (_, section) = shown(&load("panda-levels", CommandKind::Torque, 0.6));
+    assert_eq!(labels(&figure(&section, "Position of the centre of mass").panels[0])[0], "true");
+    let error = &figure(&section, "Error of task 'balance'").panels[0].series[0];
+    let settled = error.x.iter().zip(&error.y).filter(|(t, _)| **t >= 0.2 - 1e-4).map(|(_, mm)| *mm);
+    let largest = settled.fold(0.0, f64::max);
+    let metric = 1e3 * section.summary.tasks["balance"].pose.position_max_m.unwrap();
+    assert!((largest / metric - 1.0).abs() < ROUNDING, "{largest} mm drawn, {metric} mm in the table");
+}
+
+/// Checks that a task of another kind has a figure of the errors that it logs.
+#[test]
+fn swivel_angle_has_a_figure_of_its_error() {
+    let (run, section) = shown(&load("panda-swivel", CommandKind::Torque, 0.6));
+    let logged = run.0.channel("tick").unwrap().signal("elbow.error").unwrap();
+    let panel = &figure(&section, "Error of task 'elbow'").panels[0];
+    assert!(panel.y_label == "error (rad)", "{}", panel.y_label);
+    let largest = |values: &mut dyn Iterator<Item = f64>| {
+        values.filter(|v| v.is_finite()).fold(0.0, |a: f64, v| a.max(v))
+    };
+    let drawn = largest(&mut panel.series[0].y.iter().copied());
+    assert!(drawn > 0.0 && drawn == largest(&mut logged.rows().map(|row| row[0])));
+}
+
 /// Compared: the force figure's true force and target, and those of log and task file; the error figure, and the metric
 /// of the summary.
 #[test]
