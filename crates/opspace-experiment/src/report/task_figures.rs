@@ -32,7 +32,9 @@ pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
                 let shown = CartesianFigures::new(run, name, of_mass, ControlledFrame::CenterOfMass);
                 figures.extend([shown.position(), shown.errors()]);
             }
-            TaskParameters::JointTracking(_) => figures.extend(joints(run, name)),
+            TaskParameters::JointTracking(task) => {
+                figures.extend(joints(run, name, task.joints.as_deref()));
+            }
             _ => figures.extend(logged_errors(run, name)),
         }
     }
@@ -55,12 +57,15 @@ fn logged_errors(run: &Run<'_>, task: &str) -> Option<Figure> {
     })
 }
 
-/// Figure of the positions of the joints of a task.
-fn joints(run: &Run<'_>, task: &str) -> Option<Figure> {
+/// Figure of the positions of the joints of a task: of all, or of some. The log has references of all.
+fn joints(run: &Run<'_>, task: &str, of: Option<&[String]>) -> Option<Figure> {
     let reference = run.tick.signal(&signal_names::of(task, REFERENCE))?;
     let truth = run.recording.channel(TRUTH_CHANNEL).unwrap_or(run.tick);
     let caption = "True positions and references. Position limits are drawn where the joints come near them.";
-    joint_figure(run, "Joint positions", caption, "position", (truth, Q, "true"), &reference)
+    let actual = (truth, Q, "true");
+    let mut figure = joint_figure(run, "Joint positions", caption, "position", actual, &reference)?;
+    figure.panels.retain(|panel| of.is_none_or(|of| of.contains(&panel.title)));
+    Some(figure)
 }
 
 /// Cartesian task of a run, with the poses of its frame.

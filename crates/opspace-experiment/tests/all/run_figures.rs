@@ -84,10 +84,13 @@ fn figures_follow_the_task_set_in_force() {
     assert!(section.figures.iter().any(|figure| figure.title == "Error of task 'fist'"));
 }
 
-/// Compared: the largest error in the figure of a centre of mass, and in the table.
+/// Compared: the largest error in the figure of a centre of mass, and in the table. A task of one joint shows this joint.
 #[test]
-fn centre_of_mass_has_figures() {
+fn centre_of_mass_and_single_joints_have_figures() {
     let (_, section) = shown(&load("panda-levels", CommandKind::Torque, 0.6));
+    let joints: Vec<&str> =
+        figure(&section, "Joint positions").panels.iter().map(|p| p.title.as_str()).collect();
+    assert_eq!(joints, ["joint1"]);
     assert_eq!(labels(&figure(&section, "Position of the centre of mass").panels[0])[0], "true");
     let error = &figure(&section, "Error of task 'balance'").panels[0].series[0];
     let settled = error.x.iter().zip(&error.y).filter(|(t, _)| **t >= 0.2 - 1e-4).map(|(_, mm)| *mm);
