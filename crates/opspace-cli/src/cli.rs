@@ -113,7 +113,7 @@ logged one. --report plots the torques.")]
     #[command(after_help = "\
 A mistake in a file is an error (exit code 2). Predicted problems of a run are diagnostics, not errors; each has \
 its place, numbers and a remedy: goals out of reach, speeds beyond the joint limits, gains too high for the rate and the \
-servo, contradictory limits, a singular start, undamped degrees of freedom, a run that is too short. --json lists \
+servo, contradictory limits, a singular start, degrees of freedom without a task, a run that is too short. --json lists \
 them as `findings`.")]
     Check(CheckArgs),
 

@@ -4,7 +4,8 @@
 //! F_i = Λ_p (a* − J̇ q̇ − J_i M⁻¹ τ_above) + F_compliant        τ = Σ J_pᵀ F_i + τ_joint + C q̇ + g
 //! ```
 //!
-//! J_p = J_i N is the task Jacobian projected into the null space N of the tasks above. Khatib 1987 for one task;
+//! J_p = J_i N is the task Jacobian projected into the null space N of the tasks above; τ_joint is the task of all joints,
+//! or damping of what the tasks leave. Khatib 1987 for one task;
 //! Sentis and Khatib, *Synthesis of whole-body behaviors through hierarchical control of behavioral primitives*, Int.
 //! J. Humanoid Robotics 2(4), 2005, for several priority levels. If these torques are within the
 //! [limits](crate::limits), they are the command. Otherwise each level is satisfied as closely as the limits and the
@@ -13,6 +14,7 @@
 use crate::context::ControlContext;
 use crate::controller::{ControlInput, Controller, StaleTarget};
 use crate::error::ControlError;
+use crate::hierarchy::products::multiply;
 use crate::hierarchy::task_parameters::{Compensation, TaskSetParameters};
 use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
 use crate::hierarchy::task_set::TaskSet;
@@ -24,6 +26,11 @@ use nalgebra::DVector;
 use opspace_backend::CommandKind;
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_model::{Data, Model};
+
+/// Damping of the motion that the tasks leave, if there is no task of all joints (deceleration per velocity), 1/s. It
+/// brakes degrees of freedom that no task controls, which sensor noise would set in motion, and directions close to a
+/// singularity in proportion to what their damping takes from the tasks.
+const UNUSED_DAMPING_PER_S: f64 = 10.0;
 
 /// Controller that converts tasks to joint torques.
 pub struct OperationalSpaceController {
@@ -181,14 +188,27 @@ impl OperationalSpaceController {
             }
         }
         let joint_input = hierarchy.joint_input(input);
-        if let Some(task) = &mut hierarchy.joint {
-            let (acceleration, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
-            task.update(&joint_input, acceleration, torque);
-            if let Some(level) = hierarchy.levels.last() {
-                hierarchy.nullspace.project_above(&level.projected, acceleration, torque);
+        let (acceleration, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
+        let leaves_freedom = hierarchy.leaves_freedom();
+        match &mut hierarchy.joint {
+            Some(task) => task.update(&joint_input, acceleration, torque),
+            None if !leaves_freedom => return self.joint_torque.fill(0.0),
+            // Without the velocity-dependent torques: they are compensated for the tasks, and motion that keeps them
+            // conserves its energy.
+            None => {
+                acceleration.iter_mut().zip(&data.dq).for_each(|(a, v)| *a = -UNUSED_DAMPING_PER_S * v);
+                multiply(&data.mass_matrix, acceleration, torque);
+                if self.compensation == Compensation::Bias {
+                    torque.iter_mut().zip(&data.bias).zip(&data.gravity).for_each(|((t, b), g)| *t -= b - g);
+                    acceleration.copy_from_slice(torque);
+                    data.mass_matrix_factor.solve(acceleration);
+                }
             }
-            self.torque += &self.joint_torque;
         }
+        if let Some(level) = hierarchy.levels.last() {
+            hierarchy.nullspace.project_above(&level.projected, acceleration, torque);
+        }
+        self.torque += &self.joint_torque;
     }
 
     /// Computes the compensation torques.

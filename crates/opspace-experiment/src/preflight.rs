@@ -9,7 +9,7 @@
 //! | `speeds` | references faster than the joints or the speed limit of the task |
 //! | `stability` | gains too high for the rate, the delay and the servo |
 //! | `limits` | limits that contradict each other, the start posture or the arm's weight |
-//! | `freedom` | a start at a singularity; undamped degrees of freedom |
+//! | `freedom` | a start at a singularity; degrees of freedom without a task |
 //! | `servo_gain` | position or velocity loops with a small gain margin |
 //! | `times` | events and references that end after the run |
 //!
@@ -45,7 +45,7 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     let mut found = limits::of_start(&case);
     found.extend(freedom::singular_start(&case));
     if experiment.options().controller == ControllerKind::Osc {
-        found.extend(freedom::undamped(&case));
+        found.extend(freedom::uncontrolled(&case));
         found.extend(stability::stiff_gains(&case));
     }
     found.extend(limits::of_postures(&case, &followed));

@@ -9,9 +9,8 @@
 //!
 //! Close to a singularity, eigenvalues of Λ⁻¹ approach zero and Λ grows without bound. Each eigenvalue λ below the
 //! threshold `threshold · λ_max` is therefore inverted as `λ/(λ² + μ²)`, with μ² that rises smoothly from 0 at the
-//! threshold; larger eigenvalues are inverted exactly. J̄ and N are computed from the same Λ, so tasks of lower
-//! priority can use the damped part of a direction. Other methods from the literature are available for comparison:
-//! [`Inversion`].
+//! threshold; larger eigenvalues are inverted exactly. The task controller uses [`Inversion::Adaptive`].
+//! J̄ and N are computed from the same Λ: what damping takes from a task, a task of lower priority can use, or brake. Other methods from the literature are available for comparison: [`Inversion`].
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
@@ -34,7 +33,7 @@
 //! ```
 
 use crate::cholesky::MassMatrixFactor;
-use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
+use nalgebra::{Const, DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 
 /// Method of inverting Λ⁻¹ when an eigenvalue λ is close to zero. Thresholds t are relative to λ_ref, which is the
 /// largest eigenvalue or the reference passed to [`update_with`](OperationalSpace::update_with).
@@ -42,6 +41,19 @@ use nalgebra::{DMatrix, Matrix6, Matrix6xX, SymmetricEigen, Vector6};
 pub enum Inversion {
     /// λ/(λ² + μ²) below the threshold t λ_ref, with μ = t λ_ref (1 − (λ/(t λ_ref))²); exactly 1/λ above it.
     Damped(f64),
+    /// 1/(λ + m₀ f(λ/(t₀ λ_ref)) + m f(λ/(t λ_ref))) with f(x) = (1 − x²)² below 1 and 0 above it: the task's force along
+    /// a singular direction is bounded. m₀ = t₀ λ_ref/2 is small; m = t λ_ref |a|/a₀ grows with the acceleration a that
+    /// the task demands of the directions below t λ_ref, weighted by f. Slow motion is thus exact where fast motion,
+    /// or a goal out of reach, needs damping.
+    Adaptive {
+        /// Threshold t₀ of a task without demand.
+        least: f64,
+        /// Highest threshold t.
+        most: f64,
+        /// Demand a₀ with which m reaches the highest threshold, in the unit of the task's scaled rows, m/s². It is
+        /// also assumed where the demand is unknown.
+        full_demand: f64,
+    },
     /// 1/λ for every λ above zero, however small; 0 otherwise.
     Plain,
     /// λ/(λ² + μ²) with μ = t λ_ref for every λ (damped least squares). It is never exact.
@@ -51,19 +63,41 @@ pub enum Inversion {
 }
 
 impl Inversion {
-    /// Returns the threshold below which directions are modified, relative to λ_ref; 0 if none is modified.
-    fn threshold(self) -> f64 {
+    /// Returns the threshold below which directions may be modified, relative to λ_ref; 0 if none is modified.
+    #[must_use]
+    pub fn threshold(self) -> f64 {
         match self {
-            Self::Damped(threshold) | Self::Clamped(threshold) => threshold,
+            Self::Damped(threshold) | Self::Clamped(threshold) | Self::Adaptive { most: threshold, .. } => {
+                threshold
+            }
             Self::Plain => 0.0,
             Self::LeastSquares(_) => f64::INFINITY,
         }
     }
 
+    /// Norm of the demand along the directions whose force it bounds, relative to the full demand.
+    fn relative_demand(
+        self,
+        spectrum: &SymmetricEigen<f64, Const<6>>,
+        reference: f64,
+        demand: Option<&Vector6<f64>>,
+    ) -> f64 {
+        let (Self::Adaptive { most, full_demand, .. }, Some(demand)) = (self, demand) else { return 1.0 };
+        let parts = spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter());
+        let sum: f64 = parts
+            .map(|(&value, direction)| fade(value, most * reference) * direction.dot(demand).powi(2))
+            .sum();
+        sum.sqrt() / full_demand
+    }
+
     /// Returns the replacement for 1/`value`.
-    fn reciprocal(self, value: f64, reference: f64) -> f64 {
+    fn reciprocal(self, value: f64, reference: f64, demand: f64) -> f64 {
         match self {
             Self::Damped(threshold) => damped_reciprocal(value, threshold * reference),
+            Self::Adaptive { least, most, .. } => {
+                let (value, least, most) = (value.max(0.0), least * reference, most * reference);
+                1.0 / (value + 0.5 * least * fade(value, least) + most * demand * fade(value, most))
+            }
             Self::Plain => damped_reciprocal(value, 0.0),
             Self::LeastSquares(threshold) => {
                 let (value, mu) = (value.max(0.0), threshold * reference);
@@ -126,13 +160,13 @@ impl OperationalSpace {
         inversion: Inversion,
         reference: Option<f64>,
     ) {
-        self.update_inertia(factor, jacobian, rows, inversion, reference);
+        self.update_inertia(factor, jacobian, rows, inversion, reference, None);
         self.compute_jbar(factor);
     }
 
     /// Computes Λ and [`min_singular_gain`](Self::min_singular_gain), the first half of
     /// [`update_with`](Self::update_with), for callers that may not need J̄. J̄ᵀ then contains an intermediate result
-    /// for [`compute_jbar`](Self::compute_jbar).
+    /// for [`compute_jbar`](Self::compute_jbar). `demand` is the acceleration that the task demands of its rows, if it is known.
     ///
     /// # Panics
     /// As [`update`](Self::update).
@@ -143,6 +177,7 @@ impl OperationalSpace {
         rows: usize,
         inversion: Inversion,
         reference: Option<f64>,
+        demand: Option<&Vector6<f64>>,
     ) {
         assert!(rows <= 6, "a task has six rows at most");
         let half = &mut self.jbar_transpose;
@@ -150,9 +185,69 @@ impl OperationalSpace {
         for r in rows..6 {
             half.row_mut(r).fill(0.0);
         }
-        let inverse_inertia = factor.mobility(half);
-        (self.task_inertia, self.min_singular_gain) =
-            damped_inverse(inverse_inertia, rows, inversion, reference);
+        let mobility = factor.mobility(half);
+        self.invert(mobility, rows, inversion, reference, demand);
+    }
+
+    /// Computes all quantities except J̄ from the leading `rows` × `rows` block of Λ⁻¹.
+    fn invert(
+        &mut self,
+        mut mobility: Matrix6<f64>,
+        rows: usize,
+        inversion: Inversion,
+        reference: Option<f64>,
+        demand: Option<&Vector6<f64>>,
+    ) {
+        self.task_inertia = Matrix6::zeros();
+        self.min_singular_gain = 0.0;
+        let trace = mobility.trace();
+        if trace.is_nan() || trace.is_infinite() {
+            return;
+        }
+        if trace <= 0.0 {
+            self.min_singular_gain = if rows == 0 { 1.0 } else { 0.0 };
+            return;
+        }
+        // Unused rows become eigenvectors whose eigenvalues are larger than all eigenvalues of the task.
+        let padding = 2.0 * trace;
+        for r in rows..6 {
+            mobility[(r, r)] = padding;
+        }
+        let certified = certified_inverse(&mobility, rows, reference.unwrap_or(trace), inversion.threshold());
+        if let Some(inverse) = certified {
+            self.task_inertia = inverse;
+            self.min_singular_gain = 1.0;
+        } else if mobility.iter().all(|x| x.is_finite()) {
+            self.invert_spectrum(mobility, trace, inversion, reference, demand);
+        }
+        for r in rows..6 {
+            self.task_inertia[(r, r)] = 0.0;
+        }
+    }
+
+    /// Computes all quantities except J̄ from the eigenvectors of Λ⁻¹.
+    fn invert_spectrum(
+        &mut self,
+        mobility: Matrix6<f64>,
+        trace: f64,
+        inversion: Inversion,
+        reference: Option<f64>,
+        demand: Option<&Vector6<f64>>,
+    ) {
+        // A matrix without a spectrum is not finite: the task gets no force.
+        let Some(spectrum) = SymmetricEigen::try_new(mobility, f64::EPSILON, MAX_ITERATIONS) else { return };
+        // The padding is larger than the trace; all eigenvalues of the task are smaller.
+        let largest =
+            spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
+        let reference = reference.unwrap_or(largest);
+        let demand = inversion.relative_demand(&spectrum, reference, demand);
+        self.min_singular_gain = 1.0;
+        for (&value, vector) in spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter()) {
+            let reciprocal = inversion.reciprocal(value, reference, demand);
+            let gain = (reciprocal * value).max(0.0);
+            self.min_singular_gain = self.min_singular_gain.min(gain);
+            self.task_inertia += vector * vector.transpose() * reciprocal;
+        }
     }
 
     /// Computes J̄ᵀ, the second half of [`update_with`](Self::update_with). Call it at most once after each
@@ -201,39 +296,6 @@ impl OperationalSpace {
     }
 }
 
-/// Returns the inverse of the leading `rows` × `rows` block, with damped eigenvalues below the threshold, and the
-/// smallest gain over its eigenvectors.
-fn damped_inverse(
-    mut a: Matrix6<f64>,
-    rows: usize,
-    inversion: Inversion,
-    reference: Option<f64>,
-) -> (Matrix6<f64>, f64) {
-    let trace = a.trace();
-    if !trace.is_finite() {
-        return (Matrix6::zeros(), 0.0);
-    }
-    if trace <= 0.0 {
-        return (Matrix6::zeros(), if rows == 0 { 1.0 } else { 0.0 });
-    }
-    // Unused rows become eigenvectors whose eigenvalues are larger than all eigenvalues of the task.
-    let padding = 2.0 * trace;
-    for r in rows..6 {
-        a[(r, r)] = padding;
-    }
-    let (mut inverse, weakest_share) =
-        match certified_inverse(&a, rows, reference.unwrap_or(trace), inversion.threshold()) {
-            Some(inverse) => (inverse, 1.0),
-            // A non-finite entry makes a pivot invalid.
-            None if a.iter().any(|x| !x.is_finite()) => (Matrix6::zeros(), 0.0),
-            None => spectral_inverse(a, trace, inversion, reference),
-        };
-    for r in rows..6 {
-        inverse[(r, r)] = 0.0;
-    }
-    (inverse, weakest_share)
-}
-
 /// Returns the exact inverse if bounds on the eigenvalues prove that none is below the threshold: λ_min ≥ 1/tr(A⁻¹),
 /// and λ_max ≤ tr(A) if the reference is λ_max.
 fn certified_inverse(a: &Matrix6<f64>, rows: usize, reference: f64, threshold: f64) -> Option<Matrix6<f64>> {
@@ -270,29 +332,6 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
 
-fn spectral_inverse(
-    a: Matrix6<f64>,
-    trace: f64,
-    inversion: Inversion,
-    reference: Option<f64>,
-) -> (Matrix6<f64>, f64) {
-    // A matrix that is not finite has no spectrum: the task gets no force.
-    let Some(spectrum) = SymmetricEigen::try_new(a, f64::EPSILON, MAX_ITERATIONS) else {
-        return (Matrix6::zeros(), 0.0);
-    };
-    // The padding is larger than the trace; all eigenvalues of the task are smaller.
-    let largest = spectrum.eigenvalues.iter().filter(|&&v| v <= 1.5 * trace).fold(0.0, |m: f64, &v| m.max(v));
-    let reference = reference.unwrap_or(largest);
-    let mut inverse = Matrix6::zeros();
-    let mut weakest_share: f64 = 1.0;
-    for (&value, vector) in spectrum.eigenvalues.iter().zip(spectrum.eigenvectors.column_iter()) {
-        let gain = inversion.reciprocal(value, reference);
-        weakest_share = weakest_share.min((gain * value).max(0.0));
-        inverse += vector * vector.transpose() * gain;
-    }
-    (inverse, weakest_share)
-}
-
 /// Returns 1/λ for λ at or above `floor`, and λ/(λ² + μ²) with μ² = floor² (1 − (λ/floor)²)² below it. Value and slope
 /// are continuous at `floor`, and the result goes to zero with λ.
 fn damped_reciprocal(value: f64, floor: f64) -> f64 {
@@ -302,7 +341,12 @@ fn damped_reciprocal(value: f64, floor: f64) -> f64 {
     if value <= 0.0 {
         return 0.0;
     }
-    let ratio = value / floor;
-    let mu = floor * (1.0 - ratio * ratio);
+    let mu = floor * fade(value, floor).sqrt();
     value / (value * value + mu * mu)
+}
+
+/// Returns a weight that falls from 1 at 0 to 0 at `floor` and above, (1 − (λ/floor)²)².
+fn fade(value: f64, floor: f64) -> f64 {
+    let ratio = (value / floor).min(1.0);
+    (1.0 - ratio * ratio).powi(2)
 }

@@ -11,7 +11,7 @@
 //! with the identity instead of M is used for inverse kinematics.
 
 use crate::hierarchy::products::{add_transposed, product};
-use nalgebra::{Matrix6, Matrix6xX};
+use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_model::{Inversion, MassMatrixFactor, OperationalSpace};
 
 /// Null-space projector N of the tasks pushed so far: the product of one factor I − J̄_p J_p per task. The n × n matrix
@@ -117,22 +117,25 @@ impl ProjectedTask {
         Self { jacobian, space: OperationalSpace::new(n) }
     }
 
-    /// Computes all quantities except J̄ for the first `rows` rows of `jacobian`. The singularity threshold is relative
-    /// to `reference`, which does not depend on the tasks above: a direction that they occupy counts as singular.
-    pub(crate) fn update(
-        &mut self,
-        factor: &MassMatrixFactor,
-        above: &Nullspace,
-        jacobian: &Matrix6xX<f64>,
-        rows: usize,
-        inversion: Inversion,
-        reference: f64,
-    ) {
+    /// Sets J_p for the Jacobian of a task (6 × n) below the tasks of `above`.
+    pub(crate) fn project(&mut self, above: &Nullspace, jacobian: &Matrix6xX<f64>) {
         self.jacobian.copy_from(jacobian);
         if above.depth > 0 {
             above.project_jacobian(&mut self.jacobian);
         }
-        self.space.update_inertia(factor, &self.jacobian, rows, inversion, Some(reference));
+    }
+
+    /// Computes all quantities except J̄ for the first `rows` rows of J_p. The singularity threshold is relative to
+    /// `reference`; `demand` is the acceleration that the task demands of its rows, if it is known.
+    pub(crate) fn update(
+        &mut self,
+        factor: &MassMatrixFactor,
+        rows: usize,
+        inversion: Inversion,
+        reference: f64,
+        demand: Option<&Vector6<f64>>,
+    ) {
+        self.space.update_inertia(factor, &self.jacobian, rows, inversion, Some(reference), demand);
     }
 
     /// Computes J̄ with the same factor. Call it once after each [`update`](Self::update) if there is a task below.
@@ -200,14 +203,8 @@ mod tests {
         let mut nullspace = Nullspace::new(n, tasks.len());
         let mut projected = ProjectedTask::new(n);
         for (level, (jacobian, rows)) in tasks.iter().enumerate() {
-            projected.update(
-                &data.mass_matrix_factor,
-                &nullspace,
-                jacobian,
-                *rows,
-                Inversion::Damped(1e-6),
-                1.0,
-            );
+            projected.project(&nullspace, jacobian);
+            projected.update(&data.mass_matrix_factor, *rows, Inversion::Damped(1e-6), 1.0, None);
             assert!(projected.space.min_singular_gain == 1.0, "level {level} is regular");
             projected.compute_jbar(&data.mass_matrix_factor);
             nullspace.push(&projected);

@@ -42,7 +42,8 @@ struct BoundedInertia {
 }
 
 impl PriorityLevel {
-    pub(crate) fn new(task: Box<dyn Task>, model: &Model) -> Self {
+    /// Creates the level of `task` below the levels `above`.
+    pub(crate) fn new(task: Box<dyn Task>, model: &Model, above: &[Self]) -> Self {
         let n = model.n();
         let bounded = task.inertia_floor_kg_m2().map(|floor| BoundedInertia {
             floor,
@@ -52,7 +53,7 @@ impl PriorityLevel {
         });
         let zero = Vector6::zeros();
         Self {
-            typical: TypicalMobility::new(model, &*task),
+            typical: TypicalMobility::new(model, above.iter().map(|level| &*level.task), &*task),
             task,
             projected: ProjectedTask::new(n),
             bounded,
@@ -89,25 +90,27 @@ impl PriorityLevel {
         self.task.resume(input);
     }
 
-    /// Computes J at the state of `data`, and Λ in the null space of the tasks above. The thresholds are relative to
-    /// `typical`.
+    /// Computes J at the state of `data`, and Λ in the null space of the tasks above, for any demand. The thresholds
+    /// are relative to `typical`.
     pub(crate) fn project(&mut self, model: &Model, data: &Data, above: &Nullspace, typical: f64) {
-        let rows = self.task.rows();
+        let (rows, inversion) = (self.task.rows(), self.task.inversion());
         self.task.jacobian(model, data, &mut self.jacobian);
-        let inversion = self.task.inversion();
-        self.projected.update(&data.mass_matrix_factor, above, &self.jacobian, rows, inversion, typical);
+        self.projected.project(above, &self.jacobian);
+        self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, None);
     }
 
     /// Computes all quantities of a cycle except the torques.
     pub(crate) fn update(&mut self, input: &ControlInput<'_>, above: &Nullspace) {
         let ControlInput { model, data, .. } = *input;
         self.task.update(&self.task_input(input, self.limited));
-        self.project(model, data, above, self.typical.dynamic);
+        let (rows, inversion, typical) = (self.task.rows(), self.task.inversion(), self.typical.dynamic);
+        self.task.jacobian(model, data, &mut self.jacobian);
         self.bias = self.task.bias(model, data);
         self.desired = self.task.acceleration() - self.bias;
-        let (rows, inversion) = (self.task.rows(), self.task.inversion());
+        self.projected.project(above, &self.jacobian);
+        self.projected.update(&data.mass_matrix_factor, rows, inversion, typical, Some(&self.desired));
         if let Some(bounded) = &mut self.bounded {
-            bounded.update(data, &self.projected.jacobian, rows, inversion, self.typical.dynamic);
+            bounded.update(data, &self.projected.jacobian, rows, inversion, typical, &self.desired);
         }
     }
 
@@ -172,6 +175,7 @@ impl BoundedInertia {
         rows: usize,
         inversion: Inversion,
         typical: f64,
+        demand: &Vector6<f64>,
     ) {
         self.mass_matrix.copy_from(&data.mass_matrix);
         for i in 0..self.mass_matrix.ncols() {
@@ -187,7 +191,7 @@ impl BoundedInertia {
                 factor.mobility(half).trace()
             });
             let typical = if own > 0.0 { typical * bounded / own } else { typical };
-            self.space.update_with(&self.factor, jacobian, rows, inversion, Some(typical));
+            self.space.update_inertia(&self.factor, jacobian, rows, inversion, Some(typical), Some(demand));
         }
     }
 }

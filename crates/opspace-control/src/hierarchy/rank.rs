@@ -1,9 +1,10 @@
 //! Feasibility of tasks: the rank of their axes over sampled configurations, and the arm's reach.
 
+use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::task::Task;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
-use opspace_model::{Data, FrameId, JointKind, Limits, Model, kinematics, update};
+use opspace_model::{Data, FrameId, Inversion, JointKind, Limits, Model, kinematics, update};
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -49,38 +50,50 @@ fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMa
     best
 }
 
-/// Typical mobility of a task: the median, over many postures, of the smallest eigenvalue of Λ⁻¹ = J M⁻¹ Jᵀ. A
-/// direction with a much lower mobility is close to singular; this holds for any masses of the arm and units of the
-/// task.
+/// Typical mobility of a task: the median, over many postures, of the smallest eigenvalue of Λ⁻¹ = J_p M⁻¹ J_pᵀ, with
+/// J_p = J N in the null space of the tasks above. A direction with a much lower mobility is close to singular; this
+/// holds for any masses of the arm and units of the task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct TypicalMobility {
     /// Mobility with the arm's M, 1/kg.
     pub dynamic: f64,
-    /// Mobility with the identity instead of M, from J Jᵀ.
+    /// Mobility with the identity instead of M, from J_p J_pᵀ.
     pub kinematic: f64,
 }
 
 impl TypicalMobility {
-    /// Computes the typical mobility of a task's rows.
+    /// Computes the typical mobility of a task's rows below the tasks `above`, which are in order of priority.
     #[must_use]
-    pub fn new(model: &Model, task: &dyn Task) -> Self {
+    pub fn new<'a>(model: &Model, above: impl Iterator<Item = &'a dyn Task>, task: &dyn Task) -> Self {
         let n = model.n();
+        let above: Vec<&dyn Task> = above.collect();
         let mut data = Data::new(model);
-        let mut jacobian = Matrix6xX::zeros(n);
         let identity = {
             let mut factor = data.mass_matrix_factor.clone();
             factor.set_identity();
             factor
         };
+        let mut nullspace = Nullspace::new(n, above.len());
+        let (mut jacobian, mut projected) = (Matrix6xX::zeros(n), ProjectedTask::new(n));
         let (mut dynamic, mut kinematic) = (Vec::with_capacity(SAMPLES), Vec::with_capacity(SAMPLES));
         for sample in 0..SAMPLES {
             if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
                 continue;
             }
-            task.sampled_jacobian(model, &data, &mut jacobian);
             for (of, factor) in [(&mut dynamic, &data.mass_matrix_factor), (&mut kinematic, &identity)] {
-                let mobility = factor.mobility(&mut jacobian.clone());
+                nullspace.reset();
+                for task in &above {
+                    task.sampled_jacobian(model, &data, &mut jacobian);
+                    // Plain: exact wherever the directions of the tasks above are independent.
+                    projected.project(&nullspace, &jacobian);
+                    projected.update(factor, task.rows(), Inversion::Plain, 1.0, None);
+                    projected.compute_jbar(factor);
+                    nullspace.push(&projected);
+                }
+                task.sampled_jacobian(model, &data, &mut jacobian);
+                projected.project(&nullspace, &jacobian);
+                let mobility = factor.mobility(&mut projected.jacobian);
                 let used = mobility.view((0, 0), (task.rows(), task.rows())).into_owned();
                 let spectrum = SymmetricEigen::try_new(used, f64::EPSILON, MAX_ITERATIONS);
                 of.extend(spectrum.map(|spectrum| spectrum.eigenvalues.min()));

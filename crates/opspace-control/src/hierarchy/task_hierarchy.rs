@@ -13,6 +13,7 @@ pub(crate) struct TaskHierarchy {
     pub levels: Vec<PriorityLevel>,
     pub joint: Option<Box<dyn JointTask>>,
     pub nullspace: Nullspace,
+    joints: usize,
     /// Positions of the joint task's streamed inputs in the row of targets.
     joint_target: TargetPlace,
 }
@@ -24,6 +25,7 @@ impl TaskHierarchy {
             levels: Vec::new(),
             joint: None,
             nullspace: Nullspace::new(n, 0),
+            joints: n,
             joint_target: TargetPlace::default(),
         }
     }
@@ -31,6 +33,12 @@ impl TaskHierarchy {
     /// Tasks of at most six rows, the highest priority first.
     pub(crate) fn tasks(&self) -> impl Iterator<Item = &dyn Task> {
         self.levels.iter().map(|level| &*level.task)
+    }
+
+    /// Returns true if the levels leave some motion of the joints: degrees of freedom, or a damped direction.
+    pub(crate) fn leaves_freedom(&self) -> bool {
+        let rows: usize = self.levels.iter().map(|level| level.task.rows()).sum();
+        rows < self.joints || self.levels.iter().any(|level| level.projected.space.min_singular_gain < 1.0)
     }
 
     /// Starts all tasks at the robot's present state.

@@ -149,11 +149,8 @@ impl Limiter {
             level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
             hierarchy.nullspace.truncate(place + 1);
         }
-        scratch.fill(0.0);
-        if hierarchy.joint.is_some() {
-            scratch.copy_from(joint_torque);
-            data.mass_matrix_factor.solve(scratch.as_mut_slice());
-        }
+        scratch.copy_from(joint_torque);
+        data.mass_matrix_factor.solve(scratch.as_mut_slice());
         cascade.add_demand(data, scratch.as_slice(), &mut limits);
         cascade.solve_level(data, &hierarchy.nullspace, &Residual::Joints, &mut limits)?;
         Ok(cascade.solver())

@@ -163,7 +163,7 @@ impl CartesianTask {
             name: name.to_owned(),
             rows_key: format!("{key}.axes"),
             axes: TaskAxes::new(controlled, axes_frame.at_rest(), active, length_m),
-            inversion: parameters.singularities.inversion(parameters.singularity_threshold.get()),
+            inversion: parameters.singularities.inversion(parameters.singularity_threshold),
             decoupling: parameters.decoupling,
             axes_frame,
             modes: parameters.axes.modes(),

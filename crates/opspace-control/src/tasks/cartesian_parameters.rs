@@ -8,6 +8,7 @@ use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::force::ForceParameters;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::ImpedanceParameters;
+use crate::tasks::task::DEFAULT_INVERSION;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Inversion, Model};
@@ -59,9 +60,10 @@ pub struct CartesianParameters {
     #[serde(default)]
     pub singularities: SingularityHandling,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
-    /// lowest mobility over many postures; 0.3 if absent.
-    #[serde(default = "default_singularity_threshold")]
-    pub singularity_threshold: Positive,
+    /// lowest mobility over many postures. If absent, it is 0.03 at rest and grows to 0.3 with the acceleration that
+    /// the task demands of such directions.
+    #[serde(default)]
+    pub singularity_threshold: Option<Positive>,
     /// Characteristic length that scales rotations to displacements in the detection of singular directions, m; the
     /// arm's reach if absent.
     #[serde(default)]
@@ -84,9 +86,10 @@ pub struct CenterOfMassParameters {
     /// Gains of the centre of mass, for unit mass.
     pub gains: AxisGains,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
-    /// lowest mobility over many postures; 0.3 if absent.
-    #[serde(default = "default_singularity_threshold")]
-    pub singularity_threshold: Positive,
+    /// lowest mobility over many postures. If absent, it is 0.03 at rest and grows to 0.3 with the acceleration that
+    /// the task demands of such directions.
+    #[serde(default)]
+    pub singularity_threshold: Option<Positive>,
 }
 
 /// Inertia that converts a task's accelerations to forces.
@@ -113,7 +116,8 @@ pub enum Decoupling {
 #[cfg_attr(feature = "schema", schemars(rename = "Singularities"))]
 #[non_exhaustive]
 pub enum SingularityHandling {
-    /// Directions are damped smoothly below the threshold, down to zero; above it there is no damping.
+    /// Directions are damped smoothly below the threshold, and motion along them is braked; above it there is no
+    /// damping.
     #[default]
     Damped,
     /// No damping: Λ is unchanged. For comparisons.
@@ -128,22 +132,20 @@ pub enum SingularityHandling {
 }
 
 impl SingularityHandling {
-    pub(crate) fn inversion(self, threshold: f64) -> Inversion {
+    pub(crate) fn inversion(self, threshold: Option<Positive>) -> Inversion {
+        let threshold = threshold.map(Positive::get);
+        let fixed = threshold.unwrap_or(DEFAULT_INVERSION.threshold());
         match self {
-            Self::Damped => Inversion::Damped(threshold),
+            Self::Damped => threshold.map_or(DEFAULT_INVERSION, Inversion::Damped),
             Self::None => Inversion::Plain,
-            Self::DampedLeastSquares => Inversion::LeastSquares(threshold),
-            Self::ClampedCondition => Inversion::Clamped(threshold),
+            Self::DampedLeastSquares => Inversion::LeastSquares(fixed),
+            Self::ClampedCondition => Inversion::Clamped(fixed),
         }
     }
 }
 
 fn default_compliant_damping() -> PerAxis<NonNegative> {
     PerAxis::All(NonNegative::literal(2.0))
-}
-
-fn default_singularity_threshold() -> Positive {
-    Positive::literal(0.3)
 }
 
 impl CartesianParameters {
@@ -164,7 +166,7 @@ impl CartesianParameters {
             speed_limit_m_per_s: None,
             speed_limit_rad_per_s: None,
             singularities: SingularityHandling::Damped,
-            singularity_threshold: default_singularity_threshold(),
+            singularity_threshold: None,
             characteristic_length_m: None,
         }
     }
@@ -223,7 +225,7 @@ impl CenterOfMassParameters {
             axes_frame: AxesFrameParameter::World,
             reference: CartesianReference::Hold,
             gains,
-            singularity_threshold: default_singularity_threshold(),
+            singularity_threshold: None,
         }
     }
 

@@ -10,7 +10,7 @@ use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::references::scalar_reference::{ScalarReference, ScalarTrajectory};
 use crate::tasks::coordinate::Coordinate;
-use crate::tasks::task::{RowGains, SINGULARITY_THRESHOLD, SpeedLimit, Task, TaskInput};
+use crate::tasks::task::{DEFAULT_INVERSION, RowGains, SpeedLimit, Task, TaskInput};
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
 use opspace_backend::quantity::{NonNegative, Positive};
@@ -75,7 +75,7 @@ pub struct CoordinateTask<C> {
     gains: CoordinateGains,
     /// Speed limit, rad/s or m/s; infinite if there is none.
     speed_limit: f64,
-    singularity_threshold: f64,
+    inversion: Inversion,
     /// Start time of the trajectories, s.
     start_s: f64,
     /// Values at the start of the run.
@@ -112,7 +112,7 @@ impl<C: Coordinate> CoordinateTask<C> {
             units,
             gains,
             speed_limit: f64::INFINITY,
-            singularity_threshold: SINGULARITY_THRESHOLD,
+            inversion: DEFAULT_INVERSION,
             start_s: 0.0,
             home: zero,
             updated_s: 0.0,
@@ -141,10 +141,10 @@ impl<C: Coordinate> CoordinateTask<C> {
         Self { speed_limit: speed_limit.get(), ..self }
     }
 
-    /// Sets the threshold below which directions are damped, relative to the typical mobility.
+    /// Sets a fixed threshold below which directions are damped, relative to the typical mobility.
     #[must_use]
     pub fn with_singularity_threshold(self, threshold: Positive) -> Self {
-        Self { singularity_threshold: threshold.get(), ..self }
+        Self { inversion: Inversion::Damped(threshold.get()), ..self }
     }
 
     /// Sets the key of the task's table in a file, for errors.
@@ -308,7 +308,7 @@ impl<C: Coordinate> Task for CoordinateTask<C> {
     }
 
     fn inversion(&self) -> Inversion {
-        Inversion::Damped(self.singularity_threshold)
+        self.inversion
     }
 
     fn speed_limits(&self) -> [Option<SpeedLimit>; 2] {

@@ -8,8 +8,12 @@ use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model};
 use std::any::Any;
 
-/// Threshold of the default [`inversion`](Task::inversion): 0.3 of the typical mobility.
-pub const SINGULARITY_THRESHOLD: f64 = 0.3;
+/// Threshold of the [default inversion](DEFAULT_INVERSION) at rest, relative to the typical mobility.
+pub const THRESHOLD_AT_REST: f64 = 0.03;
+
+/// Default [`inversion`](Task::inversion): the threshold grows with the demand to 0.3 of the typical mobility.
+pub const DEFAULT_INVERSION: Inversion =
+    Inversion::Adaptive { least: THRESHOLD_AT_REST, most: 0.3, full_demand: 4.0 };
 
 /// Input of a task in one cycle.
 #[derive(Clone, Copy, Debug)]
@@ -118,7 +122,7 @@ pub trait Task: Any + Send {
 
     /// Method for the inversion of Λ⁻¹ near singularities; its thresholds are relative to the typical mobility.
     fn inversion(&self) -> Inversion {
-        Inversion::Damped(SINGULARITY_THRESHOLD)
+        DEFAULT_INVERSION
     }
 
     /// Lower bound of M's diagonal in the Λ that converts accelerations to forces, kg m²; `None` for the arm's own M.

@@ -340,7 +340,12 @@ impl Rest {
     /// Desired joint accelerations without tasks above, rad/s².
     fn desired_acceleration(self, start: &Data, data: &Data) -> DVector<f64> {
         match self {
-            Self::Nothing => DVector::zeros(data.q.len()),
+            // The controller's own damping, and the arm's own velocity-dependent torques.
+            Self::Nothing => {
+                let torque = &data.gravity - &data.bias;
+                let own = data.mass_matrix.clone().cholesky().expect("M is positive definite").solve(&torque);
+                own - &data.dq * 10.0
+            }
             Self::Damping(d) => {
                 let torque = &data.dq * -d;
                 data.mass_matrix.clone().cholesky().expect("M is positive definite").solve(&torque)
@@ -426,15 +431,14 @@ impl Case {
 
     /// Runs the first `levels` of the task set, with or without the task of all joints.
     fn run(&self, levels: usize, with_rest: bool) -> Option<Ran> {
-        let with_rest = with_rest && !matches!(self.rest, Rest::Nothing);
+        // Damping of zero: without a joint task, the controller damps what the tasks leave.
+        let rest = if with_rest { self.rest } else { Rest::Damping(0.0) };
         let mut names: Vec<String> = self.tasks[..levels].iter().map(|t| format!("\"{}\"", t.name)).collect();
-        if with_rest {
+        if !matches!(rest, Rest::Nothing) {
             names.push("\"rest\"".to_owned());
         }
         let mut text = format!("priority = [{}]\nlimits.enforce = false\n", names.join(", "));
-        if with_rest {
-            text.push_str(&self.rest.text());
-        }
+        text.push_str(&rest.text());
         if names.is_empty() {
             text.push_str("[task]\n");
         }

@@ -10,6 +10,7 @@ mod law;
 mod limited_motion;
 mod limits;
 mod limits_allocation;
+mod out_of_reach;
 mod qp;
 mod qp_allocation;
 mod reference_allocation;

@@ -1,17 +1,17 @@
-//! Directions in which a task cannot move at its start (singularities), and undamped degrees of freedom.
+//! Directions in which a task cannot move at its start (singularities), and degrees of freedom without a task.
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
-use opspace_control::tasks::task::SINGULARITY_THRESHOLD;
+use opspace_control::tasks::task::THRESHOLD_AT_REST;
 use opspace_model::{Data, Inversion, OperationalSpace, update};
 
 /// Step (rad or m) and maximum number of steps by which a joint is displaced in the search for a better start.
 const BEND: f64 = 0.05;
 const FARTHEST_BENDS: u32 = 30;
 
-/// Finds degrees of freedom that no task controls or damps.
-pub(crate) fn undamped(case: &PreflightCase<'_>) -> Option<Diagnostic> {
+/// Finds degrees of freedom that no task controls.
+pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
     let n = case.model.n();
     (0..case.task_sets.len()).find_map(|number| {
         let stack = &case.task_sets[number];
@@ -22,14 +22,13 @@ pub(crate) fn undamped(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         let left = n.checked_sub(used).filter(|left| *left > 0)?;
         let message = match left {
             1 => format!(
-                "1 of the {n} degrees of freedom is neither controlled nor damped by any task: only friction brakes it"
+                "1 of the {n} degrees of freedom is not controlled by any task: it is only damped, and may drift"
             ),
             _ => format!(
-                "{left} of the {n} degrees of freedom are neither controlled nor damped by any task: only friction \
-                 brakes them"
+                "{left} of the {n} degrees of freedom are not controlled by any task: they are only damped, and may drift"
             ),
         };
-        let help = "add [task.rest.joint-damping] or [task.rest.joint-posture], with \"rest\" last in `priority`";
+        let help = "add [task.rest.joint-posture], or [task.rest.joint-damping] for damping of your own, with \"rest\" last in `priority`";
         let key = match number {
             0 => vec!["priority".to_owned()],
             event => vec!["event".to_owned(), (event - 1).to_string(), "set".to_owned()],
@@ -107,13 +106,14 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
 
-/// Singularity threshold of an inversion; the default threshold if it has no damping.
+/// Singularity threshold of an inversion at rest; the default threshold if it has no damping.
 fn threshold(inversion: Inversion) -> f64 {
     match inversion {
+        Inversion::Adaptive { least, .. } => least,
         Inversion::Damped(threshold) | Inversion::LeastSquares(threshold) | Inversion::Clamped(threshold) => {
             threshold
         }
-        Inversion::Plain => SINGULARITY_THRESHOLD,
+        Inversion::Plain => THRESHOLD_AT_REST,
     }
 }
 

@@ -424,14 +424,14 @@ fn weight_beyond_torque_limit_is_reported() {
 fn singular_start_is_reported() {
     let straight =
         |elbow: &str| [("shoulder = 0.6, elbow = 1.2", format!("shoulder = 0.0, elbow = {elbow}"))];
-    for (elbow, lost) in [("0.0", "cannot be moved along"), ("0.2", "% of its force along")] {
+    for (elbow, lost) in [("0.0", "cannot be moved along"), ("0.05", "% of its force along")] {
         let changes = straight(elbow);
         let (found, _) =
             only_diagnostic(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
         assert_says(&found, "start_rad", &["task 'tip'", lost, "start with joint 'elbow' at "]);
         let along = found.message.split("along ").nth(1).unwrap();
         assert!(
-            along.starts_with("x:") || along.starts_with("z:") || along.starts_with("0.98 "),
+            along.starts_with("x") || along.starts_with("z"),
             "the arm lies nearly along an axis: {found:?}"
         );
         // The proposed start.
@@ -448,7 +448,7 @@ fn singular_start_is_reported() {
 }
 
 #[test]
-fn undamped_freedom_is_reported() {
+fn freedom_without_a_task_is_reported() {
     let rest = "[task.rest.joint-posture]\nfrequency_rad_per_s = 6.0\ndamping_ratio = 0.8\n";
     let (found, line) = only_diagnostic(HAND, &[("\"hand\", \"rest\"", "\"hand\""), (rest, "")], &[]);
     assert_says(&found, "priority", &["1 of the 4 degrees of freedom", "[task.rest.joint-damping]"]);

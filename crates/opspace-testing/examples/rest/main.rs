@@ -1,0 +1,58 @@
+//! Motion of arms at goals that they cannot reach, after they had time to come to rest.
+//!
+//! ```text
+//! cargo run --release -p opspace-testing --example rest -- [CASES [SEED]]
+//! ```
+//!
+//! prints a line per case: true speed and mean torque rate at the end at an unreachable goal, the remaining error with
+//! what a descent from there still gains, and speed and torque rate of the same arm at a reachable goal. A case counts
+//! as restless if its speed is above 1e-3 rad/s and above twice that at the reachable goal, or likewise for the torque
+//! rate and 1 % of the torque limit per second.
+
+#![expect(clippy::print_stdout, reason = "a program for the terminal")]
+
+mod cases;
+mod outcome;
+
+use cases::Case;
+use outcome::Outcome;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+/// A case by its number, and its outcomes at an unreachable and a reachable goal.
+type Line = (usize, String, Outcome, Outcome);
+
+fn outcomes(cases: usize, seed: u64) -> Vec<Line> {
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut found = Vec::new();
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= cases {
+                return found;
+            }
+            let case = Case::new(number, seed);
+            found.push((number, case.describe(), Outcome::of(&case, false), Outcome::of(&case, true)));
+        }
+    };
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let mut lines: Vec<Line> = thread::scope(|scope| {
+        let running: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        running.into_iter().flat_map(|thread| thread.join().expect("a thread")).collect()
+    });
+    lines.sort_by_key(|(number, ..)| *number);
+    lines
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1).map(|argument| argument.parse::<u64>().expect("a number"));
+    let (cases, seed) = (arguments.next().unwrap_or(60), arguments.next().unwrap_or(1));
+    let lines = outcomes(cases as usize, seed);
+    let mut restless = 0;
+    for (number, name, far, near) in &lines {
+        let rests = far.rests(near);
+        restless += usize::from(!rests);
+        println!("{number:3} {} {name:50} {far} | {near}", if rests { "rests" } else { "MOVES" });
+    }
+    println!("seed {seed}: {restless} of {} do not come to rest", lines.len());
+}
