@@ -54,6 +54,7 @@ pub mod aba;
 pub mod batch;
 pub mod centroidal;
 pub mod cholesky;
+pub mod collision;
 pub mod configuration;
 pub mod coriolis;
 pub mod crba;

@@ -2,6 +2,7 @@
 
 mod allocation;
 mod batch;
+mod collision;
 mod common;
 mod floating;
 mod identities;
