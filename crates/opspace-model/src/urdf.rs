@@ -3,7 +3,8 @@
 //!
 //! Everything needed by the dynamics must be in the file and be physically possible. A moving body without mass, a
 //! joint without limits or a tree with two roots is an error with the element and its line; no default replaces a
-//! missing value. Shapes, materials, transmissions and `<dynamics>` are ignored.
+//! missing value. Shapes, materials, transmissions and `<dynamics>` are ignored;
+//! [`link_shapes`] reads the shapes for collisions.
 //!
 //! ```
 //! let urdf = r#"
@@ -34,9 +35,11 @@ mod error;
 #[cfg(feature = "urdf-rs")]
 mod from_urdf_rs;
 mod read;
+mod shapes;
 mod tree;
 
 pub use error::{UrdfError, UrdfErrorKind, UrdfWarning, UrdfWarningKind};
+pub use shapes::{Geometry, LinkShapes, Shape, link_shapes};
 
 use crate::model::{BASE_JOINTS, Joint, JointKind, Model, rotation_z_to};
 use crate::reduce::{MimicConstraint, ReduceError};

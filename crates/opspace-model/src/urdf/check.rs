@@ -83,6 +83,11 @@ pub(super) fn joint_kind(element: &str, line: Line, word: &str) -> Result<Option
     }
 }
 
+/// Checks the `<origin>` of a shape. `words` name its link in errors.
+pub(super) fn checked_origin(words: &str, origin: &OriginElement) -> Result<Placement, UrdfError> {
+    Element { name: "", words: words.to_owned() }.origin(origin)
+}
+
 /// Checks that all elements with this tag have unique names.
 fn check_names<'a>(
     tag: &'static str,
@@ -292,7 +297,7 @@ impl Element<'_> {
 
 /// Largest magnitude of a position, an axis, an angle, a mass or a moment of inertia (m, 1, rad, kg, kg m²): squares and
 /// products of it are far from the largest number.
-const MAX_NUMBER: f64 = 1e9;
+pub(super) const MAX_NUMBER: f64 = 1e9;
 /// Description of a number in errors.
 pub(super) const ONE_NUMBER: &str = "one finite number";
 /// Description of a bounded number in errors.

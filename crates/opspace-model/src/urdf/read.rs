@@ -18,6 +18,14 @@ const MAX_DEPTH: usize = 64;
 const MAX_ATTRIBUTES: usize = 64;
 
 pub(super) fn read(text: &str) -> Result<RobotElement, UrdfError> {
+    Ok(read_with(text, |_| Ok(()))?.0)
+}
+
+/// Reads the robot, and one value of each link by `of_link`, in the order of the links.
+pub(super) fn read_with<S>(
+    text: &str,
+    of_link: impl Fn(&Element<'_>) -> Result<S, UrdfError>,
+) -> Result<(RobotElement, Vec<S>), UrdfError> {
     guard(text)?;
     let document = Document::parse(text).map_err(|e| malformed(&e))?;
     let robot = document.root_element();
@@ -25,8 +33,9 @@ pub(super) fn read(text: &str) -> Result<RobotElement, UrdfError> {
     expect_urdf(robot, &lines)?;
     let links = children(robot, "link", &lines).map(|element| element.link()).collect::<Result<_, _>>()?;
     let joints = children(robot, "joint", &lines).map(|element| element.joint()).collect::<Result<_, _>>()?;
+    let of_links = children(robot, "link", &lines).map(|element| of_link(&element)).collect::<Result<_, _>>()?;
     let name = robot.attribute("name").unwrap_or_default().to_owned();
-    Ok(RobotElement { line: Some(lines.line(robot)), name, links, joints })
+    Ok((RobotElement { line: Some(lines.line(robot)), name, links, joints }, of_links))
 }
 
 /// Refuses texts that are unsafe for an XML reader, in one pass without recursion.
@@ -132,10 +141,10 @@ fn malformed(error: &roxmltree::Error) -> UrdfError {
 }
 
 /// Node of the document, with both lifetimes of roxmltree merged.
-type Node<'a> = roxmltree::Node<'a, 'a>;
+pub(super) type Node<'a> = roxmltree::Node<'a, 'a>;
 
 /// Byte index of the start of each line except the first.
-struct Lines(Vec<usize>);
+pub(super) struct Lines(Vec<usize>);
 
 impl Lines {
     fn of(text: &str) -> Self {
@@ -184,11 +193,11 @@ fn children<'a>(robot: Node<'a>, tag: &'static str, lines: &'a Lines) -> impl It
 }
 
 /// A `<link>` or `<joint>` element. The nodes passed to its functions are descendants of this element.
-struct Element<'a> {
-    node: Node<'a>,
+pub(super) struct Element<'a> {
+    pub node: Node<'a>,
     name: &'a str,
     /// Description of the element in errors: `joint 'elbow'`.
-    words: String,
+    pub words: String,
     lines: &'a Lines,
 }
 
@@ -279,8 +288,8 @@ impl<'a> Element<'a> {
         Ok(Some(LimitElement { line: self.line(node), position, velocity, effort }))
     }
 
-    /// Returns the `<origin>` of a joint or an inertia.
-    fn origin(&self, parent: Node<'a>) -> Result<OriginElement, UrdfError> {
+    /// Returns the `<origin>` of a joint, an inertia or a shape.
+    pub fn origin(&self, parent: Node<'a>) -> Result<OriginElement, UrdfError> {
         let Some(node) = self.child(parent, "origin")? else {
             return Ok(OriginElement::default());
         };
@@ -297,7 +306,7 @@ impl<'a> Element<'a> {
     }
 
     /// Returns the child of `parent` with tag `tag`, if there is one. More than one child is an error.
-    fn child(&self, parent: Node<'a>, tag: &'static str) -> Result<Option<Node<'a>>, UrdfError> {
+    pub fn child(&self, parent: Node<'a>, tag: &'static str) -> Result<Option<Node<'a>>, UrdfError> {
         let mut all = parent.children().filter(|n| n.has_tag_name(tag));
         let first = all.next();
         match all.next() {
@@ -309,7 +318,7 @@ impl<'a> Element<'a> {
         }
     }
 
-    fn required(
+    pub fn required(
         &self,
         parent: Node<'a>,
         tag: &'static str,
@@ -318,18 +327,18 @@ impl<'a> Element<'a> {
         self.child(parent, tag)?.ok_or_else(|| self.missing(parent, format!("<{tag}>"), remedy))
     }
 
-    fn attribute(&self, node: Node<'a>, attribute: &str, remedy: &'static str) -> Result<&'a str, UrdfError> {
+    pub fn attribute(&self, node: Node<'a>, attribute: &str, remedy: &'static str) -> Result<&'a str, UrdfError> {
         let value = node.attribute(attribute).map(str::trim);
         value.ok_or_else(|| self.missing(node, place(node, attribute), remedy))
     }
 
-    fn number(&self, node: Node<'a>, attribute: &str, remedy: &'static str) -> Result<f64, UrdfError> {
+    pub fn number(&self, node: Node<'a>, attribute: &str, remedy: &'static str) -> Result<f64, UrdfError> {
         let value = self.attribute(node, attribute, remedy)?;
         finite(value).ok_or_else(|| self.bad_number(node, attribute, value, ONE_NUMBER))
     }
 
     /// Returns the three numbers of an attribute; zeros if it is missing.
-    fn vector(&self, node: Node<'a>, attribute: &str) -> Result<[f64; 3], UrdfError> {
+    pub fn vector(&self, node: Node<'a>, attribute: &str) -> Result<[f64; 3], UrdfError> {
         let Some(value) = node.attribute(attribute) else {
             return Ok([0.0; 3]);
         };
@@ -340,12 +349,12 @@ impl<'a> Element<'a> {
         }
     }
 
-    fn bad_number(&self, node: Node<'a>, attribute: &str, value: &str, wanted: &'static str) -> UrdfError {
+    pub fn bad_number(&self, node: Node<'a>, attribute: &str, value: &str, wanted: &'static str) -> UrdfError {
         let (element, place) = (self.words.clone(), place(node, attribute));
         self.error(node, UrdfErrorKind::BadNumber { element, place, value: value.to_owned(), wanted })
     }
 
-    fn missing(&self, node: Node<'a>, missing: String, remedy: &'static str) -> UrdfError {
+    pub fn missing(&self, node: Node<'a>, missing: String, remedy: &'static str) -> UrdfError {
         self.error(node, UrdfErrorKind::Missing { element: self.words.clone(), missing, remedy })
     }
 
