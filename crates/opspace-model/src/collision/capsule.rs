@@ -72,9 +72,9 @@ pub struct HalfSpace {
     pub offset_m: f64,
 }
 
-/// Object in the world that does not belong to the robot, in world axes.
+/// Shape of a link or an obstacle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Obstacle {
+pub enum CollisionShape {
     /// Capsule or sphere.
     Capsule(Capsule),
     /// Half-space, for example the floor or a wall.

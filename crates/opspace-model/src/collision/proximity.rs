@@ -6,7 +6,7 @@ use nalgebra::{Unit, Vector3};
 
 /// Distance between two axes below which their difference gives no normal, m. It is a hundred thousand roundings of a
 /// coordinate of 10 m.
-const INTERSECTING_M: f64 = 1e-10;
+pub(crate) const INTERSECTING_M: f64 = 1e-10;
 
 /// Signed distance of two objects a and b, with their closest points, in world axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,55 +21,72 @@ pub struct Proximity {
     ///
     /// If the axes of two capsules intersect, it is perpendicular to both; its sign is then arbitrary.
     pub normal: Vector3<f64>,
+    /// Closest points of the axes of a and b, m; for a half-space, the point of its plane.
+    pub(crate) axis_points: [Vector3<f64>; 2],
     /// Closest points as fractions of the lengths of the axes; 0 or 1 at an end.
     pub(crate) fractions: [f64; 2],
-    /// Distance of the axes, m; `None` if b is a half-space.
-    pub(crate) axis_distance: Option<f64>,
+    /// Axes; `None` if b is a half-space.
+    pub(crate) axes: Option<Axes>,
+}
+
+/// Axes of two capsules in world axes, from end to end (m), and their distance (m).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Axes {
+    pub along_a: Vector3<f64>,
+    pub along_b: Vector3<f64>,
+    pub apart_m: f64,
 }
 
 impl Capsule {
     /// Returns the distance of this capsule (a) from another (b).
-    #[inline]
     #[must_use]
     pub fn proximity(&self, other: &Self) -> Proximity {
-        let (a, b) = (self.axis(), other.axis());
-        let fractions = closest_fractions(&a, &b);
-        let (point_a, point_b) = (a.point(fractions[0]), b.point(fractions[1]));
-        let from_b = point_a - point_b;
-        let apart = from_b.norm();
-        let normal =
-            if apart > INTERSECTING_M { from_b / apart } else { normal_at_intersection(&a, &b, &from_b) };
-        Proximity {
-            distance_m: apart - self.radius_m - other.radius_m,
-            point_a_m: point_a - normal * self.radius_m,
-            point_b_m: point_b + normal * other.radius_m,
-            normal,
-            fractions,
-            axis_distance: Some(apart),
-        }
+        between_capsules((&self.axis(), self.radius_m), (&other.axis(), other.radius_m))
     }
 
     /// Returns the distance of this capsule (a) from a half-space (b). If the axis is parallel to the plane, the closest
     /// point is that of the first end.
-    #[inline]
     #[must_use]
     pub fn half_space_proximity(&self, half_space: &HalfSpace) -> Proximity {
-        let normal = half_space.normal;
-        let heights = [normal.dot(&self.start_m), normal.dot(&self.end_m)];
-        let (fraction, end, height) = if heights[0] <= heights[1] {
-            (0.0, self.start_m, heights[0])
-        } else {
-            (1.0, self.end_m, heights[1])
-        };
-        let above = height - half_space.offset_m;
-        Proximity {
-            distance_m: above - self.radius_m,
-            point_a_m: end - normal * self.radius_m,
-            point_b_m: end - normal * above,
-            normal,
-            fractions: [fraction, 0.0],
-            axis_distance: None,
-        }
+        from_half_space((&self.axis(), self.radius_m), half_space)
+    }
+}
+
+/// Returns the distance of two capsules, each given by its axis and its radius (m).
+#[inline]
+pub(crate) fn between_capsules((a, radius_a): (&Segment, f64), (b, radius_b): (&Segment, f64)) -> Proximity {
+    let fractions = closest_fractions(a, b);
+    let (point_a, point_b) = (a.point(fractions[0]), b.point(fractions[1]));
+    let from_b = point_a - point_b;
+    let apart_m = from_b.norm();
+    let normal =
+        if apart_m > INTERSECTING_M { from_b / apart_m } else { normal_at_intersection(a, b, &from_b) };
+    Proximity {
+        distance_m: apart_m - radius_a - radius_b,
+        point_a_m: point_a - normal * radius_a,
+        point_b_m: point_b + normal * radius_b,
+        normal,
+        axis_points: [point_a, point_b],
+        fractions,
+        axes: Some(Axes { along_a: a.along, along_b: b.along, apart_m }),
+    }
+}
+
+/// Returns the distance of a capsule, given by its axis and its radius (m), from a half-space.
+#[inline]
+pub(crate) fn from_half_space((a, radius): (&Segment, f64), half_space: &HalfSpace) -> Proximity {
+    let normal = half_space.normal;
+    let fraction = if normal.dot(&a.along) < 0.0 { 1.0 } else { 0.0 };
+    let end = a.point(fraction);
+    let above = normal.dot(&end) - half_space.offset_m;
+    Proximity {
+        distance_m: above - radius,
+        point_a_m: end - normal * radius,
+        point_b_m: end - normal * above,
+        normal,
+        axis_points: [end, end - normal * above],
+        fractions: [fraction, 0.0],
+        axes: None,
     }
 }
 

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 /// Sine of the angle between two segments below which they count as parallel. The closest points are then not unique,
 /// and the distance is constant along the common part up to this fraction of a length.
-const PARALLEL: f64 = 1e-12;
+pub(crate) const PARALLEL: f64 = 1e-12;
 
 /// Sine of the angle between two segments below which rounding errors may make the closest points of the lines seem to
 /// lie on both segments. The ends are then examined too.

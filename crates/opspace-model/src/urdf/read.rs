@@ -33,7 +33,8 @@ pub(super) fn read_with<S>(
     expect_urdf(robot, &lines)?;
     let links = children(robot, "link", &lines).map(|element| element.link()).collect::<Result<_, _>>()?;
     let joints = children(robot, "joint", &lines).map(|element| element.joint()).collect::<Result<_, _>>()?;
-    let of_links = children(robot, "link", &lines).map(|element| of_link(&element)).collect::<Result<_, _>>()?;
+    let of_links =
+        children(robot, "link", &lines).map(|element| of_link(&element)).collect::<Result<_, _>>()?;
     let name = robot.attribute("name").unwrap_or_default().to_owned();
     Ok((RobotElement { line: Some(lines.line(robot)), name, links, joints }, of_links))
 }
@@ -327,7 +328,12 @@ impl<'a> Element<'a> {
         self.child(parent, tag)?.ok_or_else(|| self.missing(parent, format!("<{tag}>"), remedy))
     }
 
-    pub fn attribute(&self, node: Node<'a>, attribute: &str, remedy: &'static str) -> Result<&'a str, UrdfError> {
+    pub fn attribute(
+        &self,
+        node: Node<'a>,
+        attribute: &str,
+        remedy: &'static str,
+    ) -> Result<&'a str, UrdfError> {
         let value = node.attribute(attribute).map(str::trim);
         value.ok_or_else(|| self.missing(node, place(node, attribute), remedy))
     }
@@ -349,7 +355,13 @@ impl<'a> Element<'a> {
         }
     }
 
-    pub fn bad_number(&self, node: Node<'a>, attribute: &str, value: &str, wanted: &'static str) -> UrdfError {
+    pub fn bad_number(
+        &self,
+        node: Node<'a>,
+        attribute: &str,
+        value: &str,
+        wanted: &'static str,
+    ) -> UrdfError {
         let (element, place) = (self.words.clone(), place(node, attribute));
         self.error(node, UrdfErrorKind::BadNumber { element, place, value: value.to_owned(), wanted })
     }

@@ -95,10 +95,16 @@ fn geometry<'a>(link: &Element<'a>, parent: Node<'a>) -> Result<Geometry, UrdfEr
         return Ok(Geometry::Sphere { radius_m: number(node, "radius")? });
     }
     if let Some(node) = link.child(parent, "cylinder")? {
-        return Ok(Geometry::Cylinder { radius_m: number(node, "radius")?, length_m: number(node, "length")? });
+        return Ok(Geometry::Cylinder {
+            radius_m: number(node, "radius")?,
+            length_m: number(node, "length")?,
+        });
     }
     if let Some(node) = link.child(parent, "capsule")? {
-        return Ok(Geometry::Capsule { radius_m: number(node, "radius")?, length_m: number(node, "length")? });
+        return Ok(Geometry::Capsule {
+            radius_m: number(node, "radius")?,
+            length_m: number(node, "length")?,
+        });
     }
     if let Some(node) = link.child(parent, "box")? {
         let size_m = factors(link, node, "size", |x| x >= 0.0, "three numbers from 0 to 1e9 (m)")?;
@@ -108,7 +114,9 @@ fn geometry<'a>(link: &Element<'a>, parent: Node<'a>) -> Result<Geometry, UrdfEr
         const FILE: &str = "write <mesh filename=\"...\"/>";
         let file = link.attribute(node, "filename", FILE)?.to_owned();
         let scale = match node.has_attribute("scale") {
-            true => factors(link, node, "scale", |x| x != 0.0, "three numbers from -1e9 to 1e9 other than 0")?,
+            true => {
+                factors(link, node, "scale", |x| x != 0.0, "three numbers from -1e9 to 1e9 other than 0")?
+            }
             false => [1.0; 3],
         };
         return Ok(Geometry::Mesh { file, scale });

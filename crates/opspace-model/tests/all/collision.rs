@@ -1,3 +1,5 @@
-//! Collision geometry: distances, their derivatives, enclosing capsules, meshes, and the choice of pairs.
+//! Collision geometry: distances, enclosing capsules, and meshes.
 
+mod capsules;
 mod distance;
+mod meshes;

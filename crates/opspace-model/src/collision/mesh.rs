@@ -1,0 +1,180 @@
+//! Vertices of mesh files: binary and ASCII STL, and OBJ. Everything else in the files is ignored.
+
+mod obj;
+mod stl;
+
+use super::capsule::MAX_LENGTH_M;
+use nalgebra::Vector3;
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Largest size of a mesh file, bytes. The largest meshes for the display of a robot have some ten megabytes; those for
+/// collisions are much smaller.
+pub const MAX_MESH_BYTES: usize = 64 << 20;
+
+/// Format of a mesh file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshFormat {
+    /// STL, binary or ASCII.
+    Stl,
+    /// Wavefront OBJ.
+    Obj,
+}
+
+impl MeshFormat {
+    /// Returns the format of a file name; `None` if it is not read here.
+    #[must_use]
+    pub fn from_name(file: &str) -> Option<Self> {
+        let (_, extension) = file.rsplit_once('.')?;
+        match extension.to_ascii_lowercase().as_str() {
+            "stl" => Some(Self::Stl),
+            "obj" => Some(Self::Obj),
+            _ => None,
+        }
+    }
+}
+
+/// Mesh file that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("link '{link}': mesh {file}: {kind}")]
+#[non_exhaustive]
+pub struct MeshError {
+    /// Link to which the mesh belongs.
+    pub link: String,
+    /// Name of the file in the URDF.
+    pub file: String,
+    /// Kind of the error.
+    pub kind: MeshErrorKind,
+}
+
+/// Reason why a mesh file cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum MeshErrorKind {
+    /// File that cannot be read.
+    #[error("cannot be read: {reason}")]
+    Unreadable {
+        /// Message of the operating system.
+        reason: String,
+    },
+    /// Folder or device instead of a file.
+    #[error("is not a file")]
+    NotAFile,
+    /// File larger than meshes for collisions are.
+    #[error("has {bytes} bytes; at most {MAX_MESH_BYTES} are read: reduce the number of its triangles")]
+    TooLarge {
+        /// Size of the file, bytes.
+        bytes: u64,
+    },
+    /// File without triangles.
+    #[error("has no triangles")]
+    Empty,
+    /// Binary STL file whose size does not match its number of triangles.
+    #[error("is not complete: its {triangles} triangles need {needed} bytes, the file has {bytes}")]
+    Incomplete {
+        /// Number of triangles that the file states.
+        triangles: u32,
+        /// Number of bytes of that many triangles.
+        needed: u64,
+        /// Size of the file, bytes.
+        bytes: usize,
+    },
+    /// Text that is not as the format requires.
+    #[error("line {line}: {reason}")]
+    Malformed {
+        /// Line, from 1.
+        line: usize,
+        /// Description of the error.
+        reason: &'static str,
+    },
+    /// Vertex that is not finite or too far away.
+    #[error("vertex {vertex} has a coordinate that is not finite or larger than 1e9 m, with its scale")]
+    BadVertex {
+        /// Number of the vertex in the file, from 0.
+        vertex: usize,
+    },
+}
+
+/// Returns the vertices of a mesh file with these contents, in the units of the file. Vertices may be repeated.
+///
+/// # Errors
+/// [`MeshErrorKind`] if the contents are incomplete or malformed, or a vertex is not finite or larger than 1e9.
+pub fn mesh_vertices(bytes: &[u8], format: MeshFormat) -> Result<Vec<Vector3<f64>>, MeshErrorKind> {
+    let vertices = match format {
+        MeshFormat::Stl => stl::vertices(bytes)?,
+        MeshFormat::Obj => obj::vertices(bytes)?,
+    };
+    check(&vertices)?;
+    if vertices.is_empty() { Err(MeshErrorKind::Empty) } else { Ok(vertices) }
+}
+
+/// Reads the vertices of a file and scales them; m.
+pub(super) fn read_mesh(
+    path: &Path,
+    format: MeshFormat,
+    scale: &[f64; 3],
+) -> Result<Vec<Vector3<f64>>, MeshErrorKind> {
+    let scale = Vector3::from(*scale);
+    let vertices = mesh_vertices(&read_bytes(path)?, format)?;
+    let vertices: Vec<_> = vertices.iter().map(|vertex| vertex.component_mul(&scale)).collect();
+    check(&vertices)?;
+    Ok(vertices)
+}
+
+/// Returns the path of a mesh that is named in a URDF; `None` if there is no such file.
+///
+/// A relative name is relative to the folder of the URDF. `package://NAME/...` is relative to the closest folder above
+/// the URDF with the name of the package; `file://` precedes an absolute path.
+pub(super) fn find_mesh(file: &str, urdf: Option<&Path>) -> Option<PathBuf> {
+    let path = if let Some(path) = file.strip_prefix("file://") {
+        PathBuf::from(path)
+    } else {
+        let folder = match urdf?.parent()? {
+            current if current.as_os_str().is_empty() => Path::new("."),
+            folder => folder,
+        };
+        match (file.strip_prefix("package://"), file.contains("://")) {
+            (Some(within), _) => {
+                let (package, file) = within.split_once('/')?;
+                let inside = |above: &Path| (above.file_name()? == package).then(|| above.join(file));
+                fs::canonicalize(folder).ok()?.ancestors().find_map(inside)?
+            }
+            (None, true) => return None,
+            (None, false) => folder.join(file),
+        }
+    };
+    path.exists().then_some(path)
+}
+
+/// Reads a file up to the largest size. Devices and pipes are not opened, as reading them may not end.
+fn read_bytes(path: &Path) -> Result<Vec<u8>, MeshErrorKind> {
+    let unreadable = |error: std::io::Error| MeshErrorKind::Unreadable { reason: error.to_string() };
+    let metadata = fs::metadata(path).map_err(unreadable)?;
+    if !metadata.is_file() {
+        return Err(MeshErrorKind::NotAFile);
+    }
+    let limit = MAX_MESH_BYTES as u64;
+    let mut bytes = Vec::new();
+    if metadata.len() <= limit {
+        // A file that grows meanwhile is not read beyond the limit either.
+        File::open(path).map_err(unreadable)?.take(limit + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    }
+    let size = metadata.len().max(bytes.len() as u64);
+    if size > limit { Err(MeshErrorKind::TooLarge { bytes: size }) } else { Ok(bytes) }
+}
+
+fn check(vertices: &[Vector3<f64>]) -> Result<(), MeshErrorKind> {
+    let is_bad = |vertex: &Vector3<f64>| !vertex.iter().all(|x| x.abs() <= MAX_LENGTH_M);
+    match vertices.iter().position(is_bad) {
+        Some(vertex) => Err(MeshErrorKind::BadVertex { vertex }),
+        None => Ok(()),
+    }
+}
+
+/// Returns the three numbers of a vertex; further numbers (a weight, a color) are ignored.
+fn three_numbers<'a>(mut words: impl Iterator<Item = &'a str>) -> Option<Vector3<f64>> {
+    let mut next = || words.next()?.parse::<f64>().ok();
+    Some(Vector3::new(next()?, next()?, next()?))
+}
