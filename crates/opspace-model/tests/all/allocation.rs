@@ -1,8 +1,13 @@
 //! Checks with a counting allocator that no algorithm allocates after its data are created.
 #![expect(clippy::unwrap_used, reason = "a test")]
 
+use crate::collision::robot;
 use nalgebra::{DMatrix, Matrix3xX, Matrix6xX, Vector3};
 use opspace_model::batch::{self, Lanes};
+use opspace_model::collision::{
+    Capsule, CollisionData, CollisionShape, HalfSpace, collision_distances, distance_bias_acceleration,
+    distance_gradient,
+};
 use opspace_model::{
     Data, Force, FrameId, Inertia, Limits, Model, OperationalSpace, Placement, Real, UrdfOptions, aba,
     aba_derivatives, aba_external, bias, center_of_mass, centroidal_map, centroidal_momentum, cholesky,
@@ -195,6 +200,34 @@ fn no_model_change_allocates() {
         assert_ne!(model.frame(tip).placement, rest, "{robot}: the frame was moved");
         assert_eq!(model.joints()[last].limits, Limits::NONE, "{robot}");
     }
+}
+
+/// Checks the distances of all pairs, with their derivatives, and obstacles that move between two cycles.
+#[test]
+fn no_distance_allocates() {
+    let (model, mut collision) = robot("panda");
+    let floor = HalfSpace { normal: Vector3::z(), offset_m: 0.0 };
+    let ball = |x| CollisionShape::Capsule(Capsule::sphere(Vector3::new(x, 0.3, 0.3), 0.1));
+    collision.add_obstacle("floor", CollisionShape::HalfSpace(floor)).unwrap();
+    let obstacle = collision.add_obstacle("ball", ball(0.3)).unwrap();
+    let (mut data, mut near) = (Data::new(&model), CollisionData::new(&collision));
+    let mut gradient = vec![0.0; model.n()];
+    let (q, dq) = (state(&model), vec![0.2; model.n()]);
+    let mut rows = 0;
+    let count = allocations(|| {
+        kinematics(&model, &mut data, &q, &dq);
+        for within_m in [0.0, 0.1, f64::INFINITY] {
+            collision.move_obstacle(obstacle, ball(within_m.min(0.5))).unwrap();
+            collision_distances(&collision, &model, &data, within_m, &mut near);
+            for (pair, proximity) in near.near() {
+                distance_gradient(&collision, &model, &data, pair, proximity, &mut gradient);
+                black_box(distance_bias_acceleration(&collision, &data, pair, proximity));
+                rows += 1;
+            }
+        }
+    });
+    assert_eq!(count, 0);
+    assert!(rows >= collision.pairs().len(), "{rows}");
 }
 
 /// Checks that the factor refuses a non-finite state without an allocation.

@@ -1,0 +1,113 @@
+//! Distances of all pairs of a collision model in one state.
+
+use super::capsule::{CollisionShape, HalfSpace};
+use super::model::{CollisionModel, Holder};
+use super::proximity::{Proximity, between_capsules, from_half_space};
+use super::segment::Segment;
+use crate::data::Data;
+use crate::model::Model;
+use crate::spatial::Placement;
+use nalgebra::Vector3;
+
+/// Results for all pairs of a collision model, allocated once. By [`collision_distances`].
+#[derive(Clone, Debug)]
+pub struct CollisionData {
+    /// Proximity of each pair, in the order of [`CollisionModel::pairs`]; `None` if the objects are farther apart than
+    /// requested.
+    pub proximity: Vec<Option<Proximity>>,
+    /// Capsules in world axes, in the order of the objects; their lengths are zero for half-spaces.
+    placed: Vec<Placed>,
+}
+
+/// Capsule in world axes.
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    axis: Segment,
+    middle: Vector3<f64>,
+    radius_m: f64,
+    reach_m: f64,
+}
+
+impl CollisionData {
+    /// Allocates the results for `collision`. All pairs are far apart until their distances are computed.
+    #[must_use]
+    pub fn new(collision: &CollisionModel) -> Self {
+        let zero = Vector3::zeros();
+        let point =
+            Placed { axis: Segment { start: zero, along: zero }, middle: zero, radius_m: 0.0, reach_m: 0.0 };
+        Self {
+            proximity: vec![None; collision.pairs().len()],
+            placed: vec![point; collision.objects().len()],
+        }
+    }
+
+    /// Returns the pairs that are within the requested distance, each with its index in [`CollisionModel::pairs`].
+    pub fn near(&self) -> impl Iterator<Item = (usize, &Proximity)> {
+        self.proximity.iter().enumerate().filter_map(|(pair, proximity)| Some((pair, proximity.as_ref()?)))
+    }
+}
+
+/// Computes the distances of all pairs that are at most `within_m` apart. Pairs whose enclosing spheres are farther apart
+/// are skipped; `f64::INFINITY` computes all. Needs [`forward_kinematics`](crate::forward_kinematics). Does not allocate.
+///
+/// If a joint position is not finite, the distances that depend on it are NaN.
+///
+/// # Panics
+/// If `out` was allocated for a collision model with fewer objects or another number of pairs.
+pub fn collision_distances(
+    collision: &CollisionModel,
+    model: &Model,
+    data: &Data,
+    within_m: f64,
+    out: &mut CollisionData,
+) {
+    assert_eq!(out.proximity.len(), collision.pairs.len(), "one row for each pair");
+    place(collision, model, data, out);
+    let placed = &out.placed[..collision.objects.len()];
+    for (row, pair) in out.proximity.iter_mut().zip(&collision.pairs) {
+        let a = &placed[pair.a];
+        let proximity = match &collision.objects[pair.b].shape {
+            CollisionShape::Capsule(_) => near_capsules(a, &placed[pair.b], within_m),
+            CollisionShape::HalfSpace(half_space) => near_half_space(a, half_space, within_m),
+        };
+        // A distance that is not a number is not skipped.
+        *row = proximity.filter(|proximity| !is_beyond(proximity.distance_m, within_m));
+    }
+}
+
+/// Computes the capsules in world axes.
+fn place(collision: &CollisionModel, model: &Model, data: &Data, out: &mut CollisionData) {
+    for (placed, object) in out.placed.iter_mut().zip(&collision.objects) {
+        let CollisionShape::Capsule(capsule) = &object.shape else { continue };
+        let placement = match object.holder {
+            Holder::Body(body) => data.placement[body],
+            Holder::Base => model.base(),
+            Holder::World => Placement::identity(),
+        };
+        let axis = capsule.placed(&placement).axis();
+        *placed =
+            Placed { axis, middle: axis.point(0.5), radius_m: capsule.radius_m, reach_m: object.reach_m };
+    }
+}
+
+/// Returns true if a distance is certainly larger than `within`: false for NaN.
+#[inline]
+fn is_beyond(distance: f64, within: f64) -> bool {
+    distance > within
+}
+
+#[inline]
+fn near_capsules(a: &Placed, b: &Placed, within_m: f64) -> Option<Proximity> {
+    // Compared without a square root: the sum is not negative unless `within_m` is.
+    let apart = a.reach_m + b.reach_m + within_m;
+    if is_beyond((a.middle - b.middle).norm_squared(), apart * apart) && apart >= 0.0 {
+        return None;
+    }
+    Some(between_capsules((&a.axis, a.radius_m), (&b.axis, b.radius_m)))
+}
+
+#[inline]
+fn near_half_space(a: &Placed, half_space: &HalfSpace, within_m: f64) -> Option<Proximity> {
+    let above = half_space.normal.dot(&a.middle) - half_space.offset_m - a.reach_m;
+    (!is_beyond(above, within_m)).then(|| from_half_space((&a.axis, a.radius_m), half_space))
+}
