@@ -10,17 +10,18 @@
 //! # let urdf = include_str!("../urdf/ur5e.urdf");
 //! use nalgebra::Vector3;
 //! use opspace_model::collision::{
-//!     CollisionData, CollisionModel, CollisionShape, HalfSpace, collision_distances,
+//!     CollisionData, CollisionModel, CollisionShape, HalfSpace, PairSampling, collision_distances,
 //!     distance_bias_acceleration, distance_gradient, generate_capsules,
 //! };
 //! use opspace_model::{Data, Model, kinematics, urdf::link_shapes};
 //!
-//! // After loading: capsules from shapes, meshes or inertias; the floor.
+//! // After loading: capsules from shapes, meshes or inertias; the floor; pairs that can be kept apart.
 //! let model = Model::from_urdf(urdf)?.model;
 //! let generated = generate_capsules(&link_shapes(urdf)?, None).expect("no damaged mesh");
 //! let mut collision = CollisionModel::new(&model, &generated.capsules).expect("links of the model");
 //! let floor = HalfSpace { normal: Vector3::z(), offset_m: 0.0 };
 //! collision.add_obstacle("floor", CollisionShape::HalfSpace(floor)).expect("a valid plane");
+//! collision.drop_unneeded_pairs(&model, &PairSampling::default());
 //!
 //! // In each control cycle, without allocation.
 //! let (mut data, mut near) = (Data::new(&model), CollisionData::new(&collision));
@@ -42,6 +43,8 @@ mod generate;
 mod gradient;
 mod mesh;
 mod model;
+mod pairs;
+mod postures;
 mod proximity;
 mod segment;
 
@@ -52,4 +55,5 @@ pub use generate::{CapsuleWarning, GeneratedCapsules, generate_capsules};
 pub use gradient::{distance_bias_acceleration, distance_gradient};
 pub use mesh::{MAX_MESH_BYTES, MeshError, MeshErrorKind, MeshFormat, mesh_vertices};
 pub use model::{CollisionError, CollisionModel, CollisionObject, CollisionPair, Holder};
+pub use pairs::{DropReason, DroppedPair, PairSampling};
 pub use proximity::Proximity;

@@ -4,6 +4,7 @@ mod capsules;
 mod derivatives;
 mod distance;
 mod meshes;
+mod pairs;
 
 use opspace_model::collision::{CollisionModel, generate_capsules};
 use opspace_model::urdf::link_shapes;
