@@ -10,6 +10,11 @@
 
 use nalgebra::{Matrix6xX, Rotation3, UnitQuaternion, Vector3, Vector6};
 use opspace_model::batch::{self, Lanes};
+use opspace_model::collision::{
+    CollisionData, CollisionModel, PairSampling, collision_distances, distance_bias_acceleration,
+    distance_gradient, generate_capsules,
+};
+use opspace_model::urdf::link_shapes;
 use opspace_model::{
     Data, FrameId, Inertia, Joint, JointKind, Limits, Model, OperationalSpace, Placement, Real, aba,
     aba_derivatives, bias, centroidal_map, cholesky, crba, forward_kinematics, frame_bias_acceleration,
@@ -70,6 +75,7 @@ fn main() {
     if names.is_empty() {
         scaling(calls);
         batches(calls);
+        distances(calls);
     }
 }
 
@@ -298,4 +304,58 @@ fn sweep<T: Real>(
         aba(model, black_box(data), &tau[i]);
     });
     results
+}
+
+/// Largest distance of the pairs whose derivatives are computed, m.
+const NEAR_M: f64 = 0.1;
+
+/// Measures the distances of all pairs of capsules, and with the gradient and the bias acceleration of those that are near;
+/// without the kinematics, which are measured alone and subtracted.
+fn distances(calls: usize) {
+    println!("\ndistances of capsules: ns without kinematics");
+    println!("{:12}{:>8}{:>8}{:>12}{:>12}", "", "pairs", "near", "distances", "+ gradients");
+    for robot in ["panda_arm7", "panda", "ur5"] {
+        let text = urdf(robot);
+        let model = Model::from_urdf(&text).expect("it is a good one").model;
+        let links = link_shapes(&text).expect("it is a good one");
+        let capsules = generate_capsules(&links, None).expect("no mesh").capsules;
+        let all = CollisionModel::new(&model, &capsules).expect("links of the model");
+        let mut chosen = all.clone();
+        chosen.drop_unneeded_pairs(&model, &PairSampling::default());
+        for collision in [all, chosen] {
+            let (near, distances, gradients) = measure_distances(&model, &collision, calls);
+            let pairs = collision.pairs().len();
+            println!("{robot:12}{pairs:8}{near:8.1}{distances:12.0}{gradients:12.0}");
+        }
+    }
+}
+
+/// Returns the mean number of near pairs, and the times of their distances without and with derivatives, ns.
+fn measure_distances(model: &Model, collision: &CollisionModel, calls: usize) -> (f64, f64, f64) {
+    let (mut data, States { q, dq, .. }) = (Data::new(model), States::new(model));
+    let mut near = CollisionData::new(collision);
+    let mut gradient = vec![0.0; model.n()];
+    let mut count = 0;
+    for (q, dq) in q.iter().zip(&dq) {
+        kinematics(model, &mut data, q, dq);
+        collision_distances(collision, model, &data, NEAR_M, &mut near);
+        count += near.near().count();
+    }
+    let mut measure = |stage: usize| {
+        time(calls, |i| {
+            kinematics(model, &mut data, black_box(&q[i]), &dq[i]);
+            if stage > 0 {
+                collision_distances(collision, model, &data, NEAR_M, black_box(&mut near));
+            }
+            if stage > 1 {
+                for (pair, proximity) in near.near() {
+                    distance_gradient(collision, model, &data, pair, proximity, black_box(&mut gradient));
+                    black_box(distance_bias_acceleration(collision, &data, pair, proximity));
+                }
+            }
+        })
+    };
+    // The first round warms up.
+    let [_, alone, distances, gradients] = [1, 0, 1, 2].map(&mut measure);
+    (count as f64 / STATES as f64, distances - alone, gradients - alone)
 }

@@ -56,7 +56,7 @@ impl Capsule {
 
     #[inline]
     pub(crate) fn axis(&self) -> Segment {
-        Segment { start: self.start_m, along: self.end_m - self.start_m }
+        Segment::new(self.start_m, self.end_m - self.start_m)
     }
 }
 

@@ -3,7 +3,7 @@
 use super::capsule::{CollisionShape, HalfSpace};
 use super::model::{CollisionModel, Holder};
 use super::proximity::{Proximity, between_capsules, from_half_space};
-use super::segment::Segment;
+use super::segment::{Segment, closest_fractions};
 use crate::data::Data;
 use crate::model::Model;
 use crate::spatial::Placement;
@@ -33,8 +33,7 @@ impl CollisionData {
     #[must_use]
     pub fn new(collision: &CollisionModel) -> Self {
         let zero = Vector3::zeros();
-        let point =
-            Placed { axis: Segment { start: zero, along: zero }, middle: zero, radius_m: 0.0, reach_m: 0.0 };
+        let point = Placed { axis: Segment::new(zero, zero), middle: zero, radius_m: 0.0, reach_m: 0.0 };
         Self {
             proximity: vec![None; collision.pairs().len()],
             placed: vec![point; collision.objects().len()],
@@ -98,12 +97,23 @@ fn is_beyond(distance: f64, within: f64) -> bool {
 
 #[inline]
 fn near_capsules(a: &Placed, b: &Placed, within_m: f64) -> Option<Proximity> {
-    // Compared without a square root: the sum is not negative unless `within_m` is.
-    let apart = a.reach_m + b.reach_m + within_m;
-    if is_beyond((a.middle - b.middle).norm_squared(), apart * apart) && apart >= 0.0 {
+    // Squares are compared: no square root is needed for pairs that are far apart.
+    if is_beyond_square((a.middle - b.middle).norm_squared(), a.reach_m + b.reach_m + within_m) {
         return None;
     }
-    Some(between_capsules((&a.axis, a.radius_m), (&b.axis, b.radius_m)))
+    let fractions = closest_fractions(&a.axis, &b.axis);
+    let apart = a.axis.point(fractions[0]) - b.axis.point(fractions[1]);
+    // With a margin for rounding: the caller compares the distance itself.
+    if is_beyond_square(apart.norm_squared() * 0.999_999, a.radius_m + b.radius_m + within_m) {
+        return None;
+    }
+    Some(between_capsules((&a.axis, a.radius_m), (&b.axis, b.radius_m), fractions))
+}
+
+/// Returns true if a distance, given by its square, is certainly larger than `within`.
+#[inline]
+fn is_beyond_square(square: f64, within: f64) -> bool {
+    within < 0.0 || is_beyond(square, within * within)
 }
 
 #[inline]

@@ -41,7 +41,8 @@ impl Capsule {
     /// Returns the distance of this capsule (a) from another (b).
     #[must_use]
     pub fn proximity(&self, other: &Self) -> Proximity {
-        between_capsules((&self.axis(), self.radius_m), (&other.axis(), other.radius_m))
+        let (a, b) = (self.axis(), other.axis());
+        between_capsules((&a, self.radius_m), (&b, other.radius_m), closest_fractions(&a, &b))
     }
 
     /// Returns the distance of this capsule (a) from a half-space (b). If the axis is parallel to the plane, the closest
@@ -52,10 +53,14 @@ impl Capsule {
     }
 }
 
-/// Returns the distance of two capsules, each given by its axis and its radius (m).
+/// Returns the distance of two capsules, each given by its axis and its radius (m), whose axes are closest at these
+/// fractions of their lengths.
 #[inline]
-pub(crate) fn between_capsules((a, radius_a): (&Segment, f64), (b, radius_b): (&Segment, f64)) -> Proximity {
-    let fractions = closest_fractions(a, b);
+pub(crate) fn between_capsules(
+    (a, radius_a): (&Segment, f64),
+    (b, radius_b): (&Segment, f64),
+    fractions: [f64; 2],
+) -> Proximity {
     let (point_a, point_b) = (a.point(fractions[0]), b.point(fractions[1]));
     let from_b = point_a - point_b;
     let apart_m = from_b.norm();
