@@ -1,10 +1,10 @@
 //! Collision geometry: distances between the links of a robot, and between links and obstacles, with their derivatives.
 //!
 //! Links are enclosed by [`Capsule`]s, because the distance of two capsules has a closed form and a gradient almost
-//! everywhere. The [`CollisionModel`] is a second model beside [`Model`](crate::Model): it has the capsules of the robot,
-//! obstacles in the world, and the pairs whose distances are of interest; [`CollisionData`] has their distances in one
-//! state. Limits that keep pairs apart are not part of this crate: they are rows
-//! gradientᵀ q̈ + [`distance_bias_acceleration`] ≥ lower bound.
+//! everywhere. The [`CollisionModel`] is a second model beside [`Model`](crate::Model): it has the capsules of the
+//! robot, obstacles in the world, and the pairs whose distances are of interest; [`CollisionData`] has their distances
+//! in one state. Limits that keep pairs apart are not part of this crate: they are rows gradientᵀ q̈ +
+//! [`distance_bias_acceleration`] ≥ lower bound.
 //!
 //! ```
 //! # let urdf = include_str!("../urdf/ur5e.urdf");

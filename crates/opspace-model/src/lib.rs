@@ -24,7 +24,8 @@
 //!
 //! A [`Model`] describes the robot. [`Data`] holds the results and intermediate values for that model and is allocated
 //! once. The algorithms are functions of both, one per file, with the names of the textbook (Featherstone, *Rigid Body
-//! Dynamics Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, building a model and [`samples`] do.
+//! Dynamics Algorithms*, "RBDA"). No algorithm allocates; reading a URDF, building a model or its collision
+//! geometry, and [`samples`] do.
 //!
 //! | wanted | here | in Pinocchio |
 //! |---|---|---|
@@ -40,6 +41,7 @@
 //! | Λ, J̄, N | [`OperationalSpace`] | – |
 //! | q ⊕ v, q₁ ⊖ q₀ | [`integrate`], [`difference`] | `integrate`, `difference` |
 //! | locked joints | [`Model::with_locked_joints`] | `buildReducedModel` |
+//! | distances of links, with derivatives | [`collision`] | `computeDistances` |
 //! | many states at once | `batch`, with feature `simd` | – |
 //!
 //! Conventions: SI units; rad and Nm mean m and N for prismatic joints. Frames and data must belong to the model that

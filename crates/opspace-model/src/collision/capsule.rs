@@ -95,8 +95,8 @@ pub enum CapsuleSource {
     Box,
     /// `<mesh>` of the URDF.
     Mesh,
-    /// Inertia of the link: the capsule encloses the uniform ellipsoid with the same mass and moments. The link itself may
-    /// be larger.
+    /// Inertia of the link: the capsule encloses the uniform ellipsoid with the same mass and moments. The link itself
+    /// may be larger.
     Inertia,
     /// Given by the user.
     User,

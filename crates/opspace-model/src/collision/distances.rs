@@ -46,8 +46,9 @@ impl CollisionData {
     }
 }
 
-/// Computes the distances of all pairs that are at most `within_m` apart. Pairs whose enclosing spheres are farther apart
-/// are skipped; `f64::INFINITY` computes all. Needs [`forward_kinematics`](crate::forward_kinematics). Does not allocate.
+/// Computes the distances of all pairs that are at most `within_m` apart. Pairs whose enclosing spheres are farther
+/// apart are skipped; `f64::INFINITY` computes all. Needs [`forward_kinematics`](crate::forward_kinematics). Does not
+/// allocate.
 ///
 /// If a joint position is not finite, the distances that depend on it are NaN.
 ///

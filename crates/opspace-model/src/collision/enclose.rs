@@ -35,7 +35,7 @@ pub(super) fn around_cylinder(half_length: f64, radius: f64) -> (f64, f64) {
 }
 
 /// Returns a capsule around the uniform ellipsoid with the mass and the moments of `inertia`; `None` without mass or
-/// moments.
+/// moments, and if it is larger than any link (a mass close to zero).
 ///
 /// The squared semi-axes are 5 (I₂ + I₃ − I₁) / 2m and so on. With the two longest a ≥ b, the capsule of radius b whose
 /// axis reaches to a − b encloses the ellipsoid: it touches its tip and its waist.
@@ -49,13 +49,14 @@ pub(super) fn around_inertia(inertia: &Inertia) -> Option<Capsule> {
     }
     let along = axes[0] * (longest - second);
     let radius_m = second * ROUNDED_UP;
-    Some(Capsule { start_m: inertia.com - along, end_m: inertia.com + along, radius_m })
+    let capsule = Capsule { start_m: inertia.com - along, end_m: inertia.com + along, radius_m };
+    capsule.is_valid().then_some(capsule)
 }
 
 /// Returns a small capsule that encloses all points (m); `None` without points.
 ///
-/// The axis is searched from the three principal axes of the points. The radius is then the largest distance of any point
-/// from the axis, so that every point is enclosed whatever the search has found.
+/// The axis is searched from the three principal axes of the points. The radius is then the largest distance of any
+/// point from the axis, so that every point is enclosed whatever the search has found.
 pub fn enclosing_capsule(points: &[Vector3<f64>]) -> Option<Capsule> {
     let far = extreme_points(points);
     let mean = far.iter().sum::<Vector3<f64>>() / far.len().max(1) as f64;

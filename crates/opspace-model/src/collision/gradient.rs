@@ -1,4 +1,5 @@
-//! Gradient of a distance with respect to the joint positions, and its second time derivative at zero joint acceleration.
+//! Gradient of a distance with respect to the joint positions, and its second time derivative at zero joint
+//! acceleration.
 
 use super::model::{CollisionModel, Holder};
 use super::proximity::{Axes, INTERSECTING_M, Proximity};
@@ -10,10 +11,11 @@ use nalgebra::Vector3;
 
 /// Computes the gradient (n; 1 for a joint in m, m/rad) of the distance of a pair with respect to the joint positions:
 /// nᵀ (J_a − J_b), with the normal n and the Jacobians of the closest points. Then gradientᵀ q̇ is the rate of the
-/// distance. `proximity` is that of the pair, by [`collision_distances`](super::collision_distances), in the same state. Does not allocate.
+/// distance. `proximity` is that of the pair, by [`collision_distances`](super::collision_distances), in the same
+/// state. Does not allocate.
 ///
-/// Sliding of the closest points along the surfaces does not contribute, as their distance is the smallest. At a state in
-/// which the closest points jump (parallel axes), the gradient is that of the points in `proximity`; if the axes
+/// Sliding of the closest points along the surfaces does not contribute, as their distance is the smallest. At a state
+/// in which the closest points jump (parallel axes), the gradient is that of the points in `proximity`; if the axes
 /// intersect, it is that of the normal in `proximity`, along which the depth decreases.
 ///
 /// # Panics
@@ -48,19 +50,19 @@ pub fn distance_gradient(
 /// gradientᵀ q̈ plus this value. Needs [`kinematics`](crate::kinematics()). `proximity` is that of the pair, by
 /// [`collision_distances`](super::collision_distances), in the same state. Does not allocate.
 ///
-/// With w the vector from the closest point of axis b to that of axis a, fixed in their bodies, d = |w|, n = w/d, and ẇ⊥
-/// the part of ẇ across n,
+/// With w the vector from the closest point of axis b to that of axis a, fixed in their bodies, d = |w|, n = w/d, and
+/// ẇ⊥ the part of ẇ across n,
 ///
 /// d̈ = nᵀẅ + (|ẇ⊥|² − hᵀH⁻¹h) / d.
 ///
-/// The first term contains J̇ q̇ of both points, |ẇ⊥|²/d is the rotation of the normal, and the last term the sliding of
-/// the closest points along the axes: H is the Hessian of ½|w|² with respect to the positions on the axes, h the time
-/// derivative of its gradient, for those axes on which the closest point is not an end. This is the second derivative of
-/// a minimum over parameters, by the implicit function theorem.
+/// The first term contains J̇ q̇ of both points, |ẇ⊥|²/d is the rotation of the normal, and the last term the sliding
+/// of the closest points along the axes: H is the Hessian of ½|w|² with respect to the positions on the axes, h the
+/// time derivative of its gradient, for those axes on which the closest point is not an end. This is the second
+/// derivative of a minimum over parameters, by the implicit function theorem.
 ///
-/// The value is exact where the distance is twice differentiable. Where a closest point reaches or leaves an end, d̈ jumps,
-/// and the value is that of one side. For parallel axes, the point of a slides and that of b does not. If the axes are
-/// closer than 1e-10 m, only the first term is computed; just above, the second term is large and positive.
+/// The value is exact where the distance is twice differentiable. Where a closest point reaches or leaves an end, d̈
+/// jumps, and the value is that of one side. For parallel axes, the point of a slides and that of b does not. If the
+/// axes are closer than 1e-10 m, only the first term is computed; just above, the second term is large and positive.
 #[must_use]
 pub fn distance_bias_acceleration(
     collision: &CollisionModel,

@@ -43,8 +43,8 @@ pub struct CollisionObject {
     pub(crate) reach_m: f64,
 }
 
-/// Pair of objects whose distance is computed: their indices in [`CollisionModel::objects`]. The first one is a capsule of
-/// the robot.
+/// Pair of objects whose distance is computed: their indices in [`CollisionModel::objects`]. The first one is a capsule
+/// of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CollisionPair {
@@ -88,7 +88,8 @@ pub enum CollisionError {
     },
     /// Number that is not finite or too large, a negative radius, or a normal without length.
     #[error(
-        "'{name}': its ends, radius or offset must be finite and at most 1e9 m, its radius not negative, its normal a direction"
+        "'{name}': its ends, radius or offset must be finite and at most 1e9 m, its radius not negative, its normal \
+         a direction"
     )]
     BadNumber {
         /// Name of the capsule or obstacle.
@@ -105,8 +106,8 @@ pub enum CollisionError {
 }
 
 impl CollisionModel {
-    /// Returns the collision model of a robot with these capsules, without obstacles. Its pairs are all pairs of capsules
-    /// on different bodies that are not parent and child.
+    /// Returns the collision model of a robot with these capsules, without obstacles. Its pairs are all pairs of
+    /// capsules on different bodies that are not parent and child.
     ///
     /// # Errors
     /// [`CollisionError`] if a link is unknown, a name is used twice or a number is invalid.
@@ -163,8 +164,8 @@ impl CollisionModel {
         Ok(())
     }
 
-    /// Removes all pairs of two objects. Each is named by its own name, or by a link, for all capsules of the link. Returns
-    /// the number of removed pairs.
+    /// Removes all pairs of two objects. Each is named by its own name, or by a link, for all capsules of the link.
+    /// Returns the number of removed pairs.
     ///
     /// # Errors
     /// [`CollisionError::UnknownName`].
@@ -200,8 +201,8 @@ impl CollisionModel {
         [&self.objects[a].name, &self.objects[b].name]
     }
 
-    /// Returns the capsules of the robot in the frames of their links, as they were given: a list that can be written to a
-    /// file, corrected and read again.
+    /// Returns the capsules of the robot in the frames of their links, as they were given: a list that can be written
+    /// to a file, corrected and read again.
     #[must_use]
     pub fn capsules(&self) -> &[LinkCapsule] {
         &self.capsules

@@ -12,8 +12,8 @@ use crate::model::Model;
 pub struct PairSampling {
     /// Number of postures over the whole ranges of the joints; 5000 by default.
     pub postures: usize,
-    /// Distance within which a pair must come in a posture to be kept, m; 0.05 by default. It covers what lies between the
-    /// postures.
+    /// Distance within which a pair must come in a posture to be kept, m; 0.05 by default. It covers what lies between
+    /// the postures.
     pub margin_m: f64,
     /// Number of postures around the middle of the ranges; 200 by default.
     pub middle_postures: usize,
@@ -48,14 +48,14 @@ pub enum DropReason {
 }
 
 impl CollisionModel {
-    /// Drops the pairs that penetrate each other in all postures around the middle of the joint ranges, and the pairs that
-    /// come within a margin in no posture within the joint limits. Returns the dropped pairs. Allocates: call it once after
-    /// loading.
+    /// Drops the pairs that penetrate each other in all postures around the middle of the joint ranges, and the pairs
+    /// that come within a margin in no posture within the joint limits. Returns the dropped pairs. Allocates: call it
+    /// once after loading.
     ///
-    /// The postures are a deterministic sequence that fills the ranges evenly; joints without limits have ±π rad or ±1 m. A
-    /// narrow part of the ranges in which a pair comes near may be missed. A limit keeps no pair apart that is dropped:
-    /// check the list of pairs that always collide, which are usually capsules that are larger than their links. Pairs of
-    /// a floating base's robot with obstacles are kept.
+    /// The postures are a deterministic sequence that fills the ranges evenly; joints without limits have ±π rad or ±1
+    /// m. A narrow part of the ranges in which a pair comes near may be missed. A limit keeps no pair apart that is
+    /// dropped: check the list of pairs that always collide, which are usually capsules that are larger than their
+    /// links. Pairs of a floating base's robot with obstacles are kept.
     pub fn drop_unneeded_pairs(&mut self, model: &Model, sampling: &PairSampling) -> Vec<DroppedPair> {
         let count = self.pairs.len();
         let kept = |i: usize| model.is_floating() && self.objects[self.pairs[i].b].holder == Holder::World;

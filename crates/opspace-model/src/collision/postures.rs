@@ -4,8 +4,8 @@ use crate::configuration::neutral;
 use crate::model::{JointKind, Limits, Model};
 use std::f64::consts::PI;
 
-/// Low-discrepancy sequence of postures within the joint limits (Roberts' generalised golden ratio), or within a part of
-/// each range around its middle. A floating base stays at its neutral pose.
+/// Low-discrepancy sequence of postures within the joint limits (Roberts' generalised golden ratio), or within a part
+/// of each range around its middle. A floating base stays at its neutral pose.
 pub(super) struct Postures<'a> {
     model: &'a Model,
     /// Fraction of each range that is used.

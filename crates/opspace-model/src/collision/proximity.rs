@@ -45,8 +45,8 @@ impl Capsule {
         between_capsules((&a, self.radius_m), (&b, other.radius_m), closest_fractions(&a, &b))
     }
 
-    /// Returns the distance of this capsule (a) from a half-space (b). If the axis is parallel to the plane, the closest
-    /// point is that of the first end.
+    /// Returns the distance of this capsule (a) from a half-space (b). If the axis is parallel to the plane, the
+    /// closest point is that of the first end.
     #[must_use]
     pub fn half_space_proximity(&self, half_space: &HalfSpace) -> Proximity {
         from_half_space((&self.axis(), self.radius_m), half_space)

@@ -52,8 +52,8 @@ impl Segment {
 }
 
 /// Returns the fractions of the lengths of `a` and `b` at which they are closest. A fraction is exactly 0 or 1 if the
-/// closest point is an end. If the closest points of parallel segments are not unique, those in the middle of the common
-/// part are returned.
+/// closest point is an end. If the closest points of parallel segments are not unique, those in the middle of the
+/// common part are returned.
 ///
 /// This is the method of Ericson, *Real-Time Collision Detection*, 5.1.9, if the segments are not nearly parallel.
 #[inline]

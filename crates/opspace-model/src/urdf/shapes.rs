@@ -67,8 +67,8 @@ pub enum Geometry {
 /// Returns the collision shapes of all links of a URDF, in the order of the file.
 ///
 /// # Errors
-/// [`UrdfError`] if [`Model::from_urdf`](crate::Model::from_urdf) refuses an element, or if a `<collision>` has a missing
-/// or malformed element.
+/// [`UrdfError`] if [`Model::from_urdf`](crate::Model::from_urdf) refuses an element, or if a `<collision>` has a
+/// missing or malformed element.
 pub fn link_shapes(text: &str) -> Result<Vec<LinkShapes>, UrdfError> {
     let (robot, shapes) = read::read_with(text, shapes_of_link)?;
     let Checked { description, .. } = check::check(robot)?;

@@ -12,6 +12,7 @@ mod inputs;
 mod limits;
 mod log;
 mod mcap_file;
+mod mesh;
 mod messages;
 mod overrides;
 mod recorded;

@@ -8,8 +8,12 @@ use crate::{CORPUS, text, texts};
 use opspace_experiment::Source;
 use opspace_experiment::files::robot::load_urdf;
 use opspace_experiment::files::template;
+use opspace_model::collision::{
+    CollisionData, CollisionError, CollisionModel, collision_distances, generate_capsules,
+};
 use opspace_model::samples::{Sample, evaluate};
-use opspace_model::{Model, UrdfOptions, model_warnings};
+use opspace_model::urdf::link_shapes;
+use opspace_model::{Data, Model, UrdfOptions, forward_kinematics, model_warnings, neutral};
 
 /// Most memory for one file, bytes.
 const MOST_BYTES: usize = 64 << 20;
@@ -19,8 +23,8 @@ const ROUNDING: f64 = 1e-9;
 
 /// An error names the file and an existing line. The model of an accepted file has finite numbers, orthonormal
 /// rotations and unique names; its quantities at rest are finite or refused with a reason; its template of a robot.toml
-/// is TOML. Compared: the numbers of joints and frames and the mass, and those of a robot that the crate `urdf-rs` has
-/// read.
+/// is TOML; the capsules of its links are valid, and their distances finite. Compared: the numbers of joints and frames
+/// and the mass, and those of a robot that the crate `urdf-rs` has read.
 #[test]
 #[ignore = "a fuzz target, which runs for a minute or longer: .ci/run fuzz"]
 fn urdf() {
@@ -60,6 +64,7 @@ fn reads(text: &str, options: UrdfOptions) -> bool {
     if options == UrdfOptions::default() {
         let template = template::robot_toml("robot.urdf", model);
         assert!(template.parse::<toml::Table>().is_ok(), "the template is not TOML: {template}");
+        check_capsules(text, model);
     }
     if let Ok(robot) = urdf_rs::read_from_string(text)
         && let Ok(other) = Model::from_urdf_rs(&robot, options)
@@ -99,5 +104,31 @@ fn check_quantities(model: &Model) {
             assert!(lists.into_iter().flatten().all(|x| x.is_finite()), "{quantities:?}");
         }
         Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+/// Checks the capsules of the links, and their distances at the neutral position. Shapes may be refused though the
+/// model is accepted, and capsules that are farther away than any robot is large.
+fn check_capsules(text: &str, model: &Model) {
+    let links = match link_shapes(text) {
+        Ok(links) => links,
+        Err(error) => {
+            let lines = text.split('\n').count() as u64;
+            assert!(error.line().is_none_or(|line| (1..=lines).contains(&line.into())), "{error}");
+            return;
+        }
+    };
+    // Only names with file:// are found, and none of the seeds has one.
+    let Ok(generated) = generate_capsules(&links, None) else { return };
+    assert!(generated.warnings.iter().all(|warning| !warning.to_string().is_empty()));
+    let collision = match CollisionModel::new(model, &generated.capsules) {
+        Ok(collision) => collision,
+        Err(error) => return assert!(matches!(error, CollisionError::BadNumber { .. }), "{error}"),
+    };
+    let (mut data, mut near) = (Data::new(model), CollisionData::new(&collision));
+    forward_kinematics(model, &mut data, &neutral(model));
+    collision_distances(&collision, model, &data, f64::INFINITY, &mut near);
+    for row in &near.proximity {
+        assert!(row.is_some_and(|row| row.distance_m.is_finite() && row.normal.norm() > 0.9), "{row:?}");
     }
 }

@@ -73,8 +73,8 @@ fn sphere_points(count: usize) -> impl Iterator<Item = Vector3<f64>> {
     })
 }
 
-/// Compared: capsules of spheres, capsules, cylinders and boxes of many proportions, and their corners and rims; and the
-/// volume, and that of a capsule whose axis is as long as the shape, or of a sphere.
+/// Compared: capsules of spheres, capsules, cylinders and boxes of many proportions, and their corners and rims; and
+/// the volume, and that of a capsule whose axis is as long as the shape, or of a sphere.
 #[test]
 fn primitives_are_enclosed() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
@@ -102,8 +102,8 @@ fn primitives_are_enclosed() {
     }
 }
 
-/// Compared: capsules around random points (a cloud, a plane, a line, one point), and the points; and the volume, and that
-/// of the sphere around their mean.
+/// Compared: capsules around random points (a cloud, a plane, a line, one point), and the points; and the volume, and
+/// that of the sphere around their mean.
 #[test]
 fn random_points_are_enclosed() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
@@ -156,7 +156,8 @@ fn inertial(inertia: &Inertia) -> String {
     )
 }
 
-/// Compared: the capsule of a link without shapes, and points of the uniform ellipsoid from which its inertia is computed.
+/// Compared: the capsule of a link without shapes, and points of the uniform ellipsoid from which its inertia is
+/// computed.
 #[test]
 fn ellipsoid_of_an_inertia_is_enclosed() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);

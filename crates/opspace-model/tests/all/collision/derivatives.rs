@@ -77,8 +77,8 @@ struct Agreement {
     kinks: usize,
 }
 
-/// Compares the derivatives of all pairs with central differences along the motion. The distance has a kink where a closest
-/// point reaches an end: the second differences of two steps then disagree with each other.
+/// Compares the derivatives of all pairs with central differences along the motion. The distance has a kink where a
+/// closest point reaches an end: the second differences of two steps then disagree with each other.
 fn compare(motion: &mut Motion<'_>, agreement: &mut Agreement) {
     let derivatives = motion.derivatives();
     let now = motion.distances(0.0);

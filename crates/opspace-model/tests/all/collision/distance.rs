@@ -61,8 +61,8 @@ fn parry_distance(a: &Capsule, b: &Capsule) -> f64 {
     query::details::distance_segment_segment(&Pose::IDENTITY, &a, &b)
 }
 
-/// Compared: distances, and those of parry's segments. Parry's are longer for nearly parallel segments, and for segments
-/// as short as 1e-7 m, which it takes for points: see the next test.
+/// Compared: distances, and those of parry's segments. Parry's are longer for nearly parallel segments, and for
+/// segments as short as 1e-7 m, which it takes for points: see the next test.
 #[test]
 fn distances_agree_with_parry() {
     let mut compared = 0;
@@ -96,9 +96,9 @@ fn distances_agree_with_a_search() {
     }
 }
 
-/// Compared: closest points and normal, and their definitions: points on the surfaces at the stated distance along a unit
-/// normal, and no point of an axis that is closer to the closest point of the other axis. As the squared distance is
-/// convex in the two points, these conditions prove the minimum.
+/// Compared: closest points and normal, and their definitions: points on the surfaces at the stated distance along a
+/// unit normal, and no point of an axis that is closer to the closest point of the other axis. As the squared distance
+/// is convex in the two points, these conditions prove the minimum.
 #[test]
 fn closest_points_are_those_of_a_minimum() {
     for (kind, [a, b]) in pairs() {
