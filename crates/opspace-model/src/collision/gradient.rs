@@ -62,7 +62,10 @@ pub fn distance_gradient(
 ///
 /// The value is exact where the distance is twice differentiable. Where a closest point reaches or leaves an end, d̈
 /// jumps, and the value is that of one side. For parallel axes, the point of a slides and that of b does not. If the
-/// axes are closer than 1e-10 m, only the first term is computed; just above, the second term is large and positive.
+/// axes are closer than 1e-10 m, only the first term is computed.
+///
+/// It is not bounded: when axes are close to each other, the rotation of the normal makes it large and positive; when
+/// they are almost parallel, fast sliding makes it large and negative. A limit needs a bound of its own for it.
 #[must_use]
 pub fn distance_bias_acceleration(
     collision: &CollisionModel,
