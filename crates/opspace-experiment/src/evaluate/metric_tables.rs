@@ -175,9 +175,9 @@ pub struct Contact {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Compliance {
-    /// Displacement from the start, rms, m.
+    /// Displacement along the compliant axes, each from the position at which it became compliant, rms, m.
     pub compliant_motion_rms_m: Option<f64>,
-    /// Work of the environment on the robot after settling, J; `None` without an object that acts on the frame.
+    /// Work of the environment on the robot along the compliant axes after settling, J; `None` without an object that acts on the frame.
     pub compliant_work_j: Option<f64>,
 }
 

@@ -217,12 +217,12 @@ impl<'a> CartesianFigures<'a> {
         }
         let panels = self.panels("force (N)", |axis| {
             let true_force = truth.as_ref().map(|forces| {
-                self.line("true", Style::Solid, |row| Some(row.rotation.tr_mul(&total(forces, row.k))[axis]))
+                self.line("true", Style::Solid, |row| Some(row.in_world.tr_mul(&total(forces, row.k))[axis]))
             });
             let sensed = sensed.map(|sensed| {
                 self.line("sensed", Style::Thin, |row| {
                     let force = Vector3::from_column_slice(&sensed.row(self.run.tick_of(row.k)?)[..3]);
-                    Some(row.rotation.tr_mul(&force)[axis])
+                    Some(row.in_world.tr_mul(&force)[axis])
                 })
             });
             let target = self.line("target", Style::Desired, |row| {
@@ -250,5 +250,5 @@ impl<'a> CartesianFigures<'a> {
 /// True if an axis of the world follows the reference of a task. In axes of the task's own, each axis of the world may mix
 /// motion axes and others.
 fn follows(axes: &TaskAxes, axis: usize) -> bool {
-    if axes.are_in_world() { axes.motion[axis] } else { axes.motion[..3] == [true; 3] }
+    if axes.are_those_of_the_pose() { axes.motion[axis] } else { axes.motion[..3] == [true; 3] }
 }

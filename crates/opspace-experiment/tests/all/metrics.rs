@@ -132,6 +132,63 @@ fn hand_motion_is_displacement_from_start() {
     assert!(near(metrics(&experiment, &recording).hand_motion_rms_m, moved));
 }
 
+/// Compared: displacement and work over two axes, one of which is compliant all the time and the other until 2 s and from
+/// 4 s on, and those of four postures by the kinematics: each axis counts from where it became compliant, and its work
+/// while it is.
+#[test]
+fn compliance_counts_from_where_the_axis_became_compliant() {
+    const FORCE_N: [f64; 3] = [3.0, 2.0, 100.0];
+    let events = "event=[{ time_s = 2.0, set = [\"task.hand.cartesian.axes.x=motion\"] }, \
+                  { time_s = 4.0, set = [\"task.hand.cartesian.axes.x=compliant\"] }]";
+    let settings = [events, "settle_s=0.0", "task.hand.cartesian.axes.y=compliant"].map(str::to_owned);
+    let path = Path::new("tasks/compliant-x.toml");
+    let experiment = Experiment::load(Files::Embedded, path, None, RunOptions::default(), &settings).unwrap();
+    // The elbow moves within one row at 1 s, at the second event and at 6 s.
+    let q = |k: usize| {
+        let steps = [1000, 4000, 6000].into_iter().filter(|step| k >= *step).count();
+        [Q[0], Q[1], Q[2], Q[3] + 0.1 * steps as f64]
+    };
+    let truth = |k: usize| [&q(k)[..], &FORCE_N].concat();
+    let recording = log(&experiment, |_| vec![1.0, 100.0, 0.0, 0.0, 0.0], truth, |_| vec![1.0; 8]);
+    let [a, b, c, d] = [0, 1000, 4000, 6000].map(|k| hand(&experiment, &q(k)));
+    let squares = [
+        (1.0, 0.0, 0.0),
+        (1.0, b.x - a.x, b.y - a.y),
+        (2.0, 0.0, b.y - a.y),
+        (2.0, 0.0, c.y - a.y),
+        (2.0, d.x - c.x, d.y - a.y),
+    ]
+    .map(|(seconds, x, y): (f64, f64, f64)| seconds * (x * x + y * y));
+    let work = FORCE_N[0] * ((b.x - a.x) + (d.x - c.x)) + FORCE_N[1] * (d.y - a.y);
+    let compliance = metrics(&experiment, &recording).compliance;
+    assert!(
+        near(compliance.compliant_motion_rms_m, (squares.iter().sum::<f64>() / 8.0).sqrt()),
+        "{compliance:?}"
+    );
+    assert!(near(compliance.compliant_work_j, work), "{compliance:?} for {work} J");
+}
+
+/// Compared: work on a task relative to a link, and force times path in the axes of the link: forces are logged in those of
+/// the world.
+#[test]
+fn work_relative_to_a_link_is_in_its_axes() {
+    let settings = ["settle_s=0.0", "task.hand.cartesian.relative_to=\"shoulder_1\""].map(str::to_owned);
+    let path = Path::new("tasks/compliant-x.toml");
+    let experiment = Experiment::load(Files::Embedded, path, None, RunOptions::default(), &settings).unwrap();
+    let force = Vector3::new(3.0, 2.0, 1.0);
+    let q = |k: usize| if k < 1000 { Q } else { [Q[0], Q[1], Q[2], Q[3] + 0.1] };
+    let truth = |k: usize| [&q(k)[..], force.as_slice()].concat();
+    let recording = log(&experiment, |_| vec![1.0, 100.0, 0.0, 0.0, 0.0], truth, |_| vec![1.0; 8]);
+    let model = &experiment.robot().model;
+    let mut data = Data::new(model);
+    kinematics(model, &mut data, &Q, &[0.0; 4]);
+    let link = frame_placement(model, &data, model.frame_id("shoulder_1").unwrap()).rotation;
+    let path_m = hand(&experiment, &q(1000)) - hand(&experiment, &Q);
+    let work = link.tr_mul(&force).x * link.tr_mul(&path_m).x;
+    let found = metrics(&experiment, &recording).compliance.compliant_work_j;
+    assert!(near(found, work), "{found:?} for {work} J");
+}
+
 /// Compared: the three torque errors, and rms, mean and first value of a pattern that repeats in every interval,
 /// relative to the desired torque over joints of different size.
 #[test]

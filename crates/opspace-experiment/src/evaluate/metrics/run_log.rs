@@ -111,13 +111,13 @@ impl<'a> Run<'a> {
         begin..self.settled(times).end.max(begin)
     }
 
-    /// Pose of a task's controlled frame and the task's axes, whose frame `directions` returns for a row, at each row of
-    /// the joints during control, with the row index.
+    /// Pose of a task's controlled frame, the task's axes, whose frame `directions` returns for a row, and the coordinates
+    /// of both in the world, at each row of the joints during control, with the row index.
     pub(crate) fn poses(
         &self,
         subject: ControlledFrame,
         mut directions: impl FnMut(usize) -> AxesFrame,
-    ) -> impl Iterator<Item = (usize, Placement, Matrix3<f64>)> {
+    ) -> impl Iterator<Item = (usize, Placement, [Matrix3<f64>; 2])> {
         let model = &self.experiment.robot().model;
         let mut data = Data::new(model);
         let rest = vec![0.0; model.n()];
@@ -125,7 +125,7 @@ impl<'a> Run<'a> {
         self.controlled().map(move |k| {
             kinematics(model, &mut data, q.row(k), &rest);
             let axes = directions(k).rotation(model, &data, subject);
-            (k, subject.placement(model, &data), axes)
+            (k, subject.placement(model, &data), [axes, subject.coordinates(model, &data)])
         })
     }
 

@@ -48,8 +48,8 @@ impl TaskAxes {
         }
     }
 
-    /// True if the axes are those of the world.
-    pub(crate) fn are_in_world(&self) -> bool {
+    /// True if the axes are those of the coordinates of the pose: of the world, or of the frame that the task is relative to.
+    pub(crate) fn are_those_of_the_pose(&self) -> bool {
         self.directions == AxesFrame::Fixed(Matrix3::identity())
     }
 }
@@ -59,9 +59,12 @@ impl TaskAxes {
 pub(crate) struct TaskRow {
     /// Index of the row.
     pub(crate) k: usize,
+    /// Pose in the world, or in the coordinates of the frame that the task is relative to.
     pub(crate) pose: Placement,
-    /// Axes of the task in the world, one per column; those of the world where the task has no priority.
+    /// Axes of the task in the coordinates of the pose, one per column; the identity where the task has no priority.
     pub(crate) rotation: Matrix3<f64>,
+    /// Axes of the task in the world, one per column.
+    pub(crate) in_world: Matrix3<f64>,
     /// `None` where the task has no priority.
     pub(crate) axes: Option<TaskAxes>,
 }
@@ -114,11 +117,19 @@ impl AxesOfTask {
                 }
             };
             let axes = self.sets.get(set).copied().flatten()?;
-            Some(modes.zip(run.tick_of(k)).map_or(axes, |(modes, tick)| axes.with_modes(modes.row(tick))))
+            // Modes stay as they are through missed cycles.
+            Some(modes.zip(run.tick_up_to(k)).map_or(axes, |(modes, tick)| axes.with_modes(modes.row(tick))))
         };
         let world = AxesFrame::Fixed(Matrix3::identity());
         let directions = |k: usize| axes_at(k).map_or(world, |axes| axes.directions);
         let poses = run.poses(self.controlled, directions);
-        poses.map(|(k, pose, rotation)| TaskRow { k, pose, rotation, axes: axes_at(k) }).collect()
+        let row = |(k, pose, [rotation, coordinates]): (usize, Placement, [Matrix3<f64>; 2])| TaskRow {
+            k,
+            pose,
+            rotation,
+            in_world: coordinates * rotation,
+            axes: axes_at(k),
+        };
+        poses.map(row).collect()
     }
 }

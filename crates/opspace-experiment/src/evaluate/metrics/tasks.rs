@@ -7,9 +7,9 @@ use crate::run::experiment::Experiment;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use opspace_backend::signal_names::{self, ERROR, FORCE, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL};
 use opspace_control::orientation::log;
-use opspace_control::{ControlledFrame, TaskParameters};
+use opspace_control::{AxesFrame, ControlledFrame, TaskParameters};
 use opspace_log::Column;
-use opspace_model::{FrameId, Placement};
+use opspace_model::FrameId;
 use std::collections::BTreeMap;
 
 /// Smallest true contact force that counts as contact, N.
@@ -150,8 +150,6 @@ struct CartesianErrors {
     /// Name of the frame on which forces act; empty for the centre of mass.
     frame: String,
     axes: AxesOfTask,
-    /// Position at the start of control, m.
-    start: Option<Vector3<f64>>,
     position_m: RmsMax,
     orientation_rad: RmsMax,
     contact: Option<ContactForce>,
@@ -164,7 +162,6 @@ impl CartesianErrors {
             name: name.to_owned(),
             frame: frame.to_owned(),
             axes: AxesOfTask::new(experiment, name, controlled),
-            start: None,
             position_m: RmsMax::default(),
             orientation_rad: RmsMax::default(),
             contact: None,
@@ -177,8 +174,8 @@ impl CartesianErrors {
         let (reference, reference_orientation) = (signal(REFERENCE), signal(REFERENCE_ORIENTATION));
         let forces = run.forces_on(&self.frame);
         let settled = run.settled(run.joints.0);
-        for TaskRow { k, pose, rotation, axes } in self.axes.rows(run) {
-            let start = *self.start.get_or_insert(pose.translation);
+        for row in self.axes.rows(run) {
+            let TaskRow { k, pose, rotation, in_world, axes } = row;
             let Some(axes) = axes else {
                 self.leave();
                 continue;
@@ -196,7 +193,7 @@ impl CartesianErrors {
                 let error = log(&(pose.rotation * orientation(reference).transpose()));
                 self.orientation_rad.add(masked_norm(&rotation.tr_mul(&error), &axes.motion[3..]));
             }
-            let force = forces.as_ref().map(|forces| rotation.tr_mul(&total(forces, k)));
+            let force = forces.as_ref().map(|forces| in_world.tr_mul(&total(forces, k)));
             match force.filter(|_| axes.force.contains(&true)) {
                 Some(force) => self.contact.get_or_insert_default().add(
                     &force,
@@ -208,8 +205,8 @@ impl CartesianErrors {
             }
             let acts = forces.as_ref().is_some_and(|forces| !forces.is_empty());
             if axes.compliant.contains(&true) {
-                let compliance = self.compliance.get_or_insert_with(|| CompliantMotion::new(start));
-                compliance.add(&pose, &rotation, axes.compliant, force.filter(|_| acts), is_settled);
+                let compliance = self.compliance.get_or_insert_default();
+                compliance.add(&row, &axes, force.filter(|_| acts), is_settled);
             } else {
                 self.compliance.iter_mut().for_each(CompliantMotion::leave);
             }
@@ -282,46 +279,59 @@ impl ContactForce {
 }
 
 /// Motion of a task's frame along its compliant axes, and the work done on it there.
+#[derive(Default)]
 struct CompliantMotion {
-    /// Position at the start of control, m.
-    start: Vector3<f64>,
+    /// Position at which each axis became compliant, m; `None` while it is not.
+    starts: [Option<Vector3<f64>>; 3],
+    /// Frame of the axes at the row before.
+    directions: Option<AxesFrame>,
     moved_m: RmsMax,
     work_j: Option<f64>,
-    /// Position (m), axes and force (N, in these axes) at the settled row before.
-    before: Option<(Vector3<f64>, Matrix3<f64>, Vector3<f64>)>,
+    /// Settled row before.
+    before: Option<RowBefore>,
+}
+
+/// Row of a compliant motion, for the work until the next one.
+struct RowBefore {
+    position_m: Vector3<f64>,
+    axes: Matrix3<f64>,
+    /// Force in these axes, N.
+    force_n: Vector3<f64>,
 }
 
 impl CompliantMotion {
-    fn new(start: Vector3<f64>) -> Self {
-        Self { start, moved_m: RmsMax::default(), work_j: None, before: None }
-    }
-
-    /// Adds a pose, the axes of the task there, and the true force in these axes if it is known.
-    fn add(
-        &mut self,
-        pose: &Placement,
-        axes: &Matrix3<f64>,
-        compliant: [bool; 3],
-        force: Option<Vector3<f64>>,
-        is_settled: bool,
-    ) {
+    /// Adds a row, the axes of the task there, and the true force in these axes if it is known.
+    fn add(&mut self, row: &TaskRow, axes: &TaskAxes, force: Option<Vector3<f64>>, is_settled: bool) {
+        // Axes in other directions are other axes.
+        if self.directions.replace(axes.directions).is_some_and(|before| before != axes.directions) {
+            self.leave();
+        }
+        let position_m = row.pose.translation;
+        let was_compliant = self.starts.map(|start| start.is_some());
+        for (start, compliant) in self.starts.iter_mut().zip(axes.compliant) {
+            *start = compliant.then(|| start.unwrap_or(position_m));
+        }
         if !is_settled {
             return;
         }
-        self.moved_m.add(masked_norm(&axes.tr_mul(&(pose.translation - self.start)), &compliant));
-        let Some(force) = force else { return };
+        let moved = [0, 1, 2].map(|axis| {
+            self.starts[axis].map_or(0.0, |start| row.rotation.tr_mul(&(position_m - start))[axis])
+        });
+        self.moved_m.add(Vector3::from(moved).norm());
+        let Some(force_n) = force else { return };
         let mut work_j = self.work_j.unwrap_or(0.0);
-        if let Some((position, axes, force)) = self.before {
-            let step = axes.tr_mul(&(pose.translation - position));
-            let works = (0..3).filter(|&axis| compliant[axis]).map(|axis| force[axis] * step[axis]);
-            work_j += works.sum::<f64>();
+        if let Some(RowBefore { position_m: before_m, axes: directions, force_n }) = &self.before {
+            let step = directions.tr_mul(&(position_m - before_m));
+            let counted = (0..3).filter(|&axis| was_compliant[axis] && axes.compliant[axis]);
+            work_j += counted.map(|axis| force_n[axis] * step[axis]).sum::<f64>();
         }
         self.work_j = Some(work_j);
-        self.before = Some((pose.translation, *axes, force));
+        self.before = Some(RowBefore { position_m, axes: row.rotation, force_n });
     }
 
-    /// Notes that the task has no compliant axis: no work is done until it has one again.
+    /// Notes that the task has no compliant axis: it has neither displacement nor work until it has one again.
     fn leave(&mut self) {
+        self.starts = [None; 3];
         self.before = None;
     }
 
