@@ -3,7 +3,9 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, TableStyle};
-use opspace_experiment::evaluate::results::{Measure, failures, joint_table, notes, table, task_table};
+use opspace_experiment::evaluate::results::{
+    Measure, failures, joint_notes, joint_table, notes, table, task_notes, task_table,
+};
 use opspace_experiment::evaluate::table::{Cell, Table};
 use opspace_experiment::{FileError, RunError, Summary};
 use opspace_log::LogError;
@@ -154,8 +156,12 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
     }
     if !console.quiet {
         let width = usize::from(width().unwrap_or(100));
-        for note in notes(summaries) {
-            text += &format!("\n{}\n", wrap(note, width));
+        let mut notes = notes(summaries, measures);
+        if let [one] = summaries {
+            notes.extend(task_notes(one).into_iter().chain(joint_notes(one)));
+        }
+        for note in notes {
+            text += &format!("\n{}\n", wrap(&note, width));
         }
     }
     text

@@ -51,7 +51,7 @@ pub struct Metrics {
     pub missed_fraction: Option<f64>,
     /// Desired torque above 8 Hz of the joint with the most, rms, Nm.
     pub torque_chatter_rms_nm: Option<f64>,
-    /// Frequency of the largest line of that torque above 8 Hz, Hz.
+    /// Frequency of the largest line of that torque above 8 Hz, Hz; `None` if its spectrum only falls from 8 Hz on.
     pub torque_chatter_hz: Option<f64>,
     /// Largest `torque_error_of_limit` of a joint: the rms error of the mean motor torque relative to the torque limit.
     pub torque_error_of_limit_max: Option<f64>,
@@ -135,7 +135,7 @@ pub struct JointMetrics {
     pub torque_error_of_desired: Option<f64>,
     /// Desired torque above 8 Hz, rms, Nm.
     pub torque_chatter_rms_nm: Option<f64>,
-    /// Frequency of the largest line of the desired torque above 8 Hz, Hz.
+    /// Frequency of the largest line of the desired torque above 8 Hz, Hz; `None` if its spectrum only falls from 8 Hz on.
     pub torque_chatter_hz: Option<f64>,
     /// Fraction of interface cycles in which the desired torque was saturated.
     pub torque_saturated_fraction: Option<f64>,

@@ -1,7 +1,8 @@
 //! Comparison of summaries: the table that all commands print.
 
+use crate::evaluate::metric_tables::{JointMetrics, PoseErrors, TaskMetrics};
 use crate::evaluate::spread::Spread;
-use crate::evaluate::table::{Cell, Table};
+use crate::evaluate::table::{Cell, Table, shown_unit};
 use crate::run::experiment::{ControllerKind, Experiment};
 use crate::run::summary::Summary;
 use opspace_backend::CommandKind;
@@ -14,39 +15,87 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// Note under tables of simulated runs.
-const OF_SIMULATION: &str = "All values are from simulation. Position, velocity and torque robots share one plant, one \
-                             interface rate and one measurement. Velocities are estimated by an observer with the model of \
-                             the arm, which knows the command; the position robot with 'paper' uses filtered differences, \
-                             as the paper does, unless the row says 'observer'. The parameters \
-                             of the arm are partly assumed; its robot.toml marks which.";
+const OF_SIMULATION: &str =
+    "values are from simulation. The parameters of the arm are partly assumed; its robot.toml marks which.";
+/// Note under tables that compare simulated runs.
+const OF_ONE_PLANT: &str = "Position, velocity and torque robots share one plant, one interface rate and one measurement. \
+                            Velocities are estimated by an observer with the model of the arm, which knows the command; the \
+                            position robot with 'paper' uses filtered differences, as the paper does, unless the row says \
+                            'observer'.";
 /// Note under tables with runs of a real robot.
 const OF_A_ROBOT: &str = "Values of a real robot are from its own measurements; those that need the true state or the true \
                           motor torque are missing.";
 /// Note under tables that compare torque control with inverse kinematics under an operator's force.
 const OF_AN_OPERATOR: &str = "Tracking alone does not justify torque control: with velocity lead, inverse kinematics tracks as \
-                              well. Compliance, contact and a specified stiffness do: see the columns 'operator force' and \
-                              'hand motion'.";
+                              well. Compliance, contact and a specified stiffness do: see the columns 'operator force rms' \
+                              and 'hand motion rms'.";
+/// Note under tables with force and motion of an operator.
+const OF_A_HAND: &str = "Operator force and hand motion: over the axes that the task file lists (report); the motion is that from \
+                         the start.";
 /// Note under tables with torque errors.
 const OF_TORQUE_ERRORS: &str = "Torque error: rms of motor torque minus desired torque, relative to the rms of the desired torque: \
                                 at servo rate, of the means over each interval between two setpoints, and in the first servo \
                                 period after each control cycle ('tick'), which does not show the torque between setpoints.";
+/// Note under tables with durations.
+const OF_TIMES: &str =
+    "Cycle time (median) and times real time: of the whole run, measured on the computer on which it ran.";
 
 /// Note under tables of runs that differ in the seed.
 const OF_SEEDS: &str = "Rows are medians over the seeds; the rows below have the interval that contains the median of all seeds with a \
                         probability of 95 % (order statistics), with fewer than six runs the lowest and the highest value.";
 
-/// Notes under a table of results.
+/// Notes under a table of results with these columns.
 #[must_use]
-pub fn notes(summaries: &[Summary]) -> Vec<&'static str> {
-    let simulated = summaries.iter().any(|summary| summary.simulated).then_some(OF_SIMULATION);
-    let real = summaries.iter().any(|summary| !summary.simulated).then_some(OF_A_ROBOT);
-    let has = |number: fn(&Summary) -> Option<f64>| summaries.iter().any(|summary| number(summary).is_some());
+pub fn notes(summaries: &[Summary], measures: &[Measure]) -> Vec<String> {
+    let groups = group(summaries);
+    let shows = |measure: Measure| measures.contains(&measure) && measure.is_in(summaries);
+    let shows_one = |of: &[Measure]| of.iter().any(|measure| shows(*measure));
+    let mut notes = vec![terms(summaries)];
+    notes.extend(if let [one] = summaries { judged_task(one) } else { None });
+    let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
+    add(groups.iter().any(|group| group.runs.len() > 1), OF_SEEDS);
+    let times = shows_one(&[Measure::TickTime, Measure::RealTime]);
+    add(times, OF_TIMES);
+    let simulated = summaries.iter().any(|summary| summary.simulated);
+    add(simulated, &format!("{} {OF_SIMULATION}", if times { "All other" } else { "All" }));
+    add(simulated && groups.len() > 1, OF_ONE_PLANT);
+    add(summaries.iter().any(|summary| !summary.simulated), OF_A_ROBOT);
+    add(shows_one(&[Measure::HandForce, Measure::HandMotion]), OF_A_HAND);
     let controllers = |torque: bool| summaries.iter().any(|summary| (summary.controller == "osc") == torque);
-    let compared = has(|summary| summary.metrics.hand_force_rms_n) && controllers(true) && controllers(false);
-    let operator = compared.then_some(OF_AN_OPERATOR);
-    let torque_errors = has(|summary| summary.metrics.torque_error_interval).then_some(OF_TORQUE_ERRORS);
-    let seeds = group(summaries).iter().any(|group| group.runs.len() > 1).then_some(OF_SEEDS);
-    [seeds, simulated, real, operator, torque_errors].into_iter().flatten().collect()
+    add(shows(Measure::HandForce) && controllers(true) && controllers(false), OF_AN_OPERATOR);
+    let torque_errors = [Measure::TorqueErrorServo, Measure::TorqueErrorInterval, Measure::TorqueErrorTick];
+    add(shows_one(&torque_errors), OF_TORQUE_ERRORS);
+    notes
+}
+
+/// Explains the names of controllers and the ratios of rates in a table.
+fn terms(summaries: &[Summary]) -> String {
+    let known = [
+        ("osc", "operational-space control"),
+        ("ik", "inverse kinematics"),
+        ("ik-lead", "inverse kinematics with velocity lead"),
+    ];
+    let is_used = |name: &str| summaries.iter().any(|summary| summary.controller == name);
+    let used = known.into_iter().filter(|(name, _)| is_used(name));
+    let mut texts: Vec<String> = used.map(|(name, term)| format!("{name}: {term}.")).collect();
+    let mut ratios: Vec<u32> = summaries.iter().map(|summary| summary.ratio).collect();
+    ratios.sort_unstable();
+    ratios.dedup();
+    texts.push(match ratios[..] {
+        [1] => "1:1: a command every servo tick.".to_owned(),
+        [ratio] => format!("1:{ratio}: a command every {ratio} servo ticks."),
+        _ => "1:n: a command every n servo ticks.".to_owned(),
+    });
+    texts.join(" ")
+}
+
+/// Names the task whose errors of the pose are those of the run, if others have some too.
+fn judged_task(summary: &Summary) -> Option<String> {
+    let with_errors = summary.tasks.iter().filter(|(_, task)| task.pose != PoseErrors::default());
+    let (name, _) = with_errors.clone().find(|(_, task)| task.pose == summary.metrics.pose)?;
+    (with_errors.count() > 1).then(|| {
+        format!("Errors of position and orientation: those of task '{name}', the first with such errors.")
+    })
 }
 
 /// Summaries that differ only in the seed.
@@ -272,18 +321,18 @@ impl Measure {
     /// Column of a measure.
     fn row(self) -> Row {
         match self {
-            Self::PositionRms => Row("position rms", "mm", 1e3, |s| s.metrics.pose.position_rms_m),
-            Self::PositionMax => Row("position max", "mm", 1e3, |s| s.metrics.pose.position_max_m),
+            Self::PositionRms => Row("position error rms", "mm", 1e3, |s| s.metrics.pose.position_rms_m),
+            Self::PositionMax => Row("position error max", "mm", 1e3, |s| s.metrics.pose.position_max_m),
             Self::OrientationRms => {
-                Row("orientation rms", "mrad", 1e3, |s| s.metrics.pose.orientation_rms_rad)
+                Row("orientation error rms", "mrad", 1e3, |s| s.metrics.pose.orientation_rms_rad)
             }
             Self::OrientationMax => {
-                Row("orientation max", "mrad", 1e3, |s| s.metrics.pose.orientation_max_rad)
+                Row("orientation error max", "mrad", 1e3, |s| s.metrics.pose.orientation_max_rad)
             }
-            Self::JointRms => Row("joint rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
-            Self::ForceRms => Row("force rms", "N", 1.0, |s| s.metrics.contact.force_rms_n),
-            Self::HandForce => Row("operator force", "N", 1.0, |s| s.metrics.hand_force_rms_n),
-            Self::HandMotion => Row("hand motion", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
+            Self::JointRms => Row("joint error rms", "mrad", 1e3, |s| s.metrics.joint_rms_rad),
+            Self::ForceRms => Row("force error rms", "N", 1.0, |s| s.metrics.contact.force_rms_n),
+            Self::HandForce => Row("operator force rms", "N", 1.0, |s| s.metrics.hand_force_rms_n),
+            Self::HandMotion => Row("hand motion rms", "mm", 1e3, |s| s.metrics.hand_motion_rms_m),
             Self::TorqueErrorServo => Row("torque error servo", "%", 1e2, |s| s.metrics.torque_error_servo),
             Self::TorqueErrorInterval => {
                 Row("torque error interval", "%", 1e2, |s| s.metrics.torque_error_interval)
@@ -295,18 +344,22 @@ impl Measure {
             Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
             Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
             Self::InContact => Row("in contact", "%", 1e2, |s| s.metrics.contact.in_contact_fraction),
-            Self::ContactPeak => Row("contact peak", "N", 1.0, |s| s.metrics.contact.contact_peak_n),
-            Self::CompliantMotion => {
-                Row("compliant motion", "mm", 1e3, |s| s.metrics.compliance.compliant_motion_rms_m)
+            Self::ContactPeak => {
+                Row("contact peak (first second)", "N", 1.0, |s| s.metrics.contact.contact_peak_n)
             }
-            Self::TorqueChatter => Row("torque chatter", "N·m", 1.0, |s| s.metrics.torque_chatter_rms_nm),
+            Self::CompliantMotion => {
+                Row("compliant motion rms", "mm", 1e3, |s| s.metrics.compliance.compliant_motion_rms_m)
+            }
+            Self::TorqueChatter => {
+                Row("desired torque above 8 Hz, rms", "N·m", 1.0, |s| s.metrics.torque_chatter_rms_nm)
+            }
             Self::Damped => Row("damped", "%", 1e2, |s| s.metrics.damped_fraction),
             Self::Missed => Row("missed cycles", "%", 1e2, |s| s.metrics.missed_fraction),
             Self::TorqueErrorOfLimit => {
                 Row("torque error of limit", "%", 1e2, |s| s.metrics.torque_error_of_limit_max)
             }
             Self::TickTime => Row("cycle time", "µs", 1e-3, |s| Some(s.timing.tick_ns_median)),
-            Self::RealTime => Row("real time", "×", 1.0, |s| s.timing.realtime_factor),
+            Self::RealTime => Row("times real time", "", 1.0, |s| s.timing.realtime_factor),
         }
     }
 
@@ -420,27 +473,25 @@ pub fn failures(summaries: &[Summary]) -> Vec<String> {
     all.into_iter().take(MOST).chain(more).collect()
 }
 
-/// Table of the errors of each task of a run, and of each joint of its joint tasks.
+/// Table of the errors, forces and motions of each task of a run, and of each joint of its joint tasks.
 #[must_use]
 pub fn task_table(summary: &Summary) -> Table {
     let titles = ["task", "quantity", "rms", "max", "unit"];
     let mut table = Table::new(&titles.map(|title| (title, "")));
+    // Millimetres, milliradians and newtons have nothing in common.
+    table.decimals_by_row = true;
     for (name, task) in &summary.tasks {
         let mut row = |quantity: &str, unit: &str, rms: Option<f64>, max: Option<f64>| {
+            let (factor, unit) = shown_unit(unit);
+            let cell = |value: Option<f64>| Cell::from(value.map(|value| factor * value));
             if rms.is_some() || max.is_some() {
-                table.rows.push(vec![
-                    name.as_str().into(),
-                    quantity.into(),
-                    rms.into(),
-                    max.into(),
-                    unit.into(),
-                ]);
+                table.push(vec![name.as_str().into(), quantity.into(), cell(rms), cell(max), unit.into()]);
             }
         };
         row("position error", "m", task.pose.position_rms_m, task.pose.position_max_m);
         row("orientation error", "rad", task.pose.orientation_rms_rad, task.pose.orientation_max_rad);
         row("force error", "N", task.contact.force_rms_n, None);
-        row("contact peak", "N", None, task.contact.contact_peak_n);
+        row("contact peak (first second of contact)", "N", None, task.contact.contact_peak_n);
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
         for element in &task.elements {
             row(&format!("{} error", element.name), &element.unit, Some(element.rms), Some(element.max));
@@ -449,31 +500,82 @@ pub fn task_table(summary: &Summary) -> Table {
     table
 }
 
+/// Notes under [`task_table`]: the tasks that are not in it, each with the reason.
+#[must_use]
+pub fn task_notes(summary: &Summary) -> Vec<String> {
+    let table = task_table(summary);
+    let is_shown = |name: &str| table.rows.iter().any(|row| row[0] == name.into());
+    let missing = summary.tasks.iter().filter(|(name, _)| !is_shown(name));
+    let note = |(name, task): (&String, &TaskMetrics)| {
+        let reason = match task.kind.as_str() {
+            "joint-posture" => {
+                "it pulls the joints to a posture that they need not reach, so it has no error"
+            }
+            "joint-damping" => "it damps the joints without a reference, so it has no error",
+            _ => "the log has no error of it after settle_s",
+        };
+        format!("Task '{name}' ({}) is not in the table: {reason}.", task.kind)
+    };
+    missing.map(note).collect()
+}
+
+/// Smallest rms of a desired torque, relative to the torque limit, to which an error can be related.
+const MIN_DESIRED_OF_LIMIT: f64 = 0.01;
+
+/// Error of a joint's torque relative to the desired one; `None` if this is hardly above zero.
+fn error_of_desired(joint: &JointMetrics) -> Option<f64> {
+    let is_small = |of_desired: f64| {
+        joint.torque_error_of_limit.is_some_and(|of_limit| of_limit < MIN_DESIRED_OF_LIMIT * of_desired)
+    };
+    joint.torque_error_of_desired.filter(|of_desired| !is_small(*of_desired))
+}
+
 /// Table of the torques of each joint of a run.
 #[must_use]
 pub fn joint_table(summary: &Summary) -> Table {
     let mut table = Table::new(&[
         ("joint", ""),
-        ("torque error", "N·m"),
-        ("of limit", "%"),
-        ("of desired", "%"),
-        ("chatter", "N·m"),
-        ("chatter at", "Hz"),
-        ("saturated", "%"),
+        ("torque error, interval, rms", "N·m"),
+        ("torque error of limit", "%"),
+        ("torque error of desired", "%"),
+        ("desired torque above 8 Hz, rms", "N·m"),
+        ("largest line", "Hz"),
+        ("saturated cycles", "%"),
     ]);
     let percent = |fraction: Option<f64>| Cell::from(fraction.map(|fraction| 100.0 * fraction));
     for (name, joint) in &summary.joints {
-        table.rows.push(vec![
+        table.push(vec![
             name.as_str().into(),
             joint.torque_error_rms_nm.into(),
             percent(joint.torque_error_of_limit),
-            percent(joint.torque_error_of_desired),
+            percent(error_of_desired(joint)),
             joint.torque_chatter_rms_nm.into(),
             joint.torque_chatter_hz.into(),
             percent(joint.torque_saturated_fraction),
         ]);
     }
     table
+}
+
+/// Notes under [`joint_table`].
+#[must_use]
+pub fn joint_notes(summary: &Summary) -> Vec<String> {
+    let has = |missing: fn(&JointMetrics) -> bool| summary.joints.values().any(missing);
+    let mut notes = Vec::new();
+    let mut add = |is_true: bool, note: &str| notes.extend(is_true.then(|| note.to_owned()));
+    add(
+        has(|joint| joint.torque_error_of_desired.is_some() && error_of_desired(joint).is_none()),
+        "Torque error of desired is – if the desired torque (rms) is less than 1 % of the limit.",
+    );
+    add(
+        has(|joint| joint.torque_chatter_rms_nm.is_some()),
+        "The desired torque above 8 Hz includes fast parts of the planned motion and of friction compensation.",
+    );
+    add(
+        has(|joint| joint.torque_chatter_rms_nm.is_some() && joint.torque_chatter_hz.is_none()),
+        "Largest line is – if the spectrum only falls from 8 Hz on.",
+    );
+    notes
 }
 
 fn stopped(group: &Group<'_>) -> Cell {
@@ -501,7 +603,10 @@ fn drop_empty_columns(table: &mut Table) {
 
 #[cfg(test)]
 mod tests {
-    use super::{MEASURES, group, group_rows, table};
+    use super::{
+        MEASURES, Measure, group, group_rows, joint_notes, joint_table, notes, table, task_notes, task_table,
+    };
+    use crate::evaluate::metric_tables::{JointMetrics, TaskMetrics};
     use crate::run::summary::Summary;
     use serde_json::json;
 
@@ -578,8 +683,8 @@ mod tests {
     fn missing_quantity_has_no_column() {
         let titles: Vec<String> =
             table(&[summary("a", "p", 1, 0.1)], MEASURES).columns.into_iter().map(|c| c.title).collect();
-        assert!(titles.contains(&"position rms".to_owned()));
-        assert!(!titles.contains(&"operator force".to_owned()));
+        assert!(titles.contains(&"position error rms".to_owned()));
+        assert!(!titles.contains(&"operator force rms".to_owned()));
     }
 
     /// Compared: the rows of a table, and rows written by hand: the task is above its rows, the median in its column.
@@ -593,5 +698,65 @@ mod tests {
         assert_eq!(texts[2][1..4], ["", "", "1.000"]);
         assert_eq!(texts[3][1..4], ["", "", "3.000"]);
         assert_eq!(texts[5][1..4], ["q 1:5", "1", "5.000"]);
+    }
+
+    /// Checks joints whose desired torque is 0.5 % and 5 % of the limit, and one without a line above 8 Hz: cells and notes.
+    #[test]
+    fn torques_that_say_nothing_are_dashes() {
+        let joint = |of_desired: f64, line_hz: Option<f64>| JointMetrics {
+            torque_error_rms_nm: Some(0.1),
+            torque_error_of_limit: Some(0.002),
+            torque_error_of_desired: Some(of_desired),
+            torque_chatter_rms_nm: Some(0.2),
+            torque_chatter_hz: line_hz,
+            torque_saturated_fraction: None,
+        };
+        let mut run = summary("a", "p", 1, 0.1);
+        run.joints.insert("large".to_owned(), joint(0.04, Some(15.0)));
+        assert_eq!(joint_table(&run).texts()[0][3..6], ["4.000", "0.2000", "15.00"]);
+        assert_eq!(joint_notes(&run).len(), 1);
+        run.joints.insert("small".to_owned(), joint(0.4, None));
+        assert_eq!(joint_table(&run).texts()[1][3..6], ["–", "0.2000", "–"]);
+        assert_eq!(joint_notes(&run).len(), 3);
+    }
+
+    /// Checks units and names of the quantities of a task, and that a task without any is named with the reason.
+    #[test]
+    fn tasks_are_in_millimetres_or_named_below() {
+        let mut run = summary("a", "p", 1, 0.1);
+        let mut hand = TaskMetrics { kind: "cartesian".to_owned(), ..TaskMetrics::default() };
+        (hand.pose.position_rms_m, hand.pose.position_max_m) = (Some(8.651e-3), Some(13.249e-3));
+        hand.contact.contact_peak_n = Some(15.4);
+        run.tasks.insert("hand".to_owned(), hand);
+        let rest = TaskMetrics { kind: "joint-posture".to_owned(), ..TaskMetrics::default() };
+        run.tasks.insert("rest".to_owned(), rest);
+        let expected = [
+            ["hand", "position error", "8.65", "13.25", "mm"],
+            ["hand", "contact peak (first second of contact)", "–", "15.40", "N"],
+        ];
+        assert_eq!(task_table(&run).texts(), expected);
+        let [note] = &task_notes(&run)[..] else { panic!("one note") };
+        assert!(note.starts_with("Task 'rest' (joint-posture) is not in the table: "), "{note}");
+    }
+
+    /// Checks that notes explain the columns that are shown, and no others.
+    #[test]
+    fn notes_are_about_the_columns_shown() {
+        let runs = [summary("a", "p", 1, 0.1)];
+        let text = |measures: &[Measure]| notes(&runs, measures).join("\n");
+        let without = text(&[Measure::PositionRms]);
+        assert!(
+            !without.contains("Cycle time") && without.contains("All values are from simulation."),
+            "{without}"
+        );
+        let with = text(&[Measure::PositionRms, Measure::TickTime]);
+        assert!(
+            with.contains("Cycle time") && with.contains("All other values are from simulation."),
+            "{with}"
+        );
+        assert!(
+            with.contains("osc: operational-space control. 1:5: a command every 5 servo ticks."),
+            "{with}"
+        );
     }
 }

@@ -7,6 +7,8 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Rows, top to bottom; a row shorter than the head ends in empty cells.
     pub rows: Vec<Vec<Cell>>,
+    /// True if the numbers of a row share their decimals, otherwise those of a column do.
+    pub decimals_by_row: bool,
 }
 
 /// Head of a column.
@@ -41,42 +43,48 @@ impl Table {
     pub fn new(columns: &[(&str, &str)]) -> Self {
         let column =
             |&(title, unit): &(&str, &str)| Column { title: title.to_owned(), unit: unit.to_owned() };
-        Self { columns: columns.iter().map(column).collect(), rows: Vec::new() }
+        Self { columns: columns.iter().map(column).collect(), ..Self::default() }
     }
 
-    /// Texts of all cells; the numbers of a column have the same number of decimals.
+    /// Texts of all cells; the numbers of a column, or of a row, have the same number of decimals.
     #[must_use]
     pub fn texts(&self) -> Vec<Vec<String>> {
         let width = self.rows.iter().map(Vec::len).max().unwrap_or(0);
-        let decimals: Vec<Option<usize>> = (0..width).map(|place| self.decimals(place)).collect();
-        let text = |(place, cell): (usize, &Cell)| match (cell, decimals[place]) {
+        let columns: Vec<Option<usize>> =
+            (0..width).map(|place| decimals(self.rows.iter().filter_map(|row| row.get(place)))).collect();
+        let text = |cell: &Cell, decimals: Option<usize>| match (cell, decimals) {
             (Cell::Number(number), Some(decimals)) if number.is_finite() => {
                 format!("{:.decimals$}", number + 0.0)
             }
             _ => cell.text(),
         };
-        self.rows.iter().map(|row| row.iter().enumerate().map(text).collect()).collect()
-    }
-
-    /// Number of decimals that shows four digits of a column's largest number and two of its smallest; `None` if
-    /// their ratio is too large for that.
-    fn decimals(&self, place: usize) -> Option<usize> {
-        let numbers = self.rows.iter().filter_map(|row| match row.get(place) {
-            Some(Cell::Number(number)) if number.is_finite() && *number != 0.0 => Some(number.abs()),
-            _ => None,
-        });
-        let (smallest, largest) = numbers.fold((f64::MAX, 0.0), |(low, high), n| (n.min(low), n.max(high)));
-        if largest == 0.0 {
-            return Some(0);
-        }
-        let decimals = (3.0 - largest.log10().floor()).max(1.0 - smallest.log10().floor()).max(0.0);
-        (decimals <= 7.0 && largest < 1e6).then_some(decimals as usize)
+        let texts = |row: &Vec<Cell>| {
+            let by_row = decimals(row.iter());
+            let decimals = |place: usize| if self.decimals_by_row { by_row } else { columns[place] };
+            row.iter().enumerate().map(|(place, cell)| text(cell, decimals(place))).collect()
+        };
+        self.rows.iter().map(texts).collect()
     }
 
     /// Adds a row at the bottom.
     pub fn push(&mut self, row: Vec<Cell>) {
         self.rows.push(row);
     }
+}
+
+/// Number of decimals that shows four digits of the largest number and two of the smallest; `None` if their ratio is too
+/// large for that.
+fn decimals<'a>(cells: impl Iterator<Item = &'a Cell>) -> Option<usize> {
+    let numbers = cells.filter_map(|cell| match cell {
+        Cell::Number(number) if number.is_finite() && *number != 0.0 => Some(number.abs()),
+        _ => None,
+    });
+    let (smallest, largest) = numbers.fold((f64::MAX, 0.0), |(low, high), n| (n.min(low), n.max(high)));
+    if largest == 0.0 {
+        return Some(0);
+    }
+    let decimals = (3.0 - largest.log10().floor()).max(1.0 - smallest.log10().floor()).max(0.0);
+    (decimals <= 7.0 && largest < 1e6).then_some(decimals as usize)
 }
 
 impl Column {
@@ -137,6 +145,15 @@ impl From<String> for Cell {
 impl<T: Into<Cell>> From<Option<T>> for Cell {
     fn from(value: Option<T>) -> Self {
         value.map_or(Self::Empty, Into::into)
+    }
+}
+
+/// Factor from a unit to the one that is shown in a report, and its name: millimetres and milliradians.
+pub(crate) fn shown_unit(unit: &str) -> (f64, &str) {
+    match unit {
+        "m" => (1e3, "mm"),
+        "rad" => (1e3, "mrad"),
+        other => (1.0, other),
     }
 }
 

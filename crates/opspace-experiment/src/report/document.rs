@@ -1,6 +1,9 @@
 //! Reports: pages with a table of runs, charts that compare them, and the figures of each run.
 
-use crate::evaluate::results::{Measure, group, joint_table, notes, table, task_table};
+use crate::evaluate::results::{
+    Measure, group, joint_notes, joint_table, notes, table, task_notes, task_table,
+};
+use crate::evaluate::table::{Table, format_short};
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 use crate::report::html::Page;
 pub use crate::report::run_section::RunSection;
@@ -15,14 +18,16 @@ pub fn page(
     measures: &[Measure],
     shown: &[RunSection],
 ) -> String {
+    let mut all_notes = notes(summaries, measures);
+    if let ([run], [_]) = (shown, summaries)
+        && !run.operator_axes.is_empty()
+    {
+        all_notes.push(format!("Axes of the operator force and of the hand motion: {}.", run.operator_axes));
+    }
     let mut page = Page::new(title).lead(lead).section("Results").table(
-        if group(summaries).iter().all(|group| group.runs.len() == 1) {
-            "Values after settle_s"
-        } else {
-            "Medians over the seeds of each row, and their intervals, after settle_s"
-        },
+        &caption(summaries, shown),
         &table(summaries, measures),
-        &notes(summaries),
+        &borrowed(&all_notes),
     );
     if summaries.len() > 1 {
         for comparison in comparisons(summaries) {
@@ -33,18 +38,24 @@ pub fn page(
         }
     }
     for run in shown {
-        page = page.section(&run.title);
+        page = page.section(if run.title == title { "Tasks, joints and signals" } else { &run.title });
         for warning in &run.warnings {
             page = page.warning(warning);
         }
-        let (tasks, joints) = (task_table(&run.summary), joint_table(&run.summary));
-        for (caption, table) in [
-            ("Errors of the tasks", tasks),
-            ("Torques of the joints; chatter is the desired torque above 8 Hz", joints),
-        ] {
-            if !table.rows.is_empty() {
-                page = page.table(caption, &table, &[]);
+        let (tasks, joints) =
+            (in_order(task_table(&run.summary), run), in_order(joint_table(&run.summary), run));
+        let task_notes = task_notes(&run.summary);
+        if tasks.rows.is_empty() {
+            for note in &task_notes {
+                page = page.paragraph(note);
             }
+        } else {
+            let caption = format!("Errors, forces and motions of the tasks {}", after(run.settle_s));
+            page = page.table(&caption, &tasks, &borrowed(&task_notes));
+        }
+        if !joints.rows.is_empty() {
+            let caption = format!("Torques of the joints {}", after(run.settle_s));
+            page = page.table(&caption, &joints, &borrowed(&joint_notes(&run.summary)));
         }
         for figure in &run.figures {
             page = page.figure(figure);
@@ -52,4 +63,32 @@ pub fn page(
         page = page.facts(run.facts.iter().map(|(term, text)| (term.as_str(), text.as_str())));
     }
     page.render()
+}
+
+fn borrowed(texts: &[String]) -> Vec<&str> {
+    texts.iter().map(String::as_str).collect()
+}
+
+/// Caption of the table of runs.
+fn caption(summaries: &[Summary], shown: &[RunSection]) -> String {
+    match shown {
+        [one] if summaries.len() == 1 => format!("Values {}", after(one.settle_s)),
+        _ if group(summaries).iter().all(|group| group.runs.len() == 1) => {
+            "Values after the first seconds of control, settle_s of each task file".to_owned()
+        }
+        _ => "Medians over the seeds of each row, and their intervals; values after the first seconds of control, settle_s of \
+              each task file"
+            .to_owned(),
+    }
+}
+
+/// Names the time that statistics cover.
+pub(super) fn after(settle_s: f64) -> String {
+    format!("after the first {} s (settle_s)", format_short(settle_s))
+}
+
+/// Orders the rows of a table by the tasks' priority, or as the joints of the robot.
+fn in_order(mut table: Table, run: &RunSection) -> Table {
+    table.rows.sort_by_key(|row| run.order.iter().position(|name| row[0] == name.as_str().into()));
+    table
 }

@@ -80,6 +80,12 @@ impl Page {
         let width = table.rows.iter().map(Vec::len).chain([table.columns.len()]).max().unwrap_or(0);
         for (row, texts) in table.rows.iter().zip(table.texts()) {
             html.push_str("<tr>");
+            // A row of one cell is a heading of the rows below it.
+            if let ([_], [text], 2..) = (&row[..], &texts[..], width) {
+                let _ =
+                    write!(html, "<th scope=\"rowgroup\" colspan=\"{width}\">{}</th></tr>\n", escape(text));
+                continue;
+            }
             for place in 0..width {
                 html.push_str(&cell(row.get(place), texts.get(place), place));
             }
@@ -113,8 +119,9 @@ impl Page {
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
              <meta name=\"color-scheme\" content=\"light dark\"/>\n<title>{title}</title>\n\
-             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n</body>\n</html>\n",
+             <style>\n{STYLE}{}</style>\n</head>\n<body>\n<main>\n<h1>{}</h1>\n{}</main>\n</body>\n</html>\n",
             dark_figures(),
+            unbroken(&title),
             self.body
         )
     }
@@ -136,6 +143,15 @@ impl Page {
         self.body.push('\n');
         self
     }
+}
+
+/// Marks the words with a hyphen in escaped text, at which a browser would break a line.
+fn unbroken(text: &str) -> String {
+    let word = |word: &str| match word.contains('-') {
+        true => format!("<span class=\"word\">{word}</span>"),
+        false => word.to_owned(),
+    };
+    text.split(' ').map(word).collect::<Vec<String>>().join(" ")
 }
 
 /// Formats a cell; the first cell of a row is the head of the row.
@@ -166,10 +182,12 @@ fn dark_figures() -> String {
 }
 
 const STYLE: &str = "\
-:root { color-scheme: light dark; --ink: #1c2024; --soft: #5b636b; --line: #d6dade; --back: #ffffff; --stripe: #f5f7f8;
+:root { color-scheme: light dark; --ink: #1c2024; --soft: #5b636b; --line: #d6dade; --back: #ffffff; --stripe: #1c20240a;
+  --shade: #1c202466;
   --pass: #00704f; --fail: #b03a00; --warn: #fff3e4 }
 @media screen and (prefers-color-scheme: dark) {
-  :root { --ink: #e6e8ea; --soft: #a2abb3; --line: #3a4147; --back: #15181b; --stripe: #1d2125;
+  :root { --ink: #e6e8ea; --soft: #a2abb3; --line: #3a4147; --back: #15181b; --stripe: #e6e8ea0a;
+    --shade: #e6e8ea66;
     --pass: #4fd0a5; --fail: #ff9a5c; --warn: #3a2a18 }
 }
 * { box-sizing: border-box }
@@ -180,7 +198,12 @@ h2 { font-size: 1.3rem; margin: 2.75rem 0 0.75rem; padding-top: 0.9rem; border-t
 p { max-width: 46rem }
 .lead { font-size: 1.12rem; color: var(--soft); margin: 0 0 1.75rem }
 .warning { background: var(--warn); border-left: 4px solid var(--fail); padding: 0.6rem 0.9rem }
-.scroll { overflow-x: auto }
+.word { display: inline-block }
+/* A shadow at each edge beyond which there is more: it stays in place, and the covers of it move with the content. */
+.scroll { overflow-x: auto; background: linear-gradient(to right, var(--back) 1rem, transparent) left,
+  linear-gradient(to left, var(--back) 1rem, transparent) right, linear-gradient(to right, var(--shade), transparent) left,
+  linear-gradient(to left, var(--shade), transparent) right; background-size: 2.5rem 100%, 2.5rem 100%, 0.9rem calc(100% - 4px), 0.9rem calc(100% - 4px);
+  background-repeat: no-repeat; background-attachment: local, local, scroll, scroll }
 table { border-collapse: collapse; width: 100%; font-size: 0.85rem; margin: 1rem 0 0.4rem }
 caption { text-align: left; padding-bottom: 0.5rem; color: var(--ink) }
 th, td { padding: 0.35rem 0.5rem; text-align: left; vertical-align: baseline; border-bottom: 1px solid var(--line) }
@@ -201,9 +224,11 @@ figcaption b { color: var(--ink) }
 figure text { font-family: system-ui, sans-serif; font-variant-numeric: tabular-nums }
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 0.5rem 1.5rem; font-size: 0.92rem }
 dl div { border-left: 3px solid var(--line); padding-left: 0.7rem }
-dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere }
+dt { color: var(--soft); font-size: 0.84rem } dd { margin: 0; overflow-wrap: anywhere; white-space: pre-line }
 @media screen and (max-width: 40rem) { main { padding: 1.5rem 0.75rem 3rem } h1 { font-size: 1.4rem }
   table { font-size: 0.72rem } th, td { padding: 0.3rem 0.25rem } tbody th { white-space: pre-wrap } }
+@media screen and (max-width: 41.4rem) {
+  figure::before { content: 'Scroll the figure sideways to see all of it.'; font-size: 0.86rem; color: var(--soft) } }
 @media print { main { max-width: none; padding: 0 } figure svg { min-width: 0 } .scroll { overflow: visible }
   h2 { break-after: avoid } tr { break-inside: avoid } }
 ";

@@ -7,6 +7,8 @@ use crate::run::experiment::Experiment;
 use crate::run::log_header;
 use crate::run::summary::Summary;
 use opspace_log::{LogFile, RECOVERED, Recording};
+use opspace_sim::{EnvironmentObjectParameters, WorldAxis};
+use opspace_transformer::VelocitySource;
 
 /// Section of a page about one run, with all its figures.
 #[derive(Clone, Debug)]
@@ -17,6 +19,12 @@ pub struct RunSection {
     pub summary: Summary,
     /// Figures of the run.
     pub figures: Vec<Figure>,
+    /// Start of the statistics, s after the start of control.
+    pub settle_s: f64,
+    /// Names of the tasks by priority, then of the joints as in the robot.
+    pub order: Vec<String>,
+    /// World axes over which the operator reports force and motion; empty without an operator.
+    pub operator_axes: String,
     /// Warnings about the log: damage, lost rows.
     pub warnings: Vec<String>,
     /// Origin of the run: files, seed, versions.
@@ -29,7 +37,7 @@ impl RunSection {
     pub fn new(experiment: &Experiment, recording: &Recording, summary: Summary) -> Self {
         let mut figures = RunFigures::new(experiment);
         figures.add(recording, true);
-        Self::with_figures(recording, figures.finish(), summary)
+        Self::with_figures(experiment, recording, figures.finish(), summary)
     }
 
     /// Creates the section of a run from its log, which is read in segments.
@@ -39,10 +47,15 @@ impl RunSection {
     pub fn of_file(experiment: &Experiment, log: &LogFile, summary: Summary) -> Result<Self, RunError> {
         let mut figures = RunFigures::new(experiment);
         log.for_each_segment(&mut |segment, is_last| figures.add(segment, is_last))?;
-        Ok(Self::with_figures(log.recording(), figures.finish(), summary))
+        Ok(Self::with_figures(experiment, log.recording(), figures.finish(), summary))
     }
 
-    fn with_figures(recording: &Recording, figures: Vec<Figure>, summary: Summary) -> Self {
+    fn with_figures(
+        experiment: &Experiment,
+        recording: &Recording,
+        figures: Vec<Figure>,
+        summary: Summary,
+    ) -> Self {
         let mut warnings = Vec::new();
         if let Some(damage) = &recording.damage {
             let shown = if damage.rows_lost { "; only the readable part is shown" } else { "" };
@@ -68,14 +81,52 @@ impl RunSection {
             |key: &str| key != log_header::ASKED_FOR && (has_transformer || !key.starts_with("transformer"));
         let metadata = recording.metadata(log_header::RUN).into_iter().flatten();
         let facts = metadata.filter(|(key, value)| is_shown(key) && !value.is_empty());
+        let logged = facts.map(|(key, value)| (key.clone(), value.clone()));
+        let tasks = experiment.task().tasks_of_the_run().into_iter().map(|(name, _)| name.to_owned());
+        let joints = experiment.robot().model.joints().iter().map(|joint| joint.name.clone());
         Self {
             title: title(&summary),
+            settle_s: experiment.task().file.settle_s.get(),
+            order: tasks.chain(joints).collect(),
+            operator_axes: operator_axes(experiment),
             figures,
             summary,
             warnings,
-            facts: facts.map(|(key, value)| (key.clone(), value.clone())).collect(),
+            facts: logged.chain(facts_of(experiment)).collect(),
         }
     }
+}
+
+/// Facts about an experiment that explain its tables and figures.
+fn facts_of(experiment: &Experiment) -> Vec<(String, String)> {
+    let file = &experiment.task().file;
+    let mut facts = vec![("settle_s".to_owned(), file.settle_s.get().to_string())];
+    facts.extend(
+        file.event.iter().map(|event| (format!("event at {} s", event.time_s.get()), event.set.join("\n"))),
+    );
+    let velocities = if experiment.velocity_source() == VelocitySource::Observer {
+        "estimated by an observer with the model of the arm"
+    } else {
+        "measured, or filtered differences of measured positions"
+    };
+    facts.push(("joint velocities".to_owned(), velocities.to_owned()));
+    facts
+}
+
+/// World axes over which the first operator of an experiment reports force and motion; empty without an operator.
+fn operator_axes(experiment: &Experiment) -> String {
+    let mut objects = experiment.task().file.environment.values();
+    let operator = objects.find_map(|object| match object {
+        EnvironmentObjectParameters::Spring(spring) => Some(spring),
+        _ => None,
+    });
+    let name = |axis: &WorldAxis| match axis {
+        WorldAxis::X => "x",
+        WorldAxis::Y => "y",
+        WorldAxis::Z => "z",
+    };
+    operator
+        .map_or_else(String::new, |spring| spring.report.iter().map(name).collect::<Vec<&str>>().join(", "))
 }
 
 fn title(summary: &Summary) -> String {

@@ -49,7 +49,7 @@ fn rows() {
 fn check_summaries(summaries: &[Summary], header: &SuiteHeader) {
     let shown = table(summaries, &header.columns);
     assert!(summaries.is_empty() || !shown.rows.is_empty());
-    let _ = (notes(summaries), failures(summaries));
+    let _ = (notes(summaries, &header.columns), failures(summaries));
     let groups = group_rows(summaries);
     let counted: usize = groups.iter().map(|group| group["seeds"].as_array().map_or(0, Vec::len)).sum();
     assert_eq!(counted, summaries.len(), "a run is in no group, or in two");

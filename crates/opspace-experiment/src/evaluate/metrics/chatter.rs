@@ -13,25 +13,28 @@ pub(super) const BLOCK_S: f64 = 4.0;
 pub(super) struct Chatter {
     /// Rms of that part, in the unit of the signal.
     pub rms: f64,
-    /// Frequency of its largest line, Hz.
-    pub largest_hz: f64,
+    /// Frequency of its largest line, Hz; `None` if the spectrum only falls from the frequency on that begins the part.
+    pub largest_hz: Option<f64>,
 }
 
 impl Chatter {
     /// Evaluates the spectrum of a signal that was sampled at a rate (Hz).
     pub fn of(spectrum: &Spectrum, rate_hz: f64) -> Self {
         let line_hz = rate_hz / spectrum.n as f64;
-        let (mut sum, mut largest) = (0.0, (0, 0.0));
+        let (mut sum, mut below, mut largest) = (0.0, 0.0, None::<(usize, f64)>);
         for (line, square) in spectrum.mean_squares().enumerate() {
             if line as f64 * line_hz < CHATTER_HZ {
+                below = square;
                 continue;
             }
             sum += square;
-            if square > largest.1 {
-                largest = (line, square);
+            if largest.is_none_or(|(_, least)| square > least) {
+                largest = Some((line, square));
             }
         }
-        Self { rms: sum.sqrt(), largest_hz: largest.0 as f64 * line_hz }
+        // The first line can be the flank of a larger one below.
+        let line = largest.filter(|(_, square)| *square > below);
+        Self { rms: sum.sqrt(), largest_hz: line.map(|(line, _)| line as f64 * line_hz) }
     }
 }
 
@@ -58,7 +61,17 @@ mod tests {
                 .for_each(|sample| welch.add(sample));
             let found = Chatter::of(&welch.finish().expect("a spectrum"), rate_hz);
             assert!((found.rms / (0.8 / 2f64.sqrt()) - 1.0).abs() < LEAKAGE, "{found:?}");
-            assert!((found.largest_hz - 15.3).abs() <= 1.0 / BLOCK_S, "{found:?}");
+            assert!((found.largest_hz.expect("a line") - 15.3).abs() <= 1.0 / BLOCK_S, "{found:?}");
         }
+    }
+
+    /// Checks a wave just below the band, whose spectrum falls through the band's first line.
+    #[test]
+    fn flank_of_a_slower_wave_is_no_line() {
+        let rate_hz = 1000.0;
+        let mut welch = Welch::new((BLOCK_S * rate_hz) as usize, &mut RealFftPlanner::new());
+        (0..8000).map(|k| (TAU * 7.7 * f64::from(k) / rate_hz).sin()).for_each(|sample| welch.add(sample));
+        let found = Chatter::of(&welch.finish().expect("a spectrum"), rate_hz);
+        assert!(found.rms > 0.0 && found.largest_hz.is_none(), "{found:?}");
     }
 }

@@ -82,7 +82,7 @@ impl JointTorques {
             if let Some(spectrum) = spectrum.finish().filter(|_| is_complete) {
                 let chatter = Chatter::of(&spectrum, self.rate_hz);
                 metrics.torque_chatter_rms_nm = Some(chatter.rms);
-                metrics.torque_chatter_hz = Some(chatter.largest_hz);
+                metrics.torque_chatter_hz = chatter.largest_hz;
             }
             metrics.torque_saturated_fraction = saturated.get();
             all.insert(joint.name.clone(), metrics);
