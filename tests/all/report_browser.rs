@@ -108,7 +108,7 @@ fn run_report_is_drawn() {
     }
     let torques = texts(&probe, "torque");
     assert!(JOINTS.iter().all(|joint| torques.contains(joint)), "a panel for each joint: {torques:?}");
-    for figure in ["Position of", "Contact force"] {
+    for figure in ["Position of", "Force on the frame"] {
         let texts = texts(&probe, figure);
         assert!(["x", "y", "z"].iter().all(|axis| texts.contains(axis)), "{figure}: {texts:?}");
     }

@@ -109,8 +109,8 @@ fn position(joint: &JointIdentification) -> Figure {
                   of the largest amplitude."
             .to_owned(),
         panels: bode(curves, "|T| (1)"),
-        overlays: false,
         columns: Some(2),
+        ..Figure::default()
     }
 }
 
@@ -135,8 +135,8 @@ fn effective(joint: &JointIdentification) -> Figure {
                   friction dominates the torque, it depends on the amplitude."
             .to_owned(),
         panels: bode(curves, unit),
-        overlays: false,
         columns: Some(2),
+        ..Figure::default()
     }
 }
 
@@ -225,7 +225,6 @@ fn friction(joint: &JointIdentification) -> Option<Figure> {
             ],
             ..Panel::default()
         }],
-        overlays: false,
-        columns: None,
+        ..Figure::default()
     })
 }

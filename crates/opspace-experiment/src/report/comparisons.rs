@@ -209,6 +209,7 @@ fn overlay(figure: &Figure, runs: &[&RunSection]) -> Option<Figure> {
     Some(Figure {
         title: format!("{}: {} runs", figure.title, found.len()),
         panels: (0..figure.panels.len()).map(panel).collect(),
+        remark: String::new(),
         ..figure.clone()
     })
 }

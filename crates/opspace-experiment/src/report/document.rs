@@ -83,7 +83,7 @@ fn caption(summaries: &[Summary], shown: &[RunSection]) -> String {
 }
 
 /// Names the time that statistics cover.
-pub(super) fn after(settle_s: f64) -> String {
+fn after(settle_s: f64) -> String {
     format!("after the first {} s (settle_s)", format_short(settle_s))
 }
 

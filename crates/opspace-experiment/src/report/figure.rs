@@ -6,10 +6,11 @@
 //! contains a remark.
 
 use crate::evaluate::spread::Spread;
+use crate::evaluate::table::format_short;
 use std::ops::Range;
 
 use plotters::coord::Shift;
-use plotters::coord::ranged1d::{BoldPoints, Ranged};
+use plotters::coord::ranged1d::{BoldPoints, DefaultFormatting, KeyPointHint, Ranged};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -21,6 +22,8 @@ pub struct Figure {
     pub title: String,
     /// Caption: explanation of the figure.
     pub caption: String,
+    /// Statement about this run alone, at the end of the caption; a figure of several runs lacks it.
+    pub remark: String,
     /// Panels, in reading order.
     pub panels: Vec<Panel>,
     /// Number of panels side by side, at most four; `None` arranges up to three in one column, and more in two.
@@ -38,11 +41,14 @@ pub struct Panel {
     pub x_label: String,
     /// Quantity and unit of the ordinate: `torque (N·m)`.
     pub y_label: String,
-    /// Lines in the order of drawing; desired quantities are drawn last. A label has the same colour in the whole
-    /// figure.
+    /// Lines in the order of drawing; thin lines are drawn first and desired quantities last. A label has the same colour
+    /// in the whole figure.
     pub series: Vec<Series>,
-    /// Vertical lines with labels: (x, label).
+    /// Vertical lines behind the others, with labels: (x, label). An empty label is not drawn.
     pub marks: Vec<(f64, String)>,
+    /// Abscissa from which on values determine the range of the ordinate; values before it are cut off where they exceed
+    /// this range. All values if `None`.
+    pub range_from_x: Option<f64>,
     /// Scale of the abscissa: linear or logarithmic.
     pub x_scale: Scale,
     /// Scale of the ordinate: linear or logarithmic.
@@ -181,6 +187,10 @@ const WIDTH: i32 = px(960);
 const LEGEND_ROW: i32 = px(24);
 /// Length of a line in the legend.
 const SAMPLE: i32 = px(28);
+/// Height of the label of a mark.
+const LABEL_ROW: i32 = px(15);
+/// Height of the label of a mark, relative to that of the lines in a low panel.
+const LABEL_SHARE: f64 = 0.14;
 /// Radius of a measured point.
 const DOT: i32 = px(3);
 
@@ -189,7 +199,7 @@ const fn px(pixels: i32) -> i32 {
 }
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Coordinate, Coordinate>>;
 type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
 
 impl Figure {
@@ -200,7 +210,9 @@ impl Figure {
         let columns = self.columns.unwrap_or(if count <= 3 { 1 } else { 2 }).clamp(1, count.min(4));
         let rows = count.div_ceil(columns);
         let entries = self.legend();
-        let labels: Vec<&str> = entries.iter().map(|entry| entry.0).collect();
+        // A single line needs no name beside the title.
+        let named = if entries.len() > 1 { &entries[..] } else { &[] };
+        let labels: Vec<&str> = named.iter().map(|entry| entry.0).collect();
         let top = legend_height(&labels);
         let height = top + rows as i32 * px(if columns == 1 && rows > 1 { 205 } else { 245 });
         canvas(&self.title, &self.caption, height, |root| {
@@ -237,7 +249,7 @@ impl Figure {
             let (place, width, opacity) = match series.style {
                 Style::Solid | Style::Dots => (&mut others, 10, 1.0),
                 Style::Desired => (&mut desired, 5, 1.0),
-                Style::Thin => (&mut others, 4, 0.7),
+                Style::Thin => (&mut others, 5, 0.9),
             };
             // Further desired lines get different colours, from the end of the palette.
             let color = match (series.style, *place) {
@@ -269,15 +281,33 @@ impl Panel {
             let samples = self.series.iter().flat_map(|series| series.x.iter().zip(&series.y));
             samples.filter(|(x, y)| x.is_finite() && y.is_finite())
         };
-        let title = match self.remark() {
-            Some(remark) => format!("{} ({remark})", self.title),
-            None => self.title.clone(),
+        let all = range(samples().map(|(_, y)| *y));
+        let shown = samples().filter(|(x, _)| self.range_from_x.is_none_or(|from| **x >= from));
+        // With zero, so that a line which begins there is not cut off at its other end.
+        let with_zero = |y: Range<f64>| match self.range_from_x {
+            Some(_) => y.start.min(0.0)..y.end.max(0.0),
+            None => y,
         };
-        let (Some(x), Some(y)) = (range(samples().map(|(x, _)| *x)), range(samples().map(|(_, y)| *y)))
-        else {
+        let y = range(shown.map(|(_, y)| *y)).map(with_zero).or_else(|| all.clone());
+        let mut remarks = self.remarks();
+        if let (Some(all), Some(y), Some(from)) = (&all, &y, self.range_from_x) {
+            let largest = |range: &Range<f64>| range.start.abs().max(range.end.abs());
+            if largest(all) > largest(y) {
+                remarks.push(format!(
+                    "cut off before {} s: up to {}",
+                    format_short(from),
+                    format_short(largest(all))
+                ));
+            }
+        }
+        let title = match remarks.join("; ") {
+            none if none.is_empty() => self.title.clone(),
+            remarks => format!("{} ({remarks})", self.title),
+        };
+        let (Some(x), Some(y)) = (range(samples().map(|(x, _)| *x)), y) else {
             return say(area, &title);
         };
-        let y = match self.y_scale {
+        let mut y = match self.y_scale {
             Scale::Linear => Axis::linear(y, 0.06, &self.y_label, 7),
             Scale::Log => Axis::decades(y, &self.y_label),
         };
@@ -289,25 +319,51 @@ impl Panel {
             }
             Scale::Log => Axis::decades(x, &self.x_label),
         };
+        let drawn = y.range.clone();
+        let mut marks: Vec<(f64, &str)> = self
+            .marks
+            .iter()
+            .map(|(at, label)| (x.place(self.x_scale.of(&[*at])[0]), label.as_str()))
+            .collect();
+        marks.retain(|(at, _)| x.range.contains(at));
+        // Labels are above the lines, each below the one before.
+        let labels = marks.iter().filter(|(_, label)| !label.is_empty()).count();
+        y.range.end += LABEL_SHARE * labels as f64 * (drawn.end - drawn.start);
         let mut chart = chart(area, &title, left, &x, &y)?;
+        let mut row = 0;
+        for (at, label) in marks {
+            // An event does not cross the labels.
+            let high = if label.is_empty() { drawn.end } else { y.range.end };
+            Self::mark(&mut chart, (at, y.range.start..high), label, row)?;
+            row += i32::from(!label.is_empty());
+        }
         let mut series: Vec<&Series> = self.series.iter().collect();
-        series.sort_by_key(|series| series.style == Style::Desired);
+        series.sort_by_key(|series| match series.style {
+            Style::Thin => 0,
+            Style::Solid | Style::Dots => 1,
+            Style::Desired => 2,
+        });
         for series in series {
             let style = legend.iter().find(|(label, _)| *label == series.label).map(|(_, style)| *style);
-            series.draw(&mut chart, &x, &y, style.unwrap_or(INK.into()))?;
-        }
-        for (at, label) in &self.marks {
-            self.mark(&mut chart, x.place(self.x_scale.of(&[*at])[0]), &y, label)?;
+            let style = style.unwrap_or(INK.into());
+            match self.range_from_x {
+                None => series.draw(&mut chart, &x, &y, style)?,
+                Some(_) => {
+                    let shown = |value: &f64| drawn.contains(&y.place(*value));
+                    let y_values = series.y.iter().map(|v| if shown(v) { *v } else { f64::NAN }).collect();
+                    Series { y: y_values, ..series.clone() }.draw(&mut chart, &x, &y, style)?;
+                }
+            }
         }
         Ok(())
     }
 
-    /// Remark on series that cannot be shown; `None` if all can be shown.
-    fn remark(&self) -> Option<String> {
+    /// Remarks on series that cannot be shown; none if all can be shown.
+    fn remarks(&self) -> Vec<String> {
         let known: Vec<_> = self.series.iter().map(Series::range).collect();
         if known.iter().all(Result::is_err) {
             let empty = known.iter().all(|range| *range == Err("no data"));
-            return Some(if empty { "no data" } else { "no finite value" }.to_owned());
+            return vec![if empty { "no data" } else { "no finite value" }.to_owned()];
         }
         let named = self.series.iter().zip(&known);
         let mut remarks: Vec<String> = named
@@ -316,22 +372,23 @@ impl Panel {
         if known.iter().flatten().all(is_point) {
             remarks.push("constant".to_owned());
         }
-        (!remarks.is_empty()).then(|| remarks.join("; "))
+        remarks
     }
 
-    /// Draws a vertical line with a label.
-    fn mark(&self, chart: &mut Chart<'_>, x: f64, y: &Axis<'_>, label: &str) -> Drawn {
+    /// Draws a vertical line with a label in the given row of labels.
+    fn mark(chart: &mut Chart<'_>, (x, y): (f64, Range<f64>), label: &str, row: i32) -> Drawn {
         let visible = chart.x_range();
-        if !visible.contains(&x) {
-            return Ok(());
-        }
-        let (low, high) = (y.range.start, y.range.end);
+        let (low, high) = (y.start, y.end);
         let line = INK.mix(0.55).stroke_width(4);
         chart.draw_series([PathElement::new(vec![(x, low), (x, high)], line)])?;
+        if label.is_empty() {
+            return Ok(());
+        }
         let left_half = x < (visible.start + visible.end) / 2.0;
         let (anchor, offset) = if left_half { (HPos::Left, px(5)) } else { (HPos::Right, px(-5)) };
         let style = text(12, FontStyle::Italic).pos(Pos::new(anchor, VPos::Top));
-        let word = EmptyElement::at((x, high)) + Text::new(printable(label), (offset, px(2)), style);
+        let word = EmptyElement::at((x, high))
+            + Text::new(printable(label), (offset, px(2) + row * LABEL_ROW), style);
         chart.draw_series([word])?;
         Ok(())
     }
@@ -500,13 +557,13 @@ struct Axis<'a> {
     range: Range<f64>,
     exponent: i32,
     label: String,
-    /// Maximum number of ticks.
-    ticks: usize,
+    /// Ticks, in units of `range`.
+    ticks: Vec<f64>,
     text: Box<dyn Fn(&f64) -> String + 'a>,
 }
 
 impl<'a> Axis<'a> {
-    /// Creates a linear axis that extends beyond `range` by the fraction `share` at each end.
+    /// Creates a linear axis that extends beyond `range` by the fraction `share` at each end, with at most so many ticks.
     fn linear(range: Range<f64>, share: f64, label: &str, ticks: i32) -> Self {
         let largest = range.start.abs().max(range.end.abs());
         let exponent = match largest {
@@ -525,28 +582,36 @@ impl<'a> Axis<'a> {
         let digits = 11 - range.end.abs().max(range.start.abs()).log10().floor() as i32;
         let fine = 10f64.powi(digits);
         Self {
-            range,
             exponent,
             label: match exponent {
                 0 => label.to_owned(),
                 _ => format!("{label} × {}", power_of_ten(exponent)),
             },
-            ticks: ticks.max(2) as usize,
+            ticks: RangedCoordf64::from(range.clone()).key_points(BoldPoints(ticks.max(2) as usize)),
+            range,
             // `+ 0.0` turns −0 into 0.
             text: Box::new(move |tick| ((tick * fine).round() / fine + 0.0).to_string().replace('-', "−")),
         }
     }
 
-    /// Creates a logarithmic axis for a range of decimal logarithms, extended to whole powers of ten.
+    /// Creates a logarithmic axis for a range of decimal logarithms, extended to whole powers of ten, and below if the least
+    /// value is one.
     fn decades(range: Range<f64>, label: &str) -> Self {
+        const BELOW: f64 = 0.3;
         let low = range.start.floor();
         let high = range.end.ceil().max(low + 1.0);
+        let step = ((high - low) / 8.0).ceil() as usize;
+        let ticks: Vec<f64> = (low as i32..=high as i32).step_by(step).map(f64::from).collect();
+        let is_short = ticks.iter().all(|tick| tick.abs() <= SHORT_POWER);
         Self {
-            range: low..high,
+            range: if range.start > low { low } else { low - BELOW }..high,
             exponent: 0,
             label: label.to_owned(),
-            ticks: (high - low).min(8.0) as usize + 1,
-            text: Box::new(|tick| power_of_ten(tick.round() as i32)),
+            ticks,
+            text: Box::new(move |tick| match is_short {
+                true => power_of_ten(tick.round() as i32),
+                false => raised_power_of_ten(tick.round() as i32),
+            }),
         }
     }
 
@@ -556,15 +621,18 @@ impl<'a> Axis<'a> {
             range: rows.len() as f64 - 0.5..-0.5,
             exponent: 0,
             label: String::new(),
-            ticks: rows.len(),
+            ticks: (0..rows.len()).map(|row| row as f64).collect(),
             text: Box::new(|row| rows.get(row.round() as usize).map_or("", |row| &row.label).to_owned()),
         }
     }
 
     /// Estimated width of the longest tick text.
     fn widest(&self) -> i32 {
-        let ticks = RangedCoordf64::from(self.range.clone()).key_points(BoldPoints(self.ticks));
-        ticks.iter().map(|tick| text_width(&(self.text)(tick))).max().unwrap_or(0)
+        self.ticks.iter().map(|tick| text_width(&(self.text)(tick))).max().unwrap_or(0)
+    }
+
+    fn coordinate(&self) -> Coordinate {
+        Coordinate { linear: self.range.clone().into(), ticks: self.ticks.clone() }
     }
 
     /// Coordinate of a value on the axis, in units of `range`.
@@ -573,14 +641,44 @@ impl<'a> Axis<'a> {
     }
 }
 
+/// Largest magnitude of an exponent whose power of ten is written in full.
+const SHORT_POWER: f64 = 4.0;
+
 fn power_of_ten(exponent: i32) -> String {
+    match f64::from(exponent).abs() <= SHORT_POWER {
+        true => format!("{:.*}", (-exponent).max(0) as usize, 10f64.powi(exponent)),
+        false => raised_power_of_ten(exponent),
+    }
+}
+
+fn raised_power_of_ten(exponent: i32) -> String {
     let raised = |c: char| match c.to_digit(10) {
         Some(digit) => ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'][digit as usize],
         None => '⁻',
     };
-    match exponent {
-        -4..=4 => format!("{:.*}", (-exponent).max(0) as usize, 10f64.powi(exponent)),
-        _ => format!("10{}", exponent.to_string().chars().map(raised).collect::<String>()),
+    format!("10{}", exponent.to_string().chars().map(raised).collect::<String>())
+}
+
+/// Linear coordinate with given ticks.
+struct Coordinate {
+    linear: RangedCoordf64,
+    ticks: Vec<f64>,
+}
+
+impl Ranged for Coordinate {
+    type FormatOption = DefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
+        self.linear.map(value, limit)
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
+        if hint.weight().allow_light_points() { Vec::new() } else { self.ticks.clone() }
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.linear.range()
     }
 }
 
@@ -592,7 +690,7 @@ fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>
         .margin_right(px(20))
         .x_label_area_size(px(43))
         .y_label_area_size(left)
-        .build_cartesian_2d(x.range.clone(), y.range.clone())?;
+        .build_cartesian_2d(x.coordinate(), y.coordinate())?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -601,8 +699,6 @@ fn chart<'a>(area: &Area<'a>, title: &str, left: i32, x: &Axis<'_>, y: &Axis<'_>
         .set_all_tick_mark_size(px(4))
         .label_style(text(12, FontStyle::Normal))
         .axis_desc_style(text(13, FontStyle::Normal))
-        .x_labels(x.ticks)
-        .y_labels(y.ticks)
         .x_label_formatter(&|tick| printable(&(x.text)(tick)))
         .y_label_formatter(&|tick| printable(&(y.text)(tick)))
         .x_desc(printable(&x.label))

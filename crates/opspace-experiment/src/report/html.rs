@@ -83,7 +83,7 @@ impl Page {
             // A row of one cell is a heading of the rows below it.
             if let ([_], [text], 2..) = (&row[..], &texts[..], width) {
                 let _ =
-                    write!(html, "<th scope=\"rowgroup\" colspan=\"{width}\">{}</th></tr>\n", escape(text));
+                    writeln!(html, "<th scope=\"rowgroup\" colspan=\"{width}\">{}</th></tr>", escape(text));
                 continue;
             }
             for place in 0..width {
@@ -103,7 +103,8 @@ impl Page {
 
     /// Adds a numbered figure.
     pub fn figure(self, figure: &Figure) -> Self {
-        self.drawing(&figure.svg(), &figure.title, &figure.caption)
+        let caption = format!("{} {}", figure.caption, figure.remark);
+        self.drawing(&figure.svg(), &figure.title, caption.trim_end())
     }
 
     /// Adds a comparison; it is numbered like a figure.

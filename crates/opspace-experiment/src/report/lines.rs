@@ -1,7 +1,9 @@
 //! Lines and panels over time, from the log of a run.
 
 use crate::evaluate::metrics::run_log::Run;
+use crate::evaluate::table::format_short;
 use crate::report::figure::{Figure, Panel, Series, Style};
+use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::Q;
 use opspace_log::{ChannelData, Column};
 
@@ -9,17 +11,18 @@ use opspace_log::{ChannelData, Column};
 /// shows.
 pub(super) const COLUMNS: usize = 1500;
 
-/// Fraction of the largest value shown, beside which a limit is drawn.
-const NEAR_LIMIT: f64 = 0.4;
+/// Largest distance to a limit at which the limit is drawn, relative to half the range between the limits.
+const NEAR_LIMIT: f64 = 0.2;
 
-/// Figure of a quantity of each joint, with the desired one of the control cycles and the position limits.
+/// Figure of a quantity of each joint, with the desired one of the control cycles and the position limits. Signals have
+/// a label each.
 pub(super) fn joint_figure(
     run: &Run<'_>,
     title: &str,
     caption: &str,
     quantity: &str,
     (channel, name, label): (&ChannelData, &str, &str),
-    desired: &Column<'_>,
+    (desired, desired_label): (&Column<'_>, &str),
 ) -> Option<Figure> {
     let actual = channel.signal(name)?;
     let joints = run.experiment.robot().model.joints();
@@ -27,7 +30,7 @@ pub(super) fn joint_figure(
         let place = desired.elements().iter().position(|name| name == joint);
         let mut series = vec![element(run, label, &channel.time_s, &actual, j, Style::Solid)];
         series.extend(
-            place.map(|place| element(run, "desired", &run.tick.time_s, desired, place, Style::Desired)),
+            place.map(|place| element(run, desired_label, &run.tick.time_s, desired, place, Style::Desired)),
         );
         let mut panel = time_panel(joint, &label_of(quantity, &actual, j), series);
         if let Some(joint) = joints.iter().find(|known| known.name == *joint).filter(|_| name == Q) {
@@ -52,6 +55,30 @@ pub(super) fn time_panel(title: &str, y_label: &str, series: Vec<Series>) -> Pan
         y_label: y_label.to_owned(),
         series,
         ..Panel::default()
+    }
+}
+
+/// Panel over time of an error of which the tables have rms and maximum: their start is marked, and determines the scale.
+pub(super) fn error_panel(run: &Run<'_>, title: &str, y_label: &str, error: Series) -> Panel {
+    let settle_s = run.experiment.task().file.settle_s.get();
+    Panel {
+        marks: vec![(settle_s, "settle_s".to_owned())],
+        range_from_x: Some(settle_s - run.same_s),
+        ..time_panel(title, y_label, vec![error])
+    }
+}
+
+/// Sentence about the start of rms and maximum in the tables.
+pub(super) fn tables_begin(run: &Run<'_>) -> String {
+    let settle_s = run.experiment.task().file.settle_s.get();
+    format!("The rms and max values of the tables begin at settle_s ({} s).", format_short(settle_s))
+}
+
+/// Names of things in a sentence: `x, y and z`.
+pub(super) fn listed(names: &[String]) -> String {
+    match names {
+        [names @ .., last] if !names.is_empty() => format!("{} and {last}", names.join(", ")),
+        _ => names.concat(),
     }
 }
 
@@ -107,36 +134,87 @@ pub(super) fn append(figures: &mut Vec<Figure>, next: Vec<Figure>) {
     }
 }
 
-/// Completes figures whose lines are complete: draws limits, and removes lines without a finite value.
-pub(super) fn complete(mut figures: Vec<Figure>) -> Vec<Figure> {
+/// Completes figures over time whose lines are complete: marks events, draws limits, and removes lines without a finite
+/// value.
+pub(super) fn complete(experiment: &Experiment, mut figures: Vec<Figure>) -> Vec<Figure> {
     for figure in &mut figures {
         for panel in &mut figure.panels {
             panel.series.retain(|series| series.y.iter().any(|value| value.is_finite()));
-            if let Some(limits) = panel.limits.clone() {
-                draw_limits(panel, limits);
-            }
         }
         figure.panels.retain(|panel| !panel.series.is_empty());
+        draw_limits(figure);
+        mark_events(figure, experiment);
     }
     figures.retain(|figure| !figure.panels.is_empty());
     figures
 }
 
-/// Draws the limits that the lines of a panel come near.
-fn draw_limits(panel: &mut Panel, limits: std::ops::Range<f64>) {
-    let values = || panel.series.iter().flat_map(|series| series.y.iter().copied()).filter(|v| v.is_finite());
-    let times = || panel.series.iter().flat_map(|series| series.x.iter().copied());
-    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
-    let (begin, end) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
-    let span = limits.end - limits.start;
-    let mut near = Vec::new();
-    if limits.end.is_finite() && span.is_finite() && high > limits.end - NEAR_LIMIT * 0.5 * span {
-        near.push(limits.end);
+/// Marks the events of a task file that occurred while the lines of a figure were logged.
+fn mark_events(figure: &mut Figure, experiment: &Experiment) {
+    let x =
+        || figure.panels.iter().flat_map(|panel| &panel.series).flat_map(|series| series.x.iter().copied());
+    let end = x().filter(|x| x.is_finite()).fold(0.0, f64::max);
+    let times = experiment.task().events.iter().map(|event| event.time_s);
+    let times: Vec<f64> = times.filter(|time_s| *time_s <= end).collect();
+    if times.is_empty() {
+        return;
     }
-    if limits.start.is_finite() && span.is_finite() && low < limits.start + NEAR_LIMIT * 0.5 * span {
-        near.push(limits.start);
+    for panel in &mut figure.panels {
+        panel.marks.extend(times.iter().map(|time_s| (*time_s, String::new())));
     }
-    for limit in near {
-        panel.series.push(Series::new("limit", vec![begin, end], vec![limit; 2]).style(Style::Thin));
+    let named: Vec<String> = times.iter().map(|time_s| format_short(*time_s)).collect();
+    let (lines, events) = if times.len() == 1 { ("line", "the event") } else { ("lines", "the events") };
+    figure.caption += &format!(" Vertical {lines} without a name: {events} at {} s.", listed(&named));
+}
+
+/// Line of a panel that comes closest to a limit.
+struct Closest {
+    panel: usize,
+    value: f64,
+    limit: f64,
+    /// Distance to the limit, relative to half the range between the limits.
+    distance: f64,
+}
+
+/// Draws the limits that the lines of a figure come near; if there are none, names the one that they come closest to.
+fn draw_limits(figure: &mut Figure) {
+    let mut closest: Option<Closest> = None;
+    let mut is_drawn = false;
+    for (place, panel) in figure.panels.iter_mut().enumerate() {
+        let Some(limits) = panel.limits.clone() else { continue };
+        let half = 0.5 * (limits.end - limits.start);
+        if !half.is_finite() {
+            continue;
+        }
+        let values =
+            || panel.series.iter().flat_map(|series| series.y.iter().copied()).filter(|v| v.is_finite());
+        let times =
+            || panel.series.iter().flat_map(|series| series.x.iter().copied()).filter(|v| v.is_finite());
+        let (low, high) =
+            (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
+        let (begin, end) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
+        for (value, limit, distance) in
+            [(high, limits.end, (limits.end - high) / half), (low, limits.start, (low - limits.start) / half)]
+        {
+            if distance < NEAR_LIMIT {
+                is_drawn = true;
+                panel.series.push(Series::new("limit", vec![begin, end], vec![limit; 2]).style(Style::Thin));
+            }
+            if closest.as_ref().is_none_or(|closest| distance < closest.distance) {
+                closest = Some(Closest { panel: place, value, limit, distance });
+            }
+        }
+    }
+    let percent = 100.0 * NEAR_LIMIT;
+    if is_drawn {
+        figure.caption += &format!(
+            " A limit is drawn where a line comes nearer to it than {percent:.0} % of half the range between the limits."
+        );
+    } else if let Some(Closest { panel, value, limit, .. }) = closest {
+        let Panel { title, y_label, .. } = &figure.panels[panel];
+        let unit = y_label.split_once('(').map_or("", |(_, unit)| unit.trim_end_matches(')'));
+        let [value, limit] = [value, limit].map(|value| format_short(value).replace('-', "−"));
+        figure.remark =
+            format!("No limit is near: '{title}' comes closest: {value} {unit}, limit {limit} {unit}.");
     }
 }

@@ -3,6 +3,7 @@
 use crate::evaluate::metrics::run_log::{Control, Run};
 use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
+use crate::evaluate::table::format_short;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
 use crate::report::task_figures::task_figures;
@@ -10,6 +11,7 @@ use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
     DQ, DQ_DESIRED, MOTOR_TORQUE, Q, Q_DESIRED, SERVO_CHANNEL, TORQUE_DESIRED,
 };
+use opspace_backend::{CommandKind, Setpoints};
 use opspace_log::Recording;
 use realfft::RealFftPlanner;
 
@@ -76,11 +78,23 @@ impl<'a> RunFigures<'a> {
         if self.control.start_s.is_none() {
             return Vec::new();
         }
-        let mut figures = complete(self.figures);
+        let mut figures = complete(self.experiment, self.figures);
         figures.extend(torque_error_spectrum(self.experiment, self.errors));
         figures.extend(computing_times(&self.times));
         figures
     }
+}
+
+/// True if servos hold each setpoint for more than one of their periods.
+fn holds_setpoints(experiment: &Experiment) -> bool {
+    let is_held = experiment.robot().file.interface.setpoints == Setpoints::Held;
+    let commands_setpoints = experiment.options().backend != CommandKind::Torque;
+    is_held && commands_setpoints && experiment.profile().1.servo_ticks_per_cycle.get() > 1
+}
+
+/// True if position servos hold each setpoint for more than one of their periods.
+fn holds_positions(experiment: &Experiment) -> bool {
+    holds_setpoints(experiment) && experiment.options().backend == CommandKind::Position
 }
 
 /// Figure of desired and motor torque of each joint, at servo rate if the log contains it.
@@ -105,7 +119,11 @@ fn torques(run: &Run<'_>) -> Option<Figure> {
     };
     Some(Figure {
         title: "Desired and motor torque".to_owned(),
-        caption: format!("{caption} Torque limits are drawn where the torques come near them."),
+        caption: if holds_positions(run.experiment) {
+            format!("{caption} The motor torque ripples between two setpoints, while a joint moves.")
+        } else {
+            caption.to_owned()
+        },
         panels: motor.elements().iter().enumerate().map(panel).collect(),
         overlays: true,
         ..Figure::default()
@@ -121,12 +139,12 @@ fn setpoint_figure(run: &Run<'_>) -> Option<Figure> {
             "Velocity setpoints (commands of the velocity servos), and measured or estimated velocities.",
             "velocity",
             (run.tick, DQ, "measured"),
-            &velocities,
+            (&velocities, "setpoint"),
         );
     }
     let positions = run.tick.signal(Q_DESIRED)?;
     let caption = "Position setpoints (commands of the position servos), and measured positions.";
-    joint_figure(run, "Setpoints", caption, "position", (run.tick, Q, "measured"), &positions)
+    joint_figure(run, "Setpoints", caption, "position", (run.tick, Q, "measured"), (&positions, "setpoint"))
 }
 
 /// Figure of the spectra of the torque errors: where motor torque and desired torque differ.
@@ -152,12 +170,19 @@ fn torque_error_spectrum(experiment: &Experiment, errors: Vec<(String, String, W
         Some(panel)
     };
     let panels: Vec<Panel> = errors.into_iter().filter_map(panel).collect();
+    let settle_s = format_short(experiment.task().file.settle_s.get());
+    let cause = if holds_setpoints(experiment) {
+        " Setpoints that are held while a joint moves give lines at multiples of the interface rate; friction, noise and \
+         model errors make up the rest."
+    } else {
+        ""
+    };
     (!panels.is_empty()).then(|| Figure {
         title: "Spectrum of the torque error".to_owned(),
-        caption: "Amplitude by frequency after settle_s, rms over blocks of one second (Hann window, Welch). A held setpoint \
-                  gives lines at multiples of the interface rate; friction, noise and the transformer's model errors are \
-                  below it."
-            .to_owned(),
+        caption: format!(
+            "Motor torque minus desired torque: amplitude by frequency after settle_s ({settle_s} s), rms over blocks of \
+             one second (Hann window, Welch).{cause}"
+        ),
         panels,
         ..Figure::default()
     })
@@ -189,14 +214,14 @@ fn computing_times(times: &CycleTimes) -> Option<Figure> {
         x_label: "duration of a control cycle (µs)".to_owned(),
         y_label: "cycles".to_owned(),
         series: vec![Series::new("cycles", x, y)],
-        marks: vec![(at(0.5), "median".to_owned()), (at(0.99), "99 %".to_owned())],
+        marks: vec![(at(0.5), "median".to_owned()), (at(0.99), "99 % took less".to_owned())],
         x_scale: Scale::Log,
         y_scale: Scale::Log,
         ..Panel::default()
     };
     Some(Figure {
         title: "Computing time".to_owned(),
-        caption: "Number of control cycles by duration: estimator, model, controller and transformer, without communication. \
+        caption: "Number of control cycles of the whole run by duration: estimator, model, controller and transformer, without communication. \
                   Measured on the computer of this run, among its other work."
             .to_owned(),
         panels: vec![panel],

@@ -20,11 +20,11 @@ pub struct RunSection {
     /// Figures of the run.
     pub figures: Vec<Figure>,
     /// Start of the statistics, s after the start of control.
-    pub settle_s: f64,
+    pub(super) settle_s: f64,
     /// Names of the tasks by priority, then of the joints as in the robot.
-    pub order: Vec<String>,
+    pub(super) order: Vec<String>,
     /// World axes over which the operator reports force and motion; empty without an operator.
-    pub operator_axes: String,
+    pub(super) operator_axes: String,
     /// Warnings about the log: damage, lost rows.
     pub warnings: Vec<String>,
     /// Origin of the run: files, seed, versions.

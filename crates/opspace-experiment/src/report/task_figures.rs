@@ -3,8 +3,9 @@
 use crate::evaluate::metrics::run_log::{Run, masked_norm};
 use crate::evaluate::metrics::task_axes::{AxesOfTask, TaskAxes, TaskRow};
 use crate::evaluate::metrics::tasks::{orientation, total};
+use crate::evaluate::table::shown_unit;
 use crate::report::figure::{Figure, Panel, Series, Style};
-use crate::report::lines::{element, joint_figure, label_of, line, time_panel};
+use crate::report::lines::{error_panel, joint_figure, line, listed, tables_begin, time_panel};
 use nalgebra::Vector3;
 use opspace_backend::signal_names::{
     self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH,
@@ -23,7 +24,14 @@ pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
         match task {
             TaskParameters::Cartesian(task) => {
                 let Ok(controlled) = task.controlled_frame(&run.experiment.robot().model) else { continue };
-                let shown = CartesianFigures::new(run, name, format!("'{}'", task.frame), controlled);
+                let mut frame = format!("'{}'", task.frame);
+                if let Some(other) = &task.relative_to {
+                    frame += &format!(" relative to '{other}'");
+                }
+                let shown = CartesianFigures {
+                    relative_to: task.relative_to.as_deref(),
+                    ..CartesianFigures::new(run, name, frame, controlled)
+                };
                 figures.extend([shown.position(), shown.orientation(), shown.errors()]);
                 figures.extend(shown.forces(task));
             }
@@ -33,7 +41,7 @@ pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
                 figures.extend([shown.position(), shown.errors()]);
             }
             TaskParameters::JointTracking(task) => {
-                figures.extend(joints(run, name, task.joints.as_deref()));
+                figures.extend(joints(run, name, task.joints.as_deref()).into_iter().flatten());
             }
             _ => figures.extend(logged_errors(run, name)),
         }
@@ -45,27 +53,58 @@ pub(super) fn task_figures(run: &Run<'_>) -> Vec<Figure> {
 fn logged_errors(run: &Run<'_>, task: &str) -> Option<Figure> {
     let error = run.tick.signal(&signal_names::of(task, ERROR))?;
     let panel = |(j, name): (usize, &String)| {
-        let line = element(run, "error", &run.tick.time_s, &error, j, Style::Solid);
-        time_panel(name, &label_of("error", &error, j), vec![line])
+        let (factor, unit) = shown_unit(&error.units()[j]);
+        let values = error.rows().map(|row| factor * row[j]);
+        let samples = run.tick.time_s.iter().copied().zip(values);
+        let error = line(run, "error", samples, Style::Solid);
+        error_panel(run, name, &format!("error ({})", unit.replace("Nm", "N·m")), error)
     };
     Some(Figure {
         title: format!("Error of task '{task}'"),
-        caption: "Deviation from the reference, as the controller measured it.".to_owned(),
+        caption: format!(
+            "Deviation from the reference, as the controller measured it. {}",
+            tables_begin(run)
+        ),
         panels: error.elements().iter().enumerate().map(panel).collect(),
         overlays: true,
         ..Figure::default()
     })
 }
 
-/// Figure of the positions of the joints of a task: of all, or of some. The log has references of all.
-fn joints(run: &Run<'_>, task: &str, of: Option<&[String]>) -> Option<Figure> {
+/// Name of the positions in a log: true or measured.
+fn known(run: &Run<'_>) -> &'static str {
+    if run.recording.channel(TRUTH_CHANNEL).is_some() { "true" } else { "measured" }
+}
+
+/// Figures of the positions of the joints of a task, and of their errors: of all joints, or of some. The log has references
+/// of all.
+fn joints(run: &Run<'_>, task: &str, of: Option<&[String]>) -> Option<[Figure; 2]> {
     let reference = run.tick.signal(&signal_names::of(task, REFERENCE))?;
-    let truth = run.recording.channel(TRUTH_CHANNEL).unwrap_or(run.tick);
-    let caption = "True positions and references. Position limits are drawn where the joints come near them.";
-    let actual = (truth, Q, "true");
-    let mut figure = joint_figure(run, "Joint positions", caption, "position", actual, &reference)?;
+    let positions = run.recording.channel(TRUTH_CHANNEL).unwrap_or(run.tick);
+    let (title, known) = (format!("Joint positions of task '{task}'"), known(run));
+    let caption = format!("References and {known} positions.");
+    let actual = (positions, Q, known);
+    let desired = (&reference, "reference");
+    let mut figure = joint_figure(run, &title, &caption, "position", actual, desired)?;
     figure.panels.retain(|panel| of.is_none_or(|of| of.contains(&panel.title)));
-    Some(figure)
+    let (times, q) = run.joints;
+    let error = |panel: &Panel| {
+        let j = q.elements().iter().position(|joint| *joint == panel.title)?;
+        let place = reference.elements().iter().position(|joint| *joint == panel.title)?;
+        let (factor, unit) = shown_unit(&q.units()[j]);
+        let rows = run.controlled().filter_map(|k| Some((k, run.tick_of(k)?)));
+        let samples = rows.map(|(k, tick)| (times[k], factor * (q.row(k)[j] - reference.row(tick)[place])));
+        let error = line(run, "error", samples, Style::Solid);
+        Some(error_panel(run, &panel.title, &format!("error ({unit})"), error))
+    };
+    let errors = Figure {
+        title: format!("Error of task '{task}'"),
+        caption: format!("Deviation of the {known} position from the reference. {}", tables_begin(run)),
+        panels: figure.panels.iter().filter_map(error).collect(),
+        overlays: true,
+        ..Figure::default()
+    };
+    Some([figure, errors])
 }
 
 /// Cartesian task of a run, with the poses of its frame.
@@ -74,6 +113,8 @@ struct CartesianFigures<'a> {
     name: &'a str,
     /// Controlled frame, as in a title.
     frame: String,
+    /// Frame in whose coordinates the pose is given; the world if `None`.
+    relative_to: Option<&'a str>,
     rows: Vec<TaskRow>,
     /// Axes of the task if events and streamed modes leave them as they are.
     constant: Option<TaskAxes>,
@@ -88,6 +129,7 @@ impl<'a> CartesianFigures<'a> {
             run,
             name,
             frame,
+            relative_to: None,
             rows: axes.rows(run),
             constant: axes.constant(run),
             reference: run.tick.signal(&signal_names::of(name, REFERENCE)),
@@ -106,44 +148,39 @@ impl<'a> CartesianFigures<'a> {
         (0..3).map(|axis| time_panel(AXES[axis], y_label, series(axis))).collect()
     }
 
-    /// Position in world axes. An axis has a reference while it is a motion axis.
+    /// Position in the world, or relative to another frame in its axes. An axis has a reference while it is a motion axis.
     fn position(&self) -> Figure {
         let panels = self.panels("position (m)", |axis| {
-            let reference = self.reference.map(|reference| {
-                self.line("reference", Style::Desired, |row| {
-                    let follows = row.axes.is_some_and(|axes| follows(&axes, axis));
-                    Some(reference.row(self.run.tick_of(row.k).filter(|_| follows)?)[axis])
-                })
-            });
-            let truth = self.line("true", Style::Solid, |row| Some(row.pose.translation[axis]));
-            [Some(truth), reference].into_iter().flatten().collect()
+            let line = |label, style, is_drawn: fn(&TaskAxes, usize) -> bool| {
+                let reference = self.reference?;
+                Some(self.line(label, style, |row| {
+                    let is_drawn = row.axes.is_some_and(|axes| is_drawn(&axes, axis));
+                    Some(reference.row(self.run.tick_of(row.k).filter(|_| is_drawn)?)[axis])
+                }))
+            };
+            let truth = self.line(known(self.run), Style::Solid, |row| Some(row.pose.translation[axis]));
+            let reference = line("reference", Style::Desired, follows);
+            let in_other_axes =
+                line("reference in other axes", Style::Thin, |axes, _| follows_in_other_axes(axes));
+            [Some(truth), reference, in_other_axes].into_iter().flatten().collect()
         });
-        let caption = match self.constant {
-            Some(axes) => {
-                let followed: Vec<&str> =
-                    (0..3).filter(|&axis| follows(&axes, axis)).map(|axis| AXES[axis]).collect();
-                match followed.len() {
-                    3 => "World axes.".to_owned(),
-                    0 => "World axes. No axis of the world alone follows a reference.".to_owned(),
-                    1 => {
-                        format!(
-                            "World axes. Only {} follows a reference; the other axes are free.",
-                            followed[0]
-                        )
-                    }
-                    _ => {
-                        format!(
-                            "World axes. {} follow a reference; the other axis is free.",
-                            followed.join(" and ")
-                        )
-                    }
-                }
-            }
-            None => "World axes. A reference is drawn while the axis follows it.".to_owned(),
+        let coordinates = match self.relative_to {
+            Some(frame) => format!("relative to '{frame}', in its axes"),
+            None => "in world axes".to_owned(),
+        };
+        let followed = match &self.constant {
+            Some(axes) if follows_in_other_axes(axes) => format!(
+                "In the axes of the task (axes_frame), {}. The axes drawn are others: the position need not meet the thin \
+                 reference along them.",
+                by_mode(axes)
+            ),
+            Some(axes) if axes.are_those_of_the_pose() => format!("{}.", by_mode(axes)),
+            Some(axes) => format!("In the axes of the task (axes_frame), {}.", by_mode(axes)),
+            None => "A reference is drawn while the axis follows it.".to_owned(),
         };
         Figure {
             title: format!("Position of {}", self.frame),
-            caption,
+            caption: format!("Position ({}) {coordinates}. {followed}", known(self.run)),
             panels,
             overlays: true,
             ..Figure::default()
@@ -161,16 +198,18 @@ impl<'a> CartesianFigures<'a> {
     /// Deviation of the orientation from its reference, about the motion axes of the task.
     fn orientation(&self) -> Figure {
         let panels = self.panels("rotation (mrad)", |axis| {
-            vec![self.line("true relative to the reference", Style::Solid, |row| {
+            vec![self.line("rotation", Style::Solid, |row| {
                 let (axes, error) = self.rotation_error(row)?;
                 axes.motion[3 + axis].then(|| 1e3 * error[axis])
             })]
         });
         Figure {
             title: format!("Orientation of {}", self.frame),
-            caption: "Rotation vector from the reference to the true orientation, in the axes of the task; axes that follow \
-                      no reference are omitted."
-                .to_owned(),
+            caption: format!(
+                "Rotation vector from the reference to the {} orientation, in the axes of the task; axes that follow no \
+                 reference are omitted.",
+                known(self.run)
+            ),
             panels,
             overlays: true,
             ..Figure::default()
@@ -190,24 +229,24 @@ impl<'a> CartesianFigures<'a> {
             Some(1e3 * masked_norm(&error, &axes.motion[3..]))
         });
         let panels = [("position", "distance (mm)", position), ("orientation", "angle (mrad)", angle)];
-        let panels = panels.map(|(title, label, series)| {
-            let mut panel = time_panel(title, label, vec![series]);
-            panel.marks.push((self.run.experiment.task().file.settle_s.get(), "settle_s".to_owned()));
-            panel
-        });
+        let panels = panels.map(|(title, label, series)| error_panel(self.run, title, label, series));
+        let axes = match self.constant {
+            Some(_) => "the motion axes of the task",
+            None => "the axes that are motion axes of the task at each moment",
+        };
         Figure {
             title: format!("Error of task '{}'", self.name),
-            caption: "Distance or angle from the reference over the motion axes of the task. The values of the tables \
-                      begin at settle_s."
-                .to_owned(),
+            caption: format!("Deviation from the reference over {axes}. {}", tables_begin(self.run)),
             panels: panels.to_vec(),
             overlays: true,
             ..Figure::default()
         }
     }
 
-    /// Force on the frame: true, sensed, and the target of the force axes.
+    /// Force on the frame: true, sensed, and the target of the axes with force feedback.
     fn forces(&self, task: &CartesianParameters) -> Option<Figure> {
+        let has_target =
+            |axes: &TaskAxes, axis: usize| axes.force[axis] || (axes.compliant[axis] && task.force.is_some());
         let sensor = task.force.as_ref().map(|force| force.sensor.as_str());
         let sensed = sensor.and_then(|sensor| self.run.tick.signal(&signal_names::of(sensor, WRENCH)));
         let truth = self.run.forces_on(&task.frame).filter(|forces| !forces.is_empty());
@@ -217,7 +256,9 @@ impl<'a> CartesianFigures<'a> {
         }
         let panels = self.panels("force (N)", |axis| {
             let true_force = truth.as_ref().map(|forces| {
-                self.line("true", Style::Solid, |row| Some(row.in_world.tr_mul(&total(forces, row.k))[axis]))
+                self.line(known(self.run), Style::Solid, |row| {
+                    Some(row.in_world.tr_mul(&total(forces, row.k))[axis])
+                })
             });
             let sensed = sensed.map(|sensed| {
                 self.line("sensed", Style::Thin, |row| {
@@ -226,20 +267,27 @@ impl<'a> CartesianFigures<'a> {
                 })
             });
             let target = self.line("target", Style::Desired, |row| {
-                let axes = row.axes.filter(|axes| axes.force[axis])?;
+                let axes = row.axes.filter(|axes| has_target(axes, axis))?;
                 Some(axes.target?[axis])
             });
             [true_force, sensed, Some(target)].into_iter().flatten().collect()
         });
-        let of_sensor = if sensed.is_some() { "; the sensor is tared at the start" } else { "" };
+        let of_sensor = sensor.filter(|_| sensed.is_some()).map_or_else(String::new, |sensor| {
+            format!(" Sensed: reading of sensor '{sensor}', tared at the start and unfiltered.")
+        });
         let of_target = match self.constant {
-            Some(axes) if axes.force.contains(&true) && axes.target.is_some() => " Force axes have a target.",
-            None => " A target is drawn while the axis is a force axis.",
-            Some(_) => "",
+            Some(axes) if axes.target.is_some() => {
+                match listed(&chosen_axes(|axis| has_target(&axes, axis))).as_str() {
+                    "" => String::new(),
+                    names => format!(" The target is that of {names}."),
+                }
+            }
+            None => " A target is drawn while the axis has one.".to_owned(),
+            Some(_) => String::new(),
         };
         Some(Figure {
-            title: format!("Contact force of task '{}'", self.name),
-            caption: format!("Force on the robot in the axes of the task{of_sensor}.{of_target}"),
+            title: format!("Force on the frame of task '{}'", self.name),
+            caption: format!("Force on the robot in the axes of the task.{of_sensor}{of_target}"),
             panels,
             overlays: true,
             ..Figure::default()
@@ -247,8 +295,34 @@ impl<'a> CartesianFigures<'a> {
     }
 }
 
-/// True if an axis of the world follows the reference of a task. In axes of the task's own, each axis of the world may mix
-/// motion axes and others.
+/// True if an axis of the coordinates of the pose follows the reference of a task. In axes of the task's own, each of these
+/// axes may mix motion axes and others.
 fn follows(axes: &TaskAxes, axis: usize) -> bool {
     if axes.are_those_of_the_pose() { axes.motion[axis] } else { axes.motion[..3] == [true; 3] }
+}
+
+/// True if some axes of the task's own follow its reference, so that no axis of the coordinates of the pose does.
+fn follows_in_other_axes(axes: &TaskAxes) -> bool {
+    axes.motion[..3].contains(&true) && !(0..3).any(|axis| follows(axes, axis))
+}
+
+/// Names of the axes of space that are chosen.
+fn chosen_axes(is_chosen: impl Fn(usize) -> bool) -> Vec<String> {
+    (0..3).filter(|axis| is_chosen(*axis)).map(|axis| AXES[axis].to_owned()).collect()
+}
+
+/// Describes the axes of space of a task by their modes: `y and z follow a reference; x is compliant`.
+fn by_mode(axes: &TaskAxes) -> String {
+    let is_free = |axis: usize| !(axes.motion[axis] || axes.compliant[axis] || axes.force[axis]);
+    let modes = [
+        (chosen_axes(|axis| axes.motion[axis]), ["follows a reference", "follow a reference"]),
+        (chosen_axes(|axis| axes.compliant[axis]), ["is compliant", "are compliant"]),
+        (chosen_axes(|axis| axes.force[axis]), ["controls the force", "control the force"]),
+        (chosen_axes(is_free), ["is not controlled by this task", "are not controlled by this task"]),
+    ];
+    let modes = modes.iter().filter(|(names, _)| !names.is_empty());
+    let texts = modes.map(|(names, [one, many])| {
+        format!("{} {}", listed(names), if names.len() == 1 { one } else { many })
+    });
+    texts.collect::<Vec<String>>().join("; ")
 }

@@ -142,8 +142,7 @@ fn decades_have_equal_width_and_points_are_dots() {
     let dots: Vec<(f64, f64)> = (document.descendants().filter(|node| node.has_tag_name("circle")))
         .map(|dot| (number(&dot, "cx"), number(&dot, "cy")))
         .collect();
-    // One dot is in the legend.
-    let [_, points @ ..] = &dots[..] else { panic!("no dots") };
+    let points = &dots;
     assert_eq!(points.len(), 4, "{dots:?}");
     let steps: Vec<(f64, f64)> = points.windows(2).map(|p| (p[1].0 - p[0].0, p[1].1 - p[0].1)).collect();
     for (right, down) in &steps {
@@ -220,7 +219,7 @@ fn line_is_drawn_to_scale() {
     let series = Series::new("a", vec![0.0, 1.0, 2.0, 4.0], vec![0.0, 10.0, 5.0, 10.0]);
     let svg = figure(vec![panel("p", vec![series])]).svg();
     let document = xml(&svg);
-    let drawn = points(&lines(&document, 1)[0]);
+    let drawn = points(&lines(&document, 0)[0]);
     let rise = |k: usize| drawn[0].1 - drawn[k].1;
     let run = |k: usize| drawn[k].0 - drawn[0].0;
     // Coordinates are integers on a canvas with four times the resolution of the page.
@@ -242,7 +241,7 @@ fn peaks_and_gaps_are_drawn() {
     y[30_000..31_000].fill(f64::NAN);
     let svg = figure(vec![panel("p", vec![Series::new("a", x.clone(), y)])]).svg();
     let document = xml(&svg);
-    let drawn: Vec<Vec<(f64, f64)>> = lines(&document, 1).iter().map(points).collect();
+    let drawn: Vec<Vec<(f64, f64)>> = lines(&document, 0).iter().map(points).collect();
     assert_eq!(drawn.len(), 2, "a line before the gap, and one after it");
     let zero = drawn[1][0].1;
     let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
@@ -260,6 +259,80 @@ fn peaks_and_gaps_are_drawn() {
     assert!((highest.0 - place(12_345)).abs() < rounding && (lowest.0 - place(23_456)).abs() < rounding);
     assert!((drawn[0][drawn[0].len() - 1].0 - place(29_999)).abs() < rounding);
     assert!((drawn[1][0].0 - place(31_000)).abs() < rounding);
+}
+
+/// Values before the abscissa that determines the scale are cut off, and the title says so.
+#[test]
+fn values_before_the_scale_are_cut_off() {
+    let x: Vec<f64> = (0..1000).map(|k| f64::from(k) * 1e-3).collect();
+    let y = x.iter().map(|x| if *x < 0.2 { 36.0 } else { *x }).collect();
+    let mut cut = panel("p", vec![Series::new("a", x, y)]);
+    let full = points(&lines(&xml(&figure(vec![cut.clone()]).svg()), 0)[0]);
+    cut.range_from_x = Some(0.2);
+    let svg = figure(vec![cut]).svg();
+    let document = xml(&svg);
+    assert!(
+        texts(&document).iter().any(|text| text == "p (cut off before 0.2 s: up to 36)"),
+        "{:?}",
+        texts(&document)
+    );
+    let drawn = points(&lines(&document, 0)[0]);
+    assert!(drawn[0].0 > full[0].0, "the part before is not drawn");
+    // A run that was stopped before is drawn as a whole.
+    let x: Vec<f64> = (0..100).map(|k| f64::from(k) * 1e-3).collect();
+    let early = Panel { range_from_x: Some(0.2), ..panel("p", vec![Series::new("a", x.clone(), x)]) };
+    assert!(texts(&xml(&figure(vec![early]).svg())).iter().any(|text| text == "p"));
+    let rise = |points: &[(f64, f64)]| {
+        let heights = || points.iter().filter(|(x, _)| *x > drawn[0].0).map(|(_, y)| *y);
+        heights().fold(f64::MIN, f64::max) - heights().fold(f64::MAX, f64::min)
+    };
+    assert!(rise(&drawn) > 20.0 * rise(&full), "the rest has the whole height");
+}
+
+/// Marks are drawn before the lines, so that these are visible; each label has a row of its own above them, and thin lines
+/// are below solid ones.
+#[test]
+fn marks_are_behind_the_lines() {
+    let wave = |label: &str, style| Series::new(label, vec![0.0, 1.0, 2.0], vec![0.0, 5.0, 0.0]).style(style);
+    let mut panel = panel("p", vec![wave("solid", Style::Solid), wave("thin", Style::Thin)]);
+    panel.marks = vec![(1.0, "one".to_owned()), (1.05, "two".to_owned()), (0.5, String::new())];
+    let svg = figure(vec![panel]).svg();
+    let document = xml(&svg);
+    let all: Vec<Node<'_, '_>> =
+        document.descendants().filter(|node| node.has_tag_name((SVG, "polyline"))).collect();
+    let place = |opacity: &str| {
+        all.iter().rposition(|node| node.attribute("opacity") == Some(opacity)).expect("a line")
+    };
+    let (marks, thin, solid) = (place("0.55"), place("0.9"), place("1"));
+    assert!(marks < thin && thin < solid, "{marks} {thin} {solid}");
+    let top = points(&all[solid]).iter().map(|(_, y)| *y).fold(f64::MAX, f64::min);
+    let label = |name: &str| -> f64 {
+        let mut texts = document.descendants().filter(|node| node.has_tag_name((SVG, "text")));
+        let text = texts.find(|node| node.text().is_some_and(|text| text.trim() == name)).expect(name);
+        text.attribute("y").expect("a place").parse().expect("a number")
+    };
+    assert!(label("one") < label("two") && label("two") < top, "{} {} {top}", label("one"), label("two"));
+}
+
+/// Decades have one notation, and the least value of a logarithmic axis is above its end.
+#[test]
+fn logarithmic_axis_has_one_notation() {
+    let counts = |largest: f64| {
+        let series = Series::new("a", vec![1.0, 2.0, 3.0], vec![1.0, 10.0, largest]);
+        let panel = Panel { y_scale: Scale::Log, ..panel("p", vec![series]) };
+        figure(vec![panel]).svg()
+    };
+    let said = texts(&xml(&counts(2e4)));
+    assert!(said.contains(&"10⁰".to_owned()) && said.contains(&"10⁵".to_owned()), "{said:?}");
+    assert!(!said.contains(&"10000".to_owned()), "{said:?}");
+    let svg = counts(1000.0);
+    let document = xml(&svg);
+    let said = texts(&document);
+    assert!(said.contains(&"1000".to_owned()) && !said.contains(&"10⁰".to_owned()), "{said:?}");
+    let lowest = points(&lines(&document, 0)[0])[0].1;
+    let axis = document.descendants().filter(|node| node.has_tag_name((SVG, "polyline")));
+    let bottom = axis.flat_map(|line| points(&line)).map(|(_, y)| y).fold(f64::MIN, f64::max);
+    assert!(bottom - lowest > 20.0, "{lowest} above {bottom}");
 }
 
 #[test]
@@ -434,6 +507,11 @@ fn column_shares_its_decimals() {
     assert_eq!(column(&[12.3456, f64::NAN]), ["12.35", "not a number"]);
     assert_eq!(column(&[1e9, 1.0]), ["1.000e9", "1.000"]);
     assert_eq!(column(&[0.0, -0.0]), ["0", "0"]);
+    let mut by_row = Table::new(&[("rms", ""), ("max", "")]);
+    by_row.decimals_by_row = true;
+    by_row.push(vec![8.651.into(), 13.249.into()]);
+    by_row.push(vec![Cell::Empty, 15.4.into()]);
+    assert_eq!(by_row.texts(), [["8.65", "13.25"], ["–", "15.40"]]);
 }
 
 fn sample_table() -> Table {
@@ -580,6 +658,9 @@ fn ragged_and_empty_tables_are_valid() {
     let rows: Vec<usize> =
         document.descendants().filter(|node| node.tag_name().name() == "tr").map(cells).collect();
     assert_eq!(rows, [2, 3, 3]);
+    // A row of one cell is a heading over all columns.
+    table.push(vec!["heading".into()]);
+    assert!(Page::new("t").table("c", &table, &[]).render().contains("colspan=\"3\">heading</th></tr>"));
 }
 
 fn chromium() -> PathBuf {

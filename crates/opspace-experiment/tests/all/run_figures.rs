@@ -8,6 +8,7 @@ use opspace_experiment::report::figure::{Figure, Panel, Style};
 use opspace_experiment::{Experiment, Files, Progress, RunOptions, Summary};
 use opspace_log::{OutcomeRecord, Recording};
 use opspace_loop::Phase;
+use opspace_model::{Data, frame_placement, kinematics};
 use std::io::Cursor;
 use std::path::Path;
 
@@ -50,7 +51,13 @@ fn free_axes_have_no_reference() {
     let position = figure(&section, "Position of");
     let with: Vec<Vec<&str>> = position.panels.iter().map(labels).collect();
     assert_eq!(with, [vec!["true"], vec!["true", "reference"], vec!["true", "reference"]]);
-    assert!(position.caption.contains("y and z follow a reference"), "{}", position.caption);
+    assert!(position.caption.contains("y and z follow a reference; x is compliant."), "{}", position.caption);
+    // The force on the compliant axis is controlled to zero.
+    let force = figure(&section, "Force on the frame");
+    assert_eq!(labels(&force.panels[0]), ["true", "sensed", "target"]);
+    assert!(force.panels[0].series[2].y.iter().all(|force| *force == 0.0));
+    assert_eq!(labels(&force.panels[1]), ["true", "sensed"]);
+    assert!(force.caption.ends_with("The target is that of x."), "{}", force.caption);
 }
 
 /// Checks that a reference is drawn exactly while its axis follows it, and that a task to which an event gives a priority
@@ -68,7 +75,17 @@ fn figures_follow_the_task_set_in_force() {
         Experiment::load(Files::Disk, &path, None, options, &settings.map(str::to_owned)).unwrap();
     let (_, section) = shown(&experiment);
     let position = figure(&section, "Position of 'hand'");
-    assert_eq!(position.caption, "World axes. A reference is drawn while the axis follows it.");
+    let drawn_while = "A reference is drawn while the axis follows it.";
+    let events = "Vertical lines without a name: the events at 0.4, 0.7 and 0.8 s.";
+    assert_eq!(position.caption, format!("Position (true) in world axes. {drawn_while} {events}"));
+    let marks: Vec<f64> = position.panels[2].marks.iter().map(|(time_s, _)| *time_s).collect();
+    assert_eq!(marks, [0.4, 0.7, 0.8]);
+    assert!(
+        section
+            .facts
+            .iter()
+            .any(|(term, text)| term == "event at 0.4 s" && text.contains("axes.x=compliant"))
+    );
     let drawn = |axis: usize, time_s: f64| {
         let reference = &position.panels[axis].series[1];
         let at = reference.x.iter().position(|t| (t - time_s).abs() < 1e-3).unwrap();
@@ -89,7 +106,7 @@ fn figures_follow_the_task_set_in_force() {
 fn centre_of_mass_and_single_joints_have_figures() {
     let (_, section) = shown(&load("panda-levels", CommandKind::Torque, 0.6));
     let joints: Vec<&str> =
-        figure(&section, "Joint positions").panels.iter().map(|p| p.title.as_str()).collect();
+        figure(&section, "Joint positions of task 'turn'").panels.iter().map(|p| p.title.as_str()).collect();
     assert_eq!(joints, ["joint1"]);
     assert_eq!(labels(&figure(&section, "Position of the centre of mass").panels[0])[0], "true");
     let error = &figure(&section, "Error of task 'balance'").panels[0].series[0];
@@ -97,6 +114,101 @@ fn centre_of_mass_and_single_joints_have_figures() {
     let largest = settled.fold(0.0, f64::max);
     let metric = 1e3 * section.summary.tasks["balance"].pose.position_max_m.unwrap();
     assert!((largest / metric - 1.0).abs() < ROUNDING, "{largest} mm drawn, {metric} mm in the table");
+    let error = &figure(&section, "Error of task 'turn'").panels[0].series[0];
+    let settled = error.x.iter().zip(&error.y).filter(|(t, _)| **t >= 0.2 - 1e-4);
+    let largest = settled.map(|(_, mrad)| mrad.abs()).fold(0.0, f64::max);
+    let metric = 1e3 * section.summary.tasks["turn"].elements[0].max;
+    assert!((largest / metric - 1.0).abs() < ROUNDING, "{largest} mrad drawn, {metric} mrad in the table");
+}
+
+/// Compared: the position of a task that is relative to a link, as drawn, and that by the kinematics in the axes of the link;
+/// the figure says so, and which axes are followed.
+#[test]
+fn position_relative_to_a_link_says_so() {
+    let experiment = load("panda-levels", CommandKind::Torque, 0.6);
+    let (run, section) = shown(&experiment);
+    let position = figure(&section, "Position of 'flange' relative to 'link1'");
+    for part in [
+        "relative to 'link1', in its axes",
+        "In the axes of the task (axes_frame), z follows a reference; x and y are not controlled",
+    ] {
+        assert!(position.caption.contains(part), "{}", position.caption);
+    }
+    let truth = run.0.channel("truth").unwrap();
+    let q = truth.signal("q").unwrap();
+    let model = &experiment.robot().model;
+    let place = |name: &str| model.frame_id(name).unwrap();
+    let mut data = Data::new(model);
+    for (axis, panel) in position.panels.iter().enumerate() {
+        assert_eq!(labels(panel), ["true", "reference in other axes"]);
+        let drawn = &panel.series[0];
+        let first = truth.len() - drawn.x.len();
+        for k in (0..drawn.x.len()).step_by(100) {
+            kinematics(model, &mut data, q.row(first + k), &[0.0; 7]);
+            let [flange, link] = ["flange", "link1"].map(|name| frame_placement(model, &data, place(name)));
+            let expected = link.rotation.tr_mul(&(flange.translation - link.translation))[axis];
+            assert!((drawn.y[k] - expected).abs() < ROUNDING, "{} m for {expected} m", drawn.y[k]);
+        }
+    }
+}
+
+/// Checks that tasks without an error are named with the reason, that tasks are in the order of priority and joints in that of
+/// the robot, and that durations are said to be measured.
+#[test]
+fn page_of_a_run_names_what_it_shows() {
+    let (_, section) = shown(&load("press-wall", CommandKind::Position, 0.6));
+    let html = page(
+        "Title",
+        "Lead.",
+        std::slice::from_ref(&section.summary),
+        MEASURES,
+        std::slice::from_ref(&section),
+    );
+    for part in [
+        "Values after the first 0.2 s (settle_s)",
+        "Task &#39;rest&#39; (joint-posture) is not in the table: it pulls the joints to a posture",
+        "contact peak (first second of contact)",
+        "force error rms",
+        "of the whole run, measured on the computer on which it ran",
+        "All other values are from simulation.",
+        "1:5: a command every 5 servo ticks",
+        "<th scope=\"rowgroup\" colspan=",
+    ] {
+        assert!(html.contains(part), "{part}");
+    }
+    assert!(!html.contains("share one plant"), "one run is compared with no other");
+    let places =
+        [">shoulder_pitch</th>", ">shoulder_roll</th>", ">elbow</th>"].map(|name| html.find(name).unwrap());
+    assert!(places.is_sorted(), "{places:?}");
+    let (_, levels) = shown(&load("panda-levels", CommandKind::Torque, 0.6));
+    let html = page(
+        "Title",
+        "Lead.",
+        std::slice::from_ref(&levels.summary),
+        MEASURES,
+        std::slice::from_ref(&levels),
+    );
+    let places = [">turn</th>", ">flange</th>", ">balance</th>"].map(|name| html.find(name).unwrap());
+    assert!(places.is_sorted(), "{places:?}");
+    assert!(html.contains("Errors of position and orientation: those of task &#39;flange&#39;"));
+}
+
+/// Checks that a limit is drawn and named only if a line comes near it; otherwise the closest one is named.
+#[test]
+fn only_near_limits_are_drawn() {
+    let (_, section) = shown(&load("compliant-x", CommandKind::Position, 0.4));
+    let torques = figure(&section, "Desired and motor torque");
+    assert!(!torques.caption.contains("limit"), "{}", torques.caption);
+    assert!(torques.remark.starts_with("No limit is near: '"), "{}", torques.remark);
+    assert!(torques.panels.iter().all(|panel| !labels(panel).contains(&"limit")));
+    let options = RunOptions { duration_s: Some(0.4), ..RunOptions::default() };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tasks/compliant-x.toml");
+    let settings = ["settle_s=0.2", "start_rad.elbow=-0.1"].map(str::to_owned);
+    let near = Experiment::load(Files::Disk, &path, None, options, &settings).unwrap();
+    let (_, section) = shown(&near);
+    let setpoints = figure(&section, "Setpoints");
+    assert!(setpoints.panels.iter().any(|panel| labels(panel).contains(&"limit")));
+    assert!(setpoints.caption.contains("A limit is drawn where") && setpoints.remark.is_empty());
 }
 
 /// Checks that a task of another kind has a figure of the errors that it logs.
@@ -105,12 +217,12 @@ fn swivel_angle_has_a_figure_of_its_error() {
     let (run, section) = shown(&load("panda-swivel", CommandKind::Torque, 0.6));
     let logged = run.0.channel("tick").unwrap().signal("elbow.error").unwrap();
     let panel = &figure(&section, "Error of task 'elbow'").panels[0];
-    assert!(panel.y_label == "error (rad)", "{}", panel.y_label);
+    assert!(panel.y_label == "error (mrad)", "{}", panel.y_label);
     let largest = |values: &mut dyn Iterator<Item = f64>| {
         values.filter(|v| v.is_finite()).fold(0.0, |a: f64, v| a.max(v))
     };
     let drawn = largest(&mut panel.series[0].y.iter().copied());
-    assert!(drawn > 0.0 && drawn == largest(&mut logged.rows().map(|row| row[0])));
+    assert!(drawn > 0.0 && drawn == largest(&mut logged.rows().map(|row| 1e3 * row[0])));
 }
 
 /// Compared: the force figure's true force and target, and those of log and task file; the error figure, and the metric
@@ -119,7 +231,9 @@ fn swivel_angle_has_a_figure_of_its_error() {
 fn force_is_drawn_with_its_target_and_errors_over_time() {
     let experiment = load("press-wall", CommandKind::Position, 1.0);
     let (run, section) = shown(&experiment);
-    let x = &figure(&section, "Contact force").panels[0];
+    let position = figure(&section, "Position of");
+    assert!(position.caption.contains("x controls the force"), "{}", position.caption);
+    let x = &figure(&section, "Force on the frame").panels[0];
     assert_eq!(labels(x), ["true", "sensed", "target"]);
     assert!(x.series[2].y.iter().all(|force| *force == -10.0));
     let logged = run.0.channel("truth").unwrap().signal("board.force").unwrap();
@@ -129,7 +243,7 @@ fn force_is_drawn_with_its_target_and_errors_over_time() {
     let in_log = largest(&mut logged.rows().map(|row| row[0]));
     assert!(in_log > 0.0);
     assert_eq!(largest(&mut x.series[0].y.iter().copied()), in_log);
-    let y = &figure(&section, "Contact force").panels[1];
+    let y = &figure(&section, "Force on the frame").panels[1];
     assert!(!labels(y).contains(&"target"), "{:?}", labels(y));
 
     let error = &figure(&section, "Error of task").panels[0].series[0];
