@@ -103,7 +103,7 @@ fn run_report_is_drawn() {
     let log = run(folder.path(), "out", "compliant-x", &[]);
     let probe = probed(browser, &log.with_file_name("report.html"));
     let captions = captions(&probe);
-    for figure in ["torque", "Position of 'hand'", "force", "Setpoints"] {
+    for figure in ["torque", "Position of 'hand'", "Force", "Setpoints"] {
         assert!(captions.iter().any(|caption| caption.contains(figure)), "{figure}: {captions:?}");
     }
     let torques = texts(&probe, "torque");

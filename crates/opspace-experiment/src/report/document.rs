@@ -3,7 +3,7 @@
 use crate::evaluate::results::{
     Measure, group, joint_notes, joint_table, notes, table, task_notes, task_table,
 };
-use crate::evaluate::table::{Table, format_short};
+use crate::evaluate::table::Table;
 use crate::report::comparisons::{comparisons, overlays, sweeps};
 use crate::report::html::Page;
 pub use crate::report::run_section::RunSection;
@@ -84,7 +84,7 @@ fn caption(summaries: &[Summary], shown: &[RunSection]) -> String {
 
 /// Names the time that statistics cover.
 fn after(settle_s: f64) -> String {
-    format!("after the first {} s (settle_s)", format_short(settle_s))
+    format!("after the first {settle_s} s (settle_s)")
 }
 
 /// Orders the rows of a table by the tasks' priority, or as the joints of the robot.

@@ -71,7 +71,7 @@ pub(super) fn error_panel(run: &Run<'_>, title: &str, y_label: &str, error: Seri
 /// Sentence about the start of rms and maximum in the tables.
 pub(super) fn tables_begin(run: &Run<'_>) -> String {
     let settle_s = run.experiment.task().file.settle_s.get();
-    format!("The rms and max values of the tables begin at settle_s ({} s).", format_short(settle_s))
+    format!("The rms and max values of the tables begin at settle_s ({settle_s} s).")
 }
 
 /// Names of things in a sentence: `x, y and z`.
@@ -162,7 +162,7 @@ fn mark_events(figure: &mut Figure, experiment: &Experiment) {
     for panel in &mut figure.panels {
         panel.marks.extend(times.iter().map(|time_s| (*time_s, String::new())));
     }
-    let named: Vec<String> = times.iter().map(|time_s| format_short(*time_s)).collect();
+    let named: Vec<String> = times.iter().map(f64::to_string).collect();
     let (lines, events) = if times.len() == 1 { ("line", "the event") } else { ("lines", "the events") };
     figure.caption += &format!(" Vertical {lines} without a name: {events} at {} s.", listed(&named));
 }

@@ -3,7 +3,6 @@
 use crate::evaluate::metrics::run_log::{Control, Run};
 use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
-use crate::evaluate::table::format_short;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
 use crate::report::task_figures::task_figures;
@@ -170,7 +169,7 @@ fn torque_error_spectrum(experiment: &Experiment, errors: Vec<(String, String, W
         Some(panel)
     };
     let panels: Vec<Panel> = errors.into_iter().filter_map(panel).collect();
-    let settle_s = format_short(experiment.task().file.settle_s.get());
+    let settle_s = experiment.task().file.settle_s.get();
     let cause = if holds_setpoints(experiment) {
         " Setpoints that are held while a joint moves give lines at multiples of the interface rate; friction, noise and \
          model errors make up the rest."

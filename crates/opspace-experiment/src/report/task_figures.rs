@@ -11,7 +11,7 @@ use opspace_backend::signal_names::{
     self, ERROR, Q, REFERENCE, REFERENCE_ORIENTATION, TRUTH_CHANNEL, WRENCH,
 };
 use opspace_control::orientation::log;
-use opspace_control::{CartesianParameters, ControlledFrame, TaskParameters};
+use opspace_control::{CartesianParameters, CartesianReference, ControlledFrame, TaskParameters};
 use opspace_log::Column;
 
 /// Names of the axes of space.
@@ -282,8 +282,11 @@ impl<'a> CartesianFigures<'a> {
                     names => format!(" The target is that of {names}."),
                 }
             }
-            None => " A target is drawn while the axis has one.".to_owned(),
-            Some(_) => String::new(),
+            // The target of a streamed task comes from outside and is not in the log.
+            None if !matches!(task.reference, CartesianReference::Streamed(_)) => {
+                " A target is drawn while the axis has one.".to_owned()
+            }
+            _ => String::new(),
         };
         Some(Figure {
             title: format!("Force on the frame of task '{}'", self.name),
