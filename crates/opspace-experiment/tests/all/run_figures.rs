@@ -287,6 +287,10 @@ fn runs_of_one_task_are_drawn_over_each_other() {
         assert!(html.contains(name), "{name}");
     }
     assert!(!html.contains("seed 1: reference"));
+    // A statement about one run is not one about two.
+    let (_, overlay) = html.split_once("Desired and motor torque: 2 runs").unwrap();
+    let (caption, rest) = overlay.split_once("</figcaption>").unwrap();
+    assert!(!caption.contains("No limit is near") && rest.contains("No limit is near"), "{caption}");
     let alone = page("Title", "Lead.", &summaries[..1], MEASURES, &sections[..1]);
     assert!(!alone.contains(": 2 runs") && !alone.contains(": 1 runs"));
 }
