@@ -3,4 +3,5 @@
 pub mod active_set;
 pub mod interior_point;
 pub(crate) mod lexicographic;
+pub(crate) mod padded;
 pub mod quadratic_program;

@@ -26,7 +26,8 @@
 
 mod factor;
 
-use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy, dot};
+use crate::qp::padded::{add_product, copy_padded, dot_padded, norm_padded, padded};
+use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy};
 use factor::Factor;
 
 /// A row counts as satisfied within this fraction of the largest possible sum of its terms, |c| |x| + |bound|.
@@ -39,6 +40,77 @@ const SLOWEST: f64 = 1e-10;
 /// Maximum number of iterations per variable and constraint. Usually slightly more iterations than active rows are
 /// needed.
 const ITERATIONS: usize = 10;
+
+/// Newton step relative to x after which another one is taken when a program is solved
+/// [again](ActiveSet::solve_again): the error of a step is far smaller than the step, but not arbitrarily.
+const LONG_STEP: f64 = 1e-3;
+
+/// Data of the program, with [padded](crate::qp::padded) columns.
+#[derive(Debug)]
+struct Loaded {
+    /// Length of a column of H and of a row: that of a vector of variables.
+    stride: usize,
+    /// Length of a vector of constraints.
+    tall: usize,
+    /// H, all n columns.
+    hessian: Vec<f64>,
+    gradient: Vec<f64>,
+    /// C, m columns: a row each.
+    rows: Vec<f64>,
+    /// Cᵀ, n columns.
+    by_variable: Vec<f64>,
+}
+
+impl Loaded {
+    fn new(n: usize, m: usize) -> Self {
+        let (stride, tall) = (padded(n), padded(m));
+        Self {
+            stride,
+            tall,
+            hessian: vec![0.0; n * stride],
+            gradient: vec![0.0; stride],
+            rows: vec![0.0; m * stride],
+            by_variable: vec![0.0; n * tall],
+        }
+    }
+
+    /// Copies a program, and checks that its data are finite.
+    fn load(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+        let (n, m) = (program.variables(), program.constraints());
+        let (stride, tall) = (padded(n), padded(m));
+        (self.stride, self.tall) = (stride, tall);
+        for j in 0..n {
+            let column = program.hessian_column(j);
+            copy_padded(column, &mut self.hessian[j * stride + j..(j + 1) * stride]);
+            for (x, row) in column.iter().zip(self.hessian[j * stride..].chunks_exact_mut(stride)) {
+                row[j] = *x;
+            }
+        }
+        for i in 0..m {
+            let row = program.row(i);
+            copy_padded(row, &mut self.rows[i * stride..(i + 1) * stride]);
+            for (x, column) in row.iter().zip(self.by_variable.chunks_exact_mut(tall)) {
+                column[i] = *x;
+            }
+        }
+        for column in self.by_variable[..n * tall].chunks_exact_mut(tall.max(1)) {
+            column[m..].fill(0.0);
+        }
+        let finite = all_finite(&self.hessian[..n * stride]) & all_finite(&self.rows[..m * stride]);
+        if finite { self.load_gradient(program) } else { Err(QpError::NotFinite) }
+    }
+
+    /// Copies the gradient of a program, and checks that it is finite.
+    fn load_gradient(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+        let gradient = &program.gradient.as_slice()[..program.variables()];
+        copy_padded(gradient, &mut self.gradient[..self.stride]);
+        if all_finite(gradient) { Ok(()) } else { Err(QpError::NotFinite) }
+    }
+
+    fn row(&self, i: usize) -> &[f64] {
+        &self.rows[i * self.stride..(i + 1) * self.stride]
+    }
+}
 
 /// An active row: an equality at x.
 #[derive(Clone, Copy, Debug)]
@@ -67,12 +139,15 @@ struct Violation {
 pub struct ActiveSet {
     max_variables: usize,
     max_constraints: usize,
+    loaded: Loaded,
     factor: Factor,
-    /// Current iterate x.
+    /// Current iterate x, padded.
     point: Vec<f64>,
+    /// Cᵀ x, padded.
+    values: Vec<f64>,
     active: Vec<Active>,
     is_active: Vec<bool>,
-    /// |c| of each row.
+    /// |c| of each row, padded.
     norms: Vec<f64>,
     /// Largest d₂ that rounding causes for a dependent row with |c| = 1.
     rounding: f64,
@@ -96,11 +171,13 @@ impl ActiveSet {
         Self {
             max_variables,
             max_constraints,
+            loaded: Loaded::new(max_variables, max_constraints),
             factor: Factor::new(max_variables),
-            point: vec![0.0; max_variables],
+            point: vec![0.0; padded(max_variables)],
+            values: vec![0.0; padded(max_constraints)],
             active: Vec::with_capacity(max_variables),
             is_active: vec![false; max_constraints],
-            norms: vec![0.0; max_constraints],
+            norms: vec![0.0; padded(max_constraints)],
             rounding: 0.0,
             reach: 0.0,
             size: 0.0,
@@ -142,7 +219,9 @@ impl ActiveSet {
         if program.variables() > self.max_variables || m > self.max_constraints {
             return Err(QpError::Unsolved("the problem exceeds the size that the solver was created for"));
         }
-        program.check()?;
+        program.check_sizes()?;
+        self.loaded.load(program)?;
+        program.check_bounds()?;
         self.start(program)?;
         for row in (0..m).filter(|&row| program.lower[row] == program.upper[row]) {
             self.activate(program, self.violation(program, row))?;
@@ -156,63 +235,98 @@ impl ActiveSet {
                 self.activate(program, violation)?;
             }
         }
+        self.finish(program)
+    }
+
+    /// Solves the program of the last successful call again with another gradient; all other data must be the same. The
+    /// rows that were active remain so until their multipliers become negative.
+    ///
+    /// # Errors
+    /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
+    pub(crate) fn solve_again(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+        self.iterations = 0;
+        self.loaded.load_gradient(program)?;
+        self.converge(program)?;
+        if norm_padded(self.factor.step()) > LONG_STEP * norm_padded(&self.point) {
+            self.converge(program)?;
+        }
+        self.finish(program)
+    }
+
+    /// Activates violated rows until there are none.
+    fn finish(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         loop {
             if let Some(violation) = self.most_violated(program) {
                 self.activate(program, violation)?;
             } else if self.refined {
                 return self.publish(program);
             } else {
-                while !self.refined {
-                    self.refine(program)?;
-                }
+                self.converge(program)?;
             }
         }
+    }
+
+    /// Takes at least one Newton step, until x is the minimum on the active rows.
+    fn converge(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
+        self.refine(program)?;
+        while !self.refined {
+            self.refine(program)?;
+        }
+        Ok(())
     }
 
     /// Starts at the unconstrained minimum, without active rows.
     fn start(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let (n, m) = (program.variables(), program.constraints());
-        self.factor.start(program)?;
-        self.point.resize(n, 0.0);
-        self.rounding = DEPENDENCE * self.factor.minimum(program.gradient.as_slice(), &mut self.point);
-        self.reach = norm(&self.point);
+        let Loaded { stride, tall, hessian, gradient, by_variable, .. } = &self.loaded;
+        self.factor.start(hessian, n)?;
+        self.point.resize(*stride, 0.0);
+        self.rounding = DEPENDENCE * self.factor.minimum(&gradient[..*stride], &mut self.point);
+        self.reach = norm_padded(&self.point);
         self.size = self.reach;
         self.refined = false;
         self.active.clear();
         self.is_active[..m].fill(false);
-        for (i, length) in self.norms[..m].iter_mut().enumerate() {
-            *length = norm(program.row(i));
+        let norms = &mut self.norms[..*tall];
+        norms.fill(0.0);
+        for column in by_variable[..n * tall].chunks_exact((*tall).max(1)) {
+            norms.iter_mut().zip(column).for_each(|(norm, c)| *norm += c * c);
         }
+        norms.iter_mut().for_each(|norm| *norm = norm.sqrt());
         Ok(())
     }
 
     /// Returns the bound of a row that x violates most, or that is nearest to x.
     #[inline]
     fn violation(&self, program: &QuadraticProgram, row: usize) -> Violation {
-        let value = dot(program.row(row), &self.point);
-        let (below, above) = (program.lower[row] - value, value - program.upper[row]);
-        let (sign, gap) = if below > above { (1.0, below) } else { (-1.0, above) };
-        Violation { row, sign, gap }
+        Violation::at(program, row, dot_padded(self.loaded.row(row), &self.point))
     }
 
     /// Returns the bound of a row that x violates by more than rounding.
     #[inline]
     fn violated(&self, program: &QuadraticProgram, row: usize) -> Option<Violation> {
         let violation = self.violation(program, row);
-        let rounding = || {
-            let terms = self.norms[row] * self.size + violation.bound(program).abs();
-            FEASIBILITY * terms
-        };
-        (violation.gap > 0.0 && violation.gap > rounding()).then_some(violation)
+        self.exceeds_rounding(program, &violation).then_some(violation)
+    }
+
+    /// Returns true if a violation is larger than rounding.
+    #[inline]
+    fn exceeds_rounding(&self, program: &QuadraticProgram, violation: &Violation) -> bool {
+        let terms = self.norms[violation.row] * self.size + violation.bound(program).abs();
+        violation.gap > 0.0 && violation.gap > FEASIBILITY * terms
     }
 
     /// Returns the bound that x violates most, measured as a distance.
-    fn most_violated(&self, program: &QuadraticProgram) -> Option<Violation> {
+    fn most_violated(&mut self, program: &QuadraticProgram) -> Option<Violation> {
+        let tall = self.loaded.tall;
+        self.values[..tall].fill(0.0);
+        add_product(&self.loaded.by_variable, &self.point[..program.variables()], &mut self.values[..tall]);
         let (mut worst, mut farthest) = (None, 0.0);
         for row in 0..program.constraints() {
-            if !self.is_active[row]
-                && let Some(violation) = self.violated(program, row)
-                && violation.gap > farthest * self.norms[row]
+            let violation = Violation::at(program, row, self.values[row]);
+            if violation.gap > farthest * self.norms[row]
+                && !self.is_active[row]
+                && self.exceeds_rounding(program, &violation)
             {
                 farthest = violation.gap / self.norms[row];
                 worst = Some(violation);
@@ -229,7 +343,7 @@ impl ActiveSet {
         let mut new = Active { row, sign, b, multiplier: 0.0, equality };
         loop {
             self.count(program)?;
-            let growth = self.factor.towards(program.row(row), sign);
+            let growth = self.factor.towards(self.loaded.row(row), sign);
             // n is N r plus a remainder; if the terms of N r are large relative to n, so is the rounding error of the
             // remainder.
             let terms = self.active.iter().zip(self.factor.fall()).map(|(a, r)| self.norms[a.row] * r.abs());
@@ -248,7 +362,7 @@ impl ActiveSet {
             }
             if independent {
                 axpy(t, self.factor.step(), &mut self.point);
-                self.size = self.size.max(norm(&self.point));
+                self.size = self.size.max(norm_padded(&self.point));
                 self.refined = false;
             }
             match blocking {
@@ -260,7 +374,7 @@ impl ActiveSet {
                     return Ok(());
                 }
             }
-            gap = b - sign * dot(program.row(row), &self.point);
+            gap = b - sign * dot_padded(self.loaded.row(row), &self.point);
         }
     }
 
@@ -301,21 +415,21 @@ impl ActiveSet {
     /// row with the most negative one is dropped.
     fn refine(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         self.count(program)?;
-        let (point, active) = (&mut self.point, &mut self.active);
+        let (loaded, point, active) = (&self.loaded, &mut self.point, &mut self.active);
         let gradient = |e: &mut [f64]| {
-            e.copy_from_slice(&program.gradient.as_slice()[..e.len()]);
-            program.add_hessian_times(point, e);
+            e.copy_from_slice(&loaded.gradient[..e.len()]);
+            add_product(&loaded.hessian, &point[..program.variables()], e);
             for a in active.iter() {
-                axpy(-a.sign * a.multiplier, program.row(a.row), e);
+                axpy(-a.sign * a.multiplier, loaded.row(a.row), e);
             }
         };
-        let gap = |k: usize| active[k].b - active[k].sign * dot(program.row(active[k].row), point);
+        let gap = |k: usize| active[k].b - active[k].sign * dot_padded(loaded.row(active[k].row), point);
         self.factor.correct(gradient, gap);
         axpy(1.0, self.factor.step(), point);
         for (a, fall) in active.iter_mut().zip(self.factor.fall()) {
             a.multiplier -= fall;
         }
-        let (length, change) = (norm(point), norm(self.factor.step()));
+        let (length, change) = (norm_padded(point), norm_padded(self.factor.step()));
         if !change.is_finite() {
             return Err(QpError::NotFinite);
         }
@@ -364,7 +478,7 @@ impl ActiveSet {
             return Err(QpError::NotFinite);
         }
         self.x.clear();
-        self.x.extend_from_slice(&self.point);
+        self.x.extend_from_slice(&self.point[..program.variables()]);
         self.multipliers.clear();
         self.multipliers.resize(program.constraints(), 0.0);
         self.last.clear();
@@ -377,11 +491,15 @@ impl ActiveSet {
 }
 
 impl Violation {
+    /// Returns the bound of a row that its value violates most, or that is nearest to it.
+    #[inline]
+    fn at(program: &QuadraticProgram, row: usize, value: f64) -> Self {
+        let (below, above) = (program.lower[row] - value, value - program.upper[row]);
+        let (sign, gap) = if below > above { (1.0, below) } else { (-1.0, above) };
+        Self { row, sign, gap }
+    }
+
     fn bound(&self, program: &QuadraticProgram) -> f64 {
         if self.sign > 0.0 { program.lower[self.row] } else { program.upper[self.row] }
     }
-}
-
-fn norm(v: &[f64]) -> f64 {
-    dot(v, v).sqrt()
 }

@@ -27,7 +27,7 @@ use crate::hierarchy::products::{dot, multiply};
 use crate::limits::bounds::Bounds;
 use crate::qp::active_set::ActiveSet;
 use crate::qp::interior_point::InteriorPoint;
-use crate::qp::quadratic_program::{QpError, QuadraticProgram};
+use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
 
@@ -111,8 +111,13 @@ pub(crate) struct HierarchicalQp {
     alpha: DVector<f64>,
     /// Square roots of M's diagonal, which scale joint accelerations and torques (n).
     scale: Vec<f64>,
+    /// Reciprocals of `scale` (n).
+    inverse_scale: Vec<f64>,
+    /// N, its columns divided by `scale` (n × n): joint accelerations for δ.
     nullspace: DMatrix<f64>,
+    /// M N, its columns divided by `scale` (n × n): torques for δ.
     torque_rows: DMatrix<f64>,
+    /// M, its rows and columns divided by `scale` (n × n).
     mass: DMatrix<f64>,
     torque: DVector<f64>,
     /// Scaled solution δ of the last program (n), followed by its slack variables.
@@ -146,6 +151,7 @@ impl HierarchicalQp {
             interior_point: InteriorPoint::new(variables, constraints).ok(),
             alpha: zero.clone(),
             scale: vec![1.0; n],
+            inverse_scale: vec![1.0; n],
             nullspace: square.clone(),
             torque_rows: square.clone(),
             mass: square,
@@ -179,12 +185,16 @@ impl HierarchicalQp {
         self.displaced.fill(0.0);
         self.solver = Solver::Unlimited;
         let n = self.scale.len();
-        for (i, scale) in self.scale.iter_mut().enumerate() {
+        for (i, (scale, inverse)) in self.scale.iter_mut().zip(&mut self.inverse_scale).enumerate() {
             *scale = data.mass_matrix[(i, i)].sqrt();
+            *inverse = 1.0 / *scale;
         }
-        for c in 0..n {
-            for r in 0..n {
-                self.mass[(r, c)] = data.mass_matrix[(r, c)] / (self.scale[r] * self.scale[c]);
+        let columns = data.mass_matrix.as_slice().chunks_exact(n);
+        for ((scaled, column), inverse) in
+            self.mass.as_mut_slice().chunks_exact_mut(n).zip(columns).zip(&self.inverse_scale)
+        {
+            for ((scaled, x), row) in scaled.iter_mut().zip(column).zip(&self.inverse_scale) {
+                *scaled = x * (row * inverse);
             }
         }
     }
@@ -302,8 +312,10 @@ impl HierarchicalQp {
         let (n, variables) = (self.scale.len(), self.program.variables());
         self.program.gradient.fill(0.0);
         self.delta.fill(0.0);
+        let mut again = false;
         for _ in 0..STEPS {
-            let solver = self.solve()?;
+            let solver = self.solve(again)?;
+            again = solver == Solver::ActiveSet;
             let x = match (solver, &self.interior_point) {
                 (Solver::InteriorPoint, Some(interior_point)) => interior_point.x(),
                 _ => self.active_set.x(),
@@ -325,7 +337,11 @@ impl HierarchicalQp {
         Ok(())
     }
 
-    fn solve(&mut self) -> Result<Solver, QpError> {
+    /// Solves the program; `again` if only its gradient has changed since the active-set method solved it.
+    fn solve(&mut self, again: bool) -> Result<Solver, QpError> {
+        if again && self.active_set.solve_again(&self.program).is_ok() {
+            return Ok(Solver::ActiveSet);
+        }
         match (self.active_set.solve(&self.program), &mut self.interior_point) {
             (Ok(()), _) => Ok(Solver::ActiveSet),
             (Err(error @ QpError::Infeasible { .. }), _) | (Err(error), None) => Err(error),
@@ -338,30 +354,29 @@ impl HierarchicalQp {
     /// Sets α ← α + N δ.
     fn displace(&mut self) {
         let n = self.scale.len();
-        for j in 0..n {
-            let delta = self.delta[j] / self.scale[j];
-            for (a, column) in self.alpha.iter_mut().zip(self.nullspace.column(j).iter()) {
-                *a += column * delta;
-            }
+        let alpha = self.alpha.as_mut_slice();
+        for (column, delta) in self.nullspace.as_slice().chunks_exact(n).zip(self.delta.as_slice()) {
+            axpy(*delta, column, alpha);
         }
     }
 
-    /// Computes N and M N of the null space of the levels above as M⁻¹ Nᵀ M and Nᵀ M. Both forms are equal unless more
+    /// Computes N and M N, for scaled δ, of the null space of the levels above as M⁻¹ Nᵀ M and Nᵀ M. Both forms are equal unless more
     /// than one of those levels is damped. A level's demand is M⁻¹ Nᵀ times its torques; with this form, δ can always
     /// cancel it.
     fn span(&mut self, data: &Data, above: &Nullspace) {
-        self.torque_rows.copy_from(&data.mass_matrix);
-        if above.is_empty() {
-            self.nullspace.fill_with_identity();
-            return;
-        }
         let n = self.scale.len();
-        for column in self.torque_rows.as_mut_slice().chunks_exact_mut(n) {
-            above.project_torque(column);
+        let columns = data.mass_matrix.as_slice().chunks_exact(n).zip(&self.inverse_scale);
+        for (rows, (column, inverse)) in self.torque_rows.as_mut_slice().chunks_exact_mut(n).zip(columns) {
+            rows.iter_mut().zip(column).for_each(|(row, x)| *row = x * inverse);
+            above.project_torque(rows);
         }
-        self.nullspace.copy_from(&self.torque_rows);
-        for column in self.nullspace.as_mut_slice().chunks_exact_mut(n) {
-            data.mass_matrix_factor.solve(column);
+        if above.is_empty() {
+            self.nullspace.as_mut_slice().fill(0.0);
+            let diagonal = self.nullspace.as_mut_slice().iter_mut().step_by(n + 1);
+            diagonal.zip(&self.inverse_scale).for_each(|(x, inverse)| *x = *inverse);
+        } else {
+            self.nullspace.as_mut_slice().copy_from_slice(self.torque_rows.as_slice());
+            data.mass_matrix_factor.solve_matrix(&mut self.nullspace);
         }
     }
 
@@ -406,37 +421,24 @@ impl HierarchicalQp {
         let n = self.scale.len();
         let constraints = 2 * n + limits.speeds.len();
         self.program.resize(if relaxed { constraints } else { n }, constraints);
+        let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
         for i in 0..n {
-            let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
-            let s = self.scale[i];
+            let (scale, inverse) = (self.scale[i], self.inverse_scale[i]);
             let at = self.alpha[i] + limits.bias_acceleration[i];
-            let row = self.program.row_mut(i);
-            let of_joints = self.nullspace.row(i);
-            for ((x, &share), &scale) in row.iter_mut().zip(of_joints.iter()).zip(&self.scale) {
-                *x = share * s / scale;
-            }
-            row[n..].fill(0.0);
-            if relaxed {
-                row[n + i] = 1.0;
-            }
-            self.program.lower[i] = (a.lower[i] - at) * s;
-            self.program.upper[i] = (a.upper[i] - at) * s;
+            self.set_row(i, i, scale, relaxed);
+            self.program.lower[i] = (a.lower[i] - at) * scale;
+            self.program.upper[i] = (a.upper[i] - at) * scale;
 
             let at = self.torque[i] + limits.compensation_torque[i];
-            let row = self.program.row_mut(n + i);
-            let of_joints = self.torque_rows.row(i);
-            for ((x, &share), &scale) in row.iter_mut().zip(of_joints.iter()).zip(&self.scale) {
-                *x = share / (s * scale);
-            }
-            row[n..].fill(0.0);
-            self.program.lower[n + i] = (t.lower[i] - at) / s;
-            self.program.upper[n + i] = (t.upper[i] - at) / s;
+            self.set_row(n + i, i, inverse, false);
+            self.program.lower[n + i] = (t.lower[i] - at) * inverse;
+            self.program.upper[n + i] = (t.upper[i] - at) * inverse;
         }
         for (k, speed) in limits.speeds.iter().enumerate() {
-            let (alpha, nullspace, scale) = (&self.alpha, &self.nullspace, &self.scale);
+            let (alpha, nullspace) = (&self.alpha, &self.nullspace);
             let row = self.program.row_mut(2 * n + k);
-            for ((x, column), &scale) in row.iter_mut().zip(nullspace.column_iter()).zip(scale) {
-                *x = dot(speed.row.as_slice(), column.as_slice()) / scale;
+            for (x, column) in row.iter_mut().zip(nullspace.as_slice().chunks_exact(n)) {
+                *x = dot(speed.row.as_slice(), column);
             }
             // The row is normalised so that its slack is comparable to those of accelerations.
             let length = dot(&row[..n], &row[..n]).sqrt().max(f64::MIN_POSITIVE);
@@ -448,6 +450,19 @@ impl HierarchicalQp {
             self.program.lower[2 * n + k] = f64::NEG_INFINITY;
             self.program.upper[2 * n + k] =
                 (speed.upper - dot(speed.row.as_slice(), alpha.as_slice())) / length;
+        }
+    }
+    /// Sets a constraint to the acceleration of joint i (`constraint` < n) or to its torque, times `scale`.
+    fn set_row(&mut self, constraint: usize, i: usize, scale: f64, relaxed: bool) {
+        let n = self.scale.len();
+        let of_joints = if constraint < n { &self.nullspace } else { &self.torque_rows };
+        let row = self.program.row_mut(constraint);
+        for (x, share) in row.iter_mut().zip(of_joints.as_slice()[i..].iter().step_by(n)) {
+            *x = share * scale;
+        }
+        row[n..].fill(0.0);
+        if relaxed {
+            row[n + i] = 1.0;
         }
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// Pivots of the Hessian's factor below this fraction of the diagonal are rounding errors: the Hessian is not positive
 /// definite.
-const PIVOT_SHARE: f64 = 16.0 * f64::EPSILON;
+pub(crate) const PIVOT_SHARE: f64 = 16.0 * f64::EPSILON;
 
 /// min ½ xᵀ H x + gᵀ x   subject to   l ≤ Cᵀ x ≤ u.
 ///
@@ -114,18 +114,22 @@ impl QuadraticProgram {
         &self.hessian.as_slice()[start + j..start + self.variables]
     }
 
-    /// Adds H x to `sum`, both n.
-    pub(crate) fn add_hessian_times(&self, x: &[f64], sum: &mut [f64]) {
-        for j in 0..self.variables {
-            let column = self.hessian_column(j);
-            axpy(x[j], column, &mut sum[j..]);
-            sum[j] += dot(&column[1..], &x[j + 1..]);
-        }
-    }
-
     /// Checks the data before any arithmetic: arrays that are too small, NaN, infinities other than for missing bounds,
     /// and contradicting bounds are errors.
     pub(crate) fn check(&self) -> Result<(), QpError> {
+        let (n, m) = (self.variables, self.constraints);
+        self.check_sizes()?;
+        let finite = (0..n).all(|j| all_finite(self.hessian_column(j)))
+            && all_finite(&self.gradient.as_slice()[..n])
+            && (0..m).all(|i| all_finite(self.row(i)));
+        if !finite {
+            return Err(QpError::NotFinite);
+        }
+        self.check_bounds()
+    }
+
+    /// Checks that the arrays are not too small.
+    pub(crate) fn check_sizes(&self) -> Result<(), QpError> {
         let (n, m) = (self.variables, self.constraints);
         let fits = self.hessian.nrows() >= n
             && self.hessian.ncols() >= n
@@ -134,23 +138,26 @@ impl QuadraticProgram {
             && self.rows.ncols() >= m
             && self.lower.len() >= m
             && self.upper.len() >= m;
-        if !fits {
-            return Err(QpError::Unsolved("an array is smaller than the problem"));
+        if fits { Ok(()) } else { Err(QpError::Unsolved("an array is smaller than the problem")) }
+    }
+
+    /// Checks that no bound is NaN or contradicts itself or the other one.
+    pub(crate) fn check_bounds(&self) -> Result<(), QpError> {
+        let bounds = || self.lower.as_slice().iter().zip(self.upper.as_slice()).take(self.constraints);
+        // NaN compares as false. Without an early exit, as there is nearly always nothing to find.
+        let good = bounds().fold(true, |good, (lower, upper)| {
+            good & (lower <= upper) & (*lower < f64::INFINITY) & (*upper > f64::NEG_INFINITY)
+        });
+        if good {
+            return Ok(());
         }
-        let finite = (0..n).all(|j| all_finite(self.hessian_column(j)))
-            && all_finite(&self.gradient.as_slice()[..n])
-            && (0..m).all(|i| all_finite(self.row(i)));
-        let bounds = || self.lower.iter().zip(self.upper.iter()).take(m);
-        if !finite || bounds().any(|(lower, upper)| lower.is_nan() || upper.is_nan()) {
+        if bounds().any(|(lower, upper)| lower.is_nan() || upper.is_nan()) {
             return Err(QpError::NotFinite);
         }
         let excluded = |(lower, upper): (&f64, &f64)| {
             lower > upper || *lower == f64::INFINITY || *upper == f64::NEG_INFINITY
         };
-        match bounds().position(excluded) {
-            Some(row) => Err(QpError::Infeasible { row }),
-            None => Ok(()),
-        }
+        bounds().position(excluded).map_or(Ok(()), |row| Err(QpError::Infeasible { row }))
     }
 
     /// Computes L of H = L Lᵀ into the lower triangle of `factor` (n × n by columns, with the inverse of the diagonal),

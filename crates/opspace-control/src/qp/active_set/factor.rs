@@ -3,17 +3,22 @@
 //! ```text
 //! H = L Lᵀ        L⁻¹ N = Q [R; 0]        J = L⁻ᵀ Q = [J₁ J₂]        Jᵀ H J = I        Jᵀ N = [R; 0]
 //! ```
+//!
+//! Columns and vectors of n numbers are [padded](crate::qp::padded).
 
-use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy, dot};
+use crate::qp::padded::{add_outer_product, add_product, dot_padded, padded, transposed_product};
+use crate::qp::quadratic_program::{PIVOT_SHARE, QpError, axpy, dot};
 
 /// Factors for n variables and q active rows.
 #[derive(Debug)]
 pub(super) struct Factor {
     n: usize,
     q: usize,
-    /// J, n × n by columns.
+    /// Length of a padded column.
+    stride: usize,
+    /// J, n columns.
     j: Vec<f64>,
-    /// R, in the upper triangle of n × n by columns; initially L.
+    /// R, in the upper triangle of n columns; initially L without its diagonal.
     r: Vec<f64>,
     d: Vec<f64>,
     step: Vec<f64>,
@@ -22,11 +27,12 @@ pub(super) struct Factor {
 
 impl Factor {
     pub(super) fn new(max_variables: usize) -> Self {
-        let vector = vec![0.0; max_variables];
-        let square = vec![0.0; max_variables * max_variables];
+        let vector = vec![0.0; padded(max_variables)];
+        let square = vec![0.0; max_variables * padded(max_variables)];
         Self {
             n: 0,
             q: 0,
+            stride: 0,
             j: square.clone(),
             r: square,
             d: vector.clone(),
@@ -35,47 +41,60 @@ impl Factor {
         }
     }
 
-    /// Sets J = L⁻ᵀ without active rows.
-    pub(super) fn start(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
-        let n = program.variables();
-        (self.n, self.q) = (n, 0);
-        program.cholesky(&mut self.r[..n * n])?;
+    /// Sets J = L⁻ᵀ without active rows, for H with n columns.
+    pub(super) fn start(&mut self, hessian: &[f64], n: usize) -> Result<(), QpError> {
+        let stride = padded(n);
+        (self.n, self.q, self.stride) = (n, 0, stride);
+        self.r[..n * stride].copy_from_slice(&hessian[..n * stride]);
         for k in 0..n {
-            let column = &mut self.j[k * n..(k + 1) * n];
-            column.fill(0.0);
-            column[k] = self.r[k * n + k];
-            for i in (0..k).rev() {
-                let factor = &self.r[i * n + i..=i * n + k];
-                column[i] = -factor[0] * dot(&factor[1..], &column[i + 1..=k]);
+            let (left, right) = self.r[k * stride..n * stride].split_at_mut(stride);
+            let diagonal = hessian[k * stride + k];
+            let pivot = left[k];
+            if pivot.is_nan() || pivot <= PIVOT_SHARE * diagonal.abs() {
+                return Err(QpError::NotConvex);
             }
+            let inverse = 1.0 / pivot.sqrt();
+            left[..=k].fill(0.0);
+            left[k + 1..n].iter_mut().for_each(|x| *x *= inverse);
+            // The other columns minus their parts along column k of L.
+            for (s, x) in self.step.iter_mut().zip(&left[k + 1..n]) {
+                *s = -x;
+            }
+            add_outer_product(right, left, &self.step[..n - k - 1]);
+            self.d[k] = inverse;
+        }
+        for k in 0..n {
+            for i in 0..k {
+                self.step[i] = -self.d[k] * self.r[i * stride + k];
+            }
+            let (left, right) = self.j.split_at_mut(k * stride);
+            let column = &mut right[..stride];
+            column.fill(0.0);
+            column[k] = self.d[k];
+            add_product(left, &self.step[..k], column);
         }
         Ok(())
     }
 
     /// Computes x = −H⁻¹ g and returns the Frobenius norm |J|. Call it directly after [`start`](Self::start).
-    pub(super) fn minimum(&self, gradient: &[f64], x: &mut [f64]) -> f64 {
+    pub(super) fn minimum(&mut self, gradient: &[f64], x: &mut [f64]) -> f64 {
+        let (n, length) = (self.n, self.n * self.stride);
+        transposed_product(&self.j[..length], gradient, &mut self.d[..n]);
+        self.d[..n].iter_mut().for_each(|d| *d = -*d);
         x.fill(0.0);
-        let mut squares = 0.0;
-        for (k, column) in columns(&self.j, self.n).take(self.n).enumerate() {
-            let column = &column[..=k];
-            squares += dot(column, column);
-            axpy(-dot(column, gradient), column, x);
-        }
-        squares.sqrt()
+        add_product(&self.j[..length], &self.d[..n], x);
+        dot_padded(&self.j[..length], &self.j[..length]).sqrt()
     }
 
     /// Computes, for n = sign · row, d = Jᵀ n, the step J₂ d₂ of x and the decrease R⁻¹ d₁ of the multipliers. Returns
     /// d₂ᵀ d₂, the increase of nᵀ x.
     pub(super) fn towards(&mut self, row: &[f64], sign: f64) -> f64 {
-        let (n, q) = (self.n, self.q);
-        for (d, column) in self.d[..n].iter_mut().zip(columns(&self.j, n)) {
-            *d = sign * dot(column, row);
-        }
+        let (n, q, stride) = (self.n, self.q, self.stride);
+        transposed_product(&self.j[..n * stride], row, &mut self.d[..n]);
+        self.d[..n].iter_mut().for_each(|d| *d *= sign);
         let free = &self.d[q..n];
-        self.step[..n].fill(0.0);
-        for (d, column) in free.iter().zip(columns(&self.j, n).skip(q)) {
-            axpy(*d, column, &mut self.step[..n]);
-        }
+        self.step[..stride].fill(0.0);
+        add_product(&self.j[q * stride..n * stride], free, &mut self.step[..stride]);
         let growth = dot(free, free);
         self.fall[..q].copy_from_slice(&self.d[..q]);
         self.solve_r();
@@ -84,7 +103,7 @@ impl Factor {
 
     /// Step of x (n).
     pub(super) fn step(&self) -> &[f64] {
-        &self.step[..self.n]
+        &self.step[..self.stride]
     }
 
     /// Decrease of the multipliers in a step (q).
@@ -95,40 +114,39 @@ impl Factor {
     /// Activates the row of the last call of [`towards`](Self::towards). The reflection I − β v vᵀ that maps d₂ to δ e₁
     /// makes [R; 0] with d triangular, and J₂ v is the step minus δ J₂ e₁.
     pub(super) fn add(&mut self) {
-        let (n, q) = (self.n, self.q);
+        let (n, q, stride) = (self.n, self.q, self.stride);
         let v = &mut self.d[q..n];
         let length = dot(v, v).sqrt();
         let delta = -length.copysign(v[0]);
         let beta = 1.0 / (length * (length + v[0].abs()));
-        let free = &mut self.j[q * n..n * n];
-        let product = &mut self.step[..n];
-        axpy(-delta, &free[..n], product);
+        let free = &mut self.j[q * stride..n * stride];
+        let product = &mut self.step[..stride];
+        axpy(-delta, &free[..stride], product);
         v[0] -= delta;
-        for (v, column) in v.iter().zip(free.chunks_exact_mut(n)) {
-            axpy(-beta * v, product, column);
-        }
+        v.iter_mut().for_each(|v| *v *= -beta);
+        add_outer_product(free, product, v);
         v[0] = delta;
-        self.r[q * n..=q * n + q].copy_from_slice(&self.d[..=q]);
+        self.r[q * stride..=q * stride + q].copy_from_slice(&self.d[..=q]);
         self.q += 1;
     }
 
     /// Removes the k-th active row. One rotation per following column makes R without its column triangular again.
     pub(super) fn drop(&mut self, k: usize) {
         self.q -= 1;
-        let (n, q) = (self.n, self.q);
+        let (q, stride) = (self.q, self.stride);
         for i in k..q {
-            self.r.copy_within((i + 1) * n..=(i + 1) * n + i + 1, i * n);
+            self.r.copy_within((i + 1) * stride..=(i + 1) * stride + i + 1, i * stride);
         }
         for i in k..q {
-            let (a, b) = (self.r[i * n + i], self.r[i * n + i + 1]);
+            let (a, b) = (self.r[i * stride + i], self.r[i * stride + i + 1]);
             let length = a.hypot(b);
             let (cos, sin) = (a / length, b / length);
             let rotate = |a: &mut f64, b: &mut f64| (*a, *b) = (cos * *a + sin * *b, cos * *b - sin * *a);
-            for column in self.r[..q * n].chunks_exact_mut(n).skip(i) {
+            for column in self.r[..q * stride].chunks_exact_mut(stride).skip(i) {
                 let (above, below) = column.split_at_mut(i + 1);
                 rotate(&mut above[i], &mut below[0]);
             }
-            let (left, right) = self.j[i * n..(i + 2) * n].split_at_mut(n);
+            let (left, right) = self.j[i * stride..(i + 2) * stride].split_at_mut(stride);
             left.iter_mut().zip(right).for_each(|(a, b)| rotate(a, b));
         }
     }
@@ -142,39 +160,31 @@ impl Factor {
     ///
     /// with e (n), which `gradient` first writes into the step, and f, which `gap` gives for each active row.
     pub(super) fn correct(&mut self, gradient: impl FnOnce(&mut [f64]), gap: impl Fn(usize) -> f64) {
-        let (n, q) = (self.n, self.q);
-        let step = &mut self.step[..n];
+        let (n, q, stride) = (self.n, self.q, self.stride);
+        let (j, step) = (&self.j[..n * stride], &mut self.step[..stride]);
         gradient(step);
-        for (d, column) in self.d[..n].iter_mut().zip(columns(&self.j, n)) {
-            *d = dot(column, step);
-        }
+        transposed_product(j, step, &mut self.d[..n]);
         for i in 0..q {
-            let column = &self.r[i * n..=i * n + i];
+            let column = &self.r[i * stride..=i * stride + i];
             self.fall[i] = (gap(i) - dot(column, &self.fall[..i])) / column[i];
         }
-        let y = self.fall[..q].iter().copied().chain(self.d[q..n].iter().map(|d| -d));
+        // d becomes y, and the decrease of the multipliers R times it.
+        for (fall, d) in self.fall[..q].iter_mut().zip(&mut self.d) {
+            (*d, *fall) = (*fall, -*fall - *d);
+        }
+        self.d[q..n].iter_mut().for_each(|d| *d = -*d);
         step.fill(0.0);
-        for (y, column) in y.zip(columns(&self.j, n)) {
-            axpy(y, column, step);
-        }
-        for (fall, d) in self.fall[..q].iter_mut().zip(&self.d) {
-            *fall = -*fall - d;
-        }
+        add_product(j, &self.d[..n], step);
         self.solve_r();
     }
 
     /// Replaces the decrease of the multipliers by R⁻¹ times it.
     fn solve_r(&mut self) {
         for i in (0..self.q).rev() {
-            let column = &self.r[i * self.n..=i * self.n + i];
+            let column = &self.r[i * self.stride..=i * self.stride + i];
             let (above, fall) = self.fall.split_at_mut(i);
             fall[0] /= column[i];
             axpy(-fall[0], column, above);
         }
     }
-}
-
-/// Columns of an n × n matrix. The chunk length is at least 1, because a length of zero panics.
-fn columns(matrix: &[f64], n: usize) -> impl Iterator<Item = &[f64]> {
-    matrix.chunks_exact(n.max(1))
 }
