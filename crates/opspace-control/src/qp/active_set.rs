@@ -27,7 +27,7 @@
 mod factor;
 
 use crate::qp::padded::{add_product, copy_padded, dot_padded, norm_padded, padded};
-use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy};
+use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy, dot};
 use factor::Factor;
 
 /// A row counts as satisfied within this fraction of the largest possible sum of its terms, |c| |x| + |bound|.
@@ -48,6 +48,8 @@ const LONG_STEP: f64 = 1e-3;
 /// Data of the program, with [padded](crate::qp::padded) columns.
 #[derive(Debug)]
 struct Loaded {
+    variables: usize,
+    constraints: usize,
     /// Length of a column of H and of a row: that of a vector of variables.
     stride: usize,
     /// Length of a vector of constraints.
@@ -55,22 +57,24 @@ struct Loaded {
     /// H, all n columns.
     hessian: Vec<f64>,
     gradient: Vec<f64>,
-    /// C, m columns: a row each.
-    rows: Vec<f64>,
     /// Cᵀ, n columns.
     by_variable: Vec<f64>,
+    /// C, m columns: a row each. Only those of rows that have been active are set.
+    rows: Vec<f64>,
 }
 
 impl Loaded {
     fn new(n: usize, m: usize) -> Self {
         let (stride, tall) = (padded(n), padded(m));
         Self {
-            stride,
-            tall,
+            variables: 0,
+            constraints: 0,
+            stride: 0,
+            tall: 0,
             hessian: vec![0.0; n * stride],
             gradient: vec![0.0; stride],
-            rows: vec![0.0; m * stride],
             by_variable: vec![0.0; n * tall],
+            rows: vec![0.0; m * stride],
         }
     }
 
@@ -78,33 +82,40 @@ impl Loaded {
     fn load(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let (n, m) = (program.variables(), program.constraints());
         let (stride, tall) = (padded(n), padded(m));
-        (self.stride, self.tall) = (stride, tall);
+        let (hessian, by_variable) =
+            (&mut self.hessian[..n * stride], &mut self.by_variable[..n * tall]);
+        if (n, m) != (self.variables, self.constraints) {
+            (self.variables, self.constraints, self.stride, self.tall) = (n, m, stride, tall);
+            hessian.fill(0.0);
+            by_variable.fill(0.0);
+        }
         for j in 0..n {
-            let column = program.hessian_column(j);
-            copy_padded(column, &mut self.hessian[j * stride + j..(j + 1) * stride]);
-            for (x, row) in column.iter().zip(self.hessian[j * stride..].chunks_exact_mut(stride)) {
-                row[j] = *x;
+            for (i, &x) in (j..).zip(program.hessian_column(j)) {
+                hessian[j * stride + i] = x;
+                hessian[i * stride + j] = x;
             }
         }
         for i in 0..m {
-            let row = program.row(i);
-            copy_padded(row, &mut self.rows[i * stride..(i + 1) * stride]);
-            for (x, column) in row.iter().zip(self.by_variable.chunks_exact_mut(tall)) {
-                column[i] = *x;
+            let mut at = i;
+            for &x in program.row(i) {
+                by_variable[at] = x;
+                at += tall;
             }
         }
-        for column in self.by_variable[..n * tall].chunks_exact_mut(tall.max(1)) {
-            column[m..].fill(0.0);
-        }
-        let finite = all_finite(&self.hessian[..n * stride]) & all_finite(&self.rows[..m * stride]);
+        let finite = all_finite(hessian) & all_finite(by_variable);
         if finite { self.load_gradient(program) } else { Err(QpError::NotFinite) }
     }
 
     /// Copies the gradient of a program, and checks that it is finite.
     fn load_gradient(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
-        let gradient = &program.gradient.as_slice()[..program.variables()];
+        let gradient = &program.gradient.as_slice()[..self.variables];
         copy_padded(gradient, &mut self.gradient[..self.stride]);
         if all_finite(gradient) { Ok(()) } else { Err(QpError::NotFinite) }
+    }
+
+    /// Copies a row that becomes active.
+    fn load_row(&mut self, program: &QuadraticProgram, i: usize) {
+        copy_padded(program.row(i), &mut self.rows[i * self.stride..(i + 1) * self.stride]);
     }
 
     fn row(&self, i: usize) -> &[f64] {
@@ -299,7 +310,7 @@ impl ActiveSet {
     /// Returns the bound of a row that x violates most, or that is nearest to x.
     #[inline]
     fn violation(&self, program: &QuadraticProgram, row: usize) -> Violation {
-        Violation::at(program, row, dot_padded(self.loaded.row(row), &self.point))
+        Violation::at(program, row, dot(program.row(row), &self.point))
     }
 
     /// Returns the bound of a row that x violates by more than rounding.
@@ -341,6 +352,7 @@ impl ActiveSet {
         let b = sign * violation.bound(program);
         let equality = program.lower[row] == program.upper[row];
         let mut new = Active { row, sign, b, multiplier: 0.0, equality };
+        self.loaded.load_row(program, row);
         loop {
             self.count(program)?;
             let growth = self.factor.towards(self.loaded.row(row), sign);
@@ -472,7 +484,8 @@ impl ActiveSet {
 
     fn publish(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         // With an infinite tolerance, any row would count as satisfied.
-        let tolerances = self.norms[..program.constraints()].iter().all(|c| (c * self.size).is_finite());
+        let longest = self.norms[..program.constraints()].iter().fold(0.0, |longest: f64, c| longest.max(*c));
+        let tolerances = (longest * self.size).is_finite();
         let multipliers = self.active.iter().all(|a| a.multiplier.is_finite());
         if !(tolerances && multipliers && all_finite(&self.point)) {
             return Err(QpError::NotFinite);

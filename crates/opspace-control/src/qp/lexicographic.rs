@@ -457,12 +457,15 @@ impl HierarchicalQp {
         let n = self.scale.len();
         let of_joints = if constraint < n { &self.nullspace } else { &self.torque_rows };
         let row = self.program.row_mut(constraint);
-        for (x, share) in row.iter_mut().zip(of_joints.as_slice()[i..].iter().step_by(n)) {
-            *x = share * scale;
+        let (joints, slacks) = row.split_at_mut(n);
+        for (x, column) in joints.iter_mut().zip(of_joints.as_slice().chunks_exact(n)) {
+            *x = column[i] * scale;
         }
-        row[n..].fill(0.0);
-        if relaxed {
-            row[n + i] = 1.0;
+        if !slacks.is_empty() {
+            slacks.fill(0.0);
+            if relaxed {
+                slacks[i] = 1.0;
+            }
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Products with small dense matrices whose columns are padded by zeros to a multiple of four.
 //!
 //! A matrix is a slice of its columns. The length of the columns is that of the vector beside it, the number of columns
-//! that of the coefficients. Sums are split into four, so that the compiler can use SIMD; columns of eight, for up to
-//! eight joints, stay in registers.
+//! that of the coefficients. Sums are split into four, so that the compiler can use SIMD. Columns of 8 and 16 numbers, as
+//! for joints and their bounds, stay in registers.
 
 /// Columns have a multiple of this length.
 const LANES: usize = 4;
@@ -43,16 +43,24 @@ pub(crate) fn norm_padded(v: &[f64]) -> f64 {
 #[inline]
 pub(crate) fn add_product(columns: &[f64], coefficients: &[f64], sum: &mut [f64]) {
     if let Ok(short) = <&mut [f64; SHORT]>::try_from(&mut *sum) {
-        let mut whole = *short;
-        for (column, c) in columns.as_chunks::<SHORT>().0.iter().zip(coefficients) {
-            whole.iter_mut().zip(column).for_each(|(sum, a)| *sum += c * a);
-        }
-        *short = whole;
-        return;
+        return add_product_of(columns, coefficients, short);
+    }
+    if let Ok(long) = <&mut [f64; 2 * SHORT]>::try_from(&mut *sum) {
+        return add_product_of(columns, coefficients, long);
     }
     for (column, c) in columns.chunks_exact(sum.len().max(1)).zip(coefficients) {
         sum.iter_mut().zip(column).for_each(|(sum, a)| *sum += c * a);
     }
+}
+
+/// Adds A c to `sum`, for columns of known length.
+#[inline]
+fn add_product_of<const N: usize>(columns: &[f64], coefficients: &[f64], sum: &mut [f64; N]) {
+    let mut whole = *sum;
+    for (column, c) in columns.as_chunks::<N>().0.iter().zip(coefficients) {
+        whole.iter_mut().zip(column).for_each(|(sum, a)| *sum += c * a);
+    }
+    *sum = whole;
 }
 
 /// Writes Aᵀ x into `products`, as long as A has columns.

@@ -196,7 +196,14 @@ pub(crate) fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += a * x);
 }
 
-/// Returns true if all values are finite. There is no early exit, so that the compiler can vectorise the loop.
+/// Returns true if all values are finite. A product with zero is NaN otherwise; there is no early exit, so that the
+/// compiler can vectorise the loop.
 pub(crate) fn all_finite(values: &[f64]) -> bool {
-    values.iter().fold(true, |all, x| all & x.is_finite())
+    let (chunks, rest) = values.as_chunks::<8>();
+    let mut sums = [0.0; 8];
+    for chunk in chunks {
+        sums.iter_mut().zip(chunk).for_each(|(sum, x)| *sum += 0.0 * x);
+    }
+    sums.iter_mut().zip(rest).for_each(|(sum, x)| *sum += 0.0 * x);
+    sums.iter().sum::<f64>() == 0.0
 }
