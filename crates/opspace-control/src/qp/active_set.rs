@@ -82,8 +82,7 @@ impl Loaded {
     fn load(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let (n, m) = (program.variables(), program.constraints());
         let (stride, tall) = (padded(n), padded(m));
-        let (hessian, by_variable) =
-            (&mut self.hessian[..n * stride], &mut self.by_variable[..n * tall]);
+        let (hessian, by_variable) = (&mut self.hessian[..n * stride], &mut self.by_variable[..n * tall]);
         if (n, m) != (self.variables, self.constraints) {
             (self.variables, self.constraints, self.stride, self.tall) = (n, m, stride, tall);
             hessian.fill(0.0);

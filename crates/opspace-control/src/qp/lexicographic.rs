@@ -51,6 +51,15 @@ const STEPS: usize = 3;
 /// Relative change of δ below which the steps end.
 const SETTLED: f64 = 1e-9;
 
+/// Pivots of Nᵀ M, relative to M's diagonal, that are rounding errors.
+const NO_FREEDOM: f64 = 1e-10;
+
+/// Smallest pivot of Nᵀ M, relative to M's diagonal, that is large compared with its rounding error.
+const CLEAR: f64 = 1e-6;
+
+/// Largest tolerated deviation of a basis of the null space from orthogonality.
+const ORTHOGONAL: f64 = 1e-10;
+
 /// Largest tolerated violation of a bound, relative to its value plus 1.
 const SLACK: f64 = 1e-9;
 
@@ -113,10 +122,16 @@ pub(crate) struct HierarchicalQp {
     scale: Vec<f64>,
     /// Reciprocals of `scale` (n).
     inverse_scale: Vec<f64>,
-    /// N, its columns divided by `scale` (n × n): joint accelerations for δ.
+    /// Number of elements of δ: n; fewer if they are coordinates of the null space in a basis that is orthonormal in
+    /// kinetic energy.
+    freedom: usize,
+    /// Joint accelerations for δ (n × `freedom`): N with its columns divided by `scale`, or the basis.
     nullspace: DMatrix<f64>,
-    /// M N, its columns divided by `scale` (n × n): torques for δ.
+    /// Torques for δ (n × `freedom`): M times `nullspace`.
     torque_rows: DMatrix<f64>,
+    /// Intermediate values of the basis (n × n each).
+    remaining: DMatrix<f64>,
+    basis: DMatrix<f64>,
     /// M, its rows and columns divided by `scale` (n × n).
     mass: DMatrix<f64>,
     torque: DVector<f64>,
@@ -152,8 +167,11 @@ impl HierarchicalQp {
             alpha: zero.clone(),
             scale: vec![1.0; n],
             inverse_scale: vec![1.0; n],
+            freedom: n,
             nullspace: square.clone(),
             torque_rows: square.clone(),
+            remaining: square.clone(),
+            basis: square.clone(),
             mass: square,
             torque: zero.clone(),
             delta: DVector::zeros(variables),
@@ -246,22 +264,28 @@ impl HierarchicalQp {
         if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
             return Ok(false);
         }
-        self.span(data, above);
-        let proximal = self.pose(residual);
-        self.constrain(limits, false);
-        match self.iterate_proximal(proximal) {
-            Err(QpError::Infeasible { .. }) => {
-                self.relax(data, limits)?;
-                let proximal = self.pose(residual);
-                self.constrain(limits, false);
-                self.iterate_proximal(proximal)?;
+        let reduced = matches!(residual, Residual::Joints) && !above.is_empty() && self.reduce(data, above);
+        if !(reduced && self.solve_within(residual, limits).is_ok()) {
+            self.span(data, above);
+            match self.solve_within(residual, limits) {
+                Err(QpError::Infeasible { .. }) => {
+                    self.relax(data, limits)?;
+                    self.solve_within(residual, limits)?;
+                }
+                result => result?,
             }
-            result => result?,
         }
         self.displaced -= &self.alpha;
         self.displace();
         self.displaced += &self.alpha;
         Ok(true)
+    }
+
+    /// Minimises a residual within the limits, and writes δ into `delta`.
+    fn solve_within(&mut self, residual: &Residual<'_>, limits: &Limits<'_>) -> Result<(), QpError> {
+        let proximal = self.pose(residual);
+        self.constrain(limits, false);
+        self.iterate_proximal(proximal)
     }
 
     /// Widens the bounds to include the current α and M α, with a margin for rounding.
@@ -355,7 +379,8 @@ impl HierarchicalQp {
     fn displace(&mut self) {
         let n = self.scale.len();
         let alpha = self.alpha.as_mut_slice();
-        for (column, delta) in self.nullspace.as_slice().chunks_exact(n).zip(self.delta.as_slice()) {
+        let delta = &self.delta.as_slice()[..self.freedom];
+        for (column, delta) in self.nullspace.as_slice().chunks_exact(n).zip(delta) {
             axpy(*delta, column, alpha);
         }
     }
@@ -364,15 +389,11 @@ impl HierarchicalQp {
     /// than one of those levels is damped. A level's demand is M⁻¹ Nᵀ times its torques; with this form, δ can always
     /// cancel it.
     fn span(&mut self, data: &Data, above: &Nullspace) {
-        let n = self.scale.len();
-        let columns = data.mass_matrix.as_slice().chunks_exact(n).zip(&self.inverse_scale);
-        for (rows, (column, inverse)) in self.torque_rows.as_mut_slice().chunks_exact_mut(n).zip(columns) {
-            rows.iter_mut().zip(column).for_each(|(row, x)| *row = x * inverse);
-            above.project_torque(rows);
-        }
+        self.project_torques(data, above);
+        self.freedom = self.scale.len();
         if above.is_empty() {
             self.nullspace.as_mut_slice().fill(0.0);
-            let diagonal = self.nullspace.as_mut_slice().iter_mut().step_by(n + 1);
+            let diagonal = self.nullspace.as_mut_slice().iter_mut().step_by(self.freedom + 1);
             diagonal.zip(&self.inverse_scale).for_each(|(x, inverse)| *x = *inverse);
         } else {
             self.nullspace.as_mut_slice().copy_from_slice(self.torque_rows.as_slice());
@@ -380,20 +401,83 @@ impl HierarchicalQp {
         }
     }
 
-    /// Sets the Hessian of a residual, in variables scaled to unit inertia, and returns the weight of its proximal
+    /// Computes Nᵀ M for scaled δ.
+    fn project_torques(&mut self, data: &Data, above: &Nullspace) {
+        let n = self.scale.len();
+        let columns = data.mass_matrix.as_slice().chunks_exact(n).zip(&self.inverse_scale);
+        for (rows, (column, inverse)) in self.torque_rows.as_mut_slice().chunks_exact_mut(n).zip(columns) {
+            rows.iter_mut().zip(column).for_each(|(row, x)| *row = x * inverse);
+            above.project_torque(rows);
+        }
+    }
+
+    /// Replaces δ by its coordinates in a basis of the null space and returns true, if N is a projector onto at most a
+    /// third of the joints' dimensions: then Nᵀ M = Z Zᵀ, and the columns of M⁻¹ Z are a basis that is orthonormal in
+    /// kinetic energy. Z is computed by Cholesky factorisation with pivoting. N of a damped level is no projector.
+    fn reduce(&mut self, data: &Data, above: &Nullspace) -> bool {
+        self.project_torques(data, above);
+        let n = self.scale.len();
+        let remaining = self.remaining.as_mut_slice();
+        let columns = self.torque_rows.as_slice().chunks_exact(n);
+        for (column, rows) in remaining.chunks_exact_mut(n).zip(columns) {
+            for ((x, row), inverse) in column.iter_mut().zip(rows).zip(&self.inverse_scale) {
+                *x = row * inverse;
+            }
+        }
+        let mut freedom = 0;
+        loop {
+            let pivots = (0..n).map(|i| (i, remaining[i * n + i]));
+            let (place, pivot) = pivots.fold((0, NO_FREEDOM), |a, b| if b.1 > a.1 { b } else { a });
+            if pivot <= NO_FREEDOM {
+                break;
+            }
+            if pivot < CLEAR || 3 * (freedom + 1) > n {
+                return false;
+            }
+            let z = &mut self.basis.as_mut_slice()[freedom * n..(freedom + 1) * n];
+            z.copy_from_slice(&remaining[place * n..(place + 1) * n]);
+            let inverse = 1.0 / pivot.sqrt();
+            z.iter_mut().for_each(|z| *z *= inverse);
+            for (column, factor) in remaining.chunks_exact_mut(n).zip(&*z) {
+                axpy(-factor, z, column);
+            }
+            freedom += 1;
+        }
+        let used = freedom * n;
+        let basis = &mut self.basis.as_mut_slice()[..used];
+        let joints = &mut self.nullspace.as_mut_slice()[..used];
+        for (column, z) in joints.chunks_exact_mut(n).zip(basis.chunks_exact_mut(n)) {
+            z.iter_mut().zip(&self.scale).for_each(|(z, scale)| *z *= scale);
+            column.copy_from_slice(z);
+            data.mass_matrix_factor.solve(column);
+        }
+        let is_orthonormal = joints.chunks_exact(n).enumerate().all(|(k, column)| {
+            let products = basis.chunks_exact(n).map(|z| dot(z, column)).enumerate();
+            products
+                .into_iter()
+                .all(|(l, product)| (product - f64::from(u8::from(k == l))).abs() <= ORTHOGONAL)
+        });
+        self.torque_rows.as_mut_slice()[..used].copy_from_slice(basis);
+        self.freedom = freedom;
+        freedom > 0 && is_orthonormal
+    }
+
+    /// Sets the Hessian of a residual, in the variables of [`span`](Self::span), and returns the weight of its proximal
     /// steps.
     fn pose(&mut self, residual: &Residual<'_>) -> Option<f64> {
-        let n = self.scale.len();
-        self.program.resize(n, 2 * n);
-        let hessian = &mut self.program.hessian;
         let Residual::Rows { jacobian, inertia, heading } = residual else {
-            for c in 0..n {
-                for r in c..n {
-                    hessian[(r, c)] = self.mass[(r, c)];
+            // A basis is orthonormal.
+            let is_basis = self.freedom < self.scale.len();
+            for c in 0..self.freedom {
+                for r in c..self.freedom {
+                    let unit = f64::from(u8::from(r == c));
+                    self.program.hessian[(r, c)] = if is_basis { unit } else { self.mass[(r, c)] };
                 }
             }
             return None;
         };
+        let n = self.scale.len();
+        let hessian = &mut self.program.hessian;
         let momentum = *inertia * heading;
         let energy = heading.dot(&momentum);
         let still = STILL * STILL * inertia.trace();
@@ -420,7 +504,8 @@ impl HierarchicalQp {
     fn constrain(&mut self, limits: &Limits<'_>, relaxed: bool) {
         let n = self.scale.len();
         let constraints = 2 * n + limits.speeds.len();
-        self.program.resize(if relaxed { constraints } else { n }, constraints);
+        let slacks = if relaxed { n + limits.speeds.len() } else { 0 };
+        self.program.resize(self.freedom + slacks, constraints);
         let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
         for i in 0..n {
             let (scale, inverse) = (self.scale[i], self.inverse_scale[i]);
@@ -437,15 +522,16 @@ impl HierarchicalQp {
         for (k, speed) in limits.speeds.iter().enumerate() {
             let (alpha, nullspace) = (&self.alpha, &self.nullspace);
             let row = self.program.row_mut(2 * n + k);
-            for (x, column) in row.iter_mut().zip(nullspace.as_slice().chunks_exact(n)) {
+            let (of_delta, slacks) = row.split_at_mut(self.freedom);
+            for (x, column) in of_delta.iter_mut().zip(nullspace.as_slice().chunks_exact(n)) {
                 *x = dot(speed.row.as_slice(), column);
             }
             // The row is normalised so that its slack is comparable to those of accelerations.
-            let length = dot(&row[..n], &row[..n]).sqrt().max(f64::MIN_POSITIVE);
-            row[..n].iter_mut().for_each(|x| *x /= length);
-            row[n..].fill(0.0);
+            let length = dot(of_delta, of_delta).sqrt().max(f64::MIN_POSITIVE);
+            of_delta.iter_mut().for_each(|x| *x /= length);
+            slacks.fill(0.0);
             if relaxed {
-                row[2 * n + k] = 1.0;
+                slacks[n + k] = 1.0;
             }
             self.program.lower[2 * n + k] = f64::NEG_INFINITY;
             self.program.upper[2 * n + k] =
@@ -455,10 +541,10 @@ impl HierarchicalQp {
     /// Sets a constraint to the acceleration of joint i (`constraint` < n) or to its torque, times `scale`.
     fn set_row(&mut self, constraint: usize, i: usize, scale: f64, relaxed: bool) {
         let n = self.scale.len();
-        let of_joints = if constraint < n { &self.nullspace } else { &self.torque_rows };
+        let rows = if constraint < n { &self.nullspace } else { &self.torque_rows };
         let row = self.program.row_mut(constraint);
-        let (joints, slacks) = row.split_at_mut(n);
-        for (x, column) in joints.iter_mut().zip(of_joints.as_slice().chunks_exact(n)) {
+        let (of_delta, slacks) = row.split_at_mut(self.freedom);
+        for (x, column) in of_delta.iter_mut().zip(rows.as_slice().chunks_exact(n)) {
             *x = column[i] * scale;
         }
         if !slacks.is_empty() {
