@@ -114,7 +114,8 @@ impl Limits<'_> {
 /// Buffers of the hierarchical QP for one robot.
 pub(crate) struct HierarchicalQp {
     program: QuadraticProgram,
-    active_set: ActiveSet,
+    /// One solver for each [`Problem`], which starts with the rows that were active in the last one.
+    active_sets: [ActiveSet; 3],
     interior_point: Option<InteriorPoint>,
     /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     alpha: DVector<f64>,
@@ -145,6 +146,17 @@ pub(crate) struct HierarchicalQp {
     shortcut: bool,
 }
 
+/// Kind of program.
+#[derive(Clone, Copy, Debug)]
+enum Problem {
+    /// Level of a task of at most six rows.
+    Rows,
+    /// Level of all joints.
+    Joints,
+    /// Bounds to be widened.
+    Bounds,
+}
+
 /// Residual that a level minimises.
 pub(crate) enum Residual<'a> {
     /// |W J_p δ|²_Λ; `heading` is the predicted velocity of the task. Unused rows of J_p and Λ are zero.
@@ -161,7 +173,7 @@ impl HierarchicalQp {
         let square = DMatrix::zeros(n, n);
         Self {
             program: QuadraticProgram::new(variables, constraints),
-            active_set: ActiveSet::new(variables, constraints),
+            active_sets: [n, n, variables].map(|variables| ActiveSet::new(variables, constraints)),
             // Without this solver, torques are clipped if the active-set method fails.
             interior_point: InteriorPoint::new(variables, constraints).ok(),
             alpha: zero.clone(),
@@ -283,9 +295,13 @@ impl HierarchicalQp {
 
     /// Minimises a residual within the limits, and writes δ into `delta`.
     fn solve_within(&mut self, residual: &Residual<'_>, limits: &Limits<'_>) -> Result<(), QpError> {
+        let problem = match residual {
+            Residual::Rows { .. } => Problem::Rows,
+            Residual::Joints => Problem::Joints,
+        };
         let proximal = self.pose(residual);
         self.constrain(limits, false);
-        self.iterate_proximal(proximal)
+        self.iterate_proximal(problem, proximal)
     }
 
     /// Widens the bounds to include the current α and M α, with a margin for rounding.
@@ -321,7 +337,7 @@ impl HierarchicalQp {
             }
         }
         self.constrain(limits, true);
-        self.iterate_proximal(Some(RELAXED))?;
+        self.iterate_proximal(Problem::Bounds, Some(RELAXED))?;
         // The solution is only used to widen the bounds: the level restarts from the saved α.
         self.asked.copy_from(&self.alpha);
         self.displace();
@@ -332,17 +348,17 @@ impl HierarchicalQp {
     }
 
     /// Solves the program by proximal steps of weight ε, or in one step if `proximal` is `None`; writes δ into `delta`.
-    fn iterate_proximal(&mut self, proximal: Option<f64>) -> Result<(), QpError> {
+    fn iterate_proximal(&mut self, problem: Problem, proximal: Option<f64>) -> Result<(), QpError> {
         let (n, variables) = (self.scale.len(), self.program.variables());
         self.program.gradient.fill(0.0);
         self.delta.fill(0.0);
         let mut again = false;
         for _ in 0..STEPS {
-            let solver = self.solve(again)?;
+            let solver = self.solve(problem, again)?;
             again = solver == Solver::ActiveSet;
             let x = match (solver, &self.interior_point) {
                 (Solver::InteriorPoint, Some(interior_point)) => interior_point.x(),
-                _ => self.active_set.x(),
+                _ => self.active_sets[problem as usize].x(),
             };
             self.solver = self.solver.max(solver);
             let (mut change, mut size) = (0.0_f64, 0.0_f64);
@@ -362,11 +378,12 @@ impl HierarchicalQp {
     }
 
     /// Solves the program; `again` if only its gradient has changed since the active-set method solved it.
-    fn solve(&mut self, again: bool) -> Result<Solver, QpError> {
-        if again && self.active_set.solve_again(&self.program).is_ok() {
+    fn solve(&mut self, problem: Problem, again: bool) -> Result<Solver, QpError> {
+        let active_set = &mut self.active_sets[problem as usize];
+        if again && active_set.solve_again(&self.program).is_ok() {
             return Ok(Solver::ActiveSet);
         }
-        match (self.active_set.solve(&self.program), &mut self.interior_point) {
+        match (active_set.solve(&self.program), &mut self.interior_point) {
             (Ok(()), _) => Ok(Solver::ActiveSet),
             (Err(error @ QpError::Infeasible { .. }), _) | (Err(error), None) => Err(error),
             (Err(_), Some(interior_point)) => {
