@@ -26,7 +26,7 @@
 
 mod factor;
 
-use crate::qp::padded::{add_product, copy_padded, dot_padded, norm_padded, padded};
+use crate::qp::padded::{add_product, buffer, copy_padded, dot_padded, norm_padded, padded};
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, all_finite, axpy, dot};
 use factor::Factor;
 
@@ -71,10 +71,10 @@ impl Loaded {
             constraints: 0,
             stride: 0,
             tall: 0,
-            hessian: vec![0.0; n * stride],
-            gradient: vec![0.0; stride],
-            by_variable: vec![0.0; n * tall],
-            rows: vec![0.0; m * stride],
+            hessian: buffer(n * stride),
+            gradient: buffer(stride),
+            by_variable: buffer(n * tall),
+            rows: buffer(m * stride),
         }
     }
 
@@ -183,11 +183,11 @@ impl ActiveSet {
             max_constraints,
             loaded: Loaded::new(max_variables, max_constraints),
             factor: Factor::new(max_variables),
-            point: vec![0.0; padded(max_variables)],
-            values: vec![0.0; padded(max_constraints)],
+            point: buffer(padded(max_variables)),
+            values: buffer(padded(max_constraints)),
             active: Vec::with_capacity(max_variables),
             is_active: vec![false; max_constraints],
-            norms: vec![0.0; padded(max_constraints)],
+            norms: buffer(padded(max_constraints)),
             rounding: 0.0,
             reach: 0.0,
             size: 0.0,

@@ -14,6 +14,12 @@ pub(crate) fn padded(n: usize) -> usize {
     n.next_multiple_of(LANES)
 }
 
+/// Returns a buffer whose memory has been written to, so that its first use in a control cycle does not wait for the
+/// operating system. A number that is read before it is set shows as NaN.
+pub(crate) fn buffer(length: usize) -> Vec<f64> {
+    vec![f64::NAN; length]
+}
+
 /// Copies `from` into the longer `to` and fills the rest of it with zeros.
 #[inline]
 pub(crate) fn copy_padded(from: &[f64], to: &mut [f64]) {

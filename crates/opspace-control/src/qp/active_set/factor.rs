@@ -6,7 +6,7 @@
 //!
 //! Columns and vectors of n numbers are [padded](crate::qp::padded).
 
-use crate::qp::padded::{add_outer_product, add_product, dot_padded, padded, transposed_product};
+use crate::qp::padded::{add_outer_product, add_product, buffer, dot_padded, padded, transposed_product};
 use crate::qp::quadratic_program::{PIVOT_SHARE, QpError, axpy, dot};
 
 /// Factors for n variables and q active rows.
@@ -27,8 +27,8 @@ pub(super) struct Factor {
 
 impl Factor {
     pub(super) fn new(max_variables: usize) -> Self {
-        let vector = vec![0.0; padded(max_variables)];
-        let square = vec![0.0; max_variables * padded(max_variables)];
+        let vector = buffer(padded(max_variables));
+        let square = buffer(max_variables * padded(max_variables));
         Self {
             n: 0,
             q: 0,
