@@ -78,15 +78,16 @@ impl Durations {
     }
 
     fn row(&self) -> String {
-        let [(free, slowest_free), (limited, slowest)] = [&self.free, &self.limited].map(median_and_worst);
+        let [(free, slowest_free), (limited, slowest)] =
+            [&self.free, &self.limited].map(|durations| median_and_worst(durations));
         let cycles = self.limited.len();
         format!("{:12}{free:10.2}{slowest_free:10.2}{limited:12.2}{slowest:10.2}{cycles:10}", "")
     }
 }
 
 /// Returns zeros if there are no durations.
-fn median_and_worst(durations: &Vec<f64>) -> (f64, f64) {
-    let mut sorted = durations.clone();
+fn median_and_worst(durations: &[f64]) -> (f64, f64) {
+    let mut sorted = durations.to_owned();
     sorted.sort_by(f64::total_cmp);
     (sorted.get(sorted.len() / 2).copied().unwrap_or(0.0), sorted.last().copied().unwrap_or(0.0))
 }

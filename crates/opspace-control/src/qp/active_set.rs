@@ -47,7 +47,7 @@ const LONG_STEP: f64 = 1e-3;
 
 /// Data of the program, with [padded](crate::qp::padded) columns.
 #[derive(Debug)]
-struct Loaded {
+struct ProgramData {
     variables: usize,
     constraints: usize,
     /// Length of a column of H and of a row: that of a vector of variables.
@@ -63,7 +63,7 @@ struct Loaded {
     rows: Vec<f64>,
 }
 
-impl Loaded {
+impl ProgramData {
     fn new(n: usize, m: usize) -> Self {
         let (stride, tall) = (padded(n), padded(m));
         Self {
@@ -149,7 +149,7 @@ struct Violation {
 pub struct ActiveSet {
     max_variables: usize,
     max_constraints: usize,
-    loaded: Loaded,
+    data: ProgramData,
     factor: Factor,
     /// Current iterate x, padded.
     point: Vec<f64>,
@@ -181,7 +181,7 @@ impl ActiveSet {
         Self {
             max_variables,
             max_constraints,
-            loaded: Loaded::new(max_variables, max_constraints),
+            data: ProgramData::new(max_variables, max_constraints),
             factor: Factor::new(max_variables),
             point: buffer(padded(max_variables)),
             values: buffer(padded(max_constraints)),
@@ -230,7 +230,7 @@ impl ActiveSet {
             return Err(QpError::Unsolved("the problem exceeds the size that the solver was created for"));
         }
         program.check_sizes()?;
-        self.loaded.load(program)?;
+        self.data.load(program)?;
         program.check_bounds()?;
         self.start(program)?;
         for row in (0..m).filter(|&row| program.lower[row] == program.upper[row]) {
@@ -255,7 +255,7 @@ impl ActiveSet {
     /// [`QpError`]; [`x`](Self::x) then remains the solution of an earlier program.
     pub(crate) fn solve_again(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         self.iterations = 0;
-        self.loaded.load_gradient(program)?;
+        self.data.load_gradient(program)?;
         self.converge(program)?;
         if norm_padded(self.factor.step()) > LONG_STEP * norm_padded(&self.point) {
             self.converge(program)?;
@@ -288,7 +288,7 @@ impl ActiveSet {
     /// Starts at the unconstrained minimum, without active rows.
     fn start(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         let (n, m) = (program.variables(), program.constraints());
-        let Loaded { stride, tall, hessian, gradient, by_variable, .. } = &self.loaded;
+        let ProgramData { stride, tall, hessian, gradient, by_variable, .. } = &self.data;
         self.factor.start(hessian, n)?;
         self.point.resize(*stride, 0.0);
         self.rounding = DEPENDENCE * self.factor.minimum(&gradient[..*stride], &mut self.point);
@@ -328,9 +328,9 @@ impl ActiveSet {
 
     /// Returns the bound that x violates most, measured as a distance.
     fn most_violated(&mut self, program: &QuadraticProgram) -> Option<Violation> {
-        let tall = self.loaded.tall;
+        let tall = self.data.tall;
         self.values[..tall].fill(0.0);
-        add_product(&self.loaded.by_variable, &self.point[..program.variables()], &mut self.values[..tall]);
+        add_product(&self.data.by_variable, &self.point[..program.variables()], &mut self.values[..tall]);
         let (mut worst, mut farthest) = (None, 0.0);
         for row in 0..program.constraints() {
             let violation = Violation::at(program, row, self.values[row]);
@@ -351,10 +351,10 @@ impl ActiveSet {
         let b = sign * violation.bound(program);
         let equality = program.lower[row] == program.upper[row];
         let mut new = Active { row, sign, b, multiplier: 0.0, equality };
-        self.loaded.load_row(program, row);
+        self.data.load_row(program, row);
         loop {
             self.count(program)?;
-            let growth = self.factor.towards(self.loaded.row(row), sign);
+            let growth = self.factor.towards(self.data.row(row), sign);
             // n is N r plus a remainder; if the terms of N r are large relative to n, so is the rounding error of the
             // remainder.
             let terms = self.active.iter().zip(self.factor.fall()).map(|(a, r)| self.norms[a.row] * r.abs());
@@ -385,7 +385,7 @@ impl ActiveSet {
                     return Ok(());
                 }
             }
-            gap = b - sign * dot_padded(self.loaded.row(row), &self.point);
+            gap = b - sign * dot_padded(self.data.row(row), &self.point);
         }
     }
 
@@ -426,15 +426,15 @@ impl ActiveSet {
     /// row with the most negative one is dropped.
     fn refine(&mut self, program: &QuadraticProgram) -> Result<(), QpError> {
         self.count(program)?;
-        let (loaded, point, active) = (&self.loaded, &mut self.point, &mut self.active);
+        let (data, point, active) = (&self.data, &mut self.point, &mut self.active);
         let gradient = |e: &mut [f64]| {
-            e.copy_from_slice(&loaded.gradient[..e.len()]);
-            add_product(&loaded.hessian, &point[..program.variables()], e);
+            e.copy_from_slice(&data.gradient[..e.len()]);
+            add_product(&data.hessian, &point[..program.variables()], e);
             for a in active.iter() {
-                axpy(-a.sign * a.multiplier, loaded.row(a.row), e);
+                axpy(-a.sign * a.multiplier, data.row(a.row), e);
             }
         };
-        let gap = |k: usize| active[k].b - active[k].sign * dot_padded(loaded.row(active[k].row), point);
+        let gap = |k: usize| active[k].b - active[k].sign * dot_padded(data.row(active[k].row), point);
         self.factor.correct(gradient, gap);
         axpy(1.0, self.factor.step(), point);
         for (a, fall) in active.iter_mut().zip(self.factor.fall()) {
