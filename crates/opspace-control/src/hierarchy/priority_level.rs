@@ -4,7 +4,6 @@ use crate::controller::ControlInput;
 use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::rank::TypicalMobility;
-use crate::limits::bounds::HORIZON_S;
 use crate::targets::TargetPlace;
 use crate::tasks::task::{SpeedLimit, Task, TaskInput};
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
@@ -141,15 +140,15 @@ impl PriorityLevel {
     }
 
     /// Bound `row` · α ≤ returned value on the joint accelerations α (n) that keeps the task's linear (`kind` 0) or
-    /// angular (`kind` 1) speed within its limit; `None` while the speed is at most half of the limit.
-    pub(crate) fn speed_bound(&self, kind: usize, row: &mut [f64]) -> Option<f64> {
+    /// angular (`kind` 1) speed within its limit after `horizon_s` (s); `None` while the speed is at most half of the limit.
+    pub(crate) fn speed_bound(&self, kind: usize, horizon_s: f64, row: &mut [f64]) -> Option<f64> {
         let SpeedLimit { speed, limit, weights } = self.task.speed_limits()[kind]?;
         // Far below the limit, the direction of the velocity is ill-defined and no bound is needed.
         if speed.is_nan() || speed <= 0.5 * limit {
             return None;
         }
         row.fill(0.0);
-        let mut upper = (limit - speed) / HORIZON_S;
+        let mut upper = (limit - speed) / horizon_s;
         for (r, &weight) in weights.iter().enumerate().filter(|(_, weight)| **weight != 0.0) {
             upper -= weight * self.bias[r];
             row.iter_mut().zip(self.jacobian.row(r).iter()).for_each(|(x, j)| *x += weight * j);

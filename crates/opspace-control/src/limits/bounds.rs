@@ -21,9 +21,19 @@ use crate::measurement::Measurement;
 use nalgebra::DVector;
 use opspace_model::{Data, Model, update};
 
-/// Horizon of the acceleration bounds, s: much longer than the control period, so that velocity noise does not make the
-/// bounds jump, and much shorter than the time that an arm needs to brake.
+/// Shortest horizon of the acceleration bounds, s: velocity noise must not make the bounds jump, and an arm needs much
+/// longer to brake.
 pub const HORIZON_S: f64 = 0.02;
+
+/// Shortest horizon of the acceleration bounds in control periods: with a horizon of one period, a torque that acts a
+/// period late would exceed them by its whole effect.
+const HORIZON_PERIODS: f64 = 5.0;
+
+/// Returns the horizon of the acceleration bounds for a control period, s.
+#[must_use]
+pub fn horizon_s(period_s: f64) -> f64 {
+    HORIZON_S.max(HORIZON_PERIODS * period_s)
+}
 
 /// Time constant of the return of a joint beyond its position limit, s.
 const RETURN_S: f64 = 0.2;
@@ -107,9 +117,14 @@ impl Bounds {
         for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
             // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
             // horizon.
-            *braking = braking.min(velocity.min(1e3) / HORIZON_S);
+            *braking = braking.min(velocity.min(1e3) / horizon_s(period_s));
         }
         Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
+    }
+
+    /// Horizon of the bounds on accelerations, s.
+    pub(crate) fn horizon_s(&self) -> f64 {
+        horizon_s(self.period_s)
     }
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
@@ -123,7 +138,7 @@ impl Bounds {
         acceleration: impl Fn(usize) -> f64,
         torque: impl Fn(usize) -> f64,
     ) -> bool {
-        let (l, h) = (&self.limits, HORIZON_S);
+        let (l, h) = (&self.limits, self.horizon_s());
         let (q, dq) = (&measurement.q, &measurement.dq);
         let mut allowed = true;
         // Branch-free, because the sign of a velocity is unpredictable.
@@ -148,10 +163,11 @@ impl Bounds {
     /// Computes the bounds for the measured state. `before` are the last commanded torques (n), `added` the torques
     /// that will be added to the next command (n; Nm or N).
     pub(crate) fn update(&mut self, measurement: &Measurement, added: &[f64], before: &DVector<f64>) {
-        let l = &self.limits;
+        let (l, horizon_s) = (&self.limits, self.horizon_s());
         let (q, dq) = (&measurement.q, &measurement.dq);
         for i in 0..before.len() {
-            let joint = JointState { q: q[i], dq: dq[i], velocity: l.velocity[i], braking: self.braking[i] };
+            let (velocity, braking) = (l.velocity[i], self.braking[i]);
+            let joint = JointState { q: q[i], dq: dq[i], velocity, braking, horizon_s };
             let (mut lower, mut upper) = (-joint.mirrored().highest(-l.lower[i]), joint.highest(l.upper[i]));
             // Braking bounds may be stricter than accelerating ones; between two limits that are too close, nothing
             // moves.
@@ -173,13 +189,14 @@ impl Bounds {
     }
 }
 
-/// State, velocity limit and braking acceleration of a joint.
+/// State, velocity limit and braking acceleration of a joint, and the horizon of its bounds.
 #[derive(Clone, Copy)]
 struct JointState {
     q: f64,
     dq: f64,
     velocity: f64,
     braking: f64,
+    horizon_s: f64,
 }
 
 impl JointState {
@@ -191,7 +208,7 @@ impl JointState {
     /// Returns the highest acceleration for which the joint stays below its velocity limit and can stop at the position
     /// limit `end`.
     fn highest(self, end: f64) -> f64 {
-        let h = HORIZON_S;
+        let h = self.horizon_s;
         let mut allowed = self.velocity;
         if end < f64::INFINITY {
             let left = end - self.q;

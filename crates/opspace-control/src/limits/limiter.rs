@@ -4,7 +4,7 @@ use crate::context::ControlContext;
 use crate::controller::ControlInput;
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
-use crate::limits::bounds::{Bounds, HORIZON_S, Interval};
+use crate::limits::bounds::{Bounds, Interval};
 use crate::limits::joint_limits::LimitParameters;
 use crate::qp::lexicographic::{HierarchicalQp, Limits, Residual, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
@@ -37,20 +37,19 @@ const LIMITED_TORQUE: f64 = 2.0;
 /// Tolerance within which a bound counts as active, relative to the command plus 1; far above the solvers' error.
 const AT_BOUND: f64 = 1e-6;
 
-/// Maximum number of bounds on task speeds: two for each of the first eight tasks.
-const MAX_SPEED_BOUNDS: usize = 16;
-
 impl Limiter {
     pub(crate) fn new(model: &Model, parameters: &LimitParameters, context: &ControlContext) -> Self {
         let n = model.n();
         let zero = DVector::zeros(n);
         let limits = context.limits.clone().narrowed(parameters);
         let bounds = Bounds::new(model, limits, context.period_s);
+        // Each task has a row of its own and at most two speeds.
+        let speeds = 2 * n;
         Self {
             torque_bounds: bounds.torque.clone(),
             bounds,
-            cascade: HierarchicalQp::new(n, MAX_SPEED_BOUNDS),
-            speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; MAX_SPEED_BOUNDS],
+            cascade: HierarchicalQp::new(n, speeds),
+            speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; speeds],
             speed_count: 0,
             bias_acceleration: zero.clone(),
             limited: zero,
@@ -74,10 +73,11 @@ impl Limiter {
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
         self.speed_count = 0;
+        let horizon_s = self.bounds.horizon_s();
         for level in &hierarchy.levels {
             for kind in 0..2 {
                 let Some(slot) = self.speeds.get_mut(self.speed_count) else { return };
-                if let Some(upper) = level.speed_bound(kind, slot.row.as_mut_slice()) {
+                if let Some(upper) = level.speed_bound(kind, horizon_s, slot.row.as_mut_slice()) {
                     slot.upper = upper - slot.row.dot(&self.bias_acceleration);
                     self.speed_count += 1;
                 }
@@ -128,6 +128,7 @@ impl Limiter {
         compensation_torque: &DVector<f64>,
         scratch: &mut DVector<f64>,
     ) -> Result<Solver, QpError> {
+        let horizon_s = self.bounds.horizon_s();
         let (mut limits, cascade) = self.limits(compensation_torque);
         cascade.begin(data);
         // The unlimited command does not need J̄ of the last level.
@@ -142,7 +143,7 @@ impl Limiter {
             level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
             cascade.add_demand(data, scratch.as_slice(), &mut limits);
-            let heading = level.predicted_velocity(data, cascade.alpha(), HORIZON_S);
+            let heading = level.predicted_velocity(data, cascade.alpha(), horizon_s);
             let projected = &level.projected;
             let inertia = &projected.space.task_inertia;
             let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };

@@ -60,7 +60,7 @@ pub struct CartesianParameters {
     #[serde(default)]
     pub singularities: SingularityHandling,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
-    /// lowest mobility over many postures. If absent, it is 0.03 at rest and grows to 0.3 with the acceleration that
+    /// lowest mobility over many postures. If absent, it is 0.005 at rest and grows to 0.3 with the acceleration that
     /// the task demands of such directions.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,
@@ -86,7 +86,7 @@ pub struct CenterOfMassParameters {
     /// Gains of the centre of mass, for unit mass.
     pub gains: AxisGains,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
-    /// lowest mobility over many postures. If absent, it is 0.03 at rest and grows to 0.3 with the acceleration that
+    /// lowest mobility over many postures. If absent, it is 0.005 at rest and grows to 0.3 with the acceleration that
     /// the task demands of such directions.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,

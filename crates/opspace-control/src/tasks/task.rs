@@ -9,7 +9,7 @@ use opspace_model::{Data, Inversion, Model};
 use std::any::Any;
 
 /// Threshold of the [default inversion](DEFAULT_INVERSION) at rest, relative to the typical mobility.
-pub const THRESHOLD_AT_REST: f64 = 0.03;
+pub const THRESHOLD_AT_REST: f64 = 0.005;
 
 /// Default [`inversion`](Task::inversion): the threshold grows with the demand to 0.3 of the typical mobility.
 pub const DEFAULT_INVERSION: Inversion =

@@ -424,7 +424,7 @@ fn weight_beyond_torque_limit_is_reported() {
 fn singular_start_is_reported() {
     let straight =
         |elbow: &str| [("shoulder = 0.6, elbow = 1.2", format!("shoulder = 0.0, elbow = {elbow}"))];
-    for (elbow, lost) in [("0.0", "cannot be moved along"), ("0.05", "% of its force along")] {
+    for (elbow, lost) in [("0.0", "cannot be moved along"), ("0.02", "% of its force along")] {
         let changes = straight(elbow);
         let (found, _) =
             only_diagnostic(TIP, &changes.each_ref().map(|(old, new)| (*old, new.as_str())), &[]);
