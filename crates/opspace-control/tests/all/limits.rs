@@ -494,3 +494,41 @@ fn level_without_freedom_changes_nothing() {
         }
     }
 }
+
+/// Compared: after the horizon, the speed of each of eighteen tasks that exceeds its limit, with this limit; each task has a
+/// bound of its own, also the last one.
+#[test]
+fn every_task_of_many_has_its_speed_bound() {
+    let mut numbers = Numbers::new(42);
+    let model = random_arm(19, &mut numbers);
+    let frames: Vec<String> = model.joints().iter().skip(2).map(|joint| joint.name.clone()).collect();
+    let tasks: Vec<String> =
+        ["hand"].into_iter().chain(frames.iter().rev().map(String::as_str)).map(str::to_owned).collect();
+    let names: Vec<String> = (0..tasks.len()).map(|k| format!("\"task{k}\"")).collect();
+    let mut text = format!("priority = [{}]\n", names.join(", "));
+    for (k, frame) in tasks.iter().enumerate() {
+        text += &format!(
+            "[task.task{k}.cartesian]\nframe = \"{frame}\"\naxes = {{ x = \"motion\" }}\nreference = \"hold\"\ngains = \
+             {{ frequency_rad_per_s = 1.0, damping_ratio = 0.1 }}\nspeed_limit_m_per_s = 1e-3\n"
+        );
+    }
+    let (start, dq) = (numbers.vector(19, 1.2), numbers.vector(19, 1.0));
+    let file = File::read(&text);
+    let robot = control_context(&model, "hand");
+    let mut controller =
+        OperationalSpaceController::new(&model, &file.task_set(), &robot).expect("independent axes");
+    let (data, measurement) = at_state(&model, &start, &[0.0; 19], 0.0);
+    controller.start(&common::input(&model, &data, &measurement));
+    let (data, measurement) = at_state(&model, &start, &dq, 1e-3);
+    let mut tau = [0.0; 19];
+    controller.update(&common::input(&model, &data, &measurement), &mut tau);
+    let mut fast = 0;
+    for frame in &tasks {
+        let id = model.frame_id(frame).expect("a frame");
+        let before = frame_velocity(&model, &data, id).linear.x;
+        let after = before + HORIZON_S * frame_acceleration(&model, &data, frame, &tau)[0];
+        fast += usize::from(before.abs() > 2e-3);
+        assert!(after * before.signum() < 1e-3 + 1e-6, "{frame}: {before} m/s becomes {after} m/s");
+    }
+    assert_eq!(fast, 18, "all tasks are too fast");
+}

@@ -268,11 +268,14 @@ pub fn build_error(model: &Model, text: &str) -> ControlError {
 /// An arm of six or seven joints with lengths, axes and masses from `numbers`, a frame `hand` at its end and a frame
 /// `upper` on its fourth link.
 pub fn random_arm(n: usize, numbers: &mut Numbers) -> Model {
-    const NAMES: [&str; 7] = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
+    const NAMES: [&str; 20] = [
+        "j1", "j2", "j3", "j4", "j5", "j6", "j7", "j8", "j9", "j10", "j11", "j12", "j13", "j14", "j15",
+        "j16", "j17", "j18", "j19", "j20",
+    ];
     let links: Vec<Link> = (0..n)
         .map(|i| {
             // Links become lighter towards the end of the arm.
-            let weight = 1.0 - 0.12 * i as f64;
+            let weight = (1.0 - 0.12 * i as f64).max(0.1);
             let mut random = || 0.5 + 0.5 * numbers.next();
             let [a, b, c, d, e, f] = [0; 6].map(|_| random());
             Link {
