@@ -189,7 +189,7 @@ impl OperationalSpaceController {
         }
         let joint_input = hierarchy.joint_input(input);
         let (acceleration, torque) = (self.scratch.as_mut_slice(), self.joint_torque.as_mut_slice());
-        let leaves_freedom = hierarchy.leaves_freedom();
+        let leaves_freedom = hierarchy.leaves_freedom(data.dq.len());
         match &mut hierarchy.joint {
             Some(task) => task.update(&joint_input, acceleration, torque),
             None if !leaves_freedom => return self.joint_torque.fill(0.0),

@@ -44,7 +44,6 @@ mod gradient;
 mod mesh;
 mod model;
 mod pairs;
-mod postures;
 mod proximity;
 mod segment;
 
@@ -53,7 +52,7 @@ pub use distances::{CollisionData, collision_distances};
 pub use enclose::enclosing_capsule;
 pub use generate::{CapsuleWarning, GeneratedCapsules, generate_capsules};
 pub use gradient::{distance_bias_acceleration, distance_gradient};
-pub use mesh::{MAX_MESH_BYTES, MeshError, MeshErrorKind, MeshFormat, mesh_vertices};
+pub use mesh::{MAX_MESH_BYTES, MeshError, MeshErrorKind, MeshFormat, find_mesh, mesh_vertices};
 pub use model::{CollisionError, CollisionModel, CollisionObject, CollisionPair, Holder};
 pub use pairs::{DropReason, DroppedPair, PairSampling};
 pub use proximity::Proximity;

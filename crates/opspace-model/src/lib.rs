@@ -68,6 +68,7 @@ pub mod kinematics;
 pub mod model;
 mod name_list;
 pub mod operational_space;
+pub mod postures;
 pub mod real;
 pub mod reduce;
 pub mod regressor;
@@ -97,6 +98,7 @@ pub use model::{
     Body, Frame, FrameId, Joint, JointKind, JointUnits, Limits, Model, UnknownFrame, UnknownJoint,
 };
 pub use operational_space::{Inversion, OperationalSpace};
+pub use postures::Postures;
 pub use real::Real;
 pub use reduce::{MimicConstraint, ReduceError};
 pub use regressor::{inertial_parameters, torque_regressor};

@@ -16,6 +16,7 @@
 use crate::real::Real;
 use crate::spatial::{Inertia, Placement};
 use nalgebra::{Matrix3, Unit, Vector3};
+use std::f64::consts::PI;
 use thiserror::Error;
 
 /// Type of the joint between a body and its parent. The joint axis is the z axis of the body frame: see [`Model`].
@@ -66,6 +67,15 @@ impl Limits {
         velocity: f64::INFINITY,
         effort: f64::INFINITY,
     };
+
+    /// Position range of a joint of this kind, rad or m; ±π rad or ±1 m where it has no limit.
+    #[must_use]
+    pub fn range(&self, kind: JointKind) -> (f64, f64) {
+        let far = if kind == JointKind::Prismatic { 1.0 } else { PI };
+        let limited = kind != JointKind::Continuous;
+        let or_far = |limit: f64, far: f64| if limited && limit.is_finite() { limit } else { far };
+        (or_far(self.lower, -far), or_far(self.upper, far))
+    }
 }
 
 /// Returns true if coordinate `i`, of that kind, is a length: a prismatic joint, or one of the first three coordinates

@@ -75,6 +75,12 @@ impl Inversion {
         }
     }
 
+    /// Returns true if it is for control: all others are for comparisons.
+    #[must_use]
+    pub fn is_for_control(self) -> bool {
+        matches!(self, Self::Damped(_) | Self::Adaptive { .. })
+    }
+
     /// Norm of the demand along the directions whose force it bounds, relative to the full demand.
     fn relative_demand(
         self,
@@ -87,7 +93,8 @@ impl Inversion {
         let sum: f64 = parts
             .map(|(&value, direction)| fade(value, most * reference) * direction.dot(demand).powi(2))
             .sum();
-        sum.sqrt() / full_demand
+        // Finite, so that its product with a weight of zero is zero.
+        (sum.sqrt() / full_demand).min(MAX_DEMAND)
     }
 
     /// Returns the replacement for 1/`value`.
@@ -96,7 +103,8 @@ impl Inversion {
             Self::Damped(threshold) => damped_reciprocal(value, threshold * reference),
             Self::Adaptive { least, most, .. } => {
                 let (value, least, most) = (value.max(0.0), least * reference, most * reference);
-                1.0 / (value + 0.5 * least * fade(value, least) + most * demand * fade(value, most))
+                let damped = value + 0.5 * least * fade(value, least) + most * demand * fade(value, most);
+                if damped > 0.0 { 1.0 / damped } else { 0.0 }
             }
             Self::Plain => damped_reciprocal(value, 0.0),
             Self::LeastSquares(threshold) => {
@@ -331,6 +339,9 @@ fn positive_inverse(a: &Matrix6<f64>) -> Option<Matrix6<f64>> {
 
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
+
+/// Largest relative demand; the force with it is negligible.
+const MAX_DEMAND: f64 = 1e9;
 
 /// Returns 1/λ for λ at or above `floor`, and λ/(λ² + μ²) with μ² = floor² (1 − (λ/floor)²)² below it. Value and slope
 /// are continuous at `floor`, and the result goes to zero with λ.

@@ -11,6 +11,9 @@ use opspace_backend::SignalRecorder;
 use opspace_backend::signal_names::MIN_SINGULAR_GAIN;
 use opspace_model::{Data, Inversion, MassMatrixFactor, Model, OperationalSpace};
 
+/// Gain of a damped inverse above which it differs from the exact one by rounding.
+const WHOLE: f64 = 1.0 - 1e-9;
+
 /// A priority level: a task with its quantities of the current cycle.
 pub(crate) struct PriorityLevel {
     pub task: Box<dyn Task>,
@@ -113,6 +116,11 @@ impl PriorityLevel {
         }
     }
 
+    /// Returns true if a direction of the task is damped for control.
+    pub(crate) fn is_damped(&self) -> bool {
+        self.projected.space.min_singular_gain < WHOLE && self.task.inversion().is_for_control()
+    }
+
     /// Computes the task force, given the joint accelerations `above` (n; `None` for zero) that the levels above cause,
     /// and adds its joint torques to `torque` (n).
     pub(crate) fn add_torque(&mut self, above: Option<&[f64]>, torque: &mut [f64]) {
@@ -140,7 +148,8 @@ impl PriorityLevel {
     }
 
     /// Bound `row` · α ≤ returned value on the joint accelerations α (n) that keeps the task's linear (`kind` 0) or
-    /// angular (`kind` 1) speed within its limit after `horizon_s` (s); `None` while the speed is at most half of the limit.
+    /// angular (`kind` 1) speed within its limit after `horizon_s` (s); `None` while the speed is at most half of the
+    /// limit.
     pub(crate) fn speed_bound(&self, kind: usize, horizon_s: f64, row: &mut [f64]) -> Option<f64> {
         let SpeedLimit { speed, limit, weights } = self.task.speed_limits()[kind]?;
         // Far below the limit, the direction of the velocity is ill-defined and no bound is needed.

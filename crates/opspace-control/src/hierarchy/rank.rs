@@ -4,8 +4,7 @@ use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::tasks::controlled_frame::ControlledFrame;
 use crate::tasks::task::Task;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
-use opspace_model::{Data, FrameId, Inversion, JointKind, Limits, Model, kinematics, update};
-use std::f64::consts::PI;
+use opspace_model::{Data, FrameId, Inversion, JointKind, Model, Postures, kinematics, update};
 use std::ops::Range;
 
 /// Singular values below this fraction of the largest one count as zero. The value is far above rounding errors and far
@@ -37,10 +36,10 @@ fn highest_rank(model: &Model, rows: usize, mut fill: impl FnMut(&Data, &mut DMa
     let full = rows.min(n);
     let mut data = Data::new(model);
     let mut stacked = DMatrix::zeros(rows, n);
-    let rest = vec![0.0; n];
+    let (postures, rest) = (Postures::new(model, 1.0), vec![0.0; n]);
     let mut best = 0;
     for sample in 0..SAMPLES {
-        kinematics(model, &mut data, &configuration(model, sample), &rest);
+        kinematics(model, &mut data, &postures.posture(sample), &rest);
         fill(&data, &mut stacked);
         best = best.max(rank(&stacked));
         if best == full {
@@ -76,9 +75,10 @@ impl TypicalMobility {
         };
         let mut nullspace = Nullspace::new(n, above.len());
         let (mut jacobian, mut projected) = (Matrix6xX::zeros(n), ProjectedTask::new(n));
+        let postures = Postures::new(model, 1.0);
         let (mut dynamic, mut kinematic) = (Vec::with_capacity(SAMPLES), Vec::with_capacity(SAMPLES));
         for sample in 0..SAMPLES {
-            if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
+            if !update(model, &mut data, &postures.posture(sample), &vec![0.0; n]) {
                 continue;
             }
             for (of, factor) in [(&mut dynamic, &data.mass_matrix_factor), (&mut kinematic, &identity)] {
@@ -137,30 +137,6 @@ fn rank(matrix: &DMatrix<f64>) -> usize {
     values.iter().filter(|&&v| v > floor).count()
 }
 
-/// Returns the `sample`-th configuration (n; rad or m) of a sequence that evenly fills the space between the joint
-/// limits (Roberts' generalised golden ratio).
-pub(crate) fn configuration(model: &Model, sample: usize) -> Vec<f64> {
-    let n = model.n();
-    // Solves x^(n+1) = x + 1.
-    let ratio = (0..64).fold(2.0_f64, |x, _| (1.0 + x).powf(1.0 / (n as f64 + 1.0)));
-    (model.joints().iter().enumerate())
-        .map(|(i, joint)| {
-            let (lower, upper) = range(joint.kind, &joint.limits);
-            let step = ratio.powi(-(i as i32 + 1));
-            let u = (0.5 + step * (sample as f64 + 1.0)).fract();
-            lower + (upper - lower) * u
-        })
-        .collect()
-}
-
-/// Position range of a joint, rad or m; ±π rad or ±1 m where it has no limit.
-fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
-    let far = if kind == JointKind::Prismatic { 1.0 } else { PI };
-    let limited = kind != JointKind::Continuous;
-    let or_far = |limit: f64, far: f64| if limited && limit.is_finite() { limit } else { far };
-    (or_far(limits.lower, -far), or_far(limits.upper, far))
-}
-
 /// Characteristic length that scales a task's rotations to displacements, m: the reach of the controlled frame.
 #[must_use]
 pub fn characteristic_length(model: &Model, controlled: ControlledFrame) -> f64 {
@@ -182,7 +158,7 @@ pub fn reach(model: &Model, frame: FrameId) -> f64 {
             sum += body.origin.translation.norm();
         }
         if body.kind == JointKind::Prismatic {
-            let (lower, upper) = range(body.kind, &model.joints()[body.joint].limits);
+            let (lower, upper) = model.joints()[body.joint].limits.range(body.kind);
             sum += lower.abs().max(upper.abs());
         }
     }

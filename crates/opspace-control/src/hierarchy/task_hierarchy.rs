@@ -13,7 +13,6 @@ pub(crate) struct TaskHierarchy {
     pub levels: Vec<PriorityLevel>,
     pub joint: Option<Box<dyn JointTask>>,
     pub nullspace: Nullspace,
-    joints: usize,
     /// Positions of the joint task's streamed inputs in the row of targets.
     joint_target: TargetPlace,
 }
@@ -25,7 +24,6 @@ impl TaskHierarchy {
             levels: Vec::new(),
             joint: None,
             nullspace: Nullspace::new(n, 0),
-            joints: n,
             joint_target: TargetPlace::default(),
         }
     }
@@ -35,10 +33,11 @@ impl TaskHierarchy {
         self.levels.iter().map(|level| &*level.task)
     }
 
-    /// Returns true if the levels leave some motion of the joints: degrees of freedom, or a damped direction.
-    pub(crate) fn leaves_freedom(&self) -> bool {
+    /// Returns true if the levels leave some motion of `n` joints: degrees of freedom, or a damped direction. The
+    /// damping of inversions for comparisons does not count: it is compared as published, without a brake.
+    pub(crate) fn leaves_freedom(&self, n: usize) -> bool {
         let rows: usize = self.levels.iter().map(|level| level.task.rows()).sum();
-        rows < self.joints || self.levels.iter().any(|level| level.projected.space.min_singular_gain < 1.0)
+        rows < n || self.levels.iter().any(PriorityLevel::is_damped)
     }
 
     /// Starts all tasks at the robot's present state.

@@ -15,11 +15,10 @@
 //! Torque and torque rate limits bound the commanded torque. If these bounds contradict each other, the torque bounds
 //! take precedence, then the bounds that brake the joint.
 
-use crate::hierarchy::rank::configuration;
 use crate::limits::joint_limits::JointLimits;
 use crate::measurement::Measurement;
 use nalgebra::DVector;
-use opspace_model::{Data, Model, update};
+use opspace_model::{Data, Model, Postures, update};
 
 /// Shortest horizon of the acceleration bounds, s: velocity noise must not make the bounds jump, and an arm needs much
 /// longer to brake.
@@ -53,9 +52,10 @@ fn braking(model: &Model, limits: &JointLimits) -> Vec<f64> {
 fn braking_accelerations(model: &Model, torque: &[f64]) -> Vec<f64> {
     let n = model.n();
     let mut data = Data::new(model);
+    let postures = Postures::new(model, 1.0);
     let mut least = vec![f64::INFINITY; n];
     for sample in 0..SAMPLES {
-        if !update(model, &mut data, &configuration(model, sample), &vec![0.0; n]) {
+        if !update(model, &mut data, &postures.posture(sample), &vec![0.0; n]) {
             continue;
         }
         for i in 0..n {

@@ -402,9 +402,9 @@ impl HierarchicalQp {
         }
     }
 
-    /// Computes N and M N, for scaled δ, of the null space of the levels above as M⁻¹ Nᵀ M and Nᵀ M. Both forms are equal unless more
-    /// than one of those levels is damped. A level's demand is M⁻¹ Nᵀ times its torques; with this form, δ can always
-    /// cancel it.
+    /// Computes N and M N, for scaled δ, of the null space of the levels above as M⁻¹ Nᵀ M and Nᵀ M. Both forms are
+    /// equal unless more than one of those levels is damped. A level's demand is M⁻¹ Nᵀ times its torques; with this
+    /// form, δ can always cancel it.
     fn span(&mut self, data: &Data, above: &Nullspace) {
         self.project_torques(data, above);
         self.freedom = self.scale.len();

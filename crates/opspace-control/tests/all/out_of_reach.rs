@@ -70,6 +70,12 @@ impl Motion {
     }
 }
 
+/// Speed of an arm at rest, rad/s.
+const AT_REST: f64 = 1e-3;
+
+/// Speed far below that of a limit cycle, which is about 20 rad/s.
+const IN_A_CYCLE: f64 = 0.5;
+
 /// Number of goals in every run of the tests.
 const GOALS: u64 = 20;
 
@@ -120,7 +126,7 @@ fn final_speed(number: u64) -> f64 {
 fn arm_without_limits_comes_to_rest() {
     for number in 0..GOALS {
         let speed = final_speed(number);
-        assert!(speed < 1e-3, "goal {number}: {speed:e} rad/s");
+        assert!(speed < AT_REST, "goal {number}: {speed:e} rad/s");
     }
 }
 
@@ -131,6 +137,6 @@ fn arm_without_limits_comes_to_rest() {
 fn arm_without_limits_has_no_limit_cycle() {
     for number in GOALS..GOALS + 200 {
         let speed = final_speed(number);
-        assert!(speed < 0.5, "goal {number}: {speed:e} rad/s");
+        assert!(speed < IN_A_CYCLE, "goal {number}: {speed:e} rad/s");
     }
 }

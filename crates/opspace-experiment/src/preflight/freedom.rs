@@ -2,9 +2,9 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
-use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen};
-use opspace_control::tasks::task::THRESHOLD_AT_REST;
-use opspace_model::{Data, Inversion, OperationalSpace, update};
+use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
+use opspace_control::tasks::task::DEFAULT_INVERSION;
+use opspace_model::{Data, OperationalSpace, update};
 
 /// Step (rad or m) and maximum number of steps by which a joint is displaced in the search for a better start.
 const BEND: f64 = 0.05;
@@ -75,7 +75,7 @@ struct Spectrum {
 }
 
 /// Spectra of the tasks at a state, each in the null space of the tasks of higher priority, computed as in the
-/// controller.
+/// controller at rest, or as with the default damping if a task has none.
 fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
     let (model, n, tasks) = (case.model, case.model.n(), &case.task_sets[0].tasks);
     let mut freedom: DMatrix<f64> = DMatrix::identity(n, n);
@@ -88,8 +88,10 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
         task.jacobian(model, data, &mut alone);
         let projected = Matrix6xX::from_columns(&(&alone * &freedom).column_iter().collect::<Vec<_>>());
         let mobility = data.mass_matrix_factor.mobility(&mut projected.clone());
-        let inversion = Inversion::Damped(threshold(task.inversion()));
-        space.update_with(&data.mass_matrix_factor, &projected, rows, inversion, Some(typical.dynamic));
+        let inversion = if task.inversion().is_for_control() { task.inversion() } else { DEFAULT_INVERSION };
+        let (factor, reference, at_rest) = (&data.mass_matrix_factor, typical.dynamic, Vector6::zeros());
+        space.update_inertia(factor, &projected, rows, inversion, Some(reference), Some(&at_rest));
+        space.compute_jbar(factor);
         let mobility = mobility.view((0, 0), (rows, rows)).into_owned();
         let Some(spectrum) = SymmetricEigen::try_new(mobility, f64::EPSILON, MAX_ITERATIONS) else {
             continue;
@@ -105,17 +107,6 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
 
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
-
-/// Singularity threshold of an inversion at rest; the default threshold if it has no damping.
-fn threshold(inversion: Inversion) -> f64 {
-    match inversion {
-        Inversion::Adaptive { least, .. } => least,
-        Inversion::Damped(threshold) | Inversion::LeastSquares(threshold) | Inversion::Clamped(threshold) => {
-            threshold
-        }
-        Inversion::Plain => THRESHOLD_AT_REST,
-    }
-}
 
 /// Describes a direction: `z`, or `0.71 x - 0.71 rz`.
 fn direction(direction: &[f64], names: &[String]) -> String {

@@ -4,6 +4,7 @@ use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, FORCE, TICK_CHANNEL, TRUTH_CHANNEL, WRENCH};
 use opspace_control::TaskParameters;
 use opspace_log::{ForceArrow, Scene, Wall};
+use opspace_model::collision::find_mesh;
 use opspace_sim::EnvironmentObjectParameters;
 use std::fs;
 use std::path::Path;
@@ -66,17 +67,7 @@ fn place_of_mesh(element: &str, urdf: &Path) -> Option<String> {
     let mark = element[quote..].chars().next()?;
     let length = element[quote + 1..].find(mark)?;
     let value = &element[quote + 1..quote + 1 + length];
-    let folder = urdf.parent()?;
-    let path = match (value.strip_prefix("package://"), value.contains("://")) {
-        (Some(within), _) => {
-            let (package, file) = within.split_once('/')?;
-            let place = |above: &Path| (above.file_name()? == package).then(|| above.join(file));
-            fs::canonicalize(folder).ok()?.ancestors().find_map(place)?
-        }
-        (None, true) => return None,
-        (None, false) => folder.join(value),
-    };
-    let path = fs::canonicalize(path).ok()?;
+    let path = fs::canonicalize(find_mesh(value, Some(urdf))?).ok()?;
     Some(format!("{}file://{}{}", &element[..=quote], path.display(), &element[quote + 1 + length..]))
 }
 

@@ -127,7 +127,8 @@ pub(super) fn read_mesh(
 ///
 /// A relative name is relative to the folder of the URDF. `package://NAME/...` is relative to the closest folder above
 /// the URDF with the name of the package; `file://` precedes an absolute path.
-pub(super) fn find_mesh(file: &str, urdf: Option<&Path>) -> Option<PathBuf> {
+#[must_use]
+pub fn find_mesh(file: &str, urdf: Option<&Path>) -> Option<PathBuf> {
     let path = if let Some(path) = file.strip_prefix("file://") {
         PathBuf::from(path)
     } else {

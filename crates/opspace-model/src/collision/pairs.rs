@@ -2,10 +2,10 @@
 
 use super::distances::{CollisionData, collision_distances};
 use super::model::{CollisionModel, Holder};
-use super::postures::Postures;
 use crate::data::Data;
 use crate::kinematics::forward_kinematics;
 use crate::model::Model;
+use crate::postures::Postures;
 
 /// Parameters of [`CollisionModel::drop_unneeded_pairs`].
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -75,7 +75,7 @@ struct Goal {
 }
 
 impl Kind {
-    /// Properties of the case of this number: every pair of values occurs.
+    /// Properties of the case of this number: arm, robot and axes in turn, all others at random.
     pub fn new(number: usize, random: &mut ChaCha8Rng) -> Self {
         Self {
             arm: number % 3,

@@ -1,12 +1,12 @@
 //! Postures that fill the ranges of the joints evenly.
 
 use crate::configuration::neutral;
-use crate::model::{JointKind, Limits, Model};
-use std::f64::consts::PI;
+use crate::model::Model;
 
 /// Low-discrepancy sequence of postures within the joint limits (Roberts' generalised golden ratio), or within a part
 /// of each range around its middle. A floating base stays at its neutral pose.
-pub(super) struct Postures<'a> {
+#[derive(Clone, Debug)]
+pub struct Postures<'a> {
     model: &'a Model,
     /// Fraction of each range that is used.
     fraction: f64,
@@ -15,6 +15,8 @@ pub(super) struct Postures<'a> {
 }
 
 impl<'a> Postures<'a> {
+    /// Creates the sequence for this `fraction` of each range, from 0 to 1. Joints without limits have ±π rad or ±1 m.
+    #[must_use]
     pub fn new(model: &'a Model, fraction: f64) -> Self {
         let jointed = model.n() - model.first_jointed_body();
         let exponent = 1.0 / (jointed as f64 + 1.0);
@@ -23,6 +25,7 @@ impl<'a> Postures<'a> {
     }
 
     /// Returns the posture with this number (nq; rad, m).
+    #[must_use]
     pub fn posture(&self, number: usize) -> Vec<f64> {
         let mut q = neutral(self.model);
         let first = self.model.first_jointed_body();
@@ -31,17 +34,9 @@ impl<'a> Postures<'a> {
         for (i, joint) in self.model.joints().iter().enumerate().skip(first) {
             step /= self.ratio;
             let u = (0.5 + step * (number as f64 + 1.0)).fract();
-            let (lower, upper) = range(joint.kind, &joint.limits);
+            let (lower, upper) = joint.limits.range(joint.kind);
             q[i + ahead] = 0.5 * (lower + upper) + self.fraction * (upper - lower) * (u - 0.5);
         }
         q
     }
-}
-
-/// Position range of a joint, rad or m; ±π rad or ±1 m where it has no limit.
-fn range(kind: JointKind, limits: &Limits) -> (f64, f64) {
-    let far = if kind == JointKind::Prismatic { 1.0 } else { PI };
-    let limited = kind != JointKind::Continuous;
-    let or_far = |limit: f64, far: f64| if limited && limit.is_finite() { limit } else { far };
-    (or_far(limits.lower, -far), or_far(limits.upper, far))
 }
