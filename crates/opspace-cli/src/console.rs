@@ -146,6 +146,9 @@ pub fn results(console: Console, summaries: &[Summary], measures: &[Measure]) ->
         return "no runs\n".to_owned();
     }
     let mut text: String = failures(summaries).iter().map(|failure| format!("FAILED {failure}\n")).collect();
+    if let [one] = summaries {
+        one.unreached_goals.iter().for_each(|goal| text += &format!("NOTE {goal}\n"));
+    }
     text += &render(&table(summaries, measures));
     if let [one] = summaries {
         let tables = [task_table(one), joint_table(one)];

@@ -2,6 +2,7 @@
 
 pub mod baseline;
 pub mod csv;
+pub(crate) mod direction;
 pub mod expectations;
 pub(crate) mod failures;
 pub(crate) mod metric_tables;
@@ -10,3 +11,4 @@ pub mod results;
 pub(crate) mod spectrum;
 pub mod spread;
 pub mod table;
+pub mod unreached;

@@ -31,6 +31,7 @@ mod times;
 use crate::run::experiment::{ControllerKind, Experiment};
 use case::PreflightCase;
 pub use diagnostic::Diagnostic;
+pub use freedom::SingularPostures;
 use rollout::Rollout;
 pub use servo_gain::{GainMargin, ServoLoop, gain_margin};
 
@@ -59,6 +60,12 @@ pub fn diagnostics(experiment: &Experiment) -> Vec<Diagnostic> {
     found.extend(speeds::of_tasks(&case, &followed));
     found.extend(times::too_short(&case, &followed));
     found
+}
+
+/// Counts, for each task of at most six rows, the sampled postures in which it is nearly singular.
+#[must_use]
+pub fn singular_postures(experiment: &Experiment) -> Vec<SingularPostures> {
+    PreflightCase::new(experiment).map_or_else(Vec::new, |case| freedom::singular_postures_of(&case))
 }
 
 /// Lists the tasks that lack information for [`diagnostics`]; their diagnostics are incomplete.

@@ -8,7 +8,9 @@ use crate::output::pretty;
 use crate::outputs::check_outputs;
 use opspace_experiment::files::origin::Kind;
 use opspace_experiment::files::robot::load_urdf;
-use opspace_experiment::preflight::{GainMargin, ServoLoop, gain_margin, not_checked};
+use opspace_experiment::preflight::{
+    GainMargin, ServoLoop, SingularPostures, gain_margin, not_checked, singular_postures,
+};
 use opspace_experiment::{
     Diagnostic, Experiment, Extensions, FileError, Files, RobotDefinition, RunOptions, Source, Suite,
     diagnostics,
@@ -26,9 +28,10 @@ pub fn check(args: &CheckArgs, extensions: &Extensions, console: Console) -> Out
         let checked = check_one(path, extensions, console);
         files.push(as_json(path, &checked));
         match checked {
-            Ok(Checked { what, margin, found, skipped }) => {
+            Ok(Checked { what, margin, singular, found, skipped }) => {
                 text += &format!("{}: {what}\n", path.display());
                 margin.iter().for_each(|margin| text += &format!("  {margin}\n"));
+                singular.iter().for_each(|singular| text += &format!("  {singular}\n"));
                 found.iter().for_each(|found| note(console, found));
                 skipped.iter().for_each(|skipped| text += &format!("  not checked: {}\n", skipped.place));
             }
@@ -45,6 +48,8 @@ struct Checked {
     what: String,
     /// Gain margin of a task whose torques pass through a transformer.
     margin: Option<GainMargin>,
+    /// Nearly singular postures of each task.
+    singular: Vec<SingularPostures>,
     found: Vec<Found>,
     /// Parts that could not be checked.
     skipped: Vec<Found>,
@@ -52,7 +57,7 @@ struct Checked {
 
 impl Checked {
     fn clean(what: String) -> Self {
-        Self { what, margin: None, found: Vec::new(), skipped: Vec::new() }
+        Self { what, margin: None, singular: Vec::new(), found: Vec::new(), skipped: Vec::new() }
     }
 }
 
@@ -139,7 +144,8 @@ fn check_one(path: &Path, extensions: &Extensions, console: Console) -> Result<C
             let skipped = find([&experiment], not_checked);
             let small = margin.as_ref().and_then(|margin| margin.finding(&experiment));
             found.extend(small.map(|finding| Found::new(finding, &experiment)));
-            Ok(Checked { what, margin, found, skipped })
+            let singular = singular_postures(&experiment);
+            Ok(Checked { what, margin, singular, found, skipped })
         }
         Some(Kind::Robot) => robot(),
         // A folder denotes a robot.
@@ -164,7 +170,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
         })
     };
     match checked {
-        Ok(Checked { what, margin, found, skipped }) => {
+        Ok(Checked { what, margin, singular, found, skipped }) => {
             let [findings, not_checked] =
                 [found, skipped].map(|list| list.iter().map(told).collect::<Vec<Value>>());
             let margin_of = |servo_loop: ServoLoop| {
@@ -178,6 +184,7 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
                 "is": what,
                 "position_gain_margin": margin_of(ServoLoop::Position),
                 "velocity_gain_margin": margin_of(ServoLoop::Velocity),
+                "singular_postures": singular.iter().map(singular_as_json).collect::<Vec<Value>>(),
                 "findings": findings,
                 "not_checked": not_checked,
             })
@@ -192,4 +199,13 @@ fn as_json(path: &Path, checked: &Result<Checked, FileError>) -> Value {
             "help": error.help(),
         }),
     }
+}
+
+fn singular_as_json(postures: &SingularPostures) -> Value {
+    json!({
+        "task": postures.task,
+        "singular": postures.singular,
+        "sampled": postures.sampled,
+        "fraction": postures.singular as f64 / postures.sampled as f64,
+    })
 }

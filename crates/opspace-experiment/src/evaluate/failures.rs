@@ -1,6 +1,7 @@
 //! Failures that no single metric shows: a run that ended as planned and still missed the purpose of its task.
 
 use crate::evaluate::metric_tables::Evaluation;
+use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{self, REFERENCE, TICK_CHANNEL};
 use opspace_control::TaskParameters;
@@ -16,8 +17,12 @@ const MIN_CHANGE: f64 = 0.01;
 /// Smallest ratio of the motion of a joint to that of its reference: below it the joint is held.
 const MIN_MOTION: f64 = 0.1;
 
-/// Describes the failures of a run.
-pub(super) fn failures(evaluation: &Evaluation, held: &HeldJoints) -> Vec<String> {
+/// Describes the failures of a run. Joints of the tasks in `unreached` are not held by friction.
+pub(super) fn failures(
+    evaluation: &Evaluation,
+    held: &HeldJoints,
+    unreached: &[UnreachedGoal],
+) -> Vec<String> {
     let mut failures = Vec::new();
     for (name, task) in &evaluation.tasks {
         if task.contact.in_contact_fraction == Some(0.0) {
@@ -30,7 +35,7 @@ pub(super) fn failures(evaluation: &Evaluation, held: &HeldJoints) -> Vec<String
     if let Some(missed) = evaluation.metrics.missed_fraction.filter(|missed| *missed > MAX_MISSED) {
         failures.push(format!("{:.0} % of the interface cycles were missed", 100.0 * missed));
     }
-    let held = held.names();
+    let held = held.names(unreached);
     if !held.is_empty() {
         failures.push(format!(
             "the reference moves, but {} does not: friction or a brake may hold it",
@@ -91,14 +96,17 @@ impl HeldJoints {
         }
     }
 
-    /// Joints that hardly move although their reference does.
-    fn names(&self) -> Vec<&str> {
+    /// Joints that hardly move although their reference does, except those of the tasks in `unreached`.
+    fn names(&self, unreached: &[UnreachedGoal]) -> Vec<&str> {
+        let explained: Vec<String> =
+            unreached.iter().map(|goal| signal_names::of(&goal.task, REFERENCE)).collect();
         let is_held = |ranges: &&JointRanges| {
             let (asked, moved) = (width(ranges.asked.as_ref()), width(ranges.moved.as_ref()));
             asked > MIN_CHANGE && moved < MIN_MOTION * asked
         };
         let mut names: Vec<&str> = Vec::new();
-        for ranges in self.joints.iter().filter(is_held) {
+        let unexplained = self.joints.iter().filter(|ranges| !explained.contains(&ranges.reference));
+        for ranges in unexplained.filter(is_held) {
             if !names.contains(&ranges.joint.as_str()) {
                 names.push(&ranges.joint);
             }

@@ -7,6 +7,7 @@
 mod chatter;
 mod cycles;
 mod hand;
+mod holds;
 mod interruptions;
 mod joints;
 mod ripple;
@@ -15,12 +16,14 @@ pub(crate) mod task_axes;
 pub(crate) mod tasks;
 pub(crate) mod times;
 mod torque_errors;
+mod unreached_goals;
 
 pub use crate::evaluate::metric_tables::{
     Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, TaskMetrics, Timing,
 };
 
 use crate::evaluate::failures::{HeldJoints, failures};
+use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::experiment::Experiment;
 use cycles::Cycles;
 use hand::Hand;
@@ -31,6 +34,7 @@ use run_log::{Control, Run};
 use tasks::Tasks;
 use times::CycleTimes;
 use torque_errors::TorqueErrors;
+use unreached_goals::UnreachedGoals;
 
 /// Computes all metrics of a run from its log.
 #[must_use]
@@ -64,6 +68,7 @@ pub(crate) struct Evaluator<'a> {
     cycles: Cycles,
     hand: Option<Hand>,
     held_joints: HeldJoints,
+    unreached: UnreachedGoals<'a>,
     interruptions: Interruptions,
     times: CycleTimes,
 }
@@ -72,6 +77,7 @@ pub(crate) struct Evaluator<'a> {
 pub(crate) struct Evaluated {
     pub(crate) evaluation: Evaluation,
     pub(crate) failures: Vec<String>,
+    pub(crate) unreached: Vec<UnreachedGoal>,
     pub(crate) interruptions: Interruptions,
     pub(crate) times: CycleTimes,
 }
@@ -87,6 +93,7 @@ impl<'a> Evaluator<'a> {
             cycles: Cycles::new(experiment),
             hand: Hand::new(experiment),
             held_joints: HeldJoints::new(experiment),
+            unreached: UnreachedGoals::new(experiment),
             interruptions: Interruptions::default(),
             times: CycleTimes::new(),
         }
@@ -105,6 +112,7 @@ impl<'a> Evaluator<'a> {
         self.torque_errors.add(&run);
         self.joint_torques.add(&run);
         self.cycles.add(&run);
+        self.unreached.add(&run);
         if let Some(hand) = &mut self.hand {
             hand.add(&run);
         }
@@ -126,8 +134,9 @@ impl<'a> Evaluator<'a> {
                 hand.finish(metrics);
             }
         }
-        let failures = failures(&evaluation, &self.held_joints);
-        Evaluated { evaluation, failures, interruptions: self.interruptions, times: self.times }
+        let unreached = self.unreached.finish();
+        let failures = failures(&evaluation, &self.held_joints, &unreached);
+        Evaluated { evaluation, failures, unreached, interruptions: self.interruptions, times: self.times }
     }
 }
 

@@ -633,6 +633,7 @@ mod tests {
             not_saved: Vec::new(),
             missed_expectations: Vec::new(),
             failures: Vec::new(),
+            unreached_goals: Vec::new(),
             tasks: Default::default(),
             joints: Default::default(),
             missed_cycles: 0,

@@ -2,9 +2,11 @@
 
 use super::case::PreflightCase;
 use super::diagnostic::{Diagnostic, short};
+use crate::evaluate::direction::direction;
 use nalgebra::{DMatrix, Matrix6xX, SymmetricEigen, Vector6};
 use opspace_control::tasks::task::DEFAULT_INVERSION;
-use opspace_model::{Data, OperationalSpace, update};
+use opspace_model::{Data, OperationalSpace, Postures, update};
+use std::fmt;
 
 /// Step (rad or m) and maximum number of steps by which a joint is displaced in the search for a better start.
 const BEND: f64 = 0.05;
@@ -35,6 +37,55 @@ pub(crate) fn uncontrolled(case: &PreflightCase<'_>) -> Option<Diagnostic> {
         };
         Some(Diagnostic::new(&key, message, help.to_owned()))
     })
+}
+
+/// Number of sampled postures.
+const SAMPLES: usize = 400;
+
+/// Nearly singular postures of a task among sampled ones: those in which it is damped at rest, below the tasks of higher
+/// priority.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SingularPostures {
+    /// Name of the task.
+    pub task: String,
+    /// Number of nearly singular postures.
+    pub singular: usize,
+    /// Number of sampled postures; they fill the ranges of the joints evenly.
+    pub sampled: usize,
+}
+
+impl fmt::Display for SingularPostures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { task, singular, sampled } = self;
+        let percent = 100.0 * *singular as f64 / *sampled as f64;
+        write!(
+            f,
+            "task '{task}': nearly singular in {percent:.1} % of {sampled} sampled postures within position limits"
+        )
+    }
+}
+
+/// Counts the nearly singular postures of each task of at most six rows that is active at the start.
+pub(super) fn singular_postures_of(case: &PreflightCase<'_>) -> Vec<SingularPostures> {
+    let (mut data, rest) = (case.data.clone(), vec![0.0; case.model.n()]);
+    let postures = Postures::new(case.model, 1.0);
+    let mut counts: Vec<SingularPostures> = (case.task_sets.first().into_iter())
+        .flat_map(|set| set.tasks.tasks())
+        .map(|task| SingularPostures { task: task.name().to_owned(), singular: 0, sampled: 0 })
+        .collect();
+    for number in 0..SAMPLES {
+        if !update(case.model, &mut data, &postures.posture(number), &rest) {
+            continue;
+        }
+        for spectrum in spectra(case, &data) {
+            let Some(count) = counts.iter_mut().find(|count| count.task == spectrum.name) else { continue };
+            count.sampled += 1;
+            count.singular += usize::from(spectrum.share < WHOLE);
+        }
+    }
+    counts.retain(|count| count.sampled > 0);
+    counts
 }
 
 /// Finds tasks that can hardly move in a direction at the start, given the tasks of higher priority.
@@ -107,32 +158,6 @@ fn spectra(case: &PreflightCase<'_>, data: &Data) -> Vec<Spectrum> {
 
 /// Largest number of iterations of a decomposition: finite matrices of our sizes need some ten per row.
 const MAX_ITERATIONS: usize = 1000;
-
-/// Describes a direction: `z`, or `0.71 x - 0.71 rz`.
-fn direction(direction: &[f64], names: &[String]) -> String {
-    // The sign of a direction is arbitrary: the largest component is made positive.
-    let largest = direction.iter().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a });
-    let sign = largest.map_or(1.0, f64::signum);
-    let mut text = String::new();
-    for (part, name) in direction.iter().zip(names) {
-        let part = sign * part;
-        if part.abs() < 0.05 {
-            continue;
-        }
-        let joined = match (text.is_empty(), part < 0.0) {
-            (true, false) => "",
-            (true, true) => "-",
-            (false, false) => " + ",
-            (false, true) => " - ",
-        };
-        text += joined;
-        if part.abs() < 0.995 {
-            text += &format!("{:.2} ", part.abs());
-        }
-        text += name;
-    }
-    text
-}
 
 /// Smallest displacement of one joint that gives full mobility to the task and to those of higher priority.
 fn bend(case: &PreflightCase<'_>, level: usize) -> Option<String> {

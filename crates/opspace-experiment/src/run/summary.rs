@@ -2,6 +2,7 @@
 
 use crate::evaluate::expectations;
 use crate::evaluate::metrics::{Evaluated, Evaluator, JointMetrics, Metrics, TaskMetrics, Timing};
+use crate::evaluate::unreached::UnreachedGoal;
 use crate::run::error::RunError;
 use crate::run::experiment::Experiment;
 use crate::run::log_header::is_real;
@@ -61,6 +62,9 @@ pub struct Summary {
     pub missed_expectations: Vec<String>,
     /// Failures that no single metric shows: a force task without contact, for example.
     pub failures: Vec<String>,
+    /// Goals that tasks did not reach, each with the limits that prevent it, in order of time.
+    #[serde(default)]
+    pub unreached_goals: Vec<UnreachedGoal>,
     /// Metrics of the run.
     pub metrics: Metrics,
     /// Metrics of the tasks that have a priority at the start, by name.
@@ -108,7 +112,7 @@ impl Experiment {
         outcome: &OutcomeRecord,
         realtime_factor: Option<f64>,
     ) -> Summary {
-        let Evaluated { evaluation, failures, interruptions, times } = evaluated;
+        let Evaluated { evaluation, failures, unreached, interruptions, times } = evaluated;
         Summary {
             task: self.task().name(),
             robot: self.robot().name(),
@@ -134,6 +138,7 @@ impl Experiment {
             resumed: interruptions.resumed,
             missed_expectations: expectations::missed(self.task(), &evaluation),
             failures,
+            unreached_goals: unreached,
             metrics: evaluation.metrics,
             tasks: evaluation.tasks,
             joints: evaluation.joints,

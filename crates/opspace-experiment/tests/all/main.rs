@@ -16,5 +16,6 @@ mod source;
 mod streamed;
 mod task_kinds;
 mod task_metrics;
+mod unreached_goals;
 mod velocity_robot;
 mod velocity_source;
