@@ -11,6 +11,7 @@ mod limited_motion;
 mod limits;
 mod limits_allocation;
 mod out_of_reach;
+mod published_goals;
 mod qp;
 mod qp_allocation;
 mod reference_allocation;

@@ -7,7 +7,7 @@ use opspace_model::{Data, Model, aba, frame_placement, update};
 
 /// An arm with the proportions and masses of a UR10 (Universal Robots, "DH parameters for calculations of kinematics
 /// and dynamics"), with reflected rotor inertias and without friction or limits.
-fn ur10_like() -> Model {
+pub fn ur10_like() -> Model {
     let link = |name, axis, origin, mass, com, inertia: [f64; 3], rotor| Link {
         name,
         axis,
@@ -31,29 +31,32 @@ fn ur10_like() -> Model {
 }
 
 /// Motion of an arm under a controller, integrated with four steps per control cycle.
-struct Motion {
+pub struct Motion {
     data: Data,
-    q: Vec<f64>,
-    dq: Vec<f64>,
-    time_s: f64,
+    pub q: Vec<f64>,
+    pub dq: Vec<f64>,
+    pub time_s: f64,
+    /// Control period, s.
+    pub period_s: f64,
 }
 
 const PERIOD_S: f64 = 1e-3;
 const STEPS: usize = 4;
 
 impl Motion {
-    fn new(model: &Model, q: &[f64]) -> Self {
-        Self { data: Data::new(model), q: q.to_vec(), dq: vec![0.0; q.len()], time_s: 0.0 }
+    pub fn new(model: &Model, q: &[f64]) -> Self {
+        let dq = vec![0.0; q.len()];
+        Self { data: Data::new(model), q: q.to_vec(), dq, time_s: 0.0, period_s: PERIOD_S }
     }
 
-    fn cycle(&mut self, model: &Model, controller: &mut dyn Controller, tau: &mut [f64]) {
+    pub fn cycle(&mut self, model: &Model, controller: &mut dyn Controller, tau: &mut [f64]) {
         let (data, measurement) = at_state(model, &self.q, &self.dq, self.time_s);
         let input = common::input(model, &data, &measurement);
         if self.time_s == 0.0 {
             controller.start(&input);
         }
         controller.update(&input, tau);
-        let step = PERIOD_S / STEPS as f64;
+        let step = self.period_s / STEPS as f64;
         for _ in 0..STEPS {
             assert!(update(model, &mut self.data, &self.q, &self.dq), "{:?}", self.dq);
             aba(model, &mut self.data, tau);
@@ -62,10 +65,10 @@ impl Motion {
                 self.q[i] += step * self.dq[i];
             }
         }
-        self.time_s += PERIOD_S;
+        self.time_s += self.period_s;
     }
 
-    fn speed(&self) -> f64 {
+    pub fn speed(&self) -> f64 {
         self.dq.iter().fold(0.0, |m, v| m.max(v.abs()))
     }
 }
