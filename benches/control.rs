@@ -167,12 +167,7 @@ impl<'a> Bench<'a> {
             compensation: Compensation::Bias,
             limits: LimitParameters::default(),
         };
-        let context = ControlContext {
-            period_s: 1e-3,
-            sensors: vec![],
-            gravity_by_robot: false,
-            limits: limits.clone(),
-        };
+        let context = ControlContext { limits: limits.clone(), ..ControlContext::new(model, 1e-3) };
         let controller = OperationalSpaceController::new(model, &stack, &context).expect("a good stack");
         let signals = opspace_backend::Observable::signals(&controller);
         let before = signals.iter().take_while(|s| s.name != "hand.min_singular_gain");

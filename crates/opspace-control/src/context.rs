@@ -8,6 +8,9 @@ use opspace_model::{FrameId, Model};
 pub struct ControlContext {
     /// Control period: time between two updates, s.
     pub period_s: f64,
+    /// Time from a measurement until the command that is computed from it acts, at most a period, s; 0 if it is unknown.
+    /// If it exceeds 10 ms, torques are computed for the state predicted for that time.
+    pub command_delay_s: f64,
     /// Force sensors in the order of [`Measurement::wrenches`](crate::Measurement): name and frame.
     pub sensors: Vec<(String, FrameId)>,
     /// True if the robot itself adds the gravity torques to the commanded torques.
@@ -21,6 +24,7 @@ impl ControlContext {
     /// URDF. `period_s` is the control period, s.
     #[must_use]
     pub fn new(model: &Model, period_s: f64) -> Self {
-        Self { period_s, sensors: Vec::new(), gravity_by_robot: false, limits: JointLimits::of(model) }
+        let limits = JointLimits::of(model);
+        Self { period_s, command_delay_s: 0.0, sensors: Vec::new(), gravity_by_robot: false, limits }
     }
 }

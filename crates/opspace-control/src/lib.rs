@@ -86,6 +86,7 @@ pub mod measurement;
 pub mod orientation;
 pub mod osc;
 pub mod per_joint;
+pub(crate) mod prediction;
 // The solvers are internal. They are hidden instead of private because tests and benchmarks use them.
 #[doc(hidden)]
 pub mod qp;

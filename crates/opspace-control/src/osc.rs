@@ -20,6 +20,7 @@ use crate::hierarchy::task_schedule::{RecordedSignals, TaskSchedule};
 use crate::hierarchy::task_set::TaskSet;
 use crate::limits::joint_limits::LimitParameters;
 use crate::limits::limiter::Limiter;
+use crate::prediction::Prediction;
 use crate::qp::lexicographic::Solver;
 use crate::targets::Targets;
 use nalgebra::DVector;
@@ -38,6 +39,8 @@ pub struct OperationalSpaceController {
     context: ControlContext,
     compensation: Compensation,
     limiter: Option<Limiter>,
+    /// Present if commands act late by more than a short time.
+    prediction: Option<Box<Prediction>>,
     /// Task torques, Nm or N (n).
     torque: DVector<f64>,
     joint_torque: DVector<f64>,
@@ -77,6 +80,7 @@ impl OperationalSpaceController {
             schedule: TaskSchedule::new(tasks, RecordedSignals::Forces),
             context: context.clone(),
             compensation,
+            prediction: Prediction::new(model, context).map(Box::new),
             limiter: limits.enforce.then(|| Limiter::new(model, limits, context)),
             torque: zero.clone(),
             joint_torque: zero.clone(),
@@ -223,6 +227,14 @@ impl OperationalSpaceController {
         }
     }
 
+    /// Computes the task torques within the limits, and the compensation torques, at a state.
+    fn compute(&mut self, input: &ControlInput<'_>) {
+        self.schedule.advance(input);
+        self.unlimited(input);
+        self.compensate(input.data);
+        self.limit(input);
+    }
+
     /// Modifies the task torques where a limit requires it.
     fn limit(&mut self, input: &ControlInput<'_>) {
         let data = input.data;
@@ -285,10 +297,16 @@ impl Controller for OperationalSpaceController {
     }
 
     fn update(&mut self, input: &ControlInput<'_>, command: &mut [f64]) {
-        self.schedule.advance(input);
-        self.unlimited(input);
-        self.compensate(input.data);
-        self.limit(input);
+        let mut prediction = self.prediction.take();
+        match prediction.as_mut().and_then(|prediction| prediction.of(input, &self.commanded)) {
+            Some(predicted) => {
+                self.compute(&predicted);
+                // The tasks record their motion and references at the time of the measurement.
+                self.schedule.current_mut().observe(input);
+            }
+            None => self.compute(input),
+        }
+        self.prediction = prediction;
         for ((out, torque), own) in command.iter_mut().zip(&self.torque).zip(&self.compensation_torque) {
             *out = torque + own;
         }

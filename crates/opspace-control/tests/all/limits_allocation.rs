@@ -29,11 +29,16 @@ damping_ratio = 0.8
 "#;
 
 /// No allocation in any of 3000 cycles along a path from one pose through the stretched arm, where the hand's rows are
-/// dependent, to poses beyond the joints' position limits.
+/// dependent, to poses beyond the joints' position limits; also with commands that act late.
 #[test]
 fn no_limited_cycle_allocates() {
+    [0.0, 0.02].into_iter().for_each(check_limited_cycles);
+}
+
+fn check_limited_cycles(command_delay_s: f64) {
     let (model, file) = (seven_joints(), File::read(STACK));
     let mut robot = control_context(&model, "hand");
+    robot.command_delay_s = command_delay_s;
     robot.limits = JointLimits {
         lower: vec![-1.1; 7],
         upper: vec![1.1; 7],

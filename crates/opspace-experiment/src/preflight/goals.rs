@@ -329,8 +329,8 @@ mod tests {
     use opspace_backend::quantity::Positive;
     use opspace_control::references::reference::Waypoint;
     use opspace_control::{
-        Axes, AxisGains, AxisMode, CartesianParameters, CartesianTask, ControlContext, JointLimits,
-        Measurement, OrientationGoal, PositionGoal, Targets,
+        Axes, AxisGains, AxisMode, CartesianParameters, CartesianTask, ControlContext, Measurement,
+        OrientationGoal, PositionGoal, Targets,
     };
     use opspace_control::{TaskInput, TaskTarget};
     use opspace_model::frame_placement;
@@ -339,8 +339,7 @@ mod tests {
     /// Returns a task of the flange whose target is the end of a reference.
     fn task_at(case: &PreflightCase<'_>, reference: CartesianReference) -> CartesianTask {
         let (model, n) = (case.model, case.model.n());
-        let limits = JointLimits::of(model);
-        let context = ControlContext { period_s: 1e-3, sensors: vec![], gravity_by_robot: false, limits };
+        let context = ControlContext::new(model, 1e-3);
         let gains = AxisGains::new(10.0, 1.0).expect("good gains");
         let parameters = CartesianParameters::new("flange", Axes::pose(AxisMode::Motion), gains);
         let parameters = parameters.with_reference(reference);

@@ -293,6 +293,7 @@ impl Experiment {
     fn control_context(&self, period_s: f64) -> ControlContext {
         ControlContext {
             period_s,
+            command_delay_s: f64::from(self.profile.delay()) * self.profile.servo_period_s(),
             sensors: self.robot.sensors.clone(),
             gravity_by_robot: self.gravity_compensated_by() == GravityCompensation::Robot,
             limits: self.robot.joint_limits(),

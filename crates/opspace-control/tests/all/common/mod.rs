@@ -181,6 +181,7 @@ pub fn control_context(model: &Model, sensor: &str) -> ControlContext {
     let frame = model.frame_id(sensor).expect("the sensor's frame exists");
     ControlContext {
         period_s: 1e-3,
+        command_delay_s: 0.0,
         sensors: vec![("wrist".to_owned(), frame)],
         gravity_by_robot: false,
         limits: JointLimits::none(model.n()),
