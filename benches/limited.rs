@@ -3,6 +3,10 @@
 //! The suites of motions beyond the limits and through singular poses are simulated, and their samples recorded. The
 //! control loop then computes every run from its samples again, five times; the duration of a cycle is the least of its
 //! five. Cycles in which a limit changes the command are listed apart from the others.
+//!
+//! If `benches/tsid/build target/tsid` has built it, TSID is measured in the same run and by the same method: single
+//! cycles on the arm of the suites, within limits of torque, velocity and acceleration, at states that are nearly always at
+//! one of them. Position limits would change its bounds, but not the size of its QP.
 
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
@@ -14,7 +18,14 @@ use opspace::sim::SimulatedArm;
 use std::path::Path;
 use std::time::Instant;
 
+#[path = "common/timing.rs"]
+#[expect(dead_code, reason = "only the peer is called here")]
+mod timing;
+
 const SUITES: [&str; 2] = ["tasks/suites/limits.toml", "tasks/suites/singularity.toml"];
+
+/// Arm of the suites, and its controlled frame.
+const ARM: [&str; 2] = ["robots/panda/panda.urdf", "flange"];
 
 /// Number of computations of each cycle, the fastest of which counts.
 const REPETITIONS: usize = 5;
@@ -25,6 +36,7 @@ fn main() {
     println!("duration of a control cycle, µs");
     println!("{:12}{:>10}{:>10}{:>12}{:>10}{:>10}", "", "free", "", "limited", "", "");
     println!("{:12}{:>10}{:>10}{:>12}{:>10}{:>10}", "", "median", "worst", "median", "worst", "cycles");
+    let mut all = Vec::new();
     for path in SUITES {
         let suite = Suite::load(Files::Disk, &root.join(path)).expect("is a good suite");
         println!("{path}");
@@ -43,6 +55,20 @@ fn main() {
             whole.limited.extend(durations.limited);
         }
         println!("{} all", whole.row());
+        all.extend(whole.limited);
+    }
+    let peer = root.join("target/tsid/peer");
+    if testing || !peer.exists() {
+        return;
+    }
+    let [urdf, tip] = ARM;
+    let theirs = timing::measure_peer(&peer, &root.join(urdf), tip);
+    let (median, worst) = median_and_worst(&all);
+    for (name, ours, theirs) in
+        [("median", median, theirs["single_median"]), ("worst", worst, theirs["single_worst"])]
+    {
+        let theirs = 1e-3 * theirs;
+        println!("limited, {name}: {ours:.2} µs, TSID {theirs:.2} µs, ours over theirs {:.2}", ours / theirs);
     }
 }
 

@@ -23,6 +23,9 @@
 
 #include <Eigen/QR>
 
+#include <chrono>
+#include <limits>
+
 namespace
 {
   using Eigen::MatrixXd;
@@ -295,6 +298,29 @@ namespace
           throw std::runtime_error("the joint '" + model.names[j] + "' has no limit of effort or of velocity");
   }
 
+  /// Prints the median and the largest duration of single ticks, ns: of each state the least of `LEAST_OF`, as
+  /// benches/limited.rs of opspace measures its ticks.
+  constexpr int LEAST_OF = 5;
+
+  template<typename Update>
+  void time_single_ticks(const char * name, std::vector<State> & states, Update update)
+  {
+    std::vector<double> least(states.size(), std::numeric_limits<double>::infinity());
+    double sum = 0.0;
+    for (int repetition = 0; repetition < LEAST_OF; ++repetition)
+      for (size_t i = 0; i < states.size(); ++i)
+      {
+        const auto start = std::chrono::steady_clock::now();
+        sum += update(states[i]);
+        const std::chrono::duration<double, std::nano> passed = std::chrono::steady_clock::now() - start;
+        least[i] = std::min(least[i], passed.count());
+      }
+    if (!std::isfinite(sum))
+      throw std::runtime_error(std::string(name) + " gave a number that is not finite");
+    std::sort(least.begin(), least.end());
+    std::printf("%s_median %.1f\n%s_worst %.1f\n", name, least[least.size() / 2], name, least.back());
+  }
+
   void run(const std::string & urdf, const std::string & tip_name)
   {
     const Robot robot(urdf, tip_name);
@@ -317,6 +343,7 @@ namespace
     bench.add("tick_free", free.states, update);
     bench.add("tick_limits", far.states, update);
     bench.run();
+    time_single_ticks("single", far.states, update);
     std::printf("active %.4f\nactive_limits %.4f\n", drawn.active, far.active);
   }
 } // namespace
