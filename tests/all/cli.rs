@@ -787,7 +787,9 @@ fn check_lists_unchecked_tasks() {
     let arguments = ["check", "tasks/panda-impedance.toml"];
     let said = opspace(Path::new(ROOT), &arguments).exits(0).stdout;
     assert!(said.contains("not checked: tasks/panda-impedance.toml"), "{said}");
+    assert!(said.contains("of 400 sampled postures within position limits"), "{said}");
     let json = opspace(Path::new(ROOT), &[&arguments[..], &["--json", "-"]].concat()).exits(0).json();
+    assert_eq!(json["files"][0]["singular_postures"][0]["sampled"], 400, "{json}");
     let skipped = json["files"][0]["not_checked"].as_array().unwrap();
     assert!(
         skipped.iter().all(|one| one["help"] == "test it in simulation") && !skipped.is_empty(),

@@ -53,8 +53,8 @@ fn every_robot_passes_check() {
         let task = first_task(&name);
         let arguments = ["check", &files[0], &files[1], task.to_str().unwrap()];
         let ran = opspace(Path::new(&project(".")), &arguments).exits(0);
-        // One line per file, and one line with the gain margin of the task.
-        assert_eq!((ran.stdout.lines().count(), ran.stderr.as_str()), (4, ""), "{name}");
+        // One line per file, and two lines about the task: its gain margin and its nearly singular postures.
+        assert_eq!((ran.stdout.lines().count(), ran.stderr.as_str()), (5, ""), "{name}");
     }
 }
 

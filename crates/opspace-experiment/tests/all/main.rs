@@ -12,6 +12,7 @@ mod robot_file;
 mod run_figures;
 mod segments;
 mod servo_gain;
+mod singular_postures;
 mod source;
 mod streamed;
 mod task_kinds;

@@ -16,6 +16,9 @@ use opspace_model::{Data, OperationalSpace, update};
 /// direction that counts as lost.
 const HELD: f64 = 0.5;
 
+/// Highest speed of a task at rest in its rows, m/s (rotations are scaled to m), or of a joint, rad/s or m/s.
+const MAX_SPEED: f64 = 0.05;
+
 /// Largest ratio of damping to spring in the feedback of a task at rest.
 const AT_REST: f64 = 0.3;
 
@@ -157,7 +160,8 @@ impl<'a> HeldState<'a> {
             damping[row] = gains.damping_per_s * velocity[row];
         }
         let commanded = &jacobian * &self.alpha + task.bias(model, &self.data);
-        Level { state: self, task, typical, jacobian, wanted, damping, commanded }
+        let speed = velocity.norm();
+        Level { state: self, task, typical, jacobian, speed, wanted, damping, commanded }
     }
 
     /// Returns the causes for each joint of a task of all joints. `wanted` and `damping` are the spring and damper terms
@@ -166,6 +170,7 @@ impl<'a> HeldState<'a> {
         let hold = |joint: usize| {
             let demand = wanted[joint];
             let is_held = demand != 0.0
+                && self.dq[joint].abs() <= MAX_SPEED
                 && damping[joint].abs() <= AT_REST * demand.abs()
                 && self.alpha[joint] * demand.signum() <= HELD * demand.abs();
             if !is_held {
@@ -203,6 +208,8 @@ struct Level<'a> {
     typical: f64,
     /// Jacobian of the rows (6 × n).
     jacobian: Matrix6xX<f64>,
+    /// Norm of the velocities of the rows.
+    speed: f64,
     /// Spring term of the feedback, on the rows that follow a reference.
     wanted: Vector6<f64>,
     /// Damper term of the feedback.
@@ -216,6 +223,7 @@ impl Level<'_> {
     fn hold(&self, spaces: &[DMatrix<f64>]) -> Option<Hold> {
         let demand = self.wanted.norm();
         let is_held = demand > 0.0
+            && self.speed <= MAX_SPEED
             && self.damping.norm() <= AT_REST * demand
             && self.commanded.dot(&self.wanted) <= HELD * demand * demand;
         if !is_held {
