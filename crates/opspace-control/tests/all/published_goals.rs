@@ -20,6 +20,7 @@ use crate::out_of_reach::{Motion, ur10_like};
 use nalgebra::Vector3;
 use opspace_control::{JointLimits, OperationalSpaceController};
 use opspace_model::frame_placement;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 /// Posture at the start, rad.
 const START: [f64; 6] = [0.0, -1.712, 1.712, 0.0, 0.0, 0.0];
@@ -29,7 +30,7 @@ const GOALS: [([f64; 3], f64); 3] =
     [([-0.6, -0.15, 0.3], 360.0), ([-0.6, 0.3, 0.3], 420.0), ([-0.8, 0.0, 0.5], 320.0)];
 
 /// Orientation of the goals: roll, pitch and yaw, rad.
-const ORIENTATION: [f64; 3] = [-0.7853981634, 0.0, -1.5707963268];
+const ORIENTATION: [f64; 3] = [-FRAC_PI_4, 0.0, -FRAC_PI_2];
 
 /// Duration of a reference that jumps: less than a control period, s.
 const JUMP_S: f64 = 1e-9;
@@ -95,7 +96,7 @@ fn figures(place: usize, period_s: f64, duration_s: f64, more: &str, limits: Opt
 /// Limits of a UR10 by its data sheet: 120 and 180 °/s; 330, 150 and 56 Nm.
 fn limits() -> JointLimits {
     JointLimits {
-        velocity: vec![2.094, 2.094, 3.14, 3.14, 3.14, 3.14],
+        velocity: vec![PI / 1.5, PI / 1.5, PI, PI, PI, PI],
         torque: vec![330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
         ..JointLimits::none(6)
     }
@@ -138,6 +139,6 @@ fn smooth_motions_leave_the_singular_posture() {
 fn goals_are_reached_within_limits() {
     for (goal, period_s) in [(0, 1e-3), (1, 1e-3), (2, 1e-3), (0, 1e-2), (1, 1e-2), (2, 1e-2)] {
         let ours = figures(goal, period_s, JUMP_S, "", Some(limits()));
-        assert!(ours.last_m < REACHED_M && ours.speed < 3.14, "goal {goal}: {ours:?}");
+        assert!(ours.last_m < REACHED_M && ours.speed < PI, "goal {goal}: {ours:?}");
     }
 }
