@@ -21,3 +21,4 @@ pub mod swivel;
 pub mod task;
 pub mod task_axes;
 pub mod tracking;
+pub mod when_limited;

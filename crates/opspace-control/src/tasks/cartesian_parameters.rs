@@ -9,6 +9,7 @@ use crate::tasks::force::ForceParameters;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::ImpedanceParameters;
 use crate::tasks::task::DEFAULT_INVERSION;
+use crate::tasks::when_limited::WhenLimited;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Inversion, Model};
@@ -68,6 +69,16 @@ pub struct CartesianParameters {
     /// arm's reach if absent.
     #[serde(default)]
     pub characteristic_length_m: Option<Positive>,
+    /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
+    /// in the task's kinetic energy, so that limits take from axes of small weight first. Translations and rotations are
+    /// compared by their energy, not by metres and radians. A weight of ten is as strong as keeping the direction
+    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
+    /// change nothing.
+    #[serde(default = "equal_weights")]
+    pub weight: PerAxis<Positive>,
+    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    #[serde(default)]
+    pub when_limited: WhenLimited,
 }
 
 /// The centre of mass follows a reference on some axes. It has no orientation.
@@ -90,6 +101,15 @@ pub struct CenterOfMassParameters {
     /// the task demands of such directions.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,
+    /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
+    /// in the task's kinetic energy, so that limits take from axes of small weight first. A weight of ten is as strong as keeping the direction
+    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
+    /// change nothing.
+    #[serde(default = "equal_weights")]
+    pub weight: PerAxis<Positive>,
+    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    #[serde(default)]
+    pub when_limited: WhenLimited,
 }
 
 /// Inertia that converts a task's accelerations to forces.
@@ -144,6 +164,10 @@ impl SingularityHandling {
     }
 }
 
+fn equal_weights() -> PerAxis<Positive> {
+    PerAxis::All(Positive::literal(1.0))
+}
+
 fn default_compliant_damping() -> PerAxis<NonNegative> {
     PerAxis::All(NonNegative::literal(2.0))
 }
@@ -168,6 +192,8 @@ impl CartesianParameters {
             singularities: SingularityHandling::Damped,
             singularity_threshold: None,
             characteristic_length_m: None,
+            weight: equal_weights(),
+            when_limited: WhenLimited::LeastSquares,
         }
     }
 
@@ -226,6 +252,8 @@ impl CenterOfMassParameters {
             reference: CartesianReference::Hold,
             gains,
             singularity_threshold: None,
+            weight: equal_weights(),
+            when_limited: WhenLimited::LeastSquares,
         }
     }
 
@@ -236,6 +264,8 @@ impl CenterOfMassParameters {
             axes_frame: self.axes_frame.clone(),
             reference: self.reference.clone(),
             singularity_threshold: self.singularity_threshold,
+            weight: self.weight,
+            when_limited: self.when_limited,
             ..CartesianParameters::new(String::new(), self.axes, self.gains)
         }
     }

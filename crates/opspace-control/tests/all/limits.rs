@@ -8,7 +8,7 @@ use crate::common::{
 };
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::Observable;
-use opspace_control::limits::bounds::HORIZON_S;
+use opspace_control::limits::horizon::HORIZON_S;
 use opspace_control::{ControlContext, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity};
 
