@@ -123,6 +123,7 @@ pub use tasks::controlled_frame::ControlledFrame;
 pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
 pub use tasks::damping::Damping;
+pub use tasks::damping_zone::DampingZone;
 pub use tasks::force::ForceParameters;
 pub use tasks::gains::AxisGains;
 pub use tasks::impedance::{self, ImpedanceParameters};

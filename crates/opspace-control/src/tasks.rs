@@ -9,6 +9,7 @@ pub mod controlled_frame;
 pub mod coordinate;
 pub mod coordinate_task;
 pub mod damping;
+pub mod damping_zone;
 pub mod force;
 pub mod gains;
 pub mod impedance;

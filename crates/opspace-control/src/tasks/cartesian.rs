@@ -169,7 +169,7 @@ impl CartesianTask {
             weights: axis_weights(&parameters.weight, axes.axes(), &format!("{key}.weight"))?,
             when_limited: parameters.when_limited,
             axes,
-            inversion: parameters.singularities.inversion(parameters.singularity_threshold),
+            inversion: parameters.inversion(key)?,
             decoupling: parameters.decoupling,
             axes_frame,
             modes: parameters.axes.modes(),

@@ -12,9 +12,15 @@ use std::any::Any;
 /// Threshold of the [default inversion](DEFAULT_INVERSION) at rest, relative to the typical mobility.
 pub const THRESHOLD_AT_REST: f64 = 0.005;
 
+/// Highest threshold of the default inversion, relative to the typical mobility.
+pub const LARGEST_THRESHOLD: f64 = 0.3;
+
+/// Demand with which the default inversion reaches its highest threshold, m/s².
+pub const FULL_DEMAND_M_PER_S2: f64 = 4.0;
+
 /// Default [`inversion`](Task::inversion): the threshold grows with the demand to 0.3 of the typical mobility.
 pub const DEFAULT_INVERSION: Inversion =
-    Inversion::Adaptive { least: THRESHOLD_AT_REST, most: 0.3, full_demand: 4.0 };
+    Inversion::Adaptive { least: THRESHOLD_AT_REST, most: LARGEST_THRESHOLD, full_demand: FULL_DEMAND_M_PER_S2 };
 
 /// Input of a task in one cycle.
 #[derive(Clone, Copy, Debug)]
