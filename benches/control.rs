@@ -9,8 +9,8 @@
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
 use opspace_control::{
-    ControlContext, ControlInput, Controller, JointLimits, Measurement,
-    OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
+    ControlContext, ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController, Targets,
+    TaskParameters, TaskSetParameters,
 };
 use opspace_model::{Data, Model, update};
 use opspace_testing::oracle::{urdf, urdf_path};

@@ -184,7 +184,11 @@ impl PriorityLevel {
             return Residual::Rows { jacobian, inertia: metric, heading: velocity };
         }
         // The force on a compliant axis is no motion that could be slowed down.
-        velocity.iter_mut().enumerate().filter(|(row, _)| !self.task.follows_reference(*row)).for_each(|(_, v)| *v = 0.0);
+        velocity
+            .iter_mut()
+            .enumerate()
+            .filter(|(row, _)| !self.task.follows_reference(*row))
+            .for_each(|(_, v)| *v = 0.0);
         Residual::ScaledRows { jacobian, inertia: metric, reducible: Reducible { velocity, horizon_s } }
     }
 

@@ -41,7 +41,12 @@ impl TaskHierarchy {
             unused_damping_per_s: UNUSED_DAMPING_PER_S.get(),
             joint_slack: vec![0.0; n],
             joint_names: model.joints().iter().map(|joint| joint.name.clone()).collect(),
-            acceleration_units: model.joint_units().position.iter().map(|unit| format!("{unit}/s²")).collect(),
+            acceleration_units: model
+                .joint_units()
+                .position
+                .iter()
+                .map(|unit| format!("{unit}/s²"))
+                .collect(),
             joint_target: TargetPlace::default(),
         }
     }

@@ -288,7 +288,9 @@ fn slots<'a>(
         for level in &hierarchy.levels {
             let groups: &[Group] = match recorded {
                 RecordedSignals::Motion => &[Group::Motion, Group::Target],
-                RecordedSignals::Forces => &[Group::Motion, Group::Force, Group::Slack, Group::Sensed, Group::Target],
+                RecordedSignals::Forces => {
+                    &[Group::Motion, Group::Force, Group::Slack, Group::Sensed, Group::Target]
+                }
             };
             groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));
         }

@@ -6,9 +6,7 @@ use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::priority_level::PriorityLevel;
 use crate::hierarchy::rank::{TypicalMobility, sampled_rank};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
-use crate::hierarchy::task_parameters::{
-    TaskParameters, TaskSetParameters, largest_unused_damping_per_s,
-};
+use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters, largest_unused_damping_per_s};
 use crate::tasks::cartesian::CartesianTask;
 use crate::tasks::damping::Damping;
 use crate::tasks::joint_task::JointTask;
@@ -108,7 +106,8 @@ impl TaskSetBuilder<'_> {
     /// # Errors
     /// A damping above a fifth of the control rate.
     pub fn unused_damping(mut self, damping_per_s: Positive) -> Result<Self, ControlError> {
-        let (damping_per_s, most) = (damping_per_s.get(), largest_unused_damping_per_s(self.context.period_s));
+        let (damping_per_s, most) =
+            (damping_per_s.get(), largest_unused_damping_per_s(self.context.period_s));
         if damping_per_s > most {
             let message = format!(
                 "{damping_per_s} 1/s is above {most} 1/s, a fifth of the control rate: with the delay of a command, \

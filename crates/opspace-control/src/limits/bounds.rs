@@ -106,7 +106,14 @@ impl Bounds {
             // horizon.
             *braking = braking.min(velocity.min(1e3) / horizon_s);
         }
-        Self { limits, braking, period_s, horizon_s, acceleration: Interval::new(n), torque: Interval::new(n) }
+        Self {
+            limits,
+            braking,
+            period_s,
+            horizon_s,
+            acceleration: Interval::new(n),
+            torque: Interval::new(n),
+        }
     }
 
     /// Horizon of the bounds on accelerations, s.

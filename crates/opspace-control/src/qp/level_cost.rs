@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 
 /// Weight A of the deviations of a scaled level from its direction, relative to its reduction. The optimum remains
 /// continuous where the limits exclude the direction; a larger weight would be lost in the accuracy of the solver.
-const DIRECTION: f64 = 100.0;
+pub(crate) const DIRECTION: f64 = 100.0;
 
 /// Speed of the joints above which they have a direction, rad/s or m/s; it exceeds the velocity noise at rest.
 const STILL: f64 = 0.01;

@@ -27,7 +27,7 @@ use crate::hierarchy::products::{dot, multiply};
 use crate::limits::bounds::Bounds;
 use crate::qp::active_set::ActiveSet;
 use crate::qp::interior_point::InteriorPoint;
-use crate::qp::level_cost::{JointSpace, Reducible, scale_rows, weigh_joints};
+use crate::qp::level_cost::{DIRECTION, JointSpace, Reducible, scale_rows, weigh_joints};
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
@@ -36,8 +36,11 @@ use opspace_model::Data;
 /// direction would otherwise affect the torques.
 const STILL: f64 = 2e-3;
 
-/// ε of the proximal steps, relative to the trace of the task's Hessian.
+/// ε of the proximal steps, relative to the trace of the task's Hessian with the usual lateral weight.
 const PROXIMAL: f64 = 1e-7;
+
+/// Lateral weight for which [`PROXIMAL`] is given: errors along the direction of a task count the same with any weight.
+const USUAL_WEIGHT: f64 = 10.0;
 
 /// ε of the proximal steps that widen bounds, relative to slacks of weight 1.
 const RELAXED: f64 = 1e-7;
@@ -314,7 +317,9 @@ impl HierarchicalQp {
     /// Minimises a residual within the limits, and writes δ into `delta`.
     fn solve_within(&mut self, residual: &Residual<'_>, limits: &Limits<'_>) -> Result<(), QpError> {
         let problem = match residual {
-            Residual::ScaledRows { .. } | Residual::WeightedJoints { reducible: Some(_), .. } => Problem::Scaled,
+            Residual::ScaledRows { .. } | Residual::WeightedJoints { reducible: Some(_), .. } => {
+                Problem::Scaled
+            }
             Residual::Rows { .. } => Problem::Rows,
             Residual::Joints | Residual::WeightedJoints { .. } => Problem::Joints,
         };
@@ -523,6 +528,12 @@ impl HierarchicalQp {
             };
             if let Some(trace) = trace {
                 // A basis has no directions without cost.
+                let trace = trace
+                    * if self.reduction.is_some() {
+                        (USUAL_WEIGHT * USUAL_WEIGHT / (DIRECTION * DIRECTION))
+                    } else {
+                        1.0
+                    };
                 return (self.freedom == self.scale.len()).then(|| self.approach(trace));
             }
             // A basis is orthonormal.
@@ -551,7 +562,7 @@ impl HierarchicalQp {
             }
             trace += hessian[(c, c)];
         }
-        Some(self.approach(trace))
+        Some(self.approach(trace * (USUAL_WEIGHT * USUAL_WEIGHT / aside)))
     }
 
     /// Adds the cost of the proximal steps to a Hessian with this trace, and returns its weight.

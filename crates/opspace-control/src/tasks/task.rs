@@ -19,8 +19,11 @@ pub const LARGEST_THRESHOLD: f64 = 0.3;
 pub const FULL_DEMAND_M_PER_S2: f64 = 4.0;
 
 /// Default [`inversion`](Task::inversion): the threshold grows with the demand to 0.3 of the typical mobility.
-pub const DEFAULT_INVERSION: Inversion =
-    Inversion::Adaptive { least: THRESHOLD_AT_REST, most: LARGEST_THRESHOLD, full_demand: FULL_DEMAND_M_PER_S2 };
+pub const DEFAULT_INVERSION: Inversion = Inversion::Adaptive {
+    least: THRESHOLD_AT_REST,
+    most: LARGEST_THRESHOLD,
+    full_demand: FULL_DEMAND_M_PER_S2,
+};
 
 /// Input of a task in one cycle.
 #[derive(Clone, Copy, Debug)]

@@ -32,7 +32,22 @@ damping_ratio = 0.8
 /// dependent, to poses beyond the joints' position limits.
 #[test]
 fn no_limited_cycle_allocates() {
-    let (model, file) = (seven_joints(), File::read(STACK));
+    count_allocations(STACK);
+}
+
+/// The same with scaled tasks and weights of axes and joints.
+#[test]
+fn no_cycle_of_scaled_and_weighted_tasks_allocates() {
+    let scaled = STACK.replace("speed_limit", "when_limited = \"scaled\"\nspeed_limit");
+    let weighted = scaled.replace("characteristic", "weight = { x = 3.0, rz = 0.2 }\ncharacteristic");
+    let posture = weighted.replace("damping_ratio = 0.8\n", "damping_ratio = 0.8\nweight = { j3 = 5.0 }\n");
+    assert!(posture.contains("j3") && posture.contains("rz = 0.2"), "{posture}");
+    count_allocations(&posture);
+}
+
+/// Counts the allocations of control cycles along the path.
+fn count_allocations(text: &str) {
+    let (model, file) = (seven_joints(), File::read(text));
     let mut robot = control_context(&model, "hand");
     robot.limits = JointLimits {
         lower: vec![-1.1; 7],
