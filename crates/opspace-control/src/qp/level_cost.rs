@@ -15,7 +15,10 @@ use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 
 /// Weight A of the deviations of a scaled level from its direction, relative to its reduction. The optimum remains
 /// continuous where the limits exclude the direction; a larger weight would be lost in the accuracy of the solver.
-pub(crate) const DIRECTION: f64 = 100.0;
+const DIRECTION: f64 = 100.0;
+
+/// Share of the trace of a scaled level that determines its proximal steps: its reduction must cost more than these.
+const PROXIMAL_SHARE: f64 = 100.0 / (DIRECTION * DIRECTION);
 
 /// Speed of the joints above which they have a direction, rad/s or m/s; it exceeds the velocity noise at rest.
 const STILL: f64 = 0.01;
@@ -28,8 +31,8 @@ pub(crate) struct Reducible<V> {
 }
 
 /// Sets the cost of a scaled task, with J_p (6 × n) and joint accelerations that are multiplied by `scale` (n), and
-/// returns the trace of its Hessian without the reduction, and the largest reduction. The kinetic energy `still` is
-/// added to that of the velocity, so that a task at rest has no direction.
+/// returns the trace that determines its proximal steps, and the largest reduction. The kinetic energy `still` is added
+/// to that of the velocity, so that a task at rest has no direction.
 pub(crate) fn scale_rows(
     hessian: &mut DMatrix<f64>,
     jacobian: &Matrix6xX<f64>,
@@ -53,7 +56,7 @@ pub(crate) fn scale_rows(
         trace += hessian[(c, c)];
     }
     hessian[(n, n)] = weight * energy / (size * size) + 1.0;
-    (trace, size / reducible.horizon_s)
+    (PROXIMAL_SHARE * trace, size / reducible.horizon_s)
 }
 
 /// Joint accelerations of the variables of a level (n × k), and their metric.
@@ -80,8 +83,8 @@ impl JointSpace<'_> {
     }
 }
 
-/// Sets the cost of all joints, scaled if there is a velocity to reduce, and returns the trace of its Hessian without the
-/// reduction, and the largest reduction. `product` (n) is overwritten.
+/// Sets the cost of all joints, scaled if there is a velocity to reduce, and returns the trace that determines its
+/// proximal steps, and the largest reduction. `product` (n) is overwritten.
 pub(crate) fn weigh_joints(
     program: &mut QuadraticProgram,
     space: &JointSpace<'_>,
@@ -109,5 +112,5 @@ pub(crate) fn weigh_joints(
         hessian[(last, c)] = weight / size * dot(column, product);
     }
     hessian[(last, last)] = weight * energy / (size * size) + 1.0;
-    (trace, Some(size / horizon_s))
+    (PROXIMAL_SHARE * trace, Some(size / horizon_s))
 }

@@ -9,7 +9,8 @@
 //! ```
 //!
 //! which the levels below do not change, since J_p N is zero there. W weights errors perpendicular to the task's
-//! direction of motion ten times as much as errors along it, which only slow the task down. Among solutions with equal
+//! direction of motion ten times (or as set) as much as errors along it, which only slow the task down; weights of the
+//! task's rows multiply Λ on both sides. A [scaled](crate::qp::level_cost) level keeps its direction. Among solutions with equal
 //! residual, proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic
 //! energy: if no limit is active, δ is exactly zero. The last level, of all joints, minimises this norm itself, and
 //! removes the part of the other levels' δ that does not affect their rows.
@@ -27,7 +28,7 @@ use crate::hierarchy::products::{dot, multiply};
 use crate::limits::bounds::Bounds;
 use crate::qp::active_set::ActiveSet;
 use crate::qp::interior_point::InteriorPoint;
-use crate::qp::level_cost::{DIRECTION, JointSpace, Reducible, scale_rows, weigh_joints};
+use crate::qp::level_cost::{JointSpace, Reducible, scale_rows, weigh_joints};
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
@@ -508,33 +509,8 @@ impl HierarchicalQp {
     fn pose(&mut self, residual: &Residual<'_>) -> Option<f64> {
         self.reduction = None;
         let Residual::Rows { jacobian, inertia, heading } = residual else {
-            let trace = match residual {
-                Residual::ScaledRows { jacobian, inertia, reducible } => {
-                    let (hessian, still) = (&mut self.program.hessian, STILL * STILL * inertia.trace());
-                    let (trace, most) = scale_rows(hessian, jacobian, inertia, &self.scale, reducible, still);
-                    self.reduction = Some(most);
-                    Some(trace)
-                }
-                Residual::WeightedJoints { weights, reducible } => {
-                    let accelerations = &self.nullspace.as_slice()[..self.freedom * self.scale.len()];
-                    let (mass, scale, weights) = (&self.mass, &self.scale, *weights);
-                    let space = JointSpace { accelerations, mass, scale, weights };
-                    let product = self.asked.as_mut_slice();
-                    let (trace, most) = weigh_joints(&mut self.program, &space, *reducible, product);
-                    self.reduction = most;
-                    Some(trace)
-                }
-                _ => None,
-            };
-            if let Some(trace) = trace {
-                // A basis has no directions without cost.
-                let trace = trace
-                    * if self.reduction.is_some() {
-                        (USUAL_WEIGHT * USUAL_WEIGHT / (DIRECTION * DIRECTION))
-                    } else {
-                        1.0
-                    };
-                return (self.freedom == self.scale.len()).then(|| self.approach(trace));
+            if !matches!(residual, Residual::Joints) {
+                return self.pose_weighted_or_scaled(residual);
             }
             // A basis is orthonormal.
             let is_basis = self.freedom < self.scale.len();
@@ -565,7 +541,32 @@ impl HierarchicalQp {
         Some(self.approach(trace * (USUAL_WEIGHT * USUAL_WEIGHT / aside)))
     }
 
-    /// Adds the cost of the proximal steps to a Hessian with this trace, and returns its weight.
+    /// Sets the Hessian of weighted joints or of a scaled level, and returns the weight of its proximal steps.
+    fn pose_weighted_or_scaled(&mut self, residual: &Residual<'_>) -> Option<f64> {
+        let n = self.scale.len();
+        let trace = match residual {
+            Residual::ScaledRows { jacobian, inertia, reducible } => {
+                let (hessian, still) = (&mut self.program.hessian, STILL * STILL * inertia.trace());
+                let (trace, most) = scale_rows(hessian, jacobian, inertia, &self.scale, reducible, still);
+                self.reduction = Some(most);
+                trace
+            }
+            Residual::WeightedJoints { weights, reducible } => {
+                let accelerations = &self.nullspace.as_slice()[..self.freedom * n];
+                let space =
+                    JointSpace { accelerations, mass: &self.mass, scale: &self.scale, weights: *weights };
+                let product = self.asked.as_mut_slice();
+                let (trace, most) = weigh_joints(&mut self.program, &space, *reducible, product);
+                self.reduction = most;
+                trace
+            }
+            Residual::Rows { .. } | Residual::Joints => return None,
+        };
+        // A basis has no direction without a cost.
+        (self.freedom == n).then(|| self.approach(trace))
+    }
+
+    /// Adds the cost of the proximal steps to a Hessian with this trace, and returns their weight.
     fn approach(&mut self, trace: f64) -> f64 {
         let (n, hessian) = (self.scale.len(), &mut self.program.hessian);
         let proximal = PROXIMAL * if trace > 0.0 { trace } else { 1.0 };

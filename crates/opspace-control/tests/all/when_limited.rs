@@ -426,7 +426,7 @@ fn slack_is_what_limits_take() {
             some += usize::from(slack.iter().any(|value| value.abs() > 0.1));
         }
         let lost = DVector::from_vec(sampled(&controller, "rest.slack"));
-        let moved = &jacobian(&scene.model, &scene.data, "hand").rows(0, 3) * &lost;
+        let moved = jacobian(&scene.model, &scene.data, "hand").rows(0, 3) * &lost;
         if sampled(&controller, "hand.min_singular_gain") == [1.0] {
             assert!(moved.amax() < 1e-9 * (1.0 + lost.amax()), "the null space of the hand: {moved}");
         }
