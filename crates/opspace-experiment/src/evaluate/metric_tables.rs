@@ -188,8 +188,8 @@ pub struct Compliance {
 }
 
 /// Acceleration that limits take from a task: that of the command without limits minus that of the command, norm over the
-/// axes or joints of one unit; `None` without such axes or joints, and without torque control. Of a task of all joints, only
-/// the part in the null space of the other tasks counts.
+/// axes or joints of one unit, and zero for axes that are not in the task; `None` without joints of the unit, and without torque
+/// control. Of a task of all joints, only the part in the null space of the other tasks counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Slack {
