@@ -59,7 +59,8 @@ impl OperationalSpaceController {
         Ok(Self::from_tasks(model, tasks, context, parameters.compensation, &parameters.limits))
     }
 
-    /// Creates a controller for tasks that are built in code.
+    /// Creates a controller for tasks that are built in code. Values of `limits` out of range count as the nearest ones in
+    /// their range.
     #[must_use]
     pub fn from_tasks(
         model: &Model,

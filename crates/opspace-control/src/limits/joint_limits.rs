@@ -122,9 +122,15 @@ impl LimitParameters {
         Ok(())
     }
 
-    /// Horizon for a control period, s.
+    /// Horizon for a control period, s; at least five control periods.
     pub(crate) fn horizon_s(&self, period_s: f64) -> f64 {
-        self.horizon_s.map_or_else(|| horizon_s(period_s), Positive::get)
+        let given = self.horizon_s.map(|horizon_s| horizon_s.get().max(HORIZON_PERIODS * period_s));
+        given.unwrap_or_else(|| horizon_s(period_s))
+    }
+
+    /// Weight of errors perpendicular to the direction of a task, in its range.
+    pub(crate) fn lateral_weight(&self) -> f64 {
+        self.lateral_weight.get().clamp(1.0, LARGEST_LATERAL_WEIGHT)
     }
 }
 

@@ -50,7 +50,7 @@ impl Limiter {
         Self {
             torque_bounds: bounds.torque.clone(),
             bounds,
-            cascade: HierarchicalQp::new(n, speeds, parameters.lateral_weight.get()),
+            cascade: HierarchicalQp::new(n, speeds, parameters.lateral_weight()),
             speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; speeds],
             speed_count: 0,
             bias_acceleration: zero.clone(),
