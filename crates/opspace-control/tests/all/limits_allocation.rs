@@ -35,7 +35,7 @@ fn no_limited_cycle_allocates() {
     count_allocations(STACK);
 }
 
-/// The same with scaled tasks and weights of axes and joints.
+/// No allocation along this path with scaled tasks and weights of axes and joints.
 #[test]
 fn no_cycle_of_scaled_and_weighted_tasks_allocates() {
     let scaled = STACK.replace("speed_limit", "when_limited = \"scaled\"\nspeed_limit");

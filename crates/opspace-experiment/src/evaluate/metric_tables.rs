@@ -193,13 +193,13 @@ pub struct Compliance {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Slack {
-    /// Of translations and prismatic joints, rms, m/s².
+    /// Slack of translations and prismatic joints, rms, m/s².
     pub slack_rms_m_per_s2: Option<f64>,
-    /// Of translations and prismatic joints, largest, m/s².
+    /// Slack of translations and prismatic joints, largest, m/s².
     pub slack_max_m_per_s2: Option<f64>,
-    /// Of rotations and revolute joints, rms, rad/s².
+    /// Slack of rotations and revolute joints, rms, rad/s².
     pub slack_rms_rad_per_s2: Option<f64>,
-    /// Of rotations and revolute joints, largest, rad/s².
+    /// Slack of rotations and revolute joints, largest, rad/s².
     pub slack_max_rad_per_s2: Option<f64>,
 }
 
