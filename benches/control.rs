@@ -9,8 +9,8 @@
 #![expect(clippy::expect_used, clippy::print_stdout, reason = "a bench")]
 
 use opspace_control::{
-    Compensation, ControlContext, ControlInput, Controller, JointLimits, LimitParameters, Measurement,
-    OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
+    ControlContext, ControlInput, Controller, JointLimits, Measurement, OperationalSpaceController, Targets,
+    TaskParameters, TaskSetParameters,
 };
 use opspace_model::{Data, Model, update};
 use opspace_testing::oracle::{urdf, urdf_path};
@@ -161,12 +161,7 @@ impl<'a> Bench<'a> {
     fn new(model: &'a Model, limits: &JointLimits) -> Self {
         let task: BTreeMap<String, TaskParameters> = toml::from_str(TASKS).expect("good tasks");
         let priority = ["hand".to_owned(), "rest".to_owned()];
-        let stack = TaskSetParameters {
-            priority: &priority,
-            task: &task,
-            compensation: Compensation::Bias,
-            limits: LimitParameters::default(),
-        };
+        let stack = TaskSetParameters::new(&priority, &task);
         let context = ControlContext { limits: limits.clone(), ..ControlContext::new(model, 1e-3) };
         let controller = OperationalSpaceController::new(model, &stack, &context).expect("a good stack");
         let signals = opspace_backend::Observable::signals(&controller);

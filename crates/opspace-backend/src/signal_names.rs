@@ -94,6 +94,9 @@ pub const FORCE: &str = "force";
 pub const SENSED_FORCE: &str = "sensed_force";
 /// Smallest gain of the damped inverse over all directions of a task; 1 without damping.
 pub const MIN_SINGULAR_GAIN: &str = "min_singular_gain";
+/// Acceleration that limits take from a task: that of the command without limits minus that of the command. One value for
+/// each of its rows (m/s², rad/s²), or for each joint (n; rad/s²) in the null space of the tasks above.
+pub const SLACK: &str = "slack";
 /// Code of the control mode of each axis of a task (6).
 pub const MODES: &str = "modes";
 /// 1 while the streamed target of a task is stale.

@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use opspace_control::{
-//!     Compensation, ControlContext, ControlInput, Controller, LimitParameters, Measurement,
+//!     ControlContext, ControlInput, Controller, Measurement,
 //!     OperationalSpaceController, Targets, TaskParameters, TaskSetParameters,
 //! };
 //! use opspace_model::{Data, Model, aba, frame_placement, update};
@@ -34,12 +34,7 @@
 //!     gains = { frequency_rad_per_s = 20.0, damping_ratio = 1.0 }
 //! "#)?;
 //! let priority = ["hand".to_owned()];
-//! let parameters = TaskSetParameters {
-//!     priority: &priority,
-//!     task: &task,
-//!     compensation: Compensation::Bias,
-//!     limits: LimitParameters::default(),
-//! };
+//! let parameters = TaskSetParameters::new(&priority, &task);
 //! let context = ControlContext::new(&model, 1e-3);
 //! let mut controller = OperationalSpaceController::new(&model, &parameters, &context)?;
 //!
@@ -129,6 +124,7 @@ pub use tasks::controlled_frame::ControlledFrame;
 pub use tasks::coordinate::Coordinate;
 pub use tasks::coordinate_task::{CoordinateGains, CoordinateTask};
 pub use tasks::damping::Damping;
+pub use tasks::damping_zone::DampingZone;
 pub use tasks::force::ForceParameters;
 pub use tasks::gains::AxisGains;
 pub use tasks::impedance::{self, ImpedanceParameters};
@@ -143,6 +139,7 @@ pub use tasks::swivel::{SwivelAngle, SwivelParameters};
 pub use tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 pub use tasks::task_axes::TaskAxes;
 pub use tasks::tracking::Tracking;
+pub use tasks::when_limited::WhenLimited;
 
 /// Code examples of the README, compiled and run as doctests.
 #[cfg(doctest)]

@@ -1,5 +1,6 @@
 //! Joint limits and their enforcement.
 
 pub mod bounds;
+pub mod horizon;
 pub mod joint_limits;
 pub(crate) mod limiter;

@@ -28,11 +28,6 @@ use opspace_backend::CommandKind;
 use opspace_backend::{Observable, SignalRecorder};
 use opspace_model::{Data, Model};
 
-/// Damping of the motion that the tasks leave, if there is no task of all joints (deceleration per velocity), 1/s. It
-/// brakes degrees of freedom that no task controls, which sensor noise would set in motion, and directions close to a
-/// singularity in proportion to what their damping takes from the tasks.
-const UNUSED_DAMPING_PER_S: f64 = 10.0;
-
 /// Controller that converts tasks to joint torques.
 pub struct OperationalSpaceController {
     schedule: TaskSchedule,
@@ -62,11 +57,13 @@ impl OperationalSpaceController {
         parameters: &TaskSetParameters<'_>,
         context: &ControlContext,
     ) -> Result<Self, ControlError> {
+        parameters.limits.check(context.period_s)?;
         let tasks = TaskSet::from_parameters(model, parameters, context)?;
         Ok(Self::from_tasks(model, tasks, context, parameters.compensation, &parameters.limits))
     }
 
-    /// Creates a controller for tasks that are built in code.
+    /// Creates a controller for tasks that are built in code. Values of `limits` out of range count as the nearest ones in
+    /// their range.
     #[must_use]
     pub fn from_tasks(
         model: &Model,
@@ -200,7 +197,8 @@ impl OperationalSpaceController {
             // Without the velocity-dependent torques: they are compensated for the tasks, and motion that keeps them
             // conserves its energy.
             None => {
-                acceleration.iter_mut().zip(&data.dq).for_each(|(a, v)| *a = -UNUSED_DAMPING_PER_S * v);
+                let damping = hierarchy.unused_damping_per_s;
+                acceleration.iter_mut().zip(&data.dq).for_each(|(a, v)| *a = -damping * v);
                 multiply(&data.mass_matrix, acceleration, torque);
                 if self.compensation == Compensation::Bias {
                     torque.iter_mut().zip(&data.bias).zip(&data.gravity).for_each(|((t, b), g)| *t -= b - g);
@@ -248,9 +246,11 @@ impl OperationalSpaceController {
         let (alpha, torque, compensation_torque) = (&self.scratch, &self.torque, &self.compensation_torque);
         if limiter.is_strictly_feasible(input, &self.commanded, alpha, torque, compensation_torque) {
             hierarchy.levels.iter_mut().for_each(|level| level.limited = false);
+            hierarchy.clear_slack(limiter.is_limited());
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);
             return;
         }
+        limiter.demand(alpha);
         limiter.bound(input, &self.commanded);
         let (compensation_torque, scratch) = (&self.compensation_torque, &mut self.scratch);
         let solver = match limiter.solve(data, hierarchy, &self.joint_torque, compensation_torque, scratch) {
@@ -263,6 +263,7 @@ impl OperationalSpaceController {
         limiter.clip(&mut self.torque, &self.compensation_torque);
         self.scratch.copy_from(&self.torque);
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
+        limiter.set_slack(&self.scratch, self.schedule.current_mut());
         limiter.record_status(solver, &self.scratch, &self.torque, &self.compensation_torque);
     }
 }

@@ -12,7 +12,7 @@
 
 use crate::context::ControlContext;
 use crate::controller::ControlInput;
-use crate::limits::bounds::HORIZON_S;
+use crate::limits::horizon::HORIZON_S;
 use crate::measurement::Measurement;
 use nalgebra::DVector;
 use opspace_model::{Data, Model, update};

@@ -7,5 +7,6 @@ pub mod html;
 mod lines;
 mod run_figures;
 mod run_section;
+mod slack_figure;
 mod task_figures;
 pub mod what_if;

@@ -4,8 +4,11 @@ use crate::controller::ControlInput;
 use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::rank::TypicalMobility;
+use crate::qp::level_cost::Reducible;
+use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;
 use crate::tasks::task::{SpeedLimit, Task, TaskInput};
+use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
 use opspace_backend::signal_names::MIN_SINGULAR_GAIN;
@@ -29,6 +32,11 @@ pub(crate) struct PriorityLevel {
     bias: Vector6<f64>,
     /// Commanded task force.
     force: Vector6<f64>,
+    /// Weights of the rows' deviations when limits are in force; `None` if they are equal.
+    weights: Option<Vector6<f64>>,
+    when_limited: WhenLimited,
+    /// Acceleration that limits took from the last command, in the layout of the task's signal.
+    slack: Vec<f64>,
     /// True if a limit prevents the desired acceleration; the integrators of the task then stop.
     pub limited: bool,
     /// Positions of the task's streamed inputs in the row of targets.
@@ -55,6 +63,9 @@ impl PriorityLevel {
         });
         let zero = Vector6::zeros();
         Self {
+            weights: task.weights(),
+            when_limited: task.when_limited(),
+            slack: vec![0.0; task.slack_signal().len()],
             typical: TypicalMobility::new(model, above.iter().map(|level| &*level.task), &*task),
             task,
             projected: ProjectedTask::new(n),
@@ -147,6 +158,46 @@ impl PriorityLevel {
         velocity
     }
 
+    /// Metric of the level's deviations, D Λ D with its weights D.
+    pub(crate) fn metric(&self) -> Matrix6<f64> {
+        let mut metric = self.projected.space.task_inertia;
+        if let Some(weights) = &self.weights {
+            for (mut column, of_column) in metric.column_iter_mut().zip(weights) {
+                column.iter_mut().zip(weights).for_each(|(x, of_row)| *x *= of_row * of_column);
+            }
+        }
+        metric
+    }
+
+    /// Residual of the level with its [metric](Self::metric), given the joint accelerations `ddq` (n) that it and the
+    /// levels above demand.
+    pub(crate) fn residual<'a>(
+        &'a self,
+        data: &Data,
+        ddq: &[f64],
+        metric: &'a Matrix6<f64>,
+        horizon_s: f64,
+    ) -> Residual<'a> {
+        let jacobian = &self.projected.jacobian;
+        let mut velocity = self.predicted_velocity(data, ddq, horizon_s);
+        if self.when_limited != WhenLimited::Scaled {
+            return Residual::Rows { jacobian, inertia: metric, heading: velocity };
+        }
+        // The force on a compliant axis is no motion that could be slowed down.
+        velocity
+            .iter_mut()
+            .enumerate()
+            .filter(|(row, _)| !self.task.follows_reference(*row))
+            .for_each(|(_, v)| *v = 0.0);
+        Residual::ScaledRows { jacobian, inertia: metric, reducible: Reducible { velocity, horizon_s } }
+    }
+
+    /// Stores what limits took from the rows, given the joint accelerations (n) that they took.
+    pub(crate) fn set_slack(&mut self, taken: &[f64]) {
+        let rows = product(&self.jacobian, taken);
+        self.task.spread_slack(&rows, &mut self.slack);
+    }
+
     /// Bound `row` · α ≤ returned value on the joint accelerations α (n) that keeps the task's linear (`kind` 0) or
     /// angular (`kind` 1) speed within its limit after `horizon_s` (s); `None` while the speed is at most half of the
     /// limit.
@@ -163,6 +214,16 @@ impl PriorityLevel {
             row.iter_mut().zip(self.jacobian.row(r).iter()).for_each(|(x, j)| *x += weight * j);
         }
         Some(upper)
+    }
+
+    /// Resets what limits took from the rows.
+    pub(crate) fn clear_slack(&mut self) {
+        self.slack.fill(0.0);
+    }
+
+    /// Records the acceleration that limits took from each row.
+    pub(crate) fn record_slack(&self, out: &mut SignalRecorder<'_>) {
+        out.signal_with(|| self.task.slack_signal(), &self.slack);
     }
 
     /// Records the task force, if the task has this signal, and the lowest gain of its damped inverse.

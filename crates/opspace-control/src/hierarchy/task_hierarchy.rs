@@ -3,27 +3,50 @@
 use crate::controller::{ControlInput, StaleTarget};
 use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::priority_level::PriorityLevel;
+use crate::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
+use crate::qp::level_cost::Reducible;
+use crate::qp::lexicographic::Residual;
 use crate::targets::{AllowedInputs, TargetPlace, Targets};
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{Task, TaskInput};
-use opspace_backend::Signal;
+use crate::tasks::when_limited::WhenLimited;
+use opspace_backend::signal_names::SLACK;
+use opspace_backend::{Signal, SignalRecorder};
+use opspace_model::{Data, Model};
 
 /// Tasks of at most six rows in order of priority, and at most one task of all joints below them.
 pub(crate) struct TaskHierarchy {
     pub levels: Vec<PriorityLevel>,
     pub joint: Option<Box<dyn JointTask>>,
     pub nullspace: Nullspace,
+    /// Damping of the motion that the tasks leave, if there is no task of all joints (deceleration per velocity), 1/s.
+    pub unused_damping_per_s: f64,
+    /// Joint accelerations that limits took from the task of all joints (n).
+    joint_slack: Vec<f64>,
+    joint_names: Vec<String>,
+    /// Units of joint accelerations (n).
+    acceleration_units: Vec<String>,
     /// Positions of the joint task's streamed inputs in the row of targets.
     joint_target: TargetPlace,
 }
 
 impl TaskHierarchy {
-    /// Creates an empty hierarchy for `n` joints.
-    pub(crate) fn new(n: usize) -> Self {
+    /// Creates an empty hierarchy for a robot.
+    pub(crate) fn new(model: &Model) -> Self {
+        let n = model.n();
         Self {
             levels: Vec::new(),
             joint: None,
             nullspace: Nullspace::new(n, 0),
+            unused_damping_per_s: UNUSED_DAMPING_PER_S.get(),
+            joint_slack: vec![0.0; n],
+            joint_names: model.joints().iter().map(|joint| joint.name.clone()).collect(),
+            acceleration_units: model
+                .joint_units()
+                .position
+                .iter()
+                .map(|unit| format!("{unit}/s²"))
+                .collect(),
             joint_target: TargetPlace::default(),
         }
     }
@@ -38,6 +61,51 @@ impl TaskHierarchy {
     pub(crate) fn leaves_freedom(&self, n: usize) -> bool {
         let rows: usize = self.levels.iter().map(|level| level.task.rows()).sum();
         rows < n || self.levels.iter().any(PriorityLevel::is_damped)
+    }
+
+    /// Residual of the last level, given the joint accelerations `ddq` (n) that all levels demand. `velocity` (n) is
+    /// overwritten.
+    pub(crate) fn joint_residual<'a>(
+        &'a self,
+        data: &Data,
+        ddq: &[f64],
+        horizon_s: f64,
+        velocity: &'a mut [f64],
+    ) -> Residual<'a> {
+        let weights = self.joint.as_ref().and_then(|task| task.weights());
+        let scaled = self.joint.as_ref().is_some_and(|task| task.when_limited() == WhenLimited::Scaled);
+        if weights.is_none() && !scaled {
+            return Residual::Joints;
+        }
+        velocity.iter_mut().zip(&data.dq).zip(ddq).for_each(|((v, dq), ddq)| *v = dq + horizon_s * ddq);
+        self.nullspace.project_velocity(velocity);
+        let velocity: &'a [f64] = velocity;
+        let reducible = scaled.then_some(Reducible { velocity, horizon_s });
+        Residual::WeightedJoints { weights, reducible }
+    }
+
+    /// Stores in each level what limits took from it, given the joint accelerations `taken` (n) that they took, which are
+    /// overwritten.
+    pub(crate) fn set_slack(&mut self, taken: &mut [f64]) {
+        self.levels.iter_mut().for_each(|level| level.set_slack(taken));
+        if self.joint.is_some() {
+            self.nullspace.truncate(self.levels.len());
+            self.nullspace.project_velocity(taken);
+            self.joint_slack.copy_from_slice(taken);
+        }
+    }
+
+    /// Resets what limits took from the levels if `was_limited`.
+    pub(crate) fn clear_slack(&mut self, was_limited: bool) {
+        if was_limited {
+            self.levels.iter_mut().for_each(PriorityLevel::clear_slack);
+            self.joint_slack.fill(0.0);
+        }
+    }
+
+    /// Records what limits took from the task of all joints, with its name.
+    pub(crate) fn record_joint_slack(&self, name: &str, out: &mut SignalRecorder<'_>) {
+        out.signal((name, SLACK), &self.acceleration_units, &self.joint_names, &self.joint_slack);
     }
 
     /// Starts all tasks at the robot's present state.

@@ -9,6 +9,7 @@ use crate::tasks::joint_parameters::{
 };
 use crate::tasks::swivel::SwivelParameters;
 use crate::tasks::task::Task;
+use opspace_backend::quantity::Positive;
 use opspace_model::Model;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -16,6 +17,18 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
+
+/// Default of the damping of motion that the tasks leave, 1/s. It brakes degrees of freedom that no task controls, which
+/// sensor noise would set in motion, and directions close to a singularity in proportion to what their damping takes from
+/// the tasks: within a tenth of a second, much slower than the joints of an arm can be controlled.
+pub const UNUSED_DAMPING_PER_S: Positive = Positive::literal(10.0);
+
+/// Returns the largest damping of motion that the tasks leave for a control period (s), 1/s: a fifth of the control rate.
+/// With the delay of a command, stronger damping would set the arm in motion instead of braking it.
+#[must_use]
+pub fn largest_unused_damping_per_s(period_s: f64) -> f64 {
+    0.2 / period_s
+}
 
 /// One task of a file: `[task.NAME.KIND]`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -128,6 +141,22 @@ pub struct TaskSetParameters<'a> {
     pub task: &'a BTreeMap<String, TaskParameters>,
     /// Part of the arm's bias forces that is compensated.
     pub compensation: Compensation,
+    /// Damping of the motion that the tasks leave, if there is no task of all joints (deceleration per velocity), 1/s.
+    pub unused_damping_per_s: Positive,
     /// Enforcement of the robot's limits.
     pub limits: LimitParameters,
+}
+
+impl<'a> TaskSetParameters<'a> {
+    /// Tasks with the default compensation, damping and limits.
+    #[must_use]
+    pub fn new(priority: &'a [String], task: &'a BTreeMap<String, TaskParameters>) -> Self {
+        Self {
+            priority,
+            task,
+            compensation: Compensation::default(),
+            unused_damping_per_s: UNUSED_DAMPING_PER_S,
+            limits: LimitParameters::default(),
+        }
+    }
 }

@@ -50,11 +50,22 @@ struct Slot {
 enum Group {
     Motion,
     Force,
+    Slack,
     Sensed,
     Target,
     AllJoints,
+    JointSlack,
     JointTarget,
 }
+
+impl Group {
+    fn is_of_all_joints(self) -> bool {
+        matches!(self, Self::AllJoints | Self::JointSlack | Self::JointTarget)
+    }
+}
+
+/// Kind of any task of all joints: what limits take from it has one signal.
+const ALL_JOINTS: &str = "a task of all joints";
 
 /// Signals of the tasks that a controller records in the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,7 +120,12 @@ impl TaskSchedule {
         for new in slots(self.recorded, [&other.0]) {
             let changed = |old: &&Slot| {
                 let same_signals = old.group != new.group || old.signals == new.signals;
-                old.name == new.name && !(old.kind == new.kind && same_signals)
+                let same_kind = if [old.group, new.group].contains(&Group::JointSlack) {
+                    old.group.is_of_all_joints() == new.group.is_of_all_joints()
+                } else {
+                    old.kind == new.kind
+                };
+                old.name == new.name && !(same_kind && same_signals)
             };
             if let Some(old) = self.slots.iter().find(changed) {
                 let reason = Reason::KindChanged { name: old.name.clone(), was: old.kind, is: new.kind };
@@ -235,13 +251,17 @@ impl Slot {
     fn record(&self, hierarchy: &TaskHierarchy, out: &mut SignalRecorder<'_>) {
         let is_own = |name: &str, kind: &str| name == self.name && kind == self.kind;
         let level = hierarchy.levels.iter().find(|level| is_own(level.name(), level.task.kind()));
-        let joint = hierarchy.joint.as_ref().filter(|task| is_own(task.name(), task.kind()));
+        let any_kind = self.group == Group::JointSlack;
+        let joint = (hierarchy.joint.as_ref())
+            .filter(|task| is_own(task.name(), if any_kind { self.kind } else { task.kind() }));
         match (self.group, level, joint) {
             (Group::Motion, Some(level), _) => level.task.record(out),
             (Group::Force, Some(level), _) => level.record_force(out),
+            (Group::Slack, Some(level), _) => level.record_slack(out),
             (Group::Sensed, Some(level), _) => level.task.record_sensed(out),
             (Group::Target, Some(level), _) => level.task.record_target(out),
             (Group::AllJoints, _, Some(task)) => task.record(out),
+            (Group::JointSlack, _, Some(task)) => hierarchy.record_joint_slack(task.name(), out),
             (Group::JointTarget, _, Some(task)) => task.record_target(out),
             _ => {}
         }
@@ -268,13 +288,21 @@ fn slots<'a>(
         for level in &hierarchy.levels {
             let groups: &[Group] = match recorded {
                 RecordedSignals::Motion => &[Group::Motion, Group::Target],
-                RecordedSignals::Forces => &[Group::Motion, Group::Force, Group::Sensed, Group::Target],
+                RecordedSignals::Forces => {
+                    &[Group::Motion, Group::Force, Group::Slack, Group::Sensed, Group::Target]
+                }
             };
             groups.iter().for_each(|&group| add(level.name(), level.task.kind(), group, hierarchy));
         }
         if let Some(task) = &hierarchy.joint {
-            let groups = [Group::AllJoints, Group::JointTarget];
-            groups.into_iter().for_each(|group| add(task.name(), task.kind(), group, hierarchy));
+            let groups: &[Group] = match recorded {
+                RecordedSignals::Motion => &[Group::AllJoints, Group::JointTarget],
+                RecordedSignals::Forces => &[Group::AllJoints, Group::JointSlack, Group::JointTarget],
+            };
+            for &group in groups {
+                let kind = if group == Group::JointSlack { ALL_JOINTS } else { task.kind() };
+                add(task.name(), kind, group, hierarchy);
+            }
         }
     }
     slots

@@ -6,7 +6,7 @@ use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::priority_level::PriorityLevel;
 use crate::hierarchy::rank::{TypicalMobility, sampled_rank};
 use crate::hierarchy::task_hierarchy::TaskHierarchy;
-use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters};
+use crate::hierarchy::task_parameters::{TaskParameters, TaskSetParameters, largest_unused_damping_per_s};
 use crate::tasks::cartesian::CartesianTask;
 use crate::tasks::damping::Damping;
 use crate::tasks::joint_task::JointTask;
@@ -14,6 +14,7 @@ use crate::tasks::posture::Posture;
 use crate::tasks::selected_joints::SelectedJoints;
 use crate::tasks::task::Task;
 use crate::tasks::tracking::Tracking;
+use opspace_backend::quantity::Positive;
 use opspace_model::Model;
 use std::fmt;
 
@@ -31,7 +32,7 @@ impl TaskSet {
     /// Returns a builder without tasks; tasks are added in order of priority.
     #[must_use]
     pub fn builder<'a>(model: &'a Model, context: &'a ControlContext) -> TaskSetBuilder<'a> {
-        TaskSetBuilder { model, context, hierarchy: TaskHierarchy::new(model.n()) }
+        TaskSetBuilder { model, context, hierarchy: TaskHierarchy::new(model) }
     }
 
     /// Builds the task set of a task file.
@@ -44,7 +45,7 @@ impl TaskSet {
         context: &ControlContext,
     ) -> Result<Self, ControlError> {
         check_names(parameters)?;
-        let mut builder = Self::builder(model, context);
+        let mut builder = Self::builder(model, context).unused_damping(parameters.unused_damping_per_s)?;
         for name in parameters.priority {
             builder = builder.from_parameters(name, &parameters.task[name])?;
         }
@@ -96,6 +97,25 @@ impl TaskSetBuilder<'_> {
     pub fn joint_task(mut self, task: Box<dyn JointTask>) -> Result<Self, ControlError> {
         self.check_name(task.name())?;
         self.hierarchy.joint = Some(task);
+        Ok(self)
+    }
+
+    /// Sets the damping of the motion that the tasks leave, if there is no task of all joints (deceleration per velocity),
+    /// 1/s.
+    ///
+    /// # Errors
+    /// A damping above a fifth of the control rate.
+    pub fn unused_damping(mut self, damping_per_s: Positive) -> Result<Self, ControlError> {
+        let (damping_per_s, most) =
+            (damping_per_s.get(), largest_unused_damping_per_s(self.context.period_s));
+        if damping_per_s > most {
+            let message = format!(
+                "{damping_per_s} 1/s is above {most} 1/s, a fifth of the control rate: with the delay of a command, \
+                 stronger damping sets motion on instead of braking it"
+            );
+            return Err(ControlError::value("unused_damping_per_s", message));
+        }
+        self.hierarchy.unused_damping_per_s = damping_per_s;
         Ok(self)
     }
 

@@ -20,20 +20,6 @@ use crate::measurement::Measurement;
 use nalgebra::DVector;
 use opspace_model::{Data, Model, Postures, update};
 
-/// Shortest horizon of the acceleration bounds, s: velocity noise must not make the bounds jump, and an arm needs much
-/// longer to brake.
-pub const HORIZON_S: f64 = 0.02;
-
-/// Shortest horizon of the acceleration bounds in control periods: with a horizon of one period, a torque that acts a
-/// period late would exceed them by its whole effect.
-const HORIZON_PERIODS: f64 = 5.0;
-
-/// Returns the horizon of the acceleration bounds for a control period, s.
-#[must_use]
-pub fn horizon_s(period_s: f64) -> f64 {
-    HORIZON_S.max(HORIZON_PERIODS * period_s)
-}
-
 /// Time constant of the return of a joint beyond its position limit, s.
 const RETURN_S: f64 = 0.2;
 
@@ -73,6 +59,7 @@ pub(crate) struct Bounds {
     /// Braking acceleration of each joint, rad/s² or m/s² (n).
     braking: Vec<f64>,
     period_s: f64,
+    horizon_s: f64,
     /// Bounds on joint accelerations, rad/s² or m/s² (n).
     pub acceleration: Interval,
     /// Bounds on commanded torques, Nm or N (n).
@@ -106,25 +93,32 @@ impl Interval {
 }
 
 impl Bounds {
-    /// Creates the bounds of a robot with the control period `period_s` (s).
-    pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64) -> Self {
+    /// Creates the bounds of a robot with the control period `period_s` and the horizon `horizon_s` (s).
+    pub(crate) fn new(model: &Model, limits: JointLimits, period_s: f64, horizon_s: f64) -> Self {
         let braking = braking(model, &limits);
-        Self::with_braking(limits, braking, period_s)
+        Self::with_braking(limits, braking, period_s, horizon_s)
     }
 
-    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64) -> Self {
+    fn with_braking(limits: JointLimits, mut braking: Vec<f64>, period_s: f64, horizon_s: f64) -> Self {
         let n = limits.lower.len();
         for (braking, velocity) in braking.iter_mut().zip(&limits.velocity) {
             // Limits the braking acceleration so that a stop from the velocity limit (at most 1e3) takes at least one
             // horizon.
-            *braking = braking.min(velocity.min(1e3) / horizon_s(period_s));
+            *braking = braking.min(velocity.min(1e3) / horizon_s);
         }
-        Self { limits, braking, period_s, acceleration: Interval::new(n), torque: Interval::new(n) }
+        Self {
+            limits,
+            braking,
+            period_s,
+            horizon_s,
+            acceleration: Interval::new(n),
+            torque: Interval::new(n),
+        }
     }
 
     /// Horizon of the bounds on accelerations, s.
     pub(crate) fn horizon_s(&self) -> f64 {
-        horizon_s(self.period_s)
+        self.horizon_s
     }
 
     /// Returns true if joint accelerations and commanded torques (n) are within the bounds of a state. This fast test
@@ -228,10 +222,11 @@ impl JointState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::limits::horizon::HORIZON_S;
 
     fn bounds(limits: JointLimits) -> Bounds {
         let braking = limits.acceleration.clone();
-        Bounds::with_braking(limits, braking, 1e-3)
+        Bounds::with_braking(limits, braking, 1e-3, HORIZON_S)
     }
 
     fn at(q: f64, dq: f64) -> Measurement {

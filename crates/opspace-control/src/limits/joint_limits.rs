@@ -1,5 +1,7 @@
 //! Limits of a robot's joints, and the part of them that a controller uses.
 
+use crate::error::ControlError;
+use crate::limits::horizon::{HORIZON_PERIODS, horizon_s};
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
 #[cfg(feature = "schema")]
@@ -44,6 +46,17 @@ pub struct LimitParameters {
     /// Fraction of the torque limits that is used, from 0 to 1; 1 if absent.
     #[serde(default = "whole")]
     pub torque_fraction: Positive,
+    /// Horizon at which velocities and positions must be within their limits, s, from five control periods to 0.5. If
+    /// absent, it is 0.02, or five control periods if these are longer. A longer horizon makes the arm approach its limits
+    /// earlier and more smoothly; a shorter one passes more of the noise of velocities on to the torques, and below five
+    /// control periods a torque that acts a period late would exceed the limits.
+    #[serde(default)]
+    pub horizon_s: Option<Positive>,
+    /// Weight of a task's deviations perpendicular to its direction of motion, relative to those along it, from 1 to 100;
+    /// 10 if absent: a task that limits slow down stays within a few degrees of its path. With 1, no direction is
+    /// preferred. `when_limited = "scaled"` of a task keeps its direction more strictly.
+    #[serde(default = "default_lateral_weight")]
+    pub lateral_weight: Positive,
 }
 
 impl Default for LimitParameters {
@@ -53,6 +66,8 @@ impl Default for LimitParameters {
             position_margin_rad: default_margin(),
             velocity_fraction: default_velocity_fraction(),
             torque_fraction: whole(),
+            horizon_s: None,
+            lateral_weight: default_lateral_weight(),
         }
     }
 }
@@ -69,8 +84,54 @@ const fn default_velocity_fraction() -> Positive {
     Positive::literal(0.9)
 }
 
+const fn default_lateral_weight() -> Positive {
+    Positive::literal(10.0)
+}
+
 const fn whole() -> Positive {
     Positive::literal(1.0)
+}
+
+/// Longest horizon that can be set, s: with a longer one, joints hardly reach their limits.
+const LONGEST_HORIZON_S: f64 = 0.5;
+
+/// Largest lateral weight that can be set: a larger one would be lost in the accuracy of the solver.
+const LARGEST_LATERAL_WEIGHT: f64 = 100.0;
+
+impl LimitParameters {
+    /// Checks the values whose range depends on the control period, s, or on the solver.
+    pub(crate) fn check(&self, period_s: f64) -> Result<(), ControlError> {
+        let least = HORIZON_PERIODS * period_s;
+        if let Some(horizon_s) = self.horizon_s.map(Positive::get)
+            && !(horizon_s >= least && (horizon_s <= LONGEST_HORIZON_S || horizon_s <= 2.0 * least))
+        {
+            let message = format!(
+                "the horizon must be from {least} s, five control periods, so that a torque that acts a period late \
+                 keeps the limits, to {LONGEST_HORIZON_S} s, so that joints can come near them; got {horizon_s} s"
+            );
+            return Err(ControlError::value("limits.horizon_s", message));
+        }
+        let weight = self.lateral_weight.get();
+        if !(1.0..=LARGEST_LATERAL_WEIGHT).contains(&weight) {
+            let message = format!(
+                "the weight must be from 1, which prefers no direction, to {LARGEST_LATERAL_WEIGHT}, as a larger one \
+                 would be lost in the accuracy of the solver; got {weight}"
+            );
+            return Err(ControlError::value("limits.lateral_weight", message));
+        }
+        Ok(())
+    }
+
+    /// Horizon for a control period, s; at least five control periods.
+    pub(crate) fn horizon_s(&self, period_s: f64) -> f64 {
+        let given = self.horizon_s.map(|horizon_s| horizon_s.get().max(HORIZON_PERIODS * period_s));
+        given.unwrap_or_else(|| horizon_s(period_s))
+    }
+
+    /// Weight of errors perpendicular to the direction of a task, in its range.
+    pub(crate) fn lateral_weight(&self) -> f64 {
+        self.lateral_weight.get().clamp(1.0, LARGEST_LATERAL_WEIGHT)
+    }
 }
 
 /// Rise time of the command to the torque limit if no rate is given, s.

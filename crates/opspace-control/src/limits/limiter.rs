@@ -6,7 +6,7 @@ use crate::hierarchy::task_hierarchy::TaskHierarchy;
 use crate::hierarchy::task_parameters::Compensation;
 use crate::limits::bounds::{Bounds, Interval};
 use crate::limits::joint_limits::LimitParameters;
-use crate::qp::lexicographic::{HierarchicalQp, Limits, Residual, Solver, SpeedBound};
+use crate::qp::lexicographic::{HierarchicalQp, Limits, Solver, SpeedBound};
 use crate::qp::quadratic_program::QpError;
 use nalgebra::DVector;
 use opspace_backend::SignalRecorder;
@@ -27,6 +27,8 @@ pub(crate) struct Limiter {
     /// Active bounds of each joint's command (n): sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
     limited: DVector<f64>,
     solver: Solver,
+    /// Joint accelerations that the tasks demand without limits, rad/s² or m/s² (n).
+    demanded: DVector<f64>,
 }
 
 /// Value in the `limited` signal: an acceleration bound of the joint is active.
@@ -42,17 +44,18 @@ impl Limiter {
         let n = model.n();
         let zero = DVector::zeros(n);
         let limits = context.limits.clone().narrowed(parameters);
-        let bounds = Bounds::new(model, limits, context.period_s);
+        let bounds = Bounds::new(model, limits, context.period_s, parameters.horizon_s(context.period_s));
         // Each task has a row of its own and at most two speeds.
         let speeds = 2 * n;
         Self {
             torque_bounds: bounds.torque.clone(),
             bounds,
-            cascade: HierarchicalQp::new(n, speeds),
+            cascade: HierarchicalQp::new(n, speeds, parameters.lateral_weight()),
             speeds: vec![SpeedBound { row: zero.clone(), upper: f64::INFINITY }; speeds],
             speed_count: 0,
             bias_acceleration: zero.clone(),
-            limited: zero,
+            limited: zero.clone(),
+            demanded: zero,
             solver: Solver::Unlimited,
         }
     }
@@ -143,17 +146,16 @@ impl Limiter {
             level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
             cascade.add_demand(data, scratch.as_slice(), &mut limits);
-            let heading = level.predicted_velocity(data, cascade.alpha(), horizon_s);
-            let projected = &level.projected;
-            let inertia = &projected.space.task_inertia;
-            let residual = Residual::Rows { jacobian: &projected.jacobian, inertia, heading };
+            let metric = level.metric();
+            let residual = level.residual(data, cascade.alpha(), &metric, horizon_s);
             level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
             hierarchy.nullspace.truncate(place + 1);
         }
         scratch.copy_from(joint_torque);
         data.mass_matrix_factor.solve(scratch.as_mut_slice());
         cascade.add_demand(data, scratch.as_slice(), &mut limits);
-        cascade.solve_level(data, &hierarchy.nullspace, &Residual::Joints, &mut limits)?;
+        let residual = hierarchy.joint_residual(data, cascade.alpha(), horizon_s, scratch.as_mut_slice());
+        cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
         Ok(cascade.solver())
     }
 
@@ -207,6 +209,17 @@ impl Limiter {
             self.limited[i] = if acceleration { LIMITED_ACCELERATION } else { 0.0 }
                 + if torque { LIMITED_TORQUE } else { 0.0 };
         }
+    }
+
+    /// Stores the joint accelerations `alpha` (n) that the tasks demand without limits.
+    pub(crate) fn demand(&mut self, alpha: &DVector<f64>) {
+        self.demanded.copy_from(alpha);
+    }
+
+    /// Stores in each level what limits took from it, given the commanded joint accelerations `alpha` (n).
+    pub(crate) fn set_slack(&mut self, alpha: &DVector<f64>, hierarchy: &mut TaskHierarchy) {
+        self.demanded -= alpha;
+        hierarchy.set_slack(self.demanded.as_mut_slice());
     }
 
     /// Returns true if a limit changed the last command.

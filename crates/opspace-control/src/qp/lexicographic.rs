@@ -9,7 +9,8 @@
 //! ```
 //!
 //! which the levels below do not change, since J_p N is zero there. W weights errors perpendicular to the task's
-//! direction of motion ten times as much as errors along it, which only slow the task down. Among solutions with equal
+//! direction of motion ten times (or as set) as much as errors along it, which only slow the task down; weights of the
+//! task's rows multiply Λ on both sides. A [scaled](crate::qp::level_cost) level keeps its direction. Among solutions with equal
 //! residual, proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic
 //! energy: if no limit is active, δ is exactly zero. The last level, of all joints, minimises this norm itself, and
 //! removes the part of the other levels' δ that does not affect their rows.
@@ -27,19 +28,20 @@ use crate::hierarchy::products::{dot, multiply};
 use crate::limits::bounds::Bounds;
 use crate::qp::active_set::ActiveSet;
 use crate::qp::interior_point::InteriorPoint;
+use crate::qp::level_cost::{JointSpace, Reducible, scale_rows, weigh_joints};
 use crate::qp::quadratic_program::{QpError, QuadraticProgram, axpy};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector6};
 use opspace_model::Data;
-
-/// Weight of errors perpendicular to the direction of a task, relative to errors along it.
-const ASIDE: f64 = 10.0;
 
 /// Speed above which a task has a direction, m/s. It exceeds the velocity noise of a hand at rest, whose random
 /// direction would otherwise affect the torques.
 const STILL: f64 = 2e-3;
 
-/// ε of the proximal steps, relative to the trace of the task's Hessian.
+/// ε of the proximal steps, relative to the trace of the task's Hessian with the usual lateral weight.
 const PROXIMAL: f64 = 1e-7;
+
+/// Lateral weight for which [`PROXIMAL`] is given: errors along the direction of a task count the same with any weight.
+const USUAL_WEIGHT: f64 = 10.0;
 
 /// ε of the proximal steps that widen bounds, relative to slacks of weight 1.
 const RELAXED: f64 = 1e-7;
@@ -115,7 +117,7 @@ impl Limits<'_> {
 pub(crate) struct HierarchicalQp {
     program: QuadraticProgram,
     /// One solver for each [`Problem`], which starts with the rows that were active in the last one.
-    active_sets: [ActiveSet; 3],
+    active_sets: [ActiveSet; 4],
     interior_point: Option<InteriorPoint>,
     /// Joint acceleration α of the levels solved so far, rad/s² or m/s² (n).
     alpha: DVector<f64>,
@@ -144,6 +146,10 @@ pub(crate) struct HierarchicalQp {
     asked: DVector<f64>,
     solver: Solver,
     shortcut: bool,
+    /// Weight of errors perpendicular to the direction of a task, relative to errors along it.
+    lateral_weight: f64,
+    /// Largest reduction of a scaled level; the program then has a variable for it.
+    reduction: Option<f64>,
 }
 
 /// Kind of program.
@@ -155,25 +161,39 @@ enum Problem {
     Joints,
     /// Bounds to be widened.
     Bounds,
+    /// Scaled level.
+    Scaled,
 }
 
 /// Residual that a level minimises.
 pub(crate) enum Residual<'a> {
     /// |W J_p δ|²_Λ; `heading` is the predicted velocity of the task. Unused rows of J_p and Λ are zero.
     Rows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, heading: Vector6<f64> },
+    /// Rows whose predicted velocity is [reduced](crate::qp::level_cost).
+    ScaledRows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, reducible: Reducible<Vector6<f64>> },
     /// |δ|²_M.
     Joints,
+    /// |D N δ|²_M with weights D, or joints whose predicted velocity is reduced.
+    WeightedJoints { weights: Option<&'a [f64]>, reducible: Option<Reducible<&'a [f64]>> },
+}
+
+impl Residual<'_> {
+    /// Returns true for the level of all joints.
+    fn is_of_joints(&self) -> bool {
+        matches!(self, Self::Joints | Self::WeightedJoints { .. })
+    }
 }
 
 impl HierarchicalQp {
     /// Creates the buffers for `n` joints and at most `speeds` speed bounds.
-    pub(crate) fn new(n: usize, speeds: usize) -> Self {
-        let (variables, constraints) = (2 * n + speeds, 2 * n + speeds);
+    pub(crate) fn new(n: usize, speeds: usize, lateral_weight: f64) -> Self {
+        // A scaled level has a constraint for its reduction.
+        let (variables, constraints) = ((2 * n + speeds).max(n + 1), 2 * n + speeds + 1);
         let zero = DVector::zeros(n);
         let square = DMatrix::zeros(n, n);
         Self {
             program: QuadraticProgram::new(variables, constraints),
-            active_sets: [n, n, variables].map(|variables| ActiveSet::new(variables, constraints)),
+            active_sets: [n, n, variables, n + 1].map(|variables| ActiveSet::new(variables, constraints)),
             // Without this solver, torques are clipped if the active-set method fails.
             interior_point: InteriorPoint::new(variables, constraints).ok(),
             alpha: zero.clone(),
@@ -191,6 +211,8 @@ impl HierarchicalQp {
             asked: zero,
             solver: Solver::Unlimited,
             shortcut: true,
+            lateral_weight,
+            reduction: None,
         }
     }
 
@@ -265,7 +287,7 @@ impl HierarchicalQp {
         residual: &Residual<'_>,
         limits: &mut Limits<'_>,
     ) -> Result<bool, QpError> {
-        if let Residual::Joints = residual {
+        if residual.is_of_joints() {
             // Removes the part of δ that does not affect the rows of the levels above: no task demands it.
             multiply(&data.mass_matrix, self.displaced.as_slice(), self.torque.as_mut_slice());
             above.project_torque(self.torque.as_mut_slice());
@@ -276,7 +298,7 @@ impl HierarchicalQp {
         if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
             return Ok(false);
         }
-        let reduced = matches!(residual, Residual::Joints) && !above.is_empty() && self.reduce(data, above);
+        let reduced = residual.is_of_joints() && !above.is_empty() && self.reduce(data, above);
         if !(reduced && self.solve_within(residual, limits).is_ok()) {
             self.span(data, above);
             match self.solve_within(residual, limits) {
@@ -296,8 +318,11 @@ impl HierarchicalQp {
     /// Minimises a residual within the limits, and writes δ into `delta`.
     fn solve_within(&mut self, residual: &Residual<'_>, limits: &Limits<'_>) -> Result<(), QpError> {
         let problem = match residual {
+            Residual::ScaledRows { .. } | Residual::WeightedJoints { reducible: Some(_), .. } => {
+                Problem::Scaled
+            }
             Residual::Rows { .. } => Problem::Rows,
-            Residual::Joints => Problem::Joints,
+            Residual::Joints | Residual::WeightedJoints { .. } => Problem::Joints,
         };
         let proximal = self.pose(residual);
         self.constrain(limits, false);
@@ -482,7 +507,11 @@ impl HierarchicalQp {
     /// Sets the Hessian of a residual, in the variables of [`span`](Self::span), and returns the weight of its proximal
     /// steps.
     fn pose(&mut self, residual: &Residual<'_>) -> Option<f64> {
+        self.reduction = None;
         let Residual::Rows { jacobian, inertia, heading } = residual else {
+            if !matches!(residual, Residual::Joints) {
+                return self.pose_weighted_or_scaled(residual);
+            }
             // A basis is orthonormal.
             let is_basis = self.freedom < self.scale.len();
             for c in 0..self.freedom {
@@ -498,31 +527,70 @@ impl HierarchicalQp {
         let momentum = *inertia * heading;
         let energy = heading.dot(&momentum);
         let still = STILL * STILL * inertia.trace();
-        let ahead = if energy > 0.0 { (ASIDE * ASIDE - 1.0) / (energy + still) } else { 0.0 };
+        let aside = self.lateral_weight * self.lateral_weight;
+        let ahead = if energy > 0.0 { (aside - 1.0) / (energy + still) } else { 0.0 };
         let mut trace = 0.0;
         for c in 0..n {
             let right = jacobian.column(c) / self.scale[c];
-            let weighed = *inertia * right * (ASIDE * ASIDE) - momentum * (ahead * momentum.dot(&right));
+            let weighed = *inertia * right * aside - momentum * (ahead * momentum.dot(&right));
             for r in c..n {
                 hessian[(r, c)] = jacobian.column(r).dot(&weighed) / self.scale[r];
             }
             trace += hessian[(c, c)];
         }
+        Some(self.approach(trace * (USUAL_WEIGHT * USUAL_WEIGHT / aside)))
+    }
+
+    /// Sets the Hessian of weighted joints or of a scaled level, and returns the weight of its proximal steps.
+    fn pose_weighted_or_scaled(&mut self, residual: &Residual<'_>) -> Option<f64> {
+        let n = self.scale.len();
+        let trace = match residual {
+            Residual::ScaledRows { jacobian, inertia, reducible } => {
+                let (hessian, still) = (&mut self.program.hessian, STILL * STILL * inertia.trace());
+                let (trace, most) = scale_rows(hessian, jacobian, inertia, &self.scale, reducible, still);
+                self.reduction = Some(most);
+                trace
+            }
+            Residual::WeightedJoints { weights, reducible } => {
+                let accelerations = &self.nullspace.as_slice()[..self.freedom * n];
+                let space =
+                    JointSpace { accelerations, mass: &self.mass, scale: &self.scale, weights: *weights };
+                let product = self.asked.as_mut_slice();
+                let (trace, most) = weigh_joints(&mut self.program, &space, *reducible, product);
+                self.reduction = most;
+                trace
+            }
+            Residual::Rows { .. } | Residual::Joints => return None,
+        };
+        // A basis has no direction without a cost.
+        (self.freedom == n).then(|| self.approach(trace))
+    }
+
+    /// Adds the cost of the proximal steps to a Hessian with this trace, and returns their weight.
+    fn approach(&mut self, trace: f64) -> f64 {
+        let (n, hessian) = (self.scale.len(), &mut self.program.hessian);
         let proximal = PROXIMAL * if trace > 0.0 { trace } else { 1.0 };
         for c in 0..n {
             for r in c..n {
                 hessian[(r, c)] += proximal * self.mass[(r, c)];
             }
         }
-        Some(proximal)
+        proximal
     }
 
     /// Sets the limits on δ as constraints, with a slack variable per acceleration and speed bound if `relaxed`.
     fn constrain(&mut self, limits: &Limits<'_>, relaxed: bool) {
         let n = self.scale.len();
         let constraints = 2 * n + limits.speeds.len();
-        let slacks = if relaxed { n + limits.speeds.len() } else { 0 };
-        self.program.resize(self.freedom + slacks, constraints);
+        let reduction = self.reduction.filter(|_| !relaxed);
+        let slacks = if relaxed { n + limits.speeds.len() } else { usize::from(reduction.is_some()) };
+        self.program.resize(self.freedom + slacks, constraints + usize::from(reduction.is_some()));
+        if let Some(most) = reduction {
+            let row = self.program.row_mut(constraints);
+            row.fill(0.0);
+            row[self.freedom] = 1.0;
+            (self.program.lower[constraints], self.program.upper[constraints]) = (0.0, most);
+        }
         let (a, t) = (&limits.bounds.acceleration, &limits.bounds.torque);
         for i in 0..n {
             let (scale, inverse) = (self.scale[i], self.inverse_scale[i]);

@@ -35,13 +35,14 @@ use crate::tasks::force::ForceFeedback;
 use crate::tasks::gains::integrate;
 use crate::tasks::task::{RowGains, SpeedLimit, Task, TaskInput};
 use crate::tasks::task_axes::TaskAxes;
+use crate::tasks::when_limited::{WhenLimited, axis_weights};
 use nalgebra::{Matrix3, Matrix6, Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::Positive;
 use opspace_backend::signal_names::{
     ERROR, FORCE, MODES, ORIENTATION, POSITION, REFERENCE, REFERENCE_ORIENTATION, REFERENCE_VELOCITY,
-    SENSED_FORCE, VELOCITY,
+    SENSED_FORCE, SLACK, VELOCITY,
 };
-use opspace_backend::{Signal, SignalRecorder};
+use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model, Placement};
 use std::any::Any;
 
@@ -54,6 +55,8 @@ pub struct CartesianTask {
     axes: TaskAxes,
     inversion: Inversion,
     decoupling: Decoupling,
+    weights: Option<Vector6<f64>>,
+    when_limited: WhenLimited,
     axes_frame: AxesFrame,
     modes: [AxisMode; 6],
     feedback: AxisFeedback,
@@ -159,11 +162,14 @@ impl CartesianTask {
         };
         let limit = |limit: Option<Positive>| limit.map_or(f64::INFINITY, Positive::get);
         let origin = Target::at_rest(Placement::identity());
+        let axes = TaskAxes::new(controlled, axes_frame.at_rest(), active, length_m);
         Ok(Self {
             name: name.to_owned(),
             rows_key: format!("{key}.axes"),
-            axes: TaskAxes::new(controlled, axes_frame.at_rest(), active, length_m),
-            inversion: parameters.singularities.inversion(parameters.singularity_threshold),
+            weights: axis_weights(&parameters.weight, axes.axes(), &format!("{key}.weight"))?,
+            when_limited: parameters.when_limited,
+            axes,
+            inversion: parameters.inversion(key)?,
             decoupling: parameters.decoupling,
             axes_frame,
             modes: parameters.axes.modes(),
@@ -598,6 +604,14 @@ impl Task for CartesianTask {
         self.inversion
     }
 
+    fn weights(&self) -> Option<Vector6<f64>> {
+        self.weights
+    }
+
+    fn when_limited(&self) -> WhenLimited {
+        self.when_limited
+    }
+
     fn inertia_floor_kg_m2(&self) -> Option<f64> {
         match self.decoupling {
             Decoupling::Full => None,
@@ -689,6 +703,17 @@ impl Task for CartesianTask {
     fn record_force(&self, force: &Vector6<f64>, out: &mut SignalRecorder<'_>) {
         let force = self.axes.force_of_rows(force);
         out.signal((&self.name, FORCE), "N,Nm", &AXIS_NAMES, force.as_slice());
+    }
+
+    fn slack_signal(&self) -> Signal {
+        Signal::new(signal_names::of(&self.name, SLACK), "m/s²,rad/s²", &AXIS_NAMES)
+    }
+
+    fn spread_slack(&self, rows: &Vector6<f64>, values: &mut [f64]) {
+        values.fill(0.0);
+        for (x, &axis) in rows.iter().zip(self.axes.axes()) {
+            values[axis] = x / self.axes.scale[axis];
+        }
     }
 
     fn record_sensed(&self, out: &mut SignalRecorder<'_>) {

@@ -5,10 +5,12 @@ use crate::references::joint_reference::check_times;
 use crate::references::reference::CartesianReference;
 use crate::tasks::axes::{Axes, AxesFrameParameter, AxisMode, PerAxis};
 use crate::tasks::controlled_frame::ControlledFrame;
+use crate::tasks::damping_zone::DampingZone;
 use crate::tasks::force::ForceParameters;
 use crate::tasks::gains::AxisGains;
 use crate::tasks::impedance::ImpedanceParameters;
 use crate::tasks::task::DEFAULT_INVERSION;
+use crate::tasks::when_limited::WhenLimited;
 use nalgebra::Vector6;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::{Inversion, Model};
@@ -60,14 +62,26 @@ pub struct CartesianParameters {
     #[serde(default)]
     pub singularities: SingularityHandling,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
-    /// lowest mobility over many postures. If absent, it is 0.005 at rest and grows to 0.3 with the acceleration that
-    /// the task demands of such directions.
+    /// lowest mobility over many postures. If absent, `damping_zone` applies.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,
+    /// Zone below which directions are damped, growing with the demand; instead of `singularity_threshold`.
+    #[serde(default)]
+    pub damping_zone: Option<DampingZone>,
     /// Characteristic length that scales rotations to displacements in the detection of singular directions, m; the
     /// arm's reach if absent.
     #[serde(default)]
     pub characteristic_length_m: Option<Positive>,
+    /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
+    /// in the task's kinetic energy, so that limits take from axes of small weight first. Translations and rotations are
+    /// compared by their energy, not by metres and radians. A weight of ten is as strong as keeping the direction
+    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
+    /// change nothing.
+    #[serde(default = "equal_weights")]
+    pub weight: PerAxis<Positive>,
+    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    #[serde(default)]
+    pub when_limited: WhenLimited,
 }
 
 /// The centre of mass follows a reference on some axes. It has no orientation.
@@ -86,10 +100,21 @@ pub struct CenterOfMassParameters {
     /// Gains of the centre of mass, for unit mass.
     pub gains: AxisGains,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹) below which directions are damped, relative to the median of the
-    /// lowest mobility over many postures. If absent, it is 0.005 at rest and grows to 0.3 with the acceleration that
-    /// the task demands of such directions.
+    /// lowest mobility over many postures. If absent, `damping_zone` applies.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,
+    /// Zone below which directions are damped, growing with the demand; instead of `singularity_threshold`.
+    #[serde(default)]
+    pub damping_zone: Option<DampingZone>,
+    /// Weight of each axis when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
+    /// in the task's kinetic energy, so that limits take from axes of small weight first. A weight of ten is as strong as keeping the direction
+    /// (`limits.lateral_weight`). The largest is at most 100 times the smallest. Without an active limit, weights
+    /// change nothing.
+    #[serde(default = "equal_weights")]
+    pub weight: PerAxis<Positive>,
+    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    #[serde(default)]
+    pub when_limited: WhenLimited,
 }
 
 /// Inertia that converts a task's accelerations to forces.
@@ -144,6 +169,10 @@ impl SingularityHandling {
     }
 }
 
+fn equal_weights() -> PerAxis<Positive> {
+    PerAxis::All(Positive::literal(1.0))
+}
+
 fn default_compliant_damping() -> PerAxis<NonNegative> {
     PerAxis::All(NonNegative::literal(2.0))
 }
@@ -167,7 +196,10 @@ impl CartesianParameters {
             speed_limit_rad_per_s: None,
             singularities: SingularityHandling::Damped,
             singularity_threshold: None,
+            damping_zone: None,
             characteristic_length_m: None,
+            weight: equal_weights(),
+            when_limited: WhenLimited::LeastSquares,
         }
     }
 
@@ -210,6 +242,14 @@ impl CartesianParameters {
         self.force.as_ref().map_or_else(Vector6::zeros, |force| force.target(&self.axes))
     }
 
+    /// Inversion of Λ⁻¹ near singular directions. `key` is the path of the task in the file.
+    pub(crate) fn inversion(&self, key: &str) -> Result<Inversion, ControlError> {
+        let threshold = self.singularity_threshold;
+        let Some(zone) = &self.damping_zone else { return Ok(self.singularities.inversion(threshold)) };
+        zone.check(threshold.is_some() || self.singularities != SingularityHandling::Damped, key)?;
+        Ok(zone.inversion())
+    }
+
     /// Returns true if a desired inertia is given.
     pub(crate) fn shapes_inertia(&self) -> bool {
         self.impedance.is_some_and(|i| i.inertia_kg.is_some() || i.inertia_kg_m2.is_some())
@@ -226,6 +266,9 @@ impl CenterOfMassParameters {
             reference: CartesianReference::Hold,
             gains,
             singularity_threshold: None,
+            damping_zone: None,
+            weight: equal_weights(),
+            when_limited: WhenLimited::LeastSquares,
         }
     }
 
@@ -236,6 +279,9 @@ impl CenterOfMassParameters {
             axes_frame: self.axes_frame.clone(),
             reference: self.reference.clone(),
             singularity_threshold: self.singularity_threshold,
+            damping_zone: self.damping_zone,
+            weight: self.weight,
+            when_limited: self.when_limited,
             ..CartesianParameters::new(String::new(), self.axes, self.gains)
         }
     }

@@ -10,6 +10,7 @@ use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::references::scalar_reference::{ScalarReference, ScalarTrajectory};
 use crate::tasks::coordinate::Coordinate;
+use crate::tasks::damping_zone::DampingZone;
 use crate::tasks::task::{DEFAULT_INVERSION, RowGains, SpeedLimit, Task, TaskInput};
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::SignalRecorder;
@@ -145,6 +146,15 @@ impl<C: Coordinate> CoordinateTask<C> {
     #[must_use]
     pub fn with_singularity_threshold(self, threshold: Positive) -> Self {
         Self { inversion: Inversion::Damped(threshold.get()), ..self }
+    }
+
+    /// Sets the zone below which directions are damped, which grows with the demand.
+    ///
+    /// # Errors
+    /// Thresholds that are not in order.
+    pub fn with_damping_zone(self, zone: &DampingZone) -> Result<Self, ControlError> {
+        zone.check(self.inversion != DEFAULT_INVERSION, &self.rows_key)?;
+        Ok(Self { inversion: zone.inversion(), ..self })
     }
 
     /// Sets the key of the task's table in a file, for errors.

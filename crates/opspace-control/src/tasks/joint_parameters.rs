@@ -3,6 +3,7 @@
 use crate::error::ControlError;
 use crate::per_joint::PerJoint;
 use crate::references::joint_reference::JointReference;
+use crate::tasks::when_limited::WhenLimited;
 use opspace_backend::quantity::{NonNegative, Positive};
 use opspace_model::Model;
 #[cfg(feature = "schema")]
@@ -24,6 +25,14 @@ pub struct JointTrackingParameters {
     pub reference: JointReference,
     /// Gains of the tracking error.
     pub gains: JointGains,
+    /// Weight of each joint when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
+    /// in the kinetic energy, so that limits take from joints of small weight first. The largest is at most 100 times
+    /// the smallest. Without an active limit, weights change nothing.
+    #[serde(default = "equal_weights")]
+    pub weight: PerJoint<Positive>,
+    /// Change of the acceleration that limits do not allow: `"least-squares"` if absent.
+    #[serde(default)]
+    pub when_limited: WhenLimited,
 }
 
 /// Feedback of a joint: a unit inertia with a spring and a damper, independent of the arm's inertia.
@@ -50,6 +59,11 @@ pub struct JointPostureParameters {
     pub frequency_rad_per_s: PerJoint<Positive>,
     /// Damping ratio ζ of the error: the damping is 2ζω (1/s).
     pub damping_ratio: PerJoint<NonNegative>,
+    /// Weight of each joint when limits are in force, 1 if absent: a deviation of its acceleration counts this many times
+    /// in the kinetic energy, so that limits take from joints of small weight first. The largest is at most 100 times
+    /// the smallest. Without an active limit, weights change nothing.
+    #[serde(default = "equal_weights")]
+    pub weight: PerJoint<Positive>,
 }
 
 /// The joints are damped in proportion to their velocity.
@@ -60,6 +74,10 @@ pub struct JointPostureParameters {
 pub struct JointDampingParameters {
     /// Damping, Nms/rad (Ns/m for a prismatic joint); may be 0.
     pub damping_nms_per_rad: PerJoint<NonNegative>,
+}
+
+fn equal_weights() -> PerJoint<Positive> {
+    PerJoint::All(Positive::literal(1.0))
 }
 
 impl JointGains {
@@ -85,7 +103,8 @@ impl JointTrackingParameters {
     /// Creates a task of all joints.
     #[must_use]
     pub fn new(reference: JointReference, gains: JointGains) -> Self {
-        Self { joints: None, reference, gains }
+        let (weight, when_limited) = (equal_weights(), WhenLimited::LeastSquares);
+        Self { joints: None, reference, gains, weight, when_limited }
     }
 }
 
@@ -94,7 +113,7 @@ impl JointPostureParameters {
     #[must_use]
     pub fn new(gains: JointGains) -> Self {
         let JointGains { frequency_rad_per_s, damping_ratio } = gains;
-        Self { posture_rad: BTreeMap::new(), frequency_rad_per_s, damping_ratio }
+        Self { posture_rad: BTreeMap::new(), frequency_rad_per_s, damping_ratio, weight: equal_weights() }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::controller::ControlInput;
 use crate::tasks::task::{RowGains, TaskInput};
+use crate::tasks::when_limited::WhenLimited;
 use opspace_backend::{Signal, SignalRecorder};
 use std::any::Any;
 
@@ -25,6 +26,17 @@ pub trait JointTask: Any + Send {
         posture_gain_per_s: f64,
         velocity: &mut [f64],
     ) -> bool;
+
+    /// Weights of the joints' deviations when limits are in force (n), each above zero; `None` if they are equal. They
+    /// are constant.
+    fn weights(&self) -> Option<&[f64]> {
+        None
+    }
+
+    /// Change of the desired acceleration that limits do not allow. It is constant.
+    fn when_limited(&self) -> WhenLimited {
+        WhenLimited::LeastSquares
+    }
 
     /// Starts at the robot's present state. May allocate.
     fn start(&mut self, _input: &ControlInput<'_>) {}

@@ -11,6 +11,7 @@ use crate::per_joint::indices;
 use crate::tasks::joint_parameters::{JointFeedback, JointPostureParameters};
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, TaskInput};
+use crate::tasks::when_limited::joint_weights;
 use nalgebra::DVector;
 use opspace_model::{Data, Model};
 use std::any::Any;
@@ -21,6 +22,7 @@ pub struct Posture {
     name: String,
     fixed: Vec<(usize, f64)>,
     gains: JointFeedback,
+    weights: Option<Vec<f64>>,
     start: DVector<f64>,
     posture: DVector<f64>,
 }
@@ -32,6 +34,7 @@ impl Posture {
     /// Unknown names, missing values.
     pub fn new(name: &str, parameters: &JointPostureParameters, model: &Model) -> Result<Self, ControlError> {
         let key = format!("task.{name}.joint-posture");
+        let joints: Vec<usize> = (0..model.n()).collect();
         let fixed = indices(model, &format!("{key}.posture_rad"), &parameters.posture_rad)?;
         Ok(Self {
             name: name.to_owned(),
@@ -42,6 +45,7 @@ impl Posture {
                 model,
                 &key,
             )?,
+            weights: joint_weights(&parameters.weight, &joints, model, &format!("{key}.weight"))?,
             start: DVector::zeros(model.n()),
             posture: DVector::zeros(model.n()),
         })
@@ -95,6 +99,10 @@ impl JointTask for Posture {
             *v = posture_gain_per_s * (q0 - q);
         }
         true
+    }
+
+    fn weights(&self) -> Option<&[f64]> {
+        self.weights.as_deref()
     }
 
     fn start(&mut self, input: &ControlInput<'_>) {

@@ -6,6 +6,7 @@ use crate::tasks::joint_parameters::JointTrackingParameters;
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, Task, TaskInput};
 use crate::tasks::tracking::Tracking;
+use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{Matrix6xX, Vector6};
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, Inversion, Model};
@@ -132,6 +133,17 @@ impl Task for SelectedJoints {
         Inversion::Damped(JOINTS_SINGULARITY_THRESHOLD)
     }
 
+    fn weights(&self) -> Option<Vector6<f64>> {
+        let weights = self.tracking.weights()?;
+        let mut rows = Vector6::repeat(1.0);
+        rows.iter_mut().zip(weights).for_each(|(row, &weight)| *row = weight);
+        Some(rows)
+    }
+
+    fn when_limited(&self) -> WhenLimited {
+        self.tracking.when_limited()
+    }
+
     fn rows_key(&self) -> String {
         format!("task.{}.joint-tracking.joints", self.name())
     }
@@ -157,6 +169,15 @@ impl Task for SelectedJoints {
     fn gains(&self, row: usize) -> Option<RowGains> {
         let [stiffness_per_s2, damping_per_s] = self.tracking.gains_of(*self.joints.get(row)?);
         Some(RowGains { stiffness_per_s2, damping_per_s, integral_per_s: 0.0 })
+    }
+
+    fn slack_signal(&self) -> Signal {
+        self.tracking.slack_signal()
+    }
+
+    fn spread_slack(&self, rows: &Vector6<f64>, values: &mut [f64]) {
+        values.fill(0.0);
+        self.joints.iter().zip(rows).for_each(|(&joint, x)| values[joint] = *x);
     }
 
     fn record(&self, out: &mut SignalRecorder<'_>) {

@@ -19,6 +19,7 @@ use crate::references::ramp::minimum_jerk;
 use crate::references::scalar_reference::ScalarReference;
 use crate::tasks::coordinate::Coordinate;
 use crate::tasks::coordinate_task::{CoordinateGains, CoordinateTask};
+use crate::tasks::damping_zone::DampingZone;
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use opspace_backend::quantity::{Positive, exactly};
 use opspace_model::{Data, FrameId, Model, frame_bias_acceleration, frame_placement, frame_velocity};
@@ -62,9 +63,12 @@ pub struct SwivelParameters {
     #[serde(default)]
     pub speed_limit_rad_per_s: Option<Positive>,
     /// Threshold of the mobility (eigenvalue of Λ⁻¹), relative to its median over many postures, below which the task
-    /// is damped; 0.3 if absent.
+    /// is damped. If absent, `damping_zone` applies.
     #[serde(default)]
     pub singularity_threshold: Option<Positive>,
+    /// Zone below which the task is damped, growing with the demand; instead of `singularity_threshold`.
+    #[serde(default)]
+    pub damping_zone: Option<DampingZone>,
 }
 
 const fn upwards() -> [f64; 3] {
@@ -84,13 +88,14 @@ impl SwivelParameters {
             gains,
             speed_limit_rad_per_s: None,
             singularity_threshold: None,
+            damping_zone: None,
         }
     }
 
     /// Builds the task for a robot.
     ///
     /// # Errors
-    /// An unknown frame, a direction of length 0.
+    /// An unknown frame, a direction of length 0, a damping zone that is not in order.
     pub fn task(&self, name: &str, model: &Model) -> Result<CoordinateTask<SwivelAngle>, ControlError> {
         let key = format!("task.{name}.swivel");
         let angle = SwivelAngle::new(
@@ -105,10 +110,14 @@ impl SwivelParameters {
             Some(limit) => task.with_speed_limit(limit),
             None => task,
         };
-        Ok(match self.singularity_threshold {
+        let task = match self.singularity_threshold {
             Some(threshold) => task.with_singularity_threshold(threshold),
             None => task,
-        })
+        };
+        match &self.damping_zone {
+            Some(zone) => task.with_damping_zone(zone),
+            None => Ok(task),
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::controller::ControlInput;
 use crate::error::ControlError;
 use crate::targets::{AllowedInputs, TaskTarget};
+use crate::tasks::when_limited::WhenLimited;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 use opspace_backend::{Signal, SignalRecorder, signal_names};
 use opspace_model::{Data, Inversion, Model};
@@ -11,9 +12,18 @@ use std::any::Any;
 /// Threshold of the [default inversion](DEFAULT_INVERSION) at rest, relative to the typical mobility.
 pub const THRESHOLD_AT_REST: f64 = 0.005;
 
+/// Highest threshold of the default inversion, relative to the typical mobility.
+pub const LARGEST_THRESHOLD: f64 = 0.3;
+
+/// Demand with which the default inversion reaches its highest threshold, m/s².
+pub const FULL_DEMAND_M_PER_S2: f64 = 4.0;
+
 /// Default [`inversion`](Task::inversion): the threshold grows with the demand to 0.3 of the typical mobility.
-pub const DEFAULT_INVERSION: Inversion =
-    Inversion::Adaptive { least: THRESHOLD_AT_REST, most: 0.3, full_demand: 4.0 };
+pub const DEFAULT_INVERSION: Inversion = Inversion::Adaptive {
+    least: THRESHOLD_AT_REST,
+    most: LARGEST_THRESHOLD,
+    full_demand: FULL_DEMAND_M_PER_S2,
+};
 
 /// Input of a task in one cycle.
 #[derive(Clone, Copy, Debug)]
@@ -130,6 +140,17 @@ pub trait Task: Any + Send {
         None
     }
 
+    /// Weights of the rows' deviations when limits are in force, each above zero; `None` if they are equal. They are
+    /// constant.
+    fn weights(&self) -> Option<Vector6<f64>> {
+        None
+    }
+
+    /// Change of the desired acceleration that limits do not allow. It is constant.
+    fn when_limited(&self) -> WhenLimited {
+        WhenLimited::LeastSquares
+    }
+
     /// Linear and angular speed, if they are limited.
     fn speed_limits(&self) -> [Option<SpeedLimit>; 2] {
         [None; 2]
@@ -202,6 +223,21 @@ pub trait Task: Any + Send {
             Signal::new(signal_names::of(self.name(), signal_names::FORCE), &units, &self.row_names())
         };
         out.signal_with(signal, &force.as_slice()[..self.rows()]);
+    }
+
+    /// Signal of the acceleration that limits take from the rows; only for torque control. It is equal in all task sets in
+    /// which a task of this name occurs.
+    fn slack_signal(&self) -> Signal {
+        let units: Vec<String> = (0..self.rows()).map(|row| format!("{}/s²", self.row_unit(row).0)).collect();
+        Signal::new(signal_names::of(self.name(), signal_names::SLACK), &units, &self.row_names())
+    }
+
+    /// Writes the acceleration that limits take from the `rows` into the values of
+    /// [`slack_signal`](Self::slack_signal).
+    fn spread_slack(&self, rows: &Vector6<f64>, values: &mut [f64]) {
+        for (row, (value, x)) in values.iter_mut().zip(rows).enumerate() {
+            *value = x / self.row_unit(row).1;
+        }
     }
 
     /// Records the quantities that the task senses; only for torque control.

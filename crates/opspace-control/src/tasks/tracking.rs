@@ -14,8 +14,9 @@ use crate::tasks::joint_parameters::{JointFeedback, JointGains, JointTrackingPar
 use crate::tasks::joint_target::{Input, JOINT_INPUTS};
 use crate::tasks::joint_task::JointTask;
 use crate::tasks::task::{RowGains, TaskInput};
+use crate::tasks::when_limited::{WhenLimited, joint_weights};
 use nalgebra::DVector;
-use opspace_backend::signal_names::{ERROR, REFERENCE, REFERENCE_VELOCITY};
+use opspace_backend::signal_names::{self, ERROR, REFERENCE, REFERENCE_VELOCITY, SLACK};
 use opspace_backend::{Signal, SignalRecorder};
 use opspace_model::{Data, JointUnits, Model};
 use std::any::Any;
@@ -37,6 +38,9 @@ pub struct Tracking {
     /// Posture at the start of the run (n).
     home: DVector<f64>,
     gains: JointFeedback,
+    /// Weights of `joints`.
+    weights: Option<Vec<f64>>,
+    when_limited: WhenLimited,
     reference: DVector<f64>,
     reference_velocity: DVector<f64>,
     reference_acceleration: DVector<f64>,
@@ -82,6 +86,8 @@ impl Tracking {
             units: model.joint_units(),
             parameters: parameters.reference.clone(),
             trajectory: JointTrajectory::new(&parameters.reference, model, &format!("{key}.reference"))?,
+            weights: joint_weights(&parameters.weight, &joints, model, &format!("{key}.weight"))?,
+            when_limited: parameters.when_limited,
             streamed,
             joints,
             start_s: 0.0,
@@ -220,6 +226,12 @@ impl Tracking {
         self.units.position[joint]
     }
 
+    /// Signal of the acceleration that limits take from the joints (n).
+    pub(crate) fn slack_signal(&self) -> Signal {
+        let units: Vec<String> = self.units.position.iter().map(|unit| format!("{unit}/s²")).collect();
+        Signal::new(signal_names::of(&self.name, SLACK), &units, &self.joint_names)
+    }
+
     /// Linearised gains of a joint: stiffness (1/s²) and damping (1/s).
     pub(crate) fn gains_of(&self, joint: usize) -> [f64; 2] {
         [self.gains.stiffness[joint], self.gains.damping[joint]]
@@ -244,6 +256,14 @@ impl JointTask for Tracking {
             *velocity = self.kinematic_target_of(joint, q, gain_per_s);
         }
         true
+    }
+
+    fn weights(&self) -> Option<&[f64]> {
+        self.weights.as_deref()
+    }
+
+    fn when_limited(&self) -> WhenLimited {
+        self.when_limited
     }
 
     fn start(&mut self, input: &ControlInput<'_>) {

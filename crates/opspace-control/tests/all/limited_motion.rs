@@ -11,18 +11,18 @@ use opspace_model::{Data, Model, aba, frame_placement, frame_velocity, update};
 const ROUNDING: f64 = 1e-8;
 
 /// A simulated arm with its controller, at 1 kHz with torques constant over a period.
-struct Run {
-    model: Model,
-    controller: OperationalSpaceController,
-    data: Data,
-    measurement: Measurement,
-    tau: DVector<f64>,
+pub struct Run {
+    pub model: Model,
+    pub controller: OperationalSpaceController,
+    pub data: Data,
+    pub measurement: Measurement,
+    pub tau: DVector<f64>,
 }
 
 const PERIOD_S: f64 = 1e-3;
 
 impl Run {
-    fn new(model: Model, text: &str, limits: &JointLimits, q: &[f64], dq: &[f64]) -> Self {
+    pub fn new(model: Model, text: &str, limits: &JointLimits, q: &[f64], dq: &[f64]) -> Self {
         Self::with_period([PERIOD_S, 0.0], model, text, limits, q, dq)
     }
 
@@ -46,7 +46,7 @@ impl Run {
         Self { model, controller, data, measurement, tau }
     }
 
-    fn step(&mut self) {
+    pub fn step(&mut self) {
         self.control();
         let tau = self.tau.clone();
         self.advance(&tau);
@@ -71,7 +71,7 @@ impl Run {
         seen.time_s += PERIOD_S;
     }
 
-    fn hand(&self) -> (Vector3<f64>, Vector3<f64>) {
+    pub fn hand(&self) -> (Vector3<f64>, Vector3<f64>) {
         let hand = self.model.frame_id("hand").expect("hand");
         let velocity = frame_velocity(&self.model, &self.data, hand).linear;
         (frame_placement(&self.model, &self.data, hand).translation, velocity)
@@ -79,7 +79,7 @@ impl Run {
 }
 
 /// Limits within which the seven-joint arm can perform its tasks.
-fn moderate_limits() -> JointLimits {
+pub fn moderate_limits() -> JointLimits {
     JointLimits {
         lower: vec![-1.6; 7],
         upper: vec![1.6; 7],
@@ -89,7 +89,7 @@ fn moderate_limits() -> JointLimits {
     }
 }
 
-const REACHED: [f64; 7] = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
+pub const REACHED: [f64; 7] = [0.3, 0.7, -0.4, 0.9, 0.2, -0.8, 0.5];
 
 /// Starts beyond position limits and with excessive speeds. Commands are always finite and within the limits of torque
 /// and torque rate; after one second, all quantities are within their limits and stay there.

@@ -8,7 +8,7 @@ use crate::common::{
 };
 use nalgebra::{DMatrix, DVector};
 use opspace_backend::Observable;
-use opspace_control::limits::bounds::HORIZON_S;
+use opspace_control::limits::horizon::HORIZON_S;
 use opspace_control::{ControlContext, Controller, JointLimits, Measurement, OperationalSpaceController};
 use opspace_model::{Data, Model, Motion, frame_bias_acceleration, frame_velocity};
 
@@ -52,16 +52,16 @@ const CASES: [Case; 7] = [
 ];
 
 /// A moving arm: its start posture and its current state.
-struct Scene {
-    model: Model,
-    start: Vec<f64>,
-    data: Data,
-    measurement: Measurement,
+pub struct Scene {
+    pub model: Model,
+    pub start: Vec<f64>,
+    pub data: Data,
+    pub measurement: Measurement,
 }
 
 impl Scene {
     /// Creates a random arm that has moved by at most `far`, rad.
-    fn new(joints: usize, far: f64, numbers: &mut Numbers) -> Self {
+    pub fn new(joints: usize, far: f64, numbers: &mut Numbers) -> Self {
         let model = random_arm(joints, numbers);
         let start = numbers.vector(joints, 1.2);
         let q: Vec<f64> = start.iter().map(|q| q + far * numbers.next()).collect();
@@ -78,7 +78,7 @@ impl Scene {
     }
 
     /// Returns a controller that was started at the scene's start.
-    fn controller(&self, text: &str, limits: &JointLimits) -> OperationalSpaceController {
+    pub fn controller(&self, text: &str, limits: &JointLimits) -> OperationalSpaceController {
         let (file, mut robot) = (File::read(text), self.robot());
         robot.limits = limits.clone();
         let mut controller =
@@ -89,13 +89,13 @@ impl Scene {
         controller
     }
 
-    fn torque(&self, controller: &mut OperationalSpaceController) -> DVector<f64> {
+    pub fn torque(&self, controller: &mut OperationalSpaceController) -> DVector<f64> {
         let mut tau = DVector::zeros(self.model.n());
         controller.update(&common::input(&self.model, &self.data, &self.measurement), tau.as_mut_slice());
         tau
     }
 
-    fn unlimited(&self, text: &str) -> DVector<f64> {
+    pub fn unlimited(&self, text: &str) -> DVector<f64> {
         self.torque(&mut self.controller(&without_limits(text), &JointLimits::none(self.model.n())))
     }
 
@@ -140,10 +140,10 @@ fn unreached_limits_change_nothing() {
 }
 
 /// A level, implemented from the documentation: |J x + b − a|² in the metric WᵀΛW, where x are the joint accelerations.
-struct Rows {
-    jacobian: DMatrix<f64>,
-    bias: DVector<f64>,
-    asked: DVector<f64>,
+pub struct Rows {
+    pub jacobian: DMatrix<f64>,
+    pub bias: DVector<f64>,
+    pub asked: DVector<f64>,
     metric: DMatrix<f64>,
 }
 
@@ -173,7 +173,7 @@ impl Rows {
         levels
     }
 
-    fn new(scene: &Scene, frame: &str, axes: &[usize], unlimited: &DVector<f64>) -> Self {
+    pub fn new(scene: &Scene, frame: &str, axes: &[usize], unlimited: &DVector<f64>) -> Self {
         let (model, data) = (&scene.model, &scene.data);
         let whole = jacobian(model, data, frame);
         let jacobian =
@@ -187,28 +187,28 @@ impl Rows {
 }
 
 /// Scale of a row.
-fn row_scale(axis: usize) -> f64 {
+pub fn row_scale(axis: usize) -> f64 {
     if axis < 3 { 1.0 } else { LENGTH_M }
 }
 
 /// Selects the rows of a task from all six of a motion.
-fn pick(axes: &[usize], whole: &DVector<f64>) -> DVector<f64> {
+pub fn pick(axes: &[usize], whole: &DVector<f64>) -> DVector<f64> {
     DVector::from_iterator(axes.len(), axes.iter().map(|&i| row_scale(i) * whole[i]))
 }
 
-fn six(m: Motion) -> DVector<f64> {
+pub fn six(m: Motion) -> DVector<f64> {
     DVector::from_iterator(6, m.linear.iter().chain(m.angular.iter()).copied())
 }
 
 /// Bounds on joint accelerations and torques.
-struct Bounds {
-    acceleration: [DVector<f64>; 2],
-    torque: [DVector<f64>; 2],
+pub struct Bounds {
+    pub acceleration: [DVector<f64>; 2],
+    pub torque: [DVector<f64>; 2],
 }
 
 impl Bounds {
     /// Computes the documented bounds at the scene's state; there are no position limits.
-    fn new(scene: &Scene, limits: &JointLimits) -> Self {
+    pub fn new(scene: &Scene, limits: &JointLimits) -> Self {
         let (n, dq, before) = (scene.model.n(), &scene.data.dq, scene.before());
         let side = |sign: f64| {
             let acceleration = DVector::from_fn(n, |i, _| {
@@ -226,7 +226,7 @@ impl Bounds {
     }
 
     /// Returns the violation of the bounds by a motion under torques, relative to its size.
-    fn excess(&self, ddq: &DVector<f64>, tau: &DVector<f64>) -> f64 {
+    pub fn excess(&self, ddq: &DVector<f64>, tau: &DVector<f64>) -> f64 {
         let beyond = |[lower, upper]: &[DVector<f64>; 2], x: &DVector<f64>| {
             (lower - x).max().max((x - upper).max()) / (1.0 + x.amax())
         };
@@ -324,7 +324,7 @@ fn slopes(
 
 /// Returns random limits of torque, torque rate, velocity and acceleration that are active in a scene, and that a
 /// motion near the desired one satisfies.
-fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers) -> JointLimits {
+pub fn binding_limits(scene: &Scene, unlimited: &DVector<f64>, numbers: &mut Numbers) -> JointLimits {
     let n = scene.model.n();
     let ddq = accelerations(&scene.model, &scene.data, unlimited.as_slice());
     let (size, share) = (ddq.amax(), 0.5 + 0.3 * numbers.next());
@@ -408,7 +408,7 @@ fn each_level_is_optimal_within_limits_and_priorities() {
 }
 
 /// Returns the task set's text with only its first level.
-fn first_level(text: &str) -> String {
+pub fn first_level(text: &str) -> String {
     let first = text.split("[task.").nth(1).expect("the file has a task");
     format!("priority = [\"hand\"]\n[task.{first}")
 }

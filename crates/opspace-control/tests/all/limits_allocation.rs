@@ -32,11 +32,22 @@ damping_ratio = 0.8
 /// dependent, to poses beyond the joints' position limits; also with commands that act late.
 #[test]
 fn no_limited_cycle_allocates() {
-    [0.0, 0.02].into_iter().for_each(check_limited_cycles);
+    [0.0, 0.02].into_iter().for_each(|late_s| count_allocations(STACK, late_s));
 }
 
-fn check_limited_cycles(command_delay_s: f64) {
-    let (model, file) = (seven_joints(), File::read(STACK));
+/// No allocation along this path with scaled tasks and weights of axes and joints.
+#[test]
+fn no_cycle_of_scaled_and_weighted_tasks_allocates() {
+    let scaled = STACK.replace("speed_limit", "when_limited = \"scaled\"\nspeed_limit");
+    let weighted = scaled.replace("characteristic", "weight = { x = 3.0, rz = 0.2 }\ncharacteristic");
+    let posture = weighted.replace("damping_ratio = 0.8\n", "damping_ratio = 0.8\nweight = { j3 = 5.0 }\n");
+    assert!(posture.contains("j3") && posture.contains("rz = 0.2"), "{posture}");
+    count_allocations(&posture, 0.0);
+}
+
+/// Counts the allocations of control cycles along the path, whose commands act late.
+fn count_allocations(text: &str, command_delay_s: f64) {
+    let (model, file) = (seven_joints(), File::read(text));
     let mut robot = control_context(&model, "hand");
     robot.command_delay_s = command_delay_s;
     robot.limits = JointLimits {

@@ -22,6 +22,7 @@ mod subjects;
 mod switching;
 mod swivel;
 mod tasks_in_code;
+mod when_limited;
 mod zones;
 
 #[global_allocator]

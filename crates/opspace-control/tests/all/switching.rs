@@ -422,6 +422,7 @@ fn log_layout_is_fixed_and_inactive_tasks_are_nan() {
                     || ["limited", "limits_solver"].contains(&name.as_str());
                 let rest_tracks = order[k] == 6 || order[k] == 8;
                 let expected = match (task, quantity) {
+                    (_, "slack") => in_force,
                     ("rest", _) => in_force && rest_tracks,
                     (_, "sensed_force") => order[k] == 4,
                     _ => in_force,

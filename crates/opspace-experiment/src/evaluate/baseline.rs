@@ -44,7 +44,7 @@ const SMALLER: [&str; 19] = [
 const LARGER: [&str; 1] = ["in_contact_fraction"];
 /// Metrics that describe a run and are neither better nor worse.
 #[cfg(test)]
-const NEUTRAL: [&str; 10] = [
+const NEUTRAL: [&str; 14] = [
     "contact_begin_s",
     "compliant_motion_rms_m",
     "compliant_work_j",
@@ -54,6 +54,10 @@ const NEUTRAL: [&str; 10] = [
     "torque_commanded_max_nm",
     "speed_max_rad_per_s",
     "limited_share",
+    "slack_rms_m_per_s2",
+    "slack_max_m_per_s2",
+    "slack_rms_rad_per_s2",
+    "slack_max_rad_per_s2",
     "torque_chatter_hz",
 ];
 

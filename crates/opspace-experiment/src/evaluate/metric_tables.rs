@@ -18,6 +18,9 @@ pub struct Metrics {
     /// Compliance of the first task with compliant axes.
     #[serde(flatten)]
     pub compliance: Compliance,
+    /// Acceleration that limits take from the first task.
+    #[serde(flatten)]
+    pub slack: Slack,
     /// True force of the simulated hand over the axes that it reports, rms, N.
     pub hand_force_rms_n: Option<f64>,
     /// Displacement of the simulated hand's frame from the start over the axes that the hand reports, rms, m.
@@ -105,6 +108,9 @@ pub struct TaskMetrics {
     /// Compliance of the compliant axes.
     #[serde(flatten)]
     pub compliance: Compliance,
+    /// Acceleration that limits take from the task.
+    #[serde(flatten)]
+    pub slack: Slack,
 }
 
 /// Error of a joint or of an element of a coordinate.
@@ -179,6 +185,22 @@ pub struct Compliance {
     pub compliant_motion_rms_m: Option<f64>,
     /// Work of the environment on the robot along the compliant axes after settling, J; `None` without an object that acts on the frame.
     pub compliant_work_j: Option<f64>,
+}
+
+/// Acceleration that limits take from a task: that of the command without limits minus that of the command, norm over the
+/// axes or joints of one unit, and zero for axes that are not in the task; `None` without joints of the unit, and without torque
+/// control. Of a task of all joints, only the part in the null space of the other tasks counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Slack {
+    /// Slack of translations and prismatic joints, rms, m/s².
+    pub slack_rms_m_per_s2: Option<f64>,
+    /// Slack of translations and prismatic joints, largest, m/s².
+    pub slack_max_m_per_s2: Option<f64>,
+    /// Slack of rotations and revolute joints, rms, rad/s².
+    pub slack_rms_rad_per_s2: Option<f64>,
+    /// Slack of rotations and revolute joints, largest, rad/s².
+    pub slack_max_rad_per_s2: Option<f64>,
 }
 
 /// Reads a number that is written as `null` if it is not a number.

@@ -12,6 +12,7 @@ mod interruptions;
 mod joints;
 mod ripple;
 pub(crate) mod run_log;
+pub(crate) mod slack;
 pub(crate) mod task_axes;
 pub(crate) mod tasks;
 pub(crate) mod times;
@@ -19,7 +20,8 @@ mod torque_errors;
 mod unreached_goals;
 
 pub use crate::evaluate::metric_tables::{
-    Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, TaskMetrics, Timing,
+    Compliance, Contact, ElementError, Evaluation, JointMetrics, Metrics, PoseErrors, Slack, TaskMetrics,
+    Timing,
 };
 
 use crate::evaluate::failures::{HeldJoints, failures};
@@ -151,6 +153,9 @@ impl Metrics {
         }
         if self.compliance == Compliance::default() {
             self.compliance = task.compliance;
+        }
+        if self.slack == Slack::default() {
+            self.slack = task.slack;
         }
         self.joint_rms_rad = self.joint_rms_rad.or(task.joint_rms_rad);
     }

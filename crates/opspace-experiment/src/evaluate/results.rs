@@ -279,6 +279,10 @@ pub enum Measure {
     SpeedMax,
     /// Fraction of interface cycles in which a limit changed the command.
     Limited,
+    /// Acceleration that limits take from the first task, over its translations (of a task of joints, its prismatic joints), rms.
+    Slack,
+    /// Acceleration that limits take from the first task, over its rotations (of a task of joints, its revolute joints), rms.
+    AngularSlack,
     /// Fraction of the time in which a force task has contact.
     InContact,
     /// Largest contact force in the first second of contact.
@@ -343,6 +347,10 @@ impl Measure {
             Self::TorqueStepMax => Row("torque step max", "N·m", 1.0, |s| s.metrics.torque_step_max_nm),
             Self::SpeedMax => Row("speed max", "rad/s", 1.0, |s| s.metrics.speed_max_rad_per_s),
             Self::Limited => Row("limited", "%", 1e2, |s| s.metrics.limited_share),
+            Self::Slack => Row("slack rms", "m/s²", 1.0, |s| s.metrics.slack.slack_rms_m_per_s2),
+            Self::AngularSlack => {
+                Row("angular slack rms", "rad/s²", 1.0, |s| s.metrics.slack.slack_rms_rad_per_s2)
+            }
             Self::InContact => Row("in contact", "%", 1e2, |s| s.metrics.contact.in_contact_fraction),
             Self::ContactPeak => {
                 Row("contact peak (first second)", "N", 1.0, |s| s.metrics.contact.contact_peak_n)
@@ -395,7 +403,9 @@ impl Measure {
             | Self::TorqueErrorTick
             | Self::TorqueErrorOfLimit
             | Self::TorqueMax
-            | Self::TorqueStepMax => "the controller `osc`",
+            | Self::TorqueStepMax
+            | Self::Slack
+            | Self::AngularSlack => "the controller `osc`",
             _ => return None,
         })
     }
@@ -425,7 +435,9 @@ impl Measure {
             | Self::TorqueErrorTick
             | Self::TorqueErrorOfLimit
             | Self::TorqueMax
-            | Self::TorqueStepMax => torques,
+            | Self::TorqueStepMax
+            | Self::Slack
+            | Self::AngularSlack => torques,
             _ => true,
         }
     }
@@ -473,7 +485,8 @@ pub fn failures(summaries: &[Summary]) -> Vec<String> {
     all.into_iter().take(MOST).chain(more).collect()
 }
 
-/// Table of the errors, forces and motions of each task of a run, and of each joint of its joint tasks.
+/// Table of the errors, forces and motions of each task of a run, of what limits take from it, and of each joint of its joint
+/// tasks.
 #[must_use]
 pub fn task_table(summary: &Summary) -> Table {
     let titles = ["task", "quantity", "rms", "max", "unit"];
@@ -493,6 +506,14 @@ pub fn task_table(summary: &Summary) -> Table {
         row("force error", "N", task.contact.force_rms_n, None);
         row("contact peak (first second of contact)", "N", None, task.contact.contact_peak_n);
         row("compliant motion", "m", task.compliance.compliant_motion_rms_m, None);
+        let slack = &task.slack;
+        let taken = |max: Option<f64>| max.filter(|max| *max > 0.0);
+        if let Some(max) = taken(slack.slack_max_m_per_s2) {
+            row("slack (taken by limits)", "m/s²", slack.slack_rms_m_per_s2, Some(max));
+        }
+        if let Some(max) = taken(slack.slack_max_rad_per_s2) {
+            row("slack (taken by limits)", "rad/s²", slack.slack_rms_rad_per_s2, Some(max));
+        }
         for element in &task.elements {
             row(&format!("{} error", element.name), &element.unit, Some(element.rms), Some(element.max));
         }

@@ -7,6 +7,7 @@ use crate::files::source::{FileError, Source, checked, explain};
 use crate::files::suggest::nearest;
 use crate::files::task_kinds::TaskKinds;
 use opspace_backend::quantity::{NonNegative, Positive};
+use opspace_control::hierarchy::task_parameters::UNUSED_DAMPING_PER_S;
 use opspace_control::{
     CartesianReference, Compensation, LimitParameters, RecordedReason, TaskParameters, recorded,
 };
@@ -42,6 +43,11 @@ pub struct TaskFile {
     /// Compensation of gravity, and of Coriolis and centrifugal forces.
     #[serde(default)]
     pub compensation: Compensation,
+    /// Damping of the motion that the tasks leave, if the last one is not of all joints (deceleration per velocity), 1/s; 10
+    /// if absent: motion without a task, which sensor noise would start, ends within some tenths of a second. It also
+    /// brakes directions close to a singularity. At most a fifth of the control rate.
+    #[serde(default = "unused_damping")]
+    pub unused_damping_per_s: Positive,
     /// Enforcement of the robot's limits.
     #[serde(default)]
     pub limits: LimitParameters,
@@ -86,6 +92,10 @@ pub struct StackFile {
     pub priority: Vec<String>,
     /// Parameters of the tasks, by name.
     pub task: BTreeMap<String, TaskParameters>,
+}
+
+const fn unused_damping() -> Positive {
+    UNUSED_DAMPING_PER_S
 }
 
 const fn one() -> u64 {

@@ -5,6 +5,7 @@ use crate::evaluate::metrics::times::CycleTimes;
 use crate::evaluate::spectrum::Welch;
 use crate::report::figure::{Figure, Panel, Scale, Series, Style};
 use crate::report::lines::{COLUMNS, append, complete, element, joint_figure, label_of, time_panel};
+use crate::report::slack_figure::slack_figure;
 use crate::report::task_figures::task_figures;
 use crate::run::experiment::Experiment;
 use opspace_backend::signal_names::{
@@ -45,6 +46,7 @@ impl<'a> RunFigures<'a> {
         let Some(run) = Run::new(self.experiment, segment, &mut self.control, is_last) else { return };
         let mut next: Vec<Figure> = torques(&run).into_iter().collect();
         next.extend(task_figures(&run));
+        next.extend(slack_figure(&run));
         next.extend(setpoint_figure(&run));
         append(&mut self.figures, next);
         self.add_torque_errors(&run);

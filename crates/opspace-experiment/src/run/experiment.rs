@@ -8,7 +8,9 @@ use crate::files::robot::RobotDefinition;
 use crate::files::source::FileError;
 use crate::files::suggest::choices;
 use crate::files::task::TaskDefinition;
+use opspace_backend::quantity::Positive;
 use opspace_backend::{Capabilities, CommandKind, GravityCompensation, MissedCycle};
+use opspace_control::hierarchy::task_parameters::largest_unused_damping_per_s;
 use opspace_control::{
     ControlContext, ControlError, Controller, InverseKinematicsController, LimitParameters,
     OperationalSpaceController, Reason, ServoLead, TaskParameters, TaskSet, TaskSetParameters,
@@ -279,13 +281,18 @@ impl Experiment {
     /// robot.
     pub(crate) fn unlimited_controller(&self, period_s: f64) -> Option<OperationalSpaceController> {
         let (model, facts) = (&self.robot.model, self.control_context(period_s));
-        let limits = LimitParameters { enforce: false, ..self.task.file.limits };
         let file = &self.task.file;
-        let stack = TaskSetParameters { limits, ..self.stack(&file.priority, &file.task) };
+        let limits = LimitParameters { enforce: false, horizon_s: None, ..file.limits };
+        // The period may be longer than the robot's.
+        let damping = file.unused_damping_per_s.get().min(largest_unused_damping_per_s(period_s));
+        let unused_damping_per_s = Positive::try_from(damping).ok()?;
+        let stack =
+            TaskSetParameters { unused_damping_per_s, limits, ..self.stack(&file.priority, &file.task) };
         let mut osc = OperationalSpaceController::new(model, &stack, &facts).ok()?;
         for event in &self.task.events {
-            let stack = osc.prepare(model, &self.stack(&event.priority, &event.task)).ok()?;
-            osc.schedule(event.time_s, stack);
+            let stack = self.stack(&event.priority, &event.task);
+            let stack = TaskSetParameters { unused_damping_per_s, ..stack };
+            osc.schedule(event.time_s, osc.prepare(model, &stack).ok()?);
         }
         Some(osc)
     }
@@ -316,7 +323,9 @@ impl Experiment {
         task: &'a BTreeMap<String, TaskParameters>,
     ) -> TaskSetParameters<'a> {
         let file = &self.task.file;
-        TaskSetParameters { priority, task, compensation: file.compensation, limits: file.limits }
+        let (compensation, unused_damping_per_s, limits) =
+            (file.compensation, file.unused_damping_per_s, file.limits);
+        TaskSetParameters { priority, task, compensation, unused_damping_per_s, limits }
     }
 
     /// Builds the simulated robot with the selected command interface, at rest at the start position.

@@ -6,6 +6,7 @@ pub mod stacks;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Unit, Vector3};
 use opspace_backend::Observable;
+use opspace_backend::quantity::Positive;
 use opspace_control::{
     Compensation, ControlContext, ControlError, ControlInput, JointLimits, LimitParameters, Measurement,
     Targets, TaskParameters, TaskSetParameters,
@@ -157,6 +158,8 @@ pub struct File {
     #[serde(default)]
     pub compensation: Compensation,
     #[serde(default)]
+    pub unused_damping_per_s: Option<Positive>,
+    #[serde(default)]
     pub limits: LimitParameters,
     pub task: BTreeMap<String, TaskParameters>,
 }
@@ -167,11 +170,12 @@ impl File {
     }
 
     pub fn task_set(&self) -> TaskSetParameters<'_> {
+        let defaults = TaskSetParameters::new(&self.priority, &self.task);
         TaskSetParameters {
-            priority: &self.priority,
-            task: &self.task,
             compensation: self.compensation,
+            unused_damping_per_s: self.unused_damping_per_s.unwrap_or(defaults.unused_damping_per_s),
             limits: self.limits,
+            ..defaults
         }
     }
 }

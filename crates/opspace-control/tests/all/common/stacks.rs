@@ -60,5 +60,5 @@ damping_ratio = 0.8
 
 /// Returns the file without limits.
 pub fn without_limits(text: &str) -> String {
-    format!("limits = {{ enforce = false }}\n{text}")
+    format!("limits.enforce = false\n{text}")
 }

@@ -1,6 +1,7 @@
 //! Metrics of single tasks: the error of each task against its own reference, contact, and compliance.
 
 use super::run_log::{Mean, RmsMax, Run, masked_norm};
+use super::slack::SlackOfTask;
 use super::task_axes::{AxesOfTask, TaskAxes, TaskRow};
 use crate::evaluate::metric_tables::{ElementError, TaskMetrics};
 use crate::run::experiment::Experiment;
@@ -20,7 +21,15 @@ const PEAK_S: f64 = 1.0;
 
 /// Metrics of all tasks that have a priority at some time of the run, while segments of the log arrive.
 pub(super) struct Tasks {
-    tasks: Vec<(String, TaskMetrics, Option<Errors>)>,
+    tasks: Vec<TaskOfRun>,
+}
+
+/// A task of the run: its metrics, its errors, and what limits take from it.
+struct TaskOfRun {
+    name: String,
+    metrics: TaskMetrics,
+    errors: Option<Errors>,
+    slack: SlackOfTask,
 }
 
 /// Errors of a task, by its kind.
@@ -53,13 +62,14 @@ impl Tasks {
                 _ => Some(Errors::Logged(ElementErrors::default())),
             };
             let metrics = TaskMetrics { kind: parameters.kind().to_owned(), ..TaskMetrics::default() };
-            (name.to_owned(), metrics, errors)
+            TaskOfRun { name: name.to_owned(), metrics, errors, slack: SlackOfTask::default() }
         });
         Self { tasks: tasks.collect() }
     }
 
     pub(super) fn add(&mut self, run: &Run<'_>) {
-        for (name, _, errors) in &mut self.tasks {
+        for TaskOfRun { name, errors, slack, .. } in &mut self.tasks {
+            slack.add(run, name);
             match errors {
                 Some(Errors::Cartesian(errors)) => errors.add(run),
                 Some(Errors::Joints(errors, joints)) => errors.add_joints(run, name, joints.as_deref()),
@@ -70,7 +80,8 @@ impl Tasks {
     }
 
     pub(super) fn finish(self) -> BTreeMap<String, TaskMetrics> {
-        let finished = self.tasks.into_iter().map(|(name, mut metrics, errors)| {
+        let finished = self.tasks.into_iter().map(|TaskOfRun { name, mut metrics, errors, slack }| {
+            metrics.slack = slack.finish();
             match errors {
                 Some(Errors::Cartesian(errors)) => errors.finish(&mut metrics),
                 Some(Errors::Joints(errors, _)) => {
