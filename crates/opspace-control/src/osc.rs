@@ -245,7 +245,10 @@ impl OperationalSpaceController {
         data.mass_matrix_factor.solve(self.scratch.as_mut_slice());
         let (alpha, torque, compensation_torque) = (&self.scratch, &self.torque, &self.compensation_torque);
         if limiter.is_strictly_feasible(input, &self.commanded, alpha, torque, compensation_torque) {
-            hierarchy.levels.iter_mut().for_each(|level| level.limited = false);
+            for level in &mut hierarchy.levels {
+                level.limited = false;
+                level.resistance.release();
+            }
             hierarchy.clear_slack(limiter.is_limited());
             limiter.record_status(Solver::Unlimited, alpha, torque, compensation_torque);
             return;

@@ -4,6 +4,7 @@ use crate::controller::ControlInput;
 use crate::hierarchy::nullspace::{Nullspace, ProjectedTask};
 use crate::hierarchy::products::{add_transposed, product};
 use crate::hierarchy::rank::TypicalMobility;
+use crate::limits::resistance::Resistance;
 use crate::qp::level_cost::Reducible;
 use crate::qp::lexicographic::Residual;
 use crate::targets::TargetPlace;
@@ -39,6 +40,8 @@ pub(crate) struct PriorityLevel {
     slack: Vec<f64>,
     /// True if a limit prevents the desired acceleration; the integrators of the task then stop.
     pub limited: bool,
+    /// Resistance while limits hold the task back.
+    pub resistance: Resistance,
     /// Positions of the task's streamed inputs in the row of targets.
     pub target: TargetPlace,
 }
@@ -75,6 +78,7 @@ impl PriorityLevel {
             bias: zero,
             force: zero,
             limited: false,
+            resistance: Resistance::new(n),
             target: TargetPlace::default(),
         }
     }
@@ -181,7 +185,8 @@ impl PriorityLevel {
         let jacobian = &self.projected.jacobian;
         let mut velocity = self.predicted_velocity(data, ddq, horizon_s);
         if self.when_limited != WhenLimited::Scaled {
-            return Residual::Rows { jacobian, inertia: metric, heading: velocity };
+            let resistance = (!self.resistance.is_negligible()).then(|| self.resistance.of_joints());
+            return Residual::Rows { jacobian, inertia: metric, heading: velocity, resistance };
         }
         // The force on a compliant axis is no motion that could be slowed down.
         velocity
@@ -190,6 +195,15 @@ impl PriorityLevel {
             .filter(|(row, _)| !self.task.follows_reference(*row))
             .for_each(|(_, v)| *v = 0.0);
         Residual::ScaledRows { jacobian, inertia: metric, reducible: Reducible { velocity, horizon_s } }
+    }
+
+    /// Computes the passive arm that resists, given the joint accelerations `above` (n) that the levels above cause.
+    pub(crate) fn update_resistance(&mut self, data: &Data, above: &[f64], period_s: f64) {
+        if self.resistance.is_negligible() {
+            return;
+        }
+        let demand = self.desired - product(&self.jacobian, above);
+        self.resistance.update(data, &self.projected, &demand, self.typical.dynamic, period_s);
     }
 
     /// Stores what limits took from the rows, given the joint accelerations (n) that they took.

@@ -116,6 +116,11 @@ impl Bounds {
         }
     }
 
+    /// Control period, s.
+    pub(crate) fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
     /// Horizon of the bounds on accelerations, s.
     pub(crate) fn horizon_s(&self) -> f64 {
         self.horizon_s

@@ -26,6 +26,8 @@ pub(crate) struct Limiter {
     bias_acceleration: DVector<f64>,
     /// Active bounds of each joint's command (n): sum of [`LIMITED_ACCELERATION`] and [`LIMITED_TORQUE`].
     limited: DVector<f64>,
+    /// True if the resistance of a level acts.
+    resists: bool,
     solver: Solver,
     /// Joint accelerations that the tasks demand without limits, rad/s² or m/s² (n).
     demanded: DVector<f64>,
@@ -55,6 +57,7 @@ impl Limiter {
             speed_count: 0,
             bias_acceleration: zero.clone(),
             limited: zero.clone(),
+            resists: false,
             demanded: zero,
             solver: Solver::Unlimited,
         }
@@ -75,6 +78,7 @@ impl Limiter {
             }
             data.mass_matrix_factor.solve(self.bias_acceleration.as_mut_slice());
         }
+        self.resists = hierarchy.levels.iter().any(|level| !level.resistance.is_negligible());
         self.speed_count = 0;
         let horizon_s = self.bounds.horizon_s();
         for level in &hierarchy.levels {
@@ -101,6 +105,7 @@ impl Limiter {
         let acceleration = |i: usize| alpha[i] + self.bias_acceleration[i];
         let torque = |i: usize| torque[i] + compensation_torque[i];
         self.cascade.has_shortcut()
+            && !self.resists
             && self.bounds.is_strictly_feasible(
                 input.measurement,
                 input.feedforward_torque,
@@ -131,7 +136,7 @@ impl Limiter {
         compensation_torque: &DVector<f64>,
         scratch: &mut DVector<f64>,
     ) -> Result<Solver, QpError> {
-        let horizon_s = self.bounds.horizon_s();
+        let (horizon_s, period_s) = (self.bounds.horizon_s(), self.bounds.period_s());
         let (mut limits, cascade) = self.limits(compensation_torque);
         cascade.begin(data);
         // The unlimited command does not need J̄ of the last level.
@@ -143,12 +148,14 @@ impl Limiter {
         hierarchy.levels.iter_mut().for_each(|level| level.limited = true);
         for (place, level) in hierarchy.levels.iter_mut().enumerate() {
             scratch.fill(0.0);
+            level.update_resistance(data, cascade.alpha(), period_s);
             level.add_torque(Some(cascade.alpha()), scratch.as_mut_slice());
             data.mass_matrix_factor.solve(scratch.as_mut_slice());
             cascade.add_demand(data, scratch.as_slice(), &mut limits);
             let metric = level.metric();
             let residual = level.residual(data, cascade.alpha(), &metric, horizon_s);
             level.limited = cascade.solve_level(data, &hierarchy.nullspace, &residual, &mut limits)?;
+            level.resistance.follow(cascade.held(), level.typical.dynamic, period_s);
             hierarchy.nullspace.truncate(place + 1);
         }
         scratch.copy_from(joint_torque);

@@ -10,8 +10,8 @@
 //!
 //! which the levels below do not change, since J_p N is zero there. W weights errors perpendicular to the task's
 //! direction of motion ten times (or as set) as much as errors along it, which only slow the task down; weights of the
-//! task's rows multiply Λ on both sides. A [scaled](crate::qp::level_cost) level keeps its direction. Among solutions with equal
-//! residual, proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic
+//! task's rows multiply Λ on both sides. A [scaled](crate::qp::level_cost) level keeps its direction. A level that limits
+//! hold back also has a [resistance](crate::limits::resistance) in its cost. Among solutions with equal residual, proximal steps, min |W J_p δ|² + ε |δ − δ_before|²_M, select the one nearest to the demand in kinetic
 //! energy: if no limit is active, δ is exactly zero. The last level, of all joints, minimises this norm itself, and
 //! removes the part of the other levels' δ that does not affect their rows.
 //!
@@ -26,6 +26,7 @@
 use crate::hierarchy::nullspace::Nullspace;
 use crate::hierarchy::products::{dot, multiply};
 use crate::limits::bounds::Bounds;
+use crate::limits::resistance::add_resistance;
 use crate::qp::active_set::ActiveSet;
 use crate::qp::interior_point::InteriorPoint;
 use crate::qp::level_cost::{JointSpace, Reducible, scale_rows, weigh_joints};
@@ -142,7 +143,11 @@ pub(crate) struct HierarchicalQp {
     delta: DVector<f64>,
     /// Σ N δ of the levels solved so far (n).
     displaced: DVector<f64>,
-    /// Saved α while bounds are widened (n).
+    /// Gradient of the cost at δ = 0, scaled as δ (n).
+    pull: DVector<f64>,
+    /// Size of the torques of the bounds of the last level.
+    held: f64,
+    /// Saved α while bounds are widened, or an intermediate value (n).
     asked: DVector<f64>,
     solver: Solver,
     shortcut: bool,
@@ -168,7 +173,14 @@ enum Problem {
 /// Residual that a level minimises.
 pub(crate) enum Residual<'a> {
     /// |W J_p δ|²_Λ; `heading` is the predicted velocity of the task. Unused rows of J_p and Λ are zero.
-    Rows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, heading: Vector6<f64> },
+    /// With a [resistance](crate::limits::resistance) of this weight, relative to errors across the heading, toward these
+    /// joint accelerations (n).
+    Rows {
+        jacobian: &'a Matrix6xX<f64>,
+        inertia: &'a Matrix6<f64>,
+        heading: Vector6<f64>,
+        resistance: Option<(f64, &'a [f64])>,
+    },
     /// Rows whose predicted velocity is [reduced](crate::qp::level_cost).
     ScaledRows { jacobian: &'a Matrix6xX<f64>, inertia: &'a Matrix6<f64>, reducible: Reducible<Vector6<f64>> },
     /// |δ|²_M.
@@ -178,6 +190,11 @@ pub(crate) enum Residual<'a> {
 }
 
 impl Residual<'_> {
+    /// Returns true if the level deviates from its demand even if no limit is active.
+    fn resists(&self) -> bool {
+        matches!(self, Self::Rows { resistance: Some(_), .. })
+    }
+
     /// Returns true for the level of all joints.
     fn is_of_joints(&self) -> bool {
         matches!(self, Self::Joints | Self::WeightedJoints { .. })
@@ -208,6 +225,8 @@ impl HierarchicalQp {
             torque: zero.clone(),
             delta: DVector::zeros(variables),
             displaced: zero.clone(),
+            pull: zero.clone(),
+            held: 0.0,
             asked: zero,
             solver: Solver::Unlimited,
             shortcut: true,
@@ -295,7 +314,8 @@ impl HierarchicalQp {
             self.alpha -= &self.torque;
         }
         multiply(&data.mass_matrix, self.alpha.as_slice(), self.torque.as_mut_slice());
-        if self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
+        self.held = 0.0;
+        if !residual.resists() && self.needs_no(limits, self.alpha.as_slice(), self.torque.as_slice()) {
             return Ok(false);
         }
         let reduced = residual.is_of_joints() && !above.is_empty() && self.reduce(data, above);
@@ -309,10 +329,33 @@ impl HierarchicalQp {
                 result => result?,
             }
         }
+        if let Residual::Rows { .. } = residual {
+            self.measure_bounds(data);
+        }
         self.displaced -= &self.alpha;
         self.displace();
         self.displaced += &self.alpha;
         Ok(true)
+    }
+
+    /// Stores the size of the torques f with which the bounds balance the gradient of the solved level, the square root
+    /// of fᵀ M⁻¹ f.
+    fn measure_bounds(&mut self, data: &Data) {
+        let n = self.scale.len();
+        let weight = self.lateral_weight * self.lateral_weight;
+        for r in 0..n {
+            let row = |c: usize| self.program.hessian[(r.max(c), r.min(c))] * self.delta[c];
+            self.torque[r] = self.scale[r] / weight * (self.pull[r] + (0..n).map(row).sum::<f64>());
+        }
+        self.asked.copy_from(&self.torque);
+        data.mass_matrix_factor.solve(self.asked.as_mut_slice());
+        self.held = self.torque.dot(&self.asked).max(0.0).sqrt();
+    }
+
+    /// Size of the torques with which bounds held back the last level, relative to errors across its heading; 0 if no
+    /// bound did, or if it is not a level of plain rows.
+    pub(crate) fn held(&self) -> f64 {
+        self.held
     }
 
     /// Minimises a residual within the limits, and writes δ into `delta`.
@@ -362,6 +405,7 @@ impl HierarchicalQp {
             }
         }
         self.constrain(limits, true);
+        self.pull.fill(0.0);
         self.iterate_proximal(Problem::Bounds, Some(RELAXED))?;
         // The solution is only used to widen the bounds: the level restarts from the saved α.
         self.asked.copy_from(&self.alpha);
@@ -376,6 +420,7 @@ impl HierarchicalQp {
     fn iterate_proximal(&mut self, problem: Problem, proximal: Option<f64>) -> Result<(), QpError> {
         let (n, variables) = (self.scale.len(), self.program.variables());
         self.program.gradient.fill(0.0);
+        self.program.gradient.as_mut_slice()[..n].copy_from_slice(self.pull.as_slice());
         self.delta.fill(0.0);
         let mut again = false;
         for _ in 0..STEPS {
@@ -397,7 +442,7 @@ impl HierarchicalQp {
             };
             let gradient = &mut self.program.gradient.as_mut_slice()[..n];
             multiply(&self.mass, &self.delta.as_slice()[..n], gradient);
-            gradient.iter_mut().for_each(|g| *g *= -weight);
+            gradient.iter_mut().zip(self.pull.iter()).for_each(|(g, pull)| *g = pull - weight * *g);
         }
         Ok(())
     }
@@ -508,7 +553,8 @@ impl HierarchicalQp {
     /// steps.
     fn pose(&mut self, residual: &Residual<'_>) -> Option<f64> {
         self.reduction = None;
-        let Residual::Rows { jacobian, inertia, heading } = residual else {
+        self.pull.fill(0.0);
+        let Residual::Rows { jacobian, inertia, heading, resistance } = residual else {
             if !matches!(residual, Residual::Joints) {
                 return self.pose_weighted_or_scaled(residual);
             }
@@ -538,7 +584,13 @@ impl HierarchicalQp {
             }
             trace += hessian[(c, c)];
         }
-        Some(self.approach(trace * (USUAL_WEIGHT * USUAL_WEIGHT / aside)))
+        let proximal = self.approach(trace * (USUAL_WEIGHT * USUAL_WEIGHT / aside));
+        if let Some((weight, passive)) = resistance {
+            let deviation = self.alpha.iter().zip(*passive).zip(&self.scale).map(|((a, p), s)| (a - p) * s);
+            let (hessian, scratch) = (&mut self.program.hessian, self.asked.as_mut_slice());
+            add_resistance(hessian, &self.mass, aside * weight, deviation, scratch, self.pull.as_mut_slice());
+        }
+        Some(proximal)
     }
 
     /// Sets the Hessian of weighted joints or of a scaled level, and returns the weight of its proximal steps.
