@@ -376,6 +376,7 @@ fn value_of(key: &str) -> &'static str {
         "static_nm" => "0.12",
         "stribeck_rad_per_s" => "0.05",
         "viscous_nms_per_rad" => "0.5",
+        "presliding_rad" => "0.001",
         "servo_hz" => "4000.0",
         "servo_ticks_per_cycle" => "4",
         "delay_servo_ticks" => "0",

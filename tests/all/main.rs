@@ -9,6 +9,7 @@ mod dropout;
 mod exactness;
 mod experiments;
 mod files;
+mod friction;
 mod identification;
 mod identified;
 mod logs;
@@ -18,6 +19,7 @@ mod report_browser;
 mod result_files;
 mod robots;
 mod safety;
+mod singular_start;
 mod suites;
 
 #[global_allocator]

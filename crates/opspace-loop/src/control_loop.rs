@@ -336,6 +336,7 @@ impl ControlLoop {
     /// Holds the robot, without a command of the controller.
     fn hold(&mut self, targets: &Targets) -> Result<(), Fault> {
         self.controller.observe_while_held(&self.state.input(targets));
+        self.friction.reset();
         self.command.fill(f64::NAN);
         self.torque_desired.fill(f64::NAN);
         self.saturated.fill(0.0);
@@ -391,7 +392,8 @@ impl ControlLoop {
 
     fn compensate_friction(&mut self) {
         let State { estimator, feedforward_torque, .. } = &mut self.state;
-        let dq = &estimator.measurement().dq;
+        let Measurement { q, dq, .. } = estimator.measurement();
+        self.friction.advance(q.as_slice());
         for (i, (torque, &dq)) in feedforward_torque.iter_mut().zip(dq.iter()).enumerate() {
             *torque = self.friction.torque(i, dq);
         }

@@ -84,6 +84,7 @@ fn drive(effort: f64) -> JointParameters {
             static_nm: NonNegative::default(),
             stribeck_rad_per_s: UNUSED,
             viscous_nms_per_rad: NonNegative::default(),
+            presliding_rad: Positive::literal(0.001),
         },
     }
 }

@@ -1,6 +1,21 @@
-//! Joint friction: the model, and its compensation (equation (K11) of the paper).
+//! Joint friction: its parameters, and its compensation n̂ (equation (K11) of the paper). It follows the estimated velocity
+//! or the measured displacement ([`FrictionLaw`]):
+//!
+//! ```text
+//! n̂ = γ (Fc tanh(q̇/v₀) + Fv q̇)          n̂ = γ (Fc z/δ + Fv q̇),   dz = dq − |dq| z/δ
+//! ```
+//!
+//! A joint that is held by its bristles feels the first as the negative damping −γ Fc/v₀. Where that exceeds the damping
+//! of the bristles, the joint oscillates at rest at the frequency of its inertia and its bristles, 15 Hz for the arm of the
+//! paper.
+//!
+//! In the second, z is the deflection of Dahl's bristles, driven by the measured motion, and δ the presliding displacement
+//! (Dahl, *Solid friction damping of mechanical vibrations*, AIAA Journal 14(12), 1976). The compensation reverses over a
+//! displacement of about δ, as friction does. At rest it is therefore constant, whatever the noise of a velocity estimate.
+//! A cycle of amplitude A gets the energy 4 γ Fc (A − δ tanh(A/δ)) from it. The joint's own bristles, of stiffness σ₀, take
+//! at least as much for any A if δ ≥ √(γ Fc Fs)/σ₀. The slope at rest, the stiffness −γ Fc/δ, is then below σ₀, and a delay
+//! of the loop turns it into damping.
 
-use nalgebra::DVector;
 use opspace_backend::quantity::{NonNegative, Positive};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -19,6 +34,10 @@ pub struct FrictionParameters {
     pub stribeck_rad_per_s: Positive,
     /// Viscous friction Fv, Nms/rad (Ns/m).
     pub viscous_nms_per_rad: NonNegative,
+    /// Presliding displacement δ, over which static friction builds up from zero like a spring, rad (m). Too small a
+    /// value makes the joint oscillate at rest when its friction is compensated.
+    #[serde(default = "default_presliding")]
+    pub presliding_rad: Positive,
 }
 
 /// Compensation of joint friction.
@@ -30,14 +49,35 @@ pub struct FrictionCompensationParameters {
     /// by itself; 0.65 is safe for true friction down to two thirds of the model.
     #[serde(default = "default_gain")]
     pub gain: NonNegative,
-    /// Speed v₀ over which the compensation of Coulomb friction changes sign, rad/s (m/s).
+    /// Quantity that the compensation of Coulomb friction follows; `velocity` if absent.
+    #[serde(default)]
+    pub follows: FrictionLaw,
+    /// Speed v₀ over which the compensation of Coulomb friction changes sign if it follows the velocity, rad/s (m/s).
     #[serde(default = "default_smoothing")]
     pub smoothing_rad_per_s: Positive,
 }
 
+/// Quantity that the compensation of Coulomb friction follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum FrictionLaw {
+    /// The estimated velocity: Fc tanh(q̇/v₀). It tracks slow references well. Near rest it is negative damping, with which
+    /// joints may oscillate or creep.
+    #[default]
+    Velocity,
+    /// The measured displacement, over `presliding_rad` of the joint's friction: Fc z/δ. Joints come to rest and neither
+    /// oscillate nor chatter. Errors of tracking through reversals are larger.
+    Displacement,
+}
+
 impl Default for FrictionCompensationParameters {
     fn default() -> Self {
-        Self { gain: default_gain(), smoothing_rad_per_s: default_smoothing() }
+        Self {
+            gain: default_gain(),
+            follows: FrictionLaw::default(),
+            smoothing_rad_per_s: default_smoothing(),
+        }
     }
 }
 
@@ -49,50 +89,104 @@ const fn default_smoothing() -> Positive {
     Positive::literal(0.05)
 }
 
-/// Friction compensation n̂ of equation (K11): `gain (Fc tanh(q̇/v₀) + Fv q̇)` for n joints. It is applied once, before
-/// the backend, for all kinds of robot.
+const fn default_presliding() -> Positive {
+    Positive::literal(0.001)
+}
+
+/// Friction n̂ of n joints, times a gain: see the [module](self). With the gain of the task it is the friction
+/// compensation of equation (K11), applied once, before the backend, for all kinds of robot; with a gain of 1 it is the
+/// friction that observers expect.
 #[derive(Clone, Debug)]
 pub struct FrictionCompensation {
-    coulomb: DVector<f64>,
-    viscous: DVector<f64>,
-    smoothing: f64,
+    joints: Vec<CompensatedJoint>,
+    /// Speed v₀ of the law that follows the velocity, rad/s (m/s).
+    smoothing: Option<f64>,
+    /// True if the displacements continue from the last cycle.
+    is_continued: bool,
+}
+
+/// Friction of one joint, times the gain.
+#[derive(Clone, Debug, Default)]
+struct CompensatedJoint {
+    coulomb: f64,
+    viscous: f64,
+    /// Presliding displacement δ (rad, m).
+    presliding: f64,
+    /// Measured position of the last cycle (rad, m).
+    position: f64,
+    /// Deflection z of the bristles, from −δ to δ (rad, m).
+    deflection: f64,
+}
+
+impl CompensatedJoint {
+    /// Deflection after a motion (rad, m), exact for a motion without reversal.
+    fn deflected(&self, motion: f64) -> f64 {
+        let slipping = self.presliding * motion.signum();
+        slipping + (self.deflection - slipping) * (-motion.abs() / self.presliding).exp()
+    }
 }
 
 impl FrictionCompensation {
     /// Returns the compensation for joints with this nominal friction.
     #[must_use]
     pub fn new<'a>(
-        joints: impl Iterator<Item = &'a FrictionParameters> + Clone,
+        joints: impl Iterator<Item = &'a FrictionParameters>,
         parameters: &FrictionCompensationParameters,
     ) -> Self {
         let gain = parameters.gain.get();
-        let collect = |f: fn(&FrictionParameters) -> f64| {
-            DVector::from_iterator(joints.clone().count(), joints.clone().map(|j| gain * f(j)))
+        let joint = |friction: &FrictionParameters| CompensatedJoint {
+            coulomb: gain * friction.coulomb_nm.get(),
+            viscous: gain * friction.viscous_nms_per_rad.get(),
+            presliding: friction.presliding_rad.get(),
+            ..CompensatedJoint::default()
         };
         Self {
-            coulomb: collect(|j| j.coulomb_nm.get()),
-            viscous: collect(|j| j.viscous_nms_per_rad.get()),
-            smoothing: parameters.smoothing_rad_per_s.get(),
+            joints: joints.map(joint).collect(),
+            smoothing: (parameters.follows == FrictionLaw::Velocity)
+                .then_some(parameters.smoothing_rad_per_s.get()),
+            is_continued: false,
         }
-    }
-
-    /// Number of joints.
-    #[must_use]
-    pub fn joints(&self) -> usize {
-        self.coulomb.len()
     }
 
     /// Returns a compensation of zero for n joints.
     #[must_use]
     pub fn none(n: usize) -> Self {
-        let zero = DVector::zeros(n);
-        Self { coulomb: zero.clone(), viscous: zero, smoothing: default_smoothing().get() }
+        let none = CompensatedJoint { presliding: 1.0, ..CompensatedJoint::default() };
+        Self { joints: vec![none; n], smoothing: None, is_continued: false }
     }
 
-    /// Friction torque n̂ of one joint (Nm, N) at the velocity `dq` (rad/s, m/s).
+    /// Number of joints.
+    #[must_use]
+    pub fn joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Relaxes all deflections at the next sample, from which they continue.
+    pub fn reset(&mut self) {
+        self.is_continued = false;
+    }
+
+    /// Advances the deflections to the measured positions `q` (n; rad, m). Call it once per sample.
+    pub fn advance(&mut self, q: &[f64]) {
+        if self.smoothing.is_some() {
+            return;
+        }
+        let is_continued = std::mem::replace(&mut self.is_continued, true);
+        for (joint, &q) in self.joints.iter_mut().zip(q) {
+            joint.deflection = if is_continued { joint.deflected(q - joint.position) } else { 0.0 };
+            joint.position = q;
+        }
+    }
+
+    /// Friction torque n̂ of one joint (Nm, N) at the estimated velocity `dq` (rad/s, m/s).
     #[inline]
     #[must_use]
     pub fn torque(&self, joint: usize, dq: f64) -> f64 {
-        self.coulomb[joint] * (dq / self.smoothing).tanh() + self.viscous[joint] * dq
+        let joint = &self.joints[joint];
+        let direction = match self.smoothing {
+            None => joint.deflection / joint.presliding,
+            Some(smoothing) => (dq / smoothing).tanh(),
+        };
+        joint.coulomb * direction + joint.viscous * dq
     }
 }

@@ -64,7 +64,7 @@ pub use closed_loop_transformer::{
 };
 pub use current::{CurrentFeedback, CurrentObserver};
 pub use estimator::{EstimatorParameters, VelocityEstimator, VelocitySource};
-pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
+pub use friction::{FrictionCompensation, FrictionCompensationParameters, FrictionLaw, FrictionParameters};
 pub use gain_adaptation::{GainAdaptation, GainAdaptationParameters};
 pub use identity::Identity;
 pub use observed::ObservedTransformer;

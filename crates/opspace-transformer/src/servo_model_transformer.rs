@@ -465,6 +465,7 @@ impl Transformer for EmulatingTransformer {
     }
 
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
+        self.friction.advance(&sample.q);
         if !self.begun {
             self.state.clear();
             self.state.q.copy_from_slice(&sample.q);
@@ -533,6 +534,7 @@ impl Transformer for EmulatingTransformer {
 
     fn reset(&mut self) {
         self.begun = false;
+        self.friction.reset();
         self.disturbance.fill(0.0);
         if let Some(current) = &mut self.current {
             current.reset();

@@ -113,8 +113,12 @@ impl Transformer for TorqueObserver {
 
     /// Corrects the prediction. Without a torque since the last sample there is none: the robot holds itself.
     fn observe(&mut self, sample: &Sample) -> Option<&[f64]> {
-        if !std::mem::take(&mut self.sent) {
+        let sent = std::mem::take(&mut self.sent);
+        if !sent {
             self.reset();
+        }
+        self.friction.advance(&sample.q);
+        if !sent {
             self.q.copy_from_slice(&sample.q);
             self.dq.fill(0.0);
             return None;
@@ -167,6 +171,7 @@ impl Transformer for TorqueObserver {
 
     fn reset(&mut self) {
         self.disturbance.fill(0.0);
+        self.friction.reset();
         (self.sent, self.begun) = (false, false);
     }
 }

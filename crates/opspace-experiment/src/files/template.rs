@@ -84,6 +84,7 @@ const SIMULATED: &str = r"
 
 /// Units of a joint: torque, speed and viscous friction, and a description of the gear ratio.
 struct Units {
+    position: &'static str,
     torque: &'static str,
     speed: &'static str,
     viscous: &'static str,
@@ -93,18 +94,19 @@ struct Units {
 fn units(joint: &Joint) -> Units {
     match joint.kind {
         JointKind::Revolute | JointKind::Continuous | JointKind::Floating => {
-            Units { torque: "Nm", speed: "rad/s", viscous: "Nms/rad", gear: "motor turns per joint turn" }
+            let gear = "motor turns per joint turn";
+            Units { position: "rad", torque: "Nm", speed: "rad/s", viscous: "Nms/rad", gear }
         }
         JointKind::Prismatic => {
             let gear = "motor radians per metre: this joint is prismatic, its values are in N and m";
-            Units { torque: "N", speed: "m/s", viscous: "Ns/m", gear }
+            Units { position: "m", torque: "N", speed: "m/s", viscous: "Ns/m", gear }
         }
     }
 }
 
 fn drive(joint: &Joint) -> String {
     let name = Key::new(&joint.name);
-    let Units { torque, speed, viscous, gear } = units(joint);
+    let Units { position, torque, speed, viscous, gear } = units(joint);
     let effort = joint.limits.effort;
     let lacks = if joint.limits.velocity.is_finite() && joint.limits.velocity > 0.0 {
         String::new()
@@ -127,6 +129,7 @@ fn drive(joint: &Joint) -> String {
 # static_nm =                 # static (breakaway) friction, at least coulomb_nm, {torque}
 # stribeck_rad_per_s =        # Stribeck velocity, of the transition from static to Coulomb friction, {speed}
 # viscous_nms_per_rad =       # viscous friction, {viscous}
+# presliding_rad =            # displacement over which static friction builds up, {position}; 0.001 if absent
 {lacks}"
     )
 }

@@ -44,7 +44,7 @@ impl IdentificationResults {
             }
         }
         for joint in usable() {
-            if let Some(friction) = friction(joint) {
+            if let Some(friction) = self.friction(joint) {
                 let _ = writeln!(text, "\n[joint.{}]\nfriction = {friction}", joint.name);
             }
         }
@@ -91,7 +91,7 @@ impl IdentificationResults {
         }
         let joints = table(file, "joint").ok_or_else(|| wrong("`joint` is not a table"))?;
         for joint in &self.joints {
-            if let Some(friction) = friction(joint) {
+            if let Some(friction) = self.friction(joint) {
                 let drive = table(joints, &joint.name).ok_or_else(|| wrong("a joint is not a table"))?;
                 put(drive, "friction", friction);
             }
@@ -114,6 +114,19 @@ impl IdentificationResults {
     #[must_use]
     pub fn urdf(&self) -> &str {
         self.robot.urdf.text()
+    }
+
+    /// Identified friction of a joint; its presliding displacement is that of the robot's file.
+    fn friction(&self, joint: &JointIdentification) -> Option<Value> {
+        let friction = joint.found.servo.as_ref()?.friction?;
+        let presliding = self.robot.file.joint.get(&joint.name)?.friction.presliding_rad;
+        let mut values = InlineTable::new();
+        values.insert("coulomb_nm", rounded(friction.coulomb));
+        values.insert("static_nm", rounded(friction.static_friction));
+        values.insert("stribeck_rad_per_s", rounded(friction.stribeck));
+        values.insert("viscous_nms_per_rad", rounded(friction.viscous));
+        values.insert("presliding_rad", presliding.get().into());
+        Some(values.into())
     }
 
     /// Writes the previous nominal values to `[simulated]`, except for values that it already contains.
@@ -247,16 +260,6 @@ fn identified(joint: &JointIdentification) -> Option<Table> {
     table.insert("from_hz", Item::Value(rounded(from_hz)));
     table.insert("to_hz", Item::Value(rounded(trusted_hz)));
     Some(table)
-}
-
-fn friction(joint: &JointIdentification) -> Option<Value> {
-    let friction = joint.found.servo.as_ref()?.friction?;
-    let mut values = InlineTable::new();
-    values.insert("coulomb_nm", rounded(friction.coulomb));
-    values.insert("static_nm", rounded(friction.static_friction));
-    values.insert("stribeck_rad_per_s", rounded(friction.stribeck));
-    values.insert("viscous_nms_per_rad", rounded(friction.viscous));
-    Some(values.into())
 }
 
 /// Rounds to four significant digits, which is the accuracy of the measurement.

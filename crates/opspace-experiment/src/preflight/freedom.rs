@@ -94,15 +94,20 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     let weak = spectra.iter().enumerate().filter(|(_, spectrum)| spectrum.share < WHOLE);
     weak.map(|(level, spectrum)| {
         let lost = match spectrum.share {
-            share if share < 0.005 => "cannot be moved".to_owned(),
+            share if share < LOST => "cannot be moved".to_owned(),
             share => format!("retains only {} % of its force", short(100.0 * share)),
         };
         let where_it_is = if spectrum.share < 0.5 { "in a singular pose" } else { "near a singularity" };
         let message = format!(
-            "task '{}': at the start it {lost} along {}: the arm is {where_it_is}{}",
+            "task '{}': at the start it {lost} along {}: the arm is {where_it_is}{}{}",
             spectrum.name,
             spectrum.direction,
             if level > 0 { ", or tasks of higher priority use the required joints" } else { "" },
+            if spectrum.share < LOST {
+                "; it does not leave towards a goal along that direction"
+            } else {
+                ""
+            },
         );
         let help = bend(case, level).unwrap_or_else(|| {
             "start in another posture, free that axis, or control it by a task of higher priority".to_owned()
@@ -111,6 +116,9 @@ pub(crate) fn singular_start(case: &PreflightCase<'_>) -> Vec<Diagnostic> {
     })
     .collect()
 }
+
+/// Value of `Spectrum::share` below which a direction counts as lost.
+const LOST: f64 = 0.005;
 
 /// Value of `Spectrum::share` above which a task has full mobility.
 const WHOLE: f64 = 1.0 - 1e-9;

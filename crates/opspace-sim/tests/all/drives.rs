@@ -4,7 +4,9 @@ use crate::common::{parsed, robot};
 use opspace_sim::friction::LuGre;
 use opspace_sim::motor::Motor;
 use opspace_sim::parameters::BristleParameters;
-use opspace_transformer::FrictionParameters;
+use opspace_transformer::{FrictionCompensation, FrictionCompensationParameters, FrictionParameters};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
 /// Compared: mean and final torque of each step, and the differential equation τ̇ = ω (asked − τ) integrated with a
@@ -42,6 +44,9 @@ fn friction() -> (FrictionParameters, BristleParameters) {
 }
 
 const DT: f64 = 5e-5;
+
+/// Compensated fraction of friction.
+const GAIN: f64 = 0.8;
 
 /// Compared: steady friction at constant speed, and Stribeck's curve.
 #[test]
@@ -108,4 +113,61 @@ fn zero_friction_gives_no_torque() {
     let (parameters, bristle) = friction();
     let mut joint = LuGre::new(&parameters, &bristle, 0.0);
     assert!([-1.0, 0.0, 0.01, 3.0].iter().all(|&v| joint.step(v, DT) == 0.0));
+}
+
+/// Speed at rest, of a mass under LuGre friction and its compensation from samples at 1 kHz, after it had 5 s to come to
+/// rest from a push. `law` is an entry of the compensation's parameters.
+fn speed_at_rest(inertia: f64, friction: &FrictionParameters, bristle: &BristleParameters, law: &str) -> f64 {
+    const TICKS_PER_SAMPLE: u32 = 20;
+    let compensation: FrictionCompensationParameters = parsed(&format!("gain = {GAIN:?}\n{law}"));
+    let mut compensation = FrictionCompensation::new([friction].into_iter(), &compensation);
+    let mut joint = LuGre::new(friction, bristle, 1.0);
+    // The uncompensated Coulomb friction takes one second for this speed.
+    let push = (1.0 - GAIN) * friction.coulomb_nm.get() / inertia;
+    let (mut q, mut v, mut torque, mut last) = (0.0, push, 0.0, 0.0_f64);
+    for tick in 0..120_000 {
+        if tick % TICKS_PER_SAMPLE == 0 {
+            compensation.advance(&[q]);
+            torque = compensation.torque(0, v);
+        }
+        v += (torque - joint.step(v, DT)) / inertia * DT;
+        q += v * DT;
+        if tick >= 100_000 {
+            last = last.max(v.abs());
+        }
+    }
+    last
+}
+
+/// Checks that a joint with random friction, bristles and inertia comes to rest under the compensation, if its
+/// presliding displacement is large enough for the bristles. Compensation that follows the velocity makes the heaviest friction oscillate.
+#[test]
+fn compensated_joint_comes_to_rest() {
+    /// Speed below which a joint is at rest, rad/s; each push is faster.
+    const REST: f64 = 1e-3;
+    let mut random = ChaCha8Rng::seed_from_u64(11);
+    let mut between = |low: f64, high: f64| low * (high / low).powf(random.random_range(0.0..1.0));
+    let mut oscillating = 0;
+    for case in 0..40 {
+        let (coulomb, inertia) = (between(0.1, 8.0), between(0.05, 5.0));
+        let (stiction, stiffness) = (between(1.0, 1.4), between(1000.0, 10_000.0));
+        // The smallest displacement for which the bristles take what the compensation supplies, or more.
+        let least = (GAIN * stiction).sqrt() * coulomb / stiffness;
+        let presliding = least * between(1.0, 3.0);
+        let friction: FrictionParameters = parsed(&format!(
+            "coulomb_nm = {coulomb:?}\nstatic_nm = {:?}\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = \
+             {coulomb:?}\npresliding_rad = {presliding:?}",
+            stiction * coulomb
+        ));
+        let bristle = format!(
+            "stiffness_nm_per_rad = {stiffness:?}\ndamping_nms_per_rad = {:?}\ndamping_fade_velocity_rad_per_s = 0.1",
+            stiffness / 200.0
+        );
+        let bristle: BristleParameters = parsed(&bristle);
+        let speed = speed_at_rest(inertia, &friction, &bristle, "follows = \"displacement\"");
+        assert!(speed < REST, "case {case}: {speed} rad/s, {friction:?}, {inertia} kg m², {bristle:?}");
+        let compared = speed_at_rest(inertia, &friction, &bristle, "");
+        oscillating += u32::from(compared > REST);
+    }
+    assert!(oscillating > 5, "the test can tell rest from oscillation: {oscillating}");
 }

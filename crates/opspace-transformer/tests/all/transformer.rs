@@ -162,15 +162,17 @@ fn steady_motion_is_estimated_exactly() {
     assert!(last.is_some_and(|v| (v - 1.7).abs() < SETTLED), "{last:?}");
 }
 
-/// Compared: n̂, and equation (K11)'s `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.
+fn friction(coulomb: f64, viscous: f64, presliding: f64) -> FrictionParameters {
+    parsed(&format!(
+        "coulomb_nm = {coulomb:?}\nstatic_nm = 9.0\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = {viscous:?}\n\
+         presliding_rad = {presliding:?}"
+    ))
+}
+
+/// Compared: n̂ that follows the velocity, and `gain (Fc tanh(q̇/v₀) + Fv q̇)` with tanh from exponentials.
 #[test]
-fn friction_compensation_matches_equation_k11() {
-    let joint = |coulomb: f64, viscous: f64| -> FrictionParameters {
-        parsed(&format!(
-            "coulomb_nm = {coulomb:?}\nstatic_nm = 9.0\nstribeck_rad_per_s = 0.06\nviscous_nms_per_rad = {viscous:?}"
-        ))
-    };
-    let joints = [joint(1.8, 2.0), joint(1.1, 1.2)];
+fn friction_compensation_by_velocity_matches_its_formula() {
+    let joints = [friction(1.8, 2.0, 0.001), friction(1.1, 1.2, 0.001)];
     let parameters: FrictionCompensationParameters = parsed("gain = 0.8\nsmoothing_rad_per_s = 0.04");
     let compensation = FrictionCompensation::new(joints.iter(), &parameters);
     for v in [-3.0, -0.04, -0.001, 0.0, 0.02, 0.5_f64] {
@@ -181,7 +183,65 @@ fn friction_compensation_matches_equation_k11() {
             assert!((compensation.torque(i, v) - expected).abs() < 1e-13, "joint {i} at {v}");
         }
     }
-    let absent: FrictionCompensationParameters = parsed("");
-    let default = FrictionCompensation::new(joints.iter(), &absent).torque(0, 100.0);
-    assert!((default - 0.65 * (1.8 + 200.0)).abs() < 1e-10, "a third is left uncompensated: {default}");
+}
+
+/// Compared: n̂ along a motion with a reversal, and `gain (Fc z/δ + Fv q̇)` with the deflections z integrated in small
+/// steps.
+#[test]
+fn friction_compensation_follows_the_displacement() {
+    const STEPS: i32 = 100_000;
+    /// First-order error of the integration.
+    const TOLERANCE: f64 = 1e-4;
+    let presliding = 0.002;
+    let mut compensation = FrictionCompensation::new(
+        [friction(1.8, 2.0, presliding)].iter(),
+        &parsed("gain = 0.5\nfollows = \"displacement\""),
+    );
+    let (mut position, mut deflection) = (0.3, 0.0);
+    compensation.advance(&[position]);
+    for motion in [0.001, 0.004, 0.0, -0.0005, -0.003, 0.0, 0.1] {
+        position += motion;
+        compensation.advance(&[position]);
+        let step = motion / f64::from(STEPS);
+        for _ in 0..STEPS {
+            deflection += step - step.abs() * deflection / presliding;
+        }
+        let (torque, expected) =
+            (compensation.torque(0, 0.1), 0.5 * (1.8 * deflection / presliding + 2.0 * 0.1));
+        assert!((torque - expected).abs() < TOLERANCE, "{torque} instead of {expected} at {position}");
+    }
+    compensation.reset();
+    compensation.advance(&[0.7]);
+    assert_eq!(compensation.torque(0, 0.0), 0.0, "begins at rest");
+    let default = FrictionCompensation::new([friction(1.8, 2.0, 0.001)].iter(), &parsed(""));
+    let torque = default.torque(0, 100.0);
+    assert!((torque - 0.65 * (1.8 + 200.0)).abs() < 1e-10, "a third is left uncompensated: {torque}");
+}
+
+/// Compared: the energy that n̂ supplies in a cycle of amplitude A, and 4 γ Fc (A − δ tanh(A/δ)). Viscous friction is
+/// zero.
+#[test]
+fn friction_compensation_supplies_the_energy_of_its_bristles() {
+    const STEPS: i32 = 5000;
+    let (gain, coulomb, presliding) = (0.8, 1.8, 0.001);
+    for amplitude in [0.2, 1.0, 1.5, 4.0, 100.0_f64].map(|ratio| ratio * presliding) {
+        let joints = [friction(coulomb, 0.0, presliding)];
+        let mut compensation =
+            FrictionCompensation::new(joints.iter(), &parsed("gain = 0.8\nfollows = \"displacement\""));
+        let position = |k: i32| amplitude * (std::f64::consts::TAU * f64::from(k) / f64::from(STEPS)).sin();
+        let mut supplied = 0.0;
+        // The first cycles start at rest and differ.
+        for k in 0..10 * STEPS {
+            compensation.advance(&[position(k)]);
+            let before = compensation.torque(0, 0.0);
+            compensation.advance(&[position(k + 1)]);
+            let mean = 0.5 * (before + compensation.torque(0, 0.0));
+            if k >= 9 * STEPS {
+                supplied += mean * (position(k + 1) - position(k));
+            }
+        }
+        let expected = 4.0 * gain * coulomb * (amplitude - presliding * (amplitude / presliding).tanh());
+        let tolerance = 1e-3 * gain * coulomb * amplitude;
+        assert!((supplied - expected).abs() < tolerance, "A = {amplitude}: {supplied} J, {expected} J");
+    }
 }
