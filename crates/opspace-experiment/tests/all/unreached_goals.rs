@@ -139,12 +139,12 @@ fn reach_is_named_without_joints() {
     assert!(final_error(&recording) < STICKING, "{}", final_error(&recording));
 }
 
-/// Checks an arm whose joint 2 is too weak to lift it from a stretched posture.
+/// Checks an arm whose joint 2 is just too weak to lift it from a stretched posture.
 #[test]
 fn torque_limits_are_named() {
     let waypoints = "task.flange.cartesian.reference={ waypoints = [{time_s=2.5, position={offset_m=[0.25,0.0,-0.1]}}, \
                      {time_s=6.0, position={offset_m=[0.25,0.0,0.0]}}] }";
-    let settings = ["event=[]", "limits.torque_fraction=0.29", waypoints, "duration_s=7.0"];
+    let settings = ["event=[]", "limits.torque_fraction=0.296", waypoints, "duration_s=7.0"];
     let (_, summary) = run(&experiment("panda-goals", &settings));
     let goal = summary.unreached_goals.first().unwrap();
     assert_eq!(goal.torque_limits, ["joint2"], "{goal}");

@@ -79,6 +79,7 @@ fn torque_controller_logs_a_prismatic_joint_in_metres_and_newtons() {
             ("joints.reference", Q),
             ("joints.reference_velocity", DQ),
             ("joints.error", Q),
+            ("joints.slack", "rad/s² m/s²"),
             ("limited", "1 1"),
         ];
         let by_hand = expected(&[&before[..], setpoints, &after[..]].concat());
