@@ -337,23 +337,29 @@ fn scene(number: u64) -> Option<(Scene, bool)> {
 /// Distance from a goal at which it is reached, m.
 const REACHED_M: f64 = 1e-3;
 
+/// Speed of an arm that does not come to rest, rad/s.
+const IN_A_CYCLE: f64 = 0.5;
+
 /// Checks motions to random goals: no distance is below the margin by more than a millimetre, and an arm that reaches its
-/// goal rests there, without a jump of its torques.
-fn check_scenes(range: std::ops::Range<u64>, duration_s: f64) {
-    let [mut limited, mut reached, mut count] = [0; 3];
+/// goal rests there, without a jump of its torques. Returns the number of arms that still move fast in the last second,
+/// and the number of scenes.
+fn check_scenes(range: std::ops::Range<u64>, duration_s: f64) -> [usize; 2] {
+    let [mut limited, mut reached, mut moving, mut count] = [0; 4];
     for number in range {
         let Some((scene, pose)) = scene(number) else { continue };
         count += 1;
         let motion = run(&scene, pose, duration_s, true);
         let name = format!("scene {number}, {}: {motion:?}", scene.robot.name);
         assert!(motion.least_m > MARGIN_M - 1e-3, "{name}");
+        moving += usize::from(motion.final_speed > IN_A_CYCLE);
         limited += usize::from(motion.least_m < MARGIN_M + 1e-3);
         if motion.missed_m < REACHED_M && motion.final_speed < 1.0 {
-            assert!(motion.final_jump < 1e-3, "{name}");
+            assert!(motion.final_jump < 1e-2, "{name}");
             reached += 1;
         }
     }
     assert!(limited * 3 > count && reached * 5 > count, "{limited} and {reached} of {count}");
+    [moving, count]
 }
 
 /// Compared, for two dozen scenes: the smallest distance of capsules on the way, by points on their axes, with the margin.
@@ -362,11 +368,13 @@ fn arms_keep_their_distances() {
     check_scenes(0..24, 3.0);
 }
 
-/// Compared, for a thousand scenes: these distances with the margin.
+/// Compared, for a thousand scenes: these distances with the margin. Most goals are blocked, and one arm in seventeen
+/// still moves in front of its obstacle after six seconds: their number must not grow.
 #[test]
 #[ignore = "two minutes"]
 fn arms_keep_their_distances_in_a_thousand_scenes() {
-    check_scenes(0..1000, 6.0);
+    let [moving, count] = check_scenes(0..1000, 6.0);
+    assert!(moving * 100 <= 6 * count, "{moving} of {count} arms move");
 }
 
 /// Compared: the distances of the same scenes without limits: most of the arms collide.
